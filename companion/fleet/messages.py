@@ -39,6 +39,14 @@ EpochUs = Annotated[int, Meta(ge=-(2**53), le=2**53)]
 LONGEST_WAY = 400
 """Characters of a way in a state: some sixty waypoints."""
 
+MOST_COV_M2PS2 = 400.0
+WindCov = tuple[
+    Annotated[float, Meta(gt=0.0, le=MOST_COV_M2PS2)],
+    Annotated[float, Meta(ge=-MOST_COV_M2PS2, le=MOST_COV_M2PS2)],
+    Annotated[float, Meta(gt=0.0, le=MOST_COV_M2PS2)],
+]
+"""A covariance of the wind, (m/s)^2: north, north with east, east."""
+
 Way = Annotated[str, Meta(max_length=LONGEST_WAY, pattern=r"^[?-~]*\Z")]
 """A way over the ground, as `polyline.encoded` writes it."""
 
@@ -99,6 +107,10 @@ class State(WireMessage, frozen=True, kw_only=True):
     """Wind, north part of where the air moves to."""
     wind_to_e_mps: float | None = None
     """Wind, east part of where the air moves to."""
+    wind_cov_m2ps2: WindCov | msgspec.UnsetType = msgspec.UNSET
+    """Covariance of that wind: nn, ne, ee. Left out, not null, where it is not told: readers of
+    before refuse a state that has it.
+    """
     home: Id | None = None
     """The promised stop at which the mission aboard ends if the companion dies now (safety
     rule 3).

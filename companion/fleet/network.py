@@ -11,6 +11,15 @@ OPEN_MARK = "[OPEN NETWORK]"
 OPEN_WORDS = "OPEN NETWORK: strangers may listen and command"
 
 
+WIND_COV = "wind_cov"
+"""Stands in the request for states of whoever reads `State.wind_cov_m2ps2`."""
+
+ASKED_AGAIN_S = 150.0
+"""A listener asks for states at its beginning, at least once a minute where it is a desk, and
+within two seconds of a state that it refused.
+"""
+
+
 class Ask(Enum):
     """What somebody on the network wants of the vehicle."""
 
@@ -70,6 +79,10 @@ class MemberLink(Protocol):
 
     def tracks(self) -> list[Told]:
         """What neighbours told since the last call, our own excepted; each one's oldest first."""
+        ...
+
+    def wind_cov_is_read(self) -> bool:
+        """Whether somebody asks for states, and all who do read the covariance of the wind."""
         ...
 
     def close(self) -> None:

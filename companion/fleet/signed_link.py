@@ -134,6 +134,10 @@ class SignedLink:
                 found[told.speaker] = Told(told.speaker, raw)
         return list(found.values())
 
+    def wind_cov_is_read(self) -> bool:
+        """Whether all who asked for states of late read the covariance of the wind."""
+        return self.link.wind_cov_is_read()
+
     def be_woken(self, wake: Callable[[], None]) -> None:
         """Who waits now."""
         self.link.be_woken(wake)

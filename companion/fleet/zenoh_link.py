@@ -5,6 +5,7 @@ sent is dropped, oldest first: states are repeated anyway, and events are kept (
 somebody asks for them.
 """
 
+import math
 import os
 import queue
 import sys
@@ -17,7 +18,7 @@ import zenoh
 
 from companion.adapters.clock import wall_s
 from companion.core.base.rate_limit import RateLimit
-from companion.fleet.network import Ask, Asked, Told
+from companion.fleet.network import ASKED_AGAIN_S, WIND_COV, Ask, Asked, Told
 from companion.fleet.topics import VehicleKeys, life_of, roster_key, vehicle_of
 from companion.fleet.waiting_room import WaitingRoom
 from companion.fleet.zenoh_config import mode_of
@@ -92,6 +93,7 @@ class ZenohLink:
         self._session: zenoh.Session | None = None
         self._held: tuple[Any, ...] = ()
         self._state = b""
+        self._reader_s, self._old_reader_s = -math.inf, -math.inf
         self._heard_s = 0.0
         self.trouble = "not open yet"
         self._thread = threading.Thread(target=self._run, name="zenoh-writer", daemon=True)
@@ -123,6 +125,10 @@ class ZenohLink:
 
     def _hear_state_wanted(self, query: zenoh.Query) -> None:
         self._heard_s = wall_s()
+        if query.parameters.get(WIND_COV) is None:
+            self._old_reader_s = self._heard_s
+        else:
+            self._reader_s = self._heard_s
         if self._state:
             self._answer(query, self._keys.state)([self._state])
 
@@ -135,6 +141,11 @@ class ZenohLink:
         """The newest few that each neighbour told since the last call, each one's oldest first."""
         told, self._tracks = self._tracks, {}
         return [track for each in list(told.values()) for track in tuple(each)]
+
+    def wind_cov_is_read(self) -> bool:
+        """Whether all who asked for states of late read the covariance of the wind."""
+        since_s = wall_s() - ASKED_AGAIN_S
+        return self._reader_s >= since_s > self._old_reader_s
 
     def _hear_track(self, sample: zenoh.Sample) -> None:
         tracks, speaker = self._tracks, vehicle_of(str(sample.key_expr))

@@ -13,6 +13,7 @@ from companion.core.base.errors import LeewayError
 from companion.fleet.event_log import BATCH
 from companion.fleet.membership import ON_ITS_OWN, JoinOptions
 from companion.fleet.messages import Command, Refused, Result, decode_result, encode
+from companion.fleet.network import WIND_COV
 from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
@@ -118,7 +119,8 @@ class ZenohFleet:
         """Ask every member for its newest state, and the network for the tokens of who is there."""
         self.inbox.begin_roll_call()
         self._session.liveliness().get(self._keys.alive(), self._on_life_reply, timeout=wait_s)
-        self._session.get(self._keys.state, self._on_state_reply, timeout=wait_s)
+        selector = f"{self._keys.state}?{WIND_COV}"
+        self._session.get(selector, self._on_state_reply, timeout=wait_s)
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         """Ask a member for the events that it keeps after this number."""

@@ -10,6 +10,8 @@ import zenoh
 from companion.core.mission.actions import TellPlace
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command, Deed, EventKind, Launch, Recall
+from companion.fleet.topics import VehicleKeys
+from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import (
@@ -246,3 +248,19 @@ def test_vehicles_hear_where_their_neighbours_are_and_nothing_of_themselves(tmp_
     finally:
         one.close()
         two.close()
+
+
+def test_a_covariance_is_told_while_all_who_ask_for_states_read_it(net, tmp_path: Path):
+    make_vehicle, make_desk = net
+    vehicle, desk = make_vehicle(), make_desk()
+    assert not vehicle.port.link.wind_cov_is_read()  # nobody has asked
+    desk.until(alive(vehicle.port.life, True))
+    desk.fleet.ask_states(2.0)
+    desk.state()
+    assert vehicle.port.link.wind_cov_is_read()
+    limit_s = monotonic_s() + PATIENCE_S
+    with zenoh.open(read_config(tmp_path / "vehicle.json5")) as before:
+        while vehicle.port.link.wind_cov_is_read():
+            before.get(VehicleKeys(FLEET, "*").state, lambda reply: None, timeout=2.0)
+            assert monotonic_s() < limit_s, "a desk of before has asked"
+            desk.fleet.receive(0.1)

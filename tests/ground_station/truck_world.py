@@ -148,7 +148,10 @@ class Drone(Member):
 
     def state(self) -> State:
         phase = "standby"
-        north, east = (self.in_air and self.wind_ne_mps) or (None, None)
+        north = east = None
+        if self.in_air and self.wind_ne_mps is not None:  # no estimate stands still
+            wobble_mps = 0.1 * math.sin(self.clock.t_s / 7.0)
+            north, east = (part + wobble_mps for part in self.wind_ne_mps)
         if self.in_air:
             phase = "outbound"
         elif self.flight is not None:
@@ -307,7 +310,7 @@ class World:
         if drone.launched_s is None or drone.flight is None:
             return
         up_s = t_s - drone.launched_s
-        drone.place = (56.0, 9.0)
+        drone.place = (55.51, 8.52)  # some kilometres from every pad
         if drone.mood == "lost" and up_s > drone.flies_s / 2.0:
             drone.lost, drone.on = True, False
             drone.launched_s = None

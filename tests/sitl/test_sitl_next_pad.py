@@ -105,6 +105,9 @@ class Desk:
     def tracks(self) -> list[Told]:
         return []
 
+    def wind_cov_is_read(self) -> bool:
+        return True
+
     def close(self) -> None:
         return
 

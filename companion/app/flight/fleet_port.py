@@ -291,6 +291,9 @@ class FleetPort:
         speed = None
         if position is not None:
             speed = (position.vel_n_mps**2 + position.vel_e_mps**2) ** 0.5
+        told = told_of(pilot) if pilot is not None else {}
+        if not self.link.wind_cov_is_read():
+            told.pop("wind_cov_m2ps2", None)
         self.member.publish(
             self.airframe_name,
             self.max_payload_kg,
@@ -304,7 +307,7 @@ class FleetPort:
             ground_speed_mps=speed,
             voltage_v=now.battery.voltage_v if now.battery else None,
             doubt=self.doubt[:500],
-            **(told_of(pilot) if pilot is not None else {}),
+            **told,
         )
 
     def close(self) -> None:

@@ -81,6 +81,10 @@ class FieldBelief:
         crowd = min(TELLING_S * -(-len(self._members) // _CROWD), JOINED_S)
         return self._members.setdefault(telling.member, MemberTellings()).take(telling, crowd)
 
+    def drop(self, member: str) -> None:
+        """Forget all that a member told."""
+        self._members.pop(member, None)
+
     def settle(self, now_s: float, always: str = "") -> "SettledField":
         """The field as believed now. `always` is the vehicle itself: never left out."""
         each = MOST_STRETCHES // max(len(self._members), 1) + _SPARE_STRETCHES

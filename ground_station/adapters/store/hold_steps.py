@@ -22,12 +22,15 @@ def set_hold(db: sa.Connection, now_us: int, scope: str, reason: str, by: str) -
     db.execute(sa.insert(t.holds).values(scope=scope, reason=reason, set_by=by, set_us=now_us))
 
 
-def lift(db: sa.Connection, now_us: int, scope: str, by: str) -> list[Hold]:
-    """Lift every hold of this scope; returns those that were in force."""
-    lifted = [hold for hold in in_force(db) if hold.scope == scope]
-    db.execute(
-        sa.update(t.holds)
-        .where(t.holds.c.scope == scope, t.holds.c.lifted_us.is_(None))
-        .values(lifted_by=by, lifted_us=now_us)
-    )
+def lift(
+    db: sa.Connection, now_us: int, scope: str, by: str, *, only_own: bool = False
+) -> list[Hold]:
+    """Lift every hold of this scope (`only_own`: of those that `by` set); returns those that were
+    in force.
+    """
+    lifted = [h for h in in_force(db) if h.scope == scope and not (only_own and h.by != by)]
+    which = (t.holds.c.scope == scope) & t.holds.c.lifted_us.is_(None)
+    if only_own:
+        which &= t.holds.c.set_by == by
+    db.execute(sa.update(t.holds).where(which).values(lifted_by=by, lifted_us=now_us))
     return lifted

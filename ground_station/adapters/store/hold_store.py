@@ -47,8 +47,9 @@ class HoldStore:
         sent = db.execute(sa.select(t.commands.c.assignment).where(mine)).scalars()
         return [assignment for assignment in sent if assignment is not None]
 
-    def release(self, scopes: Iterable[str], by: str) -> list[Hold]:
-        """Lift the holds of these vehicles (or `ALL`); returns those that were in force.
+    def release(self, scopes: Iterable[str], by: str, *, only_own: bool = False) -> list[Hold]:
+        """Lift the holds of these vehicles (or `ALL`), `only_own`: no others than `by` set itself;
+        returns those that were in force.
 
         A launch that was sent before the hold and is not answered is not sent again: it takes a
         person's word, or a new decision, to launch. Its vehicle's own answer still counts.
@@ -57,7 +58,7 @@ class HoldStore:
             rows.lock(db)
             lifted: list[Hold] = []
             for scope in scopes:
-                lifted += steps.lift(db, self._now(), scope, by)
+                lifted += steps.lift(db, self._now(), scope, by, only_own=only_own)
             for hold in lifted:
                 _void(db, _launches_of(hold.scope), "held after it was sent: not sent again")
                 audit.note(db, self._now(), by, "release", hold.scope, hold.words)

@@ -37,6 +37,7 @@ from ground_station.app.cli.stopping import stop_signals
 from ground_station.app.views.times import time_of_day
 
 if TYPE_CHECKING:
+    from companion.fleet.messages import State
     from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.adapters.zenoh_log import DoorLog
     from ground_station.app.cli.certificate_reminder import CertificateReminder
@@ -224,6 +225,7 @@ def watch(
     from rich.console import RenderableType
     from rich.live import Live
 
+    from ground_station.adapters.files.day_wind import site_wind_of
     from ground_station.adapters.store.day_store import DayStore
     from ground_station.app.desk.exchange import Exchange
     from ground_station.app.desk.recall import SAY_S
@@ -231,10 +233,17 @@ def watch(
     from ground_station.app.views.terminal import terminal
     from ground_station.app.views.watch_view import watch_view
     from ground_station.app.views.watched_rows import WatchRows, read_rows
+    from ground_station.app.views.wind_notes import wind_notes
 
     opened = open_store(store, store_file, goes_on=True)
     ears = open_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, lambda words: None)
+    wind = site_wind_of(None)
+
+    def hear(state: "State") -> None:
+        wind.on_state(state, monotonic_s())
+
+    exchange.on_state = hear
     exchange.begin()
     console, day = terminal(), DayStore(opened.database, epoch_us)
     rows = WatchRows()
@@ -249,6 +258,7 @@ def watch(
         notes += [] if exchange.away is None else [f"STORE AWAY, rows are old: {exchange.away}"]
         ending = ending_certificates(ears.certificates(), epoch_us())
         notes += [f"LOOK: {CERTIFICATES}: {ending}"] if ending else []
+        notes += wind_notes(wind, exchange.status, monotonic_s())
         return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:

@@ -148,6 +148,7 @@ def show_map(
         ears = held.enter_context(closing(open_fleet(name, zenoh, identity, open_network)))
 
         from ground_station.adapters.clock import WallClock
+        from ground_station.adapters.files.day_wind import site_wind_of
         from ground_station.adapters.web.map_server import MapAnswers
         from ground_station.app.map.fleet_ear import FleetEar
         from ground_station.app.map.map_feed import MapFeed
@@ -157,7 +158,7 @@ def show_map(
         clock = WallClock()
         status = FleetStatus({} if data is None else data.airframes)
         notes = (OPEN_WORDS,) if open_network else ()
-        ear = FleetEar(ears, clock, status)
+        ear = FleetEar(ears, clock, status, site_wind_of(data))
         view = MapView(name, data, notes, basemap is not None, has_outline(basemap))
         feed = MapFeed(view, ear, opened, clock, ears.certificates)
         answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)

@@ -9,9 +9,10 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
 from ground_station.core.dispatch.dispatch_rules import distance_m
-from ground_station.core.dispatch.measured_wind import MeasuredWind
+from ground_station.core.dispatch.measured_wind import forecast_now, off_sigmas
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import STANDBY, FleetStatus, VehicleStatus
+from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.holds import Hold, holding
@@ -41,14 +42,16 @@ class _Rows:
 
 @dataclass(slots=True)
 class DayTracker:
-    """Keeps what only members report: winds, energies, who has taken off, who waits since when."""
+    """Keeps what only members report: energies, who has taken off, who waits since when. `wind`:
+    what they tell of the wind.
+    """
 
     store: Store
     day: DayStore
     active: ActivePlan
     clock: Clock
+    wind: SiteWind | None = None
     snapshot: DaySnapshot | None = None
-    _wind: MeasuredWind = field(default_factory=MeasuredWind)
     _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
     _off_ground: set[str] = field(default_factory=set)
     _truck_stop: tuple[str, bool] | None = None
@@ -79,9 +82,6 @@ class DayTracker:
             self._on_truck_state(state)
             return
         if state.armed and state.assignment:
-            if state.wind_to_n_mps is not None and state.wind_to_e_mps is not None:
-                t_s = self.clock.monotonic_s()
-                self._wind.add(t_s, state.wind_to_n_mps, state.wind_to_e_mps)
             if state.energy_left_wh is not None:
                 first = self._energy_wh.get(state.assignment, (state.energy_left_wh, 0.0))[0]
                 self._energy_wh[state.assignment] = (first, state.energy_left_wh)
@@ -123,7 +123,7 @@ class DayTracker:
             tried_s=self.active.attempt.at_s,
             tried=self.active.attempt.situation,
             waited_s=self._waited(rows.sorties, drones, now_s),
-            wind_off_sigmas=self._wind.off_sigmas(now_s, self.active.data.day.forecast),
+            wind_off_sigmas=off_sigmas(self.wind, now_s, self.active.data.day.forecast),
             desk_from_s=(self._from_us - began_us) / 1e6,
             held=frozenset(vehicle for vehicle in drones if holding(rows.holds, vehicle)),
         )
@@ -203,10 +203,8 @@ class DayTracker:
         return _open(self.store.orders(OrderState.OPEN))
 
     def forecast_now(self, before: Forecast) -> Forecast:
-        """The forecast by the wind that drones in flight report; `before` where they are too
-        few.
-        """
-        return self._wind.forecast(self.clock.monotonic_s(), before)
+        """The forecast by what drones in flight tell; `before` where they are too few."""
+        return forecast_now(self.wind, self.clock.monotonic_s(), before)
 
     def energy_used_wh(self, assignment: str) -> float | None:
         """Energy used by a flight that is over, once; None: it has reported none."""

@@ -1,5 +1,6 @@
 """Dispatch from the depot, without a truck: the nearest order that a free drone can bring."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -7,11 +8,17 @@ from companion.fleet.messages import State
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Progress
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
+from ground_station.core.dispatch.measured_wind import differs, next_flights
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
+
+WIND_S = 30.0
+"""The wind that orders are weighed in is looked at so often: each change prices all anew."""
 
 LAUNCHES = 3
 """An assignment whose launch is refused so often is withdrawn: a person has to look at it."""
@@ -36,7 +43,8 @@ class DepotParams:
 class DepotDispatcher:
     """`Dispatcher` for drones that start from the depot and come home to it.
 
-    `impossible`: orders that no drone of the day can bring; they do not keep the day open.
+    `wind`: what the fleet tells of it; None: the day's forecast stays. `impossible`: orders that
+    no drone of the day can bring; they do not keep the day open.
     """
 
     store: Store
@@ -46,6 +54,9 @@ class DepotDispatcher:
     say: Callable[[str], None]
     params: DepotParams = field(default_factory=DepotParams)
     impossible: frozenset[str] = frozenset()
+    wind: SiteWind | None = None
+    _planned: Forecast | None = None
+    _planned_s: float = -math.inf
     _newest_launch: int = 0
     _launched_s: float | None = None
     _asked: set[str] = field(default_factory=set)
@@ -72,13 +83,13 @@ class DepotDispatcher:
         if params.confirms and assignment.confirmed_by is None:
             self._ask_for_a_person(assignment)
             return
+        self._asked.discard(id_)  # a hold makes that word void: it is asked for again
         if self._in_launch_gap():
             return
         after = self._newest_launch
         if self.store.launch(id_, params.by, after=after, confirmed=params.confirms):
             word = f", confirmed by {assignment.confirmed_by}" if params.confirms else ""
             self.say(f"{vehicle}: launch of {id_} ordered{word}")
-            self._asked.discard(id_)
 
     def _ask_for_a_person(self, assignment: AssignmentRow) -> None:
         """Say, once for each launch, what lets it go."""
@@ -104,7 +115,22 @@ class DepotDispatcher:
         if not self.params.assigns:
             return Progress.NONE
         free = self._free_drones(status)
+        if free:
+            self._note_wind()
         return Progress.CHANGED if free and self._assign(free) else Progress.NONE
+
+    def _note_wind(self) -> None:
+        """Price orders in the wind that the fleet tells, where it has moved."""
+        now_s, before = self.clock.monotonic_s(), self._planned or self.data.day.forecast
+        if now_s - self._planned_s < WIND_S:
+            return
+        self._planned_s = now_s
+        wind = next_flights(self.wind, now_s, self.data.day.forecast)
+        if differs(wind, before):
+            self._planned = wind
+            self.assigner.plan_in(wind)
+            words = f"{wind.speed_mps:.1f} +- {wind.std_mps:.1f} m/s from {wind.from_deg:.0f}"
+            self.say(f"orders are weighed in wind {words}")
 
     def _free_drones(self, status: FleetStatus) -> list[FreeDrone]:
         """Those that stand at the depot with nothing to do; who stands elsewhere is fetched."""

@@ -7,6 +7,7 @@ from companion.fleet.messages import FINAL, Answered, EventKind, Launch, State
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Dispatcher, Progress
 from ground_station.app.desk.exchange import Exchange
+from ground_station.app.desk.wind_guard import WindGuard
 from ground_station.core.fleet.fleet_status import VehicleStatus
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -25,13 +26,14 @@ second."""
 
 @dataclass(slots=True)
 class Desk:
-    """One dispatcher's desk over a fleet.
+    """One dispatcher's desk over a fleet. `wind`: watches over it; None: nobody does.
 
     `moved_s`: when something last happened that brings the day on.
     """
 
     exchange: Exchange
     dispatcher: Dispatcher
+    wind: WindGuard | None = None
     moved_s: float = field(init=False)
     _flown: set[str] = field(default_factory=set)
     _turned_s: float | None = None
@@ -39,7 +41,12 @@ class Desk:
 
     def __post_init__(self) -> None:
         self.moved_s = self.exchange.clock.monotonic_s()
-        self.exchange.on_state = self.dispatcher.on_state
+        self.exchange.on_state = self._on_state
+
+    def _on_state(self, state: State) -> None:
+        if self.wind is not None:
+            self.wind.on_state(state)
+        self.dispatcher.on_state(state)
 
     @property
     def store(self) -> Store:
@@ -83,6 +90,8 @@ class Desk:
     def _decide(self, now_s: float, changed: bool) -> None:
         """Do what is due; each decision is written before it is sent, or not taken."""
         exchange = self.exchange
+        if self.wind is not None and self.wind.turn(exchange.status):  # before any launch
+            changed = exchange.changed = True
         for row in self.store.assignments(in_force=True):
             self._review(row)
         match self.dispatcher.turn(exchange.status, changed=changed):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
+from ground_station.adapters.files.day_wind import site_wind_of
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan, check_plan
@@ -12,7 +13,9 @@ from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.exchange import Exchange
 from ground_station.app.desk.replanner import ProcessReplanner, Replanner
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
+from ground_station.app.desk.wind_guard import WindGuard
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.dispatch.wind_holds import WindHolds, limit_of
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_data import DayData
@@ -40,8 +43,11 @@ def open_depot_desk(
     if DayStore(store.database, clock.epoch_us).plan() is not None:
         raise LeewayError("this store holds a day with a truck: expected --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
-    dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible)
-    return Desk(Exchange(store, fleet, say, FleetStatus(data.airframes), clock), dispatcher)
+    wind = site_wind_of(data, say)
+    dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind)
+    guard = WindGuard(store, data, WindHolds(wind, limit_of(data)), clock, say)
+    exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
+    return Desk(exchange, dispatcher, guard)
 
 
 def open_truck_desk(
@@ -71,8 +77,12 @@ def open_truck_desk(
     in_force = day.plan()
     assert in_force is not None
     active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
-    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by)
-    return Desk(Exchange(store, fleet, say, FleetStatus(data.airframes), clock), dispatcher)
+    wind = site_wind_of(data, say)
+    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind)
+    limits = WindHolds(wind, limit_of(data))
+    guard = WindGuard(store, data, limits, day_clock, say, sorties=day.sorties)
+    exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
+    return Desk(exchange, dispatcher, guard)
 
 
 def _not_behind(clock: Clock, store: Store, say: Say) -> Clock:

@@ -35,6 +35,7 @@ from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.desk_figures import ReplanFigures
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.orders import AssignmentRow
@@ -45,7 +46,9 @@ CHARGE_ERROR_FRAC = 0.05
 
 @dataclass(slots=True)
 class TruckDispatcher:
-    """`Dispatcher` for a day with a truck. `holds`: why the truck does not leave its stop now."""
+    """`Dispatcher` for a day with a truck. `wind`: what the fleet tells of it; None: the forecast
+    stays. `holds`: why the truck does not leave its stop now.
+    """
 
     store: Store
     day: DayStore
@@ -53,6 +56,7 @@ class TruckDispatcher:
     clock: Clock
     say: Callable[[str], None]
     by: str = "desk"
+    wind: SiteWind | None = None
     holds: list[str] = field(default_factory=list)
     _tracker: DayTracker = field(init=False)
     _made_for: int | None = None
@@ -60,7 +64,7 @@ class TruckDispatcher:
     _reach: dict[str, Reach] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._tracker = DayTracker(self.store, self.day, self.active, self.clock)
+        self._tracker = DayTracker(self.store, self.day, self.active, self.clock, self.wind)
 
     @property
     def snapshot(self) -> DaySnapshot | None:

@@ -23,6 +23,7 @@ from ground_station.core.fleet.fleet_link import (
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.route_aboard import RouteAboard
+from ground_station.core.fleet.site_wind import SiteWind
 
 ASK_S = 2.0
 """All are asked for their states at most so often, however many join."""
@@ -86,11 +87,12 @@ class StateSource(Protocol):
 
 @dataclass(slots=True)
 class FleetEar:
-    """One listener."""
+    """One listener. `wind`: what the fleet tells of it, where somebody wants to know."""
 
     fleet: StateSource
     clock: Clock
     status: FleetStatus
+    wind: SiteWind | None = None
     tracks: dict[str, VehicleTrack] = field(default_factory=dict)
     _states_wanted: bool = True
     _asked_s: float | None = None
@@ -115,8 +117,8 @@ class FleetEar:
         return self.tracks.setdefault(vehicle, VehicleTrack())
 
     def _take_state(self, state: State) -> None:
-        now_us = self.clock.epoch_us()
-        self.status.on_state(state, self.clock.monotonic_s(), now_us)
+        now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
+        self.status.on_state(state, now_s, now_us)
         if self.status.of(state.vehicle).state is not state:
             return  # an old one
         track = self.track_of(state.vehicle)
@@ -124,6 +126,9 @@ class FleetEar:
         if state.lat_deg is not None and state.lon_deg is not None:
             track.move((state.lat_deg, state.lon_deg))
         track.route = route_of(state)
+        track.wind_cov_m2ps2 = state.wind_cov_m2ps2 or None
+        if self.wind is not None:
+            self.wind.on_state(state, now_s)
         if state.p_home is not None or state.margin_wh is not None:
             track.promises.append(PromiseSample(now_us, state.margin_wh, state.p_home))
 

@@ -16,11 +16,14 @@ from ground_station.adapters.web.live_stream import LiveStream
 from ground_station.app.map.fleet_ear import FleetEar, PromiseSample
 from ground_station.app.map.flight_decisions import FlightDecisions
 from ground_station.app.map.map_view import MapView, Moment, StoreReading
-from ground_station.app.map.picture import Point
+from ground_station.app.map.picture import Point, WindShown
+from ground_station.app.map.wind_shown import field_shown
 from ground_station.app.views.attention import ending_certificates
 from ground_station.app.views.watched_rows import read_rows
+from ground_station.app.views.wind_notes import front_notes
 from ground_station.core.fleet.desk_figures import CertificateFigures
 from ground_station.core.fleet.fleet_link import Clock
+from ground_station.core.fleet.site_wind import SETTLE_S
 
 TICK_S = 0.2
 ROWS_S = 0.5
@@ -51,6 +54,9 @@ class MapFeed:
         self._flights = FlightDecisions()
         self._read, self._away = StoreReading(), ""
         self._certificates = certificates
+        self._field: WindShown | None = None
+        self._fronts: tuple[str, ...] = ()
+        self._wind_s = 0.0
         self._next_s, self._rows_s, self._published_s = 0.0, 0.0, 0.0
 
     def turn(self) -> None:
@@ -105,10 +111,28 @@ class MapFeed:
         """What is seen at this time of the monotonic clock, as JSON's own types."""
         ear = self._ear
         ending = ending_certificates(self._certificates(), self._clock.epoch_us())
+        self._look_at_wind(now_s)
         moment = Moment(
-            now_s, ear.status, ear.tracks, self._flights, self._read, self._away, ending
+            now_s,
+            ear.status,
+            ear.tracks,
+            self._flights,
+            self._read,
+            self._away,
+            ending,
+            field=self._field,
+            fronts=self._fronts,
         )
         return self._view.picture(moment)
+
+    def _look_at_wind(self, now_s: float) -> None:
+        """Now and then: a person sees no less, and each look is a picture to be sent."""
+        wind = self._ear.wind
+        if wind is None or now_s < self._wind_s:
+            return
+        self._wind_s = now_s + SETTLE_S
+        self._field = field_shown(wind, now_s)
+        self._fronts = front_notes(wind, self._ear.status, now_s)
 
     # --- what the page asks for ----------------------------------------------------------------
 

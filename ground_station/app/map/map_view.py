@@ -63,7 +63,8 @@ class Moment:
     """All that is known at one moment. `t_s`: by the clock that the statuses were heard by.
 
     `away`: why the store cannot be read; empty: it can. `ending`: whose certificates end soon.
-    `notes`: what else is to be said.
+    `notes`: what else is to be said. `field`: the wind that is believed of the site, None: not
+    known. `fronts`: that come, in words.
     """
 
     t_s: float
@@ -74,6 +75,8 @@ class Moment:
     away: str = ""
     ending: str = ""
     notes: tuple[str, ...] = ()
+    field: WindShown | None = None
+    fronts: tuple[str, ...] = ()
 
 
 class MapView:
@@ -150,6 +153,9 @@ class MapView:
             yield forecast_shown(moment.read.wind, "measured; the plan in force rests on it")
         elif self._data is not None:
             yield forecast_shown(self._data.day.forecast, "forecast of the day")
+        if moment.field is not None:
+            yield moment.field
+            return
         seen = moment.status.vehicles.values()
         found = fleet_wind((s.state for s in seen if s.state is not None), moment.tracks)
         if found is not None:
@@ -162,6 +168,7 @@ class MapView:
             yield AttentionShown(who="store", words=f"away, rows are old: {moment.away}")
         if moment.ending:
             yield AttentionShown(who=CERTIFICATES, words=moment.ending)
+        yield from (AttentionShown(who="wind", words=words) for words in moment.fronts)
         if not moment.status.vehicles:
             yield AttentionShown(who=self._fleet, words="nobody is heard")
         members = {TRUCK: truck} | drones if truck is not None else drones

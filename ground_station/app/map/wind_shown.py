@@ -8,6 +8,7 @@ from companion.core.base.arrays import Floats
 from companion.fleet.messages import State
 from ground_station.app.map.fleet_ear import VehicleTrack
 from ground_station.app.map.picture import WindShown
+from ground_station.core.fleet.site_wind import SiteWind
 
 LEAST = 3
 """Reports that make an ellipse where their own errors are not told: two are a line."""
@@ -41,6 +42,14 @@ def fleet_wind(
     if len(told) < LEAST:
         return None
     return _shown(winds, np.cov(winds, rowvar=False), f"{count}, spread between them")
+
+
+def field_shown(wind: SiteWind, now_s: float) -> WindShown | None:
+    """The field that is believed, in the middle of those who tell it; None: nobody does."""
+    here = wind.here(now_s)
+    if here is None:
+        return None
+    return WindShown(to_ne_mps=here.to_ne_mps, cov_m2ps2=here.cov_m2ps2, source=wind.words(now_s))
 
 
 def _shown(winds: Floats, cov: Floats, source: str) -> WindShown:

@@ -27,7 +27,7 @@ from ground_station.core.feasibility.reach import (
     day_energy,
 )
 from ground_station.core.planning.day_problem import TOP_M
-from ground_station.core.schema.day import Day, Drone
+from ground_station.core.schema.day import Day, Drone, Forecast
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -93,6 +93,13 @@ class DepotAssigner:
         self._need: dict[tuple[str, str, int], SortieNeed] = {}
         self.layers = DepotLayers(day.mission, TOP_M)
         self._at_best: dict[tuple[_Kind, str], bool] = {}
+
+    def plan_in(self, wind: Forecast) -> None:
+        """Price all in this wind from now on."""
+        self._reach = {name: reach.in_wind(wind) for name, reach in self._reach.items()}
+        self._of_kind = {_kind(r.drone): r for r in self._reach.values()}
+        self._need.clear()
+        self._at_best.clear()
 
     def assign(
         self, orders: list[OrderRow], assignments: list[AssignmentRow], free: list[FreeDrone]

@@ -1,49 +1,53 @@
-"""The wind that the fleet measures now, against the forecast that the day was planned with."""
+"""The wind that the fleet tells, against the one that is planned with."""
 
 import math
-from collections import deque
-from dataclasses import dataclass, field
 
+import msgspec
+
+from ground_station.core.fleet.site_wind import BelievedWind, SiteWind
 from ground_station.core.schema.day import Forecast
 
-WINDOW_S = 120.0
-MIN_SPAN_S = 60.0
-"""Gusts and turns average out over this time; the companions' filters remember half a minute."""
+DAY_AHEAD_S, DAY_MEAN_S = 1800.0, 600.0
+"""A day's plan rests on the mean wind of ten minutes, half an hour from now: gusts of the moment
+are gone by then, and what lasts is known no better for later hours.
+"""
+
+NEXT_AHEAD_S, NEXT_MEAN_S = 300.0, 600.0
+"""The next flight's wind: the mean of the ten minutes to come."""
 
 
-@dataclass(slots=True)
-class MeasuredWind:
-    """Winds that drones in flight have reported in the last two minutes."""
+def planned_for(wind: SiteWind | None, now_s: float) -> BelievedWind | None:
+    """The wind that a day would be planned with now; None: the fleet tells too little."""
+    return None if wind is None else wind.ahead(now_s, DAY_AHEAD_S, DAY_MEAN_S)
 
-    _samples: deque[tuple[float, float, float]] = field(default_factory=deque)
 
-    def add(self, t_s: float, to_n_mps: float, to_e_mps: float) -> None:
-        """Add the wind that a drone in flight reports: where the air moves to."""
-        self._samples.append((t_s, to_n_mps, to_e_mps))
+def off_sigmas(wind: SiteWind | None, now_s: float, forecast: Forecast) -> float:
+    """Distance of the planned wind from what is believed, in its standard deviations; 0 where too
+    little is told.
+    """
+    found = planned_for(wind, now_s)
+    if found is None:
+        return 0.0
+    return math.dist(found.to_ne_mps, forecast.to_ne_mps) / forecast.std_mps
 
-    def mean_to_ne_mps(self, t_s: float) -> tuple[float, float] | None:
-        """The mean, where the air moves to; None: too few reports."""
-        while self._samples and t_s - self._samples[0][0] > WINDOW_S:
-            self._samples.popleft()
-        if not self._samples or self._samples[-1][0] - self._samples[0][0] < MIN_SPAN_S:
-            return None
-        count = len(self._samples)
-        return sum(w[1] for w in self._samples) / count, sum(w[2] for w in self._samples) / count
 
-    def off_sigmas(self, t_s: float, forecast: Forecast) -> float:
-        """Distance from the forecast in its standard deviations; 0 where there are too few
-        reports.
-        """
-        mean = self.mean_to_ne_mps(t_s)
-        if mean is None:
-            return 0.0
-        north, east = forecast.to_ne_mps
-        return math.hypot(mean[0] - north, mean[1] - east) / forecast.std_mps
+def forecast_now(wind: SiteWind | None, now_s: float, before: Forecast) -> Forecast:
+    """The forecast to plan with from now on; its error is the field's own, of that time to come."""
+    found = planned_for(wind, now_s)
+    return before if found is None else _at(found.forecast, before)
 
-    def forecast(self, t_s: float, before: Forecast) -> Forecast:
-        """The forecast to plan with from now on; its standard deviation is the old one's."""
-        mean = self.mean_to_ne_mps(t_s)
-        if mean is None:
-            return before
-        from_deg = math.degrees(math.atan2(-mean[1], -mean[0])) % 360.0
-        return Forecast(speed_mps=math.hypot(*mean), from_deg=from_deg, std_mps=before.std_mps)
+
+def next_flights(wind: SiteWind | None, now_s: float, before: Forecast) -> Forecast:
+    """The same for flights that begin now."""
+    found = None if wind is None else wind.ahead(now_s, NEXT_AHEAD_S, NEXT_MEAN_S)
+    return before if found is None else _at(found.forecast, before)
+
+
+def differs(one: Forecast, other: Forecast) -> bool:
+    """Whether two winds differ by what is worth planning anew: half a metre a second."""
+    moved_mps = math.dist(one.to_ne_mps, other.to_ne_mps)
+    return moved_mps > 0.5 or abs(one.std_mps - other.std_mps) > 0.3
+
+
+def _at(wind: Forecast, before: Forecast) -> Forecast:
+    return msgspec.structs.replace(wind, air_temperature_c=before.air_temperature_c)

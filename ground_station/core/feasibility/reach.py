@@ -92,11 +92,17 @@ class Reach:
 
     def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
         """Usable energy above the reserve, and its standard deviation."""
-        battery, drone = self.airframe.battery, self.drone
+        full_wh = self.full_wh(payload_kg)
+        left_wh = full_wh * (self.drone.charge_frac if charge_frac is None else charge_frac)
+        std_wh = self.airframe.battery.usable_std_frac * left_wh
+        return left_wh - self.mission.reserve_frac * full_wh, std_wh
+
+    def full_wh(self, payload_kg: float) -> float:
+        """Usable energy of its full pack."""
         draw_w = self.energy.hover_power_w(rounded_up(payload_kg))
-        full_wh = battery.usable_wh(draw_w, drone.temperature_c, drone.battery_health_frac)
-        left_wh = full_wh * (drone.charge_frac if charge_frac is None else charge_frac)
-        return left_wh - self.mission.reserve_frac * full_wh, battery.usable_std_frac * left_wh
+        return self.airframe.battery.usable_wh(
+            draw_w, self.drone.temperature_c, self.drone.battery_health_frac
+        )
 
     def need(
         self,

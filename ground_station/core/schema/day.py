@@ -182,11 +182,17 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Limits of every flight, as in flight/1."""
     forecast: Forecast = Forecast()
     """The wind that the desk plans with."""
+    wind_limit_mps: float | None = None
+    """Wind aloft, as drones in the air tell it, at which the desk launches nothing. Absent: three
+    quarters of the top airspeed of the slowest drone.
+    """
     rally: list[Place] = []
     """Places where a drone may land if it cannot come home."""
 
     def __post_init__(self) -> None:
         checked_name("fleet", self.fleet)
+        if self.wind_limit_mps is not None:
+            check_range("wind_limit_mps", self.wind_limit_mps, 1.0, 40.0)
         names = [drone.id for drone in self.drones]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

@@ -224,6 +224,10 @@ class BusLink:
         tracks, self._tracks = self._tracks, []
         return tracks
 
+    def wind_cov_is_read(self) -> bool:
+        """Every desk here is of this version."""
+        return True
+
     def hear_track(self, told: Told) -> None:
         """Queue a neighbour's track."""
         self._tracks.append(told)

@@ -347,6 +347,9 @@ class HandLink:
         assert isinstance(state, State)
         self.states.append(state)
 
+    def wind_cov_is_read(self) -> bool:
+        return True
+
     def close(self) -> None:
         pass
 

@@ -2,7 +2,11 @@
 
 from dataclasses import replace
 
+import msgspec
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from companion.adapters.files.params import (
     flight_path,
@@ -43,3 +47,27 @@ def test_a_way_that_is_too_long_is_not_told_at_all(flown: FlightPlan):
     mission = flown.mission
     long = replace(mission, outbound=mission.outbound * LONGEST_WAY)
     assert state_told.ways(replace(flown, mission=long)) == ("", "")
+
+
+@given(st.floats(0.01, 15.0), st.floats(0.01, 15.0), st.floats(0.0, 3.1416))
+def test_a_covariance_is_told_in_few_digits_and_never_smaller_in_any_direction(
+    one_mps: float, other_mps: float, angle_rad: float
+):
+    axes = np.array(
+        [[np.cos(angle_rad), -np.sin(angle_rad)], [np.sin(angle_rad), np.cos(angle_rad)]]
+    )
+    cov = axes @ np.diag([one_mps**2, other_mps**2]) @ axes.T
+    told = state_told.wind_cov(cov)
+    assert told is not msgspec.UNSET
+    nn, ne, ee = told
+    more = np.array([[nn, ne], [ne, ee]]) - cov
+    assert np.linalg.eigvalsh(more).min() >= 0.0
+    assert more.max() < 0.004
+    assert max(len(str(number)) for number in told) <= 8
+
+
+@pytest.mark.parametrize(
+    "cov", [[[np.nan, 0.0], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[401.0, 0.0], [0.0, 1.0]]]
+)
+def test_what_is_no_covariance_is_not_told(cov: list[list[float]]):
+    assert state_told.wind_cov(np.array(cov)) is msgspec.UNSET

@@ -1,6 +1,7 @@
 """What vehicle and dispatcher say to one another, and what a vehicle makes of commands."""
 
 import json
+from typing import Any
 
 import msgspec
 import pytest
@@ -110,6 +111,55 @@ def test_a_state_of_before_tells_no_way_and_is_taken():
     table = json.loads(encode(a_state(way_out="_p~iF~ps|U")))
     del table["way_out"], table["way_home"]
     assert decode_state(json.dumps(table).encode()) == a_state()
+
+
+COV = (0.512, -0.03, 0.498)
+
+
+def old_reader() -> msgspec.json.Decoder[Any]:
+    """As a state was read before it could tell a covariance: unknown fields refused."""
+    fields = [f for f in msgspec.structs.fields(State) if f.name != "wind_cov_m2ps2"]
+    made = msgspec.defstruct(
+        "OldState", [(f.name, f.type, f.default) if not f.required else (f.name, f.type)
+                     for f in fields],
+        forbid_unknown_fields=True, kw_only=True,
+    )  # fmt: skip
+    return msgspec.json.Decoder(made)
+
+
+def test_states_of_before_tell_no_covariance_and_readers_of_before_are_told_none():
+    plain = a_state(wind_to_n_mps=3.25, wind_to_e_mps=-1.5)
+    assert b"wind_cov" not in encode(plain)
+    assert old_reader().decode(encode(plain)).wind_to_n_mps == 3.25
+    told = decode_state(encode(plain))
+    assert isinstance(told, State)
+    assert told.wind_cov_m2ps2 is msgspec.UNSET
+    with pytest.raises(msgspec.ValidationError, match="wind_cov"):  # why it is left out for them
+        old_reader().decode(encode(a_state(wind_cov_m2ps2=COV)))
+
+
+@pytest.mark.parametrize("cov", [None, [1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 401.0], [1, "a", 1]])
+def test_what_is_no_covariance_is_refused(cov: object):
+    table = json.loads(encode(a_state())) | {"wind_cov_m2ps2": cov}
+    refused = decode_state(json.dumps(table).encode())
+    assert isinstance(refused, Refused)
+    assert "wind_cov_m2ps2" in refused.reason
+
+
+def test_the_wind_of_a_drone_takes_less_than_200_bytes_a_second():
+    """States come once a second. All that a telling of the wind rests on is counted, not only what
+    was added: names, place, height (MAVLink's 1e-7 degrees and millimetres), wind, covariance.
+    """
+    wind: dict[str, object] = {
+        "lat_deg": -55.4701234, "lon_deg": -108.4501234, "height_rel_m": -119.999,
+        "wind_to_n_mps": -12.346, "wind_to_e_mps": -12.346,
+    }  # fmt: skip
+    nothing = len(encode(a_state())) - sum(len(f'"{name}":null,') for name in wind)
+    mean = len(encode(a_state(**wind))) - nothing
+    a_second = len(encode(a_state(**wind, wind_cov_m2ps2=(10.512, -10.031, 10.498)))) - nothing
+    print(f"{a_second} bytes a second, {a_second - mean} of them the covariance")
+    assert a_second - mean < 50
+    assert a_second < 200
 
 
 def test_a_message_of_another_version_is_refused_whatever_else_it_holds():

@@ -249,7 +249,10 @@ def test_wind_that_departs_from_the_forecast_is_planned_with_and_kept_through_a_
     assert any("standard deviations from the forecast" in why for _, why in kept.plans())
     wind = kept.wind()
     assert wind is not None
-    assert (wind.speed_mps, wind.from_deg) == pytest.approx((14.0, 90.0))  # from the east
+    # From the east. A minute or two do not outweigh all of a forecast that was 10 m/s off.
+    assert wind.speed_mps == pytest.approx(14.0, abs=1.5)
+    assert wind.from_deg == pytest.approx(90.0, abs=3.0)
+    assert 1.0 < wind.std_mps < 4.0  # of half an hour ahead, not the forecast's own 2
     told.desk = told.start()
     assert told.dispatcher.active.data.day.forecast == wind
     assert set(told.states().values()) == {OrderState.DELIVERED}

@@ -11,7 +11,7 @@ from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
 from ground_station.core.feasibility.reach import Infeasible, Reach, day_energy
-from ground_station.core.schema.day import Day
+from ground_station.core.schema.day import Day, Forecast
 from ground_station.core.schema.orders import OrderRow, OrderState, Service
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
@@ -38,6 +38,20 @@ def test_the_nearest_customers_go_first_one_to_each_free_drone(tmp_path):
 def test_an_almost_empty_drone_is_given_nothing_that_it_cannot_bring(tmp_path):
     assigner = DepotAssigner(DAY.day, DAY.airframes)
     assert assigner.assign(rows(tmp_path), [], [FreeDrone("d1", 0.17)]) == []
+
+
+def test_orders_are_weighed_in_the_wind_that_is_planned_in_and_again_in_the_next(tmp_path):
+    """As a new assigner of a day with that forecast would, whatever was asked before."""
+    orders, free = rows(tmp_path), [FreeDrone("d1", 0.45)]
+    assigner = DepotAssigner(DAY.day, DAY.airframes)
+    calm = assigner.assign(orders, [], free)
+    assert calm != []
+    strong = Forecast(speed_mps=17.0, from_deg=80.0, std_mps=1.5)
+    fresh = DepotAssigner(msgspec.structs.replace(DAY.day, forecast=strong), DAY.airframes)
+    assigner.plan_in(strong)
+    assert assigner.assign(orders, [], free) == fresh.assign(orders, [], free) != calm
+    assigner.plan_in(DAY.day.forecast)
+    assert assigner.assign(orders, [], free) == calm
 
 
 def test_a_drone_is_judged_by_the_speeds_that_it_flies_with():

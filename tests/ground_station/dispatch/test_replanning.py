@@ -106,8 +106,8 @@ def test_a_wind_that_is_not_the_forecasts_is_planned_with(day: Day):
     assert any("the wind is" in why for why in day.reasons()), day.reasons()
     assert sum("the wind is" in why for why in day.reasons()) == 1  # it is the forecast now
     forecast = day.dispatcher.active.data.day.forecast
-    assert forecast.speed_mps == pytest.approx(9.0)
-    assert forecast.from_deg == pytest.approx(180.0)
+    assert forecast.speed_mps == pytest.approx(9.0, abs=1.0)
+    assert forecast.from_deg == pytest.approx(180.0, abs=3.0)
     assert day.undelivered() == set()
 
 

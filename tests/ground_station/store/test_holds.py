@@ -219,3 +219,17 @@ def test_a_held_drone_is_not_put_out_by_the_truck_either(tmp_path):
         assert day.assign(sortie, pads, lambda id_: FLIGHT, None, "desk") is None
         holds_of(store).release(["d1"], "anna")
         assert day.assign(sortie, pads, lambda id_: FLIGHT, None, "desk") is not None
+
+
+def test_who_lifts_only_its_own_holds_leaves_a_persons_in_force(store_url: str):
+    with opened(store_url) as store:
+        holds = holds_of(store)
+        holds.set(["d1", ALL], "a front", "desk-wind")
+        holds.set(["d1"], "propeller", "anna")
+        lifted = holds.release(["d1"], "desk-wind", only_own=True)
+        assert [(hold.scope, hold.reason) for hold in lifted] == [("d1", "a front")]
+        assert {(hold.scope, hold.by) for hold in store.holds()} == {
+            ("d1", "anna"), (ALL, "desk-wind"),
+        }  # fmt: skip
+        assert holds.release(["d1"], "desk-wind", only_own=True) == []
+        assert [hold.by for hold in holds.release(["d1"], "ben")] == ["anna"]

@@ -70,6 +70,9 @@ class Wire:
     def tracks(self) -> list[Told]:
         return []
 
+    def wind_cov_is_read(self) -> bool:
+        return True
+
     def close(self) -> None:
         pass
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.fleet.messages import Command, State
 from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.files.day_wind import site_wind_of
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
@@ -101,7 +102,8 @@ class MapSite:
         """A map that knows nothing of before, as the command that is started again."""
         clock = self.world.clock
         self.ears.known = set()
-        ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes))
+        wind = site_wind_of(HARBOUR)
+        ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes), wind)
         view = MapView("harbour", HARBOUR, basemap=basemap is not None, outline=outline)
         self.feed = MapFeed(view, ear, self.reader, clock, lambda: self.ends)
         self.server = MapServer("127.0.0.1", port)

@@ -1,5 +1,6 @@
 """What the map's events say is what the store holds and what is true, all through a day."""
 
+import math
 import sqlite3
 from contextlib import ExitStack, closing
 
@@ -289,6 +290,18 @@ def test_the_wind_that_three_drones_report_is_shown_with_its_spread(site):
     assert found.to_ne_mps == pytest.approx((0.0, 4.0))
     assert found.cov_m2ps2 == pytest.approx((1.0, 1.0, 4.0))
     assert fleet_wind(states[:2]) is None
+
+
+def test_the_field_is_shown_as_it_is_believed_by_one_drone_or_more(site):
+    site.world.drones["d1"].wind_ne_mps = (2.0, 7.0)
+    site.until_flying("d1")
+    site.step(30)
+    _, field = site.picture["winds"]
+    assert math.dist(field["to_ne_mps"], (2.0, 7.0)) < 1.5
+    nn, _, ee = field["cov_m2ps2"]
+    assert 0.1 < nn == ee < 4.0
+    assert field["source"].startswith("wind ")
+    assert field["source"].endswith("at 40 m, by 1 drone")
 
 
 def test_where_drones_tell_their_own_error_it_is_added_to_the_spread_between_them(site):

@@ -1,0 +1,262 @@
+"""The field that a desk believes, from states as drones send them."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.fleet.messages import State, decode_state, encode
+from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.files.day_wind import site_wind_of
+from ground_station.adapters.files.params import read_wind_process
+from ground_station.core.dispatch.measured_wind import forecast_now, next_flights, off_sigmas
+from ground_station.core.fleet.site_wind import (
+    BACK_S,
+    FRONT_KEPT_S,
+    KNOWN_S,
+    LEAST_SPAN_S,
+    OUT_S,
+    SiteWind,
+    front_words,
+)
+from ground_station.core.schema.day import Forecast
+
+DEPOT = (55.47, 8.45)
+M_PER_DEG = 111_320.0
+"""Of latitude, within half a percent."""
+COV = (0.3, 0.02, 0.35)
+PLACES = {"d1": (0.0, -400.0), "d2": (0.0, 500.0), "d3": (700.0, 300.0), "d4": (-600.0, 100.0)}
+FORECAST = Forecast(speed_mps=6.0, from_deg=270.0, std_mps=2.0)
+
+
+def a_state(name: str, t_s: float, wind: tuple[float, float], **more: object) -> State:
+    north, east = PLACES[name]
+    fields: dict[str, object] = {
+        "vehicle": name, "life": "a", "uptime_s": t_s, "epoch_us": 0, "airframe": "m100",
+        "max_payload_kg": 1.0, "phase": "outbound", "log": "l", "last_seq": 0, "armed": True,
+        "lat_deg": DEPOT[0] + north / M_PER_DEG, "height_rel_m": 40.0,
+        "lon_deg": DEPOT[1] + east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
+        "wind_to_n_mps": wind[0], "wind_to_e_mps": wind[1], "wind_cov_m2ps2": COV,
+    }  # fmt: skip
+    return State(**{**fields, **more})  # pyright: ignore[reportArgumentType]
+
+
+class Air:
+    """A wind to the east with gusts of its own at each drone; told once a second."""
+
+    def __init__(self, seed: int = 1, **more: object) -> None:
+        self.wind = SiteWind(read_wind_process("coast"), DEPOT, FORECAST)
+        self.rng, self.t_s, self.more = np.random.default_rng(seed), 0.0, more
+        self.gusts = {name: np.zeros(2) for name in PLACES}
+        self.mean = {name: np.array([0.0, 6.0]) for name in PLACES}
+
+    def blow(self, for_s: float, silent: frozenset[str] = frozenset()) -> None:
+        until_s = self.t_s + for_s
+        while self.t_s < until_s:
+            self.t_s += 1.0
+            for name, gust in self.gusts.items():
+                gust += -gust / 15.0 + self.rng.normal(0.0, 0.2, 2)  # 0.55 m/s, 15 s
+                if name not in silent:
+                    self.tell(name)
+
+    def tell(self, name: str, **more: object) -> None:
+        north, east = (round(float(x), 3) for x in self.mean[name] + self.gusts[name])
+        told = a_state(name, self.t_s, (north, east), **(self.more | more))
+        self.wind.on_state(told, self.t_s)
+
+
+def test_nothing_is_known_before_a_minute_of_it_and_nothing_any_more_two_minutes_after_it():
+    air = Air()
+    assert air.wind.words(0.0) == ""
+    air.blow(LEAST_SPAN_S - 1.0)
+    assert air.wind.ahead(air.t_s, 300.0, 600.0) is None
+    assert forecast_now(air.wind, air.t_s, FORECAST) == FORECAST
+    air.blow(3.0)
+    assert air.wind.ahead(air.t_s, 300.0, 600.0) is not None
+    assert air.wind.ahead(air.t_s + KNOWN_S + 1.0, 300.0, 600.0) is None
+
+
+def test_it_finds_the_wind_that_blows_and_says_it_in_a_line():
+    air = Air()
+    air.blow(300.0)
+    here = air.wind.here(air.t_s)
+    assert here is not None
+    assert math.dist(here.to_ne_mps, (0.0, 6.0)) < 1.0
+    assert 0.2 < here.std_mps < 1.2
+    words = air.wind.words(air.t_s)
+    assert f"wind {here.speed_mps:.1f} +- {here.std_mps:.1f} m/s from" in words
+    assert "at 40 m, by 4 drones" in words
+
+
+def test_it_is_surer_of_now_than_of_later_and_of_where_somebody_is_than_of_far_away():
+    air = Air()
+    air.blow(300.0)
+    now_s, near, far = air.t_s, PLACES["d2"], (0.0, 8000.0)
+    at = lambda place, t_s: air.wind.at(now_s, place, 40.0, t_s).std_mps  # noqa: E731
+    assert at(near, now_s) < at(near, now_s + 60.0) < at(near, now_s + 1800.0)
+    assert at(near, now_s) < at(far, now_s)
+    assert air.wind.at(now_s, near, 120.0, now_s).std_mps > at(near, now_s)  # nobody is that high
+
+
+def test_a_wind_that_the_forecast_did_not_have_is_planned_with_and_its_own_error():
+    air = Air()
+    for mean in air.mean.values():
+        mean[:] = (10.0, 0.0)
+    air.blow(240.0)
+    assert off_sigmas(air.wind, air.t_s, FORECAST) > 3.0  # 11.7 m/s from it
+    wind = forecast_now(air.wind, air.t_s, FORECAST)
+    assert wind.speed_mps == pytest.approx(10.0, abs=1.5)
+    soon = next_flights(air.wind, air.t_s, FORECAST)
+    assert soon.std_mps < wind.std_mps
+    assert off_sigmas(air.wind, air.t_s, wind) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_covariance_that_is_not_told_counts_as_a_large_one():
+    told, untold = Air(seed=3), Air(seed=3, wind_cov_m2ps2=msgspec.UNSET)
+    for air in (told, untold):
+        air.blow(200.0)
+    assert untold.wind.here(200.0).std_mps > 1.2 * told.wind.here(200.0).std_mps  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("more", [
+    {"armed": False}, {"armed": None}, {"height_rel_m": 9.0}, {"height_rel_m": None},
+    {"lat_deg": None}, {"wind_to_n_mps": None},
+])  # fmt: skip
+def test_who_is_not_in_the_air_or_does_not_say_where_tells_no_wind(more: dict[str, object]):
+    air = Air(**more)
+    air.blow(120.0)
+    assert air.wind.words(air.t_s) == ""
+
+
+@pytest.mark.parametrize(("who", "why"), [("liar", "contradicts"), ("frozen", "the same wind")])
+def test_one_that_lies_or_is_frozen_is_left_out_said_and_moves_the_plan_by_less_than_its_error(
+    who: str, why: str
+):
+    """The same air twice: with all honest, and with d4 lying by 8 m/s or frozen."""
+    honest, told = Air(seed=5), Air(seed=5)
+    honest.blow(400.0)
+    told.blow(200.0)
+    if who == "liar":
+        told.mean["d4"] += (8.0, 0.0)
+        told.blow(200.0)
+        assert told.wind.fronts != [], "it looked like a front once: nobody can tell"
+    else:
+        stuck = tuple(round(float(x), 3) for x in told.mean["d4"] + (1.0, -1.0))
+        for _ in range(200):
+            told.blow(1.0, silent=frozenset({"d4"}))
+            told.wind.on_state(a_state("d4", told.t_s, stuck), told.t_s)  # type: ignore[arg-type]
+    assert why in told.wind.left_out(told.t_s)["d4"]
+    assert "left out: d4" in told.wind.words(told.t_s)
+    one, other = (next_flights(air.wind, air.t_s, FORECAST) for air in (honest, told))
+    assert math.dist(one.to_ne_mps, other.to_ne_mps) < other.std_mps
+    assert other.std_mps > 0.9 * one.std_mps  # who is left out makes nobody surer
+
+
+def test_a_liar_that_tells_the_truth_again_is_believed_again_after_a_while():
+    air = Air(seed=5)
+    air.blow(150.0)
+    air.mean["d4"] += (12.0, 0.0)
+    air.blow(90.0)
+    assert "d4" in air.wind.left_out(air.t_s)
+    air.mean["d4"] -= (12.0, 0.0)
+    air.blow(BACK_S - 30.0)
+    assert "d4" in air.wind.left_out(air.t_s)
+    air.blow(150.0)
+    assert air.wind.left_out(air.t_s) == {}
+    assert "by 4 drones" in air.wind.words(air.t_s)
+
+
+def test_a_state_that_travelled_tells_the_same():
+    air, by_wire = Air(seed=7), SiteWind(read_wind_process("coast"), DEPOT, FORECAST)
+    for t in range(1, 100):
+        air.t_s = float(t)
+        for name in PLACES:
+            air.tell(name)
+            raw = encode(a_state(name, air.t_s, (0.0, 6.0)))
+            told = decode_state(raw)
+            assert isinstance(told, State)
+            by_wire.on_state(told, air.t_s)
+    assert by_wire.words(air.t_s) == air.wind.words(air.t_s)
+
+
+# --- fronts --------------------------------------------------------------------------------------
+
+
+def front_comes(
+    air: Air, change: tuple[float, float], speed_mps: float, for_s: float
+) -> dict[str, float]:
+    """A front towards the east that is at d1 now; when it is at each."""
+    at = {n: air.t_s + (p[1] - PLACES["d1"][1]) / speed_mps for n, p in PLACES.items()}
+    for _ in range(round(for_s)):
+        for name, due_s in at.items():
+            if abs(air.t_s - due_s) < 0.5:
+                air.mean[name] = air.mean[name] + change
+        air.blow(1.0)
+    return at
+
+
+def test_a_front_felt_by_one_is_told_with_place_speed_and_arrival_within_ten_seconds():
+    air = Air(seed=2)
+    air.blow(180.0)
+    began_s = air.t_s
+    at = front_comes(air, (0.0, 9.0), 11.0, 10.0)
+    assert [one.felt[0].member for one in air.wind.fronts] == ["d1"]
+    front = air.wind.fronts[0]
+    assert front.noticed_s - began_s <= 10.0
+    words = front_words(front, air.t_s, [(name, PLACES[name]) for name in ("d2", "d3")])
+    assert "felt by d1" in words
+    assert "d2 in " in words
+    for name in ("d2", "d3", "d4"):
+        t_s, std_s = front.arrives(PLACES[name])
+        assert abs(t_s - at[name]) < 2.5 * std_s
+        assert t_s > air.t_s, "it is told before it is there"
+    air.t_s += FRONT_KEPT_S + 10.0
+    assert air.wind.fronts_now(air.t_s) == []
+
+
+def test_the_canary_gusts_alone_make_no_front():
+    air = Air(seed=4)
+    air.blow(600.0)
+    assert air.wind.fronts == []
+
+
+def test_who_comes_down_to_land_in_weaker_wind_feels_no_front():
+    """From 40 m into a fifth of the wind; the same at its height is a front."""
+    lands, stays = Air(seed=2), Air(seed=2)
+    for air in (lands, stays):
+        for mean in air.mean.values():
+            mean[:] = (0.0, 13.0)
+        air.blow(180.0)
+        air.mean["d1"][:] = (0.0, 3.0)
+        for _ in range(25):
+            air.blow(1.0, silent=frozenset({"d1"}))
+            air.tell("d1", height_rel_m=12.0 if air is lands else 40.0)
+    assert lands.wind.fronts == []
+    assert [one.felt[0].member for one in stays.wind.fronts] == ["d1"]
+
+
+def test_who_has_been_left_out_for_a_minute_raises_no_front():
+    air = Air(seed=6)
+    air.blow(120.0)
+    air.mean["d4"] += (8.0, 0.0)
+    air.blow(60.0)
+    noticed = len(air.wind.fronts)  # its lie looked like a front once, and nobody can tell
+    air.blow(OUT_S + 120.0)
+    assert "d4" in air.wind.left_out(air.t_s)
+    air.mean["d4"] -= (0.0, 14.0)
+    air.blow(60.0)
+    assert len(air.wind.fronts) == noticed
+
+
+def test_a_wind_process_that_only_the_vehicles_have_is_said_and_keeps_no_desk_from_its_day():
+    day = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
+    mission = msgspec.structs.replace(day.day.mission, wind_process="/etc/leeway/moon.toml")
+    said: list[str] = []
+    moon = replace(day, day=msgspec.structs.replace(day.day, mission=mission))
+    assert site_wind_of(moon, said.append).words(0.0) == ""
+    assert said == [
+        "the field of the wind goes by coast: /etc/leeway/moon.toml: No such file or directory"
+    ]
