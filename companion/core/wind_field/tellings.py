@@ -28,6 +28,7 @@ MOST_STD_MPS = 20.0
 MOST_AGE_S = 20.0
 MOST_SPEED_MPS = 60.0
 MOST_DISTANCE_M = 50_000.0
+MOST_HEIGHT_M = 3_000.0
 LEAST_STD_MPS = 0.3
 """No wind estimate aboard a multirotor is better, whatever is told."""
 
@@ -60,6 +61,8 @@ class WindTelling:
             return "a covariance that is none"
         if math.hypot(*self.place_ne_m) > MOST_DISTANCE_M:
             return f"further away than {MOST_DISTANCE_M / 1000.0:g} km"
+        if abs(self.height_m) > MOST_HEIGHT_M:
+            return f"further than {MOST_HEIGHT_M:g} m from the ground"
         return ""
 
     @property

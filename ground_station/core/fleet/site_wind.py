@@ -155,6 +155,9 @@ class SiteWind:
         if telling is None:
             return None
         name = telling.member
+        if trouble := telling.trouble():
+            self._refused[name] = t_s, trouble
+            return None
         teller = self._tellers.get(name)
         if teller is None or t_s - teller.newest.t_s > KNOWN_S:
             before = teller

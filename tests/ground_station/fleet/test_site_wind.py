@@ -260,3 +260,36 @@ def test_a_wind_process_that_only_the_vehicles_have_is_said_and_keeps_no_desk_fr
     assert said == [
         "the field of the wind goes by coast: /etc/leeway/moon.toml: No such file or directory"
     ]
+
+
+WILD = (0.0, -0.0, 1e-300, 1e300, -1e300, 1e6, 90.0, -90.0, 180.0, 3.0)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_numbers_members_tell_the_field_is_a_wind_or_nothing(seed):
+    rng = np.random.default_rng(seed)
+    wind = SiteWind(read_wind_process("coast"), DEPOT, FORECAST if seed % 2 else None)
+
+    def number() -> float:
+        return float(rng.choice(WILD) if rng.random() < 0.4 else rng.uniform(-20.0, 20.0))
+
+    t_s, wild = 0.0, 0
+    for _ in range(200):
+        t_s += float(rng.choice([0.0, 0.1, 1.0, 10.0, 100.0]))
+        nn, ee = (float(rng.choice([0.01, 1e-12, 4.0, 400.0])) for _ in range(2))
+        more = {
+            "lat_deg": 55.47 + float(rng.choice([0.0, 0.001, 1.0, -30.0])) * rng.random(),
+            "height_rel_m": abs(number()),
+            "wind_cov_m2ps2": (nn, float(rng.choice([0.0, 400.0, -1.0])), ee),
+        }
+        name = str(rng.choice(list(PLACES)))
+        told = decode_state(encode(a_state(name, t_s, (number(), number()), **more)))
+        assert isinstance(told, State)
+        wind.on_state(told, t_s)
+        for one in wind.fronts_now(t_s):
+            assert "FRONT" in front_words(one, t_s, [("d9", (100.0, 100.0))])
+        here = wind.here(t_s)
+        assert here is None or (here.speed_mps < 100.0 and 0.0 < here.std_mps < 100.0)
+        wild += bool(wind.left_out(t_s))
+    assert wild > 50
