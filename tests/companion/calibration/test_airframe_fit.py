@@ -336,7 +336,7 @@ def test_an_airframe_told_to_be_symmetric_has_to_the_right_the_drag_that_its_fro
     held = calibrate(calm, start, leave_out=False, priors=DragPriors.symmetric())
     name = "drag right at 14 m/s"
     stds = [next(q.std for q in one.quantities if q.name == name) for one in (free, held)]
-    assert stds[1] < 0.5 * stds[0]
+    assert stds[1] < 0.8 * stds[0]
     # Drag of the two axes at 14 m/s, in the start's ratio within the 5 % that was told.
     of_start, found = (
         np.dot((14.0, 14.0**2), one[1:4:2]) / np.dot((14.0, 14.0**2), one[0:4:2])
