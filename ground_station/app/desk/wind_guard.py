@@ -28,6 +28,7 @@ from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.site_wind import SiteWind, front_words
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import ALL
@@ -92,7 +93,11 @@ class WindGuard:
             self._orders = {
                 o.order.id: o.order for o in self.store.orders() if o.order.id in wanted
             }
-        launches = [self._launch(row, status) for row in rows if row.state in TO_LAUNCH]
+        launches = [
+            self._launch(row, status)
+            for row in rows
+            if row.state in TO_LAUNCH and row.vehicle != TRUCK
+        ]
         changed = self._hold(self.holds.due(now_s, launches), now_s)
         while self._to_tell:
             self._tell(self._to_tell[0], rows, status, now_s)
@@ -147,8 +152,9 @@ class WindGuard:
         out = frozenset(self.wind.left_out(now_s))
         if out == self._out and now_s - self._said_s < SAY_S:
             return
-        words = self.wind.words(now_s)
-        if words or out != self._out:
+        changed = out != self._out
+        words = self.wind.words(now_s) if changed or self.wind.is_known(now_s) else ""
+        if words or changed:
             self._said_s, self._out = now_s, out
             self.say(words or "wind: nobody who is believed tells it")
 
@@ -163,7 +169,7 @@ class WindGuard:
         self.say(front_words(front, now_s, places))
         behind = _behind(front)
         for row in rows:
-            if row.state is not AssignmentState.FLYING:
+            if row.state is not AssignmentState.FLYING or row.vehicle == TRUCK:
                 continue
             launch = self._launch(row, status)
             if would_catch(front, launch, now_s):

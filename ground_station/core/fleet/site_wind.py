@@ -61,6 +61,9 @@ REFUSED_S = 1.5 * TELLING_S
 telling that would be kept.
 """
 
+EVERYWHERE_MPS = 50.0
+"""No front moves faster: the wind has changed for all at once."""
+
 FRONT_KEPT_S = 1800.0
 """A front has left any site by then."""
 
@@ -328,9 +331,11 @@ def front_words(
         if t_s > now_s:
             comes.append(f"{name} in {t_s - now_s:.0f} +- {std_s:.0f} s")
     ahead = f"; comes to {', '.join(comes)}" if comes else ""
+    moves = f"moves {front.speed_mps:.0f} m/s towards {towards:.0f}"
+    if front.speed_mps > EVERYWHERE_MPS:
+        moves = "everywhere at once"
     return (
-        f"FRONT: the wind changes by {math.hypot(*change):.0f} m/s, felt by {felt}; moves"
-        f" {front.speed_mps:.0f} m/s towards {towards:.0f}{ahead}"
+        f"FRONT: the wind changes by {math.hypot(*change):.0f} m/s, felt by {felt}; {moves}{ahead}"
     )
 
 

@@ -151,6 +151,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
             id_ = store.assign(order, vehicle, {"format": "flight/1"}, None, "desk")
             assert id_ is not None
             store.answered(f"{id_}:assign", Answered.DONE, "", vehicle)
+        assert store.assign("H-108", "truck", {"format": "flight/1"}, None, "desk") is not None
         assert store.launch("H-104.1", "desk")
         store.answered("H-104.1:launch1", Answered.DONE, "", FLIES)
         yield Site(store)
@@ -163,7 +164,7 @@ def test_a_launch_that_a_front_would_catch_is_held_in_ten_seconds_and_goes_when_
     assert site.holds() == {}
     began_s = site.front(9.0, 12.0, 60.0, lambda: bool(site.holds()))
     assert site.clock.t_s - began_s <= ALERT_S
-    assert list(site.holds()) == [WAITS]
+    assert list(site.holds()) == [WAITS], "a truck drives in any wind"
     assert "felt by t1" in site.holds()[WAITS]
     told = next(words for _, words in site.said if words.startswith("FRONT"))
     assert "the depot in" in told  # whom it has not reached, and when it comes

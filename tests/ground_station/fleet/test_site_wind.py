@@ -217,6 +217,17 @@ def test_a_front_felt_by_one_is_told_with_place_speed_and_arrival_within_ten_sec
     assert air.wind.fronts_now(air.t_s) == []
 
 
+def test_a_wind_that_changes_for_all_at_once_is_said_to_do_so():
+    air = Air(seed=2)
+    air.blow(180.0)
+    for mean in air.mean.values():
+        mean[:] = (0.0, 15.0)
+    air.blow(25.0)
+    words = front_words(air.wind.fronts[-1], air.t_s, [("d2", PLACES["d2"])])
+    assert "felt by d1, d2, d3, d4" in words
+    assert "everywhere at once" in words
+
+
 def test_the_canary_gusts_alone_make_no_front():
     air = Air(seed=4)
     air.blow(600.0)
