@@ -324,8 +324,11 @@ def read_log(path: Path) -> LogRows:
             rows.damaged(at, "no record begins here")
             break
         body = at + RECORD.size
+        if length > CHUNK_LIMIT_BYTES:  # no record that was cut off ever had so much to say
+            rows.damaged(at, f"a record of {length} bytes")
+            break
         if length > len(raw) - body:
-            break  # cut off, or its length is damaged: what follows cannot be found
+            break  # cut off
         rows.take(at, opcode, raw[body : body + length])
         at = body + length
         if opcode == Opcode.FOOTER:

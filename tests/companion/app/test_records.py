@@ -24,7 +24,13 @@ from companion.adapters.files.params import (
     read_obstacle_document,
     read_wind_process,
 )
-from companion.adapters.logs.decision_log import SCHEMAS, DecisionLog, free_name, read_rows
+from companion.adapters.logs.decision_log import (
+    SCHEMAS,
+    DecisionLog,
+    free_name,
+    read_log,
+    read_rows,
+)
 from companion.adapters.logs.open_log import open_log
 from companion.adapters.logs.tlog_writer import Tlog
 from companion.app.cli.main import app
@@ -223,6 +229,21 @@ def test_the_stream_opens_in_pymavlinks_log_reader(tmp_path):
 
 
 # --- a disk that fails -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("opcode", [1, 5, 15, 200])
+def test_garbage_that_begins_like_a_record_is_not_taken_for_a_log_that_was_cut_off(
+    tmp_path, opcode
+):
+    path = tmp_path / "decisions.mcap"
+    log = DecisionLog(path, wall_clock_us=lambda: 0)
+    log.write("said", {"t_s": 1.0, "text": "one"})
+    whole = path.read_bytes()  # as a companion that is killed leaves it
+    log.close()
+    path.write_bytes(whole + bytes([opcode]) + b"\xd3" * 500)
+    assert read_log(path).damage is not None
+    path.write_bytes(whole + struct.pack("<BQ", 5, 800) + b"x" * 500)
+    assert read_log(path).damage is None, "cut off in the middle of a record"
 
 
 def test_a_torn_decision_log_is_moved_aside_and_what_was_whole_in_it_is_kept(tmp_path):
