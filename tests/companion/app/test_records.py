@@ -237,7 +237,7 @@ def test_garbage_that_begins_like_a_record_is_not_taken_for_a_log_that_was_cut_o
 ):
     path = tmp_path / "decisions.mcap"
     log = DecisionLog(path, wall_clock_us=lambda: 0)
-    log.write("said", {"t_s": 1.0, "text": "one"})
+    log.write("said", {"t_s": 1.0, "text": "one", "severity": 6})
     whole = path.read_bytes()  # as a companion that is killed leaves it
     log.close()
     path.write_bytes(whole + bytes([opcode]) + b"\xd3" * 500)
