@@ -439,7 +439,7 @@ def flies_on(w: World, index: int, north_mps: float, east_mps: float) -> Any:
 
 
 def test_an_autopilot_that_flies_on_past_its_item_gets_rtl():
-    """Seen on PX4's SIH on a starved machine: 2 km beyond the depot, "on the way home"."""
+    """Seen on PX4's SIH over hills: 2 km beyond the depot, "on the way home"."""
     w = reach(Phase.RETURN)
     first = w.index
     w.run(lambda w: w.index > first and w.items[w.index].kind is ItemKind.WAYPOINT, 120.0)
