@@ -4,6 +4,7 @@ MISSION_CURRENT has no time, and PX4 sends it at 1 Hz: a report that was sent be
 arrive after it. Such a report is not about the order: it neither confirms nor undoes it.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -13,6 +14,10 @@ CONFIRM_S = 2.5
 TRIES = 3
 TURN_S = 10.0
 AWAY_M = 25.0
+AT_ITEM_M = 50.0
+PAST_M = 150.0
+"""Beyond an item that it has passed: ten seconds at top speed, so that late reports are none."""
+
 OLDER_S = 1.0
 """A report overtaken by others arrives up to so late (as `LATE_S` of the adapters' clock)."""
 
@@ -106,5 +111,25 @@ class CourseWatch:
         return (
             t_s - self.since_s > TURN_S
             and distance_m > self.distance_m + AWAY_M
+            and closing_mps < -2.0
+        )
+
+
+@dataclass(slots=True)
+class LegWatch:
+    """Whether an autopilot that shows one item takes it: one that lost its place flies on beyond.
+
+    PX4's SIH was seen past an item by 2 km, in its mission, with every report as ever.
+    """
+
+    index: int
+    nearest_m: float = math.inf
+
+    def has_flown_past(self, distance_m: float, closing_mps: float) -> bool:
+        """Tell whether it was at its item, is far beyond, and still opens (m, m/s)."""
+        self.nearest_m = min(self.nearest_m, distance_m)
+        return (
+            self.nearest_m < AT_ITEM_M
+            and distance_m > self.nearest_m + PAST_M
             and closing_mps < -2.0
         )

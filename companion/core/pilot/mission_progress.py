@@ -16,7 +16,14 @@ from companion.core.mission.events import (
     OrderRefused,
     VehicleState,
 )
-from companion.core.mission.jump_watch import OLDER_S, CourseWatch, JumpStatus, JumpWatch, Purpose
+from companion.core.mission.jump_watch import (
+    OLDER_S,
+    CourseWatch,
+    JumpStatus,
+    JumpWatch,
+    LegWatch,
+    Purpose,
+)
 from companion.core.mission.mission_items import DeadMansMission, Part
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import (
@@ -64,6 +71,8 @@ class ProgressState:
     reports: tuple[MissionProgress, ...] = ()
     """Those of the last second."""
     course: CourseWatch | None = None
+    home_leg: LegWatch | None = None
+    """The item that it flies to on the way home."""
     moved_s: float = 0.0
     """When it was last seen to move on the way home."""
     foreign_move: ForeignMove | None = None
@@ -199,13 +208,30 @@ class MissionFollower:
     def strays(self, context: FlightContext, here: Ned) -> bool:
         """Tell whether it flies away from the way home; then the course is watched no longer."""
         state, flown = self._state, context.flight_plan
-        if flown is None or state.course is None or state.index is None:
+        spot = flown.mission.spot_at(state.index) if flown and state.index is not None else None
+        if flown is None or spot is None:
             return False
-        spot = flown.mission.spot_at(state.index)
-        if spot is None or not self._disobeys(context, here, flown.spot_ned(spot)):
+        target = flown.spot_ned(spot)
+        if self._has_flown_past(context, here, target):
+            return True
+        if state.course is None or not self._disobeys(context, here, target):
             return False
         state.course = None
         return True
+
+    def _has_flown_past(self, context: FlightContext, here: Ned, target: Ned) -> bool:
+        """Tell whether it leaves its item behind, shows it still, and flies on."""
+        state, vehicle = self._state, context.telemetry.state
+        assert state.index is not None
+        if vehicle is None or vehicle.mode is not Mode.MISSION:
+            state.home_leg = None
+            return False
+        if context.telemetry.position_troubles():
+            return False
+        if state.home_leg is None or state.home_leg.index != state.index:
+            state.home_leg = LegWatch(state.index)
+        away_m = horizontal_m(here, target)
+        return state.home_leg.has_flown_past(away_m, self._closing_mps(context, here, target))
 
     def stands_still(self, context: FlightContext) -> bool:
         """Tell whether it hovers on the way home, whatever item it shows, for long."""
@@ -436,16 +462,21 @@ class MissionFollower:
             self._at_item(context, progress.index)
 
     def _disobeys(self, context: FlightContext, here: Ned, target: Ned) -> bool:
-        course, position = self._state.course, context.telemetry.position
+        course = self._state.course
         assert course is not None
-        assert position is not None
         away_m = horizontal_m(here, target)
         if away_m < NEAR_M:
             self._state.course = None
             return False
+        return course.disobeys(context.t_s, away_m, self._closing_mps(context, here, target))
+
+    def _closing_mps(self, context: FlightContext, here: Ned, target: Ned) -> float:
+        """Speed towards a place (m/s); away from it is negative, at it is none."""
+        position, away_m = context.telemetry.position, horizontal_m(here, target)
+        if position is None or away_m == 0.0:
+            return 0.0
         north, east = (target[0] - here[0]) / away_m, (target[1] - here[1]) / away_m
-        closing = position.vel_n_mps * north + position.vel_e_mps * east
-        return course.disobeys(context.t_s, away_m, closing)
+        return position.vel_n_mps * north + position.vel_e_mps * east
 
 
 def _is_flown(state: VehicleState | None) -> bool:

@@ -31,6 +31,7 @@ from companion.core.mission.actions import (
 )
 from companion.core.mission.events import Mode
 from companion.core.mission.find_plan import FindPlan, PlanFound
+from companion.core.mission.jump_watch import LegWatch
 from companion.core.mission.mission_items import ItemKind, MissionItem
 from companion.core.mission.preflight_checks import Requirement
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict, checkpoint_to_dict
@@ -425,6 +426,45 @@ def test_a_late_report_before_the_last_resort_does_not_keep_the_flight_from_endi
     w.north = w.east = w.height = 0.0  # RTL has led it home
     w.armed = False
     assert w.to_the_end().home
+
+
+def flies_on(w: World, index: int, north_mps: float, east_mps: float) -> Any:
+    """An autopilot that lost its place: straight on, and one item shown for ever."""
+
+    def fly(dt_s: float) -> None:
+        w.velocity, w.index = (north_mps, east_mps, 0.0), index
+        w.north, w.east = w.north + north_mps * dt_s, w.east + east_mps * dt_s
+
+    return fly
+
+
+def test_an_autopilot_that_flies_on_past_its_item_gets_rtl():
+    """Seen on PX4's SIH over hills: 2 km beyond the depot, "on the way home"."""
+    w = reach(Phase.RETURN)
+    first = w.index
+    w.run(lambda w: w.index > first and w.items[w.index].kind is ItemKind.WAYPOINT, 120.0)
+    before_n, before_e = w.north, w.east
+    w.run(lambda w: math.dist((w.north, w.east), (before_n, before_e)) > 30.0, 60.0)
+    passed_n, passed_e, passed_s = w.north, w.east, w.t_s
+    speed_mps = math.hypot(*w.velocity[:2])
+    to_n, to_e = (v * 8.0 / speed_mps for v in w.velocity[:2])
+    item = w.items[w.index]
+    assert item.spot is not None
+    goal_n = (item.spot.lat_deg - DEPOT[0]) * M_PER_DEG
+    goal_e = (item.spot.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
+    w.fly = flies_on(w, w.index, to_n, to_e)  # type: ignore[method-assign]
+    w.run(lambda w: w.mode is Mode.RTL, 120.0)
+    assert w.pilot.phase is Phase.LAST_RESORT
+    beyond_m = math.dist((w.north, w.east), (goal_n, goal_e))
+    assert 150.0 < beyond_m < 215.0, (passed_n, passed_e, passed_s)
+    assert "way home refused: RTL" in w.said
+
+
+def test_one_late_report_of_an_item_passed_at_speed_is_no_disobedience():
+    watch = LegWatch(7)
+    for beyond_m in (-40.0, -12.0, 0.0, 15.0, 60.0, 120.0):
+        assert not watch.has_flown_past(abs(beyond_m), -15.0)
+    assert not LegWatch(7).has_flown_past(400.0, -15.0), "blown back before it came there"
 
 
 def low_rtl(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:
