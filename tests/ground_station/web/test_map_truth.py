@@ -295,7 +295,7 @@ def test_the_wind_that_three_drones_report_is_shown_with_its_spread(site):
 def test_the_field_is_shown_as_it_is_believed_by_one_drone_or_more(site):
     site.world.drones["d1"].wind_ne_mps = (2.0, 7.0)
     site.until_flying("d1")
-    site.step(30)
+    site.step(60)  # this world's drones jump aloft, which is not believed at once
     _, field = site.picture["winds"]
     assert math.dist(field["to_ne_mps"], (2.0, 7.0)) < 1.5
     nn, _, ee = field["cov_m2ps2"]
