@@ -69,6 +69,7 @@ class WindGuard:
     _out: frozenset[str] = frozenset()
     _reach: dict[str, Reach] = field(default_factory=dict)
     _orders: dict[str, Order] = field(default_factory=dict)
+    _sorties: dict[str, SortieRow] = field(default_factory=dict)
 
     @property
     def wind(self) -> SiteWind:
@@ -86,23 +87,24 @@ class WindGuard:
         now_s = self.clock.monotonic_s()
         self._begin(now_s)
         self._say_field(now_s)
-        rows: list[AssignmentRow] = []
-        if self.wind.fronts_now(now_s):
-            rows = self.store.assignments(in_force=True)
-            wanted = {row.order_id for row in rows}
-            self._orders = {
-                o.order.id: o.order for o in self.store.orders() if o.order.id in wanted
-            }
-        launches = [
-            self._launch(row, status)
-            for row in rows
-            if row.state in TO_LAUNCH and row.vehicle != TRUCK
-        ]
+        rows = self._read_rows() if self.wind.fronts_now(now_s) else []
+        launches = [self._launch(row, status) for row in rows if row.state in TO_LAUNCH]
         changed = self._hold(self.holds.due(now_s, launches), now_s)
         while self._to_tell:
             self._tell(self._to_tell[0], rows, status, now_s)
             self._to_tell.pop(0)
         return changed
+
+    def _read_rows(self) -> list[AssignmentRow]:
+        """Drones' assignments in force, with what is needed to know their ways."""
+        rows = [r for r in self.store.assignments(in_force=True) if r.vehicle != TRUCK]
+        wanted = {row.order_id for row in rows}
+        known = {name: order for name, order in self._orders.items() if name in wanted}
+        if new := wanted - known.keys():
+            known |= {o.order.id: o.order for o in self.store.orders_named(new)}
+        self._orders = known
+        self._sorties = {sortie.id: sortie for sortie in self.sorties()} if rows else {}
+        return rows
 
     # --- holds ---------------------------------------------------------------------------------
 
@@ -169,10 +171,9 @@ class WindGuard:
         self.say(front_words(front, now_s, places))
         behind = _behind(front)
         for row in rows:
-            if row.state is not AssignmentState.FLYING or row.vehicle == TRUCK:
+            if row.state is not AssignmentState.FLYING:
                 continue
-            launch = self._launch(row, status)
-            if would_catch(front, launch, now_s):
+            if would_catch(front, self._launch(row, status), now_s):
                 self._judge(row, status, behind)
 
     def _judge(self, row: AssignmentRow, status: FleetStatus, behind: Forecast) -> None:
@@ -229,8 +230,7 @@ class WindGuard:
 
     def _home(self, row: AssignmentRow) -> Ned:
         """Where it lands: its promised pad, or the depot."""
-        mine = (s for s in self.sorties() if s.id == row.id)
-        sortie = next(mine, None)
+        sortie = self._sorties.get(row.id)
         if sortie is None or sortie.promised not in sortie.pads:
             return (0.0, 0.0, 0.0)
         return self._ground(sortie.pads[sortie.promised])

@@ -18,7 +18,8 @@ PUBLISHED = "induced power by phase, as published"
 PUBLISHED_W: tuple[tuple[float, ...], ...] = ((80.4, 68.9, 71.5), (13.8, 16.8, -24.3))
 """Of climb, level and descent: watts per `kg^1.5 / sqrt(kg/m3)`, and watts. Rodrigues et al.,
 Patterns 3, 100569, 2022: take-off, cruise and landing of this very aircraft and campaign, the days
-that are judged here among them."""
+that are judged here among them. The form is that of the authors' code; the numbers are quoted at
+second hand and not checked against the paper's table."""
 
 EMPTY_KG = 3.68
 """The aircraft with pack and sensors (Rodrigues et al. 2021)."""

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from sim_bridge.research.real_flights.comparison import compared
 
 LEAST_DAYS = 4
 DRAWS, SEED = 2000, 1
@@ -96,20 +97,16 @@ class ScoreDifference:
 
 def difference(rows: Sequence[Scored], than: Sequence[Scored]) -> ScoreDifference:
     """Of the same windows by two estimators; days drawn together."""
-    keys = sorted({(r.folder, r.day) for r in rows})
-    ours, theirs = (
-        np.array([float(np.mean(_of_day(one, key).error_mps ** 2)) for key in keys])
-        for one in (rows, than)
+    keys = {(r.folder, r.day) for r in rows}
+    found = compared(
+        "", [("/".join(key), _square(rows, key), _square(than, key)) for key in keys], np.sqrt
     )
-    rng = np.random.default_rng(SEED)
-    drawn = rng.integers(0, len(keys), (DRAWS, len(keys)))
-    apart = np.sqrt(ours[drawn].mean(axis=1)) - np.sqrt(theirs[drawn].mean(axis=1))
-    return ScoreDifference(
-        len(keys),
-        math.sqrt(float(ours.mean())) - math.sqrt(float(theirs.mean())),
-        float(np.percentile(apart, 2.5)),
-        float(np.percentile(apart, 97.5)),
-    )
+    assert found is not None, "rows"
+    return ScoreDifference(len(keys), found.ours - found.theirs, found.low, found.high)
+
+
+def _square(rows: Sequence[Scored], key: tuple[str, str]) -> float:
+    return float(np.mean(_of_day(rows, key).error_mps ** 2))
 
 
 def flight_errors_mps(rows: Sequence[Scored]) -> dict[tuple[str, str, str], float]:

@@ -320,3 +320,11 @@ def test_a_file_that_is_no_database_is_refused(tmp_path: Path):
     (tmp_path / "d.db").write_text("not a database, but long enough to be looked at" * 40)
     with pytest.raises(StoreError, match="not a database"):
         Database(f"sqlite:///{tmp_path}/d.db")
+
+
+def test_orders_are_found_by_their_names_alone(store_url):
+    with opened(store_url) as store:
+        store.add_orders([an_order(name) for name in ("c", "b", "a")])
+        wanted = {"a", "c", "nobodys"}
+        assert [row.order.id for row in store.orders_named(wanted)] == ["c", "a"]
+        assert store.orders_named(set()) == []
