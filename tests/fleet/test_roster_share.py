@@ -3,6 +3,7 @@
 import pytest
 
 from companion.fleet.trust import Trust
+from ground_station.adapters.called_session import CalledSession
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import EventsReceived, MessageRejected, StateReceived
@@ -49,6 +50,8 @@ def test_a_vehicle_takes_the_roster_that_a_desk_tells_and_keeps_it(tmp_path, the
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: believed"])
 def test_a_vehicle_that_is_revoked_is_not_believed_any_more(tmp_path, monkeypatch, guarded):
+    """Where the rules of the network still let it in: the desk refuses what it signs."""
+    monkeypatch.setattr(CalledSession, "is_old", lambda self, now_s: False)
     if not guarded:
         monkeypatch.setattr(Trust, "take_roster", lambda self, raw: None)
     site = SecureSite(tmp_path / "pki")
