@@ -430,6 +430,10 @@ class Jumps(ItemProgress, Protocol):
         """The way home, or to a rally point."""
         ...
 
+    def is_over_landing(self, context: FlightContext) -> bool:
+        """Tell whether it was descending to land, and is there."""
+        ...
+
 
 class HomeMoves(Jumps, Protocol):
     """Also from one landing site to another."""

@@ -5,8 +5,9 @@ id tells (PX4), or ArduCopter's own words, or an acknowledgement to somebody els
 sent the list is read back all the time, slowly. Whatever tells is a doubt: the whole list is read
 at once. If it is ours, nothing was. If not, the gate closes and ours is put back, once. That is
 safe in flight: both autopilots keep the index; PX4 changes over when the whole list is there, and
-on ArduCopter each item that arrives replaces a foreign one. Then one jump leads home. Where our
-list cannot be put back, or does not stay, RTL is what needs no list.
+on ArduCopter each item that arrives replaces a foreign one. Then one jump leads home. What needs no
+list is the last resort, where ours cannot be put back or does not stay, and over the landing place:
+PX4 takes off again for an item after our landing, and holds when our list is back and over.
 """
 
 from dataclasses import dataclass
@@ -208,6 +209,9 @@ class MissionAboard:
         self._gate.close("another hand changed the mission aboard")
         if state.restored:
             self._give_up(context, "the mission was changed again")
+            return
+        if context.phase is Phase.LAND and self._jumps.is_over_landing(context):
+            self._give_up(context, "mission changed by another in the landing")
             return
         context.say(Severity.CRITICAL, "mission changed by another: restoring ours")
         context.assessment = None

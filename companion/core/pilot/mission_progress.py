@@ -41,6 +41,9 @@ from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 NEAR_M = 10.0
 """Nearer to its goal than this, the course says nothing."""
 
+OVER_LANDING_M, OVER_LANDING_MPS = 5.0, 1.5
+"""Nearer and slower it comes down where it should, whatever list is aboard."""
+
 MOVE_WITNESSES = 2
 """So many messages in a row must show a move that is not ours."""
 
@@ -269,8 +272,27 @@ class MissionFollower:
         self._modes.forget()
         self._enter_part(context, part, index, words)
 
+    def is_over_landing(self, context: FlightContext) -> bool:
+        """Tell whether it was descending to land, is there, and goes nowhere else."""
+        index, flown, here = self._state.index, context.flight_plan, context.here_ned()
+        if index is None or flown is None or here is None or context.telemetry.position_troubles():
+            return False
+        spot = flown.mission.spot_at(index)
+        if flown.mission.part_at(index) not in (Part.LAND, Part.RALLY_LAND) or spot is None:
+            return False
+        away_m = horizontal_m(here, flown.spot_ned(spot))
+        return away_m <= OVER_LANDING_M and context.ground_speed_mps() <= OVER_LANDING_MPS
+
     def last_resort(self, context: FlightContext) -> None:
-        """RTL where its altitude clears every obstacle; else the mission aboard goes home."""
+        """What needs no list: over the landing place down; else RTL, where its altitude clears
+        every obstacle; else the mission aboard goes home.
+        """
+        if self.is_over_landing(context):
+            context.say(Severity.CRITICAL, "way home refused: landing here")
+            context.decide("last_resort", "over its landing place: down by the autopilot's LAND")
+            self._modes.expect(Mode.LAND, context.telemetry.state)
+            context.do(SetMode(Mode.LAND))
+            return
         if not self._preflight.rtl_is_safe:
             context.say(Severity.CRITICAL, "way home refused, RTL not safe")
             words = "no RTL: its altitude is not known to clear the obstacles"

@@ -128,8 +128,10 @@ def stays_down(flown: FlownFault) -> str | None:
     return None if flown.stage.craft.record.took_off_s is None else "it took off"
 
 
-def tells(*words: str, within_s: float | None = None) -> Ask:
-    """The operator hears one of these words (in time) after the fault began."""
+def tells(*words: str, within_s: float | None = None, unless_down_within_s: float = 0.0) -> Ask:
+    """The operator hears one of these words (in time) after the fault began, where the flight lasts
+    long enough to find it.
+    """
 
     def ask(flown: FlownFault) -> str | None:
         began_s = flown.stage.began_s
@@ -139,6 +141,9 @@ def tells(*words: str, within_s: float | None = None) -> Ask:
         said = flown.stage.craft.operator.said
         heard = [t.lower() for at_s, t in said if began_s <= at_s <= limit_s]
         if any(word in text for text in heard for word in words):
+            return None
+        landed_s = flown.stage.craft.record.landed_s
+        if landed_s is not None and landed_s <= began_s + unless_down_within_s:
             return None
         return f"the operator did not hear {' or '.join(repr(word) for word in words)}"
 

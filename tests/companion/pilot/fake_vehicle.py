@@ -268,8 +268,13 @@ class World:
         return self.leg[1]
 
     def fly(self, dt_s: float) -> None:
-        """Follow the mission, by itself."""
+        """Follow the mission, by itself; in the mode LAND come down where it is."""
         self.velocity = (0.0, 0.0, 0.0)
+        if self.armed and self.mode is Mode.LAND:
+            down = min(2.0 * dt_s, self.height)
+            self.height -= down
+            self.velocity = (0.0, 0.0, down / dt_s)
+            self.armed = self.height > 0.0 or not self.disarms
         if not self.armed or self.mode is not Mode.MISSION or self.index >= len(self.items):
             return
         item = self.items[self.index]

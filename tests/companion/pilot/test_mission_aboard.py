@@ -66,6 +66,28 @@ def test_safety_rule_2_a_list_that_another_hand_uploads_is_replaced_by_ours_and_
     assert done.delivered is (phase is Phase.RETURN)
 
 
+@pytest.mark.parametrize("edit", ["shorter", "longer"])
+def test_safety_rule_2_over_its_landing_place_it_lands_by_what_needs_no_list(edit):
+    w = reach(Phase.LAND).run(lambda w: w.height < 10.0)
+    changed_s = w.t_s
+    put_aboard(w, edits(w)[edit])
+    done = w.to_the_end()
+    assert [a.mode for a in w.orders_after(changed_s) if isinstance(a, SetMode)] == [Mode.LAND]
+    assert uploads(w, changed_s) == []
+    assert "way home refused: landing here" in w.said
+    assert done.home
+    assert done.delivered
+
+
+def test_safety_rule_2_in_the_landing_a_list_that_led_it_away_is_replaced():
+    w = reach(Phase.LAND)
+    ours, changed_s = w.items, w.t_s
+    w.north += 8.0
+    put_aboard(w, dragged(w.items))
+    w.run(lambda w: bool(uploads(w, changed_s)), 20.0)
+    assert w.items == ours
+
+
 def test_safety_rule_2_without_an_id_the_slow_reading_finds_a_dragged_item():
     w = reach(Phase.OUTBOUND, mission_id=None)
     put_aboard(w, dragged(w.items))
