@@ -63,6 +63,7 @@ def join(
             wake,
             is_member=lambda name: name in trust.roster.by_name,
             claimed_by=lambda raw: claimed_by(trust, raw),
+            roster_number=lambda: trust.roster.number,
         )
         return SignedLink(link, trust, life, wall_s)
 

@@ -219,6 +219,8 @@ class Trust:
 
     def take_roster(self, raw: bytes) -> Roster | Refused | None:
         """Put a newer roster in force and on the disk; None where it is not newer."""
+        if raw == self.roster_bytes:
+            return None
         found = checked_roster(raw, self.authorities)
         if isinstance(found, Refused):
             return found

@@ -55,6 +55,9 @@ that comes behind the true one does not hide it. A look at a signature takes 0.1
 """
 
 AFTER = "after"
+ABOVE = "above"
+"""A roster is asked for with the number of one's own: who has none above it does not answer."""
+NUMBER_DIGITS = 15
 TOLD_ROSTERS = "told rosters"
 ROSTER_WAIT_S = 5.0
 """As long as a desk waits for an answer. Who misses it hears the next that the desk tells."""
@@ -63,8 +66,8 @@ ROSTER_WAIT_S = 5.0
 class ZenohLink:
     """One life of one companion. `wake` is called from zenoh's threads: something waits.
 
-    `is_member`: whose tracks get room. `claimed_by`: in whose name a command comes, of those who
-    may command; empty: in nobody's.
+    `is_member`: whose tracks get room. `roster_number`: of the roster in force. `claimed_by`: in
+    whose name a command comes, of those who may command; empty: in nobody's.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class ZenohLink:
         wake: Callable[[], None],
         is_member: Callable[[str], bool] = lambda name: True,
         claimed_by: Callable[[bytes], str] | None = None,
+        roster_number: Callable[[], int] = lambda: 0,
     ) -> None:
         self._config = config
         self._calls_a_desk = mode_of(config) == "client"
@@ -83,10 +87,12 @@ class ZenohLink:
         self._wake = wake
         self._is_member = is_member
         self._claimed_by = claimed_by
+        self._roster_number = roster_number
         self.waiting = WaitingRoom()
         self._asks = RateLimit(ASKS_HZ, ASKS_BURST)
         self._wakes = RateLimit(WAKES_HZ, WAKES_BURST)
         self._roster_asked_s = 0.0
+        self._newer_told = False
         self._tracks: dict[str, deque[Told]] = {}
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
@@ -158,8 +164,11 @@ class ZenohLink:
         tracks[speaker].append(Told(speaker, sample.payload.to_bytes()))
 
     def _hear_roster(self, sample: zenoh.Sample) -> None:
-        asked = Asked(Ask.ROSTER, lambda replies: None, sample.payload.to_bytes())
-        self._put(TOLD_ROSTERS, asked, ROSTERS_WAIT)
+        raw = sample.payload.to_bytes()
+        if (number := told_number(raw)) is not None:
+            self._newer_told = self._newer_told or number > self._roster_number()
+            return
+        self._put(TOLD_ROSTERS, Asked(Ask.ROSTER, lambda replies: None, raw), ROSTERS_WAIT)
 
     def _hear_roster_reply(self, reply: zenoh.Reply) -> None:
         """What came because we asked cannot be pushed out by what is told."""
@@ -282,18 +291,23 @@ class ZenohLink:
 
     def _is_roster_due(self) -> bool:
         rested = wall_s() - self._roster_asked_s >= ROSTER_AGAIN_S
-        return rested and self.waiting.dropped(TOLD_ROSTERS) > 0
+        return rested and (self._newer_told or self.waiting.dropped(TOLD_ROSTERS) > 0)
 
     def _ask_roster(self, session: zenoh.Session) -> None:
-        """Of everybody who has one: an answer that is forged takes the place of none."""
-        self._roster_asked_s = wall_s()
+        """Of everybody who has a newer one: an answer that is forged takes the place of none."""
+        self._roster_asked_s, self._newer_told = wall_s(), False
         session.get(
-            roster_key(self._keys.fleet),
+            f"{roster_key(self._keys.fleet)}?{ABOVE}={self._roster_number()}",
             self._hear_roster_reply,
             timeout=ROSTER_WAIT_S,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
         )
+
+
+def told_number(raw: bytes) -> int | None:
+    """The number of a roster, where somebody tells only that: digits. None: anything else."""
+    return int(raw) if raw.isdigit() and len(raw) <= NUMBER_DIGITS else None
 
 
 def _has_line(session: zenoh.Session) -> bool:

@@ -1,13 +1,17 @@
 """A new roster gets to everybody over TLS: to who is there, and to who was away when it joins."""
 
 import pytest
+import zenoh
 
+from companion.fleet.topics import roster_key
 from companion.fleet.trust import Trust
+from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.called_session import CalledSession
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import EventsReceived, MessageRejected, StateReceived
 from tests.fleet.secure_site import SecureSite
+from tests.fleet.zenoh_net import FLEET
 
 PATIENCE_S = 20.0
 
@@ -46,6 +50,31 @@ def test_a_vehicle_takes_the_roster_that_a_desk_tells_and_keeps_it(tmp_path, the
         desk.close()
     kept = site.identity("d1").trust.roster
     assert (kept.number, kept.by_name["anna"].revoked) == (number, True)
+
+
+def test_who_joins_is_told_the_number_and_the_whole_goes_to_all_only_when_it_is_new(tmp_path):
+    site = SecureSite(tmp_path / "pki")
+    desk = site.person("desk")
+    told_bytes: list[bytes] = []
+    with zenoh.open(read_config(site.home("otto") / "zenoh.json5")) as otto:
+        spy = otto.declare_subscriber(
+            roster_key(FLEET), lambda sample: told_bytes.append(sample.payload.to_bytes())
+        )
+        vehicle = site.vehicle("d1", tmp_path / "d1")
+        number = str(site.pki.roster.number).encode()
+        try:
+            assert told(desk, "")
+            limit_s = monotonic_s() + PATIENCE_S
+            while number not in told_bytes and monotonic_s() < limit_s:
+                desk.receive(0.05)
+            assert set(told_bytes) == {number}
+            site.pki.revoke("d2")
+            assert told(desk, f"roster {site.pki.roster.number} is in force")
+            assert site.identity("desk").roster_file() in told_bytes
+        finally:
+            vehicle.close()
+            desk.close()
+        spy.undeclare()
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: believed"])
