@@ -5,8 +5,9 @@ joins anew.
 import json
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -14,16 +15,21 @@ import zenoh
 from companion.fleet import zenoh_link
 from companion.fleet.identity import ROSTER
 from companion.fleet.roles import Role
+from companion.fleet.roster import Roster
+from companion.fleet.signed_link import SignedLink
 from companion.fleet.topics import VehicleKeys, life_of
 from companion.fleet.zenoh_config import read_config
 from companion.fleet.zenoh_link import ZenohLink
+from ground_station.adapters import called_session
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.fleet_inbox import NOT_LISTED
+from ground_station.adapters.pki.access_rules import access_control
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, MessageRejected
 from tests.fleet.secure_site import YEAR_DAYS, SecureSite
-from tests.fleet.test_attacks import PATIENCE_S, hears, plain_network
-from tests.fleet.zenoh_net import FLEET, config_file, free_port
+from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S, hears, plain_network
+from tests.fleet.test_called_session import Running, running
+from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
 
 def is_not_listed(heard: FleetInput) -> bool:
@@ -102,3 +108,35 @@ def test_a_connected_member_that_nobody_asks_joins_anew(tmp_path, monkeypatch, a
         not asked
     )
     assert bool(answers) is asked
+
+
+def asked_by(fleet: Running, vehicle: Vehicle) -> bool:
+    """Whether the desk's question for the states of all gets to this vehicle."""
+    link = vehicle.port.link
+    assert isinstance(link, SignedLink)
+    assert isinstance(link.link, ZenohLink)
+    assert link.link.wind_cov_is_read() is False
+    fleet.desk.ask_states(KEPT_OUT_S)
+    return fleet.until(link.link.wind_cov_is_read, KEPT_OUT_S)
+
+
+@pytest.mark.drawn(of="called")
+@pytest.mark.parametrize("called", ["desk", "router"])
+@pytest.mark.parametrize("allowed", [True, False], ids=["asked", "canary: no rule"])
+def test_over_tls_the_roll_call_gets_to_every_vehicle(tmp_path, monkeypatch, called, allowed):
+    if not allowed:
+        monkeypatch.setattr(called_session, "access_control", without_the_rule)
+    with (
+        running(called, tmp_path) as fleet,
+        closing(fleet.site.vehicle("d1", tmp_path / "d1")) as d1,
+    ):
+        assert fleet.hears(d1)
+        assert asked_by(fleet, d1) is allowed
+
+
+def without_the_rule(roster: Roster) -> dict[str, Any]:
+    table = access_control(roster)
+    for policy in table["policies"]:
+        policy["rules"] = [rule for rule in policy["rules"] if rule != "state-asked"]
+    table["rules"] = [rule for rule in table["rules"] if rule["id"] != "state-asked"]
+    return table

@@ -169,6 +169,7 @@ def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
         _rule(f"{name}-says", "ingress", says, own),
         _rule(f"{name}-hears", "egress", hears, own),
         _rule(f"{name}-twins", "ingress", twins, f"leeway/{fleet}/vehicle/{name}/alive/**"),
+        _rule("state-asked", "egress", ["query"], VehicleKeys(fleet, "*").state),  # of all at once
         _rule("near-asks", "ingress", ["declare_subscriber"], tracks),
         _rule("near-hears", "egress", ["put"], tracks),
         _rule(

@@ -184,6 +184,7 @@ def test_the_contract_s_keys_are_there_and_pages_are_written(judged):
     assert "Flown energy by plainer models" in done.stdout
 
 
+@pytest.mark.night  # twenty seconds of a core; CI has the run that leaves each day out
 def test_the_judged_day_is_not_fitted_to(made, judged, tmp_path):
     # Canary: where one day draws twice as much, what is predicted for it must stay as it was.
     folder, _ = made
@@ -206,6 +207,7 @@ def test_the_judged_day_is_not_fitted_to(made, judged, tmp_path):
         assert new.measured_wh == pytest.approx(1.3 * old["measured_wh"], rel=0.01)
 
 
+@pytest.mark.night  # twenty seconds of a core; CI has the run that leaves each day out
 def test_with_fit_everything_comes_from_the_other_folder(made, judged, tmp_path):
     folder, _ = made
     other = tmp_path / "other"  # the same flights, drawing a third more: only for judging
