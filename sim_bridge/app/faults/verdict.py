@@ -128,6 +128,11 @@ def stays_down(flown: FlownFault) -> str | None:
     return None if flown.stage.craft.record.took_off_s is None else "it took off"
 
 
+def _is_down_by(flown: FlownFault, t_s: float) -> bool:
+    landed_s = flown.stage.craft.record.landed_s
+    return landed_s is not None and landed_s <= t_s
+
+
 def tells(*words: str, within_s: float | None = None, unless_down_within_s: float = 0.0) -> Ask:
     """The operator hears one of these words (in time) after the fault began, where the flight lasts
     long enough to find it.
@@ -142,8 +147,7 @@ def tells(*words: str, within_s: float | None = None, unless_down_within_s: floa
         heard = [t.lower() for at_s, t in said if began_s <= at_s <= limit_s]
         if any(word in text for text in heard for word in words):
             return None
-        landed_s = flown.stage.craft.record.landed_s
-        if landed_s is not None and landed_s <= began_s + unless_down_within_s:
+        if unless_down_within_s and _is_down_by(flown, began_s + unless_down_within_s):
             return None
         return f"the operator did not hear {' or '.join(repr(word) for word in words)}"
 

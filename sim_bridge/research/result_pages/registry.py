@@ -454,7 +454,7 @@ PAGES = (
         30.0,
     ),
     Page(
-        "fleet-faults",
+        "fleet-failures",
         "A thousand vehicles under faults",
         "A desk that is killed; and a router that is killed and begins anew a quarter through, both"
         " desks killed half way, the members of the other router cut off for 30 s behind.",

@@ -30,7 +30,9 @@ def flown(**changes) -> FlownFault:
         commands=changes.pop("commands", []),
         operator=SimpleNamespace(said=changes.pop("said", [])),
         companion=SimpleNamespace(exit_code=changes.pop("exit_code", 0)),
-        record=SimpleNamespace(took_off_s=changes.pop("took_off_s", None)),
+        record=SimpleNamespace(
+            took_off_s=changes.pop("took_off_s", None), landed_s=changes.pop("landed_s", None)
+        ),
         run_dir=changes.pop("run_dir", None),
     )
     stage = SimpleNamespace(
@@ -105,3 +107,11 @@ def test_words_before_the_fault_and_too_late_are_not_heard():
     assert rule(flown(said=[(49.0, "another mission aboard")]))
     assert rule(flown(said=[(53.0, "another mission aboard")]))
     assert rule(flown(said=[(51.0, "another mission aboard")])) is None
+
+
+def test_a_flight_that_ends_before_it_can_be_found_need_not_tell():
+    rule = tells("mission", unless_down_within_s=30.0)
+    assert rule(flown(landed_s=79.0)) is None
+    assert rule(flown(landed_s=81.0))
+    assert rule(flown())
+    assert tells("mission")(flown(landed_s=51.0))
