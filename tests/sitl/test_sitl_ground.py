@@ -151,6 +151,8 @@ def test_px4_is_told_how_near_in_height_to_take_waypoints_and_gets_its_own_value
     row, craft = over_slopes(tmp_path, monkeypatch)
     assert (row["outcome"], row["least_clearance_m"] >= CLEARANCE_M) == ("SUC", True)
     assert "way_home_refused" not in kinds(row)
+    # The hold over the drop begins 3 m above it, and ends at its height.
+    assert craft.record.release_height_m == pytest.approx(6.0, abs=1.0)
     result = msgspec.json.decode((craft.run_dir / "result.json").read_bytes())
     (changed,) = (s for s in result["settings"] if s["name"] == "NAV_MC_ALT_RAD")
     assert (changed["set"], changed["restored"]) == (3.0, True)
