@@ -48,8 +48,10 @@ class ControlParams:
             raise ValueError(f"max_tilt_rad = {self.max_tilt_rad:.3f}: expected at most 1.047")
 
 
-_NEARLY_LEVEL_M = 1.0
-"""A line that climbs or sinks by less is flown as one: its height is there within a second."""
+_NEARLY_LEVEL_M, _NEARLY_UPRIGHT_M = 1.0, 10.0
+"""A line that climbs or sinks by less, or leads less far aside, is flown as one: its height is
+there within a second, or its way is long done when its height is.
+"""
 
 
 def approach_speed_mps(distance_m: float, gain_ps: float, brake_mps2: float) -> float:
@@ -178,7 +180,8 @@ class Controller:
             to_ned[1] - from_ned[1],
             to_ned[2] - from_ned[2],
         )
-        apart = height_apart and abs(line_d) > _NEARLY_LEVEL_M and math.hypot(line_n, line_e) > 0.5
+        slopes = abs(line_d) > _NEARLY_LEVEL_M and math.hypot(line_n, line_e) > _NEARLY_UPRIGHT_M
+        apart = height_apart and slopes
         if apart:
             line_d = 0.0
         length = math.sqrt(line_n * line_n + line_e * line_e + line_d * line_d)
