@@ -29,6 +29,8 @@ class FlightRules:
     """From arming to the first thrust."""
     accept_radius_m: float
     accept_height_m: float
+    takeoff_short_m: float
+    """A take-off is done this far below its height."""
     takeoff_speed_mps: float
     takeoff_min_height_m: float
     corner_accel_mps2: float
@@ -42,6 +44,10 @@ class FlightRules:
     """Whether leaving a waypoint before it is reached costs the speed (ArduCopter)."""
     item_period_s: float = 0.0
     """Shortest time between two items that take no time (PX4's navigator)."""
+    height_apart: bool = False
+    """Whether a leg's height is flown apart from its way: no slope slows the vehicle (PX4)."""
+    takes_passed: bool = True
+    """Whether a waypoint that is flown through counts once it is passed (ArduCopter)."""
 
 
 @dataclass(frozen=True, slots=True)

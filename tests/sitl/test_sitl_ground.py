@@ -1,9 +1,13 @@
 """Flights over a hill: by truth no nearer to it than the clearance, on both autopilots.
 
 The canary: a companion that is not told of the ground flies the same flight into the hill.
+
+PX4 passes a waypoint that it does not reach in height, and flies on: three things keep that from
+happening, and where they are taken out the companion sees it; where nobody sees it, it is lost.
 """
 
 import math
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +16,19 @@ import pytest
 
 from companion.adapters.logs.tlog_log import read_tlog
 from companion.core.mission.events import Position
-from sim_bridge.app.flight.fly import FlyOptions, fly
+from sim_bridge.app.flight import companion_process
+from sim_bridge.app.flight.faults import FaultPlan
+from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 from sim_bridge.app.flight.judge import nearest_ground
 from sim_bridge.app.flight.record import TruthRecord
+from sim_bridge.app.flight.vehicle_process import Craft
 from sim_bridge.truth.terrain import GridTerrain, PlaneTerrain, TurnedTerrain
+from tests.companion.routing.test_flight_heights import HILLS, ridge
 from tests.sitl.conftest import SHORT, merged
+from tests.sitl.fault_guards import without
 
 CLEARANCE_M = 20.0
+PARAMS = Path(__file__).parents[2] / "params"
 
 
 def hill_m(north_m: float, east_m: float) -> float:
@@ -82,6 +92,98 @@ def test_untold_of_the_hill_the_same_flight_meets_it(tmp_path, autopilot):
     row = flown(tmp_path, autopilot, told_flat=True)
     assert row["least_clearance_m"] < 2.0
     assert math.hypot(row["least_clearance_at"]["east_m"] + 160.0, 0.0) < 60.0
+
+
+UNASKED = without("companion.adapters.autopilots.px4", "_takes_in_height", "True")
+UNSLOWED = "import companion.core.routing.leg_energy as energy; energy._SLOPE_FROM_M = 1e9"
+UNEASED = without("companion.core.routing.route_planner", "eased", "given[0]")
+DIES = {"kind": "companion_kill", "phase": "return", "at_s": 1.0, "restart": False}
+
+
+@dataclass
+class Kept(Progress):
+    """The vehicle that was flown."""
+
+    crafts: list[Craft] = field(default_factory=list)
+
+    def ended(self, crafts: list[Craft], faults: FaultPlan) -> None:
+        self.crafts = crafts
+
+
+def over_slopes(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *taken_out: str,
+    dies: bool = False,
+    steep: bool = False,
+) -> tuple[dict[str, Any], Craft]:
+    """The shipped hills on PX4 by a companion without these; with a steep ridge in the way."""
+    entry = "\n".join((*taken_out, companion_process.ENTRY))
+    monkeypatch.setattr(companion_process, "ENTRY", entry)
+    table = msgspec.toml.decode((PARAMS / "flights" / "hills.toml").read_bytes())
+    terrain = (ridge() if steep else HILLS).site.terrain
+    table["site"]["terrain"] = {"kind": "grid", "heights": msgspec.to_builtins(terrain.heights)}
+    if steep:
+        table["site"]["rally"] = []  # it lies on the ridge
+    table["faults"] = [DIES] if dies else []
+    path = folder / "slopes.toml"
+    path.write_bytes(msgspec.toml.encode(table))
+    options = FlyOptions(
+        flight_file=path,
+        autopilot="px4",
+        run_root=folder / "runs",
+        picture=False,
+        lockstep_limit_s=30.0,
+    )
+    kept = Kept()
+    row = fly(options, kept)["flights"][0]
+    return row, kept.crafts[0]
+
+
+def kinds(row: dict[str, Any]) -> list[str]:
+    return [decision["kind"] for decision in row["decisions"]]
+
+
+@pytest.mark.sitl
+def test_px4_is_told_how_near_in_height_to_take_waypoints_and_gets_its_own_value_back(
+    tmp_path, monkeypatch
+):
+    row, craft = over_slopes(tmp_path, monkeypatch)
+    assert (row["outcome"], row["least_clearance_m"] >= CLEARANCE_M) == ("SUC", True)
+    assert "way_home_refused" not in kinds(row)
+    # The hold over the drop begins 3 m above it, and ends at its height.
+    assert craft.record.release_height_m == pytest.approx(6.0, abs=1.0)
+    result = msgspec.json.decode((craft.run_dir / "result.json").read_bytes())
+    (changed,) = (s for s in result["settings"] if s["name"] == "NAV_MC_ALT_RAD")
+    assert (changed["set"], changed["restored"]) == (3.0, True)
+    assert craft.autopilot.params["NAV_MC_ALT_RAD"] == pytest.approx(0.8)
+
+
+@pytest.mark.sitl
+def test_px4_that_flies_on_past_a_waypoint_out_of_height_is_seen_and_gets_rtl(
+    tmp_path, monkeypatch
+):
+    """As flown on SIH: the shipped flight, tailwind on the way home, nothing asked or slowed."""
+    row, craft = over_slopes(tmp_path, monkeypatch, UNASKED, UNSLOWED, UNEASED)
+    assert row["outcome"] == "SUC"
+    assert "RTL" in "; ".join(text for _, text in craft.operator.said)
+    assert {"delivered", "way_home_refused", "last_resort"} <= set(kinds(row))
+
+
+@pytest.mark.sitl
+@pytest.mark.parametrize("taken_out", [(), (UNEASED,)])
+def test_the_mission_aboard_leads_px4_home_over_a_ridge_by_heights_that_it_keeps_up_with(
+    tmp_path, monkeypatch, taken_out
+):
+    """The companion dies on the way home. The canary: as high as the ground asks, and no higher."""
+    row, craft = over_slopes(tmp_path, monkeypatch, *taken_out, dies=True, steep=True)
+    north_m, east_m, _ = craft.record.rows[-1][1:4]
+    if taken_out:
+        assert row["outcome"] != "SUC"
+        assert math.hypot(north_m, east_m) > 300.0
+    else:
+        assert row["outcome"] == "SUC"
+        assert row["least_clearance_m"] >= CLEARANCE_M
 
 
 def record_of(*rows: tuple[float, float, float, float]) -> TruthRecord:

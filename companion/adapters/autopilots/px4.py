@@ -189,6 +189,13 @@ class Px4:
                 True,
             ),
             Requirement(
+                ("NAV_MC_ALT_RAD",),
+                _height_words(facts),
+                lambda v: _takes_in_height(v, facts),
+                lambda v: {"NAV_MC_ALT_RAD": facts.taken_within_m},
+                True,
+            ),
+            Requirement(
                 ("PD_GRIPPER_EN", "PD_GRIPPER_TYPE"),
                 "a gripper that lets the parcel go",
                 lambda v: not facts.carries_parcel or _has_gripper(v),
@@ -236,6 +243,25 @@ def _near(name: str, wanted: float, words: str, required: bool = False) -> Requi
         lambda v: {name: wanted},
         required,
     )
+
+
+def _takes_in_height(values: Values, facts: RouteFacts) -> bool | None:
+    """Not from so far above that a release after its hold would be too high; on slopes as much.
+
+    PX4 takes an item within NAV_MC_ALT_RAD of its height only. Past one that it does not take it
+    flies on (1.18 before pull request 28409; seen on SIH).
+    """
+    height_m = values.get("NAV_MC_ALT_RAD")
+    if height_m is None:
+        return None if facts.slopes else True
+    least_m = facts.taken_within_m if facts.slopes else 0.0
+    return least_m - 1e-3 <= height_m <= facts.taken_within_m + 1e-3
+
+
+def _height_words(facts: RouteFacts) -> str:
+    if facts.slopes:
+        return f"waypoints of sloping legs taken within {facts.taken_within_m:g} m of their height"
+    return f"items taken within {facts.taken_within_m:g} m of their height"
 
 
 def _inside_fence(values: Values, facts: RouteFacts) -> bool | None:

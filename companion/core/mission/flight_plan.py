@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,9 @@ DROP_S = WEIGH_S + RELEASE_S
 
 CUSTOMER_HOLD_S = 6.0
 """Wait over the customer in which leave to descend is given; without it the way home follows."""
+
+LEVEL_M = 0.5
+"""A leg whose ends differ by less in height is level."""
 
 SETTLE_SLACK_S = 8.0
 """The loiter over the depot lasts this much longer than the wind is measured."""
@@ -442,4 +446,11 @@ def route_facts(
         battery_capacity_mah=round(1000.0 * battery.nominal_wh / (battery.cells * mean_cell_v)),
         carries_parcel=flight.vehicle.payload_kg > 0.0,
         set_points=keep_apart,
+        slopes=_slopes(plan),
     )
+
+
+def _slopes(plan: Plan) -> bool:
+    """Tell whether a leg from waypoint to waypoint climbs or sinks."""
+    ways = (plan.outbound_ned_m, (plan.over_customer_ned_m, *plan.return_ned_m), plan.away_ned_m)
+    return any(abs(a[2] - b[2]) > LEVEL_M for way in ways for a, b in pairwise(way))

@@ -11,6 +11,9 @@ from companion.core.vehicle.airframe import BatteryPack
 
 Values = Mapping[str, float | None]
 
+TAKEN_LEAST_M, TAKEN_MOST_M = 0.8, 3.0
+"""How far off its height an item may count as reached: PX4's default, and the most."""
+
 
 @dataclass(frozen=True, slots=True)
 class RouteFacts:
@@ -35,6 +38,17 @@ class RouteFacts:
     """Clear of known ground, with the clearance; 0 where none is known."""
     room_m: float = math.inf
     """Above it begin geo-zones that the flight passes under, with the clearance."""
+    slopes: bool = False
+    """Whether waypoints that follow one another are at different heights."""
+
+    @property
+    def taken_within_m(self) -> float:
+        """How far off its height an item may count as reached: what is sunk in two seconds.
+
+        The hold over the drop, from there on, lasts WEIGH_S (5 s): the release is in height. A leg
+        may begin so far below its height; plans keep 8 m more than the clearance.
+        """
+        return min(max(2.0 * self.descent_mps, TAKEN_LEAST_M), TAKEN_MOST_M)
 
     @property
     def rtl_height_m(self) -> float:

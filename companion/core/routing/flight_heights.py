@@ -15,6 +15,7 @@ from companion.core.ground.ground_strip import NoGround
 HIGHEST_M = 500.0
 """Above the depot, as the heights of a flight file."""
 
+_STRAIGHT_UP_M = 20.0  # nearer waypoints: within what counts as reached, the vehicle climbs first
 _TURN_EVERY_M = 50.0  # of a leg: where the vehicle may turn round into the way home
 
 
@@ -74,6 +75,37 @@ def lifted_over(
         return NoHeight(str(error))
     out[0], back[0] = out[1], back[1]
     return LiftedWays(_at(outbound, out), _at(homeward, back), _at(away, aside))
+
+
+def eased(
+    ways: LiftedWays, entry: tuple[int, ...], climb_per_m: float, sink_per_m: float
+) -> LiftedWays:
+    """The same ways, none of the way home so steep that it is flown out of height.
+
+    Metres of height for each metre of way. When the companion is dead nobody slows the vehicle
+    down, and PX4 1.18 does not: it would pass a waypoint out of height and fly on. The lower end is
+    lifted. The last leg may be steep: over home the vehicle stops.
+    """
+    out, back = [-p[2] for p in ways.outbound], [-p[2] for p in ways.homeward]
+    aside = [-p[2] for p in ways.away]
+    lines = [
+        (horizontal_m(a, b), (heights, i), (heights, i + 1))
+        for points, heights in ((ways.homeward[:-1], back), (ways.away, aside))
+        for i, (a, b) in enumerate(pairwise(points))
+    ]
+    lines += [
+        (horizontal_m(a, ways.homeward[joined + 1]), (out, i + 1), (back, joined + 1))
+        for i, (a, joined) in enumerate(zip(ways.outbound[1:], entry, strict=True))
+        if joined + 1 < len(back) - 1
+    ]
+    lines = [line for line in lines if line[0] > _STRAIGHT_UP_M]
+    # Heights only rise, never above the highest: as many rounds as there are waypoints at most.
+    for _ in range(len(out) + len(back) + len(aside)):
+        for length_m, (a, i), (b, j) in lines:
+            a[i] = max(a[i], b[j] - climb_per_m * length_m)
+            b[j] = max(b[j], a[i] - sink_per_m * length_m)
+    out[0], back[0] = out[1], back[1]
+    return LiftedWays(_at(ways.outbound, out), _at(ways.homeward, back), _at(ways.away, aside))
 
 
 def _lift(ground: GroundClearance, a: Ned, b: Ned, *heights: tuple[list[float], int]) -> None:

@@ -33,6 +33,11 @@ _Priced = tuple[Floats, Floats, Bools]
 LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
 TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
 OVER_M = 1.0  # a climb or a cruise shorter than this is not flown
+SLOPE_FRAC = 0.8
+"""Of its climb or descent rate that a sloping leg asks for: beginning to climb takes a second, too,
+and the vehicle is to be in height where the leg ends.
+"""
+_SLOPE_FROM_M = 3.0  # a smaller change of height is done within a second or two, and slows no leg
 _WIND_STEP_MPS = 0.25  # for gradients
 _TABLES = 64  # cruise tables kept, of 0.1 MB each; the oldest goes
 
@@ -249,9 +254,13 @@ class RouteEnergy:
         return stopping_s + self._vertical_s(leg)
 
     def _rise_or_sink_s(self, leg: Leg) -> float:
-        """What a change of height takes at least; both autopilots slow down for it on a line."""
+        """What a change of height takes on a cruise leg.
+
+        ArduCopter and PX4 up to 1.17 slow down for it, 1.18 does not: there the companion does.
+        """
         speeds, up_m = self.airframe.speeds, leg.from_ned_m[2] - leg.to_ned_m[2]
-        return max(up_m / speeds.climb_mps, -up_m / speeds.descent_mps)
+        least_s = max(up_m / speeds.climb_mps, -up_m / speeds.descent_mps)
+        return least_s / SLOPE_FRAC if abs(up_m) > _SLOPE_FROM_M else least_s
 
     def _vertical_s(self, leg: Leg) -> float:
         speeds = self.airframe.speeds
@@ -330,13 +339,20 @@ class RouteEnergy:
         return math.sqrt(max(float(gradient @ cov_ne_m2ps2 @ gradient), 0.0))
 
     def ground_speed_mps(self, leg: Leg, wind_to_ne_mps: Floats) -> float:
-        """What to command on a cruise leg (DO_CHANGE_SPEED): the wind triangle's ground speed."""
+        """What to command on a cruise leg (DO_CHANGE_SPEED): the wind triangle's ground speed.
+
+        Slower where the leg climbs or sinks so much that its end would be reached out of height.
+        """
         if leg.ground_speed_mps is not None:
             return leg.ground_speed_mps
         group = self.compile((leg,)).groups[0]
         along, across = _along_across(group, wind_to_ne_mps[:1, None], wind_to_ne_mps[1:, None])
         ground, _ = self._cruise_table(group).look_up(along, across)
-        return max(float(ground[0, 0]), LEAST_GROUND_SPEED_MPS)
+        wanted_mps = float(ground[0, 0])
+        if abs(leg.from_ned_m[2] - leg.to_ned_m[2]) > _SLOPE_FROM_M:
+            length_m = horizontal_m(leg.from_ned_m, leg.to_ned_m)
+            wanted_mps = min(wanted_mps, length_m / self._rise_or_sink_s(leg))
+        return max(wanted_mps, LEAST_GROUND_SPEED_MPS)
 
     def power_w(self, payload_kg: float, airspeed_mps: float, climb_mps: float = 0.0) -> float:
         """Electrical power in steady flight (the ledger's modelled power)."""

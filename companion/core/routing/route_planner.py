@@ -15,8 +15,14 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned, ObstacleMap, horizontal_m, over
 from companion.core.routing.cheapest_way import Surrogate, cheapest_way
-from companion.core.routing.flight_heights import LiftedWays, NoHeight, lifted_over, seen_over
-from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
+from companion.core.routing.flight_heights import (
+    LiftedWays,
+    NoHeight,
+    eased,
+    lifted_over,
+    seen_over,
+)
+from companion.core.routing.leg_energy import SLOPE_FRAC, Leg, LegKind, RouteEnergy
 from companion.core.routing.smooth_route import smooth_route
 from companion.core.routing.waypoint_graph import SightLines, SiteMap, cut_into_legs
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -242,6 +248,9 @@ class BerPlanner:
         lifted = _lifted(request, (outbound, homeward, away), entry)
         if isinstance(lifted, NoHeight):
             return NoRoute(lifted.reason)
+        home_mps = self.home_ground_speed_mps(legs_back(request, lifted.homeward), wind, cov)
+        if site.ground is not None:
+            lifted = self._eased(lifted, entry, home_mps)
         outbound, homeward = lifted.outbound, lifted.homeward
         rally, stops = (_over_ground(request, ways, lifted) for ways in (rally, stops))
         outward, inward = legs_out(request, outbound), legs_back(request, homeward)
@@ -255,7 +264,7 @@ class BerPlanner:
             return_ned_m=tuple(homeward[1:]),
             entry=entry,
             rally=rally,
-            home_ground_speed_mps=self.home_ground_speed_mps(inward, wind, cov),
+            home_ground_speed_mps=home_mps,
             energy_wh=energy_out + energy_back,
             time_s=float(costs.time_s.sum()),
             route_std_wh=self.route_energy.route_std_wh((*outward, *inward), wind, cov),
@@ -267,6 +276,12 @@ class BerPlanner:
         to_rally = self._to_rally_wh(request, plan, homeward, wind)
         short = self._return_not_ok(request, energy_out, min(energy_back, to_rally))
         return plan if short is None else short
+
+    def _eased(self, ways: LiftedWays, entry: tuple[int, ...], home_mps: float) -> LiftedWays:
+        """Heights that the vehicle keeps up with at the speed of the mission aboard."""
+        speeds = self.route_energy.airframe.speeds
+        climb, sink = (SLOPE_FRAC * v / home_mps for v in (speeds.climb_mps, speeds.descent_mps))
+        return eased(ways, entry, climb, sink)
 
     def _smooth(
         self, request: PlanRequest, points: list[Ned], wind: Floats, cov: Floats

@@ -27,6 +27,7 @@ class ArduPilotRules:
             spool_s=_ARMING_DELAY_S,
             accept_radius_m=radius,
             accept_height_m=radius,
+            takeoff_short_m=min(radius, 0.5),
             takeoff_speed_mps=max(params.metres("WPNAV_SPEED_UP"), 0.1),
             takeoff_min_height_m=0.0,
             corner_accel_mps2=2.0 * max(params.metres("WPNAV_ACCEL"), 0.1),

@@ -12,13 +12,17 @@ class Idle:
 
 @dataclass(frozen=True, slots=True)
 class FollowLine:
-    """Along a straight line to `end` at a ground speed, passing it at `exit_mps`."""
+    """Along a straight line to `end` at a ground speed, passing it at `exit_mps`.
+
+    `height_apart`: at that speed whatever the slope, and to the end's height at full rate.
+    """
 
     start: Vec3
     end: Vec3
     speed_mps: float
     exit_mps: float = 0.0
     yaw_rad: float | None = None
+    height_apart: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,12 @@ class ControlParams:
             raise ValueError(f"max_tilt_rad = {self.max_tilt_rad:.3f}: expected at most 1.047")
 
 
+_NEARLY_LEVEL_M, _NEARLY_UPRIGHT_M = 1.0, 10.0
+"""A line that climbs or sinks by less, or leads less far aside, is flown as one: its height is
+there within a second, or its way is long done when its height is.
+"""
+
+
 def approach_speed_mps(distance_m: float, gain_ps: float, brake_mps2: float) -> float:
     """Speed towards a point at a distance: proportional near it, else constant braking.
 
@@ -158,11 +164,14 @@ class Controller:
         dt_s: float,
         *,
         stop_at_end: bool = True,
+        height_apart: bool = False,
     ) -> AttitudeSetpoint:
         """Follow the straight segment at a GROUND speed, as far as climb limits and tilt allow.
 
         Cross-track errors are flown back at up to `cross_track_mps`. With `stop_at_end` it
         brakes to a hover there, else it passes the end at speed and goes on straight ahead.
+        With `height_apart` climb limits do not slow it: it goes to the end's height as fast as
+        they allow, and may be there later than at the end.
         """
         self._begin(readings, dt_s)
         p, nav = self.params, self._nav
@@ -171,6 +180,10 @@ class Controller:
             to_ned[1] - from_ned[1],
             to_ned[2] - from_ned[2],
         )
+        slopes = abs(line_d) > _NEARLY_LEVEL_M and math.hypot(line_n, line_e) > _NEARLY_UPRIGHT_M
+        apart = height_apart and slopes
+        if apart:
+            line_d = 0.0
         length = math.sqrt(line_n * line_n + line_e * line_e + line_d * line_d)
         if length < 0.5:
             north, east = self._towards(to_ned[0], to_ned[1], speed_mps)
@@ -179,7 +192,7 @@ class Controller:
         ahead_n, ahead_e, ahead_d = line_n / length, line_e / length, line_d / length
         done_n = nav.north_m - from_ned[0]
         done_e = nav.east_m - from_ned[1]
-        done_d = nav.down_m - from_ned[2]
+        done_d = 0.0 if apart else nav.down_m - from_ned[2]
         along = done_n * ahead_n + done_e * ahead_e + done_d * ahead_d
         speed = self._line_speed(speed_mps, ahead_d)
         if stop_at_end:
@@ -188,6 +201,8 @@ class Controller:
         north = p.position_gain_ps * (along * ahead_n - done_n)
         east = p.position_gain_ps * (along * ahead_e - done_e)
         down = p.vertical_position_gain_ps * (along * ahead_d - done_d)
+        if apart:
+            down = self._vertical_towards(to_ned[2])
         fast = math.hypot(north, east)
         if fast > p.cross_track_mps:
             north, east = north * p.cross_track_mps / fast, east * p.cross_track_mps / fast

@@ -147,6 +147,7 @@ class Guidance:
             readings,
             dt_s,
             stop_at_end=goal.exit_mps <= 0.0,
+            height_apart=goal.height_apart,
         )
 
     def _level(self, goal: FlyLevel, readings: Readings, dt_s: float) -> AttitudeSetpoint:

@@ -102,6 +102,8 @@ class Leg:
     returning: Returning | None = None
     brake_to_mps: float | None = None
     """Ground speed to brake to before the leg is flown."""
+    lost_mps: float | None = None
+    """Ground speed at which it flies on along the leg, past a waypoint that it has not taken."""
 
 
 _SPEED_KEPT = 0.29
@@ -110,6 +112,8 @@ reached the present one: 9.5 to 2.9, 10.9 to 3.1, 11.3 to 3.3 m/s (measured)."""
 _LOST_AFTER_BRAKING_MPS = 0.9
 """What it still loses while the acceleration changes its sign."""
 _BRAKING_LIMIT_S = 8.0
+_LEAVES_MPS = 0.2
+"""PositionSmoothing.cpp, _isTurning."""
 _HOLDING = {Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME}
 _PLACED_LEGS = {
     Cmd.NAV_WAYPOINT,
@@ -461,7 +465,11 @@ class MissionExecutor:
                 leg.start = here
                 leg.target = (here[0], here[1], leg.target[2])
                 return Idle()
-        if vehicle.pos_ned_m[2] - leg.target[2] > min(rules.accept_height_m, 0.5):
+        short = rules.takeoff_short_m
+        height = vehicle.home_ned_m[2] - leg.target[2]
+        if 0.0 < height < rules.accept_height_m:  # mission_block.cpp: else it is reached at once
+            short = min(short, 0.5 * height)
+        if vehicle.pos_ned_m[2] - leg.target[2] > short:
             return FollowLine(leg.start, leg.target, rules.takeoff_speed_mps)
         if not self._sequential:
             self._line_start = leg.target
@@ -508,13 +516,36 @@ class MissionExecutor:
                 if self._sequential:  # the way there is an item of its own, with this number
                     self._hooks.item_reached(self.index)
                 return self._fly_descend(leg)
-        elif (near and level) or self._is_passed(leg, here, radius):
+        elif (near and level) or (rules.takes_passed and self._is_passed(leg, here, radius)):
             if leg.stay_s <= 0.0:
                 return None
             leg.phase = Phase.STAY
             leg.since_s = vehicle.t_s
             return HoldPoint(target, leg.yaw_rad)
-        return FollowLine(leg.start, target, self._cruise_mps(), leg.exit_mps, leg.yaw_rad)
+        elif not rules.takes_passed and leg.exit_mps > 0.0 and _is_past_end(leg, here, 2):
+            return self._fly_past(leg, near=near)
+        return self._line(leg, self._cruise_mps(), leg.exit_mps)
+
+    def _line(self, leg: Leg, speed_mps: float, exit_mps: float) -> FollowLine:
+        apart = self._vehicle.rules.height_apart
+        return FollowLine(leg.start, leg.target, speed_mps, exit_mps, leg.yaw_rad, apart)
+
+    def _fly_past(self, leg: Leg, *, near: bool) -> Goal:
+        """Past a waypoint that was to be flown through and is not taken, as PX4 does.
+
+        Within the radius it heads back for the waypoint, and takes it once it is in height. Once
+        it has left the radius at speed it aims ahead along the leg for good: it flies on, in its
+        mission, without a failsafe (PX4 issue 27730; PositionSmoothing.cpp, _getL1Point, before
+        pull requests 27733 and 28374; flown: 2 km).
+        """
+        north, east, _ = self._vehicle.vel_ned_mps
+        ahead = (leg.target[0] - leg.start[0], leg.target[1] - leg.start[1])
+        leaves_mps = (north * ahead[0] + east * ahead[1]) / max(math.hypot(*ahead), 1e-6)
+        if leg.lost_mps is None and not near and leaves_mps > _LEAVES_MPS:
+            leg.lost_mps = min(leaves_mps, self._cruise_mps())
+        if leg.lost_mps is None:
+            return HoldPoint(leg.target, leg.yaw_rad)
+        return self._line(leg, leg.lost_mps, leg.lost_mps)
 
     def _is_passed(self, leg: Leg, here: Vec3, radius_m: float) -> bool:
         """Whether a leg without a stop is done; if it was missed by far, the vehicle turns back."""
@@ -540,8 +571,8 @@ class MissionExecutor:
         return Descend((leg.target[0], leg.target[1]), sink)
 
 
-def _is_past_end(leg: Leg, here: Vec3) -> bool:
-    """Whether the vehicle has crossed the plane at a leg's end."""
-    line = [b - a for a, b in zip(leg.start, leg.target, strict=True)]
-    beyond = [x - b for x, b in zip(here, leg.target, strict=True)]
+def _is_past_end(leg: Leg, here: Vec3, axes: int = 3) -> bool:
+    """Whether the vehicle has crossed the plane at a leg's end; of two axes: the upright one."""
+    line = [b - a for a, b in zip(leg.start[:axes], leg.target[:axes], strict=True)]
+    beyond = [x - b for x, b in zip(here[:axes], leg.target[:axes], strict=True)]
     return sum(a * b for a, b in zip(line, beyond, strict=True)) >= 0.0

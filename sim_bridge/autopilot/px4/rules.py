@@ -13,6 +13,8 @@ from sim_bridge.autopilot.state import FlightRules, VehicleState
 _LIFT_RAMP_S = 0.6
 """Thrust ramps up (MPC_TKO_RAMP_T): PX4 lifts off 0.9 s after the ramp began (measured), of which
 the simulated vehicle takes 0.3 s."""
+_TAKEOFF_SHORT_M, _ALT_RAD_M = 0.5, 0.8
+"""How far below its height a take-off is done with the default NAV_MC_ALT_RAD, and that default."""
 _NAVIGATOR_PERIOD_S = 0.05
 """navigator_main.cpp: the position is polled at 20 Hz."""
 
@@ -23,11 +25,13 @@ class Px4Rules:
     def flight_rules(self, params: ParameterStore) -> FlightRules:
         """NAV_*, MIS_* and MPC_* as the executor needs them."""
         radius = max(params["NAV_ACC_RAD"], 0.05)
+        height = max(params["NAV_MC_ALT_RAD"], 0.05)
         return FlightRules(
             default_speed_mps=max(params["MPC_XY_CRUISE"], 0.1),
             spool_s=max(params["COM_SPOOLUP_TIME"], 0.0),
             accept_radius_m=radius,
-            accept_height_m=max(params["NAV_MC_ALT_RAD"], 0.05),
+            accept_height_m=height,
+            takeoff_short_m=min(height, _TAKEOFF_SHORT_M) + max(height - _ALT_RAD_M, 0.0),
             takeoff_speed_mps=max(params["MPC_TKO_SPEED"], 0.1),
             takeoff_min_height_m=max(params["MIS_TAKEOFF_ALT"], 0.0),
             corner_accel_mps2=max(params["MPC_ACC_HOR"], 0.1),
@@ -35,6 +39,8 @@ class Px4Rules:
             land_from_m=max(params["NAV_ACC_RAD"], 2.0),  # mission_base.cpp, do_need_move_to_item
             ramp_s=_LIFT_RAMP_S,
             item_period_s=_NAVIGATOR_PERIOD_S,
+            height_apart=True,
+            takes_passed=False,
         )
 
     def limits(self, params: ParameterStore) -> Limits:

@@ -39,6 +39,7 @@ from companion.core.mission.actions import (
     SetMode,
     UploadMission,
 )
+from companion.core.mission.flight_plan import WEIGH_S
 from companion.core.mission.mission_items import ItemKind, MissionItem, Part, Spot
 from companion.core.mission.preflight_checks import RouteFacts, judge, names_read, settings_wanted
 from companion.core.pilot.estimates import Limits
@@ -602,6 +603,38 @@ def test_a_fence_that_the_mission_leaves_blocks():
     fence["FENCE_RADIUS"] = 2000.0
     names = [f.name for f in judge(requirements, fence)]
     assert "FENCE_ENABLE" not in names
+
+
+@pytest.mark.parametrize(
+    ("slopes", "value", "blocks"),
+    [
+        (False, 0.8, False),  # PX4's own
+        (False, 3.0, False),
+        (False, 10.0, True),  # it would let go of the parcel from above the drop height
+        (False, None, False),
+        (True, 0.8, True),  # it would pass a waypoint out of height
+        (True, 3.0, False),
+        (True, 10.0, True),
+        (True, None, True),
+    ],
+)
+def test_px4_is_asked_to_take_items_near_enough_in_height_and_no_farther(slopes, value, blocks):
+    requirements = Px4().requirements(replace(FACTS, slopes=slopes))
+    (one,) = (r for r in requirements if r.names == ("NAV_MC_ALT_RAD",))
+    assert bool(judge((one,), {"NAV_MC_ALT_RAD": value})) is blocks
+    assert all(finding.blocks for finding in judge((one,), {"NAV_MC_ALT_RAD": value}))
+    wanted = settings_wanted((one,), {"NAV_MC_ALT_RAD": value})
+    assert wanted == ({"NAV_MC_ALT_RAD": 3.0} if blocks and value is not None else {})
+
+
+@pytest.mark.parametrize(
+    ("descent_mps", "within_m"), [(0.3, 0.8), (1.0, 2.0), (1.5, 3.0), (4.0, 3.0)]
+)
+def test_an_item_taken_out_of_height_leaves_time_to_sink_before_the_release(descent_mps, within_m):
+    facts = replace(FACTS, descent_mps=descent_mps)
+    assert facts.taken_within_m == pytest.approx(within_m)
+    begins_and_stops_s = 1.0
+    assert facts.taken_within_m / descent_mps + begins_and_stops_s < WEIGH_S
 
 
 # --- what is addressed to us ---------------------------------------------------------------------

@@ -21,6 +21,7 @@ from companion.core.mission.flight_plan import CLEARANCE_UP_M, FlightPlan, route
 from companion.core.mission.mission_items import PLACED, Part
 from companion.core.return_budget.leg_costs import merge_straight
 from companion.core.return_budget.remaining_from_plan import ahead_outbound
+from companion.core.routing import route_planner
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 
 ROOT = Path(__file__).parents[3]
@@ -119,6 +120,7 @@ def test_on_any_ground_no_line_of_a_plan_is_nearer_than_the_clearance(seed):
     for a, b in flown_lines(flown):
         assert over_ground_m(flown, a, b) >= 20.0 + CLEARANCE_UP_M
         assert min(-a[2], -b[2]) >= mission.cruise_height_m
+    assert unkept(flown) == []
 
 
 def planned_ground(flight: Flight, ne_m: np.ndarray) -> float:
@@ -157,6 +159,66 @@ def test_what_stands_on_a_straight_way_home_from_amid_a_leg_counts_for_an_autopi
     assert all(site.obstacles.highest_m(p, plan.depot_ned_m) == 0.0 for p in out)
     facts = route_facts(level(), M100, replace(flown, site=site, plan=plan))
     assert facts.highest_obstacle_m == 75.0
+
+
+def unkept(flown: FlightPlan) -> list[str]:
+    """Legs of the mission aboard whose height the vehicle misses at the speed of that mission.
+
+    As PX4 1.18 flies them: full climb or sink rate from the leg's beginning, no slower for it. Legs
+    where it stops, over home, do not count.
+    """
+    plan, speeds = flown.plan, M100.speeds
+    back = (plan.over_customer_ned_m, *plan.return_ned_m)
+    into = zip(plan.outbound_ned_m, (plan.return_ned_m[e] for e in plan.entry), strict=True)
+    over_home = plan.return_ned_m[-1]
+    lines = [*itertools.pairwise(back), *((a, b) for a, b in into)]
+    found: list[str] = []
+    for a, b in lines:
+        flown_s = horizontal_m(a, b) / plan.home_ground_speed_mps
+        if b == over_home or horizontal_m(a, b) <= 20.0:
+            continue
+        needed_s = max((a[2] - b[2]) / speeds.climb_mps, (b[2] - a[2]) / speeds.descent_mps)
+        if needed_s > 0.81 * flown_s:
+            found.append(f"{a} to {b}: {needed_s:.1f} s in {flown_s:.1f}")
+    return found
+
+
+def ridge() -> Flight:
+    """The shipped flight with its first hill three times as steep."""
+    table = HILLS.site.terrain.heights
+    assert table is not None
+    rows = [
+        [up + 90.0 * math.exp(-(((east + 645.0) / 80.0) ** 2)) for east, up in
+         zip(table.across_m, row, strict=True)]
+        for row in table.up_m
+    ]  # fmt: skip
+    site = msgspec.structs.replace(HILLS.site, rally=[])
+    flight = msgspec.structs.replace(HILLS, site=site)
+    return with_heights(flight, msgspec.structs.replace(table, up_m=rows))
+
+
+def test_the_mission_aboard_is_in_height_at_its_waypoints_though_nobody_slows_it_down(monkeypatch):
+    assert unkept(planned()) == []
+    steep = planned(ridge())
+    assert unkept(steep) == []
+    least_m = min(over_ground_m(steep, a, b) for a, b in flown_lines(steep))
+    assert least_m >= HILLS.mission.clearance_m + CLEARANCE_UP_M
+    # The canary: only as high as the ground asks, it would be passed out of height.
+    monkeypatch.setattr(route_planner, "eased", lambda ways, *_: ways)
+    low = planned(ridge())
+    assert unkept(low) != []
+    pairs = zip(low.plan.return_ned_m, steep.plan.return_ned_m, strict=True)
+    assert all(b[2] <= a[2] for a, b in pairs)
+    highest_m = max(-p[2] for p in low.plan.return_ned_m)
+    assert max(-p[2] for p in steep.plan.return_ned_m) == pytest.approx(highest_m)
+
+
+def test_a_flight_with_sloping_legs_says_so_and_layers_are_no_slopes():
+    assert route_facts(HILLS, M100, planned()).slopes
+    assert not route_facts(level(), M100, planned(level())).slopes
+    mission = msgspec.structs.replace(HILLS.mission, return_height_m=55.0)
+    layered = msgspec.structs.replace(level(), mission=mission)
+    assert not route_facts(layered, M100, planned(layered)).slopes
 
 
 def test_without_known_ground_a_plan_is_level_as_ever():

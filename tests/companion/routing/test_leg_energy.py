@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -102,6 +103,23 @@ def test_what_is_commanded_is_the_wind_triangles_ground_speed() -> None:
     assert ROUTE.ground_speed_mps(leg, np.array([3.0, 4.0])) == pytest.approx(expected, abs=0.02)
     assert ROUTE.ground_speed_mps(leg, np.array([0.0, 30.0])) == M100.speeds.max_ground_mps
     assert ROUTE.ground_speed_mps(cruise(HERE, EAST, ground=7.0), np.array([0.0, 3.0])) == 7.0
+
+
+def test_a_sloping_leg_is_flown_no_faster_than_its_height_is_and_a_level_one_as_ever() -> None:
+    """PX4 1.18 does not slow for a slope: it would reach the waypoint out of height."""
+    tailwind = np.array([0.0, 8.0])
+    level = Leg(LegKind.CRUISE, HERE, (0.0, 145.0, HERE[2]), 0.0)
+    wanted_mps = ROUTE.ground_speed_mps(level, tailwind)
+    speeds = M100.speeds
+    for sinks_m, rate_mps in ((30.0, speeds.descent_mps), (-40.0, speeds.climb_mps)):
+        leg = replace(level, to_ned_m=(0.0, 145.0, HERE[2] + sinks_m))
+        commanded_mps = ROUTE.ground_speed_mps(leg, tailwind)
+        flown_s = 145.0 / commanded_mps
+        assert commanded_mps < wanted_mps
+        assert abs(sinks_m) / rate_mps + 1.0 < flown_s < 1.3 * abs(sinks_m) / rate_mps
+        assert ROUTE.costs((leg,), tailwind[None, :]).time_s[0, 0] == pytest.approx(flown_s)
+    drift = replace(level, to_ned_m=(0.0, 145.0, HERE[2] + 2.9))
+    assert ROUTE.ground_speed_mps(drift, tailwind) == wanted_mps
 
 
 def test_a_headwind_is_flown_faster_than_calm_air() -> None:
