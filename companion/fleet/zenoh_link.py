@@ -95,6 +95,7 @@ class ZenohLink:
         self._roster_asked_s = 0.0
         self._newer_told = False
         self._tracks: dict[str, deque[Told]] = {}
+        self._tracks_lock = threading.Lock()
         self._place: tuple[float, float] | None = None
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
@@ -147,8 +148,9 @@ class ZenohLink:
 
     def tracks(self) -> list[Told]:
         """The newest few that each neighbour told since the last call, each one's oldest first."""
-        told, self._tracks = self._tracks, {}
-        return [track for each in list(told.values()) for track in tuple(each)]
+        with self._tracks_lock:
+            told, self._tracks = self._tracks, {}
+        return [track for each in told.values() for track in each]
 
     def wind_cov_is_read(self) -> bool:
         """Whether all who asked for states of late read the covariance of the wind."""
@@ -156,17 +158,20 @@ class ZenohLink:
         return self._reader_s >= since_s > self._old_reader_s
 
     def _hear_track(self, sample: zenoh.Sample) -> None:
-        tracks, key = self._tracks, track_of(str(sample.key_expr))
+        key = track_of(str(sample.key_expr))
         if key is None:
             return
         speaker, cell = key
         if speaker == self._keys.vehicle or not self._is_member(speaker):
             return
-        if speaker not in tracks:
-            if len(tracks) >= TRACKS:
-                return
-            tracks[speaker] = deque(maxlen=TRACKS_EACH)
-        tracks[speaker].append(Told(speaker, cell, sample.payload.to_bytes()))
+        told = Told(speaker, cell, sample.payload.to_bytes())
+        with self._tracks_lock:
+            box = self._tracks.get(speaker)
+            if box is None:
+                if len(self._tracks) >= TRACKS:
+                    return
+                box = self._tracks[speaker] = deque(maxlen=TRACKS_EACH)
+            box.append(told)
 
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         """Listen to the cells about this place; the writer thread tells the network."""
