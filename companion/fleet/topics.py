@@ -88,8 +88,9 @@ def track_of(key: str) -> tuple[str, str] | None:
     other.
     """
     parts, vehicle = key.split("/"), vehicle_of(key)
-    ours = vehicle is not None and len(parts) == 6 and parts[4] == "track"
-    return (vehicle, parts[5]) if ours else None
+    if vehicle is None or len(parts) < 6 or parts[4] != "track":
+        return None
+    return vehicle, "/".join(parts[5:])
 
 
 def vehicle_of(key: str) -> str | None:

@@ -83,14 +83,14 @@ def test_a_cell_is_1_km_high_and_from_1_degree_of_the_pole_on_1_km_wide(row):
 @pytest.mark.parametrize(
     ("lat", "lon", "cell"),
     [
-        (0.0, 0.0, "10000-20000"),
-        (0.0, -180.0, "10000-0"),
-        (0.0, 180.0, "10000-0"),
-        (0.0, -1e-9, "10000-19999"),
-        (-1e-9, 179.9999, "9999-39999"),
-        (-90.0, 0.0, "0-1"),  # round(40000 cos(89.9955 deg)) = round(3.14) = 3 cells
-        (90.0, 179.9, "19999-2"),
-        (60.0, 0.0, "16666-10000"),  # round(40000 cos(59.9985 deg)) = 20001 cells
+        (0.0, 0.0, "10000/20000"),
+        (0.0, -180.0, "10000/0"),
+        (0.0, 180.0, "10000/0"),
+        (0.0, -1e-9, "10000/19999"),
+        (-1e-9, 179.9999, "9999/39999"),
+        (-90.0, 0.0, "0/1"),  # round(40000 cos(89.9955 deg)) = round(3.14) = 3 cells
+        (90.0, 179.9, "19999/2"),
+        (60.0, 0.0, "16666/10000"),  # round(40000 cos(59.9985 deg)) = 20001 cells
     ],
 )
 def test_cells_are_named_by_row_and_column(lat, lon, cell):
@@ -157,4 +157,4 @@ def test_a_place_that_jumps_about_takes_no_more_than_so_many_cells_and_not_those
 def test_neighbours_are_heard_by_the_names_that_the_code_says():
     """A change here parts vehicles of one version from those of another: say so in CHANGELOG."""
     assert (track_cells.ROWS, track_cells.EQUATOR_COLUMNS) == (20_000, 40_000)
-    assert cell_of(*HARBOUR) == "16163-11868"
+    assert cell_of(*HARBOUR) == "16163/11868"

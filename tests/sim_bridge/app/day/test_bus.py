@@ -207,12 +207,12 @@ def test_a_track_comes_to_those_who_listen_near_the_place_that_it_tells():
     far.hear_near(55.50, 8.45)
     told.hear_near(55.47, 8.45)
     raw = track("d3", 55.47)
-    told.publish_track(raw, "1-1")
+    told.publish_track(raw, "1/1")
     net.deliver(1.0)
     assert [(heard.speaker, heard.raw) for heard in near.tracks()] == [("d3", raw)]
     assert far.tracks() == told.tracks() == silent.tracks() == []
     net.spoil = lambda raw, t_s: track("d3", 55.50)  # its receiver is wrong by 3 km
-    told.publish_track(raw, "1-1")
+    told.publish_track(raw, "1/1")
     net.deliver(2.0)
     assert near.tracks() == []
     (heard,) = far.tracks()
