@@ -213,9 +213,9 @@ def tracks(
     from dataclasses import asdict
 
     from sim_bridge.research.benchmarks.fleet_bench.track_bench import bench as bench_now
-    from sim_bridge.research.benchmarks.fleet_bench.track_flights import Flights
+    from sim_bridge.research.benchmarks.fleet_bench.track_flights import TrackFlights
 
-    heard = bench_now(Flights(drones, 1000.0 * across_km, seed), seconds)
+    heard = bench_now(TrackFlights(drones, 1000.0 * across_km, seed), seconds)
     figures = json.dumps([asdict(one) for one in heard], indent=1)
     typer.echo(figures)
     if json_file is not None:

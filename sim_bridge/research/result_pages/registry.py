@@ -454,6 +454,19 @@ PAGES = (
         30.0,
     ),
     Page(
+        "near-tracks",
+        "Tracks by grid cell",
+        "Drones over a square of 10 km tell their places five times a second; what each hears of"
+        " the others. Links and router are real; signing and its check are left out.",
+        (
+            PageCommand(
+                _bench("tracks", "--drones", "100", "--across-km", "10", "--seed", "1"),
+                show=tables.tracks,
+            ),
+        ),
+        2.0,
+    ),
+    Page(
         "fleet-faults",
         "A thousand vehicles under faults",
         "A desk that is killed; and a router that is killed and begins anew a quarter through, both"

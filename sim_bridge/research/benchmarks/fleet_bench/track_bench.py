@@ -4,6 +4,7 @@ Links and router are real; members are processes, and all share this machine.
 """
 
 import contextlib
+import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +23,8 @@ from sim_bridge.research.benchmarks.fleet_bench.processes import (
 from sim_bridge.research.benchmarks.fleet_bench.track_flights import (
     TRACK_HZ,
     WARM_TICKS,
-    Counts,
-    Flights,
+    TrackCounts,
+    TrackFlights,
 )
 
 A_PROCESS = 25
@@ -33,9 +34,10 @@ START_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class TracksHeard:
     """Of each drone, a second: messages, bytes (of payload), and of the drone that heard most,
-    messages. `near_frac`: how much of what was told within a kilometre came. CPU in cores.
+    messages. `near_frac`: how much of what was told within a kilometre came; a machine that is too
+    busy drops some, so its load over the last minute stands beside it. CPU in cores.
     """
 
     by: str
@@ -46,14 +48,15 @@ class Heard:
     near_frac: float
     drones_cpu: float
     router_cpu: float
+    load_of_machine: float
 
 
-def bench(flights: Flights, seconds: float) -> list[Heard]:
+def bench(flights: TrackFlights, seconds: float) -> list[TracksHeard]:
     """Of all and by cell, over the same flights."""
     return [_run(flights, seconds, cells=cells) for cells in (False, True)]
 
 
-def _run(flights: Flights, seconds: float, *, cells: bool) -> Heard:
+def _run(flights: TrackFlights, seconds: float, *, cells: bool) -> TracksHeard:
     ticks = round(seconds * TRACK_HZ)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="leeway-bench-")))
@@ -81,7 +84,7 @@ def _run(flights: Flights, seconds: float, *, cells: bool) -> Heard:
         counts = [_told(member) for member in members]
     drone_seconds = flights.drones * seconds
     near_due = sum(one.near_due for one in counts)
-    return Heard(
+    return TracksHeard(
         by="cell" if cells else "all",
         messages_hz=round(sum(one.messages for one in counts) / drone_seconds, 1),
         most_messages_hz=round(max(one.most for one in counts) / seconds, 1),
@@ -90,14 +93,15 @@ def _run(flights: Flights, seconds: float, *, cells: bool) -> Heard:
         near_frac=round(sum(one.near for one in counts) / max(near_due, 1), 5),
         drones_cpu=round((after[1] - before[1]) / seconds, 2),
         router_cpu=round((after[0] - before[0]) / seconds, 2),
+        load_of_machine=round(os.getloadavg()[0], 1),
     )
 
 
-def _told(member: BenchProcess) -> Counts:
+def _told(member: BenchProcess) -> TrackCounts:
     line = member.hear(LIMIT_S)
     if line is None:
         raise LeewayError("a process of drones has ended by itself")
-    return msgspec.json.decode(line, type=Counts)
+    return msgspec.json.decode(line, type=TrackCounts)
 
 
 def _cpu_s(process: BenchProcess) -> float:

@@ -19,6 +19,7 @@ from companion.core.base.geo import moved_deg
 from companion.core.separation import track_cells
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import HEARD_M, cell_of
+from companion.fleet import zenoh_link
 from companion.fleet.envelope import put_in_envelope
 from companion.fleet.messages import encode
 from companion.fleet.network import Told
@@ -38,12 +39,15 @@ WARM_TICKS = 25
 LATE_TICKS = 5
 """After the last that is counted, for what is still on its way."""
 
+TRACKS_EACH = 1000
+"""What comes while a busy machine lets this process wait is counted, too."""
+
 UNSIGNED = bytes(64)
 """A signature's room: messages are as long as signed ones, and nobody spends time on signing."""
 
 
 @dataclass(frozen=True, slots=True)
-class Flights:
+class TrackFlights:
     """Where all drones are: straight on, and back at the square's edges."""
 
     drones: int
@@ -74,7 +78,7 @@ _stamp = msgspec.json.Decoder(_Stamp)
 
 
 @dataclass(slots=True)
-class Counts:
+class TrackCounts:
     """Of some drones: messages and bytes that came; of what was told within a kilometre, how many
     came, and how many were due.
     """
@@ -121,12 +125,15 @@ def _name(number: int) -> str:
     return f"v{number}"
 
 
-def serve(numbers: range, flights: Flights, config_file: Path, ticks: int, *, cells: bool) -> None:
+def serve(
+    numbers: range, flights: TrackFlights, config_file: Path, ticks: int, *, cells: bool
+) -> None:
     """Join; fly from the moment that a line names, and count over so many ticks. Without `cells`
     all are near, wherever they are.
     """
     if not cells:
-        track_cells.cells_within = lambda lat_deg, lon_deg, within_m: frozenset({"*"})
+        track_cells.cells_within = lambda lat_deg, lon_deg, within_m: frozenset({"*/*"})
+    zenoh_link.TRACKS_EACH = TRACKS_EACH
     config = read_config(config_file)
     tellers = [
         _Teller(n, ZenohLink(config, VehicleKeys(FLEET, _name(n)), "a", lambda: None))
@@ -145,8 +152,8 @@ def serve(numbers: range, flights: Flights, config_file: Path, ticks: int, *, ce
     os._exit(0)
 
 
-def _counted(tellers: list[_Teller], flights: Flights, ticks: range) -> Counts:
-    counts = Counts()
+def _counted(tellers: list[_Teller], flights: TrackFlights, ticks: range) -> TrackCounts:
+    counts = TrackCounts()
     for teller in tellers:
         heard = {at: size for at, size in teller.heard.items() if at[1] in ticks}
         counts.messages += len(heard)

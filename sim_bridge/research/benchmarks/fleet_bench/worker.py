@@ -24,7 +24,7 @@ def main() -> None:
             from sim_bridge.research.benchmarks.fleet_bench import track_flights
 
             numbers = range(int(first), int(first) + int(count))
-            flights = track_flights.Flights(int(drones), float(across_m), int(seed))
+            flights = track_flights.TrackFlights(int(drones), float(across_m), int(seed))
             track_flights.serve(numbers, flights, Path(config), int(ticks), cells=how == "cells")
         case ["router", config]:
             _route(Path(config))
