@@ -457,7 +457,8 @@ PAGES = (
         "near-tracks",
         "Tracks by grid cell",
         "Drones over a square of 10 km tell their places five times a second; what each hears of"
-        " the others. Links and router are real; signing and its check are left out.",
+        " the others. Links and router are real; a link waits where it usually drops, and nothing"
+        " is signed.",
         (
             PageCommand(
                 _bench("tracks", "--drones", "100", "--across-km", "10", "--seed", "1"),

@@ -65,8 +65,8 @@ def test_a_desk_of_a_small_day_begins_and_gives_each_drone_an_order():
 def test_by_cell_drones_hear_all_who_are_near_and_few_others():
     everybody, near = bench_tracks(TrackFlights(drones=6, across_m=6000.0, seed=4), seconds=2.0)
     assert (everybody.by, near.by) == ("all", "cell")
-    assert everybody.messages_hz == pytest.approx(5 * 5.0, abs=2.5)  # five others, 5 Hz each
+    assert everybody.messages_hz == pytest.approx(5 * 5.0)  # five others, 5 Hz each
     assert near.messages_hz < 0.5 * everybody.messages_hz
     assert near.near_hz == everybody.near_hz > 0.0
-    assert min(near.near_frac, everybody.near_frac) > 0.9  # a busy machine may drop some
+    assert near.near_frac == everybody.near_frac == 1.0
     assert near.bytes_hz < 0.5 * everybody.bytes_hz
