@@ -17,6 +17,8 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from companion.core.base.wire_message import VERSION, Name, WireMessage
 from companion.core.separation.track import Track
+from companion.core.separation.track_cells import cell_of
+from companion.fleet.network import Told
 
 LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 4096, "track": 1024}
 """A command may carry a site's obstacles and its ground; the others are a few hundred bytes."""
@@ -410,6 +412,18 @@ def decode_command(raw: bytes) -> Command | Refused:
 def decode_track(raw: bytes) -> Track | Refused:
     """A neighbour's place, or why these bytes are none."""
     return _decode("track", raw)
+
+
+def decode_told_track(told: Told) -> Track | Refused:
+    """A neighbour's place, told by its own key and in the cell where it is."""
+    track = decode_track(told.raw)
+    if isinstance(track, Refused):
+        return track
+    if track.vehicle != told.speaker:
+        return Refused(f"{told.speaker} tells a place of {track.vehicle}")
+    if cell_of(track.lat_deg, track.lon_deg) != told.cell:
+        return Refused(f"{told.speaker} tells its place in a cell where it is not")
+    return track
 
 
 def decode_result(raw: bytes) -> Result | Refused:

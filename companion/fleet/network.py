@@ -48,9 +48,10 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """A message's bytes, and the member whose key it came by."""
+    """A track's bytes, the member whose key it came by, and the cell in that key."""
 
     speaker: str
+    cell: str
     raw: bytes
 
 
@@ -73,8 +74,14 @@ class MemberLink(Protocol):
         """Tell an event, if anybody listens."""
         ...
 
-    def publish_track(self, raw: bytes) -> None:
-        """Tell the neighbours where we are; what cannot leave at once is worth nothing later."""
+    def publish_track(self, raw: bytes, cell: str) -> None:
+        """Tell those who listen to this cell where we are; what cannot leave at once is worth
+        nothing later.
+        """
+        ...
+
+    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Listen to the cells about this place from now on; before the first, to none."""
         ...
 
     def tracks(self) -> list[Told]:

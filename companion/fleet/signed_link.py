@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from companion.adapters.clock import is_due
 from companion.core.base.rate_limit import RateLimit
 from companion.fleet.envelope import read_envelope
-from companion.fleet.messages import Answered, Refused, Result, encode
+from companion.fleet.messages import Answered, Refused, Result, decode_told_track, encode
 from companion.fleet.network import Ask, Asked, MemberLink, Told
 from companion.fleet.refusals import Refusals
 from companion.fleet.roles import COMMANDS
@@ -127,12 +127,27 @@ class SignedLink:
         for told in reversed(self.link.tracks()):
             if told.speaker in found:
                 continue
-            raw = self.trust.told("track", told.raw, told.speaker)
-            if isinstance(raw, Refused):
-                self.refusals.note(f"{told.speaker}: {raw.reason}")
+            believed = self._believed(told)
+            if isinstance(believed, Refused):
+                self.refusals.note(believed.reason)
             else:
-                found[told.speaker] = Told(told.speaker, raw)
+                found[told.speaker] = believed
         return list(found.values())
+
+    def _believed(self, told: Told) -> Told | Refused:
+        """The cell is looked at here: a true track that somebody plays to another cell does not
+        hide the one before it.
+        """
+        raw = self.trust.told("track", told.raw, told.speaker)
+        if isinstance(raw, Refused):
+            return Refused(f"{told.speaker}: {raw.reason}")
+        opened = Told(told.speaker, told.cell, raw)
+        track = decode_told_track(opened)
+        return track if isinstance(track, Refused) else opened
+
+    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Listen to the cells about this place."""
+        self.link.hear_near(lat_deg, lon_deg)
 
     def wind_cov_is_read(self) -> bool:
         """Whether all who asked for states of late read the covariance of the wind."""
@@ -152,9 +167,9 @@ class SignedLink:
         """Tell an event."""
         self.link.publish_event(self.trust.seal("event", raw))
 
-    def publish_track(self, raw: bytes) -> None:
-        """Tell the neighbours where we are."""
-        self.link.publish_track(self.trust.seal("track", raw))
+    def publish_track(self, raw: bytes, cell: str) -> None:
+        """Tell those who listen to this cell where we are."""
+        self.link.publish_track(self.trust.seal("track", raw), cell)
 
     def _telling(self, answer: Callable[[list[bytes]], None]) -> Callable[[list[bytes]], None]:
         """Events in their envelopes, or none: they are asked for again."""

@@ -3,7 +3,8 @@
 leeway/FLEET/vehicle/ID/alive/LIFE   liveliness token of one life of a companion
 leeway/FLEET/vehicle/ID/state        published about once a second; asked for, the newest
 leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `after=SEQ`, kept
-leeway/FLEET/vehicle/ID/track        published five times a second in the air; heard by all vehicles
+leeway/FLEET/vehicle/ID/track/CELL   published five times a second in the air, in the grid cell
+                                     where it is (`track_cells`); heard by the vehicles near it
 leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
 leeway/FLEET/roster                  published by the desk when it changes; asked for, the newest
 """
@@ -51,14 +52,13 @@ class VehicleKeys:
     def event(self) -> str:
         return f"{self._base}/event"
 
-    @property
-    def track(self) -> str:
-        return f"{self._base}/track"
+    def track(self, cell: str) -> str:
+        """Where its place is told while it is in this cell."""
+        return f"{self._base}/track/{cell}"
 
-    @property
-    def tracks(self) -> str:
-        """Those of the whole fleet."""
-        return VehicleKeys(self.fleet, "*").track
+    def tracks(self, cell: str) -> str:
+        """Those of the whole fleet in one cell."""
+        return VehicleKeys(self.fleet, "*").track(cell)
 
     @property
     def command(self) -> str:
@@ -81,6 +81,16 @@ def life_of(key: str) -> tuple[str, str] | None:
         return None
     ours = NAME.fullmatch(parts[3]) and LIFE.fullmatch(parts[5])
     return (parts[3], parts[5]) if ours else None
+
+
+def track_of(key: str) -> tuple[str, str] | None:
+    """(vehicle, cell) of a track's key, the cell as whoever published it calls it; `None` for any
+    other.
+    """
+    parts, vehicle = key.split("/"), vehicle_of(key)
+    if vehicle is None or len(parts) < 6 or parts[4] != "track":
+        return None
+    return vehicle, "/".join(parts[5:])
 
 
 def vehicle_of(key: str) -> str | None:

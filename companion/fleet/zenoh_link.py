@@ -18,8 +18,9 @@ import zenoh
 
 from companion.adapters.clock import wall_s
 from companion.core.base.rate_limit import RateLimit
+from companion.core.separation.track_cells import HeardCells
 from companion.fleet.network import ASKED_AGAIN_S, WIND_COV, Ask, Asked, Told
-from companion.fleet.topics import VehicleKeys, life_of, roster_key, vehicle_of
+from companion.fleet.topics import VehicleKeys, life_of, roster_key, track_of
 from companion.fleet.waiting_room import WaitingRoom
 from companion.fleet.zenoh_config import mode_of
 
@@ -94,6 +95,8 @@ class ZenohLink:
         self._roster_asked_s = 0.0
         self._newer_told = False
         self._tracks: dict[str, deque[Told]] = {}
+        self._tracks_lock = threading.Lock()
+        self._place: tuple[float, float] | None = None
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
@@ -145,8 +148,9 @@ class ZenohLink:
 
     def tracks(self) -> list[Told]:
         """The newest few that each neighbour told since the last call, each one's oldest first."""
-        told, self._tracks = self._tracks, {}
-        return [track for each in list(told.values()) for track in tuple(each)]
+        with self._tracks_lock:
+            told, self._tracks = self._tracks, {}
+        return [track for each in told.values() for track in each]
 
     def wind_cov_is_read(self) -> bool:
         """Whether all who asked for states of late read the covariance of the wind."""
@@ -154,14 +158,24 @@ class ZenohLink:
         return self._reader_s >= since_s > self._old_reader_s
 
     def _hear_track(self, sample: zenoh.Sample) -> None:
-        tracks, speaker = self._tracks, vehicle_of(str(sample.key_expr))
-        if speaker is None or speaker == self._keys.vehicle or not self._is_member(speaker):
+        key = track_of(str(sample.key_expr))
+        if key is None:
             return
-        if speaker not in tracks:
-            if len(tracks) >= TRACKS:
-                return
-            tracks[speaker] = deque(maxlen=TRACKS_EACH)
-        tracks[speaker].append(Told(speaker, sample.payload.to_bytes()))
+        speaker, cell = key
+        if speaker == self._keys.vehicle or not self._is_member(speaker):
+            return
+        told = Told(speaker, cell, sample.payload.to_bytes())
+        with self._tracks_lock:
+            box = self._tracks.get(speaker)
+            if box is None:
+                if len(self._tracks) >= TRACKS:
+                    return
+                box = self._tracks[speaker] = deque(maxlen=TRACKS_EACH)
+            box.append(told)
+
+    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Listen to the cells about this place; the writer thread tells the network."""
+        self._place = lat_deg, lon_deg
 
     def _hear_roster(self, sample: zenoh.Sample) -> None:
         raw = sample.payload.to_bytes()
@@ -215,10 +229,12 @@ class ZenohLink:
         """Tell an event, if anybody listens."""
         self._leave(lambda: self._publish(self._keys.event, raw))
 
-    def publish_track(self, raw: bytes) -> None:
-        """Tell the neighbours where we are; never waits behind anything that is worth keeping."""
+    def publish_track(self, raw: bytes, cell: str) -> None:
+        """Tell those who listen to this cell where we are; never waits behind anything that is
+        worth keeping.
+        """
         if self._leaving.qsize() < TRACKS:
-            self._leave(lambda: self._publish(self._keys.track, raw))
+            self._leave(lambda: self._publish(self._keys.track(cell), raw))
 
     def _publish(self, key: str, raw: bytes) -> None:
         if self._session is not None:
@@ -267,12 +283,12 @@ class ZenohLink:
             session.declare_queryable(keys.event, self._hear_events_wanted),
             session.declare_queryable(keys.state, self._hear_state_wanted),
             liveliness.declare_subscriber(keys.alive(), self._hear_alive, history=True),
-            session.declare_subscriber(keys.tracks, self._hear_track),
             session.declare_subscriber(roster_key(keys.fleet), self._hear_roster),
             liveliness.declare_token(keys.alive(self._life)),
         )
         self._session, self._held, self.trouble = session, held, ""
         self._ask_roster(session)
+        ears = _Ears(lambda cell: session.declare_subscriber(keys.tracks(cell), self._hear_track))
         while not (self._stop.is_set() and self._leaving.empty()):
             if self._calls_a_desk and wall_s() - self._heard_s > unasked_s and _has_line(session):
                 self.trouble = f"nobody has asked for {unasked_s:.0f} s: joining anew"
@@ -282,12 +298,17 @@ class ZenohLink:
             try:
                 send = self._leaving.get(timeout=1.0)
             except queue.Empty:
-                continue
-            try:
-                if send is not None:
-                    send()
-            except zenoh.ZError as error:
-                self.trouble = str(error)
+                send = None
+            if (place := self._place) is not None:
+                self._try(lambda place=place: ears.be_at(place, wall_s()))
+            if send is not None:
+                self._try(send)
+
+    def _try(self, do: Callable[[], Any]) -> None:
+        try:
+            do()
+        except zenoh.ZError as error:
+            self.trouble = str(error)
 
     def _is_roster_due(self) -> bool:
         rested = wall_s() - self._roster_asked_s >= ROSTER_AGAIN_S
@@ -303,6 +324,24 @@ class ZenohLink:
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
         )
+
+
+class _Ears:
+    """Subscriptions of one session to tracks, one for each cell; `listen` declares one."""
+
+    def __init__(self, listen: Callable[[str], "zenoh.Subscriber[None]"]) -> None:
+        self._listen = listen
+        self._cells = HeardCells()
+        self._held: dict[str, zenoh.Subscriber[None]] = {}
+
+    def be_at(self, place: tuple[float, float], now_s: float) -> None:
+        """Listen about this place: to the new cells first, then no more to those long left."""
+        self._cells = self._cells.at(*place, now_s)
+        wanted = self._cells.near_s.keys()
+        for cell in wanted - self._held.keys():
+            self._held[cell] = self._listen(cell)
+        for cell in self._held.keys() - wanted:
+            self._held.pop(cell).undeclare()
 
 
 def told_number(raw: bytes) -> int | None:

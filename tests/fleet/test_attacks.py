@@ -46,7 +46,7 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
+from tests.fleet.zenoh_net import CELL, FLEET, HERE, Vehicle, config_file, free_port
 
 PATIENCE_S = 20.0
 KEPT_OUT_S = 1.5
@@ -213,6 +213,7 @@ class Plain:
 
     def put(self, kind: str, raw: bytes, vehicle: str = "d1") -> None:
         """None is dropped on the way: what was put last is what d1 has last."""
+        kind = f"track/{CELL}" if kind == "track" else kind
         key = f"leeway/{FLEET}/vehicle/{vehicle}/{kind}"
         self.rogue.put(key, raw, congestion_control=zenoh.CongestionControl.BLOCK)
 
@@ -341,7 +342,7 @@ def test_no_state_or_outcome_counts_but_the_vehicles_own(plain, monkeypatch, kin
 def test_a_track_counts_only_from_the_vehicle_that_flies_it(plain, monkeypatch, guarded):
     if not guarded:
         believe_all(monkeypatch)
-    zero = {"lat_deg": 55.0, "lon_deg": 8.0, "alt_amsl_m": 50.0, "gnss_s": 1.8e9}
+    zero = {**HERE, "alt_amsl_m": 50.0, "gnss_s": 1.8e9}
     speed = {"vel_n_mps": 0.0, "vel_e_mps": 0.0, "vel_d_mps": 0.0}
     errors = {"pos_std_m": 1.0, "alt_std_m": 1.0, "vel_std_mps": 1.0, "aside": False}
     raw = encode(Track(vehicle="truck", **zero, **speed, **errors))
@@ -358,7 +359,7 @@ def test_a_track_counts_only_from_the_vehicle_that_flies_it(plain, monkeypatch, 
 
 def test_a_neighbour_that_publishes_as_another_on_its_own_key_is_nobodys_track(plain):
     """Without signatures too: the key and the name in the message must agree."""
-    d1, track = plain.d1, {"gnss_s": 1.8e9, "lat_deg": 55.0, "lon_deg": 8.0, "alt_amsl_m": 50.0}
+    d1, track = plain.d1, {"gnss_s": 1.8e9, **HERE, "alt_amsl_m": 50.0}
     rest = dict.fromkeys(("pos_std_m", "alt_std_m", "vel_std_mps"), 1.0)
     still = dict.fromkeys(("vel_n_mps", "vel_e_mps", "vel_d_mps"), 0.0)
     raw = encode(Track(vehicle="d7", **track, **rest, **still, aside=False))

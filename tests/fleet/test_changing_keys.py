@@ -19,7 +19,7 @@ from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import FleetInput, MessageRejected, StateReceived
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import GUARD, KEPT_OUT_S, PATIENCE_S, hears, trust_of
-from tests.fleet.zenoh_net import FLEET, Vehicle
+from tests.fleet.zenoh_net import CELL, FLEET, HERE, Vehicle
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def joined_with(folder: Path, name: str, kept: Path) -> Vehicle:
 
 
 TRACK: dict[str, Any] = {
-    "lat_deg": 55.0, "lon_deg": 8.0, "alt_amsl_m": 50.0, "gnss_s": 1.8e9, "aside": False,
+    **HERE, "alt_amsl_m": 50.0, "gnss_s": 1.8e9, "aside": False,
     **dict.fromkeys(("vel_n_mps", "vel_e_mps", "vel_d_mps"), 0.0),
     **dict.fromkeys(("pos_std_m", "alt_std_m", "vel_std_mps"), 1.0),
 }  # fmt: skip
@@ -117,7 +117,7 @@ def test_a_revoked_member_whose_line_is_open_is_heard_by_nobody(
         assert is_heard(desk, d1)
         d1.stop()
         with zenoh.open(read_config(site.home("d2") / "zenoh.json5")) as d2:
-            hears_track = lambda wait_s: heard_track(desk, d1, d2, key.track, track, wait_s)  # noqa: E731
+            hears_track = lambda wait_s: heard_track(desk, d1, d2, key.track(CELL), track, wait_s)  # noqa: E731
             assert hears_track(PATIENCE_S)
             site.pki.revoke("d2")
             if guarded:

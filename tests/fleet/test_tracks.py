@@ -11,12 +11,13 @@ import pytest
 from companion.core.separation.track import Track
 from companion.fleet import zenoh_link
 from companion.fleet.messages import encode
-from companion.fleet.topics import vehicle_of
+from companion.fleet.topics import track_of
 from companion.fleet.trust import Trust
 from companion.fleet.zenoh_link import TRACKS, TRACKS_EACH
 from ground_station.adapters.clock import monotonic_s
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import PATIENCE_S, Plain, plain_network, trust_of
+from tests.fleet.zenoh_net import HERE
 
 GUARD = pytest.mark.parametrize("guarded", [True, False], ids=["kept", "canary: lost"])
 
@@ -26,12 +27,12 @@ def taken_in(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """Names whose tracks d1's subscriber has taken in: zenoh calls it in the order of the puts."""
     names: set[str] = set()
 
-    def noting(key: str) -> str | None:
-        name = vehicle_of(key)
-        names.add(name or "")
-        return name
+    def noting(key: str) -> tuple[str, str] | None:
+        found = track_of(key)
+        names.add(found[0] if found is not None else "")
+        return found
 
-    monkeypatch.setattr(zenoh_link, "vehicle_of", noting)
+    monkeypatch.setattr(zenoh_link, "track_of", noting)
     return names
 
 
@@ -45,7 +46,7 @@ def net(tmp_path: Path, taken_in: set[str]) -> Iterator[Plain]:
 
 def track(vehicle: str, north_mps: float) -> bytes:
     told = Track(
-        vehicle=vehicle, lat_deg=55.0, lon_deg=8.0, alt_amsl_m=50.0, gnss_s=1.8e9,
+        vehicle=vehicle, **HERE, alt_amsl_m=50.0, gnss_s=1.8e9,
         vel_n_mps=north_mps, vel_e_mps=0.0, vel_d_mps=0.0,
         pos_std_m=1.0, alt_std_m=1.0, vel_std_mps=1.0, aside=False,
     )  # fmt: skip

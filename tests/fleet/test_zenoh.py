@@ -22,7 +22,7 @@ from ground_station.core.fleet.fleet_link import (
     MessageRejected,
     StateReceived,
 )
-from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
+from tests.fleet.zenoh_net import FLEET, HERE, Vehicle, config_file, free_port
 
 PATIENCE_S = 20.0
 
@@ -234,7 +234,7 @@ def test_vehicles_hear_where_their_neighbours_are_and_nothing_of_themselves(tmp_
     port = free_port()
     one = Vehicle("d1", tmp_path / "1", config_file(tmp_path / "1.json5", listen=port))
     two = Vehicle("d2", tmp_path / "2", config_file(tmp_path / "2.json5", connect=port))
-    place = TellPlace(1.8e9, 55.0, 8.0, 50.0, (1.0, 2.0, 0.0), aside=True)
+    place = TellPlace(1.8e9, **HERE, alt_amsl_m=50.0, vel_ned_mps=(1.0, 2.0, 0.0), aside=True)
     heard: list[Any] = []
     limit_s = monotonic_s() + PATIENCE_S
     try:

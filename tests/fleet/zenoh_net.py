@@ -11,6 +11,7 @@ from companion.adapters.files.params import read_airframe
 from companion.app.flight.fleet_port import FleetPort
 from companion.core.mission.events import Position
 from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.separation.track_cells import cell_of
 from companion.fleet.command_log import Verdict
 from companion.fleet.messages import Answered, Command
 from companion.fleet.network import MemberLink
@@ -21,6 +22,10 @@ from companion.fleet.zenoh_link import ZenohLink
 FLEET = "harbour"
 AT_HARBOUR = Position(0.0, 55.47, 8.45, 12.0, 0.0, 0.0, 0.0, 0.0)
 """Where params/days/harbour.toml has its depot."""
+
+CELL = cell_of(AT_HARBOUR.lat_deg, AT_HARBOUR.lon_deg)
+HERE = {"lat_deg": AT_HARBOUR.lat_deg, "lon_deg": AT_HARBOUR.lon_deg}
+"""The place of a track that all vehicles of these tests hear."""
 
 
 def free_port() -> int:

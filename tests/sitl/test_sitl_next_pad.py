@@ -99,8 +99,11 @@ class Desk:
         assert isinstance(event, FleetEvent)
         self.events.append(event)
 
-    def publish_track(self, raw: bytes) -> None:
-        del raw
+    def publish_track(self, raw: bytes, cell: str) -> None:
+        del raw, cell
+
+    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+        del lat_deg, lon_deg
 
     def tracks(self) -> list[Told]:
         return []

@@ -5,7 +5,7 @@ alone keeps safety rule 1.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.pilot.transitions import GROUND_PHASES, Phase
 from companion.core.separation.track import Track
+from companion.core.separation.track_cells import cell_of
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.endurance import longest_flight_s
 from companion.fleet.command_log import CommandBook, Verdict
@@ -57,13 +58,15 @@ from companion.fleet.messages import (
     Launch,
     MoveHome,
     Recall,
+    Refused,
     SetLimits,
     TruckDeed,
     Withdraw,
-    decode_track,
+    decode_told_track,
     encode,
 )
 from companion.fleet.network import MemberLink
+from companion.fleet.refusals import Refusals
 
 STATE_S = 1.0
 CURRENT = "current.json"
@@ -97,6 +100,8 @@ class FleetPort:
     begin_trouble: Callable[[], str] = lambda: ""
     doubt: str = ""
     """What the monitor of its service holds in doubt, in words."""
+    refusals: Refusals = field(default_factory=Refusals)
+    """Of neighbours' tracks."""
     _told_s: float | None = None
     _told_phase: str = ""
 
@@ -167,6 +172,7 @@ class FleetPort:
     def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
         """Answer everything that was asked."""
         self.member.turn(lambda command: self._not_begun(command) or carry_out(command))
+        self._say_refused()
 
     def _not_begun(self, command: Command) -> Verdict | None:
         """Why a flight is not begun that could outlast our certificate; what has begun goes on."""
@@ -259,16 +265,28 @@ class FleetPort:
             to_lat_deg=place.to_lat_deg,
             to_lon_deg=place.to_lon_deg,
         )
-        self.link.publish_track(encode(track))
+        cell = cell_of(place.lat_deg, place.lon_deg)
+        if cell is not None:
+            self.link.publish_track(encode(track), cell)
 
     def neighbours(self, t_s: float) -> list[Event]:
-        """What neighbours told since the last call; what is no track of another is left out."""
-        heard = [(told.speaker, decode_track(told.raw)) for told in self.link.tracks()]
-        return [
-            NeighbourHeard(t_s, track)
-            for speaker, track in heard
-            if isinstance(track, Track) and track.vehicle == speaker != self.vehicle
-        ]
+        """What neighbours told since the last call; what is no track of another is left out, and
+        counted.
+        """
+        found: list[Event] = []
+        for told in self.link.tracks():
+            track = decode_told_track(told)
+            if isinstance(track, Refused):
+                self.refusals.note(track.reason)
+            elif told.speaker != self.vehicle:
+                found.append(NeighbourHeard(t_s, track))
+        return found
+
+    def _say_refused(self) -> None:
+        said = self.refusals.due(self.member.clock_s())
+        if said is not None:
+            self.member.remark = said
+            self.tell(EventKind.SAID, said)
 
     def tell(self, kind: EventKind, text: str, **more: Any) -> None:
         """Have an event written down; it is told once it lies on the disk."""
@@ -282,13 +300,16 @@ class FleetPort:
         )
 
     def publish(self, phase: str, now: TelemetryState, pilot: Pilot | None = None) -> None:
-        """Tell the state when it is due: once a second, and at once in a new phase."""
-        now_s = self.member.clock_s()
+        """Tell the state when it is due: once a second, and at once in a new phase. Neighbours are
+        listened for about the newest place.
+        """
+        now_s, position = self.member.clock_s(), now.position
+        if position is not None:
+            self.link.hear_near(position.lat_deg, position.lon_deg)
         if phase == self._told_phase and not is_due(self._told_s, STATE_S, now_s):
             return
         self._told_phase, self._told_s = phase, now_s
-        here, position = self.current, now.position
-        speed = None
+        here, speed = self.current, None
         if position is not None:
             speed = (position.vel_n_mps**2 + position.vel_e_mps**2) ** 0.5
         told = told_of(pilot) if pilot is not None else {}

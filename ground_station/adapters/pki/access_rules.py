@@ -158,10 +158,11 @@ def _carries_all(fleet: str) -> list[Rule]:
 
 def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
     """A vehicle speaks for itself only, asks nothing, commands nobody, and hears of its neighbours'
-    places, and of others of its own name.
+    places, and of others of its own name. (`track/**` is `track`, too: where vehicles of before
+    told them.)
     """
     name, own = member.name, f"leeway/{fleet}/vehicle/{member.name}/**"
-    everybody, tracks = f"leeway/{fleet}/vehicle/*/**", VehicleKeys(fleet, "*").track
+    everybody, tracks = f"leeway/{fleet}/vehicle/*/**", VehicleKeys(fleet, "*").track("**")
     says = ["put", "reply", "declare_queryable", "liveliness_token"]
     hears = ["query", "liveliness_token", "declare_queryable", "declare_subscriber"]
     twins = ["declare_liveliness_subscriber", "liveliness_query"]

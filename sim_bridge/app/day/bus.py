@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.separation.track_cells import HeardCells, cell_of
 from companion.fleet.messages import (
     Command,
     FleetEvent,
@@ -23,6 +24,7 @@ from companion.fleet.messages import (
     decode_event,
     decode_result,
     decode_state,
+    decode_track,
     encode,
 )
 from companion.fleet.network import Ask, Asked, Told
@@ -151,10 +153,18 @@ class Bus:
             self.later(DELAY_S, deliver)
 
     def post_track(self, sender: "BusLink", raw: bytes) -> None:
-        """Send a track to every other vehicle, with this network's delay and distortion."""
-        told = Told(sender.vehicle, self.spoil(raw, self.t_s))
+        """Send a track to every other vehicle that listens to the sender's cell, with this
+        network's delay and distortion: a place that is wrong is told in the cell where it is.
+        """
+        raw = self.spoil(raw, self.t_s)
+        track = decode_track(raw)
+        cell = None if isinstance(track, Refused) else cell_of(track.lat_deg, track.lon_deg)
+        if cell is None:
+            return
+        told = Told(sender.vehicle, cell, raw)
         for link in self.links_of():
-            if link.vehicle != sender.vehicle and not self._is_lost(sender.vehicle, link.vehicle):
+            near = link.vehicle != sender.vehicle and link.listens_to(cell)
+            if near and not self._is_lost(sender.vehicle, link.vehicle):
                 self.later(self.track_delay_s, lambda link=link: link.hear_track(told))
 
     def _is_lost(self, *members: str) -> bool:
@@ -188,6 +198,7 @@ class BusLink:
     state: bytes = b""
     _waiting: list[Asked] = field(default_factory=list)
     _tracks: list[Told] = field(default_factory=list)
+    _cells: HeardCells = field(default_factory=HeardCells)
 
     def asked(self) -> list[Asked]:
         """Take all pending commands and queries."""
@@ -215,9 +226,17 @@ class BusLink:
         for desk in self.bus.desks:
             self.bus.post(self.vehicle, lambda desk=desk: desk.hear_event(self.vehicle, raw))
 
-    def publish_track(self, raw: bytes) -> None:
+    def publish_track(self, raw: bytes, cell: str) -> None:
         """Send the own position to the neighbours."""
         self.bus.post_track(self, raw)
+
+    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Listen to the cells about this place."""
+        self._cells = self._cells.at(lat_deg, lon_deg, self.bus.t_s)
+
+    def listens_to(self, cell: str) -> bool:
+        """Whether this cell is near, or was of late."""
+        return cell in self._cells.near_s
 
     def tracks(self) -> list[Told]:
         """Neighbours' tracks received since the last call."""

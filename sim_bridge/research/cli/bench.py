@@ -198,6 +198,30 @@ def bench_fleet(
         json_file.write_text(figures + "\n")
 
 
+@app.command("tracks")
+def tracks(
+    drones: Annotated[int, typer.Option(min=2, max=500, help="In the air.")] = 100,
+    across_km: Annotated[float, typer.Option(min=1.0, help="Side of the square.")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long is counted.")] = 20.0,
+    seed: Annotated[int, typer.Option(min=0, help="Where they fly.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
+) -> None:
+    """What a drone hears of the others a second: of all, and by grid cell.
+
+    sim-bridge research bench tracks --drones 100 --across-km 10
+    """
+    from dataclasses import asdict
+
+    from sim_bridge.research.benchmarks.fleet_bench.track_bench import bench as bench_now
+    from sim_bridge.research.benchmarks.fleet_bench.track_flights import TrackFlights
+
+    heard = bench_now(TrackFlights(drones, 1000.0 * across_km, seed), seconds)
+    figures = json.dumps([asdict(one) for one in heard], indent=1)
+    typer.echo(figures)
+    if json_file is not None:
+        json_file.write_text(figures + "\n")
+
+
 @app.command("start")
 def start(
     orders: Annotated[int, typer.Option(min=1, help="Orders of the day.")] = 5000,

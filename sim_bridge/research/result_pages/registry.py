@@ -454,6 +454,20 @@ PAGES = (
         30.0,
     ),
     Page(
+        "near-tracks",
+        "Tracks by grid cell",
+        "Drones over a square of 10 km tell their places five times a second; what each hears of"
+        " the others. Links and router are real; a link waits where it usually drops, and nothing"
+        " is signed.",
+        (
+            PageCommand(
+                _bench("tracks", "--drones", "100", "--across-km", "10", "--seed", "1"),
+                show=tables.tracks,
+            ),
+        ),
+        2.0,
+    ),
+    Page(
         "fleet-failures",
         "A thousand vehicles under faults",
         "A desk that is killed; and a router that is killed and begins anew a quarter through, both"

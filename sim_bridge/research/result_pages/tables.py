@@ -150,6 +150,26 @@ def fleet(done: CommandOutput) -> str:
     return "\n".join([*lines, "", f"Load of the machine before, 1 and 5 minutes: {load}.{never}"])
 
 
+TRACK_ROWS = (
+    ("messages heard, each drone, /s", "messages_hz"),
+    ("messages heard by the one that heard most, /s", "most_messages_hz"),
+    ("bytes heard (of messages), each drone, /s", "bytes_hz"),
+    ("messages told within 1 km, each drone, /s", "near_hz"),
+    ("of these were heard", "near_frac"),
+    ("all drones together, cores", "drones_cpu"),
+    ("router, cores", "router_cpu"),
+    ("load of the machine, 1 minute", "load_of_machine"),
+)
+
+
+def tracks(done: CommandOutput) -> str:
+    """Of `sim-bridge research bench tracks`."""
+    everybody, near = json.loads(done.printed)
+    lines = ["| what | each hears all | by cell |", "| --- | --- | --- |"]
+    rows = [f"| {what} | {everybody[key]:,} | {near[key]:,} |" for what, key in TRACK_ROWS]
+    return "\n".join([*lines, *rows])
+
+
 def start_of_a_day(done: CommandOutput) -> str:
     """Of `sim-bridge research bench start`."""
     figures = json.loads(done.printed)

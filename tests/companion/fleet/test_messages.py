@@ -31,7 +31,7 @@ from companion.fleet.messages import (
     decode_state,
     encode,
 )
-from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
+from companion.fleet.topics import VehicleKeys, life_of, track_of, vehicle_of
 
 LIFE = "a1b2"
 
@@ -210,6 +210,10 @@ def test_keys_name_their_vehicle_and_foreign_keys_none():
     assert life_of(keys.alive(LIFE)) == ("d1", LIFE)
     assert life_of(keys.state) is None
     assert vehicle_of("other/depot/vehicle/d1/state") is None
+    assert track_of(keys.track("16163/11868")) == ("d1", "16163/11868")
+    assert track_of(keys.state) is None
+    assert track_of("leeway/depot/vehicle/d1/track") is None, "as vehicles of before told it"
+    assert track_of("leeway/depot/vehicle/*/track/1/1") is None
 
 
 # --- the book of commands ------------------------------------------------------------------------

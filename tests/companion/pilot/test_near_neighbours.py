@@ -399,3 +399,16 @@ def test_arducopter_that_set_points_left_goes_on_with_its_mission_when_the_compa
     assert w.guided
     w.run(lambda _: not w.guided, 5.0)
     assert w.pilot.phase is Phase.OUTBOUND
+
+
+@pytest.mark.parametrize("away_m", [1100.0, 900.0], ids=["out of hearing", "canary: lost"])
+def test_who_has_flown_out_of_hearing_is_let_go_without_a_word(away_m):
+    """Tracks are told by grid cell: only who is within a kilometre is sure to be heard."""
+    w = beside(AutopilotKind.PX4)
+    w.neighbour, w.neighbour_vel = (w.north, w.east + away_m, -w.height), (0.0, 10.0, 0.0)
+    for _ in range(10):
+        w.step()
+    w.tells = False
+    for _ in range(350):
+        w.step()
+    assert ("neighbour lost: d2" in w.said) is (away_m < 1000.0)

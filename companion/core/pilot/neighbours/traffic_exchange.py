@@ -4,6 +4,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
+from companion.core.base.geo import horizontal_m
 from companion.core.mission.actions import Severity, TellPlace
 from companion.core.mission.events import Event, GnssTime, NeighbourHeard
 from companion.core.pilot.context import FlightContext, ItemProgress
@@ -11,6 +12,7 @@ from companion.core.separation.policy_view import Ne
 from companion.core.separation.setpoint_motion import FLEET, Floats, three
 from companion.core.separation.stopping_paths import Neighbours
 from companion.core.separation.track import Track
+from companion.core.separation.track_cells import HEARD_M
 from companion.core.separation.traffic_tracks import NeighbourTracks, Report
 
 OWN_STD_M, OWN_ALT_STD_M = 0.8, 0.5
@@ -28,6 +30,8 @@ class TrafficState:
     tracks: NeighbourTracks = field(default_factory=lambda: NeighbourTracks(FLEET))
     goals: dict[str, Ne] = field(default_factory=dict)
     on_setpoints: set[str] = field(default_factory=set)
+    away_m: dict[str, float] = field(default_factory=dict)
+    """How far each was when it was last heard."""
     ahead_of_core_s: float | None = None
     """Satellite time less the autopilot's."""
 
@@ -74,10 +78,14 @@ class TrafficExchange:
                 return
 
     def drop_lost(self, context: FlightContext, satellite_s: float) -> None:
-        """Drop the neighbours who have been silent for too long, and say which."""
-        self._state.tracks, lost = self._state.tracks.without_lost(satellite_s)
-        if lost:
-            context.say(Severity.WARNING, f"neighbour lost: {', '.join(lost)}")
+        """Drop the neighbours who have been silent for too long, and say which should have been
+        heard: farther off they have flown out of hearing.
+        """
+        state = self._state
+        state.tracks, lost = state.tracks.without_lost(satellite_s)
+        missed = [name for name in lost if state.away_m.pop(name, 0.0) <= HEARD_M]
+        if missed:
+            context.say(Severity.WARNING, f"neighbour lost: {', '.join(missed)}")
 
     def report(
         self,
@@ -139,4 +147,8 @@ class TrafficExchange:
             state.on_setpoints.add(track.vehicle)
         else:
             state.on_setpoints.discard(track.vehicle)
-        state.tracks = state.tracks.heard(report, now_s)
+        tracks = state.tracks.heard(report, now_s)
+        if tracks is not state.tracks:
+            here = context.here_ned()
+            state.away_m[report.name] = horizontal_m((north, east, down), here) if here else 0.0
+        state.tracks = tracks

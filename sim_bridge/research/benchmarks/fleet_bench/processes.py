@@ -113,11 +113,11 @@ def make_identities(folder: Path, fleet: str, vehicles: list[str], port: int) ->
     pki.add_all(vehicles, Role.VEHICLE, VALID_DAYS)
 
 
-def member_config(folder: Path, port: int) -> Path:
+def member_config(folder: Path, port: int, **more: Any) -> Path:
     """A client that calls again and again, as one with a configuration of `pki` does."""
     retry = {"period_init_ms": 200, "period_max_ms": CALL_AGAIN_MS}
     call = {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": False, "timeout_ms": 0}
-    table = {"mode": "client", "connect": call | {"retry": retry}}
+    table = {"mode": "client", "connect": call | {"retry": retry}, **more}
     return write_config(folder / f"member-{port}.json5", table)
 
 

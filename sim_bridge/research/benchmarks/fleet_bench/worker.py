@@ -1,4 +1,4 @@
-"""What a process of the benchmark does: `members`, `desk` or `router`."""
+"""What a process of the benchmark does: `members`, `tracks`, `desk` or `router`."""
 
 import os
 import sys
@@ -20,10 +20,16 @@ def main() -> None:
             from sim_bridge.research.benchmarks.fleet_bench import desk_process
 
             desk_process.serve(fleet, int(vehicles), float(order_every_s), Path(config), url)
+        case ["tracks", how, first, count, drones, across_m, seed, config, ticks]:
+            from sim_bridge.research.benchmarks.fleet_bench import track_flights
+
+            numbers = range(int(first), int(first) + int(count))
+            flights = track_flights.TrackFlights(int(drones), float(across_m), int(seed))
+            track_flights.serve(numbers, flights, Path(config), int(ticks), cells=how == "cells")
         case ["router", config]:
             _route(Path(config))
         case other:
-            raise SystemExit(f"expected members, desk or router, got {other}")
+            raise SystemExit(f"expected members, tracks, desk or router, got {other}")
 
 
 def _route(config_file: Path) -> None:

@@ -2,12 +2,15 @@
 
 import numpy as np
 
+from companion.core.separation.track import Track
 from companion.fleet.messages import (
     Answered,
     Command,
     Recall,
+    Refused,
     Result,
     State,
+    decode_told_track,
     encode,
 )
 from companion.fleet.network import Ask
@@ -30,6 +33,14 @@ def state(vehicle: str = "d1") -> bytes:
     told = State(
         vehicle=vehicle, life="l1", uptime_s=1.0, epoch_us=0, airframe="m100",
         max_payload_kg=1.0, phase="standby", log="a", last_seq=0,
+    )  # fmt: skip
+    return encode(told)
+
+
+def track(vehicle: str, lat_deg: float) -> bytes:
+    told = Track(
+        vehicle=vehicle, gnss_s=1.8e9, lat_deg=lat_deg, lon_deg=8.45, alt_amsl_m=50.0,
+        vel_n_mps=0.0, vel_e_mps=0.0, vel_d_mps=0.0, pos_std_m=2.0, alt_std_m=0.5, vel_std_mps=0.1,
     )  # fmt: skip
     return encode(told)
 
@@ -187,3 +198,22 @@ def test_a_member_that_is_cut_off_is_gone_after_the_lease_and_then_is_back():
     assert desk.receive(0.0) == [LivelinessChanged("d1", "l1", up=False)]
     net.deliver(70.0)
     assert desk.receive(0.0) == [LivelinessChanged("d1", "l1", up=True)]
+
+
+def test_a_track_comes_to_those_who_listen_near_the_place_that_it_tells():
+    net = bus()
+    near, far, told, silent = (net.join(f"d{n}", "l1") for n in range(1, 5))
+    near.hear_near(55.47, 8.45)
+    far.hear_near(55.50, 8.45)
+    told.hear_near(55.47, 8.45)
+    raw = track("d3", 55.47)
+    told.publish_track(raw, "1/1")
+    net.deliver(1.0)
+    assert [(heard.speaker, heard.raw) for heard in near.tracks()] == [("d3", raw)]
+    assert far.tracks() == told.tracks() == silent.tracks() == []
+    net.spoil = lambda raw, t_s: track("d3", 55.50)  # its receiver is wrong by 3 km
+    told.publish_track(raw, "1/1")
+    net.deliver(2.0)
+    assert near.tracks() == []
+    (heard,) = far.tracks()
+    assert not isinstance(decode_told_track(heard), Refused)
