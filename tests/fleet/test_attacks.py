@@ -235,6 +235,15 @@ def decoded(raw: bytes) -> Result:
     return msgspec.json.decode(raw, type=Result)
 
 
+def wait_for_listener(session: zenoh.Session, cell: str) -> None:
+    """Somebody listens to the tracks of this cell."""
+    limit_s = monotonic_s() + PATIENCE_S
+    publisher = session.declare_publisher(VehicleKeys(FLEET, "d2").track(cell))
+    while not publisher.matching_status.matching:
+        assert monotonic_s() < limit_s
+    publisher.undeclare()
+
+
 @contextmanager
 def plain_network(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
     """Desk and d1 on it."""
@@ -246,6 +255,7 @@ def plain_network(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
     desk = site.person("desk", client)
     d1 = site.vehicle("d1", tmp_path / "d1", zenoh=client)
     assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
+    wait_for_listener(rogue, CELL)
     try:
         yield Plain(site, desk, d1, rogue)
     finally:

@@ -23,12 +23,17 @@ from companion.fleet.zenoh_config import read_config
 from companion.fleet.zenoh_link import ZenohLink
 from ground_station.adapters.clock import monotonic_s
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import PATIENCE_S, Plain, plain_network, trust_of
+from tests.fleet.test_attacks import PATIENCE_S, Plain, plain_network, trust_of, wait_for_listener
 from tests.fleet.zenoh_net import AT_HARBOUR, CELL, FLEET, HERE, Vehicle, config_file, free_port
 
 HARBOUR = AT_HARBOUR.lat_deg, AT_HARBOUR.lon_deg
 MERIDIAN = 55.47, 179.9999
 GUARD = pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: taken"])
+
+PATIENT = {"publication": [{"key_exprs": ["leeway/**"], "config": {"congestion_control": "block"}}]}
+"""zenoh's settings: nothing is dropped where this machine is busy, so what is missing was not
+listened to.
+"""
 
 Place = tuple[float, float]
 
@@ -43,7 +48,7 @@ def router_and_client(tmp_path: Path) -> Iterator[tuple[zenoh.Session, Path]]:
     """A router, and the configuration of who calls it."""
     port = free_port()
     router = config_file(tmp_path / "router.json5", listen=port, mode="router")
-    client = config_file(tmp_path / "client.json5", connect=port, mode="client")
+    client = config_file(tmp_path / "client.json5", connect=port, mode="client", qos=PATIENT)
     with zenoh.open(zenoh.Config.from_file(str(router))) as session:
         yield session, client
 
@@ -169,9 +174,10 @@ def test_two_that_fly_apart_by_900_m_hear_one_another_in_every_cell(flyers, monk
             flyer.tell(place, number)
         rest.wait(STEP_M / (20.0 * SPED_UP))
         listen()
+        if ahead:  # on a busy machine it takes its time
+            until(lambda n=number: listen() or all(n in numbers for numbers in heard.values()))
     assert len(cells) >= 6
     if ahead:
-        until(lambda: listen() or all(len(numbers) >= len(steps) for numbers in heard.values()))
         assert heard == {"d1": steps, "d2": steps}
     else:
         assert not any(numbers == steps for numbers in heard.values())
@@ -269,6 +275,7 @@ def test_vehicles_with_identities_hear_each_other_by_way_of_the_desk(tmp_path):
 def plain(tmp_path: Path) -> Iterator[Plain]:
     with plain_network(SecureSite(tmp_path / "pki"), tmp_path) as made:
         made.d1.stop()
+        wait_for_listener(made.rogue, NEXT_CELL)
         yield made
 
 
@@ -319,16 +326,18 @@ def test_without_identities_too_a_place_told_in_a_cell_where_it_is_not_is_refuse
     tmp_path,
 ):
     with router_and_client(tmp_path) as (router, client):
-        d1 = Vehicle("d1", tmp_path / "d1", client)
+        d1, heard = Vehicle("d1", tmp_path / "d1", client), set()
         try:
 
             def arrives() -> bool:
                 router.put(VehicleKeys(FLEET, "d2").track(NEXT_CELL), track("d2"))
                 router.put(VehicleKeys(FLEET, "d3").track(CELL), track("d2"))
                 router.put(VehicleKeys(FLEET, "d4").track(CELL), track("d4"))
-                return [e.track.vehicle for e in d1.port.neighbours(1.0)] == ["d4"]
+                heard.update(event.track.vehicle for event in d1.port.neighbours(1.0))
+                return "d4" in heard and d1.port.refusals.total >= 2
 
             until(arrives)
-            until(lambda: any("not believed: d2 tells" in e.text for e in d1.port.log.after(0)))
+            assert heard == {"d4"}
+            until(lambda: any("not believed: d" in e.text for e in d1.port.log.after(0)))
         finally:
             d1.close()
