@@ -16,13 +16,15 @@ def flowing(text: str) -> str:
 
 
 def flow_help(app: Any) -> None:
-    """Let the help of every command of a Typer app flow, and of the apps in it.
+    """Let the help of every command of a Typer app flow, with what stands below its options, and of
+    the apps in it.
 
     Typer itself does so for the first paragraph only.
     """
     for command in app.registered_commands:
         words = command.help or command.callback.__doc__
         command.help = flowing(words) if words else None
+        command.epilog = flowing(command.epilog) if command.epilog else None
     for group in app.registered_groups:
         flow_help(group.typer_instance)
 

@@ -21,7 +21,7 @@ def commands(app: Any) -> Iterator[Any]:
 def test_no_paragraph_of_a_commands_help_is_broken_where_its_source_is(app):
     seen = 0
     for command in commands(app):
-        for paragraph in (command.help or "").split("\n\n"):
+        for paragraph in f"{command.help or ''}\n\n{command.epilog or ''}".split("\n\n"):
             lines = paragraph.split("\n")
             listed = all(line.startswith(COMMANDS) for line in lines)
             if not listed and not any(line.startswith(KEPT) for line in lines):

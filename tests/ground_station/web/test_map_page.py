@@ -1,6 +1,8 @@
 """The page in a browser, by the words that it shows."""
 
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 
@@ -222,6 +224,45 @@ def test_it_fits_a_phone_and_a_desk_dark_and_light(site, chromium, width, scheme
         )
         darker = min((ground, ink), key=brightness)
         assert (darker == ground) == (scheme == "dark")
+
+
+BROKEN_WORDS = """() => {
+  const found = [];
+  for (const cell of document.querySelectorAll('#lists th, #lists td span')) {
+    const words = cell.firstChild;
+    for (const { 0: word, index } of (words?.textContent ?? '').matchAll(/\\S+/g)) {
+      const range = document.createRange();
+      range.setStart(words, index);
+      range.setEnd(words, index + word.length);
+      if (range.getClientRects().length > 1) found.push(word);
+    }
+  }
+  return found;
+}"""
+WHY = "no vehicle comes home from there with the accepted P(home) before its window ends"
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_long_reasons_break_no_word_of_the_lists(site, chromium, width):
+    site.until_flying("d1")
+    site.ears.more["d1"] = {"margin_wh": -3.25, "p_home": 0.99871}
+    with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
+        db.execute("UPDATE orders SET why = ? WHERE state != 'open'", (WHY,))
+        db.execute("UPDATE orders SET state = 'cancelled', why = ? WHERE id = 'H-108'", (WHY,))
+        db.commit()
+    site.step(2, desk=False)
+    with browsing(chromium, viewport={"width": width, "height": 844}) as page:
+        page.goto(site.address)
+        page.wait_for_selector("#link.live")
+        shown(page, WHY)
+        assert page.evaluate(BROKEN_WORDS) == []
+        lists = "document.querySelector('#lists')"
+        assert page.evaluate(f"{lists}.scrollWidth <= {lists}.clientWidth")
+        for column, word in (("last-child", "x" * 300), ("first-child", "x" * 40)):
+            page.locator(f"#orders td:{column} span").first.evaluate(
+                "(cell, word) => { cell.textContent = word }", word
+            )
+            assert page.evaluate(f"{lists}.scrollWidth <= {lists}.clientWidth"), column
 
 
 def brightness(colour: str) -> float:

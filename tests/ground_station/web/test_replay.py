@@ -363,6 +363,11 @@ def test_the_page_goes_to_any_time_by_bar_and_keys_and_plays(flown):
         for key in (",", ",", "<", " "):
             page.keyboard.press(key)
         wait_until(page, f"{at} >= {began_us + 14e6}")
+        clocks = "['#clock', '#time-words'].map((id) => document.querySelector(id).innerText)"
+        for _ in range(10):
+            header, bar = page.evaluate(clocks)
+            assert bar.endswith(header), "both are the time of what is shown"
+            page.wait_for_timeout(70.0)
         page.keyboard.press(" ")
         assert page.locator("#play").inner_text() == "play"
         page.locator("#time").focus()

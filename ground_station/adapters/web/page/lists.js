@@ -48,8 +48,8 @@ function table(selector, entries, selected, select, cells) {
   };
   keyed($(`${selector} tbody`), entries, make, (row, item, key) => {
     const words = cells(key, item);
-    while (row.children.length < words.length) row.append(html("td"));
-    words.forEach((word, k) => say(row.children[k], word));
+    while (row.children.length < words.length) row.append(html("td", {}, html("span")));
+    words.forEach((word, k) => say(row.children[k].firstChild, word));
     set(row, { class: [item.alarms?.length ? "alarm" : "", key === selected ? "chosen" : "", item.state ?? ""].join(" ").trim() });
   }, (item, key) => key === selected);
 }

@@ -4,6 +4,7 @@ import { $, remembering, say, set } from "./dom.js";
 import { Past } from "./past.js";
 import { drawDeeds, me, startPeople } from "./people.js";
 import { ask as askServer } from "./server.js";
+import { clock, moment } from "./words.js";
 import { listen } from "./stream.js";
 import { View } from "./view.js";
 import { Drawing } from "./draw.js";
@@ -28,6 +29,7 @@ function redraw() {
     waiting = false;
     const second = Math.floor(nowUs() / 1e6);
     const shared = { ...seen, select, nowUs: nowUs(), reach: reachWanted ? seen.reach : null };
+    when("clock", [second, seen.heardMs === null], sayTime);
     drawing.draw(seen.picture, shared);
     drawLists(seen.picture, shared);
     when("detail", [seen.picture.drones?.[seen.selected], seen.picture.orders?.[seen.selected], seen.selected, seen.history, second], () =>
@@ -36,6 +38,13 @@ function redraw() {
       drawDeeds(seen.picture, seen.selected));
     when("basemap", [basemap, view.x, view.y, view.zoom, view.width, view.height], () => basemap?.follow());
   });
+}
+
+// Header and bar: the time of what is shown.
+function sayTime() {
+  if (seen.heardMs === null) return;
+  say($("#clock"), clock(nowUs()));
+  if (past) say($("#time-words"), moment(nowUs()));
 }
 
 function select(name) {
@@ -134,7 +143,6 @@ function tell(kind, words) {
 }
 
 function everySecond() {
-  if (seen.heardMs !== null) say($("#clock"), new Date(nowUs() / 1000).toLocaleTimeString());
   const quietMs = seen.heardMs === null ? 0 : performance.now() - seen.heardMs;
   if (!past && me.mayRead && quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
   redraw();

@@ -28,7 +28,6 @@ export class Past {
   go(tUs) {
     this.tUs = Math.round(Math.min(this.span.to_us, Math.max(this.span.from_us, tUs)));
     this.bar.value = this.tUs;
-    say($("#time-words"), moment(this.tUs));
     this.#ask();
   }
 
