@@ -115,8 +115,8 @@ VehicleSettings = Annotated[
     Path | None,
     typer.Option(
         help="Folder that remembers, by vehicle, which settings a flight changed until they are"
-        " put back; default: $STATE_DIRECTORY/settings of a service, else"
-        " ~/.local/state/leeway/settings."
+        " put back; default: `settings` in a service's state directory, else in"
+        " ~/.local/state/leeway."
     ),
 ]
 MonitorFolder = Annotated[
@@ -124,7 +124,7 @@ MonitorFolder = Annotated[
     typer.Option(
         "--monitor",
         help="Keep a monitor of the vehicle's service, in this folder; default:"
-        " $STATE_DIRECTORY/monitor of a service, else none is kept.",
+        " `monitor` in a service's state directory, else none is kept.",
     ),
 ]
 Pack = Annotated[
@@ -140,8 +140,8 @@ MaxLossPerHour = Annotated[
     typer.Option(
         min=1e-6,
         max=1.0,
-        help="Losses per flight hour that you accept (docs/explanation/return-budget.md); default:"
-        " the flight's mission.max_loss_per_hour, else its max_loss alone.",
+        help="Losses per flight hour that you accept (docs: return-budget); default: those of the"
+        " flight's mission, else its max_loss alone.",
     ),
 ]
 
@@ -210,7 +210,7 @@ def run_command(
         typer.Option(
             help="Where the autopilot holds because its mission was cleared or by a failsafe, and"
             " nobody answers the alarms: only go on with them, return to launch, or land"
-            " (docs/explanation/safety-rules.md, rule 1)."
+            " (docs: safety-rules, rule 1)."
         ),
     ] = HoldChoice.ALARM,
     unanswered_after: Annotated[
@@ -242,7 +242,7 @@ def run_command(
         str | None,
         typer.Option(
             help="Serve the dispatcher's desk of this fleet over zenoh: without --mission fly what"
-            " it assigns, one after another (docs/how-to/dispatch.md)."
+            " it assigns, one after another (docs: dispatch)."
         ),
     ] = None,
     vehicle: Annotated[
@@ -258,7 +258,7 @@ def run_command(
         Path | None,
         typer.Option(
             help="This vehicle's folder of `ground-station pki`: then all messages are signed"
-            " (docs/how-to/secure-a-fleet.md)."
+            " (docs: secure-a-fleet)."
         ),
     ] = None,
     open_network: Annotated[
@@ -273,7 +273,7 @@ def run_command(
         typer.Option(
             "--keep-apart",
             help="In a fleet: fly set-points near neighbours to keep separation, then go on with"
-            " the mission (docs/explanation/avoidance.md). All vehicles of the fleet should.",
+            " the mission (docs: avoidance). All vehicles of the fleet should.",
         ),
     ] = False,
     policy: Annotated[

@@ -202,7 +202,9 @@ def tspd(
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
     instances: Annotated[
         str | None,
-        typer.Option(help="Only these: patterns of names, as in uniform-*-n50,uniform-*-n75."),
+        typer.Option(
+            help="Only these: patterns of names with commas between, as in uniform-*-n50."
+        ),
     ] = None,
 ) -> None:
     """One truck and one drone (Agatz, Bouman and Schmidt): plan every instance, check it, compare

@@ -24,7 +24,7 @@ MetricsAddress = Annotated[
     typer.Option(
         "--metrics",
         metavar="[HOST:]PORT",
-        help="Serve its figures for Prometheus at http://HOST:PORT/metrics; a port alone is"
+        help="Serve its figures for Prometheus on this port, at /metrics; a port alone is"
         " this machine's. Whoever reaches it reads the fleet's state.",
     ),
 ]

@@ -22,7 +22,9 @@ DayArgument = Annotated[
 StoreUrl = Annotated[
     str,
     typer.Option(
-        "--store", help="Where the day is kept: sqlite:///FILE or postgresql://USER@HOST/NAME."
+        "--store",
+        help="Where the day is kept: sqlite:///FILE, or the URL of a PostgreSQL database.",
+        show_default="leeway-desk.db in this folder",
     ),
 ]
 DEFAULT_STORE = "sqlite:///leeway-desk.db"
@@ -53,7 +55,7 @@ IdentityFolder = Annotated[
     typer.Option(
         "--identity",
         help="Your folder of `ground-station pki`: then all messages are signed"
-        " (docs/how-to/secure-a-fleet.md).",
+        " (docs: secure-a-fleet).",
     ),
 ]
 SignedBy = Annotated[
@@ -79,7 +81,7 @@ ForecastFile = Annotated[
     typer.Option(
         "--forecast",
         metavar="FILE",
-        help="The wind of this forecast: GRIB2, or Open-Meteo's JSON (docs/how-to/forecasts.md).",
+        help="The wind of this forecast: GRIB2, or Open-Meteo's JSON (docs: forecasts).",
     ),
 ]
 

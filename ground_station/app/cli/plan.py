@@ -37,7 +37,7 @@ def plan(
         Path | None,
         typer.Option(
             help="With --picture: a PMTiles extract of the town, whose streets are drawn beneath"
-            " (docs/how-to/watch-on-a-map.md)."
+            " (docs: watch-on-a-map)."
         ),
     ] = None,
     missions: Annotated[
