@@ -1,5 +1,7 @@
 """Rows of the standing suite, drawn; and each guard taken out, so that its row breaks."""
 
+import tomllib
+
 import pytest
 
 from sim_bridge.app.fault_suite.catalogue import CATALOGUE
@@ -36,3 +38,24 @@ def test_without_its_guard_the_row_breaks(tmp_path, monkeypatch, fault):
     monkeypatch.setattr(runner, "suite_forks", lambda: None)  # patched before its imports
     monkeypatch.setattr(companion_process, "ENTRY", f"{patch}\n{companion_process.ENTRY}")
     assert not flown(tmp_path, fault, autopilot, phase).held
+
+
+def test_a_tight_flight_has_a_charge_of_its_own_and_may_be_refused(tmp_path):
+    rows = [
+        fly_fault(FaultTask("pack-aged", "px4", "ready", seed, tmp_path, tight=True))
+        for seed in (1, 2)
+    ]
+    first, second = (row.charge_frac for row in rows)
+    assert first is not None
+    assert second is not None
+    assert 0.42 <= first != second <= 0.54
+    for row in rows:
+        folder = tmp_path / f"pack-aged-px4-ready-seed{row.seed}"
+        told, world = (
+            tomllib.loads((folder / name).read_text())["vehicle"]
+            for name in ("flight.toml", "world.toml")
+        )
+        assert told["charge_frac"] == world["charge_frac"] == row.charge_frac
+        assert "battery_health_frac" not in told
+        assert world["battery_health_frac"] == 0.8
+        assert row.held, row.why

@@ -39,6 +39,10 @@ CATALOGUE: tuple[Case, ...] = tuple(
 """Every row."""
 
 
+TIGHT = range(21, 40)
+"""Rows whose physics the companion's model does not know: there P(home) is put to the test."""
+
+
 def case_of(name: str) -> Case:
     """The row of this name."""
     return next(case for case in CATALOGUE if case.name == name)
@@ -58,3 +62,17 @@ def chosen(names: list[str]) -> list[Case]:
             f"--only {unknown[0]}: no such fault; `sim-bridge faults --list` names them"
         )
     return [case for case in CATALOGUE if case.name in names or str(case.number) in names]
+
+
+def tight_enough(cases: list[Case], *, named: bool) -> list[Case]:
+    """Those of them that tight flights are made of.
+
+    Raises: LeewayError where a row was named that is none of them.
+    """
+    fit = [case for case in cases if case.number in TIGHT]
+    if named and len(fit) < len(cases):
+        odd = next(case for case in cases if case not in fit)
+        raise LeewayError(
+            f"--tight {odd.name}: row {odd.number}, expected one of {TIGHT[0]} to {TIGHT[-1]}"
+        )
+    return fit

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sim_bridge.app.fault_suite.catalogue import Case
-from sim_bridge.app.fault_suite.promises import by_group
+from sim_bridge.app.fault_suite.promises import GroupPromises, by_group
+from sim_bridge.app.fault_suite.promises import by_fault as promises_by_fault
 from sim_bridge.app.faults.fault_row import FaultRow
 from sim_bridge.app.flight.report import slim_table
 
@@ -62,19 +63,24 @@ def summary(rows: Sequence[FaultRow]) -> Table:
     return table
 
 
-def promises(rows: Sequence[FaultRow]) -> Table:
-    """By group: what P(home) was worth at the last decision to go on outward.
+def promises(rows: Sequence[FaultRow], *, by_fault: bool = False) -> Iterator[Table]:
+    """By group, and by fault too: what P(home) was worth at the last decision to go on outward.
 
     The mean of what was said beside the share that came home, their mean square difference (Brier
     score), and of flights that were promised 0.99 how many came home. Left out is what a person has
     landed.
     """
-    columns = ("flights", "P(home) said", "came home", "Brier", "of 0.99 said, home")
-    title = "P(home) at the last decision to go on, by group"
-    table = slim_table(title, ("group", "left"))
-    for name in columns:
+    title = "P(home) at the last decision to go on"
+    yield _promises(f"{title}, by group", "group", by_group(rows))
+    if by_fault:
+        yield _promises(f"{title}, by fault", "fault", promises_by_fault(rows))
+
+
+def _promises(title: str, kind: str, worth: Sequence[GroupPromises]) -> Table:
+    table = slim_table(title, (kind, "left"))
+    for name in ("flights", "P(home) said", "came home", "Brier", "of 0.99 said, home"):
         table.add_column(name, justify="right")
-    for each in by_group(rows):
+    for each in worth:
         shares = (f"{each.p_home:.3f}", f"{each.home:.3f}", f"{each.brier:.4f}")
         table.add_row(each.group, str(each.flights), *shares, "{} of {}".format(*each.sure))
     return table

@@ -17,7 +17,8 @@ from sim_bridge.app.trials.trial import Bounds
 
 def journal_of(json_out: Path, todo: Sequence[FaultTask]) -> Journal[FaultRow]:
     """Which of these flights have been flown: a file beside the result until all have been."""
-    flights = [(task.fault, task.autopilot, task.phase, task.seed) for task in todo]
+    tight = ["tight"] if any(task.tight for task in todo) else []
+    flights = [(task.fault, task.autopilot, task.phase, task.seed, *tight) for task in todo]
     path = json_out.with_name(json_out.name + ".partial")
     return Journal(path, digest_of(flights), FaultRow)
 
@@ -32,6 +33,11 @@ class Session:
     console: Console = field(default_factory=Console)
     journal: Journal[FaultRow] | None = field(init=False)
     """What has been flown of it."""
+
+    @property
+    def is_tight(self) -> bool:
+        """P(home) is judged over its flights."""
+        return any(task.tight for task in self.todo)
 
     def __post_init__(self) -> None:
         self.journal = None if self.json_out is None else journal_of(self.json_out, self.todo)
@@ -74,7 +80,8 @@ class Session:
     def _end(self, rows: Sequence[FaultRow]) -> None:
         self._write(rows)
         self.console.print(report.summary(rows))
-        self.console.print(report.promises(rows))
+        for table in report.promises(rows, by_fault=self.is_tight):
+            self.console.print(table)
         self.console.print(report.spent(rows), highlight=False)
         if len(rows) < len(self.todo):
             again = "" if self.journal is None else "; the same command goes on"

@@ -23,10 +23,12 @@ def tasks(
     phases: Sequence[str],
     seeds: Sequence[int],
     run_root: Path,
+    *,
+    tight: bool = False,
 ) -> list[FaultTask]:
     """All flights of these rows, of the phases in which each makes sense."""
     return [
-        FaultTask(case.name, autopilot, phase, seed, run_root)
+        FaultTask(case.name, autopilot, phase, seed, run_root, tight)
         for case in cases
         for autopilot in autopilots
         if autopilot in case.autopilots

@@ -8,6 +8,7 @@ from sim_bridge.app.faults.stage import Stage
 from sim_bridge.app.faults.verdict import (
     Ask,
     FlownFault,
+    claims_no_delivery,
     comes_home,
     ends_in_order,
     fault_began,
@@ -65,7 +66,12 @@ class FaultCase:
     ends_after_s: float | None = None
     signed: bool = False
 
-    def wrong(self, flown: FlownFault) -> list[str]:
-        """What does not hold. In any flight: the fault begins, nobody raises, it ends in order."""
-        found = [ask(flown) for ask in (fault_began, *self.asks, raises_nothing, ends_in_order)]
+    def wrong(self, flown: FlownFault, *, tight: bool = False) -> list[str]:
+        """What does not hold. In any flight: the fault begins, nobody raises, it ends in order.
+
+        A `tight` flight may be refused, may turn back, and may come home or not as P(home) says:
+        that is judged over many.
+        """
+        asks = (claims_no_delivery,) if tight else (fault_began, *self.asks)
+        found = [ask(flown) for ask in (*asks, raises_nothing, ends_in_order)]
         return [words for words in found if words]

@@ -26,6 +26,8 @@ class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
     why: str
     cpu_s: float | None = None
     """What the flight took, of simulator and companions together; None: not measured."""
+    charge_frac: float | None = None
+    """Of the pack at power-up, where it was drawn to be tight; None: as the flight file has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,3 +39,6 @@ class FaultTask:
     phase: str
     seed: int
     run_root: Path
+    tight: bool = False
+    """The pack's charge is drawn from what is too little to what is plenty, and P(home) is judged
+    over many flights; not each flight by whether it came home."""

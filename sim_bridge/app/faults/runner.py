@@ -21,6 +21,10 @@ from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
 
 FLIGHT = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
+TIGHT_CHARGE_FRAC = (0.42, 0.54)
+"""Untroubled, the suite's flight is not begun with less than the first, turns back with a little
+more, and delivers with plenty left with the second."""
+
 OUTPUT = "companion.out"
 KEY, KEY_BYTES = "signing.key", 32
 
@@ -31,9 +35,11 @@ def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
     folder.mkdir(parents=True, exist_ok=True)
     draws = np.random.default_rng([task.seed, case.number])
     performance = Performance(case.play, task.phase, draws)
-    told = write_flight(folder / "flight.toml", case.flight)
+    charge_frac = _tight_charge(task) if task.tight else None
+    drawn = {} if charge_frac is None else {"vehicle": {"charge_frac": charge_frac}}
+    told = write_flight(folder / "flight.toml", case.flight, drawn)
     options = FlyOptions(
-        flight_file=write_flight(folder / "world.toml", case.flight, case.untold),
+        flight_file=write_flight(folder / "world.toml", case.flight, drawn, case.untold),
         told=told,
         autopilot=task.autopilot,
         seed=task.seed,
@@ -48,7 +54,14 @@ def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
     ending = _Ending(after_s=case.ends_after_s, performance=performance)
     (row,) = fly(options, ending, performance)["flights"]
     assert performance.stage is not None
-    return _judged(task, case, FlownFault(row, performance.stage, _words(performance)))
+    flown = FlownFault(row, performance.stage, _words(performance))
+    return msgspec.structs.replace(_judged(task, case, flown), charge_frac=charge_frac)
+
+
+def _tight_charge(task: FaultTask) -> float:
+    flight = f"{task.fault} {task.autopilot} {task.phase}"
+    draws = np.random.default_rng([task.seed, *flight.encode()])
+    return round(float(draws.uniform(*TIGHT_CHARGE_FRAC)), 4)
 
 
 def _key_in(folder: Path) -> Path:
@@ -106,7 +119,7 @@ class _Ending(Progress):
 
 
 def _judged(task: FaultTask, case: FaultCase, flown: FlownFault) -> FaultRow:
-    wrong = case.wrong(flown)
+    wrong = case.wrong(flown, tight=task.tight)
     return FaultRow(
         fault=case.name,
         group=case.group,

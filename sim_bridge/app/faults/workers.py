@@ -140,11 +140,14 @@ CASES = (
         stays_down,
         tells("no take-off: planning failed: memoryerror"),
     ),
-    planner_row(
+    FaultCase(  # with its whole time: on a busy computer it plans for minutes of simulated time
+        48,
         "plan-worker-late",
+        GROUP,
         "the worker that plans takes its time: the loop hears on, and the flight is flown",
-        LATE,
-        *SAFE,
-        delivers,
+        from_the_start,
+        (*SAFE, delivers),
+        ("ready",),
+        before_companion=LATE,
     ),
 )

@@ -212,6 +212,20 @@ PAGES = (
         pictures=(("flying/fleet_wind.png", "fleet-wind.png"),),
     ),
     Page(
+        "tight-packs",
+        "P(home) where the model is wrong",
+        "Faults whose physics the companion does not know, each pack's charge drawn from too little"
+        " to plenty: what was promised at the last decision to go on, against what came of it.",
+        (
+            PageCommand(
+                ("sim-bridge", "faults", "--tight", "--seeds", "31:32",
+                 "--json", f"{OUT}/tight.json", "--runs", f"{OUT}/runs"),
+                show=tables.tight_faults,
+            ),
+        ),
+        20.0,
+    ),
+    Page(
         "air-density",
         "Thin, hot and cold air",
         "Short flights from sea level to 3,000 m and from -10 to 40 degrees C: the wind as"

@@ -170,6 +170,23 @@ def tracks(done: CommandOutput) -> str:
     return "\n".join([*lines, *rows])
 
 
+def tight_faults(done: CommandOutput) -> str:
+    """Of `sim-bridge faults --tight --json {out}/tight.json`."""
+    from sim_bridge.app.fault_suite.promises import reliability
+    from sim_bridge.app.fault_suite.report import promises
+    from sim_bridge.app.faults.fault_row import FaultRow
+
+    rows = msgspec.convert(done.json("tight.json")["rows"], list[FaultRow])
+    lines = ["| P(home) said | flights | mean of it | came home |", "| --- | --- | --- | --- |"]
+    for each in reliability(rows):
+        shares = f"{each.flights} | {each.p_home:.4f} | {each.home:.4f}"
+        lines.append(f"| {each.from_p:g} to {each.to_p:g} | {shares} |")
+    flown = sum(row.p_home_last_go is not None for row in rows)
+    words = f"{len(rows)} flights, of which {flown} had energy enough to be begun."
+    parts = map(table_markdown, promises(rows, by_fault=True))
+    return "\n\n".join([words, "\n".join(lines), *parts])
+
+
 def start_of_a_day(done: CommandOutput) -> str:
     """Of `sim-bridge research bench start`."""
     figures = json.loads(done.printed)

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.fault_suite.catalogue import CATALOGUE, chosen
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE, chosen, tight_enough
 from sim_bridge.app.fault_suite.suite import tasks
 from sim_bridge.app.faults.case import BOTH, PHASES
 from sim_bridge.main import app
@@ -50,3 +50,11 @@ def test_the_list_names_every_row_and_flies_nothing(tmp_path, monkeypatch):
     assert listed.exit_code == 0
     assert all(case.name in listed.output for case in CATALOGUE)
     assert not list(tmp_path.iterdir())
+
+
+def test_tight_flights_are_of_rows_that_the_model_does_not_know():
+    fit = tight_enough(chosen([]), named=False)
+    assert {case.number for case in fit} == set(range(21, 40))
+    assert {case.group for case in fit} == {"energy", "air and sensors"}
+    with pytest.raises(LeewayError, match=r"kill-switch: row 9, expected one of 21 to 39"):
+        tight_enough(chosen(["icing", "kill-switch"]), named=True)

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from sim_bridge.app.fault_suite.promises import by_group
 from sim_bridge.app.fault_suite.report import promises, result, spent, write
 from sim_bridge.app.faults.fault_row import FaultRow
 
@@ -39,7 +40,8 @@ def printed(table) -> list[list[str]]:
 
 def test_promises_are_held_against_what_came_home_group_by_group():
     rows = [row(), row(promised=0.9), row(home=False), row("link"), row("host", promised=None)]
-    lines = printed(promises(rows))
+    (table,) = promises(rows)
+    lines = printed(table)
     assert ["energy", "3", "0.966", "0.667", "0.3360", "1", "of", "2"] in lines
     assert ["link", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
     assert not any(line[:1] == ["host"] for line in lines)
@@ -70,3 +72,19 @@ def test_what_a_flight_took_is_said_with_the_longest():
     assert spent([row()]) == ""
     rows = [msgspec.structs.replace(row(), cpu_s=seconds) for seconds in (9.0, 10.0, 31.0)]
     assert spent(rows) == "CPU a flight: 10.0 s (median), at most 31.0 s (draw-2 px4 drop)"
+
+
+def test_tight_flights_are_told_by_fault_too():
+    rows = [row(), msgspec.structs.replace(row(home=False), fault="icing")]
+    _, by_fault = promises(rows, by_fault=True)
+    lines = printed(by_fault)
+    assert ["draw-2", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
+    assert ["icing", "1", "0.999", "0.000", "0.9980", "0", "of", "1"] in lines
+
+
+@pytest.mark.parametrize(("home", "lost", "kept"), [(19, 1, True), (18, 1, False), (0, 0, True)])
+def test_a_promise_is_kept_where_nineteen_of_twenty_that_were_sure_came_home(home, lost, kept):
+    unsure = [row(promised=0.6, home=False) for _ in range(5)]
+    sure = [row() for _ in range(home)] + [row(home=False) for _ in range(lost)]
+    (energy,) = by_group([*unsure, *sure])
+    assert energy.is_kept is kept

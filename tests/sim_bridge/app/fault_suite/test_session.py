@@ -85,6 +85,18 @@ def test_another_command_does_not_take_up_what_this_one_flew(tmp_path, flights):
     assert len(journal_of(path, session(tmp_path).todo).read()) == len(done) == 3
 
 
+def test_tight_flights_are_not_taken_for_others(tmp_path):
+    rows = chosen(["pack-aged"])
+    plain, tight = (
+        suite.tasks(rows, BOTH, PHASES, [1], tmp_path, tight=tight) for tight in (False, True)
+    )
+    path = tmp_path / "faults.json"
+    with journal_of(path, plain).writing({}) as add:
+        add(0, flown(plain[0]))
+    assert len(journal_of(path, plain).read()) == 1
+    assert journal_of(path, tight).read() == {}
+
+
 def test_no_flight_begins_when_the_time_is_up_and_what_was_flown_is_a_drawn_sample(
     tmp_path, flights, monkeypatch
 ):
