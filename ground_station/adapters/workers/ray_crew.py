@@ -1,7 +1,9 @@
 """Workers of a Ray cluster (the extra `ray`): an actor for each of its processors."""
 
 import contextlib
+import logging
 import os
+import socket
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
@@ -12,6 +14,8 @@ Work = TypeVar("Work")
 Result = TypeVar("Result")
 
 LOCAL = "local"
+NO_ADDRESS = (LOCAL, "auto")
+ANSWERS_WITHIN_S = 10.0
 
 
 class RayCrew(Generic[Work, Result]):
@@ -69,7 +73,9 @@ class _RemoteWorker:
 
     def __init__(self, do: Callable[[Any], Any], folder: str) -> None:
         if not os.path.isdir(folder):
-            raise LeewayError(f"{folder}: not on this machine of the cluster; expected a shared one")
+            raise LeewayError(
+                f"{folder}: not on this machine of the cluster; expected a shared one"
+            )
         os.chdir(folder)
         self._do = do
 
@@ -82,9 +88,28 @@ def _ray(cluster: str) -> Any:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise LeewayError("ray is not installed: pip install 'leeway-uas[ray]'") from None
-    address = None if cluster == LOCAL else cluster
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # else it tells its makers of each use
+    _check_answers(cluster)
     try:
-        ray.init(address=address, log_to_driver=False, include_dashboard=False)
+        ray.init(
+            address=None if cluster == LOCAL else cluster,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            include_dashboard=False,
+        )
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise LeewayError(f"--cluster {cluster}: {error}") from error
     return ray
+
+
+def _check_answers(cluster: str) -> None:
+    """Ray itself waits for minutes where nobody listens."""
+    host, _, port = cluster.rpartition(":")
+    if cluster in NO_ADDRESS or "//" in cluster:
+        return
+    if not (host and port.isdecimal()):
+        raise LeewayError(f"--cluster {cluster}: expected {', '.join(NO_ADDRESS)} or HOST:PORT")
+    try:
+        socket.create_connection((host, int(port)), ANSWERS_WITHIN_S).close()
+    except OSError as error:
+        raise LeewayError(f"--cluster {cluster}: no cluster answers: {error}") from error

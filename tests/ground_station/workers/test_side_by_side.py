@@ -1,4 +1,4 @@
-"""Work side by side: the same results whoever works, and a worker that is killed costs its piece."""
+"""Work side by side: the same results whoever works, and one who is killed costs a piece."""
 
 import os
 import signal
