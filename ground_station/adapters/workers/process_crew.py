@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.context import SpawnProcess
 from pickle import PicklingError
 from types import FrameType
@@ -86,7 +86,7 @@ class ProcessCrew(Generic[Work, Result]):
 
     def _hired(self) -> _Member:
         spawn = get_context("spawn")  # a fork would copy threads half way
-        ours, theirs = spawn.Pipe()
+        ours, theirs = Pipe()
         process = spawn.Process(target=_work, args=(theirs, self._do), daemon=True)
         with _without_ctrl_c():
             process.start()

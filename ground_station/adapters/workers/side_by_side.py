@@ -1,7 +1,7 @@
 """Pieces of work side by side; a worker that is killed costs its piece only."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -9,6 +9,7 @@ from ground_station.adapters.workers.answers import Answer, Raised, Returned
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
+Given = TypeVar("Given", contravariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class PieceLost(Generic[Work]):
     why: str
 
 
-class Crew(Protocol[Work, Result]):
+class Crew(Protocol[Given, Result]):
     """Workers that do the same to every piece."""
 
     @property
@@ -47,7 +48,7 @@ class Crew(Protocol[Work, Result]):
         """How many pieces may be under way at once."""
         ...
 
-    def begin(self, index: int, piece: Work) -> None:
+    def begin(self, index: int, piece: Given) -> None:
         """Give a piece to a worker that is free, or to a new one."""
         ...
 
@@ -65,7 +66,7 @@ def side_by_side(
     do: Callable[[Work], Result],
     workers: Workers,
     say: Callable[[str], None] = lambda words: None,
-) -> Iterator[PieceDone[Result] | PieceLost[Work]]:
+) -> Generator[PieceDone[Result] | PieceLost[Work], None, None]:
     """`do` of every piece, begun in their order, given back as they end.
 
     `do`, pieces and results are pickled; with one job and no cluster nothing is, and all is done in

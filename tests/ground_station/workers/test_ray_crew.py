@@ -5,7 +5,7 @@ Skipped where the extra `ray` is not installed (200 MB): `make night` brings it.
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,15 @@ pytestmark = [
 ]
 
 
+def done_of(ended: Iterable[PieceDone[Any] | PieceLost[Any]]) -> list[tuple[int, Any]]:
+    """Index and result of all that are done."""
+    return sorted((one.index, one.result) for one in ended if isinstance(one, PieceDone))
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Workers]:
     """Two machines of one processor each, in processes of their own."""
-    from ray.cluster_utils import Cluster
+    from ray.cluster_utils import Cluster  # pyright: ignore[reportMissingImports]
 
     started = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
@@ -68,8 +73,8 @@ def refuses_two(number: int) -> int:
 def test_results_are_those_of_processes_and_files_are_found_from_the_same_folder(
     cluster: Workers,
 ) -> None:
-    there = sorted((one.index, one.result) for one in side_by_side(range(7), place_of, cluster))
-    here = sorted((one.index, one.result) for one in side_by_side(range(7), place_of, Workers(2)))
+    there = done_of(side_by_side(range(7), place_of, cluster))
+    here = done_of(side_by_side(range(7), place_of, Workers(2)))
     assert there == here == [(n, (n * n, os.getcwd())) for n in range(7)]
 
 
@@ -77,8 +82,7 @@ def test_a_piece_that_kills_twice_is_lost_and_no_other(cluster: Workers) -> None
     ended = list(side_by_side(range(6), killed_at_three, cluster))
     (lost,) = [one for one in ended if isinstance(one, PieceLost)]
     assert (lost.index, lost.piece) == (3, 3)
-    done = sorted((d.index, d.result) for d in ended if isinstance(d, PieceDone))
-    assert done == [(n, n * n) for n in (0, 1, 2, 4, 5)]
+    assert done_of(ended) == [(n, n * n) for n in (0, 1, 2, 4, 5)]
 
 
 def test_a_piece_whose_worker_is_killed_once_is_tried_again(
@@ -87,7 +91,7 @@ def test_a_piece_whose_worker_is_killed_once_is_tried_again(
     said: list[str] = []
     work = [(n, tmp_path / "killed" if n == 1 else None) for n in range(5)]
     ended = list(side_by_side(work, killed_once, cluster, said.append))
-    assert sorted((one.index, one.result) for one in ended) == [(n, n * n) for n in range(5)]
+    assert done_of(ended) == [(n, n * n) for n in range(5)]
     assert len(said) == 1
 
 

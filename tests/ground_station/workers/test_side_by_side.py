@@ -5,9 +5,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterable
 from itertools import count, islice
 from multiprocessing import active_children
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -21,6 +23,11 @@ from ground_station.adapters.workers.side_by_side import (
 )
 
 TWO = Workers(jobs=2)
+
+
+def done_of(ended: Iterable[PieceDone[Any] | PieceLost[Any]]) -> list[tuple[int, Any]]:
+    """Index and result of all that are done."""
+    return sorted((one.index, one.result) for one in ended if isinstance(one, PieceDone))
 
 
 def square(number: int) -> int:
@@ -60,7 +67,7 @@ def sleeps(folder: Path) -> None:
 @pytest.mark.parametrize("jobs", [1, 2, 3])
 def test_results_are_the_same_whatever_the_number_of_workers(jobs: int) -> None:
     ended = list(side_by_side(range(7), square, Workers(jobs)))
-    assert sorted((one.index, one.result) for one in ended) == [(n, n * n) for n in range(7)]
+    assert done_of(ended) == [(n, n * n) for n in range(7)]
 
 
 def test_pieces_of_a_worker_that_is_killed_once_are_tried_again(tmp_path: Path) -> None:
@@ -68,7 +75,7 @@ def test_pieces_of_a_worker_that_is_killed_once_are_tried_again(tmp_path: Path) 
     work = [(n, tmp_path / "killed" if n == 1 else None) for n in range(5)]
     ended = list(side_by_side(work, squares_but_kills, TWO, said.append))
     assert (tmp_path / "killed").exists()
-    assert sorted((one.index, one.result) for one in ended) == [(n, n * n) for n in range(5)]
+    assert done_of(ended) == [(n, n * n) for n in range(5)]
     assert said == ["a worker was ended by SIGKILL: its piece of work is tried once more"]
 
 
@@ -77,8 +84,7 @@ def test_a_piece_that_kills_twice_is_lost_and_no_other() -> None:
     (lost,) = [one for one in ended if isinstance(one, PieceLost)]
     assert (lost.index, lost.piece) == (3, 3)
     assert "SIGKILL" in lost.why
-    done = sorted((d.index, d.result) for d in ended if isinstance(d, PieceDone))
-    assert done == [(n, n * n) for n in (0, 1, 2, 4, 5)]
+    assert done_of(ended) == [(n, n * n) for n in (0, 1, 2, 4, 5)]
 
 
 def test_what_a_piece_raises_is_raised_and_ends_the_workers() -> None:
@@ -127,7 +133,7 @@ def test_workers_end_with_who_started_them(number: signal.Signals, tmp_path: Pat
     wait_until(lambda: not any(psutil.pid_exists(int(path.name)) for path in folder.iterdir()))
 
 
-def wait_until(is_so, limit_s: float = 20.0) -> None:
+def wait_until(is_so: Callable[[], bool], limit_s: float = 20.0) -> None:
     until_s = time.monotonic() + limit_s
     while not is_so():
         assert time.monotonic() < until_s
