@@ -5,15 +5,15 @@ it. A different command does not mix with it and starts from the beginning.
 """
 
 import hashlib
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import msgspec
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
@@ -61,51 +61,45 @@ class Journal(Generic[Result]):
         self.path.unlink(missing_ok=True)
 
 
+class PiecesLost(LeewayError):
+    """Pieces whose workers died twice; all others are done, and kept."""
+
+    def __init__(self, lost: Sequence[PieceLost[Any]], kept: int) -> None:
+        self.lost, self.kept = lost, kept
+        super().__init__(f"{len(lost)} pieces of work lost, {kept} kept")
+
+
 def journaled_map(
     work: Sequence[Work],
     do: Callable[[Work], Result],
-    jobs: int,
+    workers: Workers,
     journal: Journal[Result],
     progress: Callable[[int, int], None] = lambda done, total: None,
+    say: Callable[[str], None] = lambda words: None,
 ) -> list[Result]:
-    """`do` of every piece, in order, on `jobs` processes; takes up what the journal has.
+    """`do` of every piece, in order, by these workers; takes up what the journal has.
 
     The journal is left to the caller to remove, once the result is written.
+    Raises: PiecesLost where workers were killed, when all other pieces are done.
     """
     done = journal.read()
     progress(len(done), len(work))
     pending = [i for i in range(len(work)) if i not in done]
+    lost: list[PieceLost[Work]] = []
     with journal.writing(done) as keep:
-        for index, result in _in_any_order(work, do, pending, jobs):
-            keep(index, result)
-            done[index] = result
+        for ended in side_by_side((work[i] for i in pending), do, workers, say):
+            index = pending[ended.index]
+            if isinstance(ended, PieceLost):
+                lost.append(PieceLost(index, ended.piece, ended.why))
+                continue
+            keep(index, ended.result)
+            done[index] = ended.result
             progress(len(done), len(work))
+    if lost:
+        raise PiecesLost(lost, len(done))
     return [done[i] for i in range(len(work))]
-
-
-def _in_any_order(
-    work: Sequence[Work], do: Callable[[Work], Result], pending: list[int], jobs: int
-) -> Iterator[tuple[int, Result]]:
-    if jobs == 1:
-        for index in pending:
-            yield index, do(work[index])
-        return
-    pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), initializer=leave_ctrl_c_to_the_parent
-    )
-    try:
-        waiting = {pool.submit(do, work[index]): index for index in pending}
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def digest_of(*things: object) -> str:
     """A digest that identifies the work, from values whose `repr` is complete."""
     return hashlib.sha256(repr(things).encode()).hexdigest()
-
-
-def leave_ctrl_c_to_the_parent() -> None:
-    """What a worker process does first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -35,15 +35,19 @@ class WanderingBias:
     exact discretisation, so that spread does not depend on the step's length.
     """
 
-    __slots__ = ("_gauss", "_std", "_time_s", "value")
+    __slots__ = ("_dt_s", "_gauss", "_keep", "_spread", "_std", "_time_s", "value")
 
     def __init__(self, std: float, time_s: float, gauss: GaussianStream) -> None:
         self._std = std
         self._time_s = time_s
         self._gauss = gauss
         self.value = std * gauss()
+        self._dt_s: float | None = None
 
     def step(self, dt_s: float) -> float:
-        keep = math.exp(-dt_s / self._time_s)
-        self.value = keep * self.value + self._std * math.sqrt(1.0 - keep * keep) * self._gauss()
+        if dt_s != self._dt_s:
+            self._dt_s = dt_s
+            self._keep = keep = math.exp(-dt_s / self._time_s)
+            self._spread = self._std * math.sqrt(1.0 - keep * keep)
+        self.value = self._keep * self.value + self._spread * self._gauss()
         return self.value

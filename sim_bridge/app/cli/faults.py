@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from sim_bridge.app.cli.options import ClusterOption
 
 app = typer.Typer()
 
@@ -31,6 +32,7 @@ def faults(
     ] = ALL,
     seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:1",
     jobs: Annotated[int, typer.Option(min=1, help="Flights side by side.")] = 2,
+    cluster: ClusterOption = None,
     minutes: Annotated[
         float | None, typer.Option(min=0.1, help="Begin no flight after so many minutes.")
     ] = None,
@@ -54,11 +56,12 @@ def faults(
     commanded after a person has taken over, nothing false is promised and no exception is raised.
     With --json it can be flown in pieces: after Ctrl-C, or --minutes, the same command goes on
     where it stopped. With --minutes the order is drawn by seed: what has been flown is a sample.
+    A flight whose process is killed (out of memory) is flown once more, and lost if that is, too.
 
     With --tight a flight need not come home: of those that went on with a P(home) of 0.99 or more
     at least 95 % have to, in each group.
 
-    Exit code 0 where all rows hold, 1 where one does not, 130 after Ctrl-C.
+    Exit code 0 where all rows hold, 1 where one does not or is lost, 130 after Ctrl-C.
     """
     from sim_bridge.app.fault_suite import report, suite
     from sim_bridge.app.fault_suite.catalogue import chosen, tight_enough
@@ -84,7 +87,7 @@ def faults(
     )
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    session = Session(todo, Bounds(jobs, minutes), json_out)
+    session = Session(todo, Bounds(jobs, minutes, cluster), json_out)
     try:
         rows = session.run()
     except KeyboardInterrupt:
@@ -94,7 +97,7 @@ def faults(
         typer.echo(f"stopped; {path} keeps what was flown, the same command goes on")
         raise typer.Exit(INTERRUPTED) from None
     kept = not tight or all(group.is_kept for group in by_group(rows))
-    if not (kept and all(row.held for row in rows)):
+    if session.lost or not kept or not all(row.held for row in rows):
         raise typer.Exit(1)
 
 

@@ -242,7 +242,8 @@ def series(
     """Fly the same flight over many seeds and both autopilots, with and without the gate.
 
     Ctrl-C and SIGTERM end it, its workers and their companions; with --json the same command
-    goes on where it was.
+    goes on where it was. A flight whose process is killed (out of memory) is flown once more; if
+    that is, too, it is named as lost: exit code 1.
     """
     from rich.console import Console
 
@@ -272,4 +273,9 @@ def series(
     if json_out is not None and json_out.exists():
         known = sum(map(file.has, flights))
         console.print(f"{json_out}: {known} of {len(flights)} flights are flown", highlight=False)
-    report(console, run_series(flights, file, jobs))
+    flown = run_series(flights, file, jobs)
+    report(console, flown.rows)
+    for words in flown.lost:
+        console.print(f"lost: {words}", highlight=False, markup=False)
+    if flown.lost:
+        raise typer.Exit(1)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from sim_bridge.app.cli.options import ClusterOption
 
 if TYPE_CHECKING:
-    from sim_bridge.app.trials.trial import Bounds, TrialRow
+    from sim_bridge.app.trials.trial import TrialRow
 
 app = typer.Typer(no_args_is_help=True)
 group = typer.Typer()
@@ -41,6 +42,7 @@ def fuzz(
     seed: SeedOption = 1,
     minutes: MinutesOption = None,
     jobs: JobsOption = 2,
+    cluster: ClusterOption = None,
     case: CaseOption = None,
     json_out: JsonOption = None,
     runs: RunsOption = RUNS,
@@ -60,11 +62,11 @@ def fuzz(
     seconds of CPU a flight.
     """
     from sim_bridge.app.trials import fuzz as trial
-    from sim_bridge.app.trials.trial import read_case, tried
+    from sim_bridge.app.trials.trial import Bounds, case_lost, read_case, tried
 
     again = [read_case(path, trial.FuzzCase) for path in case or []]
     cases = again or [trial.drawn(seed, number) for number in range(count)]
-    rows = tried(cases, trial.FuzzFlyer(runs), _bounds(jobs, minutes))
+    rows = tried(cases, trial.FuzzFlyer(runs), Bounds(jobs, minutes, cluster), case_lost, _say)
     _report("fuzz", seed, rows, len(cases), runs, json_out)
 
 
@@ -77,6 +79,7 @@ def stall(
     seed: SeedOption = 1,
     minutes: MinutesOption = None,
     jobs: JobsOption = 2,
+    cluster: ClusterOption = None,
     case: CaseOption = None,
     json_out: JsonOption = None,
     runs: RunsOption = RUNS,
@@ -95,7 +98,7 @@ def stall(
     second of CPU a stall. Linux and macOS.
     """
     from sim_bridge.app.trials import stall as trial
-    from sim_bridge.app.trials.trial import read_case, tried
+    from sim_bridge.app.trials.trial import Bounds, read_case, tried
 
     if autopilot not in (*AUTOPILOTS, "all"):
         raise LeewayError(f"--autopilot {autopilot}: expected {', '.join(AUTOPILOTS)} or all")
@@ -105,7 +108,8 @@ def stall(
         cases = trial.every_case(seed, kinds)
     elif not cases:
         cases = trial.some_cases(seed, kinds, count or 0)
-    rows = tried(trial.flights(cases), trial.StallFlyer(runs), _bounds(jobs, minutes))
+    bounds = Bounds(jobs, minutes, cluster)
+    rows = tried(trial.flights(cases), trial.StallFlyer(runs), bounds, trial.flight_lost, _say)
     _report("stall", seed, rows, len(cases), runs, json_out)
 
 
@@ -133,11 +137,11 @@ def logs(
     quarter of a second of CPU a log.
     """
     from sim_bridge.app.trials import logs as trial
-    from sim_bridge.app.trials.trial import in_time, read_case
+    from sim_bridge.app.trials.trial import Bounds, in_time, read_case
 
     again = [read_case(path, trial.LogCase) for path in case or []]
     cases = again or [trial.drawn(seed, number) for number in range(count)]
-    rows = trial.attempts(in_time(cases, _bounds(jobs, minutes)), runs / "damaged", jobs)
+    rows = trial.attempts(in_time(cases, Bounds(jobs, minutes)), runs / "damaged", jobs)
     _report("logs", seed, rows, len(cases), runs, json_out)
 
 
@@ -166,11 +170,11 @@ def soak(
     CPU a simulated hour.
     """
     from sim_bridge.app.trials import soak as trial
-    from sim_bridge.app.trials.trial import Bounds, read_case, tried
+    from sim_bridge.app.trials.trial import Bounds, case_lost, read_case, tried
 
     again = [read_case(path, trial.SoakCase) for path in case or []]
     cases = again or [trial.SoakCase(seed=seed, hours=hours, every_minutes=every_minutes)]
-    rows = tried(cases, trial.SoakRunner(runs), Bounds(jobs=1, minutes=None))
+    rows = tried(cases, trial.SoakRunner(runs), Bounds(jobs=1, minutes=None), case_lost)
     _report("soak", seed, rows, len(cases), runs, json_out)
 
 
@@ -201,6 +205,7 @@ def days(
     seed: SeedOption = 1,
     minutes: MinutesOption = None,
     jobs: JobsOption = 2,
+    cluster: ClusterOption = None,
     case: CaseOption = None,
     json_out: JsonOption = None,
     runs: RunsOption = RUNS,
@@ -226,7 +231,7 @@ def days(
     from sim_bridge.adapters.postgres_server import PostgresPrograms
     from sim_bridge.app.trials import days as trial
     from sim_bridge.app.trials.day_case import POSTGRESQL, STORES, DayCase
-    from sim_bridge.app.trials.trial import read_case, tried
+    from sim_bridge.app.trials.trial import Bounds, case_lost, read_case, tried
 
     if store not in (*STORES, "both"):
         raise LeewayError(f"--store {store}: expected {', '.join(STORES)} or both")
@@ -236,15 +241,13 @@ def days(
         PostgresPrograms.find()  # before the first day, not in it
     draw = trial.DayDraw(seed, stores, truck, all_faults, most_drones, most_orders)
     cases = again or islice(draw.cases(), count)
-    rows = tried(cases, trial.DayFlyer(runs), _bounds(jobs, minutes))
+    rows = tried(cases, trial.DayFlyer(runs), Bounds(jobs, minutes, cluster), case_lost, _say)
     total = len(again) or count
     _report("days", seed, trial.until_hours(rows, vehicle_hours), total, runs, json_out)
 
 
-def _bounds(jobs: int, minutes: float | None) -> "Bounds":
-    from sim_bridge.app.trials.trial import Bounds
-
-    return Bounds(jobs, minutes)
+def _say(words: str) -> None:
+    typer.echo(words, err=True)
 
 
 def _report(

@@ -113,6 +113,8 @@ class PowerUp:
     release_height_m: float | None = None
     taken: TakeOver | None = None
     steps: int = 0
+    last_airborne_s: float | None = None
+    """Of the newest record that has it in the air: a drone stands for hours, and is asked often."""
     _loaded: bool = False
 
     @property
@@ -134,6 +136,8 @@ class PowerUp:
             self.released_s, self.released_ned_m = t_s, (north, east, down)
             self.release_height_m = vehicle.height_m
         self._loaded = vehicle.parcel_aboard
+        if vehicle.is_airborne:
+            self.last_airborne_s = t_s
         self.rows.append((t_s, north, east, down, float(vehicle.is_airborne)))
 
 
@@ -368,8 +372,7 @@ class DayDrone:
 
     def grounded_s(self, t_s: float) -> float:
         """How long (s) it has been on the ground; 0 if it has not flown."""
-        rows = self.up.rows if self.up is not None else []
-        last = next((row[0] for row in reversed(rows) if row[4]), None)
+        last = None if self.up is None else self.up.last_airborne_s
         return t_s - last if last is not None else 0.0
 
 

@@ -16,16 +16,18 @@ from sim_bridge.app.faults.fault_row import FaultRow
 from sim_bridge.app.flight.report import slim_table
 
 
-def result(rows: Sequence[FaultRow], left: int = 0) -> dict[str, Any]:
-    """`{"rows": [...], "held": n, "of": n, "left": n, "groups": [...], "cpu_s": {...}}`.
+def result(rows: Sequence[FaultRow], left: int = 0, lost: Sequence[str] = ()) -> dict[str, Any]:
+    """`{"rows": [...], "held": n, "of": n, "left": n, "lost": [...], "groups": [...], ...}`.
 
-    `left`: so many flights have not been flown yet.
+    `left`: so many flights have not been flown yet; `lost`: of them, those whose workers were
+    killed, and why.
     """
     return {
         "rows": list(rows),
         "held": sum(row.held for row in rows),
         "of": len(rows),
         "left": left,
+        "lost": list(lost),
         "groups": by_group(rows),
         "cpu_s": cpu_s(rows),
     }
@@ -37,10 +39,10 @@ def cpu_s(rows: Sequence[FaultRow]) -> dict[str, float] | None:
     return {"median": float(np.median(spent)), "most": max(spent)} if spent else None
 
 
-def write(path: Path, rows: Sequence[FaultRow], left: int = 0) -> None:
+def write(path: Path, rows: Sequence[FaultRow], left: int = 0, lost: Sequence[str] = ()) -> None:
     """Write the result, whole or not at all."""
     fresh = path.with_name(path.name + ".new")
-    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(result(rows, left))) + b"\n")
+    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(result(rows, left, lost))) + b"\n")
     fresh.replace(path)
 
 
@@ -103,3 +105,8 @@ def broke(console: Console, row: FaultRow) -> None:
     if not row.held:
         where = f"{row.fault} {row.autopilot} {row.phase} seed {row.seed}"
         console.print(f"broke: {where}: {row.why}", highlight=False, markup=False)
+
+
+def lost(console: Console, words: str) -> None:
+    """Say which flight no worker came back with."""
+    console.print(f"lost: {words}", highlight=False, markup=False)

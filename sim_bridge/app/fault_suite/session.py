@@ -33,6 +33,8 @@ class Session:
     console: Console = field(default_factory=Console)
     journal: Journal[FaultRow] | None = field(init=False)
     """What has been flown of it."""
+    lost: list[str] = field(default_factory=list)
+    """Flights whose workers were killed twice: they are no row, and flown by the same command."""
 
     @property
     def is_tight(self) -> bool:
@@ -54,7 +56,14 @@ class Session:
                 bar.advance(flights)
                 keep(index, row)
 
-            rows = run_all(self.todo, self.bounds, done, flown)
+            def lost(index: int, why: str) -> None:
+                task = self.todo[index]
+                name = f"{task.fault} {task.autopilot} {task.phase} seed {task.seed}"
+                self.lost.append(f"{name}: {why}")
+                report.lost(self.console, self.lost[-1])
+                bar.advance(flights)
+
+            rows = run_all(self.todo, self.bounds, done, flown, lost)
         self._end(rows)
         return rows
 
@@ -75,7 +84,7 @@ class Session:
 
     def _write(self, rows: Sequence[FaultRow]) -> None:
         if self.json_out is not None:
-            report.write(self.json_out, rows, len(self.todo) - len(rows))
+            report.write(self.json_out, rows, len(self.todo) - len(rows), self.lost)
 
     def _end(self, rows: Sequence[FaultRow]) -> None:
         self._write(rows)
@@ -83,6 +92,8 @@ class Session:
         for table in report.promises(rows, by_fault=self.is_tight):
             self.console.print(table)
         self.console.print(report.spent(rows), highlight=False)
+        for words in self.lost:
+            report.lost(self.console, words)
         if len(rows) < len(self.todo):
             again = "" if self.journal is None else "; the same command goes on"
             words = f"{len(rows)} of {len(self.todo)} flown{again}"

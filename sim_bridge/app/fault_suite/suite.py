@@ -43,15 +43,23 @@ def run_all(
     bounds: Bounds,
     done: Mapping[int, FaultRow],
     flown: Callable[[int, FaultRow], None],
+    lost: Callable[[int, str], None],
 ) -> list[FaultRow]:
     """Fly those that are not `done`, side by side; `flown` is told each as it ends.
+
+    `lost` is told each whose worker was killed twice, and why.
 
     Returns all that have been flown, in the tasks' order.
     """
     rows = dict(done)
     left = [(index, todo[index]) for index in _order(todo, bounds) if index not in done]
     needed = dataclasses.replace(bounds, jobs=max(1, min(bounds.jobs, len(left))))
-    for index, row in tried(left, _fly_numbered, needed):
+
+    def not_flown(numbered: tuple[int, FaultTask], why: str) -> list[tuple[int, FaultRow]]:
+        lost(numbered[0], why)
+        return []
+
+    for index, row in tried(left, _fly_numbered, needed, not_flown):
         rows[index] = row
         flown(index, row)
     return [rows[index] for index in sorted(rows)]

@@ -9,7 +9,6 @@ import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
-from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ from rich.table import Table
 
 from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
 from sim_bridge.app.flight.fly import FlyOptions, fly
 from sim_bridge.app.flight.report import slim_table
-from sim_bridge.app.flight.stopping import worker_pool
 
 PROGRAM = Path(__file__).parents[3]
 NOT_SETTINGS = {"autopilot", "seed", "gate", "run_root", "picture", "lockstep_limit_s"}
@@ -123,27 +122,38 @@ def _rows(groups: Iterable[list[Row]]) -> Iterator[Row]:
         yield from group
 
 
-def run_series(flights: list[FlyOptions], file: SeriesFile, jobs: int) -> list[Row]:
-    """Fly what is not in the file yet; one row a flight and vehicle, in the flights' order.
+@dataclass(frozen=True, slots=True)
+class SeriesRun:
+    """One row a flight and vehicle, in the flights' order, and the flights that were lost."""
+
+    rows: list[Row]
+    lost: list[str]
+    """By name, and why: their workers were killed twice."""
+
+
+def run_series(flights: list[FlyOptions], file: SeriesFile, jobs: int) -> SeriesRun:
+    """Fly what is not in the file yet.
 
     Whatever stops it, Ctrl-C and SIGTERM too, ends the workers, and each of those its companion.
     """
     left = [options for options in flights if not file.has(options)]
-    with worker_pool(min(jobs, max(len(left), 1))) as pool, Bar(transient=True) as bar:
+    lost = []
+    workers = Workers(min(jobs, max(len(left), 1)))
+    with Bar(transient=True) as bar:
         task = bar.add_task(f"{len(left)} flights", total=len(left))
-        for index, rows in _flown(pool, left):
-            file.add(left[index], rows)
+        for ended in side_by_side(left, _fly_one, workers, bar.console.print):
+            options = left[ended.index]
+            if isinstance(ended, PieceLost):
+                gate = "on" if options.gate else "OFF"
+                lost.append(f"{options.autopilot}, seed {options.seed}, gate {gate}: {ended.why}")
+            else:
+                file.add(options, ended.result)
             bar.advance(task)
-    return file.rows_of(flights)
+    return SeriesRun(file.rows_of(flights), lost)
 
 
-def _flown(pool: Pool, flights: list[FlyOptions]) -> Iterator[tuple[int, list[Row]]]:
-    return pool.imap_unordered(_fly_one, list(enumerate(flights)))
-
-
-def _fly_one(task: tuple[int, FlyOptions]) -> tuple[int, list[Row]]:
-    index, options = task
-    return index, fly(options)["flights"]
+def _fly_one(options: FlyOptions) -> list[Row]:
+    return fly(options)["flights"]
 
 
 def summary(rows: list[Row]) -> Table:

@@ -24,7 +24,6 @@ from companion.adapters.autopilots.link import Incoming, Link
 from companion.adapters.files.params import read_flight
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
 from companion.app.flight.run import Run
-from companion.core.base.errors import LeewayError
 from companion.core.pilot.context import PilotOptions
 from sim_bridge.app.faults.authority import TOLD_PILOT_S
 from sim_bridge.app.faults.runner import write_flight
@@ -32,7 +31,7 @@ from sim_bridge.app.flight.fly import STEP_S, STEPS, FlyOptions, build_craft
 from sim_bridge.app.flight.scenario import read_wind
 from sim_bridge.app.flight.vehicle_process import Craft
 from sim_bridge.app.trials.fuzz import FLIGHT
-from sim_bridge.app.trials.trial import TrialRow
+from sim_bridge.app.trials.trial import TrialRow, case_lost
 
 STALLS_S = (2.0, 6.0, 20.0)
 FIRST_S = {"px4": 12.0, "ardupilot": 42.0}
@@ -260,6 +259,11 @@ class StallFlyer:
             return list(sweep(flight, Path(folder)))
 
 
+def flight_lost(flight: StallFlight, why: str) -> list[TrialRow]:
+    """The rows of a flight that no worker came back with: none of its stalls has held."""
+    return [row for case in flight.cases for row in case_lost(case, why)]
+
+
 def flights(cases: Iterable[StallCase]) -> Iterator[StallFlight]:
     """Cases of one vehicle and of neighbouring instants share a flight."""
     groups: dict[tuple[str, int], list[StallCase]] = {}
@@ -304,7 +308,9 @@ def _in_a_copy(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
         told = pipe.read()
     _, status = os.waitpid(child, 0)
     if status != 0 or not told:
-        raise LeewayError(f"{case.name}: its copy of the flight ended with {status}")
+        code = os.waitstatus_to_exitcode(status)
+        why = f"its copy of the flight ended with {code}"  # below zero: by that signal
+        return TrialRow(name=case.name, held=False, why=why, told={}, case=case)
     return pickle.loads(told)
 
 

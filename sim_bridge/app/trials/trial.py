@@ -6,16 +6,14 @@ What does not hold is written out as a case that can be tried again.
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing.pool import Pool
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import msgspec
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.app.flight.stopping import worker_pool
 
 Case = TypeVar("Case", bound=msgspec.Struct)
 Work = TypeVar("Work")
@@ -34,27 +32,37 @@ class TrialRow(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """How long a trial may go on: no case begins after `minutes`."""
+    """How long a trial may go on, and where: no case begins after `minutes`."""
 
     jobs: int
     minutes: float | None
+    cluster: str | None = None
+    """A Ray cluster instead of processes, as in `Workers`."""
 
 
 def tried(
-    todo: Iterable[Work], attempt: Callable[[Work], list[Row]], bounds: Bounds
+    todo: Iterable[Work],
+    attempt: Callable[[Work], list[Row]],
+    bounds: Bounds,
+    lost: Callable[[Work, str], list[Row]],
+    say: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Row]:
     """Try cases side by side, begun in their order, until all are tried or the time is up.
 
     Rows come as their cases end: a long case holds up nobody, and after Ctrl-C nothing is missing
-    that was done.
+    that was done. `lost` gives the rows of a case whose worker was killed, and a second time again.
     """
-    left = in_time(todo, bounds)
-    if bounds.jobs == 1:
-        for case in left:
-            yield from attempt(case)
-        return
-    with worker_pool(bounds.jobs) as pool:
-        yield from _side_by_side(pool, left, attempt, bounds.jobs)
+    workers = Workers(bounds.jobs, bounds.cluster)
+    for ended in side_by_side(in_time(todo, bounds), attempt, workers, say):
+        if isinstance(ended, PieceLost):
+            yield from lost(ended.piece, ended.why)
+        else:
+            yield from ended.result
+
+
+def case_lost(case: Any, why: str) -> list[TrialRow]:
+    """The row of a case with a name that no worker came back with: it has not held."""
+    return [TrialRow(name=case.name, held=False, why=why, told={}, case=case)]
 
 
 def in_time(todo: Iterable[Work], bounds: Bounds) -> Iterator[Work]:
@@ -64,27 +72,6 @@ def in_time(todo: Iterable[Work], bounds: Bounds) -> Iterator[Work]:
         if end_s is not None and wall_s() >= end_s:
             return
         yield case
-
-
-def _side_by_side(
-    pool: Pool, left: Iterator[Work], attempt: Callable[[Work], list[Row]], jobs: int
-) -> Iterator[Row]:
-    ended: SimpleQueue[list[Row] | BaseException] = SimpleQueue()
-    under_way = 0
-    for case in left:
-        pool.apply_async(attempt, (case,), callback=ended.put, error_callback=ended.put)
-        under_way += 1
-        if under_way > jobs:  # one more than workers, so that none waits for us
-            yield from _rows(ended.get())
-            under_way -= 1
-    for _ in range(under_way):
-        yield from _rows(ended.get())
-
-
-def _rows(ended: list[Row] | BaseException) -> list[Row]:
-    if isinstance(ended, BaseException):
-        raise ended
-    return ended
 
 
 def write_case(folder: Path, row: TrialRow) -> Path:

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import Look
 from companion.core.routing.shortest_paths import RouteFinder
+from ground_station.adapters.workers.side_by_side import Workers
 from sim_bridge.adapters.wall_clock import cpu_s
 from sim_bridge.research.benchmarks.timing import (
     Samples,
@@ -20,7 +21,7 @@ from sim_bridge.research.benchmarks.timing import (
     wall_time_s,
 )
 from sim_bridge.research.campaign.campaign import CampaignParams, Workbench, run_campaign
-from sim_bridge.research.campaign.campaign_runner import InProcess, Pool, run
+from sim_bridge.research.campaign.campaign_runner import run
 from sim_bridge.research.campaign.scenario_generator import (
     GeneratorParams,
     WindRose,
@@ -182,8 +183,8 @@ def _two_core_lines(missions: int = 400_000) -> list[Line]:
     """Wall time of one large campaign in this process and on two others, their start included."""
     scenario = bench_scenario()
     params = CampaignParams(missions=missions, risk_weight=0.0)
-    alone = wall_time_s(lambda: run([scenario], ["rer"], params, InProcess([scenario], params)))
-    paired = wall_time_s(lambda: run([scenario], ["rer"], params, Pool([scenario], params, 2)))
+    alone = wall_time_s(lambda: run([scenario], ["rer"], params, Workers(1)))
+    paired = wall_time_s(lambda: run([scenario], ["rer"], params, Workers(2)))
     return [
         Line(f"campaign, RER, {missions:,} missions, 1 core, by the clock", f"{alone:.2f} s"),
         Line("- 2 cores, the start of both processes included", f"{paired:.2f} s"),

@@ -369,11 +369,14 @@ def tasks_of(scenarios: int, planners: list[str], params: CampaignParams) -> lis
 def rows_of(
     scenarios: list[Scenario], tasks: list[CampaignTask], done: dict[int, TaskResult]
 ) -> Iterator[CampaignRow]:
-    """The rows, in the order of the tasks, from what every task found."""
-    grouped: dict[tuple[int, str], list[TaskResult]] = {}
+    """The rows, in the order of the tasks, from what every task found; whole rows only."""
+    grouped: dict[tuple[int, str], list[TaskResult | None]] = {}
     for i, task in enumerate(tasks):
-        grouped.setdefault((task.scenario, task.planner), []).append(done[i])
-    for (scenario, planner), parts in grouped.items():
+        grouped.setdefault((task.scenario, task.planner), []).append(done.get(i))
+    for (scenario, planner), found in grouped.items():
+        parts = [part for part in found if part is not None]
+        if len(parts) < len(found):
+            continue
         tallies = [t for part in parts for t in part.tallies]
         times = [us for part in parts for us in part.decision_us]
         yield _row(scenarios[scenario].name, planner, tallies, times)

@@ -1,20 +1,19 @@
-"""Runs a campaign's tasks on one core, on many, or on a Ray cluster, and survives Ctrl-C.
+"""Runs a campaign's tasks side by side, and survives Ctrl-C and workers that are killed.
 
 What is done is kept in a journal beside the result (`OUT.partial`).
 """
 
 import hashlib
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from multiprocessing import get_context
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
-from companion.core.base.errors import LeewayError
-from sim_bridge.adapters.journal import Journal, leave_ctrl_c_to_the_parent
+from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
+from sim_bridge.adapters.journal import Journal
 from sim_bridge.research.campaign.campaign import (
+    BLOCK,
     CampaignParams,
     CampaignRow,
     CampaignTask,
@@ -26,122 +25,38 @@ from sim_bridge.research.campaign.campaign import (
 )
 from sim_bridge.research.planners.scenario import Scenario, scenario_json
 
-PER_WORKER = 2  # tasks handed out ahead of each worker
 
-
-class Executor(Protocol):
-    """Somewhere to run tasks: yields (index, result) in any order."""
-
-    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]: ...
-
-
-class InProcess:
-    """One core, no processes."""
+class CampaignWork:
+    """Runs tasks wherever it is sent, keeping the last scenario's planners there."""
 
     def __init__(self, scenarios: list[Scenario], params: CampaignParams) -> None:
-        self._worker = Worker(scenarios, params)
-
-    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]:
-        for index, task in pending:
-            yield index, self._worker.run(task)
-
-
-class Worker:
-    """Runs tasks, keeping the last scenario's planners."""
-
-    def __init__(self, scenarios: list[Scenario], params: CampaignParams) -> None:
-        self._scenarios, self._params = scenarios, params
+        self._encoded = [scenario_json(scenario) for scenario in scenarios]
+        self._params = params
         self._at = -1
         self._bench: Workbench | None = None
 
-    def run(self, task: CampaignTask) -> TaskResult:
+    def __getstate__(self) -> tuple[list[bytes], CampaignParams]:
+        return self._encoded, self._params
+
+    def __setstate__(self, state: tuple[list[bytes], CampaignParams]) -> None:
+        self._encoded, self._params = state
+        self._at, self._bench = -1, None
+
+    def __call__(self, task: CampaignTask) -> TaskResult:
         if self._bench is None or self._at != task.scenario:
-            self._bench = Workbench(self._scenarios[task.scenario], self._params)
+            scenario = msgspec.json.decode(self._encoded[task.scenario], type=Scenario)
+            self._bench = Workbench(scenario, self._params)
             self._at = task.scenario
-        return run_task(self._scenarios[task.scenario], self._params, task, self._bench)
+        return run_task(self._bench.scenario, self._params, task, self._bench)
 
 
-_worker: list[Worker] = []  # of this process, when it is one of a pool
+@dataclass(frozen=True, slots=True)
+class CampaignRun:
+    """Rows that are whole, and what no worker came back with."""
 
-
-def _begin_worker(scenarios: list[Scenario], params: CampaignParams) -> None:
-    leave_ctrl_c_to_the_parent()
-    _worker[:] = [Worker(scenarios, params)]
-
-
-def _run_in_worker(task: CampaignTask) -> TaskResult:
-    return _worker[0].run(task)
-
-
-class Pool:
-    """Several processes of this machine."""
-
-    def __init__(self, scenarios: list[Scenario], params: CampaignParams, jobs: int) -> None:
-        self._scenarios, self._params, self._jobs = scenarios, params, jobs
-
-    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]:
-        pool = ProcessPoolExecutor(
-            self._jobs,
-            mp_context=get_context("spawn"),  # a fork would copy BLAS's threads half way
-            initializer=_begin_worker,
-            initargs=(self._scenarios, self._params),
-        )
-        waiting = iter(pending)
-        running = {}
-        try:
-            while True:
-                while len(running) < PER_WORKER * self._jobs:
-                    following = next(waiting, None)
-                    if following is None:
-                        break
-                    running[pool.submit(_run_in_worker, following[1])] = following[0]
-                if not running:
-                    return
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    yield running.pop(future), future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-class RayCluster:
-    """A Ray cluster (the `ray` extra); the scenarios travel once."""
-
-    def __init__(
-        self, scenarios: list[Scenario], params: CampaignParams, address: str | None
-    ) -> None:
-        try:
-            import ray  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            raise LeewayError("ray is not installed: pip install 'leeway-uas[ray]'") from None
-        self._ray = ray
-        if not ray.is_initialized():
-            ray.init(address=address, log_to_driver=False, include_dashboard=False)
-        encoded = [scenario_json(scenario) for scenario in scenarios]
-        self._shared = ray.put((encoded, params))
-        self._run = ray.remote(_run_on_ray)
-
-    def run(self, pending: list[tuple[int, CampaignTask]]) -> Iterator[tuple[int, TaskResult]]:
-        ray = self._ray
-        cores = int(ray.cluster_resources().get("CPU", 1))
-        waiting = iter(pending)
-        running: dict = {}
-        while True:
-            while len(running) < PER_WORKER * cores:
-                following = next(waiting, None)
-                if following is None:
-                    break
-                running[self._run.remote(self._shared, following[1])] = following[0]
-            if not running:
-                return
-            ready, _ = ray.wait(list(running), num_returns=1)
-            for reference in ready:
-                yield running.pop(reference), ray.get(reference)
-
-
-def _run_on_ray(shared: tuple[list[bytes], CampaignParams], task: CampaignTask) -> TaskResult:
-    encoded, params = shared
-    scenarios = [msgspec.json.decode(text, type=Scenario) for text in encoded]
-    return Worker(scenarios, params).run(task)
+    rows: list[CampaignRow]
+    lost: list[str]
+    """Scenario, planner and first mission of each lost task, and why."""
 
 
 def campaign_digest(scenarios: list[Scenario], planners: list[str], params: CampaignParams) -> str:
@@ -164,20 +79,30 @@ def run(
     scenarios: list[Scenario],
     planners: list[str],
     params: CampaignParams,
-    executor: Executor,
+    workers: Workers,
     journal: Journal[TaskResult] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     say: Callable[[str], None] = lambda note: None,
-) -> list[CampaignRow]:
-    """The campaign's rows; KeyboardInterrupt leaves what is done in the journal."""
+) -> CampaignRun:
+    """The campaign's rows; KeyboardInterrupt leaves what is done in the journal.
+
+    A row that misses a task whose workers died is left out; the journal has its others.
+    """
     tasks = tasks_of(len(scenarios), planners, params)
     done = journal.read() if journal else {}
     progress(len(done), len(tasks))
-    pending = [(i, task) for i, task in enumerate(tasks) if i not in done]
+    pending = [i for i in range(len(tasks)) if i not in done]
     notes: set[str] = set()
+    lost: dict[int, str] = {}
 
     def collect(keep: Callable[[int, TaskResult], None]) -> None:
-        for index, result in executor.run(pending):
+        work = CampaignWork(scenarios, params)
+        for ended in side_by_side((tasks[i] for i in pending), work, workers, say):
+            index = pending[ended.index]
+            if isinstance(ended, PieceLost):
+                lost[index] = ended.why
+                continue
+            result = ended.result
             keep(index, result)
             done[index] = result
             if result.note and result.note not in notes:
@@ -190,4 +115,10 @@ def run(
     else:
         with journal.writing(done) as keep:
             collect(keep)
-    return list(rows_of(scenarios, tasks, done))
+    words = [_lost_in_words(scenarios, tasks[index], why) for index, why in sorted(lost.items())]
+    return CampaignRun(list(rows_of(scenarios, tasks, done)), words)
+
+
+def _lost_in_words(scenarios: list[Scenario], task: CampaignTask, why: str) -> str:
+    first = task.first_block * BLOCK + 1
+    return f"{scenarios[task.scenario].name}, {task.planner}, missions from {first} on: {why}"

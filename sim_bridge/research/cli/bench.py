@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import OUT, Jobs, Out, finish, progress_bar, run_journaled
+from sim_bridge.research.cli.running import (
+    OUT,
+    Cluster,
+    Jobs,
+    Out,
+    finish,
+    progress_bar,
+    run_journaled,
+    workers_of,
+)
 
 if TYPE_CHECKING:
     from sim_bridge.research.benchmarks.paths_bench import Compared
@@ -47,6 +56,7 @@ def draw(
     ] = None,
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
 ) -> None:
     """How soon a rise of the draw is told in calm, usual and rough air, and how soon it could be.
 
@@ -63,7 +73,9 @@ def draw(
 
     work = bench.tasks(seeds)
     kept = Journal(out / "draw.partial", digest_of(work), list[bench.HeardRow])
-    rows = bench.by_air(work, run_journaled("draw", work, bench.fly_one, jobs, kept))
+    rows = bench.by_air(
+        work, run_journaled("draw", work, bench.fly_one, workers_of(jobs, cluster), kept)
+    )
     finish(bench.sheet(rows), out, "draw")
     if json_out is not None:
         json_out.write_bytes(msgspec.json.format(msgspec.json.encode(rows)) + b"\n")
@@ -259,6 +271,7 @@ def planner(
 def estimator(
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     flights: Annotated[
         int, typer.Option(min=2, help="flights for each place in the envelope")
     ] = 20,
@@ -314,7 +327,7 @@ def estimator(
     work = [job for job in work if only in job.condition.name]
     stem = "estimator_envelope" + ("_pitot" if pitot else "")
     kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)
-    found = run_journaled("envelope", work, bench.fly_condition, jobs, kept)
+    found = run_journaled("envelope", work, bench.fly_condition, workers_of(jobs, cluster), kept)
     finish(bench.envelope_sheet(found, seed, pitot), out, stem)
     kept.remove()
 
@@ -323,6 +336,7 @@ def estimator(
 def air(
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     seeds: Annotated[int, typer.Option(min=1, help="flights of each autopilot and place")] = 1,
     stated: Annotated[
         bool, typer.Option("--stated", help="the flight file states the air's temperature")
@@ -337,7 +351,7 @@ def air(
 
     work = bench.tasks(seeds, out / "air_runs", stated=stated)
     kept = Journal(out / "air.partial", digest_of(work), bench.AirRow)
-    found = run_journaled("air", work, bench.fly_in_air, jobs, kept)
+    found = run_journaled("air", work, bench.fly_in_air, workers_of(jobs, cluster), kept)
     finish(bench.sheet(found, seeds, stated=stated), out, "air")
     kept.remove()
 

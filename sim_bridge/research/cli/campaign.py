@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from sim_bridge.research.cli.running import Cluster, workers_of
 
 app = typer.Typer()
 
@@ -25,7 +26,7 @@ def campaign(
     metric_flag: Annotated[int, typer.Option(help="0 energy, 1 synthetic length (ber-paper)")] = 0,
     levels: Annotated[int, typer.Option(help="energy levels of ber's tables")] = 500,
     jobs: Annotated[int, typer.Option(help="processes; 0: all cores")] = 0,
-    ray: Annotated[str | None, typer.Option(help="Ray cluster address, or 'local'")] = None,
+    cluster: Cluster = None,
     json: Annotated[Path | None, typer.Option(help="write rows here; resumable")] = None,
 ) -> None:
     """Fly missions on scenarios with several planners that all meet the same winds."""
@@ -46,8 +47,7 @@ def campaign(
                 levels=_at_least(levels, 2, "levels"),
                 paper=BerPaperParams(curve_factor=curve_factor, metric_flag=_flag(metric_flag)),
             ),
-            _at_least(jobs, 0, "jobs"),
-            ray,
+            workers_of(_at_least(jobs, 0, "jobs"), cluster),
             json,
         )
     except LeewayError as error:

@@ -1,6 +1,5 @@
 """What `sim-bridge research campaign` does; imported when it runs, not for `--help`."""
 
-import os
 import sys
 from pathlib import Path
 
@@ -10,16 +9,10 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import Workers
 from sim_bridge.research.campaign.campaign import PLANNERS, CampaignParams, CampaignRow
-from sim_bridge.research.campaign.campaign_runner import (
-    Executor,
-    InProcess,
-    Pool,
-    RayCluster,
-    campaign_journal,
-    run,
-)
-from sim_bridge.research.cli.running import INTERRUPTED, progress_bar, write_whole
+from sim_bridge.research.campaign.campaign_runner import campaign_journal, run
+from sim_bridge.research.cli.running import INTERRUPTED, LOST, progress_bar, say_of, write_whole
 from sim_bridge.research.planners.scenario import LogWind, Scenario, parse_scenario
 
 
@@ -27,11 +20,13 @@ def fly_campaign(
     paths: list[Path],
     planners: list[str],
     params: CampaignParams,
-    jobs: int,
-    ray: str | None,
+    workers: Workers,
     out: Path | None,
 ) -> None:
-    """Fly it, write the rows to `out` and print them; LeewayError for a mistake in the input."""
+    """Fly it, write the rows to `out` and print them; LeewayError for a mistake in the input.
+
+    Rows that lost a worker twice are named instead, and the exit code is 1.
+    """
     scenarios = [read_scenario(path) for path in paths]
     planners = list(dict.fromkeys(planners))
     _check_planners(planners, scenarios)
@@ -41,14 +36,14 @@ def fly_campaign(
     with progress_bar() as bar:
         shown = bar.add_task("campaign", total=None)
         try:
-            rows = run(
+            flown = run(
                 scenarios,
                 planners,
                 params,
-                _executor(scenarios, params, jobs, ray),
+                workers,
                 journal,
                 lambda done, total: bar.update(shown, completed=done, total=total),
-                lambda note: bar.console.print(note, highlight=False),
+                say_of(bar),
             )
         except KeyboardInterrupt:
             kept = (
@@ -56,19 +51,17 @@ def fly_campaign(
             )
             bar.console.print(f"stopped{kept}", highlight=False, soft_wrap=True)
             raise typer.Exit(INTERRUPTED) from None
-    if out is not None and journal is not None:
-        write_whole(out, msgspec.json.format(msgspec.json.encode({"rows": rows}), indent=1))
+    if out is not None:
+        write_whole(out, msgspec.json.format(msgspec.json.encode({"rows": flown.rows}), indent=1))
+    print_rows(flown.rows)
+    for words in flown.lost:
+        typer.echo(f"lost: {words}", err=True)
+    if flown.lost:
+        kept = f"; {journal.path} keeps the others, the same command tries again" if journal else ""
+        typer.echo(f"rows without a lost task: {len(flown.rows)}{kept}", err=True)
+        raise typer.Exit(LOST)
+    if journal is not None:
         journal.remove()
-    print_rows(rows)
-
-
-def _executor(
-    scenarios: list[Scenario], params: CampaignParams, jobs: int, ray: str | None
-) -> Executor:
-    if ray is not None:
-        return RayCluster(scenarios, params, None if ray == "local" else ray)
-    count = jobs or len(os.sched_getaffinity(0))
-    return InProcess(scenarios, params) if count == 1 else Pool(scenarios, params, count)
 
 
 def _check_planners(planners: list[str], scenarios: list[Scenario]) -> None:

@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import Jobs, run_journaled, write_whole
+from sim_bridge.research.cli.running import (
+    Cluster,
+    Jobs,
+    run_journaled,
+    workers_of,
+    write_whole,
+)
 
 app = typer.Typer()
 
@@ -43,6 +49,7 @@ def fleet_wind(
     seed: Annotated[int, typer.Option(min=0, help="Of fields, ways, noise and fronts.")] = 1,
     json: Annotated[Path | None, typer.Option(help="Write all figures here.")] = None,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     out: Annotated[
         Path, typer.Option(help="Folder for tables, the picture and the journal.")
     ] = Path("logs/fleet-wind"),
@@ -89,7 +96,7 @@ def fleet_wind(
     out.mkdir(parents=True, exist_ok=True)
     work = draws_of(setting, draws, alert_draws)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), DrawResult)
-    done = run_journaled("fields", work, judge_draw, jobs, kept)
+    done = run_journaled("fields", work, judge_draw, workers_of(jobs, cluster), kept)
     ordinary, front, alerts = summed(done)
     rows = sheets.error_rows(ordinary, front)
     shown = {}

@@ -6,7 +6,12 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import run_journaled, write_whole
+from sim_bridge.research.cli.running import (
+    Cluster,
+    run_journaled,
+    workers_of,
+    write_whole,
+)
 
 app = typer.Typer()
 
@@ -50,6 +55,7 @@ def promise(
         ),
     ] = 0.0,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: all cores.")] = 0,
+    cluster: Cluster = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict here.")] = None,
     out: Annotated[
         Path, typer.Option(help="Folder for tables, the reliability diagram and the journal.")
@@ -95,11 +101,11 @@ def promise(
     name = digest_of(setting)[:12]
     folds = [flying.FoldWork(setting, fold) for fold in range(len(world.folds))]
     learned = Journal(out / f"{name}.folds.partial", digest_of(folds), flying.Fitted)
-    fitted = run_journaled("fitting", folds, flying.fit_fold, jobs, learned)
+    fitted = run_journaled("fitting", folds, flying.fit_fold, workers_of(jobs, cluster), learned)
     works = flying.works_of(world, fitted)
     kept = Journal(out / f"{name}.partial", digest_of(works), list[flying.GateFlight])
     try:
-        flown = run_journaled("missions", works, flying.fly, jobs, kept)
+        flown = run_journaled("missions", works, flying.fly, workers_of(jobs, cluster), kept)
     except (typer.Exit, SystemExit):  # Ctrl-C, and SIGTERM
         if done := kept.read():
             so_far = sheets.result_of(world, fitted, done.values())

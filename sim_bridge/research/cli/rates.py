@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import Jobs, run_journaled, write_whole
+from sim_bridge.research.cli.running import (
+    Cluster,
+    Jobs,
+    run_journaled,
+    workers_of,
+    write_whole,
+)
 
 app = typer.Typer(add_completion=False)
 
@@ -26,6 +32,7 @@ def rates(
     json: Annotated[Path | None, typer.Option(help="Every figure as JSON.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the tables.")] = Path("logs/rates"),
     jobs: Jobs = 0,
+    cluster: Cluster = None,
 ) -> None:
     """Say what an accepted rate of losses per flight hour loses in simulation, and what it costs.
 
@@ -56,7 +63,7 @@ def rates(
     work = works(asked, 10 * round(samples / 10), repeats, plain, seed)
     out.mkdir(parents=True, exist_ok=True)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), RateRun)
-    runs = run_journaled("rates", work, run_work, jobs, kept)
+    runs = run_journaled("rates", work, run_work, workers_of(jobs, cluster), kept)
     chosen = [row_of(one, SUBSET, runs) for one in asked]
     checked = row_of(CHECKED_RATE, PLAIN, runs), row_of(CHECKED_RATE, SUBSET, runs)
     written = []

@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import Jobs, run_journaled, write_whole
+from sim_bridge.research.cli.running import (
+    Cluster,
+    Jobs,
+    run_journaled,
+    workers_of,
+    write_whole,
+)
 
 app = typer.Typer(add_completion=False)
 
@@ -34,6 +40,7 @@ def real_flights(
         "logs/real_flights"
     ),
     jobs: Jobs = 0,
+    cluster: Cluster = None,
 ) -> None:
     """Predict recorded flights from those of other days: energy with its bound, and the wind.
 
@@ -59,7 +66,7 @@ def real_flights(
     out.mkdir(parents=True, exist_ok=True)
     name = digest_of(work)[:12]
     kept = Journal(out / f"{name}.partial", digest_of(work), FoldResult)
-    done = run_journaled("days", work, run_fold, jobs, kept)
+    done = run_journaled("days", work, run_fold, workers_of(jobs, cluster), kept)
     found = figures(done, [*judged.left_out, *judged.findings])
     for words in found.words:
         typer.echo(words, err=True)

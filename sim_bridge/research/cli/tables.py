@@ -6,7 +6,16 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import OUT, Jobs, Out, finish, progress_bar, run_journaled
+from sim_bridge.research.cli.running import (
+    OUT,
+    Cluster,
+    Jobs,
+    Out,
+    finish,
+    progress_bar,
+    run_journaled,
+    workers_of,
+)
 
 app = typer.Typer()
 
@@ -15,6 +24,7 @@ app = typer.Typer()
 def table1(
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     rounds: Annotated[int, typer.Option(help="rounds")] = 10,
     graphs: Annotated[int, typer.Option(help="graphs a round")] = 10,
     seed: Annotated[int, typer.Option(help="of graphs and winds")] = 13,
@@ -46,7 +56,7 @@ def table1(
     stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
     work = jobs_of(params, wind)
     kept = Journal(out / f"{stem}.partial", digest_of(work), list[Table1Cell])
-    cells = cells_of(run_journaled(title, work, fly, jobs, kept), params)
+    cells = cells_of(run_journaled(title, work, fly, workers_of(jobs, cluster), kept), params)
     finish(
         sheet(title, cells, NOTE.format(graphs=graphs, share=params.paper_share), params), out, stem
     )
@@ -58,6 +68,7 @@ def table1(
 def table2(
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     trials: Annotated[int, typer.Option(help="trials", min=1)] = 10,
     seed: Annotated[int, typer.Option(help="of towns, customers and winds", min=0)] = 2611,
     llm_url: Annotated[
@@ -85,7 +96,7 @@ def table2(
         llm = LlmParams(llm_url, llm_model, key)
     work = experiment.trials_of(trials, seed, llm)
     kept = Journal(out / "table2.partial", digest_of(work), experiment.TrialFigures)
-    measured = run_journaled("Table 2", work, experiment.fly_trial, jobs, kept)
+    measured = run_journaled("Table 2", work, experiment.fly_trial, workers_of(jobs, cluster), kept)
     found = experiment.by_variant(work, measured)
     finish(experiment.sheet(found, seed), out, "table2")
     experiment.draw(found, out / "table2.png")
@@ -96,6 +107,7 @@ def table2(
 def lambda_sweep(
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     graphs: Annotated[int, typer.Option(help="graphs")] = 100,
 ) -> None:
     """Outcomes against the risk weight lambda and the battery."""
@@ -104,7 +116,9 @@ def lambda_sweep(
 
     work = experiment.jobs_of(graphs)
     kept = Journal(out / "lambda_sweep.partial", digest_of(work), list[experiment.SweepCell])
-    points = experiment.points_of(run_journaled("lambda sweep", work, experiment.fly, jobs, kept))
+    points = experiment.points_of(
+        run_journaled("lambda sweep", work, experiment.fly, workers_of(jobs, cluster), kept)
+    )
     finish(experiment.sheet(points), out, "lambda_sweep")
     experiment.draw(points, out / "lambda_sweep.png")
     kept.remove()
@@ -155,6 +169,7 @@ def speed_to_fly(
 def towns(
     out: Out = OUT,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
     rounds: Annotated[int, typer.Option(help="rounds")] = 10,
     towns: Annotated[int, typer.Option(help="towns a round")] = 10,
     budget_wh: Annotated[float, typer.Option(help="B")] = 50.0,
@@ -169,7 +184,7 @@ def towns(
 
     work = [urban_table.TownJob(t, budget_wh, max_loss) for t in range(rounds * towns)]
     kept = Journal(out / "towns.partial", digest_of(work), dict[str, list[float]])
-    flown = run_journaled("towns", work, urban_table.fly_town, jobs, kept)
+    flown = run_journaled("towns", work, urban_table.fly_town, workers_of(jobs, cluster), kept)
     found = urban_table.by_planner(flown, rounds)
     finish(urban_table.sheet(found, budget_wh, max_loss), out, "towns")
     town = generate_town("town-0", TownParams(), np.random.default_rng([urban_table.TOWN_SEED, 0]))
@@ -183,6 +198,7 @@ def frontier(
     graphs: Annotated[int, typer.Option(help="graphs, each with B = 100 and 50")] = 20,
     seed: Annotated[int, typer.Option(help="of graphs and winds")] = 404,
     jobs: Jobs = 0,
+    cluster: Cluster = None,
 ) -> None:
     """How far BER is below the frontier on random chains; goes on where it was stopped."""
     from sim_bridge.adapters.journal import Journal, digest_of
@@ -190,7 +206,7 @@ def frontier(
 
     cases = check.cases(graphs, seed)
     kept = Journal(out / "frontier.partial", digest_of(cases), list[check.Distance])
-    found = run_journaled("frontier", cases, check.check, jobs, kept)
+    found = run_journaled("frontier", cases, check.check, workers_of(jobs, cluster), kept)
     finish(check.sheet([d for part in found for d in part], seed), out, "frontier")
     kept.remove()
 

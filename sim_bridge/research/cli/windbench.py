@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.cli.running import Jobs, run_journaled, write_whole
+from sim_bridge.research.cli.running import (
+    Cluster,
+    Jobs,
+    run_journaled,
+    workers_of,
+    write_whole,
+)
 
 app = typer.Typer(add_completion=False)
 
@@ -50,6 +56,7 @@ def windbench(
     json: Annotated[Path | None, typer.Option(help="Standings and all windows as JSON.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the table.")] = Path("logs/windbench"),
     jobs: Jobs = 0,
+    cluster: Cluster = None,
 ) -> None:
     """Score multirotor wind estimators on real flights by one rule, each day from the others.
 
@@ -83,7 +90,7 @@ def windbench(
         ]
     out.mkdir(parents=True, exist_ok=True)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), DayResult)
-    done = run_journaled("days", work, run_day, jobs, kept)
+    done = run_journaled("days", work, run_day, workers_of(jobs, cluster), kept)
     rows = {name: [row for day in done for row in day.rows.get(name, [])] for name in names}
     standings = [standing(name, rows[name]) for name in names]
     if study == STATES:

@@ -53,7 +53,7 @@ def test_the_file_holds_every_row_and_the_count(tmp_path):
     read = json.loads(path.read_text())
     assert (read["held"], read["of"]) == (1, 2)
     assert read["rows"][1]["why"] == "not home"
-    nothing = {"rows": [], "held": 0, "of": 0, "left": 0, "groups": [], "cpu_s": None}
+    nothing = {"rows": [], "held": 0, "of": 0, "left": 0, "lost": [], "groups": [], "cpu_s": None}
     assert result([]) == nothing
 
 

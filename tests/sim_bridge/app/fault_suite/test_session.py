@@ -109,3 +109,23 @@ def test_no_flight_begins_when_the_time_is_up_and_what_was_flown_is_a_drawn_samp
     assert list(done) != list(todo[:4])
     assert len(session(tmp_path).run()) == len(todo)
     assert len(done) == len(todo)
+
+
+def one_is_lost(todo, attempt, bounds, lost):
+    """Stands for workers of which one was killed twice, by a flight of seed 2."""
+    for numbered in todo:
+        is_lost = (numbered[1].autopilot, numbered[1].seed) == (BOTH[0], 2)
+        yield from lost(numbered, "SIGKILL") if is_lost else attempt(numbered)
+
+
+def test_a_flight_whose_worker_is_killed_is_no_row_and_is_named(tmp_path, flights, monkeypatch):
+    monkeypatch.setattr(suite, "tried", one_is_lost)
+    todo = suite.tasks(chosen(["7"]), BOTH, PHASES[2:3], range(1, 3), tmp_path)
+    one = Session(todo, Bounds(2, None), tmp_path / "faults.json", Console(quiet=True))
+    rows = one.run()
+    assert [(row.autopilot, row.seed) for row in rows] == [(BOTH[0], 1), (BOTH[1], 1), (BOTH[1], 2)]
+    told = json.loads((tmp_path / "faults.json").read_text())
+    assert (told["of"], told["left"]) == (3, 1)
+    (words,) = told["lost"]
+    assert words == f"{todo[1].fault} {BOTH[0]} {PHASES[2]} seed 2: SIGKILL"
+    assert len(journal_of(tmp_path / "faults.json", todo).read()) == 3, "to go on with"

@@ -6,8 +6,10 @@ from pathlib import Path
 import pytest
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import PieceDone, PieceLost
+from sim_bridge.app.flight import series
 from sim_bridge.app.flight.fly import FlyOptions
-from sim_bridge.app.flight.series import SeriesFile, planned, settings_of
+from sim_bridge.app.flight.series import SeriesFile, planned, run_series, settings_of
 
 
 @pytest.fixture
@@ -46,3 +48,25 @@ def test_a_file_of_something_else_is_not_overwritten(base, tmp_path):
     path.write_text('{"rows": []}')
     with pytest.raises(LeewayError, match="not the JSON of a series"):
         SeriesFile.open(path, settings_of(base))
+
+
+def one_is_lost(work, do, workers, say):
+    """Stands for workers of which one was killed twice, by the flight of seed 2."""
+    for index, options in enumerate(work):
+        if options.seed == 2:
+            yield PieceLost(index, options, "SIGKILL")
+        else:
+            yield PieceDone(index, [{"outcome": "SUC"}])
+
+
+def test_a_flight_whose_worker_is_killed_is_named_and_all_others_are_kept(
+    base, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(series, "side_by_side", one_is_lost)
+    flights = planned(base, seeds=[1, 2, 3], autopilots=["px4"], gates=[True])
+    run = run_series(flights, SeriesFile.open(tmp_path / "rows.json", "settings"), jobs=2)
+    assert [row["seed"] for row in run.rows] == [1, 3]
+    (words,) = run.lost
+    assert words == "px4, seed 2, gate on: SIGKILL"
+    again = SeriesFile.open(tmp_path / "rows.json", "settings")
+    assert [again.has(options) for options in flights] == [True, False, True]

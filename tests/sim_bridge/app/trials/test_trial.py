@@ -1,9 +1,12 @@
 """A trial's bounds and its cases: nothing new after the time is up, a case reads back as it was."""
 
 import functools
+import os
+import signal
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from companion.core.base.errors import LeewayError
@@ -14,6 +17,7 @@ from sim_bridge.app.trials.soak import SoakSample, wrong
 from sim_bridge.app.trials.trial import (
     Bounds,
     TrialRow,
+    case_lost,
     in_time,
     read_case,
     result,
@@ -50,7 +54,7 @@ def test_nothing_begins_after_the_time_is_up():
     cases = [fuzz.drawn(1, number) for number in range(5)]
     assert len(list(in_time(cases, Bounds(jobs=1, minutes=None)))) == 5
     assert not list(in_time(cases, Bounds(jobs=1, minutes=0.0)))
-    assert len(list(tried(cases, lambda case: [row(case)], Bounds(1, None)))) == 5
+    assert len(list(tried(cases, lambda case: [row(case)], Bounds(1, None), case_lost))) == 5
 
 
 def wait_for(first: Path, number: int) -> list[TrialRow]:
@@ -67,9 +71,28 @@ def wait_for(first: Path, number: int) -> list[TrialRow]:
 LAST = 11
 
 
+def none_lost(number: int, why: str) -> list[TrialRow]:
+    raise AssertionError(f"{number}: {why}")
+
+
+def killed_at_two(case: fuzz.FuzzCase) -> list[TrialRow]:
+    if case == fuzz.drawn(1, 2):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [msgspec.structs.replace(row(case), held=True)]
+
+
+def test_a_case_whose_worker_is_killed_is_a_row_that_has_not_held():
+    cases = [fuzz.drawn(1, number) for number in range(5)]
+    rows = {one.name: one for one in tried(cases, killed_at_two, Bounds(2, None), case_lost)}
+    assert len(rows) == 5
+    (broke,) = [one for one in rows.values() if not one.held]
+    assert broke.case == cases[2]
+    assert "SIGKILL" in broke.why
+
+
 def test_a_case_that_takes_long_holds_up_no_other_and_the_result_is_in_order(tmp_path):
     attempt = functools.partial(wait_for, tmp_path / "last")
-    rows = list(tried(range(LAST + 1), attempt, Bounds(jobs=2, minutes=None)))
+    rows = list(tried(range(LAST + 1), attempt, Bounds(jobs=2, minutes=None), none_lost))
     assert [row.name for row in rows[-2:]] != ["case-10", "case-11"], "the first came late"
     told = result("fuzz", 1, rows)
     assert [row.name for row in told["rows"]] == [f"case-{number}" for number in range(LAST + 1)]

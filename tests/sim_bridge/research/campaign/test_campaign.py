@@ -7,6 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import PieceDone, PieceLost, Workers
+from sim_bridge.research.campaign import campaign_runner
 from sim_bridge.research.campaign.campaign import (
     CampaignParams,
     run_campaign,
@@ -14,7 +16,7 @@ from sim_bridge.research.campaign.campaign import (
     tasks_of,
     without_timings,
 )
-from sim_bridge.research.campaign.campaign_runner import InProcess, Pool, campaign_journal, run
+from sim_bridge.research.campaign.campaign_runner import campaign_journal, run
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, WindRose, scenario_set
 from sim_bridge.research.cli.campaign import app
 from sim_bridge.research.planners.scenario import LogWind, scenario_json
@@ -60,39 +62,40 @@ def test_rows_have_the_stated_keys_and_count_every_mission(files, tmp_path):
 def test_rows_do_not_depend_on_the_number_of_jobs():
     scenarios = scenario_set(2, SMALL, 22)
     params = CampaignParams(missions=20_500, seed=4)
-    alone = run(scenarios, ["rer", "ser"], params, InProcess(scenarios, params))
-    pooled = run(scenarios, ["rer", "ser"], params, Pool(scenarios, params, 2))
+    alone = run(scenarios, ["rer", "ser"], params, Workers()).rows
+    pooled = run(scenarios, ["rer", "ser"], params, Workers(2)).rows
     assert [without_timings(r) for r in alone] == [without_timings(r) for r in pooled]
 
 
-def test_rows_are_the_same_on_a_ray_cluster_of_two_nodes():
-    ray = pytest.importorskip("ray", reason="the ray extra is not installed")
-    from ray.cluster_utils import Cluster
-
-    from sim_bridge.research.campaign.campaign_runner import RayCluster
-
-    scenarios = scenario_set(2, SMALL, 22)
-    params = CampaignParams(missions=500, seed=4)
-    alone = run(scenarios, ["rer"], params, InProcess(scenarios, params))
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    try:
-        cluster.add_node(num_cpus=1)
-        there = RayCluster(scenarios, params, cluster.address)
-        spread = run(scenarios, ["rer"], params, there)
-    finally:
-        ray.shutdown()
-        cluster.shutdown()
-    assert [without_timings(r) for r in alone] == [without_timings(r) for r in spread]
+def one_is_lost(work, do, workers, say):
+    """Stands for workers of which one was killed twice, by a task of the second scenario."""
+    for index, task in enumerate(work):
+        if (task.scenario, task.planner) == (1, "ser"):
+            yield PieceLost(index, task, "SIGKILL")
+        else:
+            yield PieceDone(index, do(task))
 
 
-class Interrupted:
-    """Runs one task, then is stopped as Ctrl-C would."""
+def test_a_row_whose_worker_is_killed_is_left_out_and_named(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign_runner, "side_by_side", one_is_lost)
+    out = tmp_path / "rows.json"
+    words = ("--planner", "ser", "--planner", "rer", "--missions", 60, "--json", out)
+    result = call(*files, *words, "--jobs", 1)
+    assert result.exit_code == 1
+    names = [json.loads(path.read_text())["name"] for path in files]
+    assert f"lost: {names[1]}, ser, missions from 1 on: SIGKILL" in result.output
+    rows = json.loads(out.read_text())["rows"]
+    kept = [(names[0], "ser"), (names[0], "rer"), (names[1], "rer")]
+    assert [(row["scenario"], row["planner"]) for row in rows] == kept
+    monkeypatch.undo()
+    assert call(*files, *words, "--jobs", 1).exit_code == 0, "the same command tries it again"
+    assert len(json.loads(out.read_text())["rows"]) == 4
+    assert not out.with_name("rows.json.partial").exists()
 
-    def __init__(self, scenarios, params):
-        self._inner = InProcess(scenarios, params)
 
-    def run(self, pending):
-        yield next(iter(self._inner.run(pending)))
+def interrupted(done, total):
+    """Ctrl-C when one task is done."""
+    if done == 1:
         raise KeyboardInterrupt
 
 
@@ -101,11 +104,11 @@ def test_an_interrupted_campaign_goes_on_where_it_stopped(tmp_path):
     params = CampaignParams(missions=100)
     journal = campaign_journal(tmp_path / "rows.json", scenarios, ["ser", "rer"], params)
     with pytest.raises(KeyboardInterrupt):
-        run(scenarios, ["ser", "rer"], params, Interrupted(scenarios, params), journal)
+        run(scenarios, ["ser", "rer"], params, Workers(), journal, interrupted)
     assert len(journal.read()) == 1
     with journal.path.open("a") as file:
         file.write('[1, {"cut')  # the power went while a line was written
-    rows = run(scenarios, ["ser", "rer"], params, InProcess(scenarios, params), journal)
+    rows = run(scenarios, ["ser", "rer"], params, Workers(), journal).rows
     whole = run_campaign(scenarios, ["ser", "rer"], params)
     assert [without_timings(r) for r in rows] == [without_timings(r) for r in whole]
 
@@ -115,7 +118,7 @@ def test_a_journal_of_another_campaign_is_not_taken_up(tmp_path):
     params = CampaignParams(missions=100)
     out = tmp_path / "rows.json"
     journal = campaign_journal(out, scenarios, ["ser"], params)
-    run(scenarios, ["ser"], params, InProcess(scenarios, params), journal)
+    run(scenarios, ["ser"], params, Workers(), journal)
     other = CampaignParams(missions=100, seed=9)
     assert campaign_journal(out, scenarios, ["ser"], other).read() == {}
 
@@ -179,7 +182,7 @@ def test_ber_says_so_when_it_stays():
     from msgspec.structs import replace
 
     poor = [replace(scenarios[0], budget_wh=0.5)]
-    rows = run(poor, ["ber"], params, InProcess(poor, params), say=said.append)
+    rows = run(poor, ["ber"], params, Workers(), say=said.append).rows
     assert rows[0].ABRT == 50
     assert "stays at the depot" in said[0]
 
@@ -191,7 +194,7 @@ def test_ber_says_so_when_no_flight_keeps_the_bound_in_a_recording():
     scenario = replace(scenario_set(1, SMALL, 25)[0], wind=gale)
     params = CampaignParams(missions=20, max_loss=0.0, log_levels=30)
     said = []
-    rows = run([scenario], ["ber"], params, InProcess([scenario], params), say=said.append)
+    rows = run([scenario], ["ber"], params, Workers(), say=said.append).rows
     assert rows[0].ABRT == 20
     assert said == [f"{scenario.name}: ber stays at the depot: no flight keeps P(loss) within 0"]
 

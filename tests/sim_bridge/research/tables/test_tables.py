@@ -2,6 +2,8 @@
 
 import csv
 import math
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,8 @@ import pytest
 
 from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
-from sim_bridge.adapters.journal import Journal, digest_of, journaled_map
+from ground_station.adapters.workers.side_by_side import Workers
+from sim_bridge.adapters.journal import Journal, PiecesLost, digest_of, journaled_map
 from sim_bridge.research.benchmarks import planner_bench
 from sim_bridge.research.campaign import frontier_check
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, scenario_set
@@ -152,11 +155,25 @@ def test_long_work_goes_on_where_it_stopped_and_does_nothing_twice(tmp_path):
         return n * n
 
     with pytest.raises(KeyboardInterrupt):
-        journaled_map(range(5), lambda n: square(n, stops_at=3), 1, journal)
-    assert journaled_map(range(5), square, 1, journal) == [0, 1, 4, 9, 16]
+        journaled_map(range(5), lambda n: square(n, stops_at=3), Workers(), journal)
+    assert journaled_map(range(5), square, Workers(), journal) == [0, 1, 4, 9, 16]
     assert asked == [0, 1, 2, 3, 4]
     other = Journal(journal.path, digest_of("squares", 6), int)
     assert other.read() == {}
+
+
+def killed_at_three(n):
+    if n == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return n * n
+
+
+def test_what_no_worker_came_back_with_is_named_and_all_else_kept(tmp_path):
+    journal = Journal(tmp_path / "x.partial", digest_of("squares", 5), int)
+    with pytest.raises(PiecesLost) as caught:
+        journaled_map(range(5), killed_at_three, Workers(2), journal)
+    assert [(one.index, one.piece) for one in caught.value.lost] == [(3, 3)]
+    assert journal.read() == {0: 0, 1: 1, 2: 4, 4: 16}
 
 
 def test_the_frontier_check_counts_what_is_beyond_noise():

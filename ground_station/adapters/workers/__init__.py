@@ -1,0 +1,1 @@
+"""Long work side by side: processes of this machine, or a Ray cluster, with one behaviour."""
