@@ -5,6 +5,7 @@ it. A different command does not mix with it and starts from the beginning.
 """
 
 import hashlib
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -17,6 +18,8 @@ import msgspec
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class Journal(Generic[Result]):
@@ -94,11 +97,31 @@ def _in_any_order(
         jobs, mp_context=get_context("spawn"), initializer=leave_ctrl_c_to_the_parent
     )
     try:
-        waiting = {pool.submit(do, work[index]): index for index in pending}
+        with one_thread_a_process():
+            waiting = {pool.submit(do, work[index]): index for index in pending}
         for future in as_completed(waiting):
             yield waiting[future], future.result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def one_thread_a_process() -> Iterator[None]:
+    """Processes that are started meanwhile run matrix routines on one thread each.
+
+    There are as many processes as cores: threads beside them wait in a loop (a third more CPU in a
+    drag fit on two cores). What is computed is then the same on any number of cores, too.
+    """
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def digest_of(*things: object) -> str:
