@@ -32,8 +32,9 @@ from companion.core.calibration.flight import (
     square_speeds_mps,
     with_room,
 )
-from companion.core.calibration.power import power_keys
+from companion.core.calibration.power import PowerPriors, power_keys
 from companion.core.calibration.records import Blocks, prepare
+from companion.core.calibration.standing import StandingPower, ground_test, told_of
 from companion.core.calibration.trim import TRIM_KEYS
 from companion.core.exports.qgc_plan import PlanItem
 from companion.core.measured_energy.flown_track import FlownTrack, flown_track
@@ -75,21 +76,31 @@ def run_calibration(o: CalibrateOptions) -> None:
         start = read_airframe(o.airframe)
         loads = _loads(o.payload_kg, o.logs)
         with console.status("reading") as status:
-            read = [
+            logs = [
                 _read(console, path, load, start, o.temperature_c)
                 for path, load in zip(o.logs, loads, strict=True)
             ]
             kept = [
-                _read(console, path, load, start, o.temperature_c).blocks
+                _read(console, path, load, start, o.temperature_c)
                 for path, load in map(_log_and_load, o.holdouts)
             ]
+            ground = [log for log in logs if isinstance(log, StandingPower)]
+            read = [log for log in logs if isinstance(log, _Log)]
             flights = [log.blocks for log in read]
+            if not flights:
+                raise LeewayError("no flight among the logs: they all stand on the ground")
+            for words in told_of(ground, PowerPriors().current_offset_std_a):
+                console.print(f"  {words}")
             priors = DragPriors.symmetric() if o.symmetric else None
             done = calibrate(
-                flights, start, lambda words: status.update(f"fitting: {words}"), priors=priors
+                flights,
+                start,
+                lambda words: status.update(f"fitting: {words}"),
+                priors=priors,
+                ground=ground,
             )
             done = _with_phases(done, read)
-            unseen = [predict(blocks, done.airframe) for blocks in kept]
+            unseen = [predict(log.blocks, done.airframe) for log in kept if isinstance(log, _Log)]
         _show(console, done, unseen)
         if o.plots is not None:
             _plot(o.plots, done, flights)
@@ -196,10 +207,14 @@ class _Log:
 
 def _read(
     console: Console, path: Path, payload_kg: float, start: Airframe, temperature_c: float
-) -> _Log:
+) -> _Log | StandingPower:
+    """A flight, or a test on the ground."""
     flight = open_multirotor_log(path)
     record = as_record(flight, path.name, payload_kg, temperature_c)
     hover_w = float(multirotor_power_w(start, start.mass_kg(payload_kg), 0.0))
+    standing = ground_test(record, hover_w)
+    if standing is not None:
+        return standing
     prepared = prepare(record, hover_w, start.battery.cells)
     for words in (*(f"{path.name}: {finding}" for finding in flight.findings), *prepared.notes):
         console.print(f"  {words}")
@@ -358,6 +373,7 @@ def _as_json(done: Calibration, unseen: list[HeldOutFlight]) -> dict[str, Any]:
             *(row(h, "left out") for h in done.holdouts),
             *(row(h, "holdout") for h in unseen),
         ],
+        "standing": msgspec.to_builtins(done.power.standing),
         "airframe": msgspec.to_builtins(done.airframe),
         "drag": {"keys": DRAG_KEYS, "std": np.sqrt(np.diag(done.drag.cov)).tolist()},
         "power": {

@@ -23,9 +23,11 @@ from companion.core.calibration.records import BLOCK_S, prepare
 from companion.core.certificate.certificate import Certificate, percent
 from companion.core.certificate.certify import MeasuredFlight, Scatter, certify
 from companion.core.certificate.support import CONFIDENCE, days_needed, days_needed_confidently
+from companion.core.measured_energy.decision_points import decision_points
 from companion.core.measured_energy.energy_scatter import charges_of, fit_scatter
 from companion.core.measured_energy.flown_track import STEP_S, flown_track
 from companion.core.measured_energy.track_power import track_power_w
+from companion.core.replay.heard_wind import believed_wind
 from companion.core.replay.recorded_flight import sampled
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
@@ -176,13 +178,19 @@ def _measured(log: _Stated, airframe: Airframe) -> _Flown:
         )
     wind = see_wind(blocks, airframe)
     mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
-    power = track_power_w(airframe, track, mean, blocks.density_kgpm3)
+    density = blocks.density_kgpm3
+    power = track_power_w(airframe, track, mean, density)
+    mass_kg = airframe.mass_kg(log.payload_kg)
+    believed = believed_wind(samples, airframe, mass_kg, density, track.t_s)
+    points = decision_points(airframe, track, believed, density)
     known_v = samples.voltage_v[np.isfinite(samples.voltage_v)]
     flight = MeasuredFlight(
         name=name,
         date=log.date,
         measured_wh=track.energy_wh,
         predicted_wh=float(power.sum()) * STEP_S / 3600.0,
+        decision_points=len(points),
+        worst_ratio=max(point.ratio for point in points),
         wind_mps=_largest_mean(np.hypot(wind.to_north_mps, wind.to_east_mps)),
         airspeed_mps=_largest_mean(air_speeds(blocks, wind)[0]),
         payload_kg=log.payload_kg,
@@ -207,12 +215,16 @@ def _scatter(flown: list[_Flown]) -> Scatter:
 
 
 def _show(console: Console, done: Certificate, flights: list[MeasuredFlight]) -> None:
-    table = Table(title=f"Draw of {done.airframe} by day, measured over predicted")
-    for name in ("day", "flights", "mean", "worst"):
+    table = Table(
+        title=f"Draw of {done.airframe} by day, measured over predicted: whole flights, and the"
+        " worst way home"
+    )
+    for name in ("day", "flights", "decision points", "mean", "worst"):
         table.add_column(name, justify="left" if name == "day" else "right")
     for day in done.days:
         mean = float(np.exp(np.mean([f.log_ratio for f in flights if f.date == day.date])))
-        table.add_row(day.date, str(day.flights), f"{mean:.3f}", f"{day.worst_ratio:.3f}")
+        points = f"{day.decision_points:,}"
+        table.add_row(day.date, str(day.flights), points, f"{mean:.3f}", f"{day.worst_ratio:.3f}")
     console.print(table)
     envelope = done.envelope
     air = envelope.air_temperature_c

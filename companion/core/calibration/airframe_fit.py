@@ -6,7 +6,7 @@ numbers of the model may trade against one another without harm. A quantity that
 prior, or above its stated limit, is not identified, and the flight that would is named.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -25,6 +25,7 @@ from companion.core.calibration.power import (
 )
 from companion.core.calibration.quantities import Quantity, quantities_of
 from companion.core.calibration.records import BLOCK_S, Blocks
+from companion.core.calibration.standing import StandingPower
 from companion.core.calibration.trim import TRIM_KEYS, trim_quantities
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import max_airspeed_mps
@@ -84,9 +85,10 @@ def calibrate(
     *,
     leave_out: bool = True,
     priors: DragPriors | None = None,
+    ground: Sequence[StandingPower] = (),
 ) -> Calibration:
     """Fit an airframe to flights; `start` is what is believed before, `told` hears of progress.
-    `priors` of the drag where the usual ones are not meant.
+    `priors` of the drag where the usual ones are not meant; `ground` are tests on the ground.
 
     `leave_out`: fit again without each flight, to say how well it is predicted unseen. Without it
     the start's `power_rotor.model_std_frac` stays. The start's `power_flown` does not: tracks tell
@@ -97,7 +99,7 @@ def calibrate(
     drag = fit_drag(flights, start, priors)
     dragged = with_values(start, drag.values, power_values(start))
     told("power")
-    power = fit_power(flights, list(drag.winds), dragged)
+    power = fit_power(flights, list(drag.winds), dragged, ground=ground)
     told("battery")
     battery = fit_battery(flights, start.battery)
     quantities = quantities_of(flights, start, drag, power, battery)

@@ -19,6 +19,12 @@ from companion.core.base.arrays import Floats, Ints
 from companion.core.calibration.drag import DRAG_KEYS, WindSeen
 from companion.core.calibration.records import Blocks
 from companion.core.calibration.residual_scatter import by_minute, widened_covariance
+from companion.core.calibration.standing import (
+    StandingPower,
+    least_drawing,
+    pooled,
+    standing_in,
+)
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import multirotor_power_w
 
@@ -36,10 +42,6 @@ _SWING_MPS2 = 2.0  # thrust may move so much within such a block: gusts
 _DESCENT_MPS = -0.4
 _SIDEWAYS_FRAC = 0.6
 _SIDEWAYS_FREE_MPS = 2.5
-_STANDING_MPS = 0.15
-_STANDING_W_FRAC = 0.15
-_MAD_TO_STD = 1.4826  # of a normal distribution, as is the next
-_MEDIAN_OVER_MEAN_STD = 1.2533
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,8 @@ class PowerPriors:
 @dataclass(frozen=True, slots=True)
 class PowerFit:
     """`values` and `cov` in the order of `power_values`. Per flight: its settled blocks' indices,
-    the measured over expected power there, less 1, and the sensor's factor."""
+    the measured over expected power there, less 1, and the sensor's factor. `standing`: power with
+    the motors off as the sensor reads it, over all logs."""
 
     values: Floats
     cov: Floats
@@ -74,6 +77,7 @@ class PowerFit:
     sensor_scale: tuple[float, ...]
     settled: tuple[Ints, ...]
     residual_frac: tuple[Floats, ...]
+    standing: StandingPower | None = None
 
 
 def power_keys(airframe: Airframe) -> list[tuple[str, str]]:
@@ -160,15 +164,21 @@ def fit_power(
     winds: list[WindSeen],
     airframe: Airframe,
     priors: PowerPriors | None = None,
+    ground: Sequence[StandingPower] = (),
 ) -> PowerFit:
-    """Power from flights whose wind is seen; `airframe` is the prior, with its drag fitted."""
+    """Power from flights whose wind is seen; `airframe` is the prior, with its drag fitted.
+
+    `ground`: tests on the ground beside them; those that read least tell of avionics.
+    """
     p = priors or PowerPriors()
     start = power_values(airframe)
     count = len(start)
     stds = p.stds(start)
     flown = [b.pick(b.airborne) for b in flights]
     settled = [_settled(b, w) for b, w in zip(flights, winds, strict=True)]
-    standing = [_standing(b, airframe) for b in flights]
+    at_rest = [one for b in flights if (one := standing_in(b, airframe)) is not None]
+    standing = pooled([*at_rest, *least_drawing(ground, p.current_offset_std_a)])
+    avionics = standing if standing is not None and standing.tells_avionics else None
     drag = np.array([getattr(airframe.drag, key) for key in DRAG_KEYS])
     pieces = [
         _Piece.of(b, w, at, airframe, p) for b, w, at in zip(flights, winds, settled, strict=True)
@@ -180,11 +190,9 @@ def fit_power(
             (piece.blocks.power_w - piece.expected_w(tried) * (1.0 + scale)) / piece.noise_w
             for piece, scale in zip(pieces, x[count:], strict=True)
         ]
-        for i, seen in enumerate(standing):
-            if seen is not None:
-                drawn_w, drawn_std_w, volt_v = seen
-                std_w = math.hypot(p.current_offset_std_a * volt_v, drawn_std_w)
-                parts.append([(drawn_w - x[3] * (1.0 + x[count + i])) / std_w])
+        if avionics is not None:
+            std_w = math.hypot(p.current_offset_std_a * avionics.voltage_v, avionics.std_w)
+            parts.append(np.array([(avionics.power_w - x[3]) / std_w]))
         parts.append((x[:count] - start) / stds)
         parts.append(x[count:] / p.sensor_scale_std)
         return np.concatenate(parts)
@@ -200,7 +208,7 @@ def fit_power(
         x_scale=np.r_[stds, np.full(len(flights), 0.02)],
         loss="soft_l1",
         f_scale=2.0,
-        jac_sparsity=_pattern([len(p.noise_w) for p in pieces], standing, count),
+        jac_sparsity=_pattern([len(p.noise_w) for p in pieces], avionics is not None, count),
     )
     x = solution.x
     cov = widened_covariance(solution.jac.toarray(), residuals(x), _clusters(flown, settled))
@@ -216,19 +224,20 @@ def fit_power(
         sensor_scale=tuple(1.0 + x[count:]),
         settled=tuple(settled),
         residual_frac=left,
+        standing=standing,
     )
 
 
-def _pattern(rows: list[int], standing: Sequence[object], shared: int) -> lil_array:
+def _pattern(rows: list[int], has_standing: bool, shared: int) -> lil_array:
     """Which residual depends on what: a flight's on the power's values and on its own sensor's."""
     flights = len(rows)
     own = [i for i, count in enumerate(rows) for _ in range(count)]
-    own += [i for i, seen in enumerate(standing) if seen is not None]
-    pattern = lil_array((len(own) + shared + flights, shared + flights))
-    pattern[: len(own), :shared] = 1
+    first_prior = len(own) + int(has_standing)
+    pattern = lil_array((first_prior + shared + flights, shared + flights))
+    pattern[:first_prior, :shared] = 1
     pattern[np.arange(len(own)), shared + np.array(own)] = 1
     last = np.arange(shared + flights)
-    pattern[len(own) + last, last] = 1
+    pattern[first_prior + last, last] = 1
     return pattern
 
 
@@ -249,28 +258,6 @@ def _kinetic_w(blocks: Blocks, wind: WindSeen, airframe: Airframe) -> Floats:
     forward, right = b.cos_yaw * air_n + b.sin_yaw * air_e, b.cos_yaw * air_e - b.sin_yaw * air_n
     gained = b.accel_forward_mps2 * forward + b.accel_right_mps2 * right
     return (airframe.mass.empty_kg + b.payload_kg) * gained
-
-
-def _standing_blocks(blocks: Blocks, airframe: Airframe) -> Ints:
-    """Blocks on the ground with the motors off."""
-    hover_w = float(multirotor_power_w(airframe, airframe.mass.empty_kg, 0.0))
-    speed = np.hypot(np.hypot(blocks.north_mps, blocks.east_mps), blocks.climb_mps)
-    still = (speed < _STANDING_MPS) & (blocks.power_w < _STANDING_W_FRAC * hover_w)
-    return np.flatnonzero(still & ~blocks.airborne)
-
-
-def _standing(blocks: Blocks, airframe: Airframe) -> tuple[float, float, float] | None:
-    """Power at rest on the ground, its standard deviation, and the voltage; None where the log has
-    too little of it. Medians: motors that spin up or down are in one or two of the blocks.
-    """
-    at = _standing_blocks(blocks, airframe)
-    if len(at) < 3:
-        return None
-    power_w = blocks.power_w[at]
-    middle_w = float(np.median(power_w))
-    scatter_w = _MAD_TO_STD * float(np.median(np.abs(power_w - middle_w)))
-    std_w = _MEDIAN_OVER_MEAN_STD * scatter_w / math.sqrt(len(at))
-    return middle_w, std_w, float(np.median(blocks.voltage_v[at]))
 
 
 def _noise(airframe: Airframe, blocks: Blocks, wind: WindSeen, p: PowerPriors) -> Floats:

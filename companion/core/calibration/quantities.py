@@ -95,8 +95,7 @@ def quantities_of(
             float(np.sqrt(power.prior_cov[3, 3])),
             1.0,
             False,
-            "let it stand disarmed, but logging, for 20 s before take-off (PX4 SDLOG_MODE 1,"
-            " ArduPilot LOG_DISARMED 1)",
+            _to_tell_avionics(power),
         )
     )
     found.append(
@@ -113,6 +112,19 @@ def quantities_of(
     )
     found += _usable_quantities(battery, start)
     return tuple(found)
+
+
+def _to_tell_avionics(power: PowerFit) -> str:
+    standing = power.standing
+    if standing is not None and not standing.tells_avionics:
+        return (
+            f"another meter at the pack: with the motors off the current sensor reads down to"
+            f" {standing.least_a:.2f} A, less than nothing"
+        )
+    return (
+        "let it stand disarmed, but logging, for 20 s before take-off (PX4 SDLOG_MODE 1, ArduPilot"
+        " LOG_DISARMED 1)"
+    )
 
 
 def _from_above(power: PowerFit) -> list[Quantity]:

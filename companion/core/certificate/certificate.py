@@ -1,4 +1,4 @@
-"""The `certificate/1` file: what flights of an airframe support, in words that can be falsified."""
+"""The `certificate/2` file: what flights of an airframe support, in words that can be falsified."""
 
 import hashlib
 import math
@@ -11,6 +11,7 @@ from companion.core.certificate.support import (
     CONFIDENCE,
     confident_loss,
     days_needed,
+    days_needed_confidently,
     supported_loss,
 )
 from companion.core.vehicle.airframe import Airframe
@@ -26,11 +27,14 @@ class CertifiedDay(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """YYYY-MM-DD."""
     flights: int
     """Flights of that day."""
+    decision_points: int
+    """Instants of these flights at which the energy home was judged."""
     worst_ratio: float
-    """Largest measured over predicted energy of a flight."""
+    """Largest measured over predicted energy home, over all decision points of all its flights."""
 
     def __post_init__(self) -> None:
         check_range("days.flights", self.flights, 1, 100_000)
+        check_range("days.decision_points", self.decision_points, 1, 1_000_000_000)
         check_range("days.worst_ratio", self.worst_ratio, 0.2, 5.0)
 
 
@@ -59,9 +63,9 @@ class FlownEnvelope(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `certificate/1` file: it lies beside the airframe file whose draw it certifies."""
+    """A `certificate/2` file: it lies beside the airframe file whose draw it certifies."""
 
-    format: Literal["certificate/1"]
+    format: Literal["certificate/2"]
     """The kind of file and its version."""
     airframe: str
     """The airframe's name."""
@@ -91,12 +95,13 @@ class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def bound_ratio(self) -> float:
-        """Measured over predicted energy that no flight of these days was over."""
+        """Measured over predicted energy home that no flight of these days was over, at any of its
+        decision points."""
         return max(day.worst_ratio for day in self.days)
 
     @property
     def supported_loss(self) -> float:
-        """Chance that a new day holds a flight over `bound_ratio`."""
+        """Chance that a new day holds a flight that is over `bound_ratio` at a decision point."""
         return supported_loss(len(self.days))
 
     @property
@@ -108,9 +113,11 @@ class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def statement(self) -> str:
         """What is promised, and for what."""
         days, flights = len(self.days), sum(day.flights for day in self.days)
+        points = sum(day.decision_points for day in self.days)
         return (
-            f"on a new day, exchangeable with these {days} ({flights} flights), a flight draws over"
-            f" {self.bound_ratio:.3f} of what {self.airframe} predicts with at most"
+            f"on a new day, exchangeable with these {days} ({flights} flights, {points:,} decision"
+            f" points), the way home takes over {self.bound_ratio:.3f} of what {self.airframe}"
+            " predicts, from any decision point of any flight, with at most"
             f" {percent(self.supported_loss)} (with {percent(CONFIDENCE)} confidence at most"
             f" {percent(confident_loss(days))})"
         )
@@ -121,7 +128,8 @@ class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             return ""
         return (
             f"{percent(max_loss)} accepted is less than {len(self.days)} days can support:"
-            f" {days_needed(max_loss)} would; until then it rests on the models"
+            f" {days_needed(max_loss)} would, and {days_needed_confidently(max_loss)} without a"
+            f" loss with {percent(CONFIDENCE)} confidence; until then it rests on the models"
         )
 
 
@@ -140,8 +148,16 @@ def pack_class(airframe: Airframe) -> str:
     return f"{airframe.battery.cells} cells, {airframe.battery.nominal_wh:g} Wh"
 
 
+_OF_WHOLE_FLIGHTS = "certificate/1"
+
+
 def certificate_from_dict(table: object, where: str) -> Certificate:
     """A certificate as parsed from JSON; LeewayError names file and key."""
+    if isinstance(table, dict) and table.get("format") == _OF_WHOLE_FLIGHTS:
+        raise LeewayError(
+            f"{where}: {_OF_WHOLE_FLIGHTS} judged whole flights, certificate/2 every decision"
+            " point: companion certify again, or remove it"
+        )
     try:
         return msgspec.convert(table, Certificate)
     except (msgspec.ValidationError, LeewayError) as error:

@@ -22,12 +22,17 @@ _ODD_LOG = math.log(2.0)
 
 @dataclass(frozen=True, slots=True)
 class MeasuredFlight:
-    """One whole flight. Wind and airspeed are its largest means over 10 s."""
+    """One whole flight. Wind and airspeed are its largest means over 10 s.
+
+    `worst_ratio`: the largest measured over predicted energy home, of all its decision points.
+    """
 
     name: str
     date: str
     measured_wh: float
     predicted_wh: float
+    decision_points: int
+    worst_ratio: float
     wind_mps: float
     airspeed_mps: float
     payload_kg: float
@@ -64,7 +69,7 @@ def certify(
     if len(by_day) < LEAST_DAYS:
         raise LeewayError(f"flights on {len(by_day)} days, at least {LEAST_DAYS} expected")
     return Certificate(
-        format="certificate/1",
+        format="certificate/2",
         airframe=airframe.name,
         airframe_digest=airframe_digest(airframe),
         pack=pack_class(airframe),
@@ -72,7 +77,8 @@ def certify(
             CertifiedDay(
                 date=date,
                 flights=len(rows),
-                worst_ratio=math.exp(max(row.log_ratio for row in rows)),
+                decision_points=sum(row.decision_points for row in rows),
+                worst_ratio=max(row.worst_ratio for row in rows),
             )
             for date, rows in by_day.items()
         ],

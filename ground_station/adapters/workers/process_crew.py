@@ -18,6 +18,7 @@ from ground_station.adapters.workers.answers import Answer, WorkerDied, answer_o
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 GRACE_S = 15.0
 """After SIGTERM a worker has so long to end what it started itself; then it is killed."""
 
@@ -88,7 +89,7 @@ class ProcessCrew(Generic[Work, Result]):
         spawn = get_context("spawn")  # a fork would copy threads half way
         ours, theirs = Pipe()
         process = spawn.Process(target=_work, args=(theirs, self._do), daemon=True)
-        with _without_ctrl_c():
+        with _without_ctrl_c(), _one_thread_each():
             process.start()
         theirs.close()  # else nobody would notice its end
         return _Member(process, ours)
@@ -106,6 +107,25 @@ def _without_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """What is started inside runs matrix routines on one thread.
+
+    There are as many workers as processors: threads beside them wait in a loop (a third more CPU in
+    a drag fit on two). What is computed is then the same on any number of processors, too.
+    """
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _end_in_words(code: int | None) -> str:

@@ -1,7 +1,7 @@
 """One fold: everything fitted on some days' flights, and judged on the flights of others."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -163,11 +163,12 @@ def _fit(train: Sequence[ReadFlight], start: Airframe) -> _Fitted:
     ]
     charges = charges_of([f.ordered.date for f in train], [f.start_v for f in train])
     known = [_known(*row) for row in zip(train, winds, charges, strict=True)]
-    scored = [train[i] for i in chosen[:: max(len(chosen) // SCORED_FLIGHTS, 1)]]
-    flying = _likeliest(done.airframe, scored)
-    scaled = [train[chosen[i]] for i in _spread(len(chosen), SCALED_FLIGHTS)]
-    scale = _scale_of([(f, replay_wind(f, flying)) for f in scaled])
-    rivals = [(f, rival_winds(f, flying)) for f in scored]
+    scored = chosen[:: max(len(chosen) // SCORED_FLIGHTS, 1)]
+    flying, replays = _likeliest(done.airframe, {i: train[i] for i in scored})
+    scaled = [chosen[at] for at in _spread(len(chosen), SCALED_FLIGHTS)]
+    replays |= {i: replay_wind(train[i], flying) for i in scaled if i not in replays}
+    scale = _scale_of([(train[i], replays[i]) for i in scaled])
+    rivals = [(train[i], rival_winds(train[i], flying)) for i in scored]
     rival_scales = {n: _scale_of([(f, winds[n]) for f, winds in rivals]) for n in WIND_RIVALS}
     forecast = fit_forecast(done.airframe, known)
     return _Fitted(done, flying, scale, rival_scales, forecast, fit_rivals(train))
@@ -189,16 +190,21 @@ def as_reported(airframe: Airframe) -> Airframe:
     return changed(airframe, drag=changed(airframe.drag, trim_forward_deg=0.0, trim_right_deg=0.0))
 
 
-def _likeliest(airframe: Airframe, flights: Sequence[ReadFlight]) -> Airframe:
-    """The airframe with those of DRAG_STDS under which the estimator's errors are likeliest."""
+def _likeliest(
+    airframe: Airframe, flights: Mapping[int, ReadFlight]
+) -> tuple[Airframe, dict[int, WindReplay]]:
+    """The airframe with those of DRAG_STDS under which the estimator's errors are likeliest, and
+    what it believed of these flights with it."""
     found = []
     for stds in DRAG_STDS:
         one = _expecting(airframe, *stds)
-        judged = [_wind(f, replay_wind(f, one), None) for f in flights]
+        replays = {i: replay_wind(f, one) for i, f in flights.items()}
+        judged = [_wind(f, replays[i], None) for i, f in flights.items()]
         scale = fit_scale([leg for wind in judged for leg in wind.legs])
         means = [mean.as_read(scale) for wind in judged for mean in wind.windows]
-        found.append((_wind_loss(means), one))
-    return min(found, key=lambda row: row[0])[1]
+        found.append((_wind_loss(means), one, replays))
+    _, likeliest, replays = min(found, key=lambda row: row[0])
+    return likeliest, replays
 
 
 def _expecting(airframe: Airframe, trim_deg: float, model: float, gain: float) -> Airframe:

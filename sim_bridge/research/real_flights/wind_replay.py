@@ -11,15 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.core.base.arrays import Floats
+from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.measured_energy.flown_track import FlownTrack
+from companion.core.replay.heard_wind import heard
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
 from companion.core.wind.observation import WindFilter, WindObservation
 from sim_bridge.research.real_flights.folder import ReadFlight
+from sim_bridge.research.wind.rival_filters import replayed
 
-_LEAST_HEIGHT_M = 2.0  # below, the gate's estimator takes nothing in either
 WINDOW_S = 10.0
 _SETTLED_S = 2.0
 """Of a leg's ends: the anemometer's own filter has not caught up."""
@@ -64,28 +65,8 @@ def observations(
     flight: ReadFlight, airframe: Airframe, *, with_airspeed: bool
 ) -> Iterable[WindObservation]:
     """What the estimator hears: velocity and attitude, and the anemometer if asked for."""
-    s = flight.samples
     mass_kg = airframe.mass_kg(flight.ordered.payload_kg)
-    for i, t_s in enumerate(s.t_s.tolist()):
-        airspeed = float(s.airspeed_mps[i])
-        velocity = (float(s.vel_n_mps[i]), float(s.vel_e_mps[i]), float(s.vel_d_mps[i]))
-        yield WindObservation(
-            t_s=t_s,
-            airborne=bool(s.airborne[i] and s.height_rel_m[i] > _LEAST_HEIGHT_M),
-            mass_kg=mass_kg,
-            vel_ned_mps=velocity if all(map(math.isfinite, velocity)) else None,
-            roll_rad=_known(s.roll_rad[i]),
-            pitch_rad=_known(s.pitch_rad[i]),
-            yaw_rad=_known(s.yaw_rad[i]),
-            airspeed_mps=airspeed if with_airspeed and math.isfinite(airspeed) else None,
-            airspeed_is_magnitude=True,
-            height_m=_known(s.height_rel_m[i]),
-            density_kgpm3=flight.density_kgpm3,
-        )
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return heard(flight.samples, mass_kg, flight.density_kgpm3, with_airspeed=with_airspeed)
 
 
 def replay_wind(
@@ -96,16 +77,15 @@ def replay_wind(
     make: type[WindFilter] = WindEstimator,
 ) -> WindReplay:
     """The product's estimator over one flight; its belief at each point of the track's grid."""
-    estimator = make(airframe)  # pyright: ignore[reportCallIssue]
-    times, means, covs = [], [], []
-    for seen in observations(flight, airframe, with_airspeed=with_airspeed):
-        estimator.update(seen)
-        belief = estimator.belief(seen.t_s)
-        times.append(seen.t_s)
-        means.append(belief.mean_to_ne_mps)
-        covs.append(belief.cov_ne_m2ps2)
-    at = np.clip(np.searchsorted(times, flight.track.t_s, side="right") - 1, 0, len(times) - 1)
-    return WindReplay(np.array(means)[at], np.array(covs)[at])
+    seen = observations(flight, airframe, with_airspeed=with_airspeed)
+    return WindReplay(*replayed(make, airframe, seen, rows_of_grid(flight)))
+
+
+def rows_of_grid(flight: ReadFlight) -> Ints:
+    """The sample that holds at each point of the track's grid."""
+    times = flight.samples.t_s
+    last = np.searchsorted(times, flight.track.t_s, side="right") - 1
+    return np.clip(last, 0, len(times) - 1)
 
 
 def fit_scale(legs: Sequence[AirspeedMean]) -> AnemometerScale:

@@ -5,7 +5,7 @@ import numpy as np
 from companion.core.replay.reference_estimator import ReferenceEstimator
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.research.real_flights.folder import ReadFlight
-from sim_bridge.research.real_flights.wind_replay import WindReplay, observations
+from sim_bridge.research.real_flights.wind_replay import WindReplay, observations, rows_of_grid
 from sim_bridge.research.wind.px4_drag_fusion import DragFusionParams
 from sim_bridge.research.wind.rival_filters import (
     ARDUPILOT,
@@ -29,14 +29,16 @@ def rival_winds(flight: ReadFlight, airframe: Airframe) -> dict[str, WindReplay]
     STILL has no wind at all, and states no error: its covariance is the unit matrix.
     """
     heard, plain = levelled(tuple(observations(flight, airframe, with_airspeed=False)), airframe)
-    times = [seen.t_s for seen in heard]
-    at = np.clip(np.searchsorted(times, flight.track.t_s, side="right") - 1, 0, len(times) - 1)
-    still = np.zeros((len(times), 2)), np.tile(np.eye(2), (len(times), 1, 1))
-    found = {
-        REFERENCE: replayed(ReferenceEstimator, plain, heard),
-        PX4_DEFAULT: fused(heard, DragFusionParams()),
-        PX4: fused(heard, tuned(plain)),
-        ARDUPILOT: fused(heard, ardupilot(plain)),
-        STILL: still,
+    at = rows_of_grid(flight)
+    still = np.zeros((len(at), 2)), np.tile(np.eye(2), (len(at), 1, 1))
+    fusions = {
+        PX4_DEFAULT: DragFusionParams(),
+        PX4: tuned(plain),
+        ARDUPILOT: ardupilot(plain),
     }
-    return {name: WindReplay(mean[at], cov[at]) for name, (mean, cov) in found.items()}
+    found = {REFERENCE: replayed(ReferenceEstimator, plain, heard, at)}
+    for name, params in fusions.items():
+        mean, cov = fused(heard, params)
+        found[name] = mean[at], cov[at]
+    found[STILL] = still
+    return {name: WindReplay(*belief) for name, belief in found.items()}

@@ -61,7 +61,7 @@ def formats() -> tuple[Format, ...]:
             },
         ),
         Format("airframe/1", Airframe, _read("airframes")),
-        Format("certificate/1", Certificate),
+        Format("certificate/2", Certificate),
         Format("wind-process/1", WindProcessParams, _read("wind")),
         Format("wind-field/1", WindFieldParams, _read("fields")),
         Format("day/1", Day, _read("days")),

@@ -1,12 +1,12 @@
 """Others' wind filters over what ours hears: drag fusion as PX4 and ArduPilot have it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 import numpy as np
 
-from companion.core.base.arrays import Floats
+from companion.core.base.arrays import Floats, Ints
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.observation import WindFilter, WindObservation
@@ -60,17 +60,30 @@ def ardupilot(airframe: Airframe) -> DragFusionParams:
 
 
 def replayed(
-    make: Callable[[Airframe], WindFilter], airframe: Airframe, heard: Sequence[WindObservation]
+    make: Callable[[Airframe], WindFilter],
+    airframe: Airframe,
+    heard: Iterable[WindObservation],
+    rows: Ints | None = None,
 ) -> tuple[Floats, Floats]:
-    """What a filter made with this airframe believes at each row: (n, 2) and (n, 2, 2)."""
+    """What a filter made with this airframe believes at each row: (n, 2) and (n, 2, 2).
+
+    `rows`: at these alone, in their order; they may repeat.
+    """
     filter_ = make(airframe)
-    means, covs = [], []
-    for seen in heard:
+    wanted = None if rows is None else frozenset(rows.tolist())
+    means, covs, kept = [], [], []
+    for row, seen in enumerate(heard):
         filter_.update(seen)
-        belief = filter_.belief(seen.t_s)
-        means.append(belief.mean_to_ne_mps)
-        covs.append(belief.cov_ne_m2ps2)
-    return np.array(means), np.array(covs)
+        if wanted is None or row in wanted:
+            belief = filter_.belief(seen.t_s)
+            kept.append(row)
+            means.append(belief.mean_to_ne_mps)
+            covs.append(belief.cov_ne_m2ps2)
+    mean, cov = np.array(means), np.array(covs)
+    if rows is None:
+        return mean, cov
+    at = np.searchsorted(kept, rows)
+    return mean[at], cov[at]
 
 
 def fused(heard: Sequence[WindObservation], params: DragFusionParams) -> tuple[Floats, Floats]:

@@ -13,6 +13,7 @@ from companion.adapters.logs.open_log import open_log
 from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError
 from companion.core.calibration.records import Blocks
+from companion.core.replay.heard_wind import heard
 from companion.core.replay.recorded_flight import FlightSamples, WindReference, sampled
 from companion.core.vehicle.air import standard_air
 from companion.core.vehicle.airframe import Airframe
@@ -24,7 +25,6 @@ WINDOW_S = 10.0
 WARM_UP_S = 30.0
 EVERY_S = 60.0
 """Between cold starts."""
-_LEAST_HEIGHT_M = 2.0
 _LEAST_SHARE = 0.8
 _FRESH_S = 1.0
 
@@ -104,14 +104,14 @@ def _campaign(folder: Path, airframe: str) -> BenchFolder:
     start = read_airframe(airframe)
     for flight in read.flights:
         mass_kg = start.mass_kg(flight.ordered.payload_kg)
-        heard = heard_in(flight.samples, mass_kg, flight.density_kgpm3)
-        windows = windows_of(flight.samples, heard, None)
+        seen = tuple(heard(flight.samples, mass_kg, flight.density_kgpm3))
+        windows = windows_of(flight.samples, seen, None)
         if not windows:
             left_out.append(f"flight {flight.ordered.name}: no ten seconds of airspeed in the air")
             continue
         name, date = flight.ordered.name, flight.ordered.date
         blocks = flight.blocks if flight.ordered.has_route else None
-        flights.append(BenchFlight(name, date, heard, _velocity(flight.samples), windows, blocks))
+        flights.append(BenchFlight(name, date, seen, _velocity(flight.samples), windows, blocks))
     return _checked(folder, flights, left_out)
 
 
@@ -119,41 +119,14 @@ def _log(path: Path, mass_kg: float) -> BenchFlight:
     log = open_log(path)
     samples = sampled(log, SAMPLED_EVERY_S)
     height_m = float(samples.alt_amsl_m[np.isfinite(samples.alt_amsl_m)][:1].sum())
-    heard = heard_in(samples, mass_kg, standard_air(max(height_m, 0.0)).density_kgpm3)
-    windows = windows_of(samples, heard, log.reference)
+    air = standard_air(max(height_m, 0.0))
+    seen = tuple(heard(samples, mass_kg, air.density_kgpm3))
+    windows = windows_of(samples, seen, log.reference)
     if not windows:
         raise LeewayError(
             f"{path.name}: no ten seconds in the air with airspeed_mps or wind_to_*_ref_mps"
         )
-    return BenchFlight(path.name, path.name, heard, _velocity(samples), windows)
-
-
-def heard_in(
-    samples: FlightSamples, mass_kg: float, density_kgpm3: float
-) -> tuple[WindObservation, ...]:
-    """Velocity and attitude at each row; no anemometer."""
-    s = samples
-    seen = []
-    for i, t_s in enumerate(s.t_s.tolist()):
-        velocity = (float(s.vel_n_mps[i]), float(s.vel_e_mps[i]), float(s.vel_d_mps[i]))
-        seen.append(
-            WindObservation(
-                t_s=t_s,
-                airborne=bool(s.airborne[i] and s.height_rel_m[i] > _LEAST_HEIGHT_M),
-                mass_kg=mass_kg,
-                vel_ned_mps=velocity if all(map(math.isfinite, velocity)) else None,
-                roll_rad=_known(s.roll_rad[i]),
-                pitch_rad=_known(s.pitch_rad[i]),
-                yaw_rad=_known(s.yaw_rad[i]),
-                height_m=_known(s.height_rel_m[i]),
-                density_kgpm3=density_kgpm3,
-            )
-        )
-    return tuple(seen)
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return BenchFlight(path.name, path.name, seen, _velocity(samples), windows)
 
 
 def _velocity(samples: FlightSamples) -> Floats:

@@ -62,7 +62,10 @@ def test_days_are_told_apart_and_the_certificate_lies_beside_the_airframe(flight
     assert found.envelope.payload_kg == 0.5
     assert found.envelope.air_temperature_c == (19.0, 20.0)
     assert 7.5 < found.envelope.airspeed_mps < 8.0 + np.hypot(2.0, 1.0) + 1.0
-    assert "exchangeable with these 4 (8 flights)" in done.output
+    points = sum(day.decision_points for day in found.days)
+    # A flight has 86 to 134 s between power on and its last descent.
+    assert 8 * 60 < points < 8 * 140
+    assert f"exchangeable with these 4 (8 flights, {points:,} decision points)" in done.output
     assert "1 % needs 99 days" in done.output
 
 

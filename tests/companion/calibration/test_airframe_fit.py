@@ -494,6 +494,30 @@ def test_motors_that_spin_up_on_the_ground_are_not_taken_for_avionics():
     assert fit.values[3] == pytest.approx(15.0, abs=2.0)
 
 
+def test_a_current_sensor_that_reads_less_than_nothing_at_rest_leaves_avionics_as_believed():
+    """The M100's own sensor: -0.15 A with everything on and the motors off."""
+    speeds = np.repeat(np.arange(0.0, 15.0, 3.0), 15)
+    still = np.zeros(len(speeds))
+    flown = level_blocks("m", speeds, np.interp(speeds, SPEEDS, POWER[0.0]), np.full(10, -4.0))
+    start = read_airframe("m100")
+    fit = fit_power([flown], [WindSeen(still, still, still + 0.1, 0.0)], start)
+    assert fit.standing is not None
+    assert fit.standing.current_a == pytest.approx(-4.0 / 24.0)
+    believed = start.power_rotor.avionics_w
+    assert fit.values[3] == pytest.approx(believed, abs=0.3 * believed)
+    assert float(np.sqrt(fit.cov[3, 3])) > 0.5 * float(np.sqrt(fit.prior_cov[3, 3]))
+
+
+def test_many_logs_tell_avionics_no_better_than_one_sensor_s_zero():
+    speeds = np.repeat(np.arange(0.0, 15.0, 3.0), 15)
+    still = np.zeros(len(speeds))
+    watts = np.interp(speeds, SPEEDS, POWER[0.0])
+    flown = [level_blocks(f"m{i}", speeds, watts, np.full(10, 15.0)) for i in range(9)]
+    wind = [WindSeen(still, still, still + 0.1, 0.0)] * 9
+    fit = fit_power(flown, wind, read_airframe("m100"))
+    assert float(np.sqrt(fit.cov[3, 3])) > 0.7 * 0.2 * 24.0  # 0.2 A of 24 V, narrowed by belief
+
+
 PUBLISHED = {  # rms that the fit leaves, of the power; masses as the publications state
     "DJI Matrice 100": ("m100", 3.65, 0.04),
     "quadcopter 1.3 kg": ("px4_sih", 1.3, 0.04),

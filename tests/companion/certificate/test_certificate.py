@@ -25,9 +25,21 @@ M100 = read_airframe("m100")
 USUAL = Scatter(0.01, 0.03)
 
 
-def flight(day, ratio=1.0, wind=5.0, airspeed=12.0, payload=0.25, celsius=None, name="f"):
-    date = f"2026-05-{day:02d}"
-    return MeasuredFlight(name, date, 20.0 * ratio, 20.0, wind, airspeed, payload, celsius)
+def flight(
+    day, ratio=1.0, wind=5.0, airspeed=12.0, payload=0.25, celsius=None, name="f", worst=None
+):
+    return MeasuredFlight(
+        name=name,
+        date=f"2026-05-{day:02d}",
+        measured_wh=20.0 * ratio,
+        predicted_wh=20.0,
+        decision_points=150,
+        worst_ratio=worst or ratio,
+        wind_mps=wind,
+        airspeed_mps=airspeed,
+        payload_kg=payload,
+        air_temperature_c=celsius,
+    )
 
 
 def certificate(flights=None, left_out=()):
@@ -67,14 +79,21 @@ def test_the_bound_is_the_worst_flight_of_all_days():
     found = certificate([flight(1), flight(1, 1.2), flight(2, 0.9), flight(3, 1.1)])
     assert [(day.date[-2:], day.flights) for day in found.days] == [("01", 2), ("02", 1), ("03", 1)]
     assert found.bound_ratio == pytest.approx(1.2)
-    assert "with these 3 (4 flights)" in found.statement
-    assert "over 1.200 of what m100 predicts with at most 25 %" in found.statement
+    assert "with these 3 (4 flights, 600 decision points)" in found.statement
+    assert "takes over 1.200 of what m100 predicts" in found.statement
+    assert "any flight, with at most 25 % (with 95 % confidence at most 63 %)" in found.statement
+
+
+def test_the_worst_moment_of_a_flight_counts_and_not_its_whole():
+    found = certificate([flight(1), flight(2, 1.02, worst=1.25), flight(3, 1.1)])
+    assert [day.worst_ratio for day in found.days] == pytest.approx([1.0, 1.25, 1.1])
+    assert found.bound_ratio == pytest.approx(1.25)
 
 
 def test_what_is_missing_for_a_smaller_loss_is_said():
     found = certificate()
     assert found.support_of(0.1) == ""
-    assert "99 would" in found.support_of(0.01)
+    assert "99 would, and 299 without a loss with 95 % confidence" in found.support_of(0.01)
 
 
 def test_two_days_or_a_log_of_another_vehicle_certify_nothing():
@@ -101,6 +120,12 @@ def test_a_file_with_a_mistake_is_named_with_its_key():
     for key, value in (("days", table["days"][:2]), ("draw_factor", 9.0), ("format", "x/1")):
         with pytest.raises(LeewayError, match=r"^c\.json: .*" + key):
             certificate_from_dict({**table, key: value}, "c.json")
+
+
+def test_a_certificate_of_whole_flights_says_that_it_is_to_be_made_again():
+    table = msgspec.to_builtins(certificate()) | {"format": "certificate/1"}
+    with pytest.raises(LeewayError, match=r"^c\.json: certificate/1 judged whole .*certify again"):
+        certificate_from_dict(table, "c.json")
 
 
 INSIDE = {"t_s": 0.0, "wind_mps": 4.0, "airspeed_mps": 11.0}

@@ -35,9 +35,12 @@ PLAN = Plan(
 
 
 def certified(*, wind_mps=9.0, celsius=None, factor=1.0, std_frac=0.0) -> Certificate:
-    days = [CertifiedDay(date=f"2026-05-0{d}", flights=9, worst_ratio=1.1) for d in (1, 2, 3)]
+    days = [
+        CertifiedDay(date=f"2026-05-0{d}", flights=9, decision_points=900, worst_ratio=1.1)
+        for d in (1, 2, 3)
+    ]
     return Certificate(
-        format="certificate/1",
+        format="certificate/2",
         airframe="m100",
         airframe_digest=airframe_digest(AIRFRAME),
         pack="6 cells, 130 Wh",
