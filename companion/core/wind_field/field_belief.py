@@ -71,6 +71,10 @@ class FieldBelief:
         self._prior = prior or WindPrior((0.0, 0.0), process.process.level_std_mps)
         self._members: dict[str, MemberTellings] = {}
 
+    def expect(self, prior: WindPrior) -> None:
+        """What is expected where nobody tells, from now on: a forecast moves on with the time."""
+        self._prior = prior
+
     def tell(self, telling: WindTelling, now_s: float) -> str:
         """Take a telling (any rate; thinned inside); returns why it is left out, or empty.
 

@@ -110,7 +110,7 @@ def dispatch(
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.core.people.person import desk_of
 
-    data = open_day(day)
+    data = open_day(day, follows=True)
     person = who(user, identity, data.day.fleet)
     chosen = None if plan is None else read_day_plan(plan)
     open_desk_store = partial(open_store, store, store_file, create=True, goes_on=True)

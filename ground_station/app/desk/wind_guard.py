@@ -16,6 +16,7 @@ from companion.core.wind_field.fronts import FrontAhead
 from companion.fleet.messages import State
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.core.dispatch.wind_holds import (
     HELD_BY,
     Launch,
@@ -53,7 +54,9 @@ Places = tuple[tuple[float, float], ...]
 
 @dataclass(slots=True)
 class WindGuard:
-    """One desk's. `sorties`: of a day with a truck, where its drones land."""
+    """One desk's. `sorties`: of a day with a truck, where its drones land. `forecast`: watches over
+    one that is followed; None: the day has none.
+    """
 
     store: Store
     data: DayData
@@ -61,6 +64,7 @@ class WindGuard:
     clock: Clock
     say: Callable[[str], None]
     sorties: Callable[[], Sequence[SortieRow]] = lambda: ()
+    forecast: ForecastWatch | None = None
     _held: set[str] = field(default_factory=set)
     _keep_until_s: dict[str, float] = field(default_factory=dict)
     _began: bool = False
@@ -87,9 +91,15 @@ class WindGuard:
         now_s = self.clock.monotonic_s()
         self._begin(now_s)
         self._say_field(now_s)
-        rows = self._read_rows() if self.wind.fronts_now(now_s) else []
-        launches = [self._launch(row, status) for row in rows if row.state in TO_LAUNCH]
-        changed = self._hold(self.holds.due(now_s, launches), now_s)
+        if self.forecast is not None:
+            self.forecast.turn(now_s)
+        wanted = self.forecast is not None or self.wind.fronts_now(now_s)
+        rows = self._read_rows() if wanted else []
+        waiting = [row for row in rows if row.state in TO_LAUNCH]
+        due = self.holds.due(now_s, [self._launch(row, status) for row in waiting])
+        if self.forecast is not None:
+            due = self.forecast.held(waiting, self._orders, self._sorties, now_s) | due
+        changed = self._hold(due, now_s)
         while self._to_tell:
             self._tell(self._to_tell[0], rows, status, now_s)
             self._to_tell.pop(0)

@@ -139,9 +139,7 @@ class SiteWind:
         """`depot_deg`: latitude and longitude. `forecast` at `height_m` above ground is what is
         expected before anybody tells; None: any wind.
         """
-        prior = None
-        if forecast is not None:
-            prior = WindPrior(forecast.to_ne_mps, PRIOR_TIMES * forecast.std_mps, height_m)
+        prior = None if forecast is None else _prior(forecast, height_m)
         self.height_m = height_m
         self.fronts: list[FrontAhead] = []
         """Fronts of the last half hour, each as it is known best, oldest first."""
@@ -178,6 +176,10 @@ class SiteWind:
         if low or (teller.out and t_s - teller.out_s > OUT_S):
             return None
         return self._front(telling)
+
+    def expect(self, forecast: Forecast) -> None:
+        """What is expected now before anybody tells, at cruise height: a forecast moves on."""
+        self._belief.expect(_prior(forecast, self.height_m))
 
     def place_ne_m(self, lat_deg: float, lon_deg: float) -> tuple[float, float]:
         """A place in metres about the depot."""
@@ -337,6 +339,10 @@ def front_words(
     return (
         f"FRONT: the wind changes by {math.hypot(*change):.0f} m/s, felt by {felt}; {moves}{ahead}"
     )
+
+
+def _prior(forecast: Forecast, height_m: float) -> WindPrior:
+    return WindPrior(forecast.to_ne_mps, PRIOR_TIMES * forecast.std_mps, height_m)
 
 
 def _only(cov: Floats) -> float:
