@@ -174,7 +174,7 @@ class DepotDispatcher:
         self._say_full(self.assigner.is_full(rows))
         if self._is_full:  # nor need the orders be read: there may be thousands
             return False
-        waiting, first = self.store.orders(OrderState.OPEN), frozenset[str]()
+        waiting, first = self.store.orders(OrderState.OPEN), list[str]()
         if self.forecast is not None:
             shut, first = self.forecast.shut(), self.forecast.urgent()
             waiting = [row for row in waiting if row.order.id not in shut]

@@ -256,14 +256,17 @@ class ForecastWatch:
         now_s = self.clock.monotonic_s()
         return frozenset(id_ for id_, one in self.closings.items() if one.is_shut(now_s))
 
-    def urgent(self) -> frozenset[str]:
-        """Open orders that are promised now and not any more in an hour: they go first."""
+    def urgent(self) -> list[str]:
+        """Open orders that are promised now and not any more in an hour, the first to close
+        first.
+        """
         now_s = self.clock.monotonic_s()
-        return frozenset(
-            id_
+        soon = [
+            (one.until_s, id_)
             for id_, one in self.closings.items()
             if one.until_s is not None and 0.0 <= one.until_s - now_s <= URGENT_S
-        )
+        ]
+        return [id_ for _, id_ in sorted(soon)]
 
     def opens_again(self) -> bool:
         """Whether an order that is closed now is promised again in what is looked at."""

@@ -50,7 +50,7 @@ def open_depot_desk(
         raise LeewayError("this store holds a day with a truck: expected --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
     wind = site_wind_of(data, say)
-    watch = _forecast_watch(data, wind, store, clock, say, at_depot=params.assigns)
+    watch = _forecast_watch(data, wind, store, clock, say, at_depot=True)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind, watch)
     guard = WindGuard(store, data, WindHolds(wind, limit_of(data)), clock, say, forecast=watch)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)

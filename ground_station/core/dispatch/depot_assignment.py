@@ -5,7 +5,7 @@ accepted loss goes to the drone that is back first.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,10 +106,10 @@ class DepotAssigner:
         orders: list[OrderRow],
         assignments: list[AssignmentRow],
         free: list[FreeDrone],
-        first: frozenset[str] = frozenset(),
+        first: Sequence[str] = (),
     ) -> list[DroneAssignment]:
         """New assignments for free drones, at most one order each; `first`: orders that go before
-        nearer ones.
+        nearer ones, in this order.
         """
         waiting = [
             row.order
@@ -121,7 +121,10 @@ class DepotAssigner:
             for row in assignments
             if row.state is AssignmentState.REFUSED
         }
-        waiting.sort(key=lambda o: (o.id not in first, math.hypot(*self.ground_ned(o)[:2]), o.id))
+        rank = {id_: number for number, id_ in enumerate(first)}
+        last = len(rank)
+        away_m = {order.id: math.hypot(*self.ground_ned(order)[:2]) for order in waiting}
+        waiting.sort(key=lambda o: (rank.get(o.id, last), away_m[o.id], o.id))
         return self._next(waiting, refused, list(free), _taken(assignments))
 
     def is_full(self, assignments: list[AssignmentRow]) -> bool:
