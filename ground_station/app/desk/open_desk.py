@@ -5,7 +5,7 @@ from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
-from ground_station.adapters.files.day_wind import site_wind_of
+from ground_station.adapters.files.day_wind import site_wind_of, station_files
 from ground_station.adapters.files.followed_file import FollowedFile
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
@@ -15,6 +15,7 @@ from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.exchange import Exchange
 from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.app.desk.replanner import ProcessReplanner, Replanner
+from ground_station.app.desk.station_desk import StationDesk
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.app.desk.wind_guard import WindGuard
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
@@ -24,6 +25,7 @@ from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.followed_forecast import FollowedForecast
 from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.fleet.wind_stations import StationBook
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 
@@ -52,7 +54,8 @@ def open_depot_desk(
     wind = site_wind_of(data, say)
     watch = _forecast_watch(data, wind, store, clock, say, at_depot=True)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind, watch)
-    guard = WindGuard(store, data, WindHolds(wind, limit_of(data)), clock, say, forecast=watch)
+    limits, stations = WindHolds(wind, limit_of(data)), _stations(data, wind, clock, say)
+    guard = WindGuard(store, data, limits, clock, say, forecast=watch, stations=stations)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
     return Desk(exchange, dispatcher, guard)
 
@@ -88,7 +91,8 @@ def open_truck_desk(
     watch = _forecast_watch(data, wind, store, day_clock, say, at_depot=False)
     dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind, watch)
     limits = WindHolds(wind, limit_of(data))
-    guard = WindGuard(store, data, limits, day_clock, say, sorties=day.sorties, forecast=watch)
+    stations = _stations(data, wind, day_clock, say)
+    guard = WindGuard(store, data, limits, day_clock, say, day.sorties, watch, stations)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
     return Desk(exchange, dispatcher, guard)
 
@@ -105,6 +109,13 @@ def _forecast_watch(
     if forecast.file:
         file = FollowedFile(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
     return ForecastWatch(follows, file, data, wind, store, clock, say, at_depot)
+
+
+def _stations(data: DayData, wind: SiteWind, clock: Clock, say: Say) -> StationDesk | None:
+    """None: the day names no wind station, so none is heard."""
+    if not data.day.stations:
+        return None
+    return StationDesk(StationBook.of_day(wind, data.day.stations), station_files(data), clock, say)
 
 
 def _not_behind(clock: Clock, store: Store, say: Say) -> Clock:
