@@ -20,7 +20,14 @@ from companion.core.separation.track import Track
 from companion.core.separation.track_cells import cell_of
 from companion.fleet.network import Told
 
-LARGEST_BYTES = {"state": 4096, "event": 8192, "command": 1 << 20, "result": 4096, "track": 1024}
+LARGEST_BYTES = {
+    "state": 4096,
+    "event": 8192,
+    "command": 1 << 20,
+    "result": 4096,
+    "track": 1024,
+    "station": 512,
+}
 """A command may carry a site's obstacles and its ground; the others are a few hundred bytes."""
 
 Id = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]*\Z")]

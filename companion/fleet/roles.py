@@ -10,6 +10,7 @@ class Role(Enum):
     ROUTER = "router"
     VEHICLE = "vehicle"
     TRUCK = "truck"
+    STATION = "station"
     SUPERVISOR = "supervisor"
     DISPATCHER = "dispatcher"
     VIEWER = "viewer"
@@ -20,6 +21,9 @@ COMMANDS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
 
 SPEAKS = frozenset({Role.VEHICLE, Role.TRUCK})
 """Who has a state, events, results and a track of its own."""
+
+MEASURES = frozenset({Role.STATION})
+"""Who tells the wind of a fixed place, and nothing else."""
 
 LISTENS = frozenset({Role.DESK, Role.ROUTER})
 """Whom the others call: only their certificates are for a server."""

@@ -6,6 +6,7 @@ leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `a
 leeway/FLEET/vehicle/ID/track/CELL   published five times a second in the air, in the grid cell
                                      where it is (`track_cells`); heard by the vehicles near it
 leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
+leeway/FLEET/station/ID/wind         published by a wind station as it measures
 leeway/FLEET/roster                  published by the desk when it changes; asked for, the newest
 """
 
@@ -72,6 +73,20 @@ class VehicleKeys:
 def roster_key(fleet: str) -> str:
     """Where a fleet's signed roster is told."""
     return f"{ROOT}/{checked_name('fleet', fleet)}/roster"
+
+
+def station_key(fleet: str, station: str) -> str:
+    """Where a wind station tells what it measures; "*": all of a fleet's."""
+    if station != "*":
+        checked_name("station", station)
+    return f"{ROOT}/{checked_name('fleet', fleet)}/station/{station}/wind"
+
+
+def station_of(key: str) -> str | None:
+    """The wind station that a key belongs to; `None` where it is none of ours."""
+    parts = key.split("/")
+    ours = len(parts) == 5 and parts[0] == ROOT and (parts[2], parts[4]) == ("station", "wind")
+    return parts[3] if ours and NAME.fullmatch(parts[3]) else None
 
 
 def life_of(key: str) -> tuple[str, str] | None:

@@ -14,7 +14,7 @@ import msgspec
 from companion.core.base.errors import LeewayError
 from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
-from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
+from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS, Role
 from companion.fleet.roster import (
     WARN_DAYS,
     Roster,
@@ -77,15 +77,17 @@ class Trust:
 
     # --- in ------------------------------------------------------------------------------------
 
-    def told(self, kind: str, raw: bytes, speaker: str | None) -> bytes | Refused:
-        """The message that the vehicle or truck `speaker` itself signed."""
+    def told(
+        self, kind: str, raw: bytes, speaker: str | None, roles: frozenset[Role] = SPEAKS
+    ) -> bytes | Refused:
+        """The message that `speaker` itself signed: a vehicle or truck, or who has `roles`."""
         found = self._checked(kind, raw)
         if isinstance(found, Refused):
             return found
         envelope, member = found
         if envelope.signer != speaker:
             return Refused(f"{kind}: signed by {envelope.signer}")
-        if member.role not in SPEAKS:
+        if member.role not in roles:
             return Refused(f"{kind}: {speaker} is a {member.role.value}")
         return envelope.message
 

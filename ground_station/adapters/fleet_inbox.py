@@ -10,7 +10,7 @@ turn looks only into the boxes that something has come into.
 
 import threading
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from companion.core.base.rate_limit import RateLimit
@@ -25,7 +25,7 @@ from companion.fleet.messages import (
     decode_event,
     decode_state,
 )
-from companion.fleet.topics import vehicle_of
+from companion.fleet.topics import station_of, vehicle_of
 from ground_station.adapters.clock import monotonic_s
 from ground_station.core.fleet.fleet_link import (
     CommandAnswered,
@@ -34,7 +34,9 @@ from ground_station.core.fleet.fleet_link import (
     LivelinessChanged,
     MessageRejected,
     StateReceived,
+    StationWindReceived,
 )
+from ground_station.core.fleet.station_message import StationWind, decode_station
 
 EVENTS_HZ = 20.0
 """A flight tells some 50 events in 20 minutes, and a handful at once when it ends."""
@@ -65,7 +67,17 @@ MOST_MEMBERS = 5000
 """Names that are kept: five times what one desk is meant for."""
 
 
+MOST_STATIONS = 64
+"""Wind stations whose newest words are kept between two turns."""
+
+STATIONS_A_TURN = 8
+"""Of one station: it tells once a second at most; more are somebody else's."""
+
 NOT_LISTED = "a name that is not on the roster"
+
+STATION_BYTES = LARGEST_BYTES["station"] + OVERHEAD_BYTES
+STATION_BOX = "wind stations"
+"""Under this name is told what of them was rejected."""
 
 Opened = Callable[[str, bytes, str], bytes | Refused]
 Clock = Callable[[], float]
@@ -148,6 +160,7 @@ class FleetInbox:
         self._fresh: _Boxes = {}
         self._answers: deque[CommandAnswered] = deque()
         self._replays: deque[tuple[str, list[bytes]]] = deque()
+        self._stations: dict[str, deque[bytes]] = {}
         self._has_news = False
         self._is_urgent = False
 
@@ -160,6 +173,19 @@ class FleetInbox:
             if box is not None:
                 box.take_state(raw, asked=asked)
             self._wake(urgent=box is not None and len(box.states) == STATES_A_TURN)
+
+    def hear_station(self, key: str, raw: bytes) -> None:
+        """A wind station told something by this key."""
+        station = station_of(key)
+        with self._news:
+            is_one = station is not None and self._is_member(station)
+            if station is None or not is_one or len(raw) > STATION_BYTES:
+                self._fresh[""] = self._boxes[""]
+                self._boxes[""].reject("no word of a wind station")
+            elif station in self._stations or len(self._stations) < MOST_STATIONS:
+                box = self._stations.setdefault(station, deque(maxlen=STATIONS_A_TURN))
+                box.append(raw)
+            self._wake()
 
     def hear_event(self, key: str, raw: bytes) -> None:
         """An event came by this key."""
@@ -273,6 +299,7 @@ class FleetInbox:
             answers, self._answers = self._answers, deque()
             replays, self._replays = self._replays, deque()
             events, states = self._taken_messages(fresh)
+            stations, self._stations = self._stations, {}
         for vehicle, raws in replays:
             found += self._replayed(vehicle, raws)
         for vehicle, raw in events:
@@ -282,6 +309,8 @@ class FleetInbox:
         found += answers
         for vehicle, raws in states:
             found += self._newest_states(vehicle, raws)
+        for station, words in stations.items():
+            found += self._station_winds(station, words)
         return found + self._taken_rejections(fresh)
 
     def _newest_states(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
@@ -294,6 +323,20 @@ class FleetInbox:
             before = newest.pop(state.life, state)
             newest[state.life] = before if before.uptime_s > state.uptime_s else state
         return [StateReceived(state) for state in newest.values()]
+
+    def _station_winds(self, station: str, raws: Iterable[bytes]) -> list[FleetInput]:
+        """What a wind station said and signed itself; of all that came the newest."""
+        newest: StationWind | None = None
+        for raw in raws:
+            told = self._opened("station", raw, station)
+            wind = told if isinstance(told, Refused) else decode_station(told)
+            if isinstance(wind, Refused):
+                self.reject(STATION_BOX, f"{station}: {wind.reason}")
+            elif wind.station != station:
+                self.reject(STATION_BOX, f"{station} speaks for {wind.station}")
+            elif newest is None or wind.epoch_us > newest.epoch_us:
+                newest = wind
+        return [] if newest is None else [StationWindReceived(newest)]
 
     def _taken_lives(self, fresh: _Boxes) -> list[FleetInput]:
         """Who is there now and was not at the last call, and the other way round."""

@@ -14,7 +14,8 @@ from companion.fleet.event_log import BATCH
 from companion.fleet.membership import ON_ITS_OWN, JoinOptions
 from companion.fleet.messages import Command, Refused, Result, decode_result, encode
 from companion.fleet.network import WIND_COV
-from companion.fleet.topics import VehicleKeys, life_of, vehicle_of
+from companion.fleet.roles import MEASURES, SPEAKS
+from companion.fleet.topics import VehicleKeys, life_of, station_key, vehicle_of
 from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.fleet_inbox import FleetInbox
@@ -75,6 +76,7 @@ class ZenohFleet:
         self._held = (  # zenoh undeclares what nobody holds
             self._session.declare_subscriber(self._keys.state, self._on_state),
             self._session.declare_subscriber(self._keys.event, self._on_event),
+            self._session.declare_subscriber(station_key(self._fleet, "*"), self._on_station),
             liveliness.declare_subscriber(self._keys.alive(), self._on_liveliness, history=True),
         )
 
@@ -197,6 +199,9 @@ class ZenohFleet:
     def _on_event(self, sample: zenoh.Sample) -> None:
         self.inbox.hear_event(str(sample.key_expr), sample.payload.to_bytes())
 
+    def _on_station(self, sample: zenoh.Sample) -> None:
+        self.inbox.hear_station(str(sample.key_expr), sample.payload.to_bytes())
+
     def _on_state_reply(self, reply: zenoh.Reply) -> None:
         if (sample := reply.ok) is not None:
             key, raw = str(sample.key_expr), sample.payload.to_bytes()
@@ -228,7 +233,8 @@ class ZenohFleet:
         """The message itself, if `vehicle` has signed it; without an identity, as it came."""
         if self._trust is None:
             return raw
-        told = self._trust.told(kind, raw, vehicle)
+        roles = MEASURES if kind == "station" else SPEAKS
+        told = self._trust.told(kind, raw, vehicle, roles)
         return Refused(f"not believed: {told.reason}") if isinstance(told, Refused) else told
 
 

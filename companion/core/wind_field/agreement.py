@@ -35,8 +35,9 @@ def contradicting(
     kept: KeptStretches,
     now_s: float,
     always: str = "",
+    firm: frozenset[str] = frozenset(),
 ) -> dict[str, str]:
-    """Who is to be left out next, and why; `always` never is. Empty: all agree.
+    """Who is to be left out next, and why; `always` and who is `firm` never are. Empty: all agree.
 
     `mean_shift_squares` gives z^2 on both axes together for groups (n, groups) of values.
     """
@@ -50,15 +51,16 @@ def contradicting(
     square = mean_shift_squares(groups)
     square[told < LEAST_TELLINGS] = 0.0
     count = present.size
+    stays = firm | {always}
     excess = np.maximum(square[:count] / ALL_LIMIT, square[count:] / NEW_LIMIT)
     bad = [
         (float(e), kept.members[number])
         for e, number in zip(excess, present, strict=True)
-        if e > 1.0 and kept.members[number] != always
+        if e > 1.0 and kept.members[number] not in stays
     ]
     if not bad:
         return {}
-    if count == 2 and not any(kept.members[number] == always for number in present):
+    if count == 2 and not any(kept.members[number] in stays for number in present):
         return {name: "contradicted by the only other" for _, name in bad}
     worst, name = max(bad)
     return {name: f"contradicts the others, {worst:.1f} times the limit"}

@@ -71,6 +71,10 @@ class FieldBelief:
         self._prior = prior or WindPrior((0.0, 0.0), process.process.level_std_mps)
         self._members: dict[str, MemberTellings] = {}
 
+    def expect(self, prior: WindPrior) -> None:
+        """What is expected where nobody tells, from now on: a forecast moves on with the time."""
+        self._prior = prior
+
     def tell(self, telling: WindTelling, now_s: float) -> str:
         """Take a telling (any rate; thinned inside); returns why it is left out, or empty.
 
@@ -85,8 +89,12 @@ class FieldBelief:
         """Forget all that a member told."""
         self._members.pop(member, None)
 
-    def settle(self, now_s: float, always: str = "") -> "SettledField":
-        """The field as believed now. `always` is the vehicle itself: never left out."""
+    def settle(
+        self, now_s: float, always: str = "", firm: frozenset[str] = frozenset()
+    ) -> "SettledField":
+        """The field as believed now. `always` is the vehicle itself: never left out. Nor is who is
+        `firm`: that is judged elsewhere.
+        """
         each = MOST_STRETCHES // max(len(self._members), 1) + _SPARE_STRETCHES
         for name in list(self._members):
             self._members[name].forget(now_s, each)
@@ -99,7 +107,7 @@ class FieldBelief:
             if (misfit := settled.misfit()) > LEAST_MISFIT:
                 more = min(misfit, MOST_MISFIT)
                 settled = SettledField(self._process, self._prior, kept, now_s, more)
-            bad = contradicting(settled.mean_shift_squares, kept, now_s, always)
+            bad = contradicting(settled.mean_shift_squares, kept, now_s, always, firm)
             if not bad:
                 return settled.leaving_out(out)
             out |= bad

@@ -61,7 +61,7 @@ def read_day(path: Path, wanted: ForecastWanted = NOTHING_WANTED) -> DayData:
     roads = _read_roads(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
         raise DayFilesError(problems)
-    return DayData(day, orders, no_fly, airframes, roads, elevation, forecast)
+    return DayData(day, orders, no_fly, airframes, roads, elevation, forecast, path.parent)
 
 
 def _read_forecast(

@@ -5,7 +5,9 @@ from collections.abc import Callable
 from companion.core.base.errors import LeewayError
 from companion.core.wind.process import WindProcessParams
 from ground_station.adapters.files.params import read_wind_process
+from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.fleet.wind_stations import StationBook
 from ground_station.core.schema.day_data import DayData
 
 DEFAULT_PROCESS = "coast"
@@ -24,6 +26,20 @@ def site_wind_of(data: DayData | None, say: Callable[[str], None] = lambda words
     process = _process_of(mission.wind_process, say)
     place_deg = depot.lat_deg, depot.lon_deg
     return SiteWind(process, place_deg, data.day.forecast, mission.cruise_height_m)
+
+
+def station_book_of(wind: SiteWind, data: DayData | None) -> StationBook:
+    """The stations that the day names; where no day is known, all that say where they stand."""
+    return StationBook(wind) if data is None else StationBook.of_day(wind, data.day.stations)
+
+
+def station_files(data: DayData) -> list[StationFile]:
+    """Of the wind stations that have one; they lie beside the day."""
+    return [
+        StationFile(station.id, data.folder / station.file)
+        for station in data.day.stations
+        if station.file is not None
+    ]
 
 
 def _process_of(name: str, say: Callable[[str], None]) -> WindProcessParams:

@@ -19,11 +19,12 @@ CONSTANT = ("speed_mps", "from_deg", "std_mps")
 @dataclass(frozen=True, slots=True)
 class ForecastWanted:
     """What a person asks for: another file than the day's, and when the day begins (Unix
-    seconds).
+    seconds). `later`: without a time the forecast is kept, too, for who follows it from now on.
     """
 
     file: Path | None = None
     at_s: float | None = None
+    later: bool = False
 
 
 NOTHING_WANTED = ForecastWanted()
@@ -56,7 +57,8 @@ def day_with_forecast(
 ) -> tuple[Day, DayForecast | None]:
     """The day in the wind of its file, if there is one.
 
-    With a time that is wanted: the wind then, and the forecast for later. Without: the wind now.
+    With a time that is wanted: the wind then, and the forecast for later. Without: the wind now,
+    and the forecast only where `later` is wanted.
     """
     file = wanted.file or (folder / day.forecast.file if day.forecast.file else None)
     if file is None:
@@ -66,10 +68,10 @@ def day_with_forecast(
     field = read_forecast(file, day.depot.lat_deg, day.depot.lon_deg)
     at_s = wanted.at_s if wanted.at_s is not None else epoch_us() / 1e6
     try:
-        there, forecast = forecast_of(day, field, at_s)
+        there, forecast = forecast_of(day, field, at_s, str(file))
     except LeewayError as error:
         raise LeewayError(f"{file}: {error}") from error
-    return there, None if wanted.at_s is None else forecast
+    return there, forecast if wanted.later or wanted.at_s is not None else None
 
 
 def time_of(text: str) -> float:

@@ -9,9 +9,9 @@ import json
 from typing import Any
 
 from companion.fleet.identity import TLS_CERTIFICATE
-from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS
+from companion.fleet.roles import COMMANDS, LISTENS, MEASURES, SPEAKS
 from companion.fleet.roster import Roster, RosterMember
-from companion.fleet.topics import VehicleKeys, roster_key
+from companion.fleet.topics import VehicleKeys, roster_key, station_key
 from companion.fleet.zenoh_config import BATCH_BYTES, LEASE_MS, RECEIVE_BUFFER_BYTES
 
 TLS_KEY, TLS_AUTHORITIES = "tls.key", "ca.pem"
@@ -124,6 +124,8 @@ def _rules_of(roster: Roster, member: RosterMember) -> list[Rule]:
     told = _hears_roster(roster.fleet)
     if member.role in SPEAKS:
         return [*_speaks(roster.fleet, member), *told]
+    if member.role in MEASURES:
+        return [*_measures(roster.fleet, member), *told]
     looks = [*_looks(roster.fleet), *told]
     return [*looks, *_commands(roster.fleet)] if member.role in COMMANDS else looks
 
@@ -182,10 +184,20 @@ def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
     ]
 
 
+def _measures(fleet: str, member: RosterMember) -> list[Rule]:
+    """A wind station tells its own wind, and hears nobody."""
+    own = station_key(fleet, member.name)
+    return [
+        _rule(f"{member.name}-measures", "ingress", ["put"], own),
+        _rule("station-interest", "egress", ["declare_subscriber"], station_key(fleet, "*")),
+    ]
+
+
 def _looks(fleet: str) -> list[Rule]:
     """Who only looks: states, events, who is there; and asks for what it missed."""
     keys = VehicleKeys(fleet, "*")
-    shown = [keys.state, keys.event, f"leeway/{fleet}/vehicle/*/alive/**"]
+    alive, stations = f"leeway/{fleet}/vehicle/*/alive/**", station_key(fleet, "*")
+    shown = [keys.state, keys.event, alive, stations]
     asks = [
         "query",
         "declare_subscriber",

@@ -318,7 +318,8 @@ def follow(
         case MoveHome(), Answered.REFUSED | Answered.INTERRUPTED:
             _forget_asked(db, row.id, command.deed.home)
         case Withdraw(), Answered.DONE if command.vehicle == row.vehicle:
-            end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
+            why = row.why or reason  # the desk's own, where it said one
+            end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, why)
         case Withdraw(), Answered.REFUSED | Answered.INTERRUPTED if command.vehicle == row.vehicle:
             set_state(db, row.id, AssignmentState.FLYING, f"not withdrawn: {reason}")
         case _:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
     from ground_station.core.fleet.door_watch import DoorWatch
+    from ground_station.core.fleet.station_message import StationWind
 
 TURN_S = 0.2
 PIPED_S = 10.0
@@ -110,7 +111,7 @@ def dispatch(
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.core.people.person import desk_of
 
-    data = open_day(day)
+    data = open_day(day, follows=True)
     person = who(user, identity, data.day.fleet)
     chosen = None if plan is None else read_day_plan(plan)
     open_desk_store = partial(open_store, store, store_file, create=True, goes_on=True)
@@ -234,16 +235,22 @@ def watch(
     from ground_station.app.views.watch_view import watch_view
     from ground_station.app.views.watched_rows import WatchRows, read_rows
     from ground_station.app.views.wind_notes import wind_notes
+    from ground_station.core.fleet.wind_stations import StationBook
 
     opened = open_store(store, store_file, goes_on=True)
     ears = open_fleet(fleet, zenoh, identity, open_network)
     exchange = Exchange(opened, ears, lambda words: None)
     wind = site_wind_of(None)
+    stations = StationBook(wind)
 
     def hear(state: "State") -> None:
         wind.on_state(state, monotonic_s())
 
+    def hear_station(told: "StationWind") -> None:
+        stations.take(told, monotonic_s(), epoch_us())
+
     exchange.on_state = hear
+    exchange.on_station = hear_station
     exchange.begin()
     console, day = terminal(), DayStore(opened.database, epoch_us)
     rows = WatchRows()
@@ -259,6 +266,7 @@ def watch(
         ending = ending_certificates(ears.certificates(), epoch_us())
         notes += [f"LOOK: {CERTIFICATES}: {ending}"] if ending else []
         notes += wind_notes(wind, exchange.status, monotonic_s())
+        notes += stations.notes(monotonic_s())
         return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:

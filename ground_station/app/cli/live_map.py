@@ -148,8 +148,13 @@ def show_map(
         ears = held.enter_context(closing(open_fleet(name, zenoh, identity, open_network)))
 
         from ground_station.adapters.clock import WallClock
-        from ground_station.adapters.files.day_wind import site_wind_of
+        from ground_station.adapters.files.day_wind import (
+            site_wind_of,
+            station_book_of,
+            station_files,
+        )
         from ground_station.adapters.web.map_server import MapAnswers
+        from ground_station.app.desk.station_desk import StationDesk
         from ground_station.app.map.fleet_ear import FleetEar
         from ground_station.app.map.map_feed import MapFeed
         from ground_station.app.map.map_view import MapView
@@ -158,7 +163,10 @@ def show_map(
         clock = WallClock()
         status = FleetStatus({} if data is None else data.airframes)
         notes = (OPEN_WORDS,) if open_network else ()
-        ear = FleetEar(ears, clock, status, site_wind_of(data))
+        wind = site_wind_of(data)
+        files = [] if data is None else station_files(data)
+        stations = StationDesk(station_book_of(wind, data), files, clock, lambda words: None)
+        ear = FleetEar(ears, clock, status, wind, stations)
         view = MapView(name, data, notes, basemap is not None, has_outline(basemap))
         feed = MapFeed(view, ear, opened, clock, ears.certificates)
         answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)

@@ -23,6 +23,7 @@ from ground_station.app.cli import (
     store,
     token,
     truck,
+    wind_station,
 )
 
 DISTRIBUTIONS = ("leeway-uas", "leeway")
@@ -78,6 +79,7 @@ app.add_typer(benchmark.benchmark, name="benchmark")
 app.add_typer(cluster.app)
 app.add_typer(plan.app)
 app.add_typer(truck.app)
+app.add_typer(wind_station.app)
 app.add_typer(live_map.app)
 app.add_typer(token.app, name="token")
 flow_help(app)

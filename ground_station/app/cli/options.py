@@ -86,12 +86,16 @@ ForecastFile = Annotated[
 ]
 
 
-def open_day(day: str) -> "DayData":
-    """The day and all its files. DayFilesError lists everything that is wrong in them."""
+def open_day(day: str, *, follows: bool = False) -> "DayData":
+    """The day and all its files. DayFilesError lists everything that is wrong in them.
+
+    `follows`: its forecast is kept for later, and not only the wind of now.
+    """
     from ground_station.adapters.files.day_files import read_day
+    from ground_station.adapters.files.forecast_files import ForecastWanted
     from ground_station.adapters.files.params import day_file
 
-    return read_day(day_file(day))
+    return read_day(day_file(day), ForecastWanted(later=follows))
 
 
 def open_fleet(

@@ -12,7 +12,6 @@ from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
 from ground_station.core.dispatch.replan_times import ReplanResult, ReplanTimes
 from ground_station.core.dispatch.replanning import (
-    ReplanCause,
     ReplanReason,
     broken_promise,
     day_now,
@@ -22,6 +21,7 @@ from ground_station.core.dispatch.replanning import (
 )
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.day_plan import DayPlan, PlannedStop
 from ground_station.core.schema.day_state import DayState
 from ground_station.core.schema.orders import OrderRow
@@ -109,13 +109,19 @@ class ActivePlan:
         """Whether a new plan is being made."""
         return self._request is not None
 
-    def review(self, snapshot: DaySnapshot, measured: Callable[[Forecast], Forecast]) -> None:
+    def review(
+        self,
+        snapshot: DaySnapshot,
+        measured: Callable[[Forecast], Forecast],
+        forecast: DayForecast | None = None,
+    ) -> None:
         """Ask for a new plan when the day departs from this one; take it when it is made.
 
-        `measured` returns the forecast by the wind that the fleet measures now.
+        `measured` returns the forecast by the wind that the fleet measures now. `forecast`: one
+        that is followed, in the day's time: each sortie of a new plan has its own wind.
         """
         if self._request is None:
-            self._request_plan(snapshot, measured)
+            self._request_plan(snapshot, measured, forecast)
             return
         made = self.replanner.made()
         if made is None:
@@ -139,17 +145,21 @@ class ActivePlan:
         return None if self.attempt.refused and why == self.attempt.why else why
 
     def _request_plan(
-        self, snapshot: DaySnapshot, measured: Callable[[Forecast], Forecast]
+        self,
+        snapshot: DaySnapshot,
+        measured: Callable[[Forecast], Forecast],
+        forecast: DayForecast | None,
     ) -> None:
         why = self._reason(snapshot)
         if why is None:
             return
         wind = self.data.day.forecast
-        if why.cause is ReplanCause.WIND:
+        if why.cause.is_of_wind:
             self._plan_with(measured(wind))
         self.say(f"a new plan: {why.words}")
         self._request = _Request(snapshot, why, wind)
-        self.replanner.ask(day_now(self.data, snapshot), self._standing_state(snapshot))
+        data = replace(day_now(self.data, snapshot), forecast=forecast)
+        self.replanner.ask(data, self._standing_state(snapshot))
 
     def _standing_state(self, snapshot: DaySnapshot) -> DayState:
         drones = [drone.id for drone in self.data.day.drones]
@@ -184,8 +194,7 @@ class ActivePlan:
             self.attempt = attempt
             self.say(f"no new plan ({wrong}): the old one goes on")
             return ReplanResult.REFUSED
-        is_for_wind = request.why.cause is ReplanCause.WIND
-        wind = self.data.day.forecast if is_for_wind else None
+        wind = self.data.day.forecast if request.why.cause.is_of_wind else None
         late = shifted(made, start, request.snapshot.now_s, took_s)
         self.day.take_plan(late, request.why.words, wind)
         in_force = self.day.plan()

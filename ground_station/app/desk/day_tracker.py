@@ -1,26 +1,32 @@
 """Tracks a day with a truck: members' states and the store's rows become a `DaySnapshot`."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan
+from ground_station.app.desk.forecast_watch import ForecastWatch, plan_closes
 from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
 from ground_station.core.dispatch.dispatch_rules import distance_m
-from ground_station.core.dispatch.measured_wind import forecast_now, off_sigmas
+from ground_station.core.dispatch.measured_wind import DAY_AHEAD_S, forecast_now, off_sigmas
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import STANDBY, FleetStatus, VehicleStatus
 from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day import Forecast
+from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.holds import Hold, holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
 OFF_PAD_M = 30.0
 OFF_GROUND_M = 2.0
+
+CLOSES_S = 60.0
+"""The plan ahead is held against the forecast so often."""
 
 ROWS_S = 5.0
 """Rows of the store are read again after this time, also where nothing has come."""
@@ -43,7 +49,7 @@ class _Rows:
 @dataclass(slots=True)
 class DayTracker:
     """Keeps what only members report: energies, who has taken off, who waits since when. `wind`:
-    what they tell of the wind.
+    what they tell of the wind. `forecast`: watches over one that is followed.
     """
 
     store: Store
@@ -51,6 +57,7 @@ class DayTracker:
     active: ActivePlan
     clock: Clock
     wind: SiteWind | None = None
+    forecast: ForecastWatch | None = None
     snapshot: DaySnapshot | None = None
     _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
     _off_ground: set[str] = field(default_factory=set)
@@ -60,6 +67,9 @@ class DayTracker:
     _rows: _Rows | None = None
     _from_us: int = 0
     _plan_made_us: int = 0
+    _closing_s: float = -math.inf
+    _closing: str = ""
+    _closed_before: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         self._from_us = self.clock.epoch_us()
@@ -127,7 +137,25 @@ class DayTracker:
             desk_from_s=(self._from_us - began_us) / 1e6,
             held=frozenset(vehicle for vehicle in drones if holding(rows.holds, vehicle)),
         )
+        if self.forecast is not None:
+            closed = self.forecast.given_back(rows.holds)
+            closing = self._closes(self.snapshot, self.forecast, now_s)
+            self.snapshot = replace(self.snapshot, closed=closed, closing=closing)
         return self.snapshot
+
+    def _closes(self, day: DaySnapshot, forecast: ForecastWatch, now_s: float) -> str:
+        """What the forecast closes of the plan ahead: what two looks in a row find."""
+        if now_s - self._closing_s < CLOSES_S:
+            return self._closing
+        self._closing_s = now_s
+        late_s = max(0.0, day.delay_s(), day.held_s())
+        pending = [(s, now_s + max(0.0, s.launch_s + late_s - day.now_s)) for s in day.pending()]
+        orders = {order.id: order for order in self.active.data.orders}
+        found = plan_closes(forecast, pending, self.active.stops, orders)
+        both = sorted(found.keys() & self._closed_before)
+        self._closed_before = frozenset(found)
+        self._closing = f"the forecast closes {', '.join(both)}" if both else ""
+        return self._closing
 
     def _begun_us(self, truck_here: bool) -> int:
         """The day begins when its truck is first heard."""
@@ -203,8 +231,19 @@ class DayTracker:
         return _open(self.store.orders(OrderState.OPEN))
 
     def forecast_now(self, before: Forecast) -> Forecast:
-        """The forecast by what drones in flight tell; `before` where they are too few."""
+        """The forecast by what drones in flight tell; where they are too few the one that is
+        followed, or `before`.
+        """
+        if self.forecast is not None:
+            before = self.forecast.expected(DAY_AHEAD_S)
         return forecast_now(self.wind, self.clock.monotonic_s(), before)
+
+    @property
+    def day_forecast(self) -> DayForecast | None:
+        """The forecast that is followed, in the day's time."""
+        if self.forecast is None or self.snapshot is None:
+            return None
+        return self.forecast.follows.of_day(self.snapshot.began_us)
 
     def energy_used_wh(self, assignment: str) -> float | None:
         """Energy used by a flight that is over, once; None: it has reported none."""

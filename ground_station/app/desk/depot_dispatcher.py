@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from companion.fleet.messages import State
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Progress
+from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
-from ground_station.core.dispatch.measured_wind import differs, next_flights
+from ground_station.core.dispatch.measured_wind import NEXT_AHEAD_S, differs, next_flights
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.site_wind import SiteWind
@@ -43,8 +44,9 @@ class DepotParams:
 class DepotDispatcher:
     """`Dispatcher` for drones that start from the depot and come home to it.
 
-    `wind`: what the fleet tells of it; None: the day's forecast stays. `impossible`: orders that
-    no drone of the day can bring; they do not keep the day open.
+    `wind`: what the fleet tells of it; None: the day's forecast stays. `forecast`: watches over one
+    that is followed. `impossible`: orders that no drone of the day can bring; they do not keep the
+    day open.
     """
 
     store: Store
@@ -55,6 +57,7 @@ class DepotDispatcher:
     params: DepotParams = field(default_factory=DepotParams)
     impossible: frozenset[str] = frozenset()
     wind: SiteWind | None = None
+    forecast: ForecastWatch | None = None
     _planned: Forecast | None = None
     _planned_s: float = -math.inf
     _newest_launch: int = 0
@@ -112,12 +115,28 @@ class DepotDispatcher:
     def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
         """Give open orders to free drones."""
         del changed
+        given_back = self._give_back()
         if not self.params.assigns:
-            return Progress.NONE
+            return Progress.CHANGED if given_back else Progress.NONE
         free = self._free_drones(status)
         if free:
             self._note_wind()
-        return Progress.CHANGED if free and self._assign(free) else Progress.NONE
+        done = bool(free) and self._assign(free)
+        if done or given_back:
+            return Progress.CHANGED
+        waits = self.forecast is not None and self.forecast.opens_again()
+        return Progress.UNDER_WAY if waits else Progress.NONE
+
+    def _give_back(self) -> bool:
+        """Take back assignments whose launch the forecast has closed for good."""
+        if self.forecast is None:
+            return False
+        done = False
+        for id_, why in self.forecast.given_back(self.store.holds()).items():
+            if self.params.launches and self.store.withdraw(id_, self.params.by):
+                self.say(f"{id_}: given back: {why}")
+                done = True
+        return done
 
     def _note_wind(self) -> None:
         """Price orders in the wind that the fleet tells, where it has moved."""
@@ -125,7 +144,10 @@ class DepotDispatcher:
         if now_s - self._planned_s < WIND_S:
             return
         self._planned_s = now_s
-        wind = next_flights(self.wind, now_s, self.data.day.forecast)
+        expected = self.data.day.forecast
+        if self.forecast is not None:
+            expected = self.forecast.expected(NEXT_AHEAD_S)
+        wind = next_flights(self.wind, now_s, expected)
         if differs(wind, before):
             self._planned = wind
             self.assigner.plan_in(wind)
@@ -152,7 +174,11 @@ class DepotDispatcher:
         self._say_full(self.assigner.is_full(rows))
         if self._is_full:  # nor need the orders be read: there may be thousands
             return False
-        chosen = self.assigner.assign(self.store.orders(OrderState.OPEN), rows, free)
+        waiting, first = self.store.orders(OrderState.OPEN), list[str]()
+        if self.forecast is not None:
+            shut, first = self.forecast.shut(), self.forecast.urgent()
+            waiting = [row for row in waiting if row.order.id not in shut]
+        chosen = self.assigner.assign(waiting, rows, free, first)
         for choice in chosen:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
             flight = self.assigner.flight_of(choice.order, vehicle, layer, choice.stand)
@@ -183,9 +209,8 @@ class DepotDispatcher:
         return None
 
     def why_left(self, order_id: str) -> str | None:
-        """Nothing is known but what the store says."""
-        del order_id
-        return None
+        """What the forecast closes; else nothing is known but what the store says."""
+        return None if self.forecast is None else self.forecast.why_left(order_id)
 
     def close(self) -> None:
         """Nothing runs beside the desk."""

@@ -42,6 +42,8 @@ class Desk:
     def __post_init__(self) -> None:
         self.moved_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
+        if self.wind is not None:
+            self.exchange.on_station = self.wind.on_station
 
     def _on_state(self, state: State) -> None:
         if self.wind is not None:

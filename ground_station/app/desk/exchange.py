@@ -38,9 +38,11 @@ from ground_station.core.fleet.fleet_link import (
     LivelinessChanged,
     MessageRejected,
     StateReceived,
+    StationWindReceived,
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.name_counts import NameCounts
+from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.orders import CommandRow
 
 STATES_S = 2.0
@@ -68,7 +70,8 @@ RETRY_S = 1.0
 
 @dataclass(slots=True)
 class Exchange:
-    """One desk's exchange. `on_state` is told each state; `changed`: something new has come.
+    """One desk's exchange. `on_state` is told each state, `on_station` each word of a wind station;
+    `changed`: something new has come.
 
     `away`: why the store cannot be reached, and since when; None: it can. `outbox`: as it was last
     read.
@@ -80,6 +83,7 @@ class Exchange:
     status: FleetStatus = field(default_factory=FleetStatus)
     clock: Clock = field(default_factory=WallClock)
     on_state: Callable[[State], None] = lambda state: None
+    on_station: Callable[[StationWind], None] = lambda wind: None
     changed: bool = True
     away: str | None = None
     away_since_s: float | None = None
@@ -149,6 +153,8 @@ class Exchange:
                     self._take_liveliness(received)
                 case StateReceived():
                     self._take_state(received.state)
+                case StationWindReceived():
+                    self.on_station(received.wind)
                 case MessageRejected():
                     self._take_rejected(received)
                 case _:

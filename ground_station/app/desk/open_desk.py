@@ -1,23 +1,31 @@
 """Opens a desk over a store, with the dispatcher that the day needs."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
-from ground_station.adapters.files.day_wind import site_wind_of
+from ground_station.adapters.files.day_wind import site_wind_of, station_files
+from ground_station.adapters.files.followed_file import FollowedFile
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan, check_plan
 from ground_station.app.desk.depot_dispatcher import DepotDispatcher, DepotParams
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.exchange import Exchange
+from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.app.desk.replanner import ProcessReplanner, Replanner
+from ground_station.app.desk.station_desk import StationDesk
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.app.desk.wind_guard import WindGuard
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.dispatch.wind_holds import WindHolds, limit_of
+from ground_station.core.dispatch.wind_holds import WindHolds
+from ground_station.core.feasibility.wind_limit import limit_of
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.followed_forecast import FollowedForecast
+from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.fleet.wind_stations import StationBook
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 
@@ -44,8 +52,10 @@ def open_depot_desk(
         raise LeewayError("this store holds a day with a truck: expected --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
     wind = site_wind_of(data, say)
-    dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind)
-    guard = WindGuard(store, data, WindHolds(wind, limit_of(data)), clock, say)
+    watch = _forecast_watch(data, wind, store, clock, say, at_depot=True)
+    dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind, watch)
+    limits, stations = WindHolds(wind, limit_of(data)), _stations(data, wind, clock, say)
+    guard = WindGuard(store, data, limits, clock, say, forecast=watch, stations=stations)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
     return Desk(exchange, dispatcher, guard)
 
@@ -78,11 +88,34 @@ def open_truck_desk(
     assert in_force is not None
     active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
     wind = site_wind_of(data, say)
-    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind)
+    watch = _forecast_watch(data, wind, store, day_clock, say, at_depot=False)
+    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind, watch)
     limits = WindHolds(wind, limit_of(data))
-    guard = WindGuard(store, data, limits, day_clock, say, sorties=day.sorties)
+    stations = _stations(data, wind, day_clock, say)
+    guard = WindGuard(store, data, limits, day_clock, say, day.sorties, watch, stations)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
     return Desk(exchange, dispatcher, guard)
+
+
+def _forecast_watch(
+    data: DayData, wind: SiteWind, store: Store, clock: Clock, say: Say, *, at_depot: bool
+) -> ForecastWatch | None:
+    """None: the day names no forecast to follow."""
+    forecast = data.forecast
+    if forecast is None:
+        return None
+    follows = FollowedForecast(forecast, clock, data.day.mission.cruise_height_m)
+    file = None
+    if forecast.file:
+        file = FollowedFile(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
+    return ForecastWatch(follows, file, data, wind, store, clock, say, at_depot)
+
+
+def _stations(data: DayData, wind: SiteWind, clock: Clock, say: Say) -> StationDesk | None:
+    """None: the day names no wind station, so none is heard."""
+    if not data.day.stations:
+        return None
+    return StationDesk(StationBook.of_day(wind, data.day.stations), station_files(data), clock, say)
 
 
 def _not_behind(clock: Clock, store: Store, say: Say) -> Clock:

@@ -13,6 +13,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.app.desk.day_tracker import DayTracker
 from ground_station.app.desk.dispatcher import Progress
+from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_actions import (
     AuthoriseLaunch,
@@ -47,7 +48,8 @@ CHARGE_ERROR_FRAC = 0.05
 @dataclass(slots=True)
 class TruckDispatcher:
     """`Dispatcher` for a day with a truck. `wind`: what the fleet tells of it; None: the forecast
-    stays. `holds`: why the truck does not leave its stop now.
+    stays. `forecast`: watches over one that is followed. `holds`: why the truck
+    does not leave its stop now.
     """
 
     store: Store
@@ -57,6 +59,7 @@ class TruckDispatcher:
     say: Callable[[str], None]
     by: str = "desk"
     wind: SiteWind | None = None
+    forecast: ForecastWatch | None = None
     holds: list[str] = field(default_factory=list)
     _tracker: DayTracker = field(init=False)
     _made_for: int | None = None
@@ -64,7 +67,9 @@ class TruckDispatcher:
     _reach: dict[str, Reach] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._tracker = DayTracker(self.store, self.day, self.active, self.clock, self.wind)
+        self._tracker = DayTracker(
+            self.store, self.day, self.active, self.clock, self.wind, self.forecast
+        )
 
     @property
     def snapshot(self) -> DaySnapshot | None:
@@ -92,7 +97,7 @@ class TruckDispatcher:
         self._note_energies(snapshot)
         if truck is None:
             return Progress.NONE
-        self.active.review(snapshot, tracker.forecast_now)
+        self.active.review(snapshot, tracker.forecast_now, tracker.day_forecast)
         self._forget_other_plans()
         if self.active.is_replanning and not snapshot.replanning:
             # Asked for just now: the truck stays from this turn on.

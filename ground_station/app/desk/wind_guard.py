@@ -16,6 +16,8 @@ from companion.core.wind_field.fronts import FrontAhead
 from companion.fleet.messages import State
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.forecast_watch import ForecastWatch
+from ground_station.app.desk.station_desk import StationDesk
 from ground_station.core.dispatch.wind_holds import (
     HELD_BY,
     Launch,
@@ -28,6 +30,7 @@ from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.site_wind import SiteWind, front_words
+from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
@@ -53,7 +56,9 @@ Places = tuple[tuple[float, float], ...]
 
 @dataclass(slots=True)
 class WindGuard:
-    """One desk's. `sorties`: of a day with a truck, where its drones land."""
+    """One desk's. `sorties`: of a day with a truck, where its drones land. `forecast`: watches over
+    one that is followed; None: the day has none. `stations`: what wind stations tell.
+    """
 
     store: Store
     data: DayData
@@ -61,6 +66,8 @@ class WindGuard:
     clock: Clock
     say: Callable[[str], None]
     sorties: Callable[[], Sequence[SortieRow]] = lambda: ()
+    forecast: ForecastWatch | None = None
+    stations: StationDesk | None = None
     _held: set[str] = field(default_factory=set)
     _keep_until_s: dict[str, float] = field(default_factory=dict)
     _began: bool = False
@@ -82,14 +89,27 @@ class WindGuard:
         if front is not None:
             self._to_tell.append(front)
 
+    def on_station(self, told: StationWind) -> None:
+        """Take what a wind station has told on the network."""
+        if self.stations is not None:
+            self._to_tell += self.stations.take(told)
+
     def turn(self, status: FleetStatus) -> bool:
         """Do what is due; whether a hold was set or lifted. Raises StoreError where it is away."""
         now_s = self.clock.monotonic_s()
         self._begin(now_s)
+        if self.stations is not None:
+            self._to_tell += self.stations.turn(now_s)
         self._say_field(now_s)
-        rows = self._read_rows() if self.wind.fronts_now(now_s) else []
-        launches = [self._launch(row, status) for row in rows if row.state in TO_LAUNCH]
-        changed = self._hold(self.holds.due(now_s, launches), now_s)
+        if self.forecast is not None:
+            self.forecast.turn(now_s)
+        wanted = self.forecast is not None or self.wind.fronts_now(now_s)
+        rows = self._read_rows() if wanted else []
+        waiting = [row for row in rows if row.state in TO_LAUNCH]
+        due = self.holds.due(now_s, [self._launch(row, status) for row in waiting])
+        if self.forecast is not None:
+            due = self.forecast.held(waiting, self._orders, self._sorties, now_s) | due
+        changed = self._hold(due, now_s)
         while self._to_tell:
             self._tell(self._to_tell[0], rows, status, now_s)
             self._to_tell.pop(0)

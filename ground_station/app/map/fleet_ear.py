@@ -14,16 +14,19 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.geo import offset_m
 from companion.fleet.messages import State
 from companion.fleet.polyline import decoded
+from ground_station.app.desk.station_desk import StationDesk
 from ground_station.core.fleet.fleet_link import (
     Clock,
     FleetInput,
     LivelinessChanged,
     MessageRejected,
     StateReceived,
+    StationWindReceived,
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.route_aboard import RouteAboard
 from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.fleet.station_message import StationWind
 
 ASK_S = 2.0
 """All are asked for their states at most so often, however many join."""
@@ -87,12 +90,15 @@ class StateSource(Protocol):
 
 @dataclass(slots=True)
 class FleetEar:
-    """One listener. `wind`: what the fleet tells of it, where somebody wants to know."""
+    """One listener. `wind`: what the fleet tells of it, where somebody wants to know; `stations`:
+    those that are heard beside it.
+    """
 
     fleet: StateSource
     clock: Clock
     status: FleetStatus
     wind: SiteWind | None = None
+    stations: StationDesk | None = None
     tracks: dict[str, VehicleTrack] = field(default_factory=dict)
     _states_wanted: bool = True
     _asked_s: float | None = None
@@ -106,11 +112,19 @@ class FleetEar:
                 case LivelinessChanged():
                     self.status.on_liveliness(received.vehicle, received.life, up=received.up)
                     self._states_wanted = self._states_wanted or received.up
+                case StationWindReceived():
+                    self._take_station(received.wind)
                 case MessageRejected():
                     self._states_wanted = True
                 case _:
                     pass  # events and answers are the desk's
+        if self.stations is not None:
+            self.stations.turn(self.clock.monotonic_s())
         self._ask()
+
+    def _take_station(self, wind: StationWind) -> None:
+        if self.stations is not None:
+            self.stations.take(wind)
 
     def track_of(self, vehicle: str) -> VehicleTrack:
         """A member's track; empty before it is heard."""

@@ -132,7 +132,9 @@ class MapFeed:
             return
         self._wind_s = now_s + SETTLE_S
         self._field = field_shown(wind, now_s)
-        self._fronts = front_notes(wind, self._ear.status, now_s)
+        troubles = {} if self._ear.stations is None else self._ear.stations.book.troubles(now_s)
+        stations = (f"station {name}: {why}" for name, why in sorted(troubles.items()))
+        self._fronts = (*front_notes(wind, self._ear.status, now_s), *stations)
 
     # --- what the page asks for ----------------------------------------------------------------
 

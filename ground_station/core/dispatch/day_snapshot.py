@@ -7,6 +7,9 @@ from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedS
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
 
+CLOSED = "closed by the forecast"
+"""Why an assignment was withdrawn that says nothing of its drone."""
+
 
 @dataclass(frozen=True, slots=True)
 class TruckStatus:
@@ -50,7 +53,8 @@ class DaySnapshot:
     `situation`. `waited_s`: by assignment, how long a drone on its pad has not been ready.
     `wind_off_sigmas`: distance of the measured wind from the planned one, in the forecast's
     standard deviations. `desk_from_s`: since when this desk listens. `held`: drones that are under
-    a hold.
+    a hold. `closed`: assignments on the ground whose launch the forecast has closed for good, and
+    why. `closing`: what it closes of the plan; empty: nothing.
     """
 
     now_s: float
@@ -70,6 +74,8 @@ class DaySnapshot:
     wind_off_sigmas: float = 0.0
     desk_from_s: float = 0.0
     held: frozenset[str] = frozenset()
+    closed: Mapping[str, str] = field(default_factory=dict)
+    closing: str = ""
 
     def drone(self, vehicle: str) -> DroneStatus:
         """The status of a drone, heard or not."""
@@ -103,8 +109,8 @@ class DaySnapshot:
         if any(row.gone for row in mine):
             return "lost, or away from the truck"
         unflown = (AssignmentState.REFUSED, AssignmentState.WITHDRAWN)
-        last = [row.row.state for row in mine[-2:]]
-        if len(last) == 2 and all(state in unflown for state in last):
+        last = [row.row for row in mine if not row.row.why.startswith(CLOSED)][-2:]
+        if len(last) == 2 and all(row.state in unflown for row in last):
             return "came to nothing twice"
         return None
 

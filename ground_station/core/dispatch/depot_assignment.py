@@ -5,7 +5,7 @@ accepted loss goes to the drone that is back first.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,9 +102,15 @@ class DepotAssigner:
         self._at_best.clear()
 
     def assign(
-        self, orders: list[OrderRow], assignments: list[AssignmentRow], free: list[FreeDrone]
+        self,
+        orders: list[OrderRow],
+        assignments: list[AssignmentRow],
+        free: list[FreeDrone],
+        first: Sequence[str] = (),
     ) -> list[DroneAssignment]:
-        """New assignments for free drones, at most one order each."""
+        """New assignments for free drones, at most one order each; `first`: orders that go before
+        nearer ones, in this order.
+        """
         waiting = [
             row.order
             for row in orders
@@ -115,13 +121,17 @@ class DepotAssigner:
             for row in assignments
             if row.state is AssignmentState.REFUSED
         }
-        return self._nearest(waiting, refused, list(free), _taken(assignments))
+        rank = {id_: number for number, id_ in enumerate(first)}
+        last = len(rank)
+        away_m = {order.id: math.hypot(*self.ground_ned(order)[:2]) for order in waiting}
+        waiting.sort(key=lambda o: (rank.get(o.id, last), away_m[o.id], o.id))
+        return self._next(waiting, refused, list(free), _taken(assignments))
 
     def is_full(self, assignments: list[AssignmentRow]) -> bool:
         """Whether every layer is taken over ground as high as the depot's."""
         return self.layers.lowest_free(_taken(assignments), 0.0) is None
 
-    def _nearest(
+    def _next(
         self,
         waiting: list[Order],
         refused: set[tuple[str, str]],
@@ -129,7 +139,7 @@ class DepotAssigner:
         taken: set[int],
     ) -> list[DroneAssignment]:
         chosen: list[DroneAssignment] = []
-        for order in sorted(waiting, key=lambda o: (math.hypot(*self.ground_ned(o)[:2]), o.id)):
+        for order in waiting:
             if not free:
                 break
             layer = self.layers.lowest_free(taken, -self.ground_ned(order)[2])

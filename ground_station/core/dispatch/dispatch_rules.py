@@ -12,7 +12,7 @@ import msgspec
 
 from companion.core.base.geo import offset_m
 from companion.core.base.place import Place
-from ground_station.core.dispatch.day_snapshot import DaySnapshot
+from ground_station.core.dispatch.day_snapshot import CLOSED, DaySnapshot
 from ground_station.core.dispatch.dispatch_actions import (
     AuthoriseLaunch,
     ConfirmHomeChange,
@@ -55,7 +55,8 @@ class DispatchParams:
     by then, or withdrawn. `launches`: so many refused launches, and it is withdrawn.
     `wind_sigmas`: the measured wind is off by so many standard deviations. `replan_tries`: how
     often a planner whose process ends without an answer is asked for one reason, each time
-    `replan_again_s` after the last.
+    `replan_again_s` after the last. `forecast_again_s`: for a forecast that closes sorties no
+    sooner after the last plan than this.
     """
 
     late_s: float = 120.0
@@ -68,6 +69,7 @@ class DispatchParams:
     launches: int = 3
     ready_s: float = 300.0
     wind_sigmas: float = 2.0
+    forecast_again_s: float = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +105,8 @@ class DispatchRules:
             return [ConfirmHomeChange(row.id, row.asked)]
         waited_s = day.waited_s.get(row.id, 0.0)
         match row.row.state:
+            case AssignmentState.ORDERED | AssignmentState.ABOARD if row.id in day.closed:
+                return [WithdrawAssignment(row.id, f"{CLOSED}: {day.closed[row.id]}")]
             case AssignmentState.ORDERED | AssignmentState.ABOARD if waited_s > self.params.ready_s:
                 why = f"not ready {waited_s:.0f} s after it was put out"
                 return [WithdrawAssignment(row.id, why)]

@@ -39,8 +39,22 @@ def forecast_now(wind: SiteWind | None, now_s: float, before: Forecast) -> Forec
 
 def next_flights(wind: SiteWind | None, now_s: float, before: Forecast) -> Forecast:
     """The same for flights that begin now."""
-    found = None if wind is None else wind.ahead(now_s, NEXT_AHEAD_S, NEXT_MEAN_S)
-    return before if found is None else _at(found.forecast, before)
+    if wind is None:
+        return before
+    found = wind.ahead(now_s, NEXT_AHEAD_S, NEXT_MEAN_S)
+    if found is not None:
+        return _at(found.forecast, before)
+    return _no_weaker(wind.by_stations(now_s, NEXT_AHEAD_S, NEXT_MEAN_S), before)
+
+
+def _no_weaker(by_stations: BelievedWind | None, before: Forecast) -> Forecast:
+    """Stations that nobody in the air bears out may show more wind than the forecast, never less:
+    one that lies lets nothing be launched that would not be.
+    """
+    if by_stations is None or by_stations.speed_mps <= before.speed_mps:
+        return before
+    found = _at(by_stations.forecast, before)
+    return msgspec.structs.replace(found, std_mps=max(found.std_mps, before.std_mps))
 
 
 def differs(one: Forecast, other: Forecast) -> bool:

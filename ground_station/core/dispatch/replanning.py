@@ -26,6 +26,12 @@ class ReplanCause(Enum):
     ORDER_LEFT_OUT = "order left out"
     TRUCK_LATE = "truck late"
     WIND = "wind"
+    FORECAST = "forecast"
+
+    @property
+    def is_of_wind(self) -> bool:
+        """Whether the next plan is made for another wind."""
+        return self in (ReplanCause.WIND, ReplanCause.FORECAST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +67,9 @@ def replan_reason(day: DaySnapshot, params: DispatchParams) -> ReplanReason | No
     if day.wind_off_sigmas > params.wind_sigmas:
         sigmas = f"{params.wind_sigmas:g} standard deviations"
         return ReplanReason(ReplanCause.WIND, f"the wind is {sigmas} from the forecast, or more")
+    rested = day.tried_s is None or day.now_s - day.tried_s >= params.forecast_again_s
+    if day.closing and rested:
+        return ReplanReason(ReplanCause.FORECAST, day.closing)
     return None
 
 

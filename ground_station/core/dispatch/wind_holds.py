@@ -9,20 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from companion.core.vehicle.airframe import Airframe
-from companion.core.vehicle.power import max_airspeed_mps
 from companion.core.wind_field.fronts import FrontAhead
 from ground_station.core.fleet.site_wind import SiteWind
-from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import ALL
 
 HELD_BY = "desk-wind"
 """Whose holds these are. No person has this name: nobody else lifts them, and they lift none."""
-
-LIMIT_SHARE = 0.75
-"""Wind aloft over the top airspeed of the slowest drone, empty or full, where a day states no
-limit. The rest is for gusts: three sigma of turbulence at 8 % of the mean wind each.
-"""
 
 AGAIN_SHARE, CALM_S = 0.85, 300.0
 """Launches go on when it has been below this share of the limit for so long, as far as is told."""
@@ -54,20 +46,6 @@ def longest_s(places_ne_m: Sequence[tuple[float, float]], airspeed_mps: float) -
     """How long a flight by these places may take."""
     way_m = sum(math.dist(a, b) for a, b in pairwise(places_ne_m))
     return GROUND_S + way_m / (SLOWEST_SHARE * airspeed_mps)
-
-
-def limit_of(data: DayData) -> float:
-    """Wind aloft at which nothing is launched: the day's, or by its slowest drone."""
-    if data.day.wind_limit_mps is not None:
-        return data.day.wind_limit_mps
-    density = data.day.air.density_kgpm3
-    tops = [_top_mps(one, density) for one in data.airframes.values()]
-    return LIMIT_SHARE * min(tops, default=math.inf)
-
-
-def _top_mps(airframe: Airframe, density_kgpm3: float) -> float:
-    loads_kg = (0.0, airframe.mass.max_payload_kg)
-    return min(max_airspeed_mps(airframe, airframe.mass_kg(kg), density_kgpm3) for kg in loads_kg)
 
 
 @dataclass(slots=True)

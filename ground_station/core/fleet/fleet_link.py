@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.fleet.messages import Command, FleetEvent, Result, State
+from ground_station.core.fleet.station_message import StationWind
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,13 @@ class StateReceived:
     """A member has published its state."""
 
     state: State
+
+
+@dataclass(frozen=True, slots=True)
+class StationWindReceived:
+    """A wind station has told what it measures."""
+
+    wind: StationWind
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +56,14 @@ class MessageRejected:
     count: int = 1
 
 
-FleetInput = LivelinessChanged | StateReceived | EventsReceived | CommandAnswered | MessageRejected
+FleetInput = (
+    LivelinessChanged
+    | StateReceived
+    | StationWindReceived
+    | EventsReceived
+    | CommandAnswered
+    | MessageRejected
+)
 
 
 class FleetLink(Protocol):

@@ -51,6 +51,11 @@ what chance passes once in a hundred times (chi-square of two degrees). Judged b
 it would come back by itself: a lie makes the air look gustier, and then it fits.
 """
 
+STATION_SQUARE = 30.0
+"""A station that differs by more (chi-square of two degrees: once in three million) from what the
+drones tell, or alone from the forecast, is not believed.
+"""
+
 OUT_S = 60.0
 """Who has been left out so long raises no alert. Not sooner: who meets a front first contradicts
 the others, too.
@@ -66,6 +71,9 @@ EVERYWHERE_MPS = 50.0
 
 FRONT_KEPT_S = 1800.0
 """A front has left any site by then."""
+
+
+_Vector = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,24 +147,67 @@ class SiteWind:
         """`depot_deg`: latitude and longitude. `forecast` at `height_m` above ground is what is
         expected before anybody tells; None: any wind.
         """
-        prior = None
-        if forecast is not None:
-            prior = WindPrior(forecast.to_ne_mps, PRIOR_TIMES * forecast.std_mps, height_m)
+        prior = None if forecast is None else _prior(forecast, height_m)
         self.height_m = height_m
         self.fronts: list[FrontAhead] = []
         """Fronts of the last half hour, each as it is known best, oldest first."""
         self._origin_deg = depot_deg
-        self._belief = FieldBelief(FieldProcess(process), prior)
+        self._forecast = forecast
+        self._process = FieldProcess(process)
+        self._belief = FieldBelief(self._process, prior)
+        """By drones alone: they judge one another, and the stations."""
+        self._wide = FieldBelief(self._process, prior)
+        """By drones and stations."""
+        self._stations: set[str] = set()
         self._watch = FrontWatch(process)
         self._tellers: dict[str, _Teller] = {}
         self._refused: dict[str, tuple[float, str]] = {}
         self._settled: SettledField | None = None
+        self._by_drones_only: SettledField | None = None
 
     def on_state(self, state: State, t_s: float) -> FrontAhead | None:
         """Take a state; a front that is new or better known by it, else None."""
         telling = self._telling(state, t_s)
         if telling is None:
             return None
+        teller = self._teller_of(telling, t_s)
+        if teller is None:
+            return None
+        if teller.out:
+            self._try(teller, t_s)
+        elif why := self._belief.tell(telling, t_s):
+            self._refused[telling.member] = t_s, why
+            self._wide.tell(telling, t_s)
+            return None
+        else:
+            self._wide.tell(telling, t_s)
+        self.settled(t_s)
+        return self._front_of(telling, teller, t_s)
+
+    def on_station(self, telling: WindTelling, t_s: float) -> FrontAhead | None:
+        """Take what a station measures; a front that is new or better known by it, else None.
+
+        It never decides who of the drones is believed. Where it does not fit what they tell, or
+        where nobody else tells and it does not fit the forecast, it is left out.
+        """
+        teller = self._teller_of(telling, t_s)
+        if teller is None:
+            return None
+        self._stations.add(telling.member)
+        if teller.out:
+            self._try(teller, t_s)
+        elif why := self._contradicts(telling, t_s):
+            self._wide.drop(telling.member)
+            teller.leave_out(why, t_s)
+            self._settled = None
+        elif why := self._wide.tell(telling, t_s):
+            self._refused[telling.member] = t_s, why
+            return None
+        self.settled(t_s)
+        return self._front_of(telling, teller, t_s)
+
+    def _teller_of(self, telling: WindTelling, t_s: float) -> _Teller | None:
+        """Who tells this, its newest telling noted; None: it can be no wind."""
         name = telling.member
         if trouble := telling.trouble():
             self._refused[name] = t_s, trouble
@@ -168,16 +219,19 @@ class SiteWind:
             if before is not None and before.out:
                 teller.leave_out(before.out, before.out_s)
         teller.newest = telling
-        if teller.out:
-            self._try(teller, t_s)
-        elif why := self._belief.tell(telling, t_s):
-            self._refused[name] = t_s, why
-            return None
-        self.settled(t_s)
+        return teller
+
+    def _front_of(self, telling: WindTelling, teller: _Teller, t_s: float) -> FrontAhead | None:
         low = telling.height_m < FRONT_HEIGHT_SHARE * self.height_m
         if low or (teller.out and t_s - teller.out_s > OUT_S):
             return None
         return self._front(telling)
+
+    def expect(self, forecast: Forecast) -> None:
+        """What is expected now before anybody tells, at cruise height: a forecast moves on."""
+        self._forecast = forecast
+        for belief in (self._belief, self._wide):
+            belief.expect(_prior(forecast, self.height_m))
 
     def place_ne_m(self, lat_deg: float, lon_deg: float) -> tuple[float, float]:
         """A place in metres about the depot."""
@@ -192,22 +246,70 @@ class SiteWind:
         before = self._settled
         if before is not None and 0.0 <= t_s - before.now_s < SETTLE_S:
             return before
-        settled = self._settled = self._belief.settle(t_s)
+        settled = self._by_drones_only = self._belief.settle(t_s)
+        self._leave_out(settled, t_s)
+        if self._stations:
+            drones = frozenset(self._tellers.keys() - self._stations)
+            settled = self._wide.settle(t_s, firm=drones)
+            self._leave_out(settled, t_s)
+        self._settled = settled
+        return settled
+
+    def _drones_field(self, t_s: float) -> SettledField:
+        """By drones alone, as believed now or a few seconds ago."""
+        self.settled(t_s)
+        assert self._by_drones_only is not None
+        return self._by_drones_only
+
+    def _leave_out(self, settled: SettledField, t_s: float) -> None:
         for name, why in settled.left_out.items():
             self._belief.drop(name)
+            self._wide.drop(name)
             if name in self._tellers:
                 self._tellers[name].leave_out(why, t_s)
-        return settled
+
+    def _contradicts(self, telling: WindTelling, t_s: float) -> str:
+        """Why a station is not believed; empty: it fits, or there is nothing to hold it against."""
+        found = self._others_expect(telling, t_s)
+        if found is None or _misfit_square(telling, *found) <= STATION_SQUARE:
+            return ""
+        north, east = found[0]
+        from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+        whom = "drones tell" if self._by_drones(t_s) else "the forecast alone says"
+        return f"{whom} {math.hypot(north, east):.1f} m/s from {from_deg:.0f} there"
+
+    def _others_expect(self, telling: WindTelling, t_s: float) -> tuple[_Vector, _Vector] | None:
+        """Mean and variances (north, east) that a station should tell: by drones; where none is
+        known, and no other station is, by the forecast. None: nothing says.
+        """
+        if self._by_drones(t_s):
+            wind = _at(
+                self._drones_field(t_s), telling.place_ne_m, telling.height_m, t_s, TELLING_S
+            )
+            return wind.to_ne_mps, (wind.cov_m2ps2[0], wind.cov_m2ps2[2])
+        others = [o for o in self.believed(t_s) if o.member != telling.member]
+        if others or self._forecast is None:
+            return None
+        forecast = self._forecast
+        grown, doubt = self._process.shear(np.array([telling.height_m]), self.height_m)
+        mean = float(grown[0]) * np.array(forecast.to_ne_mps)
+        doubt_mps = float(doubt[0]) * float(np.hypot(*mean))
+        process = self._process.process
+        eddies = process.variance_scale(float(np.hypot(*mean))) * sum(process.variance_m2ps2)
+        variance = forecast.std_mps**2 + doubt_mps**2 + eddies
+        return (float(mean[0]), float(mean[1])), (variance, variance)
 
     def _try(self, teller: _Teller, t_s: float) -> None:
         """Whether one that was left out fits the others again, and for long enough."""
         if t_s - teller.tried_s < TELLING_S:
             return
         told, teller.tried_s = teller.newest, t_s
-        wind = self.at(t_s, told.place_ne_m, told.height_m, t_s)
-        off = np.subtract(told.mean_to_ne_mps, wind.to_ne_mps)
-        variance = np.add(told.variance_m2ps2, wind.cov_m2ps2[::2])
-        if float(np.sum(off**2 / variance)) > BACK_SQUARE:
+        if told.member in self._stations:
+            expected = self._others_expect(told, t_s)
+        else:
+            wind = _at(self._drones_field(t_s), told.place_ne_m, told.height_m, t_s, TELLING_S)
+            expected = wind.to_ne_mps, (wind.cov_m2ps2[0], wind.cov_m2ps2[2])
+        if expected is not None and _misfit_square(told, *expected) > BACK_SQUARE:
             teller.agrees_s = None
         elif teller.agrees_s is None:
             teller.agrees_s = t_s
@@ -238,12 +340,27 @@ class SiteWind:
         }
 
     def is_known(self, t_s: float) -> bool:
-        """Whether somebody who is believed has told of late, for long enough."""
+        """Whether a drone that is believed has told of late, for long enough. Stations alone may
+        all be wrong: `by_stations` is what they make known.
+        """
+        return any(self._by_drones(t_s))
+
+    def _by_drones(self, t_s: float) -> list[str]:
         names = {telling.member for telling in self.believed(t_s)}
-        return any(
-            self._tellers[name].newest.t_s - self._tellers[name].first_s >= LEAST_SPAN_S
-            for name in names
-        )
+        return self._long_enough(names - self._stations)
+
+    def _long_enough(self, names: set[str]) -> list[str]:
+        tellers = {name: self._tellers[name] for name in names}
+        return [n for n, one in tellers.items() if one.newest.t_s - one.first_s >= LEAST_SPAN_S]
+
+    def by_stations(self, now_s: float, ahead_s: float, averaged_s: float) -> BelievedWind | None:
+        """The wind over the depot at cruise height some time from now where only stations tell it;
+        None: drones do, or nobody does.
+        """
+        names = {telling.member for telling in self.believed(now_s)}
+        if self.is_known(now_s) or not self._long_enough(names & self._stations):
+            return None
+        return self.at(now_s, (0.0, 0.0), self.height_m, now_s + ahead_s, averaged_s)
 
     def at(
         self,
@@ -254,11 +371,7 @@ class SiteWind:
         averaged_s: float = TELLING_S,
     ) -> BelievedWind:
         """The wind at a place, height above ground and time, as a mean about that time."""
-        points = FieldPoints(np.array([place_ne_m]), np.array([height_m]), np.array([t_s]))
-        found = self.settled(now_s).forecast(points, averaged_s)
-        north, east = (float(x) for x in found.mean_to_ne_mps[0])
-        nn, ee = _only(found.north_cov_m2ps2), _only(found.east_cov_m2ps2)
-        return BelievedWind((north, east), (nn, 0.0, ee))
+        return _at(self.settled(now_s), place_ne_m, height_m, t_s, averaged_s)
 
     def ahead(self, now_s: float, ahead_s: float, averaged_s: float) -> BelievedWind | None:
         """The wind over the depot at cruise height some time from now; None: not known."""
@@ -280,10 +393,12 @@ class SiteWind:
         if wind is None:
             return ""
         height_m = sum(one.height_m for one in told) / len(told)
-        drones = "1 drone" if len(told) == 1 else f"{len(told)} drones"
+        stations = sum(one.member in self._stations for one in told)
+        counts = {"drone": len(told) - stations, "station": stations}
+        who = " and ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in counts.items() if n)
         return (
             f"wind {wind.speed_mps:.1f} +- {wind.std_mps:.1f} m/s from {wind.from_deg:.0f}"
-            f" at {height_m:.0f} m, by {drones}{self._out_words(now_s)}"
+            f" at {height_m:.0f} m, by {who}{self._out_words(now_s)}"
         )
 
     def _out_words(self, now_s: float) -> str:
@@ -299,6 +414,9 @@ class SiteWind:
 
     def _front(self, telling: WindTelling) -> FrontAhead | None:
         found = self._watch.hear(telling)
+        felt = set[str]() if found is None else {one.member for one in found.felt}
+        if found is not None and len(felt) == 1 and felt <= self._stations:
+            return None  # one station alone may be broken: a second one, or a drone, has to feel it
         if found is not None:
             others = [one for one in self.fronts if one.noticed_s != found.noticed_s]
             self.fronts = [*others, found]
@@ -337,6 +455,26 @@ def front_words(
     return (
         f"FRONT: the wind changes by {math.hypot(*change):.0f} m/s, felt by {felt}; {moves}{ahead}"
     )
+
+
+def _prior(forecast: Forecast, height_m: float) -> WindPrior:
+    return WindPrior(forecast.to_ne_mps, PRIOR_TIMES * forecast.std_mps, height_m)
+
+
+def _at(
+    field: SettledField, place_ne_m: _Vector, height_m: float, t_s: float, averaged_s: float
+) -> BelievedWind:
+    points = FieldPoints(np.array([place_ne_m]), np.array([height_m]), np.array([t_s]))
+    found = field.forecast(points, averaged_s)
+    north, east = (float(x) for x in found.mean_to_ne_mps[0])
+    nn, ee = _only(found.north_cov_m2ps2), _only(found.east_cov_m2ps2)
+    return BelievedWind((north, east), (nn, 0.0, ee))
+
+
+def _misfit_square(told: WindTelling, mean_ne: _Vector, variance: _Vector) -> float:
+    """Chi-square of two degrees of a telling under what is expected of it."""
+    off = np.subtract(told.mean_to_ne_mps, mean_ne)
+    return float(np.sum(off**2 / np.add(told.variance_m2ps2, variance)))
 
 
 def _only(cov: Floats) -> float:

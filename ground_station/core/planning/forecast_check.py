@@ -8,8 +8,10 @@ import numpy as np
 
 from companion.core.base.geo import Ned
 from ground_station.core.feasibility.reach import Reach, SortieNeed, Waypoints
+from ground_station.core.feasibility.wind_limit import limit_of
 from ground_station.core.planning.day_problem import DayProblem, without
 from ground_station.core.planning.launch_slots import LaunchSlot, SortieRequest
+from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.day_plan import Unplanned
@@ -31,11 +33,15 @@ class Flown:
 
 @dataclass(frozen=True, slots=True)
 class Priced:
-    """What a delivery takes at the accepted loss, in the harder of the winds at its ends."""
+    """What a delivery takes at the accepted loss, in the hardest of its winds; `wind`: that one, as
+    it is forecast (None: without a forecast), and `strongest_mps` the speed of the strongest.
+    """
 
     need: SortieNeed
     sure_wh: float
     usable_wh: float
+    wind: Forecast | None = None
+    strongest_mps: float = 0.0
 
     @property
     def pays(self) -> bool:
@@ -46,22 +52,26 @@ class Priced:
 def in_forecast(
     reach: Reach, flown: Flown, forecast: DayForecast | None, from_s: float, to_s: float
 ) -> Priced | OutsideForecast:
-    """A delivery in the wind of its launch or of its landing, whichever asks for more.
+    """A delivery in the wind of its launch, of its drop or of its landing, each at its own place
+    and time, whichever asks for most.
 
     Without a forecast in the wind that the drone's `reach` has.
     """
     if forecast is None:
         return _priced(reach, flown)
     found: list[Priced] = []
-    for t_s in (from_s, to_s):
-        wind = forecast.constant(t_s, flown.height_m)
+    places = (flown.start, flown.customer, flown.end)
+    for place, t_s in zip(places, (from_s, 0.5 * (from_s + to_s), to_s), strict=True):
+        wind = forecast.constant(t_s, flown.height_m, (place[0], place[1]))
         if isinstance(wind, OutsideForecast):
             return wind
-        found.append(_priced(reach.in_wind(wind), flown))
-    return max(found, key=lambda one: (not one.need.flyable, one.sure_wh))
+        found.append(_priced(reach.in_wind(wind), flown, wind))
+    hardest = max(found, key=lambda one: (not one.need.flyable, one.sure_wh))
+    strongest_mps = max(one.wind.speed_mps for one in found if one.wind is not None)
+    return replace(hardest, strongest_mps=strongest_mps)
 
 
-def _priced(reach: Reach, flown: Flown) -> Priced:
+def _priced(reach: Reach, flown: Flown, wind: Forecast | None = None) -> Priced:
     need = reach.need(
         flown.payload_kg,
         flown.start,
@@ -73,7 +83,7 @@ def _priced(reach: Reach, flown: Flown) -> Priced:
     )
     usable_wh, battery_std_wh = reach.budget_wh(flown.payload_kg)
     sure_wh = need.mean_wh + reach.sigmas * math.hypot(need.std_wh, battery_std_wh)
-    return Priced(need, sure_wh, usable_wh)
+    return Priced(need, sure_wh, usable_wh, wind)
 
 
 def flown_in(nodes: DayProblem, slot: LaunchSlot) -> Flown:
@@ -105,11 +115,15 @@ def forbidden(
     """Sorties that the forecast does not let fly, each with the reason."""
     if data.forecast is None:
         return {}
+    limit_mps = limit_of(data)
     found: dict[SortieRequest, str] = {}
     for slot in slots:
         priced = slot_priced(nodes, slot, data, t0_s)
         if isinstance(priced, OutsideForecast):
             found[slot.wish] = priced.why
+        elif priced.strongest_mps >= limit_mps:
+            why = f"{_why(data.forecast, slot, t0_s)}; the limit is {limit_mps:.1f} m/s"
+            found[slot.wish] = why
         elif not priced.pays:
             found[slot.wish] = _why(data.forecast, slot, t0_s)
     return found

@@ -9,6 +9,7 @@ import msgspec
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.core.base.safe_text import one_line
+from companion.core.base.wire_message import Name
 from companion.core.mission.flight_file import Mission, Terrain
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C, Air, standard_air
 from companion.fleet.topics import checked_name
@@ -124,6 +125,28 @@ class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return -self.speed_mps * math.cos(angle), -self.speed_mps * math.sin(angle)
 
 
+class WindStation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A fixed place where the wind is measured."""
+
+    id: Name
+    """Its name: on the fleet's network it is its identity's."""
+    lat_deg: float
+    """Latitude."""
+    lon_deg: float
+    """Longitude."""
+    height_m: float
+    """Of its anemometer above the ground."""
+    file: str | None = None
+    """A CSV file that it appends to (`docs/how-to/wind-stations.md`). Absent: it tells on the
+    fleet's network.
+    """
+
+    def __post_init__(self) -> None:
+        check_range(f"stations.{self.id}.lat_deg", self.lat_deg, -85.0, 85.0)
+        check_range(f"stations.{self.id}.lon_deg", self.lon_deg, -180.0, 180.0)
+        check_range(f"stations.{self.id}.height_m", self.height_m, 1.0, 500.0)
+
+
 class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where truck and drones start."""
 
@@ -182,6 +205,8 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Limits of every flight, as in flight/1."""
     forecast: Forecast = Forecast()
     """The wind that the desk plans with."""
+    stations: list[WindStation] = []
+    """Wind stations that the desk hears."""
     wind_limit_mps: float | None = None
     """Wind aloft, as drones in the air tell it, at which the desk launches nothing. Absent: three
     quarters of the top airspeed of the slowest drone.
@@ -197,6 +222,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise LeewayError(f"drones.id: {', '.join(twice)} more than once")
+        names += [station.id for station in self.stations]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise LeewayError(f"stations.id: {', '.join(twice)} more than once, or a drone's")
 
     @property
     def air(self) -> Air:

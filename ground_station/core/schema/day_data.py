@@ -1,6 +1,7 @@
 """A day with everything that its files contain."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from companion.core.base.geo import LocalFrame, Obstacle
@@ -21,7 +22,7 @@ class DayData:
 
     `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
     speed. `elevation`: of the ground about the depot, where the day names tiles. `forecast`: of a
-    file; `day.forecast` is its wind at the day's beginning.
+    file; `day.forecast` is its wind at the day's beginning. `folder`: where the files lie.
     """
 
     day: Day
@@ -31,6 +32,7 @@ class DayData:
     roads_s: dict[tuple[str, str], float] | None
     elevation: SiteElevation | None = None
     forecast: DayForecast | None = None
+    folder: Path = Path()
 
     def obstacles(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """What the day's flights must keep out of, on the day's terms."""

@@ -91,6 +91,11 @@ class ForecastField:
         """The last time."""
         return float(self.t_s[-1])
 
+    @property
+    def is_point(self) -> bool:
+        """Whether it has one place only."""
+        return self.lat_deg.size == 1 and self.lon_deg.size == 1
+
     def at(
         self, t_s: float, height_m: float, lat_deg: float, lon_deg: float
     ) -> WindAt | OutsideForecast | None:
@@ -125,7 +130,7 @@ class ForecastField:
         """Rows and columns about a place, with their weights."""
         turns = round((float(self.lon_deg.mean()) - lon_deg) / 360.0)
         lon_deg += 360.0 * turns
-        if self.lat_deg.size == 1 and self.lon_deg.size == 1:
+        if self.is_point:
             return self._single(lat_deg, lon_deg)
         south, north = float(self.lat_deg[0]), float(self.lat_deg[-1])
         west, east = float(self.lon_deg[0]), float(self.lon_deg[-1])

@@ -25,13 +25,12 @@ from ground_station.core.dispatch.wind_holds import (
     AGAIN_SHARE,
     CALM_S,
     HELD_BY,
-    LIMIT_SHARE,
-    limit_of,
     would_catch,
 )
 from ground_station.core.dispatch.wind_holds import (
     Launch as ToLaunch,
 )
+from ground_station.core.feasibility.wind_limit import LIMIT_SHARE, limit_of
 from ground_station.core.fleet.fleet_link import LivelinessChanged, StateReceived
 from ground_station.core.schema.holds import ALL
 from tests.ground_station.desk.test_held_launches import Wire

@@ -1,8 +1,10 @@
 """Plans under a forecast: each sortie in the wind of its time, and until when it is promised."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 from typer.testing import CliRunner
 
@@ -34,8 +36,10 @@ def rising(path: Path, first_mps: float, per_hour_mps: float) -> Path:
     return written(path, answer(lambda hour, _: (first_mps + per_hour_mps * hour, 80.0)))
 
 
-def harbour(forecast: Path) -> DayData:
-    return read_day(DAYS / "harbour.toml", ForecastWanted(forecast, START_S))
+def harbour(forecast: Path, limit_mps: float = 40.0) -> DayData:
+    """With a limit of the wind aloft that nothing reaches."""
+    data = read_day(DAYS / "harbour.toml", ForecastWanted(forecast, START_S))
+    return replace(data, day=msgspec.structs.replace(data.day, wind_limit_mps=limit_mps))
 
 
 def affordable(data: DayData, plan: DayPlan, sortie: PlannedSortie, speed_mps: float) -> bool:
@@ -80,6 +84,20 @@ def test_a_window_ends_at_the_last_five_minutes_in_which_the_flight_pays(tmp_pat
     lines = "\n".join(window_lines(list(windows.values()), data.forecast, 40.0))
     assert "after 2026-07-01 1" in lines
     assert "not promised" in lines
+
+
+def test_a_window_ends_where_the_limit_of_the_wind_aloft_is_reached(tmp_path):
+    data = harbour(rising(tmp_path / "rising.json", 4.0, 3.0), limit_mps=8.0)
+    assert data.forecast is not None
+    plan = plan_day(data, first_state(data), QUICK)
+    taken = {sortie.order: sortie.land_s - sortie.launch_s for sortie in plan.sorties}
+    windows = launch_windows(data, plan, data.forecast)
+    assert windows
+    for window in windows:
+        assert window.until_s is not None
+        lands_s = window.until_s + taken[window.order]
+        assert 4.0 + 3.0 * lands_s / 3600.0 < 8.0  # it is strongest at the landing
+        assert 4.0 + 3.0 * (lands_s + 300.0) / 3600.0 >= 8.0
 
 
 def test_no_sortie_is_planned_into_a_wind_that_it_does_not_stand(tmp_path):

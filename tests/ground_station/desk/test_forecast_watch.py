@@ -1,0 +1,339 @@
+"""A desk that follows a forecast: launches that it closes, the file that changes, what was felt."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from companion.fleet.messages import Answered, State
+from ground_station.adapters.files.day_files import read_day
+from ground_station.adapters.files.forecast_files import ForecastWanted
+from ground_station.adapters.store.hold_store import HoldStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk import forecast_watch
+from ground_station.app.desk.depot_dispatcher import DepotParams
+from ground_station.app.desk.desk import Desk
+from ground_station.app.desk.open_desk import open_depot_desk
+from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.dispatch.wind_holds import HELD_BY
+from ground_station.core.feasibility.reach import Feasible
+from ground_station.core.fleet.fleet_link import LivelinessChanged, StateReceived
+from ground_station.core.schema.day import Forecast
+from ground_station.core.schema.day_data import DayData
+from tests.ground_station.desk.test_held_launches import Wire
+from tests.ground_station.store.test_order_store import opened
+from tests.ground_station.weather.open_meteo import START_S, answer, written
+
+DAYS = Path(__file__).parents[3] / "params" / "days"
+FROM_DEG = 80.0
+Winds = Callable[[int], float]
+
+
+def rising(first_mps: float, per_hour_mps: float) -> Winds:
+    return lambda hour: first_mps + per_hour_mps * hour
+
+
+def day_of(path: Path, winds: Winds, limit_mps: float = 40.0) -> DayData:
+    """The harbour in this forecast, the same at all heights."""
+    written(path, answer(lambda hour, _: (winds(hour), FROM_DEG)))
+    data = read_day(DAYS / "harbour.toml", ForecastWanted(path, START_S, later=True))
+    return replace(data, day=msgspec.structs.replace(data.day, wind_limit_mps=limit_mps))
+
+
+def promised(data: DayData, order: str, speed_mps: float) -> bool:
+    """By the desk's filter in a constant wind from the depot and back."""
+    wind = Forecast(speed_mps=speed_mps, from_deg=FROM_DEG, std_mps=2.0)
+    day = msgspec.structs.replace(data.day, forecast=wind)
+    the = next(one for one in data.orders if one.id == order)
+    return isinstance(DepotAssigner(day, data.airframes).can_bring(the, "d1"), Feasible)
+
+
+class Clock:
+    """A desk's clock that is set by hand; the forecast begins where it does."""
+
+    def __init__(self) -> None:
+        self.t_s = 1000.0
+
+    def monotonic_s(self) -> float:
+        return self.t_s
+
+    def epoch_us(self) -> int:
+        return round((START_S + self.t_s - 1000.0) * 1e6)
+
+
+class Depot:
+    """The desk of a depot over a wire; d1 stands there, d9 may be in the air and tell wind."""
+
+    def __init__(self, store: Store, data: DayData, **params: Any) -> None:
+        self.store, self.data, self.clock = store, data, Clock()
+        self.said: list[tuple[float, str]] = []
+        self.phase, self.order = "standby", ""
+        self.felt: tuple[float, float] | None = None
+        self.wire = Wire()
+        self.params = DepotParams(**({"assigns": False, "launch_gap_s": 0.0} | params))
+        say = lambda words: self.said.append((self.clock.t_s, words))  # noqa: E731
+        self.desk: Desk = open_depot_desk(
+            data, store, self.wire, say, self.params, clock=self.clock
+        )
+        self.wire.heard += [LivelinessChanged(name, name, up=True) for name in ("d1", "d9")]
+
+    def state(self, name: str) -> State:
+        depot, told = self.data.day.depot, {}
+        if name == "d9" and self.felt is not None:
+            gust = 0.05 * ((self.clock.t_s % 7.0) - 3.0)
+            told = {
+                "armed": True, "height_rel_m": 40.0, "wind_cov_m2ps2": (0.3, 0.0, 0.3),
+                "wind_to_n_mps": self.felt[0] + gust, "wind_to_e_mps": self.felt[1] + gust,
+            }  # fmt: skip
+        mine = {"phase": self.phase, "assignment": self.order or None} if name == "d1" else {}
+        return State(**{
+            "vehicle": name, "life": name, "uptime_s": self.clock.t_s, "log": name, "last_seq": 0,
+            "epoch_us": self.clock.epoch_us(), "airframe": "m100", "max_payload_kg": 1.0,
+            "phase": "outbound", "lat_deg": depot.lat_deg, "lon_deg": depot.lon_deg,
+            "armed": False, "height_rel_m": 0.0, "voltage_v": 26.1,
+        } | mine | told)  # pyright: ignore[reportArgumentType] # fmt: skip
+
+    def aboard(self, order: str) -> None:
+        """This order is assigned to d1, whose companion has taken it."""
+        id_ = self.store.assign(order, "d1", {"format": "flight/1"}, None, "desk", 0)
+        assert id_ is not None
+        self.store.answered(f"{id_}:assign", Answered.DONE, "", "d1")
+        self.order = id_
+
+    def run(self, for_s: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Five seconds at a time; whether `until` came true."""
+        for _ in range(round(for_s / 5.0)):
+            self.clock.t_s += 5.0
+            self.wire.heard += [StateReceived(self.state(name)) for name in ("d1", "d9")]
+            self.desk.turn(0.0)
+            if until():
+                return True
+        return False
+
+    def holds(self) -> dict[str, str]:
+        return {hold.scope: hold.reason for hold in self.store.holds() if hold.by == HELD_BY}
+
+    def words(self) -> str:
+        return "\n".join(words for _, words in self.said)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with opened(f"sqlite:///{tmp_path}/desk.db") as store:
+        yield store
+
+
+FAR, NEAR = "H-104", "H-102"
+"""Of the harbour's orders from its depot; which wind closes FAR is asked of the desk's filter."""
+
+
+def closes_mps(data: DayData, order: str) -> float:
+    """The first wind that closes it, to a tenth."""
+    return next(k / 10.0 for k in range(400) if not promised(data, order, k / 10.0))
+
+
+@pytest.fixture
+def depot(tmp_path: Path, store: Store) -> Callable[..., Depot]:
+    def made(winds: Winds, limit_mps: float = 40.0, **params: Any) -> Depot:
+        data = day_of(tmp_path / "w.json", winds, limit_mps)
+        store.add_orders(data.orders)
+        return Depot(store, data, **params)
+
+    return made
+
+
+def test_a_launch_that_the_forecast_closes_is_held_with_words_and_the_hour(depot):
+    site = depot(rising(4.0, 0.0))
+    limit_mps = closes_mps(site.data, FAR)
+    steep = depot(rising(limit_mps + 0.5, 0.5))
+    steep.aboard(FAR)
+    steep.phase = "ready"
+    steep.run(30.0)
+    assert steep.wire.launches() == []
+    (why,) = steep.holds().values()
+    assert list(steep.holds()) == ["d1"]
+    assert f"order {FAR} is not promised: " in why
+    assert f"{limit_mps + 0.5:.0f}"[:1] in why
+    assert "m/s at 40 m by the forecast, launched at 12:00 UTC" in why
+    assert f"d1: held: {why}" in steep.words()
+
+
+def test_the_canary_in_a_wind_just_below_it_is_launched(depot):
+    limit_mps = closes_mps(depot(rising(4.0, 0.0)).data, FAR)
+    site = depot(rising(limit_mps - 0.5, 0.0))
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(30.0)
+    assert site.holds() == {}
+    assert site.wire.launches() == [f"{FAR}.1:launch1"]
+
+
+def test_it_is_the_hour_of_the_launch_that_counts_and_the_hold_ends_when_the_wind_does(depot):
+    limit_mps = closes_mps(depot(rising(4.0, 0.0)).data, FAR)
+    site = depot(lambda hour: (limit_mps + 1.0, limit_mps - 1.5)[min(hour, 1)])
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(60.0)
+    (why,) = site.holds().values()
+    assert "; again from 12:" in why or "; again from 13:" in why
+    assert site.run(3600.0, lambda: site.wire.launches() != [])
+    # Linear in time: by this share of the hour it is below.
+    below_s = 1000.0 + 3600.0 / 2.5
+    assert below_s - 900.0 < site.clock.t_s < below_s + 300.0
+    assert "d1: no longer held for the wind" in site.words()
+
+
+def test_closings_are_said_ahead_by_order_and_time(depot):
+    site = depot(rising(4.0, 0.0))
+    limit_mps = closes_mps(site.data, FAR)
+    site = depot(rising(limit_mps - 4.0, 4.0))  # closes at 13:00, less its flight
+    site.run(120.0)
+    line = next(w for _, w in site.said if FAR in w and w.startswith("after 12:"))
+    closes_s = 60.0 * int(line[9:11])
+    speed_at = lambda t_s: limit_mps - 4.0 + 4.0 * t_s / 3600.0  # noqa: E731
+    takes_s = 600.0  # none of the harbour's flights takes longer
+    assert speed_at(closes_s) < limit_mps
+    assert speed_at(closes_s + 300.0 + takes_s) >= limit_mps - 0.1
+    assert "not promised: " in line
+    assert "m/s at 40 m by the forecast" in line
+    count = len(site.said)
+    site.run(300.0)
+    assert [w for _, w in site.said[count:] if FAR in w] == []  # said once
+
+
+def test_what_is_closed_is_given_to_nobody_and_what_closes_soon_goes_first(depot):
+    calm = depot(rising(4.0, 0.0))
+    limit_mps = closes_mps(calm.data, FAR)
+    assert promised(calm.data, NEAR, limit_mps + 0.5)
+    soon = depot(rising(limit_mps - 1.0, 2.0), assigns=True, launches=False)
+    soon.phase = "checks"  # not free yet
+    soon.run(60.0)
+    soon.phase = "standby"
+    soon.run(20.0)
+    (first,) = [row.order_id for row in soon.store.assignments()]
+    # By the desk's filter these two of the harbour's are closed first, and are the furthest.
+    assert first in (FAR, "H-107"), "the canary: without a forecast the nearest goes first"
+
+
+def test_what_is_closed_now_is_assigned_to_nobody(depot):
+    calm = depot(rising(4.0, 0.0))
+    shut = {o.id for o in calm.data.orders if not promised(calm.data, o.id, 16.0)}
+    assert FAR in shut
+    site = depot(rising(16.0, 0.0), assigns=True, launches=False)
+    site.phase = "checks"
+    site.run(60.0)
+    site.phase = "standby"
+    site.run(20.0)
+    (first,) = [row.order_id for row in site.store.assignments()]
+    assert first not in shut
+    closed = next(words for _, words in site.said if FAR in words and "not promised" in words)
+    assert not closed.startswith("after")
+    assert "16.0 m/s at 40 m by the forecast" in closed
+
+
+def test_a_launch_that_stays_closed_is_given_back_and_a_person_may_let_it_go(depot):
+    limit_mps = closes_mps(depot(rising(4.0, 0.0)).data, FAR)
+    site = depot(rising(limit_mps + 1.0, 0.5))
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(forecast_watch.LEAST_SHUT_S - 30.0)
+    assert "given back" not in site.words()
+    site.run(60.0)
+    assert f"{FAR}.1: given back: order {FAR} is not promised" in site.words()
+
+
+def test_what_a_person_releases_is_launched_and_not_given_back(depot):
+    limit_mps = closes_mps(depot(rising(4.0, 0.0)).data, FAR)
+    site = depot(rising(limit_mps + 1.0, 0.5))
+    site.aboard(FAR)
+    site.run(60.0)
+    assert "d1" in site.holds()
+    HoldStore(site.store.database, site.clock.epoch_us).release(["d1"], "anna")
+    site.phase = "ready"
+    site.run(forecast_watch.LEAST_SHUT_S + 60.0)
+    assert site.wire.launches() == [f"{FAR}.1:launch1"]
+    assert "given back" not in site.words()
+
+
+def test_a_newer_file_is_taken_a_torn_or_wrong_one_is_said_and_the_old_one_stays(depot, tmp_path):
+    limit_mps = closes_mps(depot(rising(4.0, 0.0)).data, FAR)
+    site = depot(rising(limit_mps + 1.0, 0.0))
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(30.0)
+    assert "d1" in site.holds()
+    path = tmp_path / "w.json"
+    calm = written(tmp_path / "n.json", answer(lambda hour, _: (4.0, FROM_DEG))).read_text()
+    path.write_text(calm[: len(calm) // 2])
+    site.run(40.0)
+    assert "LOOK: forecast not taken, the old one goes on: " in site.words()
+    far_away = answer(lambda hour, _: (4.0, FROM_DEG)) | {"latitude": 48.0}
+    written(path, far_away)
+    site.run(40.0)
+    assert "km from the forecast's point" in site.words()
+    assert "d1" in site.holds()
+    path.write_text(calm)
+    assert site.run(forecast_watch.LEAST_SHUT_S + 60.0, lambda: site.wire.launches() != [])
+    assert "a newer forecast: 4.0 m/s from 80 at 40 m now" in site.words()
+
+
+def test_where_the_forecast_is_off_the_fleet_is_believed_and_that_is_said(depot):
+    """It says calm; who flies feels more than the far order stands."""
+    data = depot(rising(2.0, 0.0)).data
+    limit_mps = closes_mps(data, FAR)
+    site = depot(rising(2.0, 0.0))
+    east = -(limit_mps + 2.0) * 0.985  # from 80 degrees
+    north = -(limit_mps + 2.0) * 0.174
+    site.felt = (north, east)
+    site.run(600.0)
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(60.0)
+    said = site.words()
+    assert "FORECAST OFF: off by " in said
+    assert "the fleet is believed" in said
+    assert "d1" in site.holds(), "canary: by the file alone it would be launched"
+    assert site.wire.launches() == []
+
+
+def test_a_forecast_that_was_right_is_said_to_be_after_half_an_hour(depot):
+    site = depot(rising(5.0, 0.0))
+    site.felt = (-5.0 * 0.174, -5.0 * 0.985)
+    site.run(forecast_watch.SAY_S + 120.0)
+    line = next(w for _, w in site.said if w.startswith("the forecast of the last half hour"))
+    assert "its own error 2.0" in line
+    assert "FORECAST OFF" not in site.words()
+
+
+def test_a_limit_of_the_wind_aloft_closes_by_the_forecast_before_anybody_feels_it(depot):
+    site = depot(rising(9.0, 0.0), limit_mps=8.0)
+    site.aboard(NEAR)
+    site.phase = "ready"
+    site.run(60.0)
+    assert site.wire.launches() == []
+    assert "9.0 m/s at 40 m, the limit is 8.0 by the forecast" in site.holds()["d1"]
+
+
+def test_past_its_end_the_forecast_closes_nothing_and_that_is_said(depot):
+    limit_mps = closes_mps(depot(rising(4.0, 0.0)).data, FAR)
+    site = depot(rising(limit_mps + 1.0, 0.0))
+    site.clock.t_s += 6.0 * 3600.0
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(30.0)
+    assert "LOOK: the forecast says nothing of now" in site.words()
+    assert site.holds() == {}
+
+
+def test_a_day_that_names_no_file_follows_nothing(store):
+    data = read_day(DAYS / "harbour.toml", ForecastWanted(later=True))
+    assert data.forecast is None
+    store.add_orders(data.orders)
+    site = Depot(store, data)
+    site.aboard(FAR)
+    site.phase = "ready"
+    site.run(30.0)
+    assert site.wire.launches() == [f"{FAR}.1:launch1"]
