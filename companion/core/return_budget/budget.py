@@ -21,7 +21,7 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import WindOutlook
+from companion.core.wind.forecast import WindAhead
 
 __all__ = ["Ahead", "Assessment", "Gate", "GateDecision", "GateParams", "Stage", "WayHome"]
 
@@ -109,7 +109,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None = None,
         accepted_loss: float | None = None,
@@ -133,7 +133,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None,
         accepted_losses: Sequence[float],
@@ -148,7 +148,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None = None,
     ) -> tuple[float, Assessment]:
@@ -174,7 +174,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None,
     ) -> _Question:
