@@ -138,6 +138,7 @@ class SettledField:
         """`gustier`: the process's variances are so many times as large."""
         self.left_out: dict[str, str] = {}
         self.now_s = now_s
+        self._gustier = gustier
         self._process, self._kept = process, kept
         self._height_m = float(kept.middle[:, 3].mean()) if kept.count.size else prior.height_m
         grown, doubt = process.shear(np.array([self._height_m]), prior.height_m)
@@ -213,6 +214,8 @@ class SettledField:
         """Chi-square of two degrees that what a member tells fits what all the others tell: all
         that it told, or its newest minute, whichever fits worse. None: one side has told too
         little to compare.
+
+        As the process itself says it: a lie makes the air look gustier, and then it would fit.
         """
         kept = self._kept
         if member not in kept.members:
@@ -222,7 +225,7 @@ class SettledField:
             return None
         fresh = own & (self.now_s - kept.last[:, 0] <= NEW_S)
         groups = np.stack([own, fresh] if fresh.any() else [own], axis=1).astype(np.float64)
-        return float(self.mean_shift_squares(groups).max())
+        return self._gustier * float(self.mean_shift_squares(groups).max())
 
     def _mean_wind(self) -> Floats:
         """What carries the eddies: the mean of what was told, or the prior."""

@@ -1,9 +1,10 @@
 """What a desk tells one vehicle of the wind that others feel: the word, as it travels.
 
-Whole numbers, so that a word of six others stays under 500 bytes. What each may be is checked when
+Whole numbers, so that a word of five others stays near 400 bytes. What each may be is checked when
 it is decoded; whether it is believed is `fleet_wind`'s to say.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -16,8 +17,8 @@ from companion.core.base.wire_message import Name, WireMessage
 from companion.core.wind_field.fronts import FELT_STD_S, FeltChange, FrontAhead
 from companion.core.wind_field.tellings import WindTelling
 
-MOST_TOLD = 6
-"""Others in one word: with the state's own 158 bytes a second that is 200 in all."""
+MOST_TOLD = 5
+"""Others in one word: with the 158 bytes a second that a state takes for the wind, 200 in all."""
 
 TOLD_EVERY_S = 10.0
 """A telling is a mean over as long."""
@@ -50,16 +51,14 @@ class ToldWind(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
     to_e_cmps: CmPerS
     """East part."""
     nn_cm2: VarCm2
-    """Covariance, hundredths of (m/s)^2: north."""
-    ne_cm2: Annotated[int, Meta(ge=-40_000, le=40_000)]
-    """North with east."""
+    """Variance north, hundredths of (m/s)^2."""
     ee_cm2: VarCm2
-    """East."""
+    """Variance east. Uncorrelated, both are no less in any direction than what was told."""
 
     @classmethod
     def of(cls, telling: WindTelling, north_m: float, east_m: float, age_s: float) -> "ToldWind":
-        """Rounded; the covariance is never less in any direction than told."""
-        nn, ne, ee = telling.cov_ne_m2ps2
+        """Rounded; no surer in any direction than told."""
+        nn, ee = telling.variance_m2ps2
         north, east = telling.mean_to_ne_mps
         return cls(
             telling.member,
@@ -70,7 +69,6 @@ class ToldWind(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
             round(_CMPS * north),
             round(_CMPS * east),
             _variance(nn),
-            round(100.0 * ne),
             _variance(ee),
         )
 
@@ -111,8 +109,8 @@ class SharedWinds(WireMessage, frozen=True, kw_only=True):
     """Its longitude."""
     told: Annotated[list[ToldWind], Meta(max_length=MOST_TOLD)]
     """The newest of each of the others nearest to it."""
-    front: ToldFront | None = None
-    """A front that is new or better known; else absent."""
+    front: ToldFront | msgspec.UnsetType = msgspec.UNSET
+    """A front that is new or better known; else left out."""
 
     def tellings(self, origin_deg: tuple[float, float], as_of_t_s: float) -> Iterator[WindTelling]:
         """As tellings about one's own origin; `as_of_t_s`: `as_of_s` on one's own clock."""
@@ -124,13 +122,13 @@ class SharedWinds(WireMessage, frozen=True, kw_only=True):
                 (north + one.north_m, east + one.east_m),
                 float(one.height_m),
                 (one.to_n_cmps / _CMPS, one.to_e_cmps / _CMPS),
-                (one.nn_cm2 / 100.0, one.ne_cm2 / 100.0, one.ee_cm2 / 100.0),
+                (one.nn_cm2 / 100.0, 0.0, one.ee_cm2 / 100.0),
             )
 
     def front_ahead(self, origin_deg: tuple[float, float], as_of_t_s: float) -> FrontAhead | None:
         """The front about one's own origin and on one's own clock."""
         front = self.front
-        if front is None:
+        if front is msgspec.UNSET:
             return None
         place = offset_m(*origin_deg, self.lat_deg, self.lon_deg)
         behind = front.behind_n_mps, front.behind_e_mps
@@ -167,5 +165,4 @@ def _within(value: float, most: float, digits: int = 1) -> float:
 
 
 def _variance(m2ps2: float) -> int:
-    """Rounding moves the covariance by half of a hundredth: one more on the diagonal outweighs it."""
-    return min(max(round(100.0 * m2ps2) + 1, 1), 40_000)
+    return min(max(math.ceil(100.0 * m2ps2), 1), 40_000)

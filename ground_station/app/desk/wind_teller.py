@@ -7,6 +7,8 @@ known. What a vehicle makes of them is the vehicle's to decide.
 import math
 from dataclasses import dataclass, field
 
+import msgspec
+
 from companion.core.wind_field.fronts import FrontAhead
 from companion.core.wind_field.shared_winds import (
     MOST_AGE_S,
@@ -90,11 +92,11 @@ class WindTeller:
         return SharedWinds(
             vehicle=state.vehicle,
             life=state.life,
-            as_of_s=round(state.uptime_s, 2),
-            lat_deg=round(state.lat_deg, 5),
-            lon_deg=round(state.lon_deg, 5),
+            as_of_s=round(state.uptime_s, 1),
+            lat_deg=round(state.lat_deg, 4),
+            lon_deg=round(state.lon_deg, 4),
             told=winds,
-            front=None if front is None else told_front(front, here, heard_s),
+            front=msgspec.UNSET if front is None else told_front(front, here, heard_s),
         )
 
 
