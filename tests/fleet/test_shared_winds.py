@@ -1,6 +1,5 @@
 """The winds of others over live TLS: who hears them, whose word counts, and what a word weighs."""
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import pytest
 import zenoh
 
 from companion.core.mission.events import WindsTold
+from companion.core.wind_field.fronts import FeltChange, estimated
 from companion.core.wind_field.shared_winds import (
     MOST_TOLD,
     TOLD_EVERY_S,
@@ -16,7 +16,6 @@ from companion.core.wind_field.shared_winds import (
     ToldWind,
     told_front,
 )
-from companion.core.wind_field.fronts import FeltChange, estimated
 from companion.core.wind_field.tellings import WindTelling
 from companion.fleet.command_log import FRESH_S
 from companion.fleet.messages import encode
@@ -37,7 +36,10 @@ STATE_BYTES_A_S = 158
 
 def word(vehicle: str, life: str, as_of_s: float, **more: Any) -> SharedWinds:
     names = [f"drone-{k}" for k in range(MOST_TOLD)]
-    told = [WindTelling(n, 0.0, (-512.0, 733.0), 41.0, (-11.26, 8.75), (0.31, -0.02, 0.28)) for n in names]
+    told = [
+        WindTelling(n, 0.0, (-512.0, 733.0), 41.0, (-11.26, 8.75), (0.31, -0.02, 0.28))
+        for n in names
+    ]
     return SharedWinds(
         vehicle=vehicle, life=life, as_of_s=round(as_of_s, 1), lat_deg=55.47, lon_deg=8.4501,
         told=[ToldWind.of(one, -512.0, 733.0, 4.0) for one in told], **more,
@@ -75,7 +77,9 @@ def test_over_tls_a_vehicle_hears_the_winds_that_its_desk_tells(
         assert fleet.hears(d1)
         heard: list[WindsTold] = []
         limit_s = PATIENCE_S if allowed else KEPT_OUT_S
-        assert fleet.until(lambda: bool(heard.extend(tells(fleet, d1)) or heard), limit_s) is allowed
+        assert (
+            fleet.until(lambda: bool(heard.extend(tells(fleet, d1)) or heard), limit_s) is allowed
+        )
         if allowed:
             assert heard[0].winds.told[0].to_n_cmps == -1126
             assert 0.0 <= heard[0].age_s < 5.0
@@ -218,7 +222,9 @@ def test_a_covariance_is_told_as_no_less_in_any_direction() -> None:
     for _ in range(200):
         root = rng.normal(0.0, 0.5, (2, 2))
         cov = root @ root.T + 1e-3 * np.eye(2)
-        telling = WindTelling("d2", 0.0, (0.0, 0.0), 40.0, (1.0, 2.0), (cov[0, 0], cov[0, 1], cov[1, 1]))
+        telling = WindTelling(
+            "d2", 0.0, (0.0, 0.0), 40.0, (1.0, 2.0), (cov[0, 0], cov[0, 1], cov[1, 1])
+        )
         told = ToldWind.of(telling, 0.0, 0.0, 0.0)
         wire = np.diag([told.nn_cm2, told.ee_cm2]) / 100.0
         assert np.linalg.eigvalsh(wire - cov).min() >= -1e-9

@@ -121,12 +121,12 @@ class SharedWind:
         points = FieldPoints(np.array([[north, east]]), np.array([height_m]), t_s + middle)
         found = field.forecast(points, SHOWN_S)
         alone = own.forecast(belief, middle, SHOWN_S)
-        fleet_mps, own_mps = (each.mean_to_ne_mps[0] for each in (found, alone))
-        var = max(float(found.north_cov_m2ps2[0, 0]), float(found.east_cov_m2ps2[0, 0]))
-        return (
-            f"next {SHOWN_S / 60.0:.0f} min {wind_words((float(fleet_mps[0]), float(fleet_mps[1])))}"
-            f" +- {var**0.5:.1f}, own alone {wind_words((float(own_mps[0]), float(own_mps[1])))}"
+        fleet, lonely = (
+            wind_words((float(each.mean_to_ne_mps[0, 0]), float(each.mean_to_ne_mps[0, 1])))
+            for each in (found, alone)
         )
+        var = max(float(found.north_cov_m2ps2[0, 0]), float(found.east_cov_m2ps2[0, 0]))
+        return f"next {SHOWN_S / 60.0:.0f} min {fleet} +- {var**0.5:.1f}, own alone {lonely}"
 
     def _place(self, lat_deg: float, lon_deg: float) -> tuple[float, float]:
         if self._origin_deg is None:

@@ -98,7 +98,7 @@ class FieldBelief:
         each = MOST_STRETCHES // max(len(self._members), 1) + _SPARE_STRETCHES
         for name in list(self._members):
             self._members[name].forget(now_s, each)
-            if not self._members[name].stretches:
+            if not self._members[name].stretches and not self._members[name].is_frozen:
                 del self._members[name]
         kept = KeptStretches.of(self._with(newest), MOST_STRETCHES)
         out: dict[str, str] = {}
@@ -112,7 +112,6 @@ class FieldBelief:
                 return settled.leaving_out(out)
             out |= bad
             kept = kept.without(frozenset(bad))
-
 
     def _with(self, newest: WindTelling | None) -> dict[str, MemberTellings]:
         """All members, one of them with what it feels at this moment."""

@@ -42,9 +42,10 @@ class SharedOutlook:
 class FrontOutlook:
     """Another outlook, were a front to come that was told.
 
-    Until it arrives (T, normal) the wind is the other outlook's; behind it the mean is the one told,
-    and gusts are as before. Mean and covariance of that mixture: with p_i = P(T <= t_i) and the
-    step d_i = behind - mean_i, mean_i + p_i d_i, and in addition d_i d_j (min(p_i, p_j) - p_i p_j).
+    Until it arrives (T, normal) the wind is the other outlook's; behind it the mean is the one
+    told, and gusts are as before. Mean and covariance of that mixture: with p_i = P(T <= t_i) and
+    the step d_i = behind - mean_i, mean_i + p_i d_i, and in addition
+    d_i d_j (min(p_i, p_j) - p_i p_j).
     """
 
     before: WindAhead

@@ -158,8 +158,8 @@ def _carries_all(fleet: str) -> list[Rule]:
 
 def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
     """A vehicle speaks for itself only, asks nothing, commands nobody, and hears of its neighbours'
-    places, of the winds that others feel, and of others of its own name. (`track/**` is `track`, too: where vehicles of before
-    told them.)
+    places, of the winds that others feel, and of others of its own name. (`track/**` is `track`,
+    too: where vehicles of before told them.)
     """
     name, own = member.name, f"leeway/{fleet}/vehicle/{member.name}/**"
     everybody, tracks = f"leeway/{fleet}/vehicle/*/**", VehicleKeys(fleet, "*").track("**")

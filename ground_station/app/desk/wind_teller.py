@@ -80,9 +80,7 @@ class WindTeller:
         others = [one for one in believed if one.member != state.vehicle]
         others.sort(key=lambda one: (math.dist(one.place_ne_m, here), one.member))
         winds = [
-            ToldWind.of(
-                one, one.place_ne_m[0] - north, one.place_ne_m[1] - east, heard_s - one.t_s
-            )
+            ToldWind.of(one, one.place_ne_m[0] - north, one.place_ne_m[1] - east, heard_s - one.t_s)
             for one in others[:MOST_TOLD]
             if heard_s - one.t_s <= MOST_AGE_S
         ]

@@ -72,8 +72,7 @@ class FleetLink(Protocol):
         ...
 
     def tell_winds(self, winds: SharedWinds) -> None:
-        """Tell one vehicle the winds that others feel; what is lost is told anew ten seconds later.
-        """
+        """Tell one vehicle the winds that others feel; what is lost is told anew soon."""
         ...
 
     def close(self) -> None:

@@ -1,7 +1,6 @@
 """The fleet's wind aboard: used while it agrees with one's own, else one's own alone, to the bit.
 
-The wind here is drawn by hand: a mean, an eddy that all share, and gusts of each. Forecasts that are
-compared with it are of the belief's own code only where the test says so.
+The wind here is drawn by hand: a mean, an eddy that all share, and gusts of each.
 """
 
 import numpy as np
@@ -15,7 +14,12 @@ from companion.core.wind_field.fronts import FeltChange, estimated
 from companion.core.wind_field.tellings import WindTelling
 
 COAST = read_wind_process("coast")
-OTHERS = {"d2": (400.0, 100.0), "d3": (-500.0, 300.0), "d4": (200.0, -600.0), "d5": (-300.0, -400.0)}
+OTHERS = {
+    "d2": (400.0, 100.0),
+    "d3": (-500.0, 300.0),
+    "d4": (200.0, -600.0),
+    "d5": (-300.0, -400.0),
+}
 COV = (0.25, 0.0, 0.25)
 END_S = 600.0
 
@@ -65,7 +69,9 @@ def test_honest_others_are_used_and_narrow_what_is_foreseen() -> None:
     assert set(shared.members) == {OWN, *OTHERS}
     one = FieldBelief(FieldProcess(COAST))
     for k in range(60):
-        one.tell(WindTelling("a", 10.0 * k, (0.0, 0.0), 40.0, (-7.0 + 0.01 * k, 1.0), COV), 10.0 * k)
+        one.tell(
+            WindTelling("a", 10.0 * k, (0.0, 0.0), 40.0, (-7.0 + 0.01 * k, 1.0), COV), 10.0 * k
+        )
     own_cov = one.settle(590.0).forecast(mean_of_five_minutes(590.0), 300.0).north_cov_m2ps2
     all_cov = shared.forecast(mean_of_five_minutes(site.t_s), 300.0).north_cov_m2ps2
     assert float(all_cov[0, 0]) < 0.9 * float(own_cov[0, 0])
@@ -98,7 +104,9 @@ def test_a_desk_that_lies_is_not_used_and_not_again_before_a_minute_of_agreement
 def test_one_who_lies_is_left_out_and_the_others_are_used() -> None:
     site = Site()
     site.until(300.0)
-    site.until(END_S, lie=lambda name, t_s, wind: (wind[0] + 6.0, wind[1]) if name == "d2" else wind)
+    site.until(
+        END_S, lie=lambda name, t_s, wind: (wind[0] + 6.0, wind[1]) if name == "d2" else wind
+    )
     shared = site.fleet.used(site.t_s)
     assert shared is not None
     assert set(shared.members) == {OWN, "d3", "d4", "d5"}
