@@ -23,7 +23,13 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     TelemetryState,
 )
-from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams
+from companion.core.return_budget.budget import (
+    Ahead,
+    Assessment,
+    Gate,
+    GateParams,
+    is_less_hopeful,
+)
 from companion.core.return_budget.remaining_mission import hurried
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.air import Air
@@ -78,12 +84,6 @@ class _Answer:
         if not words:
             return self
         return replace(self, seen=replace(self.seen, reason=f"{self.seen.reason}; {words}"))
-
-    def is_worse_than(self, other: "_Answer") -> bool:
-        """Whether it turns back where the other does not, or hopes for less."""
-        if self.seen.turn_back != other.seen.turn_back:
-            return self.seen.turn_back
-        return self.seen.p_home < other.seen.p_home
 
 
 class Estimates:
@@ -351,7 +351,8 @@ class Estimates:
         if front is None:
             return calm
         behind = ask(front)
-        return behind.because(f"{WORDS}: a front") if behind.is_worse_than(calm) else calm
+        worse = is_less_hopeful(behind.seen, calm.seen)
+        return behind.because(f"{WORDS}: a front") if worse else calm
 
     def _hurry(self, ahead: Ahead, answer: "_Answer", energy: EnergyBelief) -> None:
         """Find the fastest airspeed that the budget allows, by bisection, now and then.

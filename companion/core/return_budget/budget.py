@@ -12,6 +12,7 @@ nothing depends on when they become known. A tail of 1 % is then a smooth number
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from companion.core.return_budget.leg_costs import LegTable
 from companion.core.return_budget.outcomes import Budget, Chances
@@ -86,6 +87,27 @@ class GateDecision:
     p_home: float
     p_success: float
     reason: str
+
+
+class TurnsBack(Protocol):
+    """An answer of the gate's: whether to turn back, and the probability of coming home."""
+
+    @property
+    def turn_back(self) -> bool:
+        """Fly the way home now."""
+        ...
+
+    @property
+    def p_home(self) -> float:
+        """By what is decided."""
+        ...
+
+
+def is_less_hopeful(one: TurnsBack, other: TurnsBack) -> bool:
+    """Whether `one` turns back where the other does not, or gives less for coming home."""
+    if one.turn_back != other.turn_back:
+        return one.turn_back
+    return one.p_home < other.p_home
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,6 +49,9 @@ class ScriptedWind:
     def snapshot(self) -> dict[str, object]:
         return {}
 
+    def restore(self, snapshot: dict[str, object]) -> None:
+        return
+
 
 Tells = Callable[[float, str, Any], "tuple[float, float] | None"]
 
