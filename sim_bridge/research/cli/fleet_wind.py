@@ -56,6 +56,15 @@ def fleet_wind(
         float,
         typer.Option(min=0.0001, max=0.5, help="Share of the missions that may be lost."),
     ] = 0.01,
+    lie: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=20.0,
+            help="Fly missions again with a desk that adds so many m/s of tailwind for the way home"
+            " to all that it tells; 0: not.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of fields, ways, noise and fronts.")] = 1,
     json: Annotated[Path | None, typer.Option(help="Write all figures here.")] = None,
     jobs: Jobs = 0,
@@ -130,7 +139,7 @@ def fleet_wind(
         typer.echo(sheet.markdown())
     document = sheets.as_document(setting, ordinary, front, alerts)
     if missions:
-        asked = MissionSetting(setting, mission_draws, missions, wind_air, tier, max_loss)
+        asked = MissionSetting(setting, mission_draws, missions, wind_air, tier, max_loss, lie)
         pieces = works_of(asked)
         name = digest_of(pieces)
         half_flown = Journal(out / f"{name[:12]}.missions.partial", name, MissionsFlown)

@@ -38,7 +38,7 @@ class FleetForesight:
     """One mission's, which begins at `start_s` of its world and meets the wind of one place.
 
     It is the world's first drone; it has heard the others since its own wind is known. `fronts`:
-    as the desk tells them, in order of time.
+    as the desk tells them, in order of time. `lie_ne_mps`: what is added to all that it is told.
     """
 
     def __init__(
@@ -48,7 +48,9 @@ class FleetForesight:
         process: WindProcessParams,
         place_ne_m: Floats,
         start_s: float,
+        lie_ne_mps: tuple[float, float] = (0.0, 0.0),
     ) -> None:
+        self._lie = lie_ne_mps
         self._world, self._start_s = world, start_s
         self._place = float(place_ne_m[0]), float(place_ne_m[1])
         self._own = SpreadOutlook(process, 1.0)
@@ -93,9 +95,17 @@ class FleetForesight:
     def _nearest(self, now_s: float) -> list[WindTelling]:
         """The newest of the others nearest to it, as a desk tells them."""
         others = range(1, len(self._world.drones))
-        told = [replace(self._world.telling(k, self._next), t_s=now_s) for k in others]
+        told = [self._world.telling(k, self._next) for k in others]
         told.sort(key=lambda one: math.dist(one.place_ne_m, self._place))
-        return told[:MOST_TOLD]
+        north, east = self._lie
+        return [
+            replace(
+                one,
+                t_s=now_s,
+                mean_to_ne_mps=(one.mean_to_ne_mps[0] + north, one.mean_to_ne_mps[1] + east),
+            )
+            for one in told[:MOST_TOLD]
+        ]
 
     def _front_of(self, now_s: float) -> FrontAhead | None:
         """The newest that has become known since the last word."""

@@ -15,17 +15,19 @@ import numpy as np
 from companion.adapters.files.params import params_dir
 from companion.core.base.arrays import Floats, Ints
 from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.field_process import FieldProcess
 from companion.core.wind_field.fronts import FrontAhead, FrontWatch
 from sim_bridge.research.fleet_wind.alert_study import beliefs, fronts_known
 from sim_bridge.research.fleet_wind.mission_outlook import FleetForesight
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M, SITE_M
 from sim_bridge.research.fleet_wind.study import (
+    DrawnField,
     FleetWindSetting,
     case_names,
     drawn_field,
     mean_wind_mps,
 )
-from sim_bridge.research.fleet_wind.worlds import FleetWorld
+from sim_bridge.research.fleet_wind.worlds import FleetWorld, world_of
 from sim_bridge.research.promise import flying
 from sim_bridge.research.promise.blocks import BEFORE_S, TIERS, distances_m
 from sim_bridge.research.promise.planner import HISTORY_S, MissionView, Planner
@@ -36,10 +38,10 @@ from sim_bridge.research.promise.world import FASTEST_MPS, SLOWEST_MPS, PromiseW
 FRONT_SHARE = 0.1
 """Fronts as they come: so many of the missions are flown in an hour with one."""
 
-LEVELS = tuple(float(x) for x in np.geomspace(0.001, 0.9, 24))
+LEVELS = tuple(float(x) for x in np.geomspace(0.003, 0.6, 12))
 """Risks that a single decision may take; policies are compared at the loss that comes of them."""
 
-OWN_ONLY, FLEET = "own_only", "fleet"
+OWN_ONLY, FLEET, LIED_TO = "own_only", "fleet", "lied_to"
 CHUNK = 10
 
 
@@ -53,6 +55,9 @@ class MissionSetting:
     wind_air: float
     tier: str
     max_loss: float
+    lie_mps: float = 0.0
+    """Flown again with a desk that adds so much tailwind for the way home to all it tells; 0: not.
+    """
 
     def promise(self, airspeed_mps: float) -> Setting:
         """The same vehicle, as `promise` has it."""
@@ -109,8 +114,8 @@ def works_of(setting: MissionSetting) -> list[MissionWork]:
     fields = [(case, number) for number in range(setting.draws) for case in cases]
     fronts = round(FRONT_SHARE * setting.missions)
     work: list[MissionWork] = []
-    for front, total in ((False, setting.missions - fronts), (True, fronts)):
-        for k, (case, number) in enumerate(fields):
+    for k, (case, number) in enumerate(fields):
+        for front, total in ((False, setting.missions - fronts), (True, fronts)):
             mine = total // len(fields) + (k < total % len(fields))
             for first in range(0, mine, CHUNK):
                 count = min(CHUNK, mine - first)
@@ -127,16 +132,24 @@ def fly_missions(work: MissionWork) -> MissionsFlown:
     drawn = _drawn(site, work, rng)
     params = flying.planner_params(site.promise, site.process, 1.0, LEVELS)
     planner = Planner(flying.believed_route_energy(site.setting), params)
+    lie_mps = work.setting.lie_mps
     turns: dict[str, list[list[float]]] = {OWN_ONLY: [], FLEET: []}
+    turns |= {LIED_TO: []} if lie_mps else {}
     asked = used = 0
     for k in range(work.count):
         noise = [work.setting.fields.seed, 12, work.case, work.number, work.first + k]
         seen = drawn.seen(k)
         start_s = float(drawn.flown.missions.start[k])
-        fleet = FleetForesight(site.world, site.fronts, site.process, drawn.place_ne_m[k], start_s)
-        for policy, foresight in ((OWN_ONLY, None), (FLEET, fleet)):
-            decided = planner.fly(seen, np.random.default_rng(noise), foresight)
-            turns[policy].append([one.turn_s for one in decided])
+        place = drawn.place_ne_m[k]
+        fleet = FleetForesight(site.world, site.fronts, site.process, place, start_s)
+        north, east = (-lie_mps * float(x) for x in seen.unit_ne)
+        told_lies = FleetForesight(
+            site.world, site.fronts, site.process, place, start_s, (north, east)
+        )
+        by_policy = {OWN_ONLY: None, FLEET: fleet, LIED_TO: told_lies}
+        for policy, by_mission in turns.items():
+            decided = planner.fly(seen, np.random.default_rng(noise), by_policy[policy])
+            by_mission.append([one.turn_s for one in decided])
         asked, used = asked + fleet.asked, used + fleet.used
     ends = {
         policy: np.stack(
@@ -206,11 +219,18 @@ def _vehicle(setting: MissionSetting) -> Setting:
     return setting.promise(airspeed_of(setting))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
+def _field(setting: FleetWindSetting, case: int, number: int) -> DrawnField:
+    return drawn_field(setting, case, number)
+
+
+@lru_cache(maxsize=1)
 def _site(setting: MissionSetting, case: int, number: int, front: bool) -> _Site:
-    drawn = drawn_field(setting.fields, case, number)
-    world = drawn.world(front=front)
-    told = beliefs(world.truth, drawn.ways, 0.0, float(drawn.seconds), drawn.rng)
+    drawn = _field(setting.fields, case, number)
+    rng = np.random.default_rng([setting.fields.seed, 14, case, number, int(front)])
+    truth = drawn.truth(front=front)
+    world = world_of(truth, drawn.seconds, FieldProcess(drawn.process), drawn.ways, rng)
+    told = beliefs(truth, drawn.ways, 0.0, float(drawn.seconds), rng)
     names = [way.name for way in drawn.ways]
     fronts = fronts_known(told, names, FrontWatch(drawn.process))
     vehicle = _vehicle(setting)

@@ -18,6 +18,7 @@ from sim_bridge.research.fleet_wind.mission_study import (
     FAIL,
     FLEET,
     FRONT_SHARE,
+    LIED_TO,
     OWN_ONLY,
     SUC,
     MissionSetting,
@@ -27,7 +28,12 @@ from sim_bridge.research.results.sheet import Sheet
 
 CODES = {"SUC": SUC, "DEL": DEL, "FAIL": FAIL, "ABRT": ABRT}
 POLICIES = (OWN_ONLY, FLEET)
-NAMES = {OWN_ONLY: "own wind alone", FLEET: "the fleet's wind", "clairvoyant": "clairvoyant"}
+NAMES = {
+    OWN_ONLY: "own wind alone",
+    FLEET: "the fleet's wind",
+    LIED_TO: "a fleet whose desk lies",
+    "clairvoyant": "clairvoyant",
+}
 LOSSES = (0.005, 0.01, 0.02, 0.05)
 """At which policies are compared besides, each at its own risk."""
 _RESAMPLES = 2000
@@ -52,7 +58,7 @@ class MissionEnds:
         cases = {one.case for one in flown}
         folds = [one.case if len(cases) > 1 else one.number % 2 for one in flown]
         return cls(
-            {p: np.concatenate([np.array(one.ends[p]) for one in flown]) for p in POLICIES},
+            {p: np.concatenate([np.array(one.ends[p]) for one in flown]) for p in flown[0].ends},
             np.concatenate([np.array(one.clairvoyant) for one in flown]),
             np.repeat(folds, counts),
             np.repeat([one.front for one in flown], counts),
@@ -60,12 +66,15 @@ class MissionEnds:
         )
 
     def chosen(self, policy: str, max_loss: float) -> Ints:
-        """Each mission's end at the risk that was set on the other folds."""
+        """Each mission's end at the risk that was set on the other folds. Who is lied to does not
+        know it: its risk is the one that was set where nobody lied.
+        """
         codes = self.by_policy[policy]
+        honest = self.by_policy[FLEET if policy == LIED_TO else policy]
         found = np.empty(codes.shape[0], np.int64)
         for fold in np.unique(self.fold):
             here = self.fold == fold
-            others = codes[~here] if (~here).any() else codes
+            others = honest[~here] if (~here).any() else honest
             found[here] = _at_risk(codes[here], risk_for(others, max_loss), self.lot[here])
         return found
 
@@ -104,7 +113,7 @@ def _lost(codes: Ints) -> Bools:
 
 def mission_row(ends: MissionEnds, max_loss: float) -> dict[str, dict[str, int]]:
     """The JSON's `missions`: how many ended how."""
-    found = {policy: _counts(ends.chosen(policy, max_loss)) for policy in POLICIES}
+    found = {policy: _counts(ends.chosen(policy, max_loss)) for policy in ends.by_policy}
     return found | {"clairvoyant": _counts(ends.clairvoyant)}
 
 
@@ -157,7 +166,7 @@ def mission_sheets(
     for words, which in (("all", every), ("hours with a front", front)):
         if not which.any():
             continue
-        judged = {p: ends.chosen(p, setting.max_loss)[which] for p in POLICIES}
+        judged = {p: ends.chosen(p, setting.max_loss)[which] for p in ends.by_policy}
         for policy, codes in (judged | {"clairvoyant": ends.clairvoyant[which]}).items():
             shares = [100.0 * float((codes == code).mean()) for code in CODES.values()]
             rows.append([words, NAMES[policy], f"{codes.size}", *(f"{x:.1f}" for x in shares)])
