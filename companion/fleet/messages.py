@@ -18,6 +18,7 @@ from companion.core.base.safe_text import safe_text
 from companion.core.base.wire_message import VERSION, Name, WireMessage
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import cell_of
+from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.network import Told
 
 LARGEST_BYTES = {
@@ -27,6 +28,7 @@ LARGEST_BYTES = {
     "result": 4096,
     "track": 1024,
     "station": 512,
+    "winds": 2048,
 }
 """A command may carry a site's obstacles and its ground; the others are a few hundred bytes."""
 
@@ -380,6 +382,7 @@ _KINDS: dict[str, type[WireMessage]] = {
     "command": Command,
     "result": Result,
     "track": Track,
+    "winds": SharedWinds,
 }
 WORDS: dict[type[WireMessage], tuple[str, ...]] = {
     State: ("text", "doubt"),
@@ -392,7 +395,7 @@ WORDS: dict[type[WireMessage], tuple[str, ...]] = {
 _decoders = {kind: msgspec.json.Decoder(type_) for kind, type_ in _KINDS.items()}
 
 
-def encode(message: State | FleetEvent | Command | Result | Track) -> bytes:
+def encode(message: State | FleetEvent | Command | Result | Track | SharedWinds) -> bytes:
     """The bytes of a message; LeewayError where they are more than its kind may have."""
     kind = next(kind for kind, type_ in _KINDS.items() if isinstance(message, type_))
     raw = msgspec.json.encode(message)
@@ -419,6 +422,11 @@ def decode_command(raw: bytes) -> Command | Refused:
 def decode_track(raw: bytes) -> Track | Refused:
     """A neighbour's place, or why these bytes are none."""
     return _decode("track", raw)
+
+
+def decode_winds(raw: bytes) -> SharedWinds | Refused:
+    """The winds that others feel, or why these bytes are none."""
+    return _decode("winds", raw)
 
 
 def decode_told_track(told: Told) -> Track | Refused:

@@ -88,6 +88,10 @@ class MemberLink(Protocol):
         """What neighbours told since the last call, our own excepted; each one's oldest first."""
         ...
 
+    def winds(self) -> list[bytes]:
+        """What a desk told of the winds of others since the last call, oldest first."""
+        ...
+
     def wind_cov_is_read(self) -> bool:
         """Whether somebody asks for states, and all who do read the covariance of the wind."""
         ...

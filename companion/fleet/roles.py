@@ -19,6 +19,9 @@ class Role(Enum):
 COMMANDS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
 """Whose commands a vehicle takes."""
 
+TELLS_WIND = frozenset({Role.DESK})
+"""Whose word of the winds that others feel a vehicle takes: a desk hears and checks them all."""
+
 SPEAKS = frozenset({Role.VEHICLE, Role.TRUCK})
 """Who has a state, events, results and a track of its own."""
 

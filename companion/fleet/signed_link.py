@@ -149,6 +149,17 @@ class SignedLink:
         """Listen to the cells about this place."""
         self.link.hear_near(lat_deg, lon_deg)
 
+    def winds(self) -> list[bytes]:
+        """What a desk signed of the winds of others."""
+        found: list[bytes] = []
+        for raw in self.link.winds():
+            told = self.trust.told_winds(raw)
+            if isinstance(told, Refused):
+                self.refusals.note(told.reason)
+            else:
+                found.append(told)
+        return found
+
     def wind_cov_is_read(self) -> bool:
         """Whether all who asked for states of late read the covariance of the wind."""
         return self.link.wind_cov_is_read()

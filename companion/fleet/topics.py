@@ -5,6 +5,7 @@ leeway/FLEET/vehicle/ID/state        published about once a second; asked for, t
 leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `after=SEQ`, kept
 leeway/FLEET/vehicle/ID/track/CELL   published five times a second in the air, in the grid cell
                                      where it is (`track_cells`); heard by the vehicles near it
+leeway/FLEET/vehicle/ID/wind         published by the desk: the winds that others feel
 leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
 leeway/FLEET/station/ID/wind         published by a wind station as it measures
 leeway/FLEET/roster                  published by the desk when it changes; asked for, the newest
@@ -60,6 +61,10 @@ class VehicleKeys:
     def tracks(self, cell: str) -> str:
         """Those of the whole fleet in one cell."""
         return VehicleKeys(self.fleet, "*").track(cell)
+
+    @property
+    def wind(self) -> str:
+        return f"{self._base}/wind"
 
     @property
     def command(self) -> str:

@@ -14,7 +14,7 @@ import msgspec
 from companion.core.base.errors import LeewayError
 from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
-from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS, Role
+from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS, TELLS_WIND, Role
 from companion.fleet.roster import (
     WARN_DAYS,
     Roster,
@@ -105,6 +105,20 @@ class Trust:
         if self.is_over(member) and not isinstance(command.deed, Recall):
             return Refused(f"command: {member.name}'s certificate has expired")
         return SignedCommand(envelope.message, member.name)
+
+    def told_winds(self, raw: bytes) -> bytes | Refused:
+        """The winds of others that a desk signed. Who has expired is not asked any more: one's own
+        wind is there.
+        """
+        found = self._checked("winds", raw)
+        if isinstance(found, Refused):
+            return found
+        envelope, member = found
+        if member.role not in TELLS_WIND:
+            return Refused(f"winds: a {member.role.value} may not tell them ({member.name})")
+        if self.is_over(member):
+            return Refused(f"winds: {member.name}'s certificate has expired")
+        return envelope.message
 
     def _checked(self, kind: str, raw: bytes) -> tuple[Envelope, RosterMember] | Refused:
         envelope = read_envelope(kind, raw)

@@ -55,6 +55,9 @@ TRACKS_EACH = 8
 that comes behind the true one does not hide it. A look at a signature takes 0.1 ms.
 """
 
+WINDS_KEPT = 4
+"""Words of the winds of others: one comes every 10 s, and who signed it is seen only later."""
+
 AFTER = "after"
 ABOVE = "above"
 """A roster is asked for with the number of one's own: who has none above it does not answer."""
@@ -96,6 +99,7 @@ class ZenohLink:
         self._newer_told = False
         self._tracks: dict[str, deque[Told]] = {}
         self._tracks_lock = threading.Lock()
+        self._winds: deque[bytes] = deque(maxlen=WINDS_KEPT)
         self._place: tuple[float, float] | None = None
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
@@ -172,6 +176,16 @@ class ZenohLink:
                     return
                 box = self._tracks[speaker] = deque(maxlen=TRACKS_EACH)
             box.append(told)
+
+    def winds(self) -> list[bytes]:
+        """The newest few words of the winds of others since the last call, oldest first."""
+        found: list[bytes] = []
+        while self._winds:
+            found.append(self._winds.popleft())
+        return found
+
+    def _hear_winds(self, sample: zenoh.Sample) -> None:
+        self._winds.append(sample.payload.to_bytes())
 
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         """Listen to the cells about this place; the writer thread tells the network."""
@@ -284,6 +298,7 @@ class ZenohLink:
             session.declare_queryable(keys.state, self._hear_state_wanted),
             liveliness.declare_subscriber(keys.alive(), self._hear_alive, history=True),
             session.declare_subscriber(roster_key(keys.fleet), self._hear_roster),
+            session.declare_subscriber(keys.wind, self._hear_winds),
             liveliness.declare_token(keys.alive(self._life)),
         )
         self._session, self._held, self.trouble = session, held, ""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from companion.core.base.errors import LeewayError
+from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.event_log import BATCH
 from companion.fleet.membership import ON_ITS_OWN, JoinOptions
 from companion.fleet.messages import Command, Refused, Result, decode_result, encode
@@ -177,6 +178,12 @@ class ZenohFleet:
     def _sealed(self, command: Command) -> bytes:
         raw = encode(command)
         return raw if self._trust is None else self._trust.seal("command", raw)
+
+    def tell_winds(self, winds: SharedWinds) -> None:
+        """Tell one vehicle the winds that others feel, signed where we have an identity."""
+        raw = encode(winds)
+        sealed = raw if self._trust is None else self._trust.seal("winds", raw)
+        self._session.put(VehicleKeys(self._fleet, winds.vehicle).wind, sealed, express=True)
 
     def close(self) -> None:
         """Leave the network."""

@@ -230,6 +230,9 @@ class World:
         if member.on and not self.lost():
             self.waiting.append(EventsReceived(vehicle, member.events[after:], replayed=True))
 
+    def tell_winds(self, winds: object) -> None:
+        del winds
+
     def send(self, command: Command, wait_s: float) -> None:
         del wait_s
         member = next(m for m in self.everybody() if m.name == command.vehicle)

@@ -108,6 +108,9 @@ class Desk:
     def tracks(self) -> list[Told]:
         return []
 
+    def winds(self) -> list[bytes]:
+        return []
+
     def wind_cov_is_read(self) -> bool:
         return True
 

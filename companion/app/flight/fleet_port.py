@@ -36,6 +36,7 @@ from companion.core.mission.events import (
     HomeMoved,
     LimitsChanged,
     NeighbourHeard,
+    WindsTold,
 )
 from companion.core.pilot.neighbours.traffic_exchange import ALT_STD_M, POS_STD_M, VEL_STD_MPS
 from companion.core.pilot.pilot import Pilot
@@ -45,7 +46,7 @@ from companion.core.separation.track import Track
 from companion.core.separation.track_cells import cell_of
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.endurance import longest_flight_s
-from companion.fleet.command_log import CommandBook, Verdict
+from companion.fleet.command_log import FRESH_S, CommandBook, Verdict
 from companion.fleet.event_log import EventLog
 from companion.fleet.member import FleetMember
 from companion.fleet.messages import (
@@ -63,12 +64,16 @@ from companion.fleet.messages import (
     TruckDeed,
     Withdraw,
     decode_told_track,
+    decode_winds,
     encode,
 )
 from companion.fleet.network import MemberLink
 from companion.fleet.refusals import Refusals
 
 STATE_S = 1.0
+FUTURE_S = 0.5
+"""A word that rests on a state of ours from the future rests on none."""
+
 CURRENT = "current.json"
 STANDBY = "standby"
 
@@ -280,6 +285,25 @@ class FleetPort:
                 self.refusals.note(track.reason)
             elif told.speaker != self.vehicle:
                 found.append(NeighbourHeard(t_s, track))
+        return found
+
+    def winds(self, t_s: float) -> list[Event]:
+        """What the desk told of the winds that others feel; what is not for this life, or not of
+        now, is left out, and counted.
+        """
+        found: list[Event] = []
+        for raw in self.link.winds():
+            winds = decode_winds(raw)
+            if isinstance(winds, Refused):
+                self.refusals.note(winds.reason)
+                continue
+            age_s = self.uptime_s - winds.as_of_s
+            if winds.vehicle != self.vehicle or winds.life != self.life:
+                self.refusals.note("winds: told to another vehicle or life")
+            elif not -FUTURE_S <= age_s <= FRESH_S:
+                self.refusals.note(f"winds: {age_s:.0f} s old")
+            else:
+                found.append(WindsTold(t_s, winds, max(age_s, 0.0)))
         return found
 
     def _say_refused(self) -> None:

@@ -289,6 +289,7 @@ class Loop:
             self._give(self.autopilot.tick(t_s))
             if self.port is not None:
                 self._give(self.port.neighbours(t_s))
+                self._give(self.port.winds(t_s))
             self._give([Tick(t_s)])
         if is_due(self._beat_s, HEARTBEAT_S - 1e-6, t_s):
             self._beat_s = t_s

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from companion.core.separation.track import Track
+from companion.core.wind_field.shared_winds import SharedWinds
 
 
 class AutopilotKind(Enum):
@@ -373,6 +374,14 @@ class NeighbourHeard(Event):
     """Another vehicle of the fleet told where it is."""
 
     track: Track
+
+
+@dataclass(frozen=True, slots=True)
+class WindsTold(Event):
+    """The desk told the winds that others feel; it was valid from `age_s` before on."""
+
+    winds: SharedWinds
+    age_s: float
 
 
 CLAIM = "LW_SINCE"

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 
 from companion.core.base.geo import Ned
@@ -12,6 +13,7 @@ from companion.core.mission.flight_file import Flight
 from companion.core.monitor.doubts import NO_DOUBTS, Doubts
 from companion.core.monitor.figures import FlightFigures
 from companion.core.monitor.tally import FlightTally
+from companion.core.pilot.shared_wind import WORDS, SharedWind
 from companion.core.pilot.telemetry_state import (
     AIRSPEED_MAX_AGE_S,
     ATTITUDE_MAX_AGE_S,
@@ -21,7 +23,13 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     TelemetryState,
 )
-from companion.core.return_budget.budget import Ahead, Assessment, Gate, GateParams
+from companion.core.return_budget.budget import (
+    Ahead,
+    Assessment,
+    Gate,
+    GateParams,
+    is_less_hopeful,
+)
 from companion.core.return_budget.remaining_mission import hurried
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.air import Air
@@ -29,9 +37,10 @@ from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
 from companion.core.vehicle.power_bias import ModelError, PowerScale
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
-from companion.core.wind.forecast import WindOutlook
+from companion.core.wind.forecast import WindAhead, WindOutlook
 from companion.core.wind.observation import WindFilter
 from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.shared_winds import SharedWinds
 
 BATTERY_EVERY_S = 0.2
 STEADY_HEIGHT_M = 10.0
@@ -62,6 +71,21 @@ class Limits:
     reserve_frac: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What the gate said to one outlook, and what later decisions may risk."""
+
+    outlook: WindAhead
+    accepted_loss: float | None
+    seen: Assessment
+
+    def because(self, words: str) -> "_Answer":
+        """The same; its reason says by whom the wind is known."""
+        if not words:
+            return self
+        return replace(self, seen=replace(self.seen, reason=f"{self.seen.reason}; {words}"))
+
+
 class Estimates:
     """Holds the estimators and the gate of one vehicle."""
 
@@ -88,9 +112,9 @@ class Estimates:
         self.limits = Limits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = wind_filter or WindEstimator(airframe)
         in_doubt = doubts.wind_variance != 1.0
-        self._outlook = WindOutlook(
-            wind_process.times(doubts.wind_variance) if in_doubt else wind_process
-        )
+        believed = wind_process.times(doubts.wind_variance) if in_doubt else wind_process
+        self._outlook = WindOutlook(believed)
+        self._shared = SharedWind(believed)
         self._ledger = EnergyLedger(
             airframe,
             route_energy.hover_power_w(flight.vehicle.payload_kg),
@@ -146,6 +170,7 @@ class Estimates:
             if self._stated_outlook is not self._outlook:
                 self._stated_outlook.observe(self.wind)
             self._tally.wind(self.wind, self._stated_outlook)
+            self._shared.feel(now, self.wind)
         warnings = [f"wind: {words}" for words in left_out if words not in self._left_out]
         self._left_out.update(left_out)
         energy = self.energy
@@ -154,6 +179,14 @@ class Estimates:
             warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
             self._warned.update(kinds)
         return tuple(warnings)
+
+    def hear_winds(self, winds: SharedWinds, t_s: float, age_s: float) -> None:
+        """Take what the desk told of the winds that others feel, valid from `age_s` ago on."""
+        self._shared.hear(winds, t_s, age_s)
+
+    def wind_news(self, t_s: float) -> tuple[str, ...]:
+        """What is new of the fleet's wind, in words."""
+        return () if self.wind is None else self._shared.news(t_s, self._outlook, self.wind)
 
     def _watch_envelope(self, now: TelemetryState, t_s: float) -> tuple[str, ...]:
         temperature_c = None if self.air is None else self.air.known_temperature_c
@@ -294,19 +327,40 @@ class Estimates:
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
-        answer = self._gate_for(energy).assess(
-            ahead, self.wind, self._outlook, energy, self._model_error(), self._accepted_loss
-        )
+        gate, wind, error = self._gate_for(energy), self.wind, self._model_error()
+        accepted = self._accepted_loss
+
+        def ask(outlook: WindAhead) -> _Answer:
+            seen = gate.assess(ahead, wind, outlook, energy, error, accepted)
+            return _Answer(outlook, accepted, seen)
+
+        answer = self._in_shared_wind(ahead, wind.t_s, ask)
         if self.route_energy.speed_rule == "fastest":
             self._hurry(ahead, answer, energy)
-        return answer
+        return answer.seen
 
-    def _hurry(self, ahead: Ahead, seen: Assessment, energy: EnergyBelief) -> None:
+    def _in_shared_wind(
+        self, ahead: Ahead, t_s: float, ask: Callable[[WindAhead], "_Answer"]
+    ) -> "_Answer":
+        """The gate's answer in the wind that is believed. A front that was told counts only against
+        flying on: the less hopeful answer stands.
+        """
+        shared = self._shared
+        calm = ask(shared.outlook(ahead, self._outlook, t_s)).because(shared.used_words(t_s))
+        front = shared.with_front(ahead, calm.outlook, t_s)
+        if front is None:
+            return calm
+        behind = ask(front)
+        worse = is_less_hopeful(behind.seen, calm.seen)
+        return behind.because(f"{WORDS}: a front") if worse else calm
+
+    def _hurry(self, ahead: Ahead, answer: "_Answer", energy: EnergyBelief) -> None:
         """Find the fastest airspeed that the budget allows, by bisection, now and then.
 
         The decisions themselves are taken with the speed of least energy: that one can still be
         flown later, whatever was flown until then.
         """
+        seen = answer.seen
         if self.wind is None or (
             self._hurried_s is not None and 0.0 <= seen.t_s - self._hurried_s < HURRY_EVERY_S
         ):
@@ -318,7 +372,7 @@ class Estimates:
             faster = self._gate_for(energy).assess(
                 hurried(ahead, speed),
                 self.wind,
-                self._outlook,
+                answer.outlook,
                 energy,
                 self._model_error(),
                 self._accepted_loss,
@@ -337,10 +391,14 @@ class Estimates:
         energy = self.energy
         if energy is None or self.wind is None or not self.wind.valid:
             return None
-        self._accepted_loss, seen = self._gate_for(energy).depart(
-            ahead, self.wind, self._outlook, energy, self._model_error()
-        )
-        return seen
+        gate, wind, error = self._gate_for(energy), self.wind, self._model_error()
+
+        def ask(outlook: WindAhead) -> _Answer:
+            return _Answer(outlook, *gate.depart(ahead, wind, outlook, energy, error))
+
+        answer = self._in_shared_wind(ahead, wind.t_s, ask)
+        self._accepted_loss = answer.accepted_loss
+        return answer.seen
 
     def limit(self, limits: Limits) -> None:
         """The operator accepts something else from now on."""

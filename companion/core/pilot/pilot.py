@@ -54,6 +54,7 @@ from companion.core.mission.events import (
     StreamsAsked,
     Tick,
     VehicleState,
+    WindsTold,
 )
 from companion.core.mission.find_plan import PlanFound
 from companion.core.mission.flight_file import Flight
@@ -118,6 +119,7 @@ class ReportTimes:
     values_s: float | None = None
     wind_s: float | None = None
     saved_s: float | None = None
+    wind_news_s: float | None = None
 
 
 class Pilot:
@@ -314,6 +316,8 @@ class Pilot:
                 self._identified(event)
             case OrderRefused():
                 self._context.do(Note(f"{event.order} refused: {event.reason}"))
+            case WindsTold():
+                self._context.estimates.hear_winds(event.winds, event.t_s, event.age_s)
             case AutopilotText():
                 self._context.do(Note(f"autopilot: {event.text}"))
             case _:
@@ -345,6 +349,7 @@ class Pilot:
             context.say(Severity.WARNING, words)
         if late:
             return
+        self._tell_wind_news()
         if context.phase is Phase.RECOGNISE:
             self._resume.tick(context)
         else:
@@ -355,6 +360,19 @@ class Pilot:
             self._setpoints.tick(context)
             self._unanswered.tick(context)
         self._report()
+
+    def _tell_wind_news(self) -> None:
+        """Once a second in the air: what is new of the wind that the fleet tells."""
+        context = self._context
+        told_s = self._reported.wind_news_s
+        if context.phase not in FLIGHT_PHASES or (
+            told_s is not None and 0.0 <= context.t_s - told_s < REPORT_S - 1e-6
+        ):
+            return
+        self._reported.wind_news_s = context.t_s
+        for words in context.estimates.wind_news(context.t_s):
+            context.decide("fleet_wind", words)
+            context.say(Severity.NOTICE, words)
 
     def enter_phase(self, left: Phase, why: str) -> None:
         """Do what the new phase starts with; the context calls it at every transition."""

@@ -12,6 +12,7 @@ nothing depends on when they become known. A tail of 1 % is then a smooth number
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from companion.core.return_budget.leg_costs import LegTable
 from companion.core.return_budget.outcomes import Budget, Chances
@@ -21,7 +22,7 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import WindOutlook
+from companion.core.wind.forecast import WindAhead
 
 __all__ = ["Ahead", "Assessment", "Gate", "GateDecision", "GateParams", "Stage", "WayHome"]
 
@@ -88,6 +89,27 @@ class GateDecision:
     reason: str
 
 
+class TurnsBack(Protocol):
+    """An answer of the gate's: whether to turn back, and the probability of coming home."""
+
+    @property
+    def turn_back(self) -> bool:
+        """Fly the way home now."""
+        ...
+
+    @property
+    def p_home(self) -> float:
+        """By what is decided."""
+        ...
+
+
+def is_less_hopeful(one: TurnsBack, other: TurnsBack) -> bool:
+    """Whether `one` turns back where the other does not, or gives less for coming home."""
+    if one.turn_back != other.turn_back:
+        return one.turn_back
+    return one.p_home < other.p_home
+
+
 @dataclass(frozen=True, slots=True)
 class _Question:
     """One remaining mission as priced: for any number of accepted losses."""
@@ -109,7 +131,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None = None,
         accepted_loss: float | None = None,
@@ -133,7 +155,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None,
         accepted_losses: Sequence[float],
@@ -148,7 +170,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None = None,
     ) -> tuple[float, Assessment]:
@@ -174,7 +196,7 @@ class Gate:
         self,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         energy: EnergyBelief,
         model: ModelError | None,
     ) -> _Question:

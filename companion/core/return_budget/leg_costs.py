@@ -15,7 +15,7 @@ from companion.core.return_budget.remaining_mission import Ahead, Stage
 from companion.core.return_budget.wind_samples import PathSampler
 from companion.core.routing.leg_energy import OVER_M, Leg, LegKind, RouteEnergy
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import WindForecast, WindOutlook
+from companion.core.wind.forecast import WindAhead, WindForecast
 
 _NODES_S = np.array([0.0, 20.0, 45.0, 90.0, 150.0, 240.0, 360.0, 540.0, 800.0, 1200.0])
 _MERGE_M = 450.0  # straight cruise legs are merged up to this length
@@ -83,7 +83,7 @@ class LegTable:
         route_energy: RouteEnergy,
         ahead: Ahead,
         wind: WindBelief,
-        outlook: WindOutlook,
+        outlook: WindAhead,
         sampler: PathSampler,
     ) -> None:
         self._route_energy = route_energy
@@ -97,7 +97,8 @@ class LegTable:
         mean = wind.mean_to_ne_mps
         times = route_energy.costs(self._compiled, mean[None, :]).time_s[0]
         middle, arrival = self._schedule(times)
-        self._price(outlook.forecast(wind, _NODES_S), middle, arrival, sampler)
+        places = self._places_ne_m(middle)
+        self._price(outlook.on_way(wind, _NODES_S, places), middle, arrival, sampler)
 
     @property
     def stages(self) -> int:
@@ -206,6 +207,21 @@ class LegTable:
         if self._unattended is not None:
             _fill(middle, times, self._unattended, arrival[min(1, self.stages)])
         return np.minimum(middle, _NODES_S[-1]), np.minimum(arrival, _NODES_S[-1])
+
+    def _places_ne_m(self, middle: Floats) -> Floats:
+        """Where the vehicle is at each of the forecast's nodes, (nodes, 2): the mean of the legs
+        that may be flown about then. Where none is, as at the node before.
+        """
+        places = np.zeros((_NODES_S.size, 2))
+        if not self._legs:
+            return places
+        ends = np.array([(leg.from_ned_m[:2], leg.to_ned_m[:2]) for leg in self._legs])
+        at_leg, place = _weights(middle), ends[0, 0]
+        weight, moment = at_leg.sum(axis=0), at_leg.T @ ends.mean(axis=1)
+        for node in range(_NODES_S.size):
+            place = moment[node] / weight[node] if weight[node] > 0.0 else place
+            places[node] = place
+        return places
 
     def _price(
         self,

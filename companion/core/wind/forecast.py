@@ -9,6 +9,7 @@ as the process itself would have it.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -63,6 +64,14 @@ class WindForecast:
         return self.mean_to_ne_mps + paths + error
 
 
+class WindAhead(Protocol):
+    """Who foresees the wind along a way: from one's own wind, or with what others told."""
+
+    def on_way(self, belief: WindBelief, horizon_s: Floats, place_ne_m: Floats) -> WindForecast:
+        """The wind at each horizon (>= 0) at the place (n, 2) where one is then."""
+        ...
+
+
 class WindOutlook:
     """Follows the belief over the flight and forecasts the wind; one per vehicle."""
 
@@ -101,6 +110,11 @@ class WindOutlook:
         noise = min(self._noise_m2ps2, float(np.linalg.eigvalsh(belief.cov_ne_m2ps2)[0]))
         error = belief.cov_ne_m2ps2 - noise * np.eye(2)
         return WindForecast(horizon_s, mean, walk, error, self._process.tail_dof)
+
+    def on_way(self, belief: WindBelief, horizon_s: Floats, place_ne_m: Floats) -> WindForecast:
+        """The same wherever one is: one vehicle alone knows of one place."""
+        del place_ne_m
+        return self.forecast(belief, horizon_s)
 
     def snapshot(self) -> dict[str, object]:
         """What a checkpoint keeps (plain numbers and lists)."""

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field.agreement import contradicting
+from companion.core.wind_field.agreement import LEAST_TELLINGS, NEW_S, contradicting
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
 from companion.core.wind_field.tellings import (
     JOINED_S,
@@ -23,6 +23,7 @@ from companion.core.wind_field.tellings import (
     TELLING_S,
     KeptStretches,
     MemberTellings,
+    Stretch,
     WindTelling,
 )
 
@@ -30,6 +31,9 @@ MOST_STRETCHES = 150
 """With a hundred drones the newest two minutes; with eight all that is kept."""
 _CROWD = 12
 """More members than that join their fresh tellings over longer: there is enough of them."""
+
+_NEWER_S = 2.0
+"""A belief of this moment says something new so long after the last one that is kept."""
 
 _SPARE_STRETCHES = 3
 """Kept of each member beyond its share: some tell less often, or leave."""
@@ -90,17 +94,21 @@ class FieldBelief:
         self._members.pop(member, None)
 
     def settle(
-        self, now_s: float, always: str = "", firm: frozenset[str] = frozenset()
+        self,
+        now_s: float,
+        always: str = "",
+        firm: frozenset[str] = frozenset(),
+        newest: WindTelling | None = None,
     ) -> "SettledField":
         """The field as believed now. `always` is the vehicle itself: never left out. Nor is who is
-        `firm`: that is judged elsewhere.
+        `firm`: that is judged elsewhere. `newest`: what it feels at this moment, not kept.
         """
         each = MOST_STRETCHES // max(len(self._members), 1) + _SPARE_STRETCHES
         for name in list(self._members):
             self._members[name].forget(now_s, each)
-            if not self._members[name].stretches:
+            if not self._members[name].stretches and not self._members[name].is_frozen:
                 del self._members[name]
-        kept = KeptStretches.of(self._members, MOST_STRETCHES)
+        kept = KeptStretches.of(self._with(newest), MOST_STRETCHES)
         out: dict[str, str] = {}
         while True:
             settled = SettledField(self._process, self._prior, kept, now_s)
@@ -112,6 +120,15 @@ class FieldBelief:
                 return settled.leaving_out(out)
             out |= bad
             kept = kept.without(frozenset(bad))
+
+    def _with(self, newest: WindTelling | None) -> dict[str, MemberTellings]:
+        """All members, one of them with what it feels at this moment."""
+        if newest is None or newest.trouble():
+            return self._members
+        before = self._members.get(newest.member, MemberTellings()).stretches
+        if before and newest.t_s - before[-1].last[0] < _NEWER_S:
+            return self._members
+        return self._members | {newest.member: MemberTellings([*before, Stretch.of(newest)])}
 
 
 class SettledField:
@@ -128,6 +145,7 @@ class SettledField:
         """`gustier`: the process's variances are so many times as large."""
         self.left_out: dict[str, str] = {}
         self.now_s = now_s
+        self._gustier = gustier
         self._process, self._kept = process, kept
         self._height_m = float(kept.middle[:, 3].mean()) if kept.count.size else prior.height_m
         grown, doubt = process.shear(np.array([self._height_m]), prior.height_m)
@@ -198,6 +216,23 @@ class SettledField:
             shift = groups.T @ weighed
             total += np.divide(shift**2, error, out=np.zeros_like(error), where=error > 0.0)
         return total
+
+    def disagreement(self, member: str) -> float | None:
+        """Chi-square of two degrees that what a member tells fits what all the others tell: all
+        that it told, or its newest minute, whichever fits worse. None: one side has told too
+        little to compare.
+
+        As the process itself says it: a lie makes the air look gustier, and then it would fit.
+        """
+        kept = self._kept
+        if member not in kept.members:
+            return None
+        own = kept.member == kept.members.index(member)
+        if min(kept.count[own].sum(), kept.count[~own].sum()) < LEAST_TELLINGS:
+            return None
+        fresh = own & (self.now_s - kept.last[:, 0] <= NEW_S)
+        groups = np.stack([own, fresh] if fresh.any() else [own], axis=1).astype(np.float64)
+        return self._gustier * float(self.mean_shift_squares(groups).max())
 
     def _mean_wind(self) -> Floats:
         """What carries the eddies: the mean of what was told, or the prior."""

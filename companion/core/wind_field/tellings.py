@@ -152,6 +152,11 @@ class MemberTellings:
             self.stretches.append(fresh)
         return ""
 
+    @property
+    def is_frozen(self) -> bool:
+        """It has told the same so often that nothing of it is believed: that is not forgotten."""
+        return self._same_count >= FROZEN_COUNT
+
     def forget(self, now_s: float, most: int) -> None:
         """Join what is no longer fresh, drop what is old; the newest `most` stay."""
         kept: list[Stretch] = []

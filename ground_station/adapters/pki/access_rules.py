@@ -160,11 +160,12 @@ def _carries_all(fleet: str) -> list[Rule]:
 
 def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
     """A vehicle speaks for itself only, asks nothing, commands nobody, and hears of its neighbours'
-    places, and of others of its own name. (`track/**` is `track`, too: where vehicles of before
-    told them.)
+    places, of the winds that others feel, and of others of its own name. (`track/**` is `track`,
+    too: where vehicles of before told them.)
     """
     name, own = member.name, f"leeway/{fleet}/vehicle/{member.name}/**"
     everybody, tracks = f"leeway/{fleet}/vehicle/*/**", VehicleKeys(fleet, "*").track("**")
+    wind = VehicleKeys(fleet, name).wind
     says = ["put", "reply", "declare_queryable", "liveliness_token"]
     hears = ["query", "liveliness_token", "declare_queryable", "declare_subscriber"]
     twins = ["declare_liveliness_subscriber", "liveliness_query"]
@@ -172,6 +173,8 @@ def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
         _rule(f"{name}-says", "ingress", says, own),
         _rule(f"{name}-hears", "egress", hears, own),
         _rule(f"{name}-twins", "ingress", twins, f"leeway/{fleet}/vehicle/{name}/alive/**"),
+        _rule(f"{name}-wind-asks", "ingress", ["declare_subscriber"], wind),
+        _rule(f"{name}-wind-hears", "egress", ["put"], wind),
         _rule("state-asked", "egress", ["query"], VehicleKeys(fleet, "*").state),  # of all at once
         _rule("near-asks", "ingress", ["declare_subscriber"], tracks),
         _rule("near-hears", "egress", ["put"], tracks),

@@ -8,6 +8,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Dispatcher, Progress
 from ground_station.app.desk.exchange import Exchange
 from ground_station.app.desk.wind_guard import WindGuard
+from ground_station.app.desk.wind_teller import WindTeller
 from ground_station.core.fleet.fleet_status import VehicleStatus
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -26,7 +27,8 @@ second."""
 
 @dataclass(slots=True)
 class Desk:
-    """One dispatcher's desk over a fleet. `wind`: watches over it; None: nobody does.
+    """One dispatcher's desk over a fleet. `wind`: watches over it; None: nobody does, and vehicles
+    are told nothing of it.
 
     `moved_s`: when something last happened that brings the day on.
     """
@@ -34,6 +36,7 @@ class Desk:
     exchange: Exchange
     dispatcher: Dispatcher
     wind: WindGuard | None = None
+    teller: WindTeller | None = field(init=False, default=None)
     moved_s: float = field(init=False)
     _flown: set[str] = field(default_factory=set)
     _turned_s: float | None = None
@@ -44,6 +47,7 @@ class Desk:
         self.exchange.on_state = self._on_state
         if self.wind is not None:
             self.exchange.on_station = self.wind.on_station
+            self.teller = WindTeller(self.wind.wind, self.exchange.fleet)
 
     def _on_state(self, state: State) -> None:
         if self.wind is not None:
@@ -66,6 +70,8 @@ class Desk:
         exchange = self.exchange
         exchange.listen(wait_s)
         now_s = exchange.clock.monotonic_s()
+        if self.teller is not None:
+            self.teller.turn(exchange.status, now_s)
         changed = exchange.changed
         if now_s < self._rests_until_s:
             return

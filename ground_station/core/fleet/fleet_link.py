@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.messages import Command, FleetEvent, Result, State
 from ground_station.core.fleet.station_message import StationWind
 
@@ -83,6 +84,10 @@ class FleetLink(Protocol):
 
     def send(self, command: Command, wait_s: float) -> None:
         """Send a command. Its answer, or the time-out, is received."""
+        ...
+
+    def tell_winds(self, winds: SharedWinds) -> None:
+        """Tell one vehicle the winds that others feel; what is lost is told anew soon."""
         ...
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.separation.track_cells import HeardCells, cell_of
+from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.messages import (
     Command,
     FleetEvent,
@@ -198,6 +199,7 @@ class BusLink:
     state: bytes = b""
     _waiting: list[Asked] = field(default_factory=list)
     _tracks: list[Told] = field(default_factory=list)
+    _winds: list[bytes] = field(default_factory=list)
     _cells: HeardCells = field(default_factory=HeardCells)
 
     def asked(self) -> list[Asked]:
@@ -242,6 +244,15 @@ class BusLink:
         """Neighbours' tracks received since the last call."""
         tracks, self._tracks = self._tracks, []
         return tracks
+
+    def winds(self) -> list[bytes]:
+        """What desks told of the winds of others since the last call."""
+        winds, self._winds = self._winds, []
+        return winds
+
+    def hear_winds(self, raw: bytes) -> None:
+        """Queue what a desk told."""
+        self._winds.append(raw)
 
     def wind_cov_is_read(self) -> bool:
         """Every desk here is of this version."""
@@ -338,6 +349,12 @@ class BusFleet:
             asked = Asked(Ask.COMMAND, self._once(command.vehicle, take), payload)
             self.bus.post(link.vehicle, lambda link=link, asked=asked: link.hear(asked))
         self.bus.later(wait_s, lambda: conclude(None))
+
+    def tell_winds(self, winds: SharedWinds) -> None:
+        """Tell a vehicle the winds that others feel."""
+        raw = encode(winds)
+        for link in self.bus.links_of(winds.vehicle):
+            self.bus.post(winds.vehicle, lambda link=link: link.hear_winds(raw))
 
     def _decoded(self, vehicle: str, raw: bytes, decode: Callable[[bytes], Any]) -> Any:
         message = decode(raw)

@@ -46,6 +46,31 @@ def fleet_wind(
     alert_draws: Annotated[
         int, typer.Option(min=0, help="Fields drawn about each half, in which alerts are judged.")
     ] = 12,
+    missions: Annotated[
+        int, typer.Option(min=0, help="Missions to fly by each policy; 0: none.")
+    ] = 0,
+    mission_draws: Annotated[
+        int, typer.Option(min=1, help="Fields drawn about each half, in which missions are flown.")
+    ] = 3,
+    wind_air: Annotated[
+        float, typer.Option(min=0.05, max=1.5, help="Of missions: mean wind over airspeed.")
+    ] = 0.4,
+    tier: Annotated[
+        str, typer.Option(help="Of missions, as promise has it: hard or easy.")
+    ] = "hard",
+    max_loss: Annotated[
+        float,
+        typer.Option(min=0.0001, max=0.5, help="Share of the missions that may be lost."),
+    ] = 0.01,
+    lie: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=20.0,
+            help="Fly missions again with a desk that adds so many m/s of tailwind for the way home"
+            " to all that it tells; 0: not.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of fields, ways, noise and fronts.")] = 1,
     json: Annotated[Path | None, typer.Option(help="Write all figures here.")] = None,
     jobs: Jobs = 0,
@@ -57,15 +82,22 @@ def fleet_wind(
     """Wind known from own data alone against wind known by all, in fields that lose coherence.
 
     Errors at each drone's own place and where nobody is, with honest members and with one that
-    lies, is frozen or mute; fronts told ahead, and false alerts. Ctrl-C keeps what is done: the
-    same command goes on.
+    lies, is frozen or mute; fronts told ahead, and false alerts. With --missions also deliveries,
+    decided by the flight's own gate, with own wind alone and with what the fleet tells, where both
+    lose the same. Ctrl-C keeps what is done: the same command goes on.
 
     Example: sim-bridge research fleet-wind --wind-log site.csv --drones 8 --json fleet.json
     """
     import msgspec
 
     from sim_bridge.adapters.journal import Journal, digest_of
-    from sim_bridge.research.fleet_wind import sheets
+    from sim_bridge.research.fleet_wind import mission_verdict, sheets
+    from sim_bridge.research.fleet_wind.mission_study import (
+        MissionSetting,
+        MissionsFlown,
+        fly_missions,
+        works_of,
+    )
     from sim_bridge.research.fleet_wind.study import (
         DrawResult,
         FleetWindSetting,
@@ -80,8 +112,12 @@ def fleet_wind(
         raise LeewayError("expected either --wind-log or --field")
     if hovering > drones:
         raise LeewayError(f"--hovering {hovering}: expected at most --drones, {drones}")
-    if max(draws, alert_draws) < 1:
-        raise LeewayError("--draws 0, --alert-draws 0: expected one of them to be 1 or more")
+    if tier not in ("hard", "easy"):
+        raise LeewayError(f"--tier {tier}: expected hard or easy")
+    if max(draws, alert_draws, missions) < 1:
+        raise LeewayError(
+            "--draws 0, --alert-draws 0, --missions 0: expected one of them to be 1 or more"
+        )
     made = None if field is None else made_field(field)
     setting = FleetWindSetting(
         wind_log=None if wind_log is None else str(wind_log),
@@ -108,9 +144,22 @@ def fleet_wind(
     for stem, sheet in shown.items():
         sheet.write(out, stem)
         typer.echo(sheet.markdown())
+    document = sheets.as_document(setting, ordinary, front, alerts)
+    if missions:
+        asked = MissionSetting(setting, mission_draws, missions, wind_air, tier, max_loss, lie)
+        pieces = works_of(asked)
+        name = digest_of(pieces)
+        half_flown = Journal(out / f"{name[:12]}.missions.partial", name, MissionsFlown)
+        flown = run_journaled("missions", pieces, fly_missions, jobs, half_flown)
+        ends = mission_verdict.MissionEnds.of(flown, seed)
+        for stem, sheet in mission_verdict.mission_sheets(ends, flown, asked).items():
+            sheet.write(out, stem)
+            typer.echo(sheet.markdown())
+        document["missions"] = mission_verdict.mission_row(ends, max_loss)
+        document["missions_flown"] = mission_verdict.mission_setting_row(ends, flown, asked)
+        half_flown.remove()
     sheets.draw_field(out / "fleet_wind.png", setting)
     if json is not None:
-        document = sheets.as_document(setting, ordinary, front, alerts)
         write_whole(json, msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
     typer.echo(f"wrote {out}", err=True)
     kept.remove()

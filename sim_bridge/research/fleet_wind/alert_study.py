@@ -98,6 +98,15 @@ def _errors(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
 
 def alerts_in(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontAhead]:
     """New fronts, in order of time; what is better known later is left out."""
+    found: dict[float, FrontAhead] = {}
+    for front in fronts_known(told, names, watch):
+        if front.noticed_s == max(one.t_s for one in front.felt):
+            found.setdefault(front.noticed_s, front)
+    return list(found.values())
+
+
+def fronts_known(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontAhead]:
+    """Fronts each time that they are new or better known, in order of time."""
     found: list[FrontAhead] = []
     variance = TOLD_STD_MPS**2
     for k, t_s in enumerate(told.t_s):
@@ -113,9 +122,7 @@ def alerts_in(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontA
                 (variance, 0.0, variance),
             )
             front = watch.hear(told_now)
-            if front is None or front.noticed_s != t_s:
-                continue
-            if not found or found[-1].noticed_s != t_s:
+            if front is not None:
                 found.append(front)
     return found
 

@@ -103,6 +103,14 @@ def case_names(setting: FleetWindSetting) -> tuple[str, ...]:
     return tuple(half.name for half in halves_of(Path(setting.wind_log)))
 
 
+def mean_wind_mps(setting: FleetWindSetting) -> float:
+    """Mean speed of the wind that is judged."""
+    if setting.wind_log is None:
+        return _made(setting).mean_mps
+    halves = halves_of(Path(setting.wind_log))
+    return float(np.mean([np.hypot(*half.wind_ne_mps.T).mean() for half in halves]))
+
+
 def draws_of(setting: FleetWindSetting, errors: int, alerts: int) -> list[FieldDraw]:
     """So many draws of each case: the first `errors` judge errors, the first `alerts` alerts."""
     cases = range(len(case_names(setting)))

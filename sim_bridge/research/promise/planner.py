@@ -8,6 +8,7 @@ is recorded at departure, half way out and over the customer. The gate is
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -19,12 +20,13 @@ from companion.core.return_budget.budget import (
     GateParams,
     Stage,
     WayHome,
+    is_less_hopeful,
 )
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import LEG_S, WindForecast, WindOutlook
+from companion.core.wind.forecast import LEG_S, WindAhead, WindForecast, WindOutlook
 from companion.core.wind.process import WindProcessParams
 from sim_bridge.research.promise.truth import Profile
 
@@ -76,6 +78,18 @@ class PlannerParams:
     """Factor on the forecast's standard deviation, calibrated on other blocks."""
 
 
+class WindForesight(Protocol):
+    """What foresees the wind of one mission from what its vehicle feels, in order of time."""
+
+    def observe(self, belief: WindBelief) -> None:
+        """Take a belief."""
+        ...
+
+    def outlooks(self, t_s: float) -> tuple[WindAhead, ...]:
+        """What to ask the gate with; of several answers the least hopeful one stands."""
+        ...
+
+
 class SpreadOutlook(WindOutlook):
     """The flight's outlook with its standard deviation scaled by a calibrated factor."""
 
@@ -89,6 +103,11 @@ class SpreadOutlook(WindOutlook):
         """As the outlook's, with the walk's covariance times the factor squared."""
         seen = super().forecast(belief, horizon_s, averaged_s)
         return replace(seen, walk_cov_m2ps2=self._spread**2 * seen.walk_cov_m2ps2)
+
+    def outlooks(self, t_s: float) -> tuple[WindAhead, ...]:
+        """Itself alone."""
+        del t_s
+        return (self,)
 
 
 class Planner:
@@ -104,10 +123,12 @@ class Planner:
         watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
         return self._ask(watch, 0.0, 0.0, seen, p.budget_wh, list(p.accepted))
 
-    def fly(self, seen: MissionView, rng: np.random.Generator) -> list[Decided]:
-        """One mission under each accepted risk."""
+    def fly(
+        self, seen: MissionView, rng: np.random.Generator, foresight: WindForesight | None = None
+    ) -> list[Decided]:
+        """One mission under each accepted risk. `foresight`: other than by one's own wind alone."""
         p = self._params
-        watch = _Watch(seen, rng, SpreadOutlook(p.process, p.spread))
+        watch = _Watch(seen, rng, foresight or SpreadOutlook(p.process, p.spread))
         turn_s = [math.inf] * len(p.accepted)
         said: list[list[float | None]] = [[None] * len(PHASES) for _ in p.accepted]
         half_said = False
@@ -156,7 +177,18 @@ class Planner:
         )
         ahead = ahead_of(p.profile, seen.unit_ne, here_m, seen.distance_m, step_m)
         energy = EnergyBelief(t_s, left_wh, p.pack_std_wh, p.budget_wh, "counted")
-        return self._gate.decide_each(ahead, belief, watch.outlook, energy, p.model, accepted)
+        answers = [
+            self._gate.decide_each(ahead, belief, outlook, energy, p.model, accepted)
+            for outlook in watch.outlook.outlooks(t_s)
+        ]
+        return [_least_hopeful(each) for each in zip(*answers, strict=True)]
+
+
+def _least_hopeful(answers: tuple[GateDecision, ...]) -> GateDecision:
+    least = answers[0]
+    for other in answers[1:]:
+        least = other if is_less_hopeful(other, least) else least
+    return least
 
 
 def _interpolated(by_second: Floats, t_s: float) -> float:
@@ -167,7 +199,7 @@ def _interpolated(by_second: Floats, t_s: float) -> float:
 class _Watch:
     """Wind seen so far: 5-second means of noisy seconds, passed to the outlook in order."""
 
-    def __init__(self, seen: MissionView, rng: np.random.Generator, outlook: WindOutlook) -> None:
+    def __init__(self, seen: MissionView, rng: np.random.Generator, outlook: WindForesight) -> None:
         noise = NOISE_MPS * rng.standard_normal(seen.wind_ne_mps.shape)
         self._noisy = seen.wind_ne_mps + noise
         self._history_s = seen.history_s

@@ -115,6 +115,9 @@ class ScriptedJudge:
         self.t_s = now.t_s
         return ()
 
+    def wind_news(self, t_s: float) -> tuple[str, ...]:
+        return ()
+
     def figures(self) -> FlightFigures:
         return FlightFigures()
 

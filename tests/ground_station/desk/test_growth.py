@@ -62,6 +62,9 @@ class Fleet:
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None: ...
     def close(self) -> None: ...
 
+    def tell_winds(self, winds: object) -> None:
+        del winds
+
     def send(self, command: Command, wait_s: float) -> None:
         vehicle, deed = command.vehicle, command.deed
         if isinstance(deed, Assign):

@@ -42,6 +42,9 @@ class Wire:
     def ask_states(self, wait_s: float) -> None: ...
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None: ...
 
+    def tell_winds(self, winds: object) -> None:
+        del winds
+
     def send(self, command: Command, wait_s: float) -> None:
         self.sent.append(command)
 

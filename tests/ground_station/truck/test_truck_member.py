@@ -73,6 +73,9 @@ class Wire:
     def tracks(self) -> list[Told]:
         return []
 
+    def winds(self) -> list[bytes]:
+        return []
+
     def wind_cov_is_read(self) -> bool:
         return True
 

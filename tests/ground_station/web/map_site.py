@@ -64,6 +64,9 @@ class MapEars:
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         self.events_asked.append(vehicle)
 
+    def tell_winds(self, winds: object) -> None:
+        del winds
+
     def send(self, command: Command, wait_s: float) -> None:
         self.sent.append(command)
 

@@ -1,0 +1,104 @@
+"""The desk's word to each vehicle that flies, or is about to: the winds that others feel.
+
+It passes on tellings of those that it believes itself, nearest first, and a front as soon as it is
+known. What a vehicle makes of them is the vehicle's to decide.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import msgspec
+
+from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.shared_winds import (
+    MOST_AGE_S,
+    MOST_TOLD,
+    TOLD_EVERY_S,
+    SharedWinds,
+    ToldWind,
+    told_front,
+)
+from companion.core.wind_field.tellings import WindTelling
+from companion.fleet.messages import State
+from ground_station.core.fleet.fleet_link import FleetLink
+from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.fleet.truck_state import TRUCK
+
+FRONT_TOLD_TIMES = 3
+"""A front is told so often each time that it is new or better known: words may be lost."""
+
+
+@dataclass(slots=True)
+class _Told:
+    """What one vehicle was told last."""
+
+    t_s: float = -math.inf
+    front: FrontAhead | None = None
+    front_times: int = 0
+
+
+@dataclass(slots=True)
+class WindTeller:
+    """One desk's. Times are of its own clock."""
+
+    wind: SiteWind
+    fleet: FleetLink
+    _told: dict[str, _Told] = field(default_factory=dict)
+
+    def turn(self, status: FleetStatus, now_s: float) -> None:
+        """Tell all who are due."""
+        fronts = self.wind.fronts_now(now_s)
+        front = fronts[-1] if fronts else None
+        believed: list[WindTelling] | None = None
+        for name in sorted(status.vehicles):
+            seen = status.of(name)
+            state = seen.state
+            if state is None or seen.heard_s is None or not seen.present(now_s):
+                continue
+            told = self._told.setdefault(name, _Told())
+            new = front is not None and front is not told.front
+            if not _may_fly(state) or not (new or now_s - told.t_s >= TOLD_EVERY_S):
+                continue
+            if new:
+                told.front, told.front_times = front, 0
+            if believed is None:
+                believed = self.wind.believed(now_s, MOST_AGE_S)
+            winds = self._word(state, seen.heard_s, believed, told)
+            if winds is not None:
+                told.t_s = now_s
+                told.front_times += 1
+                self.fleet.tell_winds(winds)
+
+    def _word(
+        self, state: State, heard_s: float, believed: list[WindTelling], told: _Told
+    ) -> SharedWinds | None:
+        """The word that rests on this state, heard at `heard_s`; None: there is nothing to tell."""
+        assert state.lat_deg is not None
+        assert state.lon_deg is not None
+        north, east = here = self.wind.place_ne_m(state.lat_deg, state.lon_deg)
+        others = [one for one in believed if one.member != state.vehicle]
+        others.sort(key=lambda one: (math.dist(one.place_ne_m, here), one.member))
+        winds = [
+            ToldWind.of(one, one.place_ne_m[0] - north, one.place_ne_m[1] - east, heard_s - one.t_s)
+            for one in others[:MOST_TOLD]
+            if heard_s - one.t_s <= MOST_AGE_S
+        ]
+        front = told.front if told.front_times < FRONT_TOLD_TIMES else None
+        if not winds and front is None:
+            return None
+        return SharedWinds(
+            vehicle=state.vehicle,
+            life=state.life,
+            as_of_s=round(state.uptime_s, 1),
+            lat_deg=round(state.lat_deg, 4),
+            lon_deg=round(state.lon_deg, 4),
+            told=winds,
+            front=msgspec.UNSET if front is None else told_front(front, here, heard_s),
+        )
+
+
+def _may_fly(state: State) -> bool:
+    """Whether it flies, or has what to fly for, and is where its state says."""
+    placed = state.lat_deg is not None and state.lon_deg is not None
+    return placed and state.airframe != TRUCK and bool(state.armed or state.assignment)

@@ -1,0 +1,126 @@
+"""What a desk tells each vehicle of the winds that others feel, and when."""
+
+from dataclasses import dataclass, field
+
+import msgspec
+
+from companion.core.wind_field.shared_winds import MOST_TOLD, TOLD_EVERY_S, SharedWinds
+from companion.fleet.messages import State
+from ground_station.app.desk.wind_teller import WindTeller
+from ground_station.core.fleet.fleet_status import FleetStatus
+from tests.ground_station.fleet.test_site_wind import PLACES, Air, front_comes
+
+
+@dataclass
+class Ear:
+    """A network that keeps what vehicles are told."""
+
+    told: list[SharedWinds] = field(default_factory=list)
+
+    def tell_winds(self, winds: SharedWinds) -> None:
+        self.told.append(winds)
+
+
+class Site:
+    """Drones that tell a wind once a second, and a desk that takes its turn as often."""
+
+    def __init__(self, **more: object) -> None:
+        self.air, self.ear = Air(**more), Ear()  # type: ignore[arg-type]
+        self.teller = WindTeller(self.air.wind, self.ear)  # type: ignore[arg-type]
+        self.status = FleetStatus()
+        on_state = self.air.wind.on_state
+
+        def hear(state: State, t_s: float):
+            self.status.on_state(state, t_s, state.epoch_us)
+            self.status.of(state.vehicle).lives = {state.life}
+            return on_state(state, t_s)
+
+        self.air.wind.on_state = hear  # type: ignore[method-assign]
+
+    def blow(self, for_s: float, silent: frozenset[str] = frozenset()) -> list[SharedWinds]:
+        before = len(self.ear.told)
+        for _ in range(round(for_s)):
+            self.air.blow(1.0, silent)
+            self.teller.turn(self.status, self.air.t_s)
+        return self.ear.told[before:]
+
+
+def of(told: list[SharedWinds], vehicle: str) -> list[SharedWinds]:
+    return [one for one in told if one.vehicle == vehicle]
+
+
+def test_each_in_the_air_is_told_of_the_others_nearest_first_every_ten_seconds():
+    site = Site()
+    site.blow(60.0)
+    told = of(site.blow(10.0 * TOLD_EVERY_S), "d1")
+    assert 9 <= len(told) <= 11
+    for winds in told:
+        names = [one.member for one in winds.told]
+        assert "d1" not in names
+        assert set(names) == PLACES.keys() - {"d1"}
+        assert len(names) <= MOST_TOLD
+        away = [one.north_m**2 + one.east_m**2 for one in winds.told]
+        assert away == sorted(away)
+        d2 = next(one for one in winds.told if one.member == "d2")
+        assert abs(d2.north_m - (PLACES["d2"][0] - PLACES["d1"][0])) <= 12  # 1e-4 degrees
+        assert abs(d2.east_m - (PLACES["d2"][1] - PLACES["d1"][1])) <= 12
+        assert d2.age_s <= 1
+        state = site.status.of("d1").state
+        assert state is not None
+        assert winds.life == state.life
+
+
+def test_who_stands_by_without_an_assignment_is_told_nothing():
+    site = Site(armed=False, assignment=None)
+    assert site.blow(60.0) == []
+
+
+def test_who_has_fallen_silent_is_told_nothing_and_his_wind_is_not_told_for_long():
+    site = Site()
+    site.blow(60.0)
+    silent = frozenset({"d2"})
+    site.blow(30.0, silent)
+    late = site.blow(30.0, silent)
+    assert late
+    assert not of(late, "d2")
+    assert all(one.member != "d2" for winds in late for one in winds.told)
+
+
+def test_who_is_left_out_by_the_desk_is_not_passed_on():
+    site = Site()
+    site.blow(120.0)
+    site.air.mean["d3"] = site.air.mean["d3"] + (12.0, 0.0)
+    site.blow(240.0)
+    told = site.blow(60.0)
+    assert "d3" in site.air.wind.left_out(site.air.t_s)
+    assert told
+    assert all(one.member != "d3" for winds in told for one in winds.told)
+    assert of(told, "d3"), "it is told itself, as all are"
+
+
+def test_a_front_is_told_at_once_to_all_and_three_times():
+    site = Site()
+    site.blow(120.0)
+    site.ear.told.clear()
+    blown, seen_s = site.air.blow, []
+
+    def blow(for_s: float, silent: frozenset[str] = frozenset()) -> None:
+        blown(for_s, silent)
+        if site.air.wind.fronts and not seen_s:
+            seen_s.append(site.air.t_s)
+        before = len(site.ear.told)
+        site.teller.turn(site.status, site.air.t_s)
+        for winds in site.ear.told[before:]:
+            if winds.front is not msgspec.UNSET:
+                told_s.setdefault(winds.vehicle, []).append(site.air.t_s)
+
+    told_s: dict[str, list[float]] = {}
+    site.air.blow = blow  # type: ignore[method-assign]
+    front_comes(site.air, (0.0, 9.0), 10.0, 60.0)
+    assert seen_s
+    assert told_s.keys() == PLACES.keys()
+    for times in told_s.values():
+        assert times[0] == seen_s[0]
+        assert len(times) >= 3
+    site.air.blow = blown  # type: ignore[method-assign]
+    assert all(winds.front is msgspec.UNSET for winds in site.blow(60.0)[-4:])
