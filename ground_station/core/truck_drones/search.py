@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ground_station.core.truck_drones.changed_plan import changed_makespan_s, note_simulation
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
@@ -61,13 +62,17 @@ def _copy(source, target):
 
 @compiled
 def anneal(
-    t, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
+    t, kept, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
 ):
     """Try `trials` moves while the temperature falls from `hot_s` to `cold_s`, s of makespan.
 
     Changes `plan`, `best`, `place` and `costs_s` (of plan and best). A move is accepted when the
     makespan rises by no more than temperature x Exp(1), so hopeless simulations stop early.
+    `kept`: work of the plan's own simulation; `w`: that of the moves.
     """
+    whole_only = t.air.priced or costs_s[0] == IMPOSSIBLE
+    if not whole_only:
+        note_simulation(t, plan, kept)
     cooling = (cold_s / hot_s) ** (1.0 / trials)
     temperature_s = hot_s
     for _ in range(trials):
@@ -78,11 +83,16 @@ def anneal(
         if not any_move(t, spare_plan, spare_place, stream):
             continue
         give_up_s = costs_s[0] - temperature_s * math.log(1.0 - uniform(stream))
-        makespan_s = simulate(t, spare_plan, w, give_up_s)
+        if whole_only:
+            makespan_s = simulate(t, spare_plan, w, give_up_s)
+        else:
+            makespan_s = changed_makespan_s(t, plan, kept, costs_s[0], spare_plan, w, give_up_s)
         if makespan_s > give_up_s:
             continue
         _copy(spare_plan, plan)
         index_route(plan, place)
+        if not whole_only:
+            makespan_s = note_simulation(t, plan, kept)
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
             costs_s[1] = makespan_s
@@ -102,7 +112,7 @@ class Search:
         """`start`: a plan to begin with, instead of the first plan."""
         self._problem, self._params = problem, params
         self._tables = tables_of(problem)
-        self._work = work_for(self._tables)
+        self._kept, self._work = work_for(self._tables), work_for(self._tables)
         first = first_plan(problem, self._tables, self._work) if start is None else start
         self._plan = first.copy()
         self._place = np.zeros(problem.nodes, dtype=np.int32)
@@ -124,6 +134,7 @@ class Search:
         params = self._params
         anneal(
             self._tables,
+            self._kept,
             self._work,
             self._plan,
             self.best,
