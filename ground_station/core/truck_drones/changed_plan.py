@@ -47,7 +47,15 @@ SAME_SHIFT_S = 1e-8
 def note_simulation(t, plan, w):
     """The makespan, with all that `changed_makespan_s` needs of this plan's simulation in `w`."""
     makespan_s = simulate(t, plan, w, IMPOSSIBLE)
-    whole = w.whole
+    _note_spans(plan, w.whole)
+    return makespan_s
+
+
+@compiled
+def _note_spans(plan, whole):
+    """By place: where a pass must begin so that all before it stays (RESTART), whether a sortie
+    that was put off is in the air (SPANNED), and the last meeting of those in the air (FURTHEST).
+    """
     end = plan.shape[1] - 1
     places = whole[PLACE, end] + 1
     for at in range(places):
@@ -60,9 +68,8 @@ def note_simulation(t, plan, w):
             continue
         first, last = whole[PLACE, launch], whole[PLACE, plan[MEET, customer]]
         pushed = whole[PUSHES, customer] > 0
-        several = (
-            whole[NEXT_LAUNCH, customer] != NOWHERE or whole[FIRST_LAUNCH, launch] != customer
-        )
+        # The order of two launches of one stop depends on where they are met.
+        several = whole[NEXT_LAUNCH, customer] != NOWHERE or whole[FIRST_LAUNCH, launch] != customer
         for at in range(first + 1, last + 1):
             whole[FURTHEST, at] = max(whole[FURTHEST, at], last)
             if pushed or several:
@@ -71,7 +78,47 @@ def note_simulation(t, plan, w):
                 whole[SPANNED, at] = 1
     for at in range(places):
         whole[RESTART, at] = whole[RESTART, whole[RESTART, at]]
-    return makespan_s
+
+
+@compiled
+def adopt(plan, kept, w, begin, at, shift_s):
+    """Make a simulation of `changed_makespan_s`, which passed the places from `begin` to before
+    `at`, that of the new plan, in `kept`: what came before is as it was, what follows is shifted.
+    """
+    whole, times_s, free = w.whole, w.times_s, w.free
+    was, was_s, had = kept.whole, kept.times_s, kept.free
+    end = plan.shape[1] - 1
+    places = whole[PLACE, end] + 1
+    longer = places - 1 - was[PLACE, end]
+    for to in range(begin):
+        times_s[ARRIVE, to], times_s[DEPART, to] = was_s[ARRIVE, to], was_s[DEPART, to]
+        for kind in range(free.shape[1]):
+            free[to, kind] = had[to, kind]
+    for to in range(at, places):
+        times_s[ARRIVE, to] = was_s[ARRIVE, to - longer] + shift_s
+        times_s[DEPART, to] = was_s[DEPART, to - longer] + shift_s
+        for kind in range(free.shape[1]):
+            free[to, kind] = had[to - longer, kind]
+    for customer in range(1, end):
+        launch = plan[LAUNCH, customer]
+        if launch == NOWHERE:
+            continue
+        if whole[PLACE, launch] < begin:
+            whole[PUSHES, customer] = was[PUSHES, customer]
+            times_s[RELEASE, customer] = was_s[RELEASE, customer]
+        elif whole[PLACE, launch] >= at:
+            times_s[LAUNCHED, customer] = was_s[LAUNCHED, customer] + shift_s
+            whole[PUSHES, customer] = was[PUSHES, customer]
+            if was[PUSHES, customer] > 0:
+                times_s[RELEASE, customer] = was_s[RELEASE, customer] + shift_s
+    for node in range(end + 1):
+        for row in (PLACE, PUSHES, FIRST_LAUNCH, NEXT_LAUNCH):
+            was[row, node] = whole[row, node]
+        for row in (ARRIVE, DEPART, LAUNCHED, FLY, SPARE, RELEASE):
+            was_s[row, node] = times_s[row, node]
+        for kind in range(free.shape[1]):
+            had[node, kind] = free[node, kind]
+    _note_spans(plan, was)
 
 
 @compiled
@@ -190,17 +237,19 @@ def _take_back(t, kept, plan, w, first, begin):
 
 @compiled
 def _aboard_alike(free, at, had, before):
+    alike = True
     for kind in range(free.shape[1]):
-        if free[at, kind] != had[before, kind]:
-            return False
-    return True
+        alike = alike and free[at, kind] == had[before, kind]
+    return alike
 
 
 @compiled
 def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
     """`simulate` of a plan near `old`, whose makespan is `old_s` and whose simulation in `kept`
-    was made by `note_simulation`. What is left in `w` is no whole simulation. Layers are not
-    priced.
+    was made by `note_simulation` or `adopt`. Layers are not priced.
+
+    Returns the makespan, and for `adopt` the first place passed and the one after the last, and
+    the shift of time there. Both are 0 where nothing has changed.
     """
     whole, times_s, free = w.whole, w.times_s, w.free
     was, was_s, had = kept.whole, kept.times_s, kept.free
@@ -208,13 +257,13 @@ def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
     places, first, last = _index_route(t, old, was, plan, whole, times_s)
     first, last = _index_sorties(t, old, was, was_s, plan, whole, times_s, first, last)
     if first < 0:
-        return IMPOSSIBLE
+        return IMPOSSIBLE, 0, 0, 0.0
     end = plan.shape[1] - 1
     for kind in range(min(free.shape[1], end + 1)):
         if plan[IDLE, kind] != old[IDLE, kind]:
             first, last = 0, places
     if first == places:
-        return old_s
+        return old_s, 0, 0, 0.0
     begin = was[RESTART, first]
     _sum_work(t, plan, times_s, begin, places - 2)
     if begin == 0:
@@ -236,7 +285,7 @@ def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
     at = begin
     while at < places:
         if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > give_up_s:
-            return IMPOSSIBLE
+            return IMPOSSIBLE, 0, 0, 0.0
         if at > last:
             arrived_s = was_s[ARRIVE, at - longer]
             now_s = times_s[ARRIVE, at] - arrived_s
@@ -248,10 +297,10 @@ def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
                 and min(arrived_s, arrived_s + now_s) >= t.fixed_until_s
                 and _aboard_alike(free, at, had, at - longer)
             ):
-                return old_s + now_s
+                return old_s + now_s, begin, at, now_s
         go_on = visit(t, plan, whole, times_s, free, launch_s, recover_s, at)
         if go_on < 0:
-            return IMPOSSIBLE
+            return IMPOSSIBLE, 0, 0, 0.0
         if go_on <= at:
             if go_on < begin:
                 _take_back(t, kept, plan, w, go_on, begin)
@@ -270,4 +319,4 @@ def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
                         uniform = max(uniform, to)
                 customer = whole[NEXT_LAUNCH, customer]
         at = go_on
-    return times_s[DEPART, places - 1]
+    return times_s[DEPART, places - 1], begin, places, 0.0

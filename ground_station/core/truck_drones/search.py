@@ -5,7 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ground_station.core.truck_drones.changed_plan import changed_makespan_s, note_simulation
+from ground_station.core.truck_drones.changed_plan import (
+    adopt,
+    changed_makespan_s,
+    note_simulation,
+)
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
@@ -72,9 +76,10 @@ def anneal(
     """
     whole_only = t.air.priced or costs_s[0] == IMPOSSIBLE
     if not whole_only:
-        note_simulation(t, plan, kept)
+        costs_s[0] = note_simulation(t, plan, kept)  # sums of shifts drift by rounding
     cooling = (cold_s / hot_s) ** (1.0 / trials)
     temperature_s = hot_s
+    begin, at, shift_s = 0, 0, 0.0
     for _ in range(trials):
         temperature_s *= cooling
         _copy(plan, spare_plan)
@@ -86,17 +91,24 @@ def anneal(
         if whole_only:
             makespan_s = simulate(t, spare_plan, w, give_up_s)
         else:
-            makespan_s = changed_makespan_s(t, plan, kept, costs_s[0], spare_plan, w, give_up_s)
+            makespan_s, begin, at, shift_s = changed_makespan_s(
+                t, plan, kept, costs_s[0], spare_plan, w, give_up_s
+            )
+            if at == 0:
+                continue
         if makespan_s > give_up_s:
             continue
         _copy(spare_plan, plan)
         index_route(plan, place)
         if not whole_only:
-            makespan_s = note_simulation(t, plan, kept)
+            adopt(plan, kept, w, begin, at, shift_s)
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
-            costs_s[1] = makespan_s
-            _copy(plan, best)
+            if not whole_only:
+                makespan_s = simulate(t, plan, w, IMPOSSIBLE)
+            if makespan_s < costs_s[1]:
+                costs_s[1] = makespan_s
+                _copy(plan, best)
 
 
 class Search:
