@@ -34,7 +34,7 @@ from ground_station.core.truck_drones.schedule import schedule_of
 from ground_station.core.truck_drones.search import (
     Search,
     SearchParams,
-    default_rounds,
+    default_coolings,
     default_trials,
 )
 from ground_station.core.truck_drones.tables import Plan
@@ -237,12 +237,13 @@ class _DayPlanner:
         tell_frac: tuple[float, float],
     ) -> Plan:
         search = Search(problem, rng, SearchParams())
-        rounds = default_rounds(problem.customers) if problem.customers else 0
-        each_frac = (tell_frac[1] - tell_frac[0]) / max(1, rounds)
-        for number in range(rounds):
-            from_frac = tell_frac[0] + number * each_frac
-            of_round = max(1, trials // rounds)
-            self._cooled(search, of_round, 0.0, (from_frac, from_frac + each_frac))
+        done = tell_frac[0]
+        for cooling in default_coolings(problem.customers) if problem.customers else ():
+            until = done + (tell_frac[1] - tell_frac[0]) * cooling.share
+            search.begin(cooling)
+            of_cooling = max(1, int(trials * cooling.share))
+            self._cooled(search, of_cooling, cooling.begin_frac, (done, until))
+            done = until
         return search.best
 
     def _kept_apart(
@@ -263,14 +264,10 @@ class _DayPlanner:
         self, search: Search, trials: int, begin: float, tell_frac: tuple[float, float]
     ) -> None:
         """One cooling, from this part of a round to its end."""
-        done, most = 0, SearchParams().step_trials
-        while done < trials:
-            now = min(most, trials - done)
-            shares = [begin + (1.0 - begin) * n / trials for n in (done, done + now)]
-            search.step(now, *shares)
-            done += now
-            told = tell_frac[0] + (tell_frac[1] - tell_frac[0]) * done / trials
-            self._tell(told, search.best_s)
+        first, last = tell_frac
+        search.cool(
+            trials, begin, lambda done: self._tell(first + (last - first) * done, search.best_s)
+        )
 
     def _drive(self, nodes: DayProblem) -> ForwardPass:
         stops = {stop.id: stop for stop in self._start.stops}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from companion.core.base.errors import LeewayError
-from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.compiled import compiled, compiled_with_arrays
 from ground_station.core.truck_drones.edits import index_route, insert_stop
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
@@ -75,7 +75,7 @@ def hand_to_drone(t, w, plan, place, customer, give_up_s, reach):
     return best_s if best_launch != NOWHERE else IMPOSSIBLE
 
 
-@compiled
+@compiled_with_arrays
 def hand_over(t, w, plan, place, makespan_s):
     """For each stop without launches and recoveries, in turn: by drone instead, if that saves
     time.

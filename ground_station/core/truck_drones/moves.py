@@ -12,6 +12,7 @@ from ground_station.core.truck_drones.edits import (
 from ground_station.core.truck_drones.random_stream import below, uniform
 from ground_station.core.truck_drones.tables import (
     AT_ONCE,
+    IDLE,
     KIND,
     LATE,
     LAUNCH,
@@ -212,12 +213,27 @@ def shift_stops(t, plan, place, stream):
 
 
 @compiled
+def leave_aboard(t, plan, stream):
+    """Leave one drone of a kind aboard all day, or use one more."""
+    kind = below(stream, len(t.fleet))
+    if kind >= plan.shape[1]:
+        return False
+    left = plan[IDLE, kind] + (1 if below(stream, 2) == 0 else -1)
+    if left < 0 or left >= t.fleet[kind]:
+        return False
+    plan[IDLE, kind] = left
+    return True
+
+
+@compiled
 def any_move(t, plan, place, stream):
     """A random move, by fixed shares (chosen by hand, not tuned)."""
     drawn = uniform(stream)
-    if drawn < 0.002:
+    if drawn < 0.001:
         reverse_day(plan, place)
         return True
+    if drawn < 0.002:
+        return leave_aboard(t, plan, stream)
     if drawn < 0.35:
         return relocate(t, plan, place, stream)
     if drawn < 0.60:

@@ -81,9 +81,10 @@ def anneal(c, best, best_role, best_same, costs, stream, trials, hot, cold):
         costs[0] += change
         if costs[0] < costs[1] - 1e-9:
             costs[1] = costs[0]
-            best[:] = c.visits
-            best_role[:] = c.role
-            best_same[:] = c.same_as
+            for at in range(len(best)):
+                best[at] = c.visits[at]
+                best_role[at] = c.role[at]
+                best_same[at] = c.same_as[at]
 
 
 class OperationSearch:

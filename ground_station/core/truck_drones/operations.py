@@ -164,7 +164,8 @@ def _place_spare(c, node, stream):
         c.drive[node, other] = c.drive[other, node] = c.drive[same, other]
         c.fly[node, other] = c.fly[other, node] = c.fly[same, other]
     c.drive[node, node] = c.fly[node, node] = 0.0
-    c.near[node] = c.near[same]
+    for column in range(c.near.shape[1]):
+        c.near[node, column] = c.near[same, column]
 
 
 @compiled

@@ -1,10 +1,17 @@
 """The default policy: simulated annealing over tour, sorties and the driver's order, in steps."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
+from ground_station.core.truck_drones.changed_plan import (
+    adopt,
+    changed_makespan_s,
+    note_simulation,
+)
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
@@ -12,7 +19,7 @@ from ground_station.core.truck_drones.moves import any_move
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.random_stream import random_stream, uniform
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
-from ground_station.core.truck_drones.tables import Plan, tables_of, work_for
+from ground_station.core.truck_drones.tables import IDLE, Plan, tables_of, work_for
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,25 +38,43 @@ class SearchParams:
 
 TRIALS_PER_CUSTOMER = (4_000, 100_000)
 FULL_TRIALS_CUSTOMERS = 70
-SMALL_CUSTOMERS = 25
-SMALL_ROUNDS = 3
+LEAST_TRIALS = 1_200_000
 
 
 def default_trials(customers: int) -> int:
-    """Trials in all. With more customers fewer for each of them, since each trial takes longer.
-
-    Chosen for 200 customers in 30 s and 1,000 in 5 minutes of one core.
+    """Trials of one search. With more customers fewer for each of them, since each trial takes
+    longer.
     """
     least, most = TRIALS_PER_CUSTOMER
     for_each = most * min(1.0, (FULL_TRIALS_CUSTOMERS / max(1, customers)) ** 2)
-    return max(1, customers) * max(least, int(for_each))
+    return max(LEAST_TRIALS, customers * max(least, int(for_each)))
 
 
-def default_rounds(customers: int) -> int:
-    """Small problems settle in different plans, so they get more rounds; large ones gain more from
-    one slow cooling.
+@dataclass(frozen=True, slots=True)
+class Cooling:
+    """One cooling of a search: its share of the trials, the part of a round at which it begins
+    (0: hot), and the plan.
     """
-    return SMALL_ROUNDS if customers <= SMALL_CUSTOMERS else 1
+
+    share: float
+    begin_frac: float
+    start: Literal["first", "best", "here"]
+
+
+SMALL_CUSTOMERS = 25
+TINY_CUSTOMERS = 12
+ROUNDS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
+"""For small problems, which settle in different plans."""
+BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best"))
+"""Two coolings of one problem may end ten per cent apart, and that is decided early: the best of
+three quick ones is cooled once more, slowly, and not as hot."""
+
+
+def default_coolings(customers: int) -> tuple[Cooling, ...]:
+    """The coolings of one search."""
+    if customers > SMALL_CUSTOMERS:
+        return BEST_OF_THREE
+    return ROUNDS[3 if customers > TINY_CUSTOMERS else 6]
 
 
 @compiled
@@ -61,15 +86,20 @@ def _copy(source, target):
 
 @compiled
 def anneal(
-    t, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
+    t, kept, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
 ):
     """Try `trials` moves while the temperature falls from `hot_s` to `cold_s`, s of makespan.
 
     Changes `plan`, `best`, `place` and `costs_s` (of plan and best). A move is accepted when the
     makespan rises by no more than temperature x Exp(1), so hopeless simulations stop early.
+    `kept`: work of the plan's own simulation; `w`: that of the moves.
     """
+    whole_only = t.air.priced or costs_s[0] == IMPOSSIBLE
+    if not whole_only:
+        costs_s[0] = note_simulation(t, plan, kept)  # sums of shifts drift by rounding
     cooling = (cold_s / hot_s) ** (1.0 / trials)
     temperature_s = hot_s
+    begin, at, shift_s = 0, 0, 0.0
     for _ in range(trials):
         temperature_s *= cooling
         _copy(plan, spare_plan)
@@ -78,15 +108,27 @@ def anneal(
         if not any_move(t, spare_plan, spare_place, stream):
             continue
         give_up_s = costs_s[0] - temperature_s * math.log(1.0 - uniform(stream))
-        makespan_s = simulate(t, spare_plan, w, give_up_s)
+        if whole_only:
+            makespan_s = simulate(t, spare_plan, w, give_up_s)
+        else:
+            makespan_s, begin, at, shift_s = changed_makespan_s(
+                t, plan, kept, costs_s[0], spare_plan, w, give_up_s
+            )
+            if at == 0:
+                continue
         if makespan_s > give_up_s:
             continue
         _copy(spare_plan, plan)
         index_route(plan, place)
+        if not whole_only:
+            adopt(plan, kept, w, begin, at, shift_s)
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
-            costs_s[1] = makespan_s
-            _copy(plan, best)
+            if not whole_only:
+                makespan_s = simulate(t, plan, w, IMPOSSIBLE)
+            if makespan_s < costs_s[1]:
+                costs_s[1] = makespan_s
+                _copy(plan, best)
 
 
 class Search:
@@ -102,7 +144,7 @@ class Search:
         """`start`: a plan to begin with, instead of the first plan."""
         self._problem, self._params = problem, params
         self._tables = tables_of(problem)
-        self._work = work_for(self._tables)
+        self._kept, self._work = work_for(self._tables), work_for(self._tables)
         first = first_plan(problem, self._tables, self._work) if start is None else start
         self._plan = first.copy()
         self._place = np.zeros(problem.nodes, dtype=np.int32)
@@ -110,6 +152,7 @@ class Search:
         self._spare_plan, self._spare_place = self._plan.copy(), self._place.copy()
         self.best: Plan = self._plan.copy()
         first_s = simulate(self._tables, self._plan, self._work, IMPOSSIBLE)
+        self._first: tuple[Plan, float] = self._plan.copy(), first_s
         self._costs_s = np.full(2, first_s)
         self._leg_s = first_s / problem.nodes
         self._chance = random_stream(rng)
@@ -124,6 +167,7 @@ class Search:
         params = self._params
         anneal(
             self._tables,
+            self._kept,
             self._work,
             self._plan,
             self.best,
@@ -137,32 +181,98 @@ class Search:
             self._leg_s * _temperature(params, to_frac),
         )
 
-    def round(self, trials: int) -> None:
-        """One cooling of this many trials."""
+    def offer(self, plan: Plan) -> None:
+        """A plan from elsewhere, which is the best one where none better is known."""
+        makespan_s = simulate(self._tables, plan, self._work, IMPOSSIBLE)
+        if makespan_s < self.best_s:
+            self._costs_s[1] = makespan_s
+            self.best[:] = plan
+
+    def begin(self, cooling: Cooling) -> None:
+        """Go on from the plan with which this cooling starts."""
+        if cooling.start == "here":
+            return
+        best = (self.best, self.best_s)
+        plan, self._costs_s[0] = self._first if cooling.start == "first" else best
+        self._plan[:] = plan
+        index_route(self._plan, self._place)
+
+    def cool(
+        self,
+        trials: int,
+        begin_frac: float = 0.0,
+        tell: Callable[[float], None] = lambda done_frac: None,
+    ) -> None:
+        """So many trials, from this part of a round to its end; `tell` the share that is done."""
         done = 0
         while done < trials:
             now = min(self._params.step_trials, trials - done)
-            self.step(now, done / trials, (done + now) / trials)
+            fracs = [begin_frac + (1.0 - begin_frac) * n / trials for n in (done, done + now)]
+            self.step(now, *fracs)
             done += now
+            tell(done / trials)
 
 
 def _temperature(params: SearchParams, frac: float) -> float:
     return params.hot_legs * (params.cold_legs / params.hot_legs) ** frac
 
 
+def with_fewer_drones(problem: TruckAndDrones) -> list[TruckAndDrones]:
+    """The problem with one drone of each kind, with one more each time, and at last as it is."""
+    found = [problem]
+    while max(kind.count for kind in found[0].kinds) > 1:
+        kinds = list(found[0].kinds)
+        most = max(range(len(kinds)), key=lambda number: kinds[number].count)
+        kinds[most] = replace(kinds[most], count=kinds[most].count - 1)
+        found.insert(0, replace(found[0], kinds=tuple(kinds)))
+    return found
+
+
+def with_more_drones(plan: Plan, one: TruckAndDrones, other: TruckAndDrones) -> Plan:
+    """A plan of the first problem for the second, with more drones: those stay aboard."""
+    plan = plan.copy()
+    for number, (few, many) in enumerate(zip(one.kinds, other.kinds, strict=True)):
+        if number < plan.shape[1]:  # there is no room for more kinds than nodes
+            plan[IDLE, number] += many.count - few.count
+    return plan
+
+
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
-    """`Policy`: `trials` in all, in `rounds` coolings; None: by the size of the problem."""
+    """`Policy`: a search for each number of drones, fewest first, each offered the plan of the one
+    before. So with the same seed and trials more drones never end the day later. `trials`: of each
+    search; None: by the number of customers.
+    """
 
     params: SearchParams = SearchParams()
     trials: int | None = None
-    rounds: int | None = None
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
         """The best plan found."""
-        search = Search(problem, rng, self.params)
         trials = self.trials or default_trials(problem.customers)
-        rounds = self.rounds or default_rounds(problem.customers)
-        for _ in range(rounds):
-            search.round(max(1, trials // rounds))
-        return search.best
+
+        def searched(search: Search) -> None:
+            for cooling in default_coolings(problem.customers):
+                search.begin(cooling)
+                search.cool(max(1, int(trials * cooling.share)), cooling.begin_frac)
+
+        return best_of_fleets(problem, rng, self.params, searched)
+
+
+def best_of_fleets(
+    problem: TruckAndDrones,
+    rng: np.random.Generator,
+    params: SearchParams,
+    searched: Callable[[Search], None],
+) -> Plan:
+    """The best plan, after `searched` was called with a search for each number of drones."""
+    fleets = with_fewer_drones(problem)
+    plan: Plan | None = None
+    for number, fleet in enumerate(fleets):
+        search = Search(fleet, rng, params)
+        if plan is not None:
+            search.offer(with_more_drones(plan, fleets[number - 1], fleet))
+        searched(search)
+        plan = search.best
+    assert plan is not None  # there is at least the problem itself
+    return plan

@@ -24,6 +24,7 @@ from ground_station.core.truck_drones.tables import (
     FIRST_LAUNCH,
     FIRST_MEET,
     FLY,
+    IDLE,
     KIND,
     LATE,
     LAUNCH,
@@ -281,46 +282,67 @@ def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s
 
 
 @compiled
+def visit(t, plan, whole, times_s, free, launch_s, recover_s, at):
+    """Everything at this place, from its arrival on; its departure and the next arrival.
+
+    Returns the place to go on from: the next one, an earlier one where a launch was put off, or
+    -1: impossible.
+    """
+    aboard = free[free.shape[0] - 1]
+    for kind in range(len(aboard)):
+        aboard[kind] = free[at, kind]
+    node = plan[ROUTE, at]
+    if t.pads:
+        _mark_pending(plan, whole, times_s, node)
+        landed_s = times_s[ARRIVE, at] + t.lead_s
+        early = _too_early(whole, times_s, node, landed_s)
+        if early >= 0:
+            launched_s = landed_s - times_s[FLY, early]
+            if not _put_off(plan, whole, times_s, launch_s, early, launched_s):
+                return -1
+            return whole[PLACE, plan[LAUNCH, early]]
+    depart_s, go_on = _stop_here(
+        t.air, plan, whole, times_s, aboard, launch_s, recover_s, t.deliver_s[node], t.stay_s, at
+    )
+    if go_on > at:
+        if at == 0:
+            depart_s = max(depart_s, t.hold_s)
+        times_s[DEPART, at] = depart_s
+        if node != plan.shape[1] - 1:
+            times_s[ARRIVE, go_on] = depart_s + t.travel_s[node, plan[ROUTE, go_on]]
+            for kind in range(len(aboard)):
+                free[go_on, kind] = aboard[kind]
+    return go_on
+
+
+@compiled
+def board(t, plan, free):
+    """All drones that the plan uses are aboard at first."""
+    for kind in range(free.shape[1]):
+        free[0, kind] = t.fleet[kind] - left_behind(plan, kind)
+
+
+@compiled
+def left_behind(plan, kind):
+    """How many drones of this kind the plan never launches."""
+    return plan[IDLE, kind] if kind < plan.shape[1] else 0
+
+
+@compiled
 def simulate(t, plan, w, give_up_s):
     """The makespan, s; inf where the plan is impossible or must end after `give_up_s`."""
     whole, times_s, free = w.whole, w.times_s, w.free
-    travel_s, deliver_s, launch_s, recover_s = t.travel_s, t.deliver_s, t.launch_s, t.recover_s
+    launch_s, recover_s = t.launch_s, t.recover_s
     places = index_plan(t, plan, whole, times_s)
     if places == 0:
         return IMPOSSIBLE
-    aboard = free[free.shape[0] - 1]
-    for kind in range(len(aboard)):
-        free[0, kind] = t.fleet[kind]
+    board(t, plan, free)
     times_s[ARRIVE, 0], whole[LOGGED, 0] = 0.0, 0
-    at, depart_s = 0, 0.0
+    at = 0
     while at < places:
         if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > give_up_s:
             return IMPOSSIBLE
-        for kind in range(len(aboard)):
-            aboard[kind] = free[at, kind]
-        node = plan[ROUTE, at]
-        if t.pads:
-            _mark_pending(plan, whole, times_s, node)
-            landed_s = times_s[ARRIVE, at] + t.lead_s
-            early = _too_early(whole, times_s, node, landed_s)
-            if early >= 0:
-                launched_s = landed_s - times_s[FLY, early]
-                if not _put_off(plan, whole, times_s, launch_s, early, launched_s):
-                    return IMPOSSIBLE
-                at = whole[PLACE, plan[LAUNCH, early]]
-                continue
-        depart_s, go_on = _stop_here(
-            t.air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s[node], t.stay_s, at
-        )
-        if go_on < 0:
+        at = visit(t, plan, whole, times_s, free, launch_s, recover_s, at)
+        if at < 0:
             return IMPOSSIBLE
-        if go_on > at:
-            if at == 0:
-                depart_s = max(depart_s, t.hold_s)
-            times_s[DEPART, at] = depart_s
-            if go_on < places:
-                times_s[ARRIVE, go_on] = depart_s + travel_s[node, plan[ROUTE, go_on]]
-                for kind in range(len(aboard)):
-                    free[go_on, kind] = aboard[kind]
-        at = go_on
-    return depart_s
+    return times_s[DEPART, places - 1]

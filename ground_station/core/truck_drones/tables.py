@@ -1,8 +1,9 @@
 """The problem and a plan as flat arrays: what the compiled search reads and writes.
 
-A plan under search is an int32 array of five rows and one column for each node: the truck's route,
-and for each customer served by a drone its launch node, its recovery node, its kind of drone, and
-flags on when the driver launches and recovers it.
+A plan under search is an int32 array of six rows and one column for each node: the truck's route;
+for each customer served by a drone its launch node, its recovery node, its kind of drone, and
+flags on when the driver launches and recovers it; and, by kind, how many drones are left aboard
+all day.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.problem import Air, TruckAndDrones
 
-ROUTE, LAUNCH, MEET, KIND, ORDER = range(5)
+ROUTE, LAUNCH, MEET, KIND, ORDER, IDLE = range(6)
 AT_ONCE, LATE = 1, 2
 """Bits of ORDER: recovered as soon as it comes, the driver begins nothing that would delay it;
 launched after deliveries and recoveries."""
@@ -42,6 +43,8 @@ class Tables(NamedTuple):
     """By node, the other nodes, nearest by road first; as many as moves ever look at."""
     from_s: NDArray[np.float64]
     release_s: NDArray[np.float64]
+    fixed_until_s: float
+    """The latest of `from_s` and `release_s`: from then on a plan may be shifted in time."""
     hold_s: float
     pads: bool
     lead_s: float
@@ -83,8 +86,10 @@ class Work(NamedTuple):
 
 # Rows of `Work.whole`, by node;
 PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES, LAYER = range(8)
-# by number of the launch: whose; by place on the route: how many launches came before it.
+# by number of the launch: whose; by place on the route: how many launches came before it;
 LOG, LOGGED = range(8, 10)
+# by place on the route, of a plan from whose simulation others are gone on (`changed_plan`).
+RESTART, SPANNED, FURTHEST = range(10, 13)
 # Rows of `Work.times_s`; by node: earliest launch, flight, hover to spare, end of the launch, start
 # of the recovery, start of the truck's own delivery;
 RELEASE, FLY, SPARE, LAUNCHED, MET, DELIVERED = range(6)
@@ -104,6 +109,8 @@ def tables_of(problem: TruckAndDrones) -> Tables:
     both_ways_s = problem.travel_s + problem.travel_s.T
     np.fill_diagonal(both_ways_s, np.inf)
     near = np.argsort(both_ways_s, axis=1, kind="stable")[:, : min(NEAR, problem.nodes - 1)]
+    from_s = np.array([kind.from_s for kind in kinds])
+    release_s = np.zeros(problem.nodes) if problem.release_s is None else problem.release_s
     return Tables(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         deliver_s=np.ascontiguousarray(problem.deliver_s, dtype=np.float64),
@@ -118,8 +125,9 @@ def tables_of(problem: TruckAndDrones) -> Tables:
         back_hover_s=np.stack([of.back_hover_s for of in legs]),
         endurance_hover_s=np.array([of.endurance_hover_s for of in legs]),
         near=np.ascontiguousarray(near, dtype=np.int32),
-        from_s=np.array([kind.from_s for kind in kinds]),
-        release_s=np.zeros(problem.nodes) if problem.release_s is None else problem.release_s,
+        from_s=from_s,
+        release_s=release_s,
+        fixed_until_s=float(max(from_s.max(), release_s.max())),
         hold_s=problem.hold_s,
         pads=problem.pads,
         lead_s=problem.lead_s,
@@ -140,7 +148,7 @@ def work_for(tables: Tables) -> Work:
     """Room for simulations of this problem."""
     nodes, kinds = len(tables.travel_s), len(tables.fleet)
     return Work(
-        whole=np.full((10, nodes), NOWHERE, dtype=np.int32),
+        whole=np.full((13, nodes), NOWHERE, dtype=np.int32),
         times_s=np.zeros((16, nodes)),
         free=np.zeros((nodes + 1, kinds), dtype=np.int32),
     )
@@ -148,8 +156,8 @@ def work_for(tables: Tables) -> Work:
 
 def empty_plan(nodes: int) -> Plan:
     """A plan in which the truck goes from the depot to the depot, and nobody is served."""
-    plan = np.full((5, nodes), NOWHERE, dtype=np.int32)
-    plan[ORDER] = 0
+    plan = np.full((6, nodes), NOWHERE, dtype=np.int32)
+    plan[[ORDER, IDLE]] = 0
     plan[ROUTE, 0] = 0
     plan[ROUTE, 1] = nodes - 1
     return plan

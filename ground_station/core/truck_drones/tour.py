@@ -7,7 +7,7 @@ and its matrix is symmetric. The two are compared in docs/explanation/truck-and-
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.compiled import compiled, compiled_with_arrays
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.tables import ROUTE, Plan, Tables, empty_plan
 
@@ -116,7 +116,7 @@ def _improve_from(travel_s, near, route, place, forth_s, back_s, at):
     return False
 
 
-@compiled
+@compiled_with_arrays
 def improve_tour(travel_s, near, route):
     """Change the route in place until no 2-opt or Or-opt move among near nodes saves time."""
     place = np.full(len(travel_s), -1, dtype=np.int32)

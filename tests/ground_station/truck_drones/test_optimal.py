@@ -158,7 +158,7 @@ def test_on_five_customers_the_search_finds_what_trying_everything_finds(
     seed: int, drones: int, endurance_s: float
 ):
     problem = tiny_problem(seed, 5, drones, endurance_s)
-    plan = SearchPolicy(trials=90_000, rounds=3).plan(problem, np.random.default_rng(seed))
+    plan = SearchPolicy(trials=90_000).plan(problem, np.random.default_rng(seed))
     assert schedule_of(problem, plan).makespan_s == pytest.approx(
         best_makespan_s(problem), abs=1e-6
     )

@@ -1,0 +1,112 @@
+"""The makespan of a changed plan, timed in part, against the same plan timed whole."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.schedule import schedule_of
+from ground_station.core.truck_drones.search import SearchPolicy, with_more_drones
+from tests.ground_station.truck_drones.test_search import mixed_problem
+
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
+CHANGES = 1500
+TEMPERATURE_S = 40.0
+
+
+def scarce(seed: int) -> TruckAndDrones:
+    """Batteries that leave little for hovering: launches are put off."""
+    problem = mixed_problem(seed)
+    legs = tuple(replace(of, endurance_hover_s=620.0) for of in problem.legs)
+    return replace(problem, legs=legs)
+
+
+def with_pads(seed: int) -> TruckAndDrones:
+    """Drones land by themselves, never before the truck; some are free or allowed later."""
+    problem = mixed_problem(seed)
+    late = replace(problem.kinds[1], from_s=700.0)
+    release_s = np.zeros(problem.nodes)
+    release_s[[3, 8]] = 900.0
+    return replace(
+        problem,
+        kinds=(problem.kinds[0], late),
+        pads=True,
+        lead_s=30.0,
+        stay_s=20.0,
+        hold_s=100.0,
+        release_s=release_s,
+    )
+
+
+@pytest.mark.parametrize(
+    "problem", [mixed_problem(0), scarce(1), with_pads(2)], ids=["plain", "scarce", "pads"]
+)
+def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckAndDrones):
+    from ground_station.core.truck_drones.changed_plan import (
+        adopt,
+        changed_makespan_s,
+        note_simulation,
+    )
+    from ground_station.core.truck_drones.edits import index_route
+    from ground_station.core.truck_drones.first_plan import first_plan
+    from ground_station.core.truck_drones.moves import any_move
+    from ground_station.core.truck_drones.random_stream import random_stream
+    from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
+    from ground_station.core.truck_drones.tables import tables_of, work_for
+
+    tables = tables_of(problem)
+    kept, work, whole = work_for(tables), work_for(tables), work_for(tables)
+    rng = np.random.default_rng(4)
+    stream = random_stream(rng)
+    plan = first_plan(problem, tables, whole)
+    place = np.zeros(problem.nodes, dtype=np.int32)
+    index_route(plan, place)
+    now_s = note_simulation(tables, plan, kept)
+    counts = {"impossible": 0, "in part": 0, "adopted": 0}
+    for _ in range(CHANGES):
+        changed, its_place = plan.copy(), place.copy()
+        if not any_move(tables, changed, its_place, stream):
+            continue
+        makespan_s, begin, at, shift_s = changed_makespan_s(
+            tables, plan, kept, now_s, changed, work, IMPOSSIBLE
+        )
+        expected_s = simulate(tables, changed, whole, IMPOSSIBLE)
+        assert makespan_s == pytest.approx(expected_s, abs=1e-6)
+        counts["impossible"] += expected_s == IMPOSSIBLE
+        if at == 0 or makespan_s > now_s + rng.exponential(TEMPERATURE_S):
+            continue
+        counts["in part"] += begin > 0 or at <= its_place[problem.end]
+        counts["adopted"] += 1
+        plan, place, now_s = changed, its_place, makespan_s
+        adopt(plan, kept, work, begin, at, shift_s)
+    assert min(counts.values()) >= 50, counts
+
+
+def of_some_kind(problem: TruckAndDrones, counts: tuple[int, ...]) -> TruckAndDrones:
+    kinds: Any = zip(problem.kinds, counts, strict=True)
+    return replace(problem, kinds=tuple(replace(kind, count=n) for kind, n in kinds))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_with_more_drones_no_day_ends_later(seed: int):
+    fleets = [of_some_kind(scarce(seed), (quick, 1)) for quick in (1, 2, 3, 4)]
+    policy = SearchPolicy(trials=4_000)
+    ends_s = [
+        schedule_of(fleet, policy.plan(fleet, np.random.default_rng(seed))).makespan_s
+        for fleet in fleets
+    ]
+    assert ends_s == sorted(ends_s, reverse=True)
+
+
+def test_a_plan_of_fewer_drones_is_the_same_plan_with_the_others_left_aboard():
+    problem = mixed_problem(0)
+    fewer = of_some_kind(problem, (1, 1))
+    plan = SearchPolicy(trials=4_000).plan(fewer, np.random.default_rng(0))
+    before = schedule_of(fewer, plan)
+    after = schedule_of(problem, with_more_drones(plan, fewer, problem))
+    assert after.makespan_s == pytest.approx(before.makespan_s, abs=1e-9)
+    assert {sortie.drone for sortie in before.sorties} == {0, 1}
+    assert {sortie.drone for sortie in after.sorties} == {0, 2}  # 1 is of the first kind
