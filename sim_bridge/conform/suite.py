@@ -7,7 +7,8 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform import (
+from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
+from sim_bridge.conform.behaviours import (
     battery,
     guided,
     mission,
@@ -20,7 +21,6 @@ from sim_bridge.conform import (
     unknown,
     wind,
 )
-from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
 from sim_bridge.conform.errors import CannotSee, ConformError, VehicleSilent
 from sim_bridge.conform.subject import Subject, message_id
 

@@ -10,6 +10,7 @@ from companion.core.base.errors import LeewayError
 
 if TYPE_CHECKING:
     from sim_bridge.app.serve.server import Home
+    from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing
 
 app = typer.Typer()
 
@@ -59,6 +60,18 @@ def _autopilot_of(autopilot: str, index: int) -> str:
     return autopilot
 
 
+def _sensing(battery: str, kind: "AutopilotKind") -> "BatterySensing":
+    from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing
+
+    known = [sensing.value for sensing in BatterySensing]
+    if battery not in known:
+        raise LeewayError(f"--battery {battery}: expected {' or '.join(known)}")
+    sensing = BatterySensing(battery)
+    if sensing is BatterySensing.SIH_TIMER and kind is not AutopilotKind.PX4:
+        raise LeewayError(f"--battery {battery}: {kind.value} has none, expected --autopilot px4")
+    return sensing
+
+
 def _home(words: str) -> "Home":
     from sim_bridge.app.serve.server import Home
 
@@ -96,6 +109,12 @@ def serve(
     home: Annotated[str, typer.Option(help="LAT,LON,ALT of the first.")] = "55.47,8.45,12",
     payload_kg: Annotated[float, typer.Option(min=0.0, help="Parcel aboard.")] = 0.0,
     charge_frac: Annotated[float, typer.Option(min=0.05, max=1.0, help="Of a full pack.")] = 1.0,
+    battery: Annotated[
+        str,
+        typer.Option(
+            help="power_module: volts and amperes; sih_timer: as PX4's SIH, a percentage by time."
+        ),
+    ] = "power_module",
     wind_speed_mps: Annotated[float, typer.Option(min=0.0, max=40.0, help="Mean wind.")] = 0.0,
     wind_from_deg: Annotated[float, typer.Option(help="Where it blows from.")] = 0.0,
     turbulence: Annotated[bool, typer.Option(help="Dryden gusts on the mean wind.")] = True,
@@ -154,6 +173,7 @@ def serve(
                 body,
                 read_parameters(settings, SITL_SETTINGS[kind]),
                 receiver=SITL_RECEIVER[kind],
+                battery_sensing=_sensing(battery, kind),
                 home=Home(
                     *moved_deg(place.lat_deg, place.lon_deg, SPACING_M * index, 0.0),
                     place.alt_amsl_m,

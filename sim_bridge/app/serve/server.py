@@ -18,7 +18,7 @@ import numpy as np
 from sim_bridge.adapters.endpoint import EndpointSet, bundled
 from sim_bridge.adapters.realtime import Pacer
 from sim_bridge.autopilot.autopilot import Autopilot
-from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
+from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Signer
 from sim_bridge.autopilot.mavlink.parameters import Parameter
 from sim_bridge.truth.params import AirframeTruth
@@ -84,6 +84,7 @@ def stand_up(
     charge_frac: float = 1.0,
     system_id: int = 1,
     receiver: tuple[int, ...] | None = None,
+    battery_sensing: BatterySensing = BatterySensing.POWER_MODULE,
     seed: int | np.random.SeedSequence = 1,
 ) -> ServedVehicle:
     """A vehicle of this airframe on the ground at `home`, under this autopilot.
@@ -104,6 +105,7 @@ def stand_up(
         (home.lat_deg, home.lon_deg, home.alt_amsl_m),
         parameters,
         system_id=system_id,
+        battery_sensing=battery_sensing,
     )
     autopilot.set_rc(receiver)
     return ServedVehicle(vehicle, autopilot)

@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
 from sim_bridge.conform.behaviour import Behaviour, Finding, Where
+from sim_bridge.conform.behaviours.mission import waypoint
 from sim_bridge.conform.errors import CannotSee
-from sim_bridge.conform.mission import waypoint
 from sim_bridge.conform.subject import Subject
 
 _LEAN_RAD = math.radians(0.4)

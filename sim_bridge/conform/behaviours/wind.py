@@ -4,10 +4,10 @@ import math
 from typing import cast
 
 from sim_bridge.conform.behaviour import Behaviour, Finding, Where
+from sim_bridge.conform.behaviours.telemetry import high_latency
 from sim_bridge.conform.client import Message
 from sim_bridge.conform.errors import CannotSee
 from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.telemetry import high_latency
 
 _AS_GROUND_MPS = 0.4
 

@@ -6,8 +6,8 @@ from functools import partial
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform.behaviour import Behaviour, Finding, Where
+from sim_bridge.conform.behaviours.mission import TAKEOFF, waypoint
 from sim_bridge.conform.errors import CannotSee
-from sim_bridge.conform.mission import TAKEOFF, waypoint
 from sim_bridge.conform.missions import Item
 from sim_bridge.conform.subject import HEIGHT_M, Subject
 

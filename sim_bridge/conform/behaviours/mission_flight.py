@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
 from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
+from sim_bridge.conform.behaviours.mission import LAND, LOITER_TIME, TAKEOFF, WAYPOINT, waypoint
 from sim_bridge.conform.errors import CannotSee
-from sim_bridge.conform.mission import LAND, LOITER_TIME, TAKEOFF, WAYPOINT, waypoint
 from sim_bridge.conform.missions import Item
 from sim_bridge.conform.subject import HEIGHT_M, Subject
 
@@ -242,7 +242,7 @@ def _fly_whole(s: Subject) -> _Flight:
     client = s.client
     client.forget()
     client.beat(client.companion)
-    start = _start(s)
+    start = start_mission(s)
     client.beat(client.companion)
     if not client.until(lambda: not s.is_armed and s.is_on_ground, 150.0):
         raise CannotSee(f"it did not come down: {s.mode}; {'; '.join(client.texts()[-4:])}")
@@ -283,7 +283,7 @@ def _asked_in_air(s: Subject) -> str:
     return _numbers(commands)
 
 
-def _start(s: Subject) -> str:
+def start_mission(s: Subject) -> str:
     """PX4: arming in MISSION. ArduCopter: armed in GUIDED, AUTO, MISSION_START."""
     if s.is_px4:
         s.enter("MISSION")
@@ -350,7 +350,7 @@ def _behind_land(s: Subject) -> tuple[str, Finding]:
         s.upload(items)
         client = s.client
         client.forget()
-        _start(s)
+        start_mission(s)
         if not client.until(lambda: s.is_on_ground, 90.0):
             raise CannotSee("it did not land")
         again = client.until(lambda: not s.is_on_ground or not s.is_armed, 30.0)

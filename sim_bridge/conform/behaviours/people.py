@@ -6,10 +6,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
 from sim_bridge.conform.behaviour import Behaviour, Finding, Where
+from sim_bridge.conform.behaviours.mission import waypoint
+from sim_bridge.conform.behaviours.mission_flight import fly_straight
 from sim_bridge.conform.client import Identity
 from sim_bridge.conform.errors import CannotSee
-from sim_bridge.conform.mission import waypoint
-from sim_bridge.conform.mission_flight import fly_straight
 from sim_bridge.conform.subject import Subject
 
 _STRANGER = Identity(200, 190, mavlink.MAV_TYPE_GCS)
