@@ -1,4 +1,4 @@
-"""A town with many vehicles in service: how much faster than its own time a part of it is simulated.
+"""A town with many vehicles in service: how much faster than its own time it is simulated.
 
 The town has depots of up to eight drones, each with its desk, store, crew and network, all of them
 those of `sim-bridge day`. A process steps its depots on one clock; depots share no airspace and no
