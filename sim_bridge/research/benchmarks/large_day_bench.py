@@ -33,6 +33,7 @@ from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState, first_state
 from ground_station.core.schema.orders import Order
 from sim_bridge.adapters.wall_clock import cpu_s, wall_s
+from sim_bridge.research.results.sheet import Sheet
 
 AIRFRAME = "m100"
 CENTRE_DEG = (55.47, 8.45)
@@ -128,6 +129,12 @@ def drawn_days(large: LargeDay) -> list[DayData]:
     return days
 
 
+def sized(orders: int, seed: int) -> LargeDay:
+    """A truck with ten drones for each hundred orders, two to ten of them, from up to 3 depots."""
+    trucks = min(max(2, orders // 100), 10)
+    return LargeDay(orders, 10 * trucks, trucks, min(3, trucks // 2), seed)
+
+
 def trucks_of(large: LargeDay) -> list[int]:
     """So many at each depot, as evenly as can be."""
     return [len(range(k, large.trucks, large.depots)) for k in range(large.depots)]
@@ -218,3 +225,39 @@ def half_way(data: DayData, plan: DayPlan) -> DayState:
     free_s |= {sortie.vehicle: sortie.land_s + recover_s for sortie in flying}
     left = tuple(order.id for order in data.orders if order.id not in brought)
     return DayState(kept, flying, left, free_s, plan.revision + 1)
+
+
+def sheet(found: Sequence[LargeDayFigures]) -> Sheet:
+    """A line for each day. The bounds: of the regions as they are divided, and of any division."""
+    head = [
+        "orders", "trucks", "drones", "depots", "divided, s", "files written and read, s",
+        "all plans, s", "longest plan, s", "planned anew, s", "trials", "last truck back, min",
+        "mean truck, min", "bound of the regions, min", "bound of all, min", "by drone", "nobody",
+    ]  # fmt: skip
+    rows: list[list[str]] = []
+    for one in found:
+        cells = (
+            f"{one.orders:,}",
+            str(one.trucks),
+            str(one.drones),
+            str(one.depots),
+            f"{one.divide_s:.1f}",
+            f"{one.read_s:.1f}",
+            f"{one.plan_s:.0f}",
+            f"{one.plan_most_s:.0f}",
+            f"{one.replan_s:.0f}",
+            f"{one.trials:,}",
+            *(
+                f"{seconds / 60.0:.0f}"
+                for seconds in (
+                    one.makespan_s,
+                    one.makespan_mean_s,
+                    one.bound_regions_s,
+                    one.bound_all_s,
+                )
+            ),
+            f"{one.by_drone:,}",
+            str(one.unplanned),
+        )
+        rows.append(list(cells))
+    return Sheet("Days at size", head, rows)
