@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -55,6 +55,7 @@ class PlanWork(msgspec.Struct, frozen=True):
     """What a worker is sent: the region's day file, and how to search."""
 
     path: str
+    policy: Literal["search", "dynamic"]
     trials: int | None
     seed: int
 
@@ -202,9 +203,7 @@ def _without_none(value: Any) -> Any:
 
 def planned(
     regions: Sequence[RegionDay],
-    paths: Sequence[Path],
-    trials: int | None,
-    seed: int,
+    work: Sequence[PlanWork],
     workers: Workers,
     tell: Callable[[RegionPlanned], None],
     say: Callable[[str], None] = lambda words: None,
@@ -214,14 +213,13 @@ def planned(
     Plans are written beside the day files as `NAME_plan.json`, and are the same whoever makes them.
     """
     found: dict[int, RegionPlanned] = {}
-    work = [PlanWork(str(path.resolve()), trials, seed) for path in paths]
     for ended in side_by_side(work, plan_region, workers, say):
         region = regions[ended.index]
         if isinstance(ended, PieceLost):
             done = RegionPlanned(region, None, 0.0, ended.why)
         else:
             plan, cpu_s = ended.result
-            path = paths[ended.index]
+            path = Path(work[ended.index].path)
             write_day_plan(path.with_name(f"{path.stem}_plan.json"), plan)
             done = RegionPlanned(region, plan, cpu_s)
         found[ended.index] = done
@@ -240,5 +238,6 @@ def plan_region(work: PlanWork) -> tuple[DayPlan, float]:
     few = replace(data, orders=data.orders[:3])
     plan_day(few, first_state(few), PlanParams(trials=20))  # loads what is compiled
     begun_s = cpu_s()
-    plan = plan_day(data, first_state(data), PlanParams(trials=work.trials, seed=work.seed))
+    params = PlanParams(work.policy, work.trials, work.seed)
+    plan = plan_day(data, first_state(data), params)
     return plan, cpu_s() - begun_s

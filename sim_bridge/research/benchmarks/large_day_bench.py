@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -20,6 +21,7 @@ from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.workers.side_by_side import Workers
 from ground_station.app.planning.region_days import (
+    PlanWork,
     RegionDay,
     RegionPlanned,
     divided,
@@ -35,6 +37,7 @@ from ground_station.core.schema.orders import Order
 from sim_bridge.adapters.wall_clock import cpu_s, wall_s
 from sim_bridge.research.results.sheet import Sheet
 
+Policy = Literal["search", "dynamic"]
 AIRFRAME = "m100"
 CENTRE_DEG = (55.47, 8.45)
 RADIUS_M_PER_SQRT_ORDER = 110.0
@@ -45,6 +48,7 @@ DEPOTS_AT = 0.5
 
 PARCEL_KG, HEAVY_KG, HEAVY_FRAC = (0.1, 0.8), (2.0, 10.0), 0.1
 """A tenth is for the door only."""
+TRUCK_KG = 3000.0
 CREW_S = {"deliver_s": 40.0, "launch_s": 12.0, "recover_s": 15.0, "ready_s": 60.0}
 """A driver and a mate, as in the bundled day `town`."""
 
@@ -68,6 +72,7 @@ class LargeDayFigures(msgspec.Struct, frozen=True, kw_only=True):
     trucks: int
     depots: int
     seed: int
+    policy: str
     trials: int
     divide_s: float
     read_s: float
@@ -121,7 +126,7 @@ def drawn_days(large: LargeDay) -> list[DayData]:
             fleet=f"depot-{number + 1}",
             depot=Depot(lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=0.0),
             drones=[Drone(id=f"d{k + 1}", airframe=AIRFRAME) for k in drones],
-            truck=Truck(capacity_kg=10.0 * large.orders, **CREW_S),
+            truck=Truck(capacity_kg=TRUCK_KG, **CREW_S),
             forecast=Forecast(speed_mps=5.0, from_deg=250.0, std_mps=2.0),
         )
         own = orders if number == 0 else []
@@ -141,7 +146,11 @@ def trucks_of(large: LargeDay) -> list[int]:
 
 
 def bench(
-    large: LargeDay, trials: int | None, workers: Workers, tell: Callable[[RegionPlanned], None]
+    large: LargeDay,
+    policy: Policy,
+    trials: int | None,
+    workers: Workers,
+    tell: Callable[[RegionPlanned], None],
 ) -> LargeDayFigures:
     """Divide, write, read, plan, plan anew."""
     keep_compiled_code()  # before the planner's first import
@@ -156,9 +165,10 @@ def bench(
         read = [read_day(path) for path in paths]
         read_s = cpu_s() - begun_s
         begun_s = wall_s()
-        done = planned(regions, paths, trials, large.seed, workers, tell)
+        work = [PlanWork(str(path), policy, trials, large.seed) for path in paths]
+        done = planned(regions, work, workers, tell)
         plan_wall_s = wall_s() - begun_s
-    return _figures(large, regions, read, done, trials, (divide_s, read_s, plan_wall_s))
+    return _figures(large, regions, read, done, (policy, trials), (divide_s, read_s, plan_wall_s))
 
 
 def _figures(
@@ -166,7 +176,7 @@ def _figures(
     regions: Sequence[RegionDay],
     read: Sequence[DayData],
     done: Sequence[RegionPlanned],
-    trials: int | None,
+    searched: tuple[Policy, int | None],
     spent_s: tuple[float, float, float],
 ) -> LargeDayFigures:
     from ground_station.core.planning.day_planner import PlanParams, day_problem, plan_day
@@ -178,7 +188,7 @@ def _figures(
     longest = max(range(len(plans)), key=lambda k: plans[k].makespan_s)
     begun_s = cpu_s()
     start = half_way(read[longest], plans[longest])
-    anew = plan_day(read[longest], start, PlanParams(trials=trials, seed=large.seed))
+    anew = plan_day(read[longest], start, PlanParams(*searched, large.seed))
     replan_s = cpu_s() - begun_s
     if broken := broken_promise(anew, start):
         raise LeewayError(f"{regions[longest].name}: the new plan breaks a promise: {broken}")
@@ -188,6 +198,7 @@ def _figures(
         trucks=large.trucks,
         depots=large.depots,
         seed=large.seed,
+        policy=searched[0],
         trials=max(plan.trials for plan in plans),
         divide_s=spent_s[0],
         read_s=spent_s[1],
@@ -231,7 +242,8 @@ def sheet(found: Sequence[LargeDayFigures]) -> Sheet:
     """A line for each day. The bounds: of the regions as they are divided, and of any division."""
     head = [
         "orders", "trucks", "drones", "depots", "divided, s", "files written and read, s",
-        "all plans, s", "longest plan, s", "planned anew, s", "trials", "last truck back, min",
+        "all plans, s", "longest plan, s", "planned anew, s", "policy, trials",
+        "last truck back, min",
         "mean truck, min", "bound of the regions, min", "bound of all, min", "by drone", "nobody",
     ]  # fmt: skip
     rows: list[list[str]] = []
@@ -246,7 +258,7 @@ def sheet(found: Sequence[LargeDayFigures]) -> Sheet:
             f"{one.plan_s:.0f}",
             f"{one.plan_most_s:.0f}",
             f"{one.replan_s:.0f}",
-            f"{one.trials:,}",
+            one.policy if one.policy == "dynamic" else f"{one.policy}, {one.trials:,}",
             *(
                 f"{seconds / 60.0:.0f}"
                 for seconds in (

@@ -73,6 +73,9 @@ def large_day(
     orders: Annotated[
         list[int] | None, typer.Option(min=4, help="Once for each day; ten trucks at most.")
     ] = None,
+    dynamic: Annotated[
+        bool, typer.Option("--dynamic", help="By the dynamic assignment, not by the search.")
+    ] = False,
     trials: Annotated[
         int | None,
         typer.Option(min=1, help="Of each region's search; left out: by the region's size."),
@@ -98,6 +101,7 @@ def large_day(
     except ImportError as error:
         raise LeewayError(f"bench large-day needs leeway-uas[ground]: {error}") from error
 
+    policy: bench.Policy = "dynamic" if dynamic else "search"
     found: list[bench.LargeDayFigures] = []
     for count in orders or [100, 500, 1000, 5000]:
 
@@ -105,7 +109,7 @@ def large_day(
             typer.echo(f"{count} orders: {one.region.name} planned, {one.cpu_s:.0f} s", err=True)
 
         large = bench.sized(count, seed)
-        found.append(bench.bench(large, trials, workers_of(jobs, cluster), tell))
+        found.append(bench.bench(large, policy, trials, workers_of(jobs, cluster), tell))
     finish(bench.sheet(found), out, "large_day")
     if json_out is not None:
         write_whole(json_out, msgspec.json.format(msgspec.json.encode(found)) + b"\n")
