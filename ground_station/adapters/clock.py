@@ -13,6 +13,11 @@ def epoch_us() -> int:
     return time.time_ns() // 1000
 
 
+def cpu_s() -> float:
+    """Seconds of CPU that this process has used."""
+    return time.process_time()
+
+
 class WallClock:
     """`core.fleet.fleet_link.Clock` of a running desk.
 

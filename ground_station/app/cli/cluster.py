@@ -1,6 +1,9 @@
-"""`ground-station cluster`: the day's customers in groups, by any of the methods."""
+"""The day's customers in groups: `ground-station cluster` by any of the methods, `divide` a large
+day among its trucks.
+"""
 
 import math
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,14 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from ground_station.app.cli.options import DayArgument, open_day
+from ground_station.app.cli.options import DayArgument, PolicyName, open_day
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ground_station.adapters.workers.side_by_side import Workers
+    from ground_station.app.planning.region_days import PlanWork, RegionDay, RegionPlanned
     from ground_station.core.clustering.problem import Clustered, ClusteringProblem
 
 app = typer.Typer()
+
+LOST = 1
+"""Exit code where a process that planned was killed twice."""
 
 
 class MethodName(StrEnum):
@@ -107,3 +115,117 @@ def _key(path: Path | None) -> str | None:
         raise LeewayError(
             f"{path}: expected an ASCII key, but byte {error.start} is not ASCII"
         ) from error
+
+
+@app.command()
+def divide(
+    days: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="DAY...",
+            help="A day/1 file (or a bundled name) for each depot, its drones in it.",
+        ),
+    ],
+    trucks: Annotated[
+        list[int],
+        typer.Option(
+            "--trucks", min=1, help="How many start from a depot; once for each DAY, in order."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the regions' days, orders and plans.")],
+    plan: Annotated[bool, typer.Option(help="Plan each region.")] = True,
+    policy: Annotated[
+        PolicyName,
+        typer.Option(help="As of `plan`; dynamic takes a tenth of the time or less."),
+    ] = PolicyName.SEARCH,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Trials of each search. Default: by its size.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of each search.")] = 0,
+    jobs: Annotated[int, typer.Option(min=0, help="Plans at a time; 0: all cores.")] = 0,
+    cluster: Annotated[
+        str | None,
+        typer.Option(help="A Ray cluster instead of --jobs: local, auto or an address."),
+    ] = None,
+) -> None:
+    """Divide a large day among its trucks, and plan each truck's day.
+
+    The days' orders are pooled, and each truck gets a region of them: orders that lie together, as
+    much work for each driver. Each depot's drones are dealt out to its trucks. Writes NAME-K.toml
+    with its orders and its plan for each truck; `ground-station dispatch` takes them, a desk for
+    each. The same days give the same regions and plans, whatever --jobs.
+
+    ground-station divide north.toml south.toml --trucks 5 --trucks 5 --out regions
+
+    Exit code 0, 1 where a process that planned was killed twice, 2 for a mistake in the input.
+    """
+    from rich.console import Console
+
+    from ground_station.adapters.files.day_files import read_day
+    from ground_station.adapters.files.params import day_file
+    from ground_station.adapters.workers.side_by_side import Workers
+    from ground_station.app.planning.region_days import PlanWork, divided, write_region
+
+    if len(trucks) != len(days):
+        raise LeewayError(f"--trucks: {len(trucks)} for {len(days)} days: expected one for each")
+    paths = [day_file(day) for day in days]
+    read = [read_day(path) for path in paths]
+    regions = divided(read, trucks)
+    out.mkdir(parents=True, exist_ok=True)
+    beside = [path for path, count in zip(paths, trucks, strict=True) for _ in range(count)]
+    files = [write_region(out, region, path) for region, path in zip(regions, beside, strict=True)]
+    console = Console()
+    if not plan:
+        _show_regions(console, regions, None)
+        return
+    workers = Workers(jobs or len(os.sched_getaffinity(0)), cluster)
+    work = [PlanWork(str(file.resolve()), policy.value, trials, seed) for file in files]
+    done = _with_progress(console, regions, work, workers)
+    _show_regions(console, regions, done)
+    lost = [one for one in done if one.plan is None]
+    for one in lost:
+        console.print(f"lost: {one.region.name}: {one.lost}", highlight=False, markup=False)
+    if lost:
+        raise typer.Exit(LOST)
+
+
+def _with_progress(
+    console: "Console",
+    regions: "list[RegionDay]",
+    work: "list[PlanWork]",
+    workers: "Workers",
+) -> "list[RegionPlanned]":
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from ground_station.app.planning.region_days import planned
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bar:
+        task = bar.add_task("regions planned", total=len(regions))
+
+        def tell(one: "RegionPlanned") -> None:
+            bar.advance(task)
+            if not console.is_terminal:
+                typer.echo(f"planned: {one.region.name}", err=True)
+
+        return planned(regions, work, workers, tell, bar.console.print)
+
+
+def _show_regions(
+    console: "Console", regions: "list[RegionDay]", done: "list[RegionPlanned] | None"
+) -> None:
+    from ground_station.app.views.terminal import listing
+
+    table = listing(
+        "region", "orders", "drones", "work min", "plan min", "by drone", "nobody", "CPU s"
+    )
+    for number, region in enumerate(regions):
+        counts = (str(len(region.data.orders)), str(len(region.data.day.drones)))
+        words = ("", "", "", "")
+        plan = None if done is None else done[number].plan
+        if done is not None and plan is not None:
+            spent = f"{done[number].cpu_s:.1f}"
+            nobody = str(len(plan.unplanned))
+            words = (f"{plan.makespan_s / 60.0:.1f}", str(len(plan.sorties)), nobody, spent)
+        table.add_row(region.name, *counts, f"{region.work_s / 60.0:.1f}", *words)
+    console.print(table)

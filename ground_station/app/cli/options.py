@@ -1,6 +1,7 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
 from collections.abc import Callable
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,14 @@ if TYPE_CHECKING:
     from ground_station.adapters.zenoh_log import DoorLog
     from ground_station.core.people.person import Person
     from ground_station.core.schema.day_data import DayData
+
+
+class PolicyName(StrEnum):
+    """The planner's policy."""
+
+    SEARCH = "search"
+    DYNAMIC = "dynamic"
+
 
 DayArgument = Annotated[
     str, typer.Argument(help="The day: a day/1 TOML file, or the name of a bundled day (town).")

@@ -1,6 +1,5 @@
 """`ground-station plan`: who delivers what, from where and when, before anything flies."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +7,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
-from ground_station.app.cli.options import DayArgument, ForecastFile
+from ground_station.app.cli.options import DayArgument, ForecastFile, PolicyName
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,13 +16,6 @@ if TYPE_CHECKING:
     from ground_station.core.schema.day_plan import DayPlan
 
 app = typer.Typer()
-
-
-class PolicyName(StrEnum):
-    """The planner's policy."""
-
-    SEARCH = "search"
-    DYNAMIC = "dynamic"
 
 
 @app.command()

@@ -14,13 +14,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from companion.core.base.arrays import Floats
-from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.problem import TruckAndDrones
 
 MOST_FORCED = 14
-"""Places that the truck must come by, for an exact shortest way (2^n n^2 steps)."""
+"""Places that the truck must come by, for an exact shortest way (2^n n^2 steps); past more the way
+is at least the shortest tree that joins them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class PlanBound:
 
 
 def plan_bound(problem: TruckAndDrones) -> PlanBound:
-    """The bound for this problem; LeewayError where the truck must come by too many places."""
+    """The bound for this problem."""
     forced, work_s, fleet_work_s = list[int](), 0.0, 0.0
     for customer in range(1, problem.end):
         by_truck = bool(problem.truck_can_serve[customer])
@@ -54,11 +55,10 @@ def plan_bound(problem: TruckAndDrones) -> PlanBound:
             forced.append(customer)
         if not by_truck:
             fleet_work_s += min(handling + fly for handling, fly in flights_s)
-    if len(forced) > MOST_FORCED:
-        raise LeewayError(f"bound: {len(forced)} places only by truck, at most {MOST_FORCED}")
+    way_s = shortest_way_s if len(forced) <= MOST_FORCED else spanning_way_s
     drones = sum(kind.count for kind in problem.kinds)
     fleet_s = fleet_work_s / drones if drones else 0.0
-    return PlanBound(work_s, shortest_way_s(problem.travel_s, forced), len(forced), fleet_s)
+    return PlanBound(work_s, way_s(problem.travel_s, forced), len(forced), fleet_s)
 
 
 def _flights_s(problem: TruckAndDrones, customer: int) -> list[tuple[float, float]]:
@@ -80,9 +80,7 @@ def shortest_way_s(travel_s: Floats, places: list[int]) -> float:
     """From the first node to the last past all of these, in any order, through any others and
     more than once where that is shorter.
     """
-    between_s = travel_s.copy()
-    for via in range(len(between_s)):  # Floyd and Warshall: a road matrix may have detours
-        between_s = np.minimum(between_s, between_s[:, via, None] + between_s[via])
+    between_s = _by_any_way_s(travel_s)
     end = len(travel_s) - 1
     if not places:
         return float(between_s[0, end])
@@ -98,3 +96,21 @@ def shortest_way_s(travel_s: Floats, places: list[int]) -> float:
                     wider = seen | 1 << ahead
                     least_s[wider, ahead] = min(least_s[wider, ahead], come_s)
     return float(min(least_s[full - 1, k] + between_s[p, end] for k, p in enumerate(places)))
+
+
+def spanning_way_s(travel_s: Floats, places: list[int]) -> float:
+    """No way from the first node to the last past all of these is shorter: it joins them, and the
+    lightest tree that does (each pair by its faster direction) weighs no more.
+    """
+    nodes = [0, *places, len(travel_s) - 1]
+    between_s = _by_any_way_s(travel_s)[np.ix_(nodes, nodes)]
+    either_s = np.maximum(np.minimum(between_s, between_s.T), 1e-9)  # 0 would be no edge there
+    return float(minimum_spanning_tree(either_s).sum())
+
+
+def _by_any_way_s(travel_s: Floats) -> Floats:
+    """From each node to each, through others where that is shorter: roads may have detours."""
+    between_s = travel_s.copy()
+    for via in range(len(between_s)):  # Floyd and Warshall
+        between_s = np.minimum(between_s, between_s[:, via, None] + between_s[via])
+    return between_s

@@ -1,4 +1,4 @@
-"""A town with many vehicles in service: how much faster than its own time a part of it is simulated.
+"""A town with many vehicles in service: how much faster than its own time it is simulated.
 
 The town has depots of up to eight drones, each with its desk, store, crew and network, all of them
 those of `sim-bridge day`. A process steps its depots on one clock; depots share no airspace and no
@@ -9,7 +9,7 @@ time but for the change of its pack, and orders are never short.
 import contextlib
 import gc
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from sim_bridge.app.day.build import BuiltDay, build_day, here
 from sim_bridge.app.day.desk import DeskHere
 from sim_bridge.app.day.faults import DayWish
 from sim_bridge.app.day.world import DayWorld
+from sim_bridge.research.results.sheet import Sheet
 
 MOST_AT_A_DEPOT = 8
 DEPOT_LAT_DEG, DEPOT_LON_DEG, DEPOT_ALT_M = 55.47, 8.45, 12.0
@@ -67,6 +68,42 @@ class TownPartFlown(msgspec.Struct, frozen=True, kw_only=True):
     gc_s: float
     """Of it by the desks, and by Python's garbage collector."""
     rss_mb: float
+
+
+class TownFlown(msgspec.Struct, frozen=True, kw_only=True):
+    """A town by its processes. `cpu_s` is of all, `busiest_cpu_s` of the one with most work."""
+
+    vehicles: int
+    processes: int
+    simulated_s: float
+    cpu_s: float
+    busiest_cpu_s: float
+    wall_s: float
+    in_the_air: float
+    delivered: int
+    lost: int
+    desk_cpu_s: float
+    gc_s: float
+    rss_mb: float
+
+    @classmethod
+    def of(cls, parts: Sequence[TownPartFlown]) -> "TownFlown":
+        """The town of these parts."""
+        simulated_s = parts[0].simulated_s
+        return cls(
+            vehicles=sum(part.vehicles for part in parts),
+            processes=len(parts),
+            simulated_s=simulated_s,
+            cpu_s=sum(part.cpu_s for part in parts),
+            busiest_cpu_s=max(part.cpu_s for part in parts),
+            wall_s=max(part.wall_s for part in parts),
+            in_the_air=sum(part.air_s for part in parts) / simulated_s,
+            delivered=sum(part.delivered for part in parts),
+            lost=sum(part.lost for part in parts),
+            desk_cpu_s=sum(part.desk_cpu_s for part in parts),
+            gc_s=sum(part.gc_s for part in parts),
+            rss_mb=sum(part.rss_mb for part in parts),
+        )
 
 
 def depots_of(vehicles: int) -> list[tuple[int, int]]:
@@ -222,3 +259,28 @@ def _delivered(day: BuiltDay) -> int:
 
 def _crashed(day: BuiltDay) -> int:
     return sum(up.vehicle.is_crashed for drone in day.drones for up in drone.power_ups)
+
+
+def sheet(flown: Sequence[TownFlown]) -> Sheet:
+    """A line for each town. Real time: simulated seconds over those of the busiest process."""
+    head = [
+        "vehicles", "processes", "in the air, mean", "times real time by CPU", "by the wall",
+        "CPU ms a vehicle and second", "of it desks %", "garbage collector %", "MB", "lost",
+    ]  # fmt: skip
+    rows: list[list[str]] = []
+    for one in flown:
+        each_ms = 1000.0 * one.cpu_s / (one.vehicles * one.simulated_s)
+        cells = (
+            str(one.vehicles),
+            str(one.processes),
+            f"{one.in_the_air:.1f}",
+            f"{one.simulated_s / one.busiest_cpu_s:.2f}",
+            f"{one.simulated_s / one.wall_s:.2f}",
+            f"{each_ms:.1f}",
+            f"{100.0 * one.desk_cpu_s / one.cpu_s:.1f}",
+            f"{100.0 * one.gc_s / one.cpu_s:.1f}",
+            f"{one.rss_mb:.0f}",
+            str(one.lost),
+        )
+        rows.append(list(cells))
+    return Sheet("A town in service", head, rows)

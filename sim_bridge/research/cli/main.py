@@ -8,6 +8,7 @@ import typer
 from sim_bridge.research.cli import (
     avoid,
     bench,
+    bench_size,
     campaign,
     fleet_wind,
     map_pages,
@@ -40,6 +41,7 @@ for part in (
 ):
     app.registered_commands += part.app.registered_commands
 app.registered_commands += bench.fleet.registered_commands
+bench.app.registered_commands += bench_size.app.registered_commands
 app.add_typer(bench.app, name="bench")
 
 _SAME_NAME = (

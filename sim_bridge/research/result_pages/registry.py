@@ -420,6 +420,37 @@ PAGES = (
         1.0,
     ),
     Page(
+        "days-at-size",
+        "Days at size",
+        "A hundred to 5,000 orders among up to ten trucks and a hundred drones: what dividing them"
+        " and planning take, and how far the last truck is from what no plan can beat.",
+        (
+            PageCommand(
+                _bench("large-day", "--dynamic", "--seed", "1", "--out", f"{OUT}/dynamic"),
+                title="By the dynamic assignment",
+            ),
+            PageCommand(
+                _bench("large-day", "--orders", "100", "--orders", "500", "--trials", "300000",
+                       "--seed", "1", "--out", f"{OUT}/search"),
+                title="By a short search",
+            ),
+            PageCommand(
+                _bench("start", "--orders", "5000", "--drones", "100", "--seed", "1"),
+                show=tables.start_of_a_day,
+                title="Import, and the desk's first order",
+            ),
+        ),
+        60.0,
+    ),
+    Page(
+        "town-in-service",
+        "A town in service",
+        "Depots of eight drones with their desks, up to a hundred vehicles that are switched on all"
+        " the time: how much faster than real time they are simulated, on one core and on two.",
+        (PageCommand(_bench("town", "--seed", "1", "--out", OUT)),),
+        40.0,
+    ),
+    Page(
         "dispatch-speed",
         "Speed of dispatch",
         "One order, from the desk's store to its acknowledgement, with a hundred vehicles about;"

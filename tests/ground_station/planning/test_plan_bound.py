@@ -21,7 +21,7 @@ from ground_station.core.planning.day_planner import (
     road_searched_plans,
     tried_plans,
 )
-from ground_station.core.planning.plan_bound import plan_bound, shortest_way_s
+from ground_station.core.planning.plan_bound import plan_bound, shortest_way_s, spanning_way_s
 from ground_station.core.schema.day_state import first_state
 from tests.ground_station.truck_drones.test_optimal import best_makespan_s, tiny_problem
 
@@ -98,3 +98,21 @@ def test_the_command_prints_the_bound_and_what_was_driven_anew(tmp_path):
     again = StringIO()
     print_promises(Console(width=120, file=again), written)
     assert done.output.endswith(again.getvalue())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_tree_past_many_places_is_no_longer_than_the_shortest_way(seed: int) -> None:
+    """Both past six places, where the exact way is known; roads are faster one way than back."""
+    travel_s = tiny_problem(seed, 6, 1, 900.0).travel_s * np.random.default_rng(seed).uniform(
+        1.0, 1.5, (8, 8)
+    )
+    exact_s = shortest_way_s(travel_s, [1, 2, 3, 4, 5, 6])
+    assert 0.3 * exact_s < spanning_way_s(travel_s, [1, 2, 3, 4, 5, 6]) <= exact_s
+
+
+def test_many_places_for_the_truck_alone_have_a_bound() -> None:
+    problem = tiny_problem(2, 16, 1, 900.0)
+    nobody = replace(problem.kinds[0], can_serve=np.zeros(problem.nodes, dtype=np.bool_))
+    bound = plan_bound(replace(problem, kinds=(nobody,)))
+    assert bound.forced_stops == 16
+    assert 0.0 < bound.way_s < bound.makespan_s

@@ -1,0 +1,66 @@
+"""`ground-station divide`: the same regions and plans whoever plans, a killed planner named."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.plan_files import read_day_plan
+from ground_station.adapters.workers.side_by_side import PieceDone, PieceLost
+from ground_station.app.cli.main import app
+from ground_station.app.planning import region_days
+
+
+def divide(out: Path, *words: str) -> Result:
+    command = ["divide", "town", "--trucks", "2", "--out", str(out), "--trials", "40", *words]
+    return CliRunner().invoke(app, command)
+
+
+def test_plans_are_the_same_on_one_process_and_on_two_and_bring_every_order_once(
+    tmp_path: Path,
+) -> None:
+    alone, paired = tmp_path / "alone", tmp_path / "paired"
+    done = divide(alone, "--jobs", "1")
+    assert done.exit_code == 0, done.output
+    assert divide(paired, "--jobs", "2").exit_code == 0
+    files = sorted(path.name for path in alone.iterdir())
+    assert files == sorted(path.name for path in paired.iterdir())
+    assert len(files) == 6
+    for name in files:
+        assert (alone / name).read_bytes() == (paired / name).read_bytes()
+    brought: Counter[str] = Counter()
+    for path in alone.glob("*_plan.json"):
+        plan = read_day_plan(path)
+        brought.update(sortie.order for sortie in plan.sorties)
+        brought.update(id_ for stop in plan.stops for id_ in stop.serves)
+        brought.update(line.order for line in plan.unplanned)
+    assert len(brought) == 40
+    assert set(brought.values()) == {1}
+
+
+def test_a_planner_that_is_killed_costs_its_region_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(region_days, "side_by_side", one_is_lost)
+    done = divide(tmp_path, "--jobs", "2")
+    assert done.exit_code == 1
+    assert "lost: town-2: SIGKILL" in done.output
+    assert sorted(path.name for path in tmp_path.glob("*_plan.json")) == ["town-1_plan.json"]
+
+
+def one_is_lost(work, do, workers, say):
+    """Stands for workers of which one was killed twice, by the second region."""
+    for index, piece in enumerate(work):
+        if index == 1:
+            yield PieceLost(index, piece, "SIGKILL")
+        else:
+            yield PieceDone(index, do(piece))
+
+
+def test_trucks_are_stated_for_each_day(tmp_path: Path) -> None:
+    done = divide(tmp_path, "--trucks", "1")
+    assert isinstance(done.exception, LeewayError)
+    assert "2 for 1 days" in str(done.exception)
+    assert not list(tmp_path.iterdir())
