@@ -26,6 +26,7 @@ from companion.adapters.logs.csv_table import CsvTable
 from companion.adapters.logs.log_time import told
 from companion.adapters.logs.log_units import Columns
 from companion.core.base.arrays import Bools, Floats
+from companion.core.base.errors import LeewayError
 from companion.core.replay.recorded_flight import LogFinding
 
 QUATERNION = ("orientation_x", "orientation_y", "orientation_z", "orientation_w")
@@ -57,10 +58,12 @@ def is_m100_csv(header: tuple[str, ...]) -> bool:
 def read_m100_table(path: Path) -> CsvTable:
     """The file in the columns of our own CSV (docs/how-to/replay-a-log.md).
 
-    LeewayError where columns are missing.
+    LeewayError where columns or rows are missing.
     """
     table = CsvTable.read(path, REQUIRED, KNOWN)
     raw = table.columns
+    if np.count_nonzero(np.isfinite(raw["time"])) < 2:
+        raise LeewayError(f"{path}: line 2: {len(table.lines)} rows with a time; a flight has more")
     for name, most in zip(POWER, (_JUMP_V, _JUMP_A), strict=True):
         table.findings += _leave_jumps_out(table, name, most)
     columns = {"t_s": raw["time"], **_motion(raw)}
@@ -151,7 +154,7 @@ def _in_the_air(raw: Columns) -> Bools:
 
 def _climbs_at_once(t_s: Floats, height_m: Floats) -> bool:
     """Tell a log that begins with the take-off from one that begins in a hover."""
-    soon = t_s <= t_s[0] + _TAKE_OFF_S
+    soon = t_s <= t_s[np.isfinite(t_s)][0] + _TAKE_OFF_S
     return bool(np.ptp(height_m[soon]) > _TAKE_OFF_M)
 
 

@@ -20,6 +20,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.calibration.drag import see_wind
 from companion.core.calibration.power import air_speeds
 from companion.core.calibration.records import BLOCK_S, prepare
+from companion.core.calibration.standing import ground_test
 from companion.core.certificate.certificate import Certificate, percent
 from companion.core.certificate.certify import MeasuredFlight, Scatter, certify
 from companion.core.certificate.support import CONFIDENCE, days_needed, days_needed_confidently
@@ -168,6 +169,8 @@ def _measured(log: _Stated, airframe: Airframe) -> _Flown:
     recorded = open_multirotor_log(log.path)
     record = as_record(recorded, name, log.payload_kg, celsius)
     hover_w = float(multirotor_power_w(airframe, airframe.mass_kg(log.payload_kg), 0.0))
+    if ground_test(record, hover_w) is not None:
+        raise LeewayError(f"{name}: stands on the ground throughout: not a flight")
     prepared = prepare(record, hover_w, airframe.battery.cells)
     samples = sampled(recorded, SAMPLED_EVERY_S)
     track = flown_track(name, samples, log.payload_kg)

@@ -12,7 +12,13 @@ from companion.core.base.arrays import Floats
 from companion.core.calibration.battery import BatteryFit
 from companion.core.calibration.drag import DragFit
 from companion.core.calibration.flight import square_speeds_mps
-from companion.core.calibration.power import LEAST_VALUES, POWER_KEYS, PowerFit, with_values
+from companion.core.calibration.power import (
+    LEAST_VALUES,
+    POWER_KEYS,
+    PowerFit,
+    PowerPriors,
+    with_values,
+)
 from companion.core.calibration.records import Blocks
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
@@ -91,7 +97,7 @@ def quantities_of(
             "avionics",
             "W",
             float(power.values[3]),
-            float(np.sqrt(power.cov[3, 3])),
+            avionics_std_w(power),
             float(np.sqrt(power.prior_cov[3, 3])),
             1.0,
             False,
@@ -112,6 +118,18 @@ def quantities_of(
     )
     found += _usable_quantities(battery, start)
     return tuple(found)
+
+
+def avionics_std_w(power: PowerFit) -> float:
+    """Of the fit, and no less than one sensor's zero leaves; as before where that zero is wrong."""
+    std, prior = (float(np.sqrt(cov[3, 3])) for cov in (power.cov, power.prior_cov))
+    standing = power.standing
+    if standing is None:
+        return std
+    if not standing.tells_avionics:
+        return prior
+    zero_w = PowerPriors().current_offset_std_a * standing.voltage_v
+    return max(std, zero_w * prior / float(np.hypot(zero_w, prior)))
 
 
 def _to_tell_avionics(power: PowerFit) -> str:

@@ -18,6 +18,8 @@ from companion.core.replay.recorded_flight import FlightSamples
 STEP_S = 0.2
 _UNDER_POWER_FRAC = 0.3  # of the median power in the air: idling rotors draw a tenth
 _LEAST_FLIGHT_S = 30.0
+_LONGEST_GAP_S = 10.0
+"""Longer, and what was drawn and flown meanwhile is a guess."""
 _LANDED_M = 5.0  # above the lowest end of the track: the height of such logs wanders by that much
 _LEG_SPEED_FRAC = 0.5
 _LEAST_LEG_M = 25.0
@@ -78,7 +80,7 @@ class FlownTrack:
 
 
 def flown_track(name: str, samples: FlightSamples, payload_kg: float) -> FlownTrack:
-    """The track of a recorded flight; LeewayError where the log holds none."""
+    """The track of a recorded flight; LeewayError where the log holds none, or has a long gap."""
     power = samples.voltage_v * samples.current_a
     known = np.isfinite(power)
     if not known.any() or not np.isfinite(samples.lat_deg).any():
@@ -88,6 +90,7 @@ def flown_track(name: str, samples: FlightSamples, payload_kg: float) -> FlownTr
     begin, end = _under_power(name, drawn, samples)
     span = slice(begin, end + 1)
     t_s = grid_s[span]
+    _refuse_gap(name, samples.t_s[known & np.isfinite(samples.lat_deg)], t_s)
     lat, lon = (_on(t_s, samples.t_s, v) for v in (samples.lat_deg, samples.lon_deg))
     north, east = offsets_m(float(lat[0]), float(lon[0]), lat, lon)
     height = _on(t_s, samples.t_s, samples.alt_amsl_m)
@@ -107,6 +110,19 @@ def flown_track(name: str, samples: FlightSamples, payload_kg: float) -> FlownTr
             end >= len(grid_s) - 2 and height[-1] > min(height[0], height[-1]) + _LANDED_M
         ),
     )
+
+
+def _refuse_gap(name: str, known_s: Floats, under_power_s: Floats) -> None:
+    """LeewayError where power or position is unknown for long while under power."""
+    inside = known_s[(known_s > under_power_s[0]) & (known_s < under_power_s[-1])]
+    edges_s = np.concatenate([under_power_s[:1], inside, under_power_s[-1:]])
+    longest = int(np.argmax(np.diff(edges_s)))
+    gap_s = float(edges_s[longest + 1] - edges_s[longest])
+    if gap_s > _LONGEST_GAP_S:
+        raise LeewayError(
+            f"{name}: no power or position for {gap_s:.0f} s from {edges_s[longest]:.1f} s on,"
+            f" under power; at most {_LONGEST_GAP_S:g} s expected to tell its energy"
+        )
 
 
 def _under_power(name: str, drawn_w: Floats, samples: FlightSamples) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from companion.adapters.logs.open_log import open_log
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import offset_m
 from companion.core.calibration.records import Blocks, prepare
+from companion.core.calibration.standing import ground_test
 from companion.core.measured_energy.flown_track import FlownTrack, flown_track
 from companion.core.replay.recorded_flight import FlightSamples, first_position, sampled
 from companion.core.vehicle.air import standard_air
@@ -103,6 +104,8 @@ def read_flight(
         temperature_c = normal_temperature_c(ordered.date, ordered.hour) if usual else UNSTATED_C
     hover_w = float(multirotor_power_w(start, start.mass_kg(ordered.payload_kg), 0.0))
     record = as_record(log, ordered.name, ordered.payload_kg, temperature_c)
+    if ground_test(record, hover_w) is not None:
+        raise LeewayError("stands on the ground throughout: not a flight")
     prepared = prepare(record, hover_w, start.battery.cells)
     samples = sampled(log, 0.1)
     track = flown_track(ordered.name, samples, ordered.payload_kg)

@@ -162,7 +162,7 @@ PAGES = (
                 "1, fixed in the code: the intervals",
             ),
         ),
-        8.0,
+        3.0,
         needs=(M100_FLIGHTS,),
         pictures=(("real_flights.png", "real-flights.png"),),
     ),

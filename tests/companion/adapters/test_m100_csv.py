@@ -119,6 +119,19 @@ def test_packed_bytes_that_look_like_dataflash_are_still_gzip(tmp_path):
     assert open_log(packed).source == "m100 csv"
 
 
+@pytest.mark.parametrize("table", [[], rows()[:1]])
+def test_a_header_with_hardly_a_row_is_refused_by_file_and_line(tmp_path, table):
+    with pytest.raises(LeewayError, match=r"1\.csv: line 2: .*a flight has more"):
+        open_log(write(tmp_path / "1.csv", table))
+
+
+def test_a_log_whose_first_time_is_unknown_is_read_from_the_next(tmp_path):
+    table = rows()
+    table[0][0] = "nan"
+    flight = open_log(write(tmp_path / "1.csv", table))
+    assert any("line 2: time is no finite number" in str(f) for f in flight.findings)
+
+
 def test_a_single_sample_of_current_far_off_is_unknown_and_said_by_line(tmp_path):
     table = rows()
     table[100][4] = 45.0

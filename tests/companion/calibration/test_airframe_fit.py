@@ -28,7 +28,7 @@ from companion.core.calibration.flight import (
     calibration_items,
 )
 from companion.core.calibration.power import fit_power
-from companion.core.calibration.quantities import power_and_slope
+from companion.core.calibration.quantities import avionics_std_w, power_and_slope
 from companion.core.calibration.records import BLOCK_S, Blocks, FlightRecord, prepare
 from companion.core.vehicle.power import multirotor_power_w
 from sim_bridge.truth.battery import Battery
@@ -494,28 +494,31 @@ def test_motors_that_spin_up_on_the_ground_are_not_taken_for_avionics():
     assert fit.values[3] == pytest.approx(15.0, abs=2.0)
 
 
-def test_a_current_sensor_that_reads_less_than_nothing_at_rest_leaves_avionics_as_believed():
-    """The M100's own sensor: -0.15 A with everything on and the motors off."""
+def rests(watts, logs=1):
+    """The fit to logs that read this much at rest, at 24 V."""
     speeds = np.repeat(np.arange(0.0, 15.0, 3.0), 15)
     still = np.zeros(len(speeds))
-    flown = level_blocks("m", speeds, np.interp(speeds, SPEEDS, POWER[0.0]), np.full(10, -4.0))
-    start = read_airframe("m100")
-    fit = fit_power([flown], [WindSeen(still, still, still + 0.1, 0.0)], start)
+    power = np.interp(speeds, SPEEDS, POWER[0.0])
+    flown = [level_blocks(f"m{i}", speeds, power, np.full(10, watts)) for i in range(logs)]
+    return fit_power(
+        flown, [WindSeen(still, still, still + 0.1, 0.0)] * logs, read_airframe("m100")
+    )
+
+
+def test_a_current_sensor_that_reads_less_than_nothing_at_rest_tells_no_avionics():
+    """The M100's own sensor: -0.15 A with everything on and the motors off."""
+    fit = rests(-4.0)
     assert fit.standing is not None
-    assert fit.standing.current_a == pytest.approx(-4.0 / 24.0)
-    believed = start.power_rotor.avionics_w
-    assert fit.values[3] == pytest.approx(believed, abs=0.3 * believed)
-    assert float(np.sqrt(fit.cov[3, 3])) > 0.5 * float(np.sqrt(fit.prior_cov[3, 3]))
+    assert fit.standing.least_a == pytest.approx(-4.0 / 24.0)
+    assert avionics_std_w(fit) == pytest.approx(float(np.sqrt(fit.prior_cov[3, 3])))
 
 
 def test_many_logs_tell_avionics_no_better_than_one_sensor_s_zero():
-    speeds = np.repeat(np.arange(0.0, 15.0, 3.0), 15)
-    still = np.zeros(len(speeds))
-    watts = np.interp(speeds, SPEEDS, POWER[0.0])
-    flown = [level_blocks(f"m{i}", speeds, watts, np.full(10, 15.0)) for i in range(9)]
-    wind = [WindSeen(still, still, still + 0.1, 0.0)] * 9
-    fit = fit_power(flown, wind, read_airframe("m100"))
-    assert float(np.sqrt(fit.cov[3, 3])) > 0.7 * 0.2 * 24.0  # 0.2 A of 24 V, narrowed by belief
+    fit = rests(15.0, logs=9)
+    # 0.2 A of 24 V about the reading, and 9 W about what was believed.
+    zero, believed = 0.2 * 24.0, float(np.sqrt(fit.prior_cov[3, 3]))
+    assert avionics_std_w(fit) >= (zero**-2 + believed**-2) ** -0.5 - 1e-9
+    assert avionics_std_w(fit) < 0.6 * believed
 
 
 PUBLISHED = {  # rms that the fit leaves, of the power; masses as the publications state

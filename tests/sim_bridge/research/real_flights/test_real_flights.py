@@ -4,6 +4,7 @@ of the real ones where they are."""
 import csv
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -254,8 +255,17 @@ def test_a_flight_that_cannot_be_used_is_left_out_by_name(made, tmp_path):
     (tmp_path / "3.csv").unlink()
     rows = (tmp_path / "7.csv").read_text().splitlines()
     (tmp_path / "7.csv").write_text("\n".join(rows[:40]) + "\n")
+    rows = (tmp_path / "8.csv").read_text().splitlines()
+    (tmp_path / "8.csv").write_text("\n".join(rows[:200] + rows[300:]) + "\n")  # 20 s
+    rows = list(csv.reader((tmp_path / "11.csv").read_text().splitlines()))
+    stood = [[str(DT_S * i), *rows[1][1:]] for i in range(300)]
+    (tmp_path / "11.csv").write_text("\n".join(",".join(r) for r in [rows[0], *stood]) + "\n")
     read = read_folder(tmp_path, "m100", False)
-    assert len(read.flights) == 14
+    assert len(read.flights) == 12
+    # Twenty seconds are cut out; what was heard last holds for some of them.
+    (gap,) = (words for words in read.left_out if words.startswith("flight 8: "))
+    assert re.match(r"flight 8: 8: no power or position for 1\d s from 4\d\.\d s on, under", gap)
+    assert "flight 11: stands on the ground throughout: not a flight" in read.left_out
     assert any(
         words.startswith("flight 3: ") and "No such file" in words for words in read.left_out
     )
