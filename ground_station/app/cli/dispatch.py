@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from companion.fleet.messages import State
     from ground_station.adapters.zenoh_fleet import ZenohFleet
     from ground_station.adapters.zenoh_log import DoorLog
-    from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.desk import Desk
     from ground_station.app.desk.desk_meter import DeskMeter
+    from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.fleet.door_watch import DoorWatch
     from ground_station.core.fleet.station_message import StationWind
 
@@ -106,9 +106,9 @@ def dispatch(
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
     from ground_station.adapters.files.plan_files import read_day_plan
-    from ground_station.app.cli.certificate_reminder import CertificateReminder
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
+    from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.people.person import desk_of
 
     data = open_day(day, follows=True)

@@ -18,6 +18,7 @@ from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.app.desk.station_desk import StationDesk
+from ground_station.core.deconfliction.depot_layers import DepotLayers
 from ground_station.core.dispatch.wind_holds import (
     HELD_BY,
     Launch,
@@ -25,13 +26,16 @@ from ground_station.core.dispatch.wind_holds import (
     longest_s,
     would_catch,
 )
+from ground_station.core.dispatch.zone_holds import ZoneHolds
 from ground_station.core.feasibility.flight_in_front import FlightNow, judged
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.route_aboard import route_of
 from ground_station.core.fleet.site_wind import SiteWind, front_words
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.planning.day_problem import TOP_M
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import ALL
@@ -68,6 +72,8 @@ class WindGuard:
     sorties: Callable[[], Sequence[SortieRow]] = lambda: ()
     forecast: ForecastWatch | None = None
     stations: StationDesk | None = None
+    zones: ZoneHolds = field(init=False)
+    _layers: DepotLayers = field(init=False)
     _held: set[str] = field(default_factory=set)
     _keep_until_s: dict[str, float] = field(default_factory=dict)
     _began: bool = False
@@ -77,6 +83,10 @@ class WindGuard:
     _reach: dict[str, Reach] = field(default_factory=dict)
     _orders: dict[str, Order] = field(default_factory=dict)
     _sorties: dict[str, SortieRow] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.zones = ZoneHolds(self.data)
+        self._layers = DepotLayers(self.data.day.mission, TOP_M)
 
     @property
     def wind(self) -> SiteWind:
@@ -103,10 +113,11 @@ class WindGuard:
         self._say_field(now_s)
         if self.forecast is not None:
             self.forecast.turn(now_s)
-        wanted = self.forecast is not None or self.wind.fronts_now(now_s)
+        wanted = self.forecast is not None or self.zones or self.wind.fronts_now(now_s)
         rows = self._read_rows() if wanted else []
         waiting = [row for row in rows if row.state in TO_LAUNCH]
-        due = self.holds.due(now_s, [self._launch(row, status) for row in waiting])
+        launches = [self._launch(row, status) for row in waiting]
+        due = self._zones_due(waiting, launches, status) | self.holds.due(now_s, launches)
         if self.forecast is not None:
             due = self.forecast.held(waiting, self._orders, self._sorties, now_s) | due
         changed = self._hold(due, now_s)
@@ -114,6 +125,38 @@ class WindGuard:
             self._tell(self._to_tell[0], rows, status, now_s)
             self._to_tell.pop(0)
         return changed
+
+    def _zones_due(
+        self, rows: Sequence[AssignmentRow], launches: Sequence[Launch], status: FleetStatus
+    ) -> dict[str, str]:
+        """Who is held for a geo-zone that comes in force while its flight, drawn out, is out."""
+        if not self.zones:
+            return {}
+        now_s, found = self.clock.epoch_us() / 1e6, dict[str, str]()
+        for row, launch in zip(rows, launches, strict=True):
+            way = self._told_way(row, status) or launch.places_ne_m
+            held = self.zones.held(way, self._highest_m(row), launch.takes_s, now_s)
+            if held is not None:
+                found[row.vehicle] = held.words
+        return found
+
+    def _told_way(self, row: AssignmentRow, status: FleetStatus) -> Places:
+        """The way of the mission aboard, as its vehicle tells it; empty: it does not."""
+        state = status.of(row.vehicle).state
+        route = None if state is None or state.assignment != row.id else route_of(state)
+        if route is None:
+            return ()
+        return tuple(self.wind.place_ne_m(*place) for place in (*route.out, *route.home))
+
+    def _highest_m(self, row: AssignmentRow) -> float:
+        """Level flight above the depot; over known ground it may be lifted to any height."""
+        if self.data.elevation is not None:
+            return math.inf
+        sortie = self._sorties.get(row.id)
+        if sortie is None:
+            return self._layers.band_m(row.layer or 0)[1]
+        plan, pad = sortie.sortie, sortie.pads[sortie.sortie.launch]
+        return max(plan.outbound_height_m, plan.return_height_m) - self._ground(pad)[2]
 
     def _read_rows(self) -> list[AssignmentRow]:
         """Drones' assignments in force, with what is needed to know their ways."""
@@ -159,7 +202,8 @@ class WindGuard:
             self._held.discard(scope)
             self._keep_until_s.pop(scope, None)
             for hold in lifted:
-                self.say(f"{_name(scope)}: no longer held for the wind ({hold.reason})")
+                what = "" if hold.reason.startswith("zone ") else " for the wind"
+                self.say(f"{_name(scope)}: no longer held{what} ({hold.reason})")
         return True
 
     def _set(self, holds: HoldStore, scope: str, why: str) -> None:

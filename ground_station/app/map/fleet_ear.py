@@ -7,13 +7,10 @@ a desk has written down.
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Protocol
 
-from companion.core.base.errors import LeewayError
 from companion.core.base.geo import offset_m
 from companion.fleet.messages import State
-from companion.fleet.polyline import decoded
 from ground_station.app.desk.station_desk import StationDesk
 from ground_station.core.fleet.fleet_link import (
     Clock,
@@ -24,7 +21,7 @@ from ground_station.core.fleet.fleet_link import (
     StationWindReceived,
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.route_aboard import RouteAboard
+from ground_station.core.fleet.route_aboard import RouteAboard, route_of
 from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.fleet.station_message import StationWind
 
@@ -151,16 +148,3 @@ class FleetEar:
         if self._states_wanted and (self._asked_s is None or now_s - self._asked_s >= ASK_S):
             self._states_wanted, self._asked_s = False, now_s
             self.fleet.ask_states(ANSWER_S)
-
-
-def route_of(state: State) -> RouteAboard | None:
-    """The route that a state tells; None: it tells none, or words that are no way."""
-    return _route(state.way_out, state.way_home) if state.way_out and state.way_home else None
-
-
-@lru_cache(maxsize=1024)
-def _route(out: str, home: str) -> RouteAboard | None:
-    try:
-        return RouteAboard(decoded(out), decoded(home))
-    except LeewayError:
-        return None

@@ -55,6 +55,25 @@ def day(
     truck_late: Annotated[
         float, typer.Option(min=0.0, help="Seconds that the truck's second drive takes longer.")
     ] = 0.0,
+    front: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=20.0,
+            help="A gust front of so many m/s passes over the site, unforeseen; its way follows the"
+            " seed.",
+        ),
+    ] = 0.0,
+    front_at: Annotated[
+        float, typer.Option(min=0.0, help="When it reaches the depot, minutes of the day.")
+    ] = 15.0,
+    share_wind: Annotated[
+        bool,
+        typer.Option(
+            "--share-wind/--no-share-wind",
+            help="Whether the desk heeds what drones tell of the wind.",
+        ),
+    ] = True,
     trials: Annotated[
         int | None, typer.Option(min=1, help="Of the plan's search; default: by the day's size.")
     ] = None,
@@ -103,7 +122,12 @@ def day(
         companion_kills=kill_companion,
         ground_kills=kill_ground,
         truck_late_s=truck_late,
+        passing_front_mps=front,
+        front_at_s=60.0 * front_at,
+        shares_wind=share_wind,
     )
+    if processes and (front > 0.0 or not share_wind):
+        raise LeewayError("--processes: expected neither --front nor --no-share-wind beside it")
     data = read_day(path)
     console = Console()
     settings = day_fly.settings_of(path, wish, trials)

@@ -33,6 +33,7 @@ from sim_bridge.app.day.faults import AUTOPILOTS, DayWish, Faults, draw_faults
 from sim_bridge.app.day.truck import DayTruck, DriverTimes
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.fields.front import PassingFront, drawn_front
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.wind_field import MeanWind
@@ -114,6 +115,8 @@ class BuiltDay:
     crew: GroundCrew
     faults: Faults
     customers: dict[str, Ned] = field(default_factory=dict)
+    front: PassingFront | None = None
+    shares_wind: bool = True
 
 
 def day_wind(data: DayData, wish: DayWish, rng: np.random.Generator, need_s: float) -> DayWind:
@@ -233,7 +236,7 @@ def build_day(
 ) -> BuiltDay:
     """Build the world of one day. The returned `data` holds the forecast in force."""
     seeds = np.random.SeedSequence(seed).spawn(6)
-    wind_seed, bus_seed, truck_seed, fault_seed, drone_seed, _ = seeds
+    wind_seed, bus_seed, truck_seed, fault_seed, drone_seed, front_seed = seeds
     wind = day_wind(data, wish, np.random.default_rng(wind_seed), need_s)
     data = replace(data, day=msgspec.structs.replace(data.day, forecast=wind.forecast))
     depot = data.day.depot
@@ -259,7 +262,18 @@ def build_day(
         crew.late_s = wish.truck_late_s
     faults = draw_faults(wish, np.random.default_rng(fault_seed))
     customers = {order.id: place_ned(frame, place_of(order)) for order in data.orders}
-    return BuiltDay(data, frame, clock, plumbing, drones, crew, faults, customers)
+    front = _passing_front(wish, wind, np.random.default_rng(front_seed))
+    return BuiltDay(
+        data, frame, clock, plumbing, drones, crew, faults, customers, front, wish.shares_wind
+    )
+
+
+def _passing_front(wish: DayWish, wind: DayWind, rng: np.random.Generator) -> PassingFront | None:
+    size_mps = wish.passing_front_mps
+    if size_mps <= 0.0:
+        return None
+    mean_ne_mps = np.asarray(wind.mean.to_ne_mps(wish.front_at_s))
+    return drawn_front(wish.front_at_s, mean_ne_mps, size_mps, size_mps, rng)
 
 
 def _terrain(data: DayData) -> PlaneTerrain:

@@ -196,6 +196,8 @@ class DeskHere:
         fleet = bus.desk()
         try:
             self.desk = self.sit_down(self.books, fleet, self._say, self.clock)
+            if not self.built.shares_wind:
+                self.desk.wind = None  # nobody tells its belief anything: the forecast stays
             self.desk.begin()
         except BaseException:
             self.desk = None

@@ -25,7 +25,9 @@ STORE_AWAY_S = (5.0, 180.0)
 @dataclass(frozen=True, slots=True)
 class DayWish:
     """Command-line options of a day's world. `truck`: drones ride on one; else they start from the
-    depot. `least_cut_s`: the shortest cut of the network.
+    depot. `least_cut_s`: the shortest cut of the network. `passing_front_mps`: a gust front of so
+    much passes over the site, reaching its middle at `front_at_s`. `shares_wind`: the desk heeds
+    what drones tell of the wind.
     """
 
     wind_log: Path | None = None
@@ -42,6 +44,9 @@ class DayWish:
     store_outages: int = 0
     member_cuts: int = 0
     least_cut_s: float = CUT_S[0]
+    passing_front_mps: float = 0.0
+    front_at_s: float = 900.0
+    shares_wind: bool = True
 
 
 Lasting = tuple[float, float]

@@ -79,8 +79,9 @@ class Flyer:
             "companions": wish.companion_kills,
             "ground": wish.ground_kills,
             "late": wish.truck_late_s,
+            "front": wish.passing_front_mps,
         }
-        apart_ = "-processes" if self.processes else ""
+        apart_ = "-processes" * self.processes + "-forecast" * (not wish.shares_wind)
         return apart_ + "".join(f"-{name}{value:g}" for name, value in marks.items() if value)
 
     def _planned(self, data: DayData, seed: int, tell: Callable[[float, float], None]) -> DayPlan:

@@ -26,7 +26,15 @@ from sim_bridge.app.day.world import DayWorld, Seat
 
 RESULT, PICTURE = "day.json", "day.png"
 FORMAT = "simulated-day/1"
-NO_FAULTS = ("wind_log", "wind_table", "autopilots", "truck", "least_cut_s")
+NO_FAULTS = (
+    "wind_log",
+    "wind_table",
+    "autopilots",
+    "truck",
+    "least_cut_s",
+    "front_at_s",
+    "shares_wind",
+)
 """What a wish says beside the faults."""
 
 EXPECTED_S = 3600.0
@@ -105,7 +113,7 @@ def fly_day(
         seat = take_seat(made, folder)  # plans the day: may take minutes and be interrupted
         stack.callback(seat.close)
         world = DayWorld(
-            made.clock, made.plumbing, made.drones, made.crew, seat, made.faults, store
+            made.clock, made.plumbing, made.drones, made.crew, seat, made.faults, store, made.front
         )
         stack.callback(world.bring_store_back)
         began_wall_s, began_cpu_s = wall_s(), cpu_s()
@@ -235,6 +243,8 @@ def _row(
         "faults_came": world.faults.came,
         "longest_cut_s": round(world.faults.cut_s, 1),
         "replans": max(len(plans) - 1, 0),
+        "shares_wind": built.shares_wind,
+        "front": None if built.front is None else asdict(built.front),
         "plan": msgspec.to_builtins(plans[0]) if plans else None,
         "run": str(options.folder),
     }

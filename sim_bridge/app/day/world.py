@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+
 from sim_bridge.app.day.build import Plumbing
 from sim_bridge.app.day.clock import DayClock
 from sim_bridge.app.day.crew import GroundCrew
@@ -11,10 +13,14 @@ from sim_bridge.app.day.drone import PHYSICS_STEP_S, DayDrone
 from sim_bridge.app.day.faults import Faults
 from sim_bridge.app.day.judge import HandedOver, Stand, Told
 from sim_bridge.app.day.store_host import StoreHost
+from sim_bridge.truth.fields.front import PassingFront
 
 STEP_S = 0.1
 STEPS = round(STEP_S / PHYSICS_STEP_S)
 DESK_EVERY_S = 0.5
+FRONT_STEPS = 5
+"""A front takes 20 s or more to pass a place."""
+
 DESK_AWAY_S = 20.0
 """From a desk's SIGKILL to its restart by a person or a service."""
 
@@ -55,6 +61,7 @@ class DayWorld:
     seat: Seat
     faults: Faults
     store: StoreHost | None = None
+    front: PassingFront | None = None
     homes: list[Told] = field(default_factory=list)
     _home: dict[str, str | None] = field(default_factory=dict)
     _desk_due_s: float = 0.0
@@ -88,6 +95,8 @@ class DayWorld:
         self._steps += 1
         t_s = self.clock.t_s = self._steps * STEP_S
         self.plumbing.network.deliver(t_s)
+        if self.front is not None and self._steps % FRONT_STEPS == 0:
+            self._let_front_pass(self.front, t_s)
         for drone in self.drones:
             drone.advance(t_s, STEPS)
         self._note_homes(t_s)
@@ -97,6 +106,15 @@ class DayWorld:
             self._desk_due_s = t_s + DESK_EVERY_S - STEP_S / 2.0
             self.seat.turn()
         self.plumbing.pace(t_s)
+
+    def _let_front_pass(self, front: PassingFront, t_s: float) -> None:
+        """Each drone meets it at its own place."""
+        for drone in self.drones:
+            up = drone.power_ups[-1] if drone.power_ups else None
+            if up is not None and up.rows:
+                north, east = (np.array([x]) for x in up.rows[-1][1:3])
+                added = front.to_ne_mps(np.array([t_s]), north, east)[0]
+                up.vehicle.wind_field.front_to_ne_mps = (float(added[0]), float(added[1]))
 
     def _note_homes(self, t_s: float) -> None:
         for vehicle, state in self.plumbing.network.states.items():

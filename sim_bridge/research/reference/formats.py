@@ -14,6 +14,7 @@ from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 from companion.fleet.messages import Command, FleetEvent, Result, State
 from companion.fleet.roster import Roster
+from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_plan import DayPlan
 from sim_bridge.app.flight.scenario import Fault
@@ -74,6 +75,7 @@ def formats() -> tuple[Format, ...]:
         Format("message command", Command),
         Format("message result", Result),
         Format("message track", Track),
+        Format("message station", StationWind),
     )
 
 

@@ -33,10 +33,10 @@ def depot(tmp_path: Path, store: Store) -> Callable[[], Depot]:
 
     def made() -> Depot:
         data = read_day(DAYS / "harbour.toml")
-        at = {"lat_deg": data.day.depot.lat_deg, "lon_deg": data.day.depot.lon_deg + 0.01}
+        lat, lon = data.day.depot.lat_deg, data.day.depot.lon_deg + 0.01
         stations = [
-            WindStation(id="mast", height_m=40.0, file="mast.csv", **at),
-            WindStation(id="pier", height_m=40.0, **at),
+            WindStation(id="mast", lat_deg=lat, lon_deg=lon, height_m=40.0, file="mast.csv"),
+            WindStation(id="pier", lat_deg=lat, lon_deg=lon, height_m=40.0),
         ]
         day = msgspec.structs.replace(data.day, stations=stations, wind_limit_mps=12.0)
         data = replace(data, day=day, folder=tmp_path)

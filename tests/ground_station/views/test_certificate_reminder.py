@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from companion.fleet.roster import WARN_DAYS
-from ground_station.app.cli.certificate_reminder import CertificateReminder
 from ground_station.app.views.attention import ending_certificates
+from ground_station.app.views.certificate_reminder import CertificateReminder
 from ground_station.core.fleet.desk_figures import DAY_US, CertificateFigures
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "watch-the-desk.md"
