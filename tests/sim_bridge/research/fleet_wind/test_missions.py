@@ -25,6 +25,7 @@ from sim_bridge.research.fleet_wind.mission_study import (
 from sim_bridge.research.fleet_wind.mission_verdict import (
     MissionEnds,
     mission_row,
+    mission_sheets,
     risk_for,
 )
 from sim_bridge.research.fleet_wind.patrols import patrols
@@ -84,6 +85,21 @@ def test_at_equal_loss_successes_lie_between_the_risks_that_were_flown() -> None
     assert at["own_only"] == pytest.approx(0.30)
     assert at["fleet"] == pytest.approx(0.40)
     assert ends.at_equal_loss(0.03)["own_only"] == pytest.approx(0.35)
+
+
+def test_at_equal_risk_both_are_counted_in_the_same_missions() -> None:
+    lost, success = [0] * 11 + [3], [10] * 11 + [40]
+    own = ends_by_level(lost, success)
+    fleet = ends_by_level([0] * 11 + [2], [14] * 11 + [44])
+    ends = MissionEnds.of([flown(0, own, fleet)], seed=1)
+    fields = FleetWindSetting(None, str(SHIPPED), "x", 8, 0, 4.0, 13.0, 1)
+    setting = MissionSetting(fields, 1, 100, 0.4, "hard", 0.01)
+    sheets = mission_sheets(ends, [flown(0, own, fleet)], setting)
+    assert sheets["equal-risk"].rows[0][1:6] == ["10.0", "0", "14.0", "0", "+4.0"]
+    assert sheets["equal-risk"].rows[-1][1:6] == ["40.0", "3", "44.0", "2", "+4.0"]
+    assert {row[1] for row in sheets["missions"].rows} == {
+        "own wind alone", "the fleet's wind", "clairvoyant",
+    }  # fmt: skip
 
 
 def test_one_mission_in_ten_has_a_front_in_its_hour_and_none_is_lost() -> None:
