@@ -106,7 +106,7 @@ class FleetPort:
     doubt: str = ""
     """What the monitor of its service holds in doubt, in words."""
     refusals: Refusals = field(default_factory=Refusals)
-    """Of neighbours' tracks."""
+    """Of neighbours' tracks, and of the winds that are told."""
     _told_s: float | None = None
     _told_phase: str = ""
 

@@ -146,7 +146,7 @@ class FrontWatch:
 
     def __init__(self, process: WindProcessParams) -> None:
         self._process = process
-        self._chance_m2ps2 = _chance_m2ps2(process)
+        self._chance_m2ps2 = chance_m2ps2(process)
         self._members: dict[str, _Member] = {}
         self._suspects: deque[FeltChange] = deque()
         self._dull_until_s: dict[str, float] = {}
@@ -266,8 +266,10 @@ def _alike(one: FeltChange, other: FeltChange) -> bool:
     return n0 * n1 + e0 * e1 >= TOGETHER_COS * one.size_mps * other.size_mps
 
 
-def _chance_m2ps2(process: WindProcessParams) -> float:
-    """Variance of a 10 s mean less the mean of the minute before, by the process, per axis."""
+def chance_m2ps2(process: WindProcessParams) -> float:
+    """Variance of a 10 s mean less the mean of the minute before, by the process at its reference
+    wind, per axis.
+    """
     ages = np.concatenate([[0.0], np.arange(GAP_S, GAP_S + BEFORE_S, TELLING_S)])
     weight = np.array([1.0, *np.full(ages.size - 1, -1.0 / (ages.size - 1))])
     # E[(sum w x)^2] = -1/2 sum w_i w_j E[(x_i - x_j)^2] for weights that sum to nothing

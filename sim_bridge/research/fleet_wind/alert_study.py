@@ -10,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field.fronts import FrontAhead, FrontWatch
+from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.fronts import (
+    BEFORE_S,
+    GAP_S,
+    FrontAhead,
+    FrontWatch,
+    chance_m2ps2,
+)
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M, Patrol
 from sim_bridge.research.fleet_wind.worlds import TOLD_STD_MPS
@@ -19,6 +26,9 @@ from sim_bridge.truth.fields.site_wind import SiteWind
 
 FELT_MPS = 3.0
 """A front is felt where the 10 s mean has changed by so much because of it."""
+FALSE_ONCE_IN_H = 10.0
+"""What was asked of false alerts."""
+
 MATCH_S = 300.0
 """An alert is of a front that somebody felt first within so long before or after."""
 
@@ -37,6 +47,10 @@ class AlertFigures:
     """From the alert to the front's being felt, for each drone that was warned."""
     arrival_errors_s: tuple[float, ...] = ()
     """Stated less true time, for each drone that was warned, as the first alert said it."""
+    least_delays_s: tuple[float, ...] = ()
+    """As `delays_s`, of the best test of one drone's change alone: see `least_delay_s`."""
+    never_told_apart: int = 0
+    """Fronts that such a test does not tell from gusts at all."""
     false: int = 0
     hours: float = 0.0
     """Of the fleet in winds without fronts, in which the false ones are counted."""
@@ -50,6 +64,8 @@ class AlertFigures:
             self.delays_s + other.delays_s,
             self.leads_s + other.leads_s,
             self.arrival_errors_s + other.arrival_errors_s,
+            self.least_delays_s + other.least_delays_s,
+            self.never_told_apart + other.never_told_apart,
             self.false + other.false,
             self.hours + other.hours,
         )
@@ -140,16 +156,54 @@ def felt_s(front: PassingFront, told: Beliefs) -> Floats:
     return found
 
 
-def judge_front(front: PassingFront, told: Beliefs, found: list[FrontAhead]) -> AlertFigures:
+def least_delay_s(front: PassingFront, told: Beliefs, process: WindProcessParams) -> float:
+    """From the first one's feeling a front to where its own change alone may be told from gusts.
+
+    The change is known without noise and gusts are Gaussian with the variance that the process
+    gives; each drone is looked at but once a minute, and may be wrong once in ten hours of the
+    fleet. Then a change squared over its variance, chi-square of two degrees, has to pass
+    -2 ln(1 / looks) (inf: it never does). Real gusts have heavier tails, and are looked at once a
+    second.
+    """
+    looks = told.places.shape[0] * 60.0 * FALSE_ONCE_IN_H
+    limit = -2.0 * math.log(1.0 / looks)
+    span, before = int(TELLING_S), slice(int(GAP_S), int(GAP_S + BEFORE_S))
+    soonest = math.inf
+    for number, place in enumerate(told.places):
+        wind = np.stack(
+            [
+                np.convolve(axis, np.ones(span) / span)[: axis.size]
+                for axis in front.to_ne_mps(told.t_s, place[:, 0], place[:, 1]).T
+            ]
+        )
+        weights = np.zeros(before.stop)
+        weights[before] = 1.0 / (before.stop - before.start)
+        change = wind - np.stack([np.convolve(axis, weights)[: axis.size] for axis in wind])
+        blown_mps = float(np.hypot(*told.winds[number].mean(axis=0)))
+        variance = process.variance_scale(blown_mps) * chance_m2ps2(process) + TOLD_STD_MPS**2
+        told_apart = np.flatnonzero(np.square(change).sum(axis=0) / variance >= limit)
+        if told_apart.size:
+            soonest = min(soonest, float(told.t_s[told_apart[0]]))
+    return soonest - float(felt_s(front, told).min())
+
+
+def judge_front(
+    front: PassingFront, told: Beliefs, found: list[FrontAhead], process: WindProcessParams
+) -> AlertFigures:
     """What the alerts of a world with one front were worth."""
     felt = felt_s(front, told)
     first_s = float(felt.min())
     if not math.isfinite(first_s):
         return NO_ALERTS
+    least_s = least_delay_s(front, told, process)
+    least = (least_s,) if math.isfinite(least_s) else ()
+    never = 1 - len(least)
     others = np.flatnonzero(np.isfinite(felt) & (felt > first_s))
     near = [one for one in found if -MATCH_S <= one.noticed_s - first_s <= MATCH_S]
     if not near:
-        return AlertFigures(fronts=1, drones_to_warn=others.size)
+        return AlertFigures(
+            fronts=1, drones_to_warn=others.size, least_delays_s=least, never_told_apart=never
+        )
     alert = near[0]
     ahead = [int(k) for k in others if felt[k] > alert.noticed_s]
     leads = tuple(float(felt[k]) - alert.noticed_s for k in ahead)
@@ -159,4 +213,5 @@ def judge_front(front: PassingFront, told: Beliefs, found: list[FrontAhead]) -> 
         north, east = told.places[k, at]
         errors.append(alert.arrives((float(north), float(east)))[0] - float(felt[k]))
     delay = (alert.noticed_s - first_s,)
-    return AlertFigures(1, 1, others.size, len(ahead), delay, leads, tuple(errors))
+    told_s = delay, leads, tuple(errors), least
+    return AlertFigures(1, 1, others.size, len(ahead), *told_s, never)

@@ -15,7 +15,6 @@ import numpy as np
 from companion.adapters.files.params import params_dir
 from companion.core.base.arrays import Floats, Ints
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.field_process import FieldProcess
 from companion.core.wind_field.fronts import FrontAhead, FrontWatch
 from sim_bridge.research.fleet_wind.alert_study import beliefs, fronts_known
 from sim_bridge.research.fleet_wind.mission_outlook import FleetForesight
@@ -229,7 +228,7 @@ def _site(setting: MissionSetting, case: int, number: int, front: bool) -> _Site
     drawn = _field(setting.fields, case, number)
     rng = np.random.default_rng([setting.fields.seed, 14, case, number, int(front)])
     truth = drawn.truth(front=front)
-    world = world_of(truth, drawn.seconds, FieldProcess(drawn.process), drawn.ways, rng)
+    world = world_of(truth, drawn.seconds, drawn.process, drawn.ways, rng)
     told = beliefs(truth, drawn.ways, 0.0, float(drawn.seconds), rng)
     names = [way.name for way in drawn.ways]
     fronts = fronts_known(told, names, FrontWatch(drawn.process))

@@ -172,7 +172,7 @@ def judge_draw(draw: FieldDraw) -> DrawResult:
         told = beliefs(drawn.truth(front=front), drawn.ways, 0.0, last_s, drawn.rng)
         found = alerts_in(told, names, FrontWatch(drawn.process))
         if front:
-            alerts += judge_front(drawn.front, told, found)
+            alerts += judge_front(drawn.front, told, found, drawn.process)
         else:
             alerts += AlertFigures(false=len(found), hours=float(np.ptp(told.t_s)) / 3600.0)
     return DrawResult(ordinary, with_front, alerts)

@@ -12,6 +12,7 @@ from companion.core.mission.flight_file import Flight
 from companion.core.separation.track import Track
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.messages import Command, FleetEvent, Result, State
 from companion.fleet.roster import Roster
 from ground_station.core.fleet.station_message import StationWind
@@ -76,6 +77,7 @@ def formats() -> tuple[Format, ...]:
         Format("message result", Result),
         Format("message track", Track),
         Format("message station", StationWind),
+        Format("message winds", SharedWinds),
     )
 
 

@@ -75,6 +75,9 @@ def _describe(part: Schema, kind: type[msgspec.Struct], ranges: Mapping[str, Ran
     part["description"] = inspect.cleandoc(kind.__doc__ or "")
     docs = attribute_docs(kind)
     tag = kind.__struct_config__.tag_field
+    if kind.__struct_config__.array_like:  # named in order for people; a reader checks `items`
+        part["properties"] = dict(zip(kind.__struct_fields__, part["prefixItems"], strict=True))
+        part["additionalProperties"] = False
     for name, schema in part["properties"].items():
         if name == tag:
             schema["description"] = "Says which of the kinds this is."

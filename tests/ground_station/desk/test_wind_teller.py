@@ -6,6 +6,7 @@ import msgspec
 
 from companion.core.wind_field.shared_winds import MOST_TOLD, TOLD_EVERY_S, SharedWinds
 from companion.fleet.messages import State
+from ground_station.app.desk import wind_teller
 from ground_station.app.desk.wind_teller import WindTeller
 from ground_station.core.fleet.fleet_status import FleetStatus
 from tests.ground_station.fleet.test_site_wind import PLACES, Air, front_comes
@@ -68,6 +69,24 @@ def test_each_in_the_air_is_told_of_the_others_nearest_first_every_ten_seconds()
         state = site.status.of("d1").state
         assert state is not None
         assert winds.life == state.life
+
+
+def test_a_crowd_is_told_over_some_turns_the_longest_untold_first(monkeypatch):
+    monkeypatch.setattr(wind_teller, "MOST_A_TURN", 3)
+    site = Site()
+    site.blow(60.0)
+    told = site.blow(20.0)
+    counts = [len(of(told, name)) for name in PLACES]
+    assert min(counts) >= 1
+    assert max(counts) - min(counts) <= 1
+    site.ear.told.clear()
+    monkeypatch.setattr(wind_teller, "TOLD_EVERY_S", 0.0)
+    site.teller.turn(site.status, site.air.t_s + 0.5)
+    first = [one.vehicle for one in site.ear.told]
+    site.teller.turn(site.status, site.air.t_s + 0.6)
+    second = [one.vehicle for one in site.ear.told[3:]]
+    assert len(first) == len(second) == 3
+    assert set(first) | set(second) == PLACES.keys()
 
 
 def test_who_stands_by_without_an_assignment_is_told_nothing():

@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
-from companion.core.wind_field.fronts import FeltChange, FrontAhead, estimated
+from companion.core.wind_field.fronts import FeltChange, FrontAhead, chance_m2ps2, estimated
 from sim_bridge.research.cli.main import app
-from sim_bridge.research.fleet_wind.alert_study import AlertFigures, Beliefs, judge_front
+from sim_bridge.research.fleet_wind.alert_study import (
+    AlertFigures,
+    Beliefs,
+    judge_front,
+    least_delay_s,
+)
 from sim_bridge.research.fleet_wind.error_study import (
     NOBODY,
     QUESTIONS,
@@ -29,6 +35,7 @@ from sim_bridge.truth.fields.field_file import load_wind_field
 from sim_bridge.truth.fields.front import PassingFront
 
 ROOT = Path(__file__).parents[4]
+COAST = read_wind_process("coast")
 SHIPPED = ROOT / "params" / "fields" / "front.toml"
 
 
@@ -91,7 +98,7 @@ def test_an_alert_is_worth_what_was_still_to_come_when_it_was_told() -> None:
     """A front of 12 m/s from the south: felt at 0, 600 and 1200 m some 17 s after it begins."""
     front = PassingFront(500.0, 0.0, 12.0, (8.0, 0.0), 30.0)
     told = beliefs_of([(0.0, 0.0), (600.0, 0.0), (1200.0, 0.0)])
-    found = judge_front(front, told, [alert(530.0)])
+    found = judge_front(front, told, [alert(530.0)], COAST)
     assert (found.fronts, found.noticed) == (1, 1)
     assert (found.drones_to_warn, found.drones_warned) == (2, 2)
     first_s = 530.0 - found.delays_s[0]
@@ -100,12 +107,32 @@ def test_an_alert_is_worth_what_was_still_to_come_when_it_was_told() -> None:
         (first_s + 50.0 - 530.0, first_s + 100.0 - 530.0), abs=1.5
     )
     assert max(map(abs, found.arrival_errors_s)) < 20.0
-    late = judge_front(front, told, [alert(580.0)])
+    late = judge_front(front, told, [alert(580.0)], COAST)
     assert (late.drones_to_warn, late.drones_warned) == (2, 1)
-    never = judge_front(front, told, [])
+    never = judge_front(front, told, [], COAST)
     assert (never.noticed, never.drones_to_warn, never.drones_warned) == (0, 2, 0)
     weak = PassingFront(500.0, 0.0, 12.0, (2.0, 0.0), 30.0)
-    assert judge_front(weak, told, [alert(530.0)]) == AlertFigures()
+    assert judge_front(weak, told, [alert(530.0)], COAST) == AlertFigures()
+
+
+def test_a_front_is_told_apart_the_later_the_weaker_it_is_and_never_below_the_gusts() -> None:
+    """By hand: the change that chance makes once in 4,800 looks is sqrt(16.95 variance)."""
+    told = beliefs_of([(0.0, 0.0), (600.0, 0.0), (1200.0, 0.0)])
+    delays = [
+        least_delay_s(PassingFront(500.0, 0.0, 12.0, (jump, 0.0), 40.0), told, COAST)
+        for jump in (16.0, 9.0, 7.0, 3.5)
+    ]
+    assert delays == sorted(delays)
+    assert math.isfinite(delays[0])
+    assert math.isinf(delays[-1])
+    looks = 3 * 60.0 * 10.0
+    blown = float(np.hypot(*told.winds[0].mean(axis=0)))
+    variance = COAST.variance_scale(blown) * chance_m2ps2(COAST) + 0.25
+    least_mps = math.sqrt(-2.0 * math.log(1.0 / looks) * variance)
+    hardly = PassingFront(500.0, 0.0, 12.0, (0.97 * least_mps, 0.0), 20.0)
+    surely = PassingFront(500.0, 0.0, 12.0, (1.1 * least_mps, 0.0), 20.0)
+    assert math.isinf(least_delay_s(hardly, told, COAST))
+    assert math.isfinite(least_delay_s(surely, told, COAST))
 
 
 def test_the_shipped_field_is_read_and_a_mistake_in_one_is_named(tmp_path: Path) -> None:
