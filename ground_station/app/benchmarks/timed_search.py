@@ -42,7 +42,7 @@ def plan_within(
     end_s = time.process_time() + seconds * (1.0 - KEPT_FRAC)
     left = len(with_fewer_drones(problem))
 
-    def searched(search: Search) -> None:
+    def searched(search: Search, fewer: bool) -> None:
         nonlocal left
         begin_s = time.process_time()
         search.step(FIRST_TRIALS, 0.0, 0.0)
@@ -52,7 +52,7 @@ def plan_within(
         for_it_s = min(most_s, max(0.0, end_s - now_s) / left)
         left -= 1
         until_s = now_s
-        for cooling in default_coolings(problem.customers):
+        for cooling in default_coolings(problem.customers, fewer):
             until_s += cooling.share * for_it_s
             search.begin(cooling)
             round_until(

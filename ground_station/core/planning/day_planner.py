@@ -32,6 +32,8 @@ from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignmen
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import schedule_of
 from ground_station.core.truck_drones.search import (
+    SMALL_CUSTOMERS,
+    Cooling,
     Search,
     SearchParams,
     default_coolings,
@@ -40,9 +42,13 @@ from ground_station.core.truck_drones.search import (
 from ground_station.core.truck_drones.tables import Plan
 
 PolicyName = Literal["search", "dynamic"]
-DAY_TRIALS_FRAC = 0.45
-"""Share of the default number of trials: with pads a trial takes so much longer than in the
-published problem (200 customers, 8 drones: 51 s of one core at the default, the goal is 30 s)."""
+DAY_TRIALS_FRAC = 0.6
+"""Share of the default number of trials: with pads a trial takes longer than in the published
+problem (the goal is 30 s of one core for 200 customers and 8 drones)."""
+QUICK_CUSTOMERS = 60
+BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best"))
+"""Up to so many customers, the best of three quick coolings is cooled once more, slowly and not as
+hot; with more of them a quick cooling has too few trials for each."""
 LAYERED_SHARE = 10
 """One trial with layers for so many without: each takes five to ten times as long."""
 LAYERED_CUSTOMERS = 40
@@ -89,7 +95,7 @@ def tried_plans(
 def road_searched_plans(
     data: DayData, start: DayState, params: PlanParams, drives: int, tell: Tell
 ) -> Iterator[TriedPlan]:
-    """A long search on the driven plan, from each plan that the planner chooses from."""
+    """A long search on the driven plan, from the best plan of each search."""
     yield from _DayPlanner(data, start, params, tell).on_the_road(drives)
 
 
@@ -136,7 +142,10 @@ class _DayPlanner:
     def on_the_road(self, drives: int) -> Iterator[TriedPlan]:
         nodes = self.nodes()
         drive = self._drive(nodes)
-        for number, (problem, plan) in enumerate(list(self._plans(nodes))):
+        first: dict[str, tuple[TruckAndDrones, Plan]] = {}
+        for problem, plan in self._plans(nodes):
+            first.setdefault(_plan_name(problem), (problem, plan))
+        for number, (problem, plan) in enumerate(first.values()):
             route, wishes, _ = self._repaired(nodes, drive, problem, plan)
             rng = np.random.default_rng([self._params.seed, number])
             start = RoadPlan(tuple(route), tuple(wishes))
@@ -206,9 +215,9 @@ class _DayPlanner:
     def _plans(self, nodes: DayProblem) -> Iterator[tuple[TruckAndDrones, Plan]]:
         """Plans, each with the problem that it solves.
 
-        The search makes two that ignore layers: drones recovered where they were launched, and
-        recovered anywhere (the first loses least to layers, the second reaches furthest). Then
-        the first is cooled once more with layers priced.
+        Two searches ignore layers: drones recovered where they were launched, and recovered
+        anywhere (the first loses least to layers, the second reaches furthest). Each gives the
+        best plan of each cooling. Then the first's best is cooled once more with layers priced.
         """
         layered = nodes.problem
         anywhere = replace(layered, air=None)
@@ -220,12 +229,14 @@ class _DayPlanner:
         default = max(1, int(DAY_TRIALS_FRAC * default_trials(anywhere.customers)))
         trials = self._params.trials or default
         self._trials = trials
-        first = self._searched(loops, rng, trials // 2, (0.0, 0.4))
-        yield loops, first
-        yield anywhere, self._searched(anywhere, rng, trials - trials // 2, (0.4, 0.8))
+        looped = self._searched(loops, rng, trials // 2, (0.0, 0.4))
+        for plan in looped:
+            yield loops, plan
+        for plan in self._searched(anywhere, rng, trials - trials // 2, (0.4, 0.8)):
+            yield anywhere, plan
         apart = replace(layered, loops_only=True)
         share = min(1.0, LAYERED_CUSTOMERS / max(1, layered.customers)) / LAYERED_SHARE
-        kept = self._kept_apart(apart, rng, first, int(share * trials))
+        kept = self._kept_apart(apart, rng, looped[0], int(share * trials))
         if kept is not None:
             yield apart, kept
 
@@ -235,16 +246,25 @@ class _DayPlanner:
         rng: np.random.Generator,
         trials: int,
         tell_frac: tuple[float, float],
-    ) -> Plan:
-        search = Search(problem, rng, SearchParams())
+    ) -> list[Plan]:
+        """The best plan of each cooling, best first, each once. Where several are equally good,
+        they differ in how well they can be driven.
+        """
+        found: list[tuple[float, Plan]] = []
         done = tell_frac[0]
-        for cooling in default_coolings(problem.customers) if problem.customers else ():
+        for cooling in _coolings(problem.customers):
+            best = min(found, key=lambda one: one[0])[1] if cooling.start == "best" else None
+            search = Search(problem, rng, SearchParams(), best)
             until = done + (tell_frac[1] - tell_frac[0]) * cooling.share
-            search.begin(cooling)
             of_cooling = max(1, int(trials * cooling.share))
             self._cooled(search, of_cooling, cooling.begin_frac, (done, until))
             done = until
-        return search.best
+            if not any((search.best == plan).all() for _, plan in found):
+                found.append((search.best_s, search.best))
+        found.sort(key=lambda one: one[0])
+        if not found:
+            return [Search(problem, rng, SearchParams()).best]
+        return [plan for _, plan in found]
 
     def _kept_apart(
         self, problem: TruckAndDrones, rng: np.random.Generator, start: Plan, trials: int
@@ -385,6 +405,13 @@ class _DayPlanner:
             usable_wh=priced.usable_wh,
             others=self._others(nodes, driven, slot, ids),
         )
+
+
+def _coolings(customers: int) -> tuple[Cooling, ...]:
+    if customers == 0:
+        return ()
+    quick = SMALL_CUSTOMERS < customers <= QUICK_CUSTOMERS
+    return BEST_OF_THREE if quick else default_coolings(customers)
 
 
 def _plan_name(problem: TruckAndDrones) -> str:

@@ -36,7 +36,7 @@ class OperationParams:
 TRIALS_PER_NODE = 40_000
 """In one cooling: some 2 s of one core for 50 nodes, 10 s for 250."""
 SMALL_NODES = 25
-SMALL_ROUNDS = 6
+SMALL_ROUNDS = 12
 
 
 def default_rounds(nodes: int) -> int:

@@ -65,15 +65,17 @@ SMALL_CUSTOMERS = 25
 TINY_CUSTOMERS = 12
 ROUNDS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
 """For small problems, which settle in different plans."""
-BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best"))
-"""Two coolings of one problem may end ten per cent apart, and that is decided early: the best of
-three quick ones is cooled once more, slowly, and not as hot."""
+ONCE = (Cooling(1.0, 0.0, "here"),)
+"""For large problems, which gain more from one slow cooling."""
+ONCE_AND_ON = (Cooling(0.5, 0.0, "here"), Cooling(0.5, 0.3, "best"))
+"""With a plan for fewer drones at hand: the better of that and a fresh one is cooled again, not as
+hot. Two coolings of one problem may end ten per cent apart."""
 
 
-def default_coolings(customers: int) -> tuple[Cooling, ...]:
-    """The coolings of one search."""
+def default_coolings(customers: int, fewer: bool = False) -> tuple[Cooling, ...]:
+    """The coolings of one search; `fewer`: after one for fewer drones."""
     if customers > SMALL_CUSTOMERS:
-        return BEST_OF_THREE
+        return ONCE_AND_ON if fewer else ONCE
     return ROUNDS[3 if customers > TINY_CUSTOMERS else 6]
 
 
@@ -251,8 +253,8 @@ class SearchPolicy:
         """The best plan found."""
         trials = self.trials or default_trials(problem.customers)
 
-        def searched(search: Search) -> None:
-            for cooling in default_coolings(problem.customers):
+        def searched(search: Search, fewer: bool) -> None:
+            for cooling in default_coolings(problem.customers, fewer):
                 search.begin(cooling)
                 search.cool(max(1, int(trials * cooling.share)), cooling.begin_frac)
 
@@ -263,16 +265,18 @@ def best_of_fleets(
     problem: TruckAndDrones,
     rng: np.random.Generator,
     params: SearchParams,
-    searched: Callable[[Search], None],
+    searched: Callable[[Search, bool], None],
 ) -> Plan:
-    """The best plan, after `searched` was called with a search for each number of drones."""
+    """The best plan, after `searched` was called with a search for each number of drones, and
+    whether there was one for fewer before.
+    """
     fleets = with_fewer_drones(problem)
     plan: Plan | None = None
     for number, fleet in enumerate(fleets):
         search = Search(fleet, rng, params)
         if plan is not None:
             search.offer(with_more_drones(plan, fleets[number - 1], fleet))
-        searched(search)
+        searched(search, plan is not None)
         plan = search.best
     assert plan is not None  # there is at least the problem itself
     return plan

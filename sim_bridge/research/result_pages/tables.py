@@ -69,8 +69,22 @@ def makespans(done: CommandOutput) -> str:
     return console.markdown
 
 
-def operations(done: CommandOutput) -> str:
-    """Of `ground-station benchmark tspd DIR --json {out}/tspd.json`."""
+def small_operations(done: CommandOutput) -> str:
+    """Of `ground-station benchmark tspd DIR --json {out}/small.json`."""
+    return _operations(done, "small.json")
+
+
+def slow_drone_operations(done: CommandOutput) -> str:
+    """Of `ground-station benchmark tspd DIR --json {out}/alpha_1.json`."""
+    return _operations(done, "alpha_1.json")
+
+
+def fast_drone_operations(done: CommandOutput) -> str:
+    """Of `ground-station benchmark tspd DIR --json {out}/alpha_2_3.json`."""
+    return _operations(done, "alpha_2_3.json")
+
+
+def _operations(done: CommandOutput, file: str) -> str:
     from ground_station.adapters.files.tspd_files import (
         MEANS,
         instance_files,
@@ -85,7 +99,7 @@ def operations(done: CommandOutput) -> str:
     folder = done.data / "tspd"
     optima = {path.stem: read_optimum(path) for path in instance_files(folder)}
     known = {name: cost for name, cost in optima.items() if cost is not None}
-    rows = done.json("tspd.json")["rows"]
+    rows = done.json(file)["rows"]
     print_tspd_report(console, rows, read_means(folder / MEANS), known)
     return console.markdown
 
