@@ -11,6 +11,7 @@ from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
 from sim_bridge.conform.behaviours import (
     battery,
     guided,
+    landing,
     mission,
     mission_flight,
     modes_and_arming,
@@ -35,6 +36,7 @@ CATALOGUE: tuple[Behaviour, ...] = (
     *wind.BEHAVIOURS,
     *guided.BEHAVIOURS,
     *mission_flight.BEHAVIOURS,
+    *landing.BEHAVIOURS,
     *restart.BEHAVIOURS,
 )
 BY_NAME = {behaviour.name: behaviour for behaviour in CATALOGUE}
