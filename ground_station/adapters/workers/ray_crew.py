@@ -97,7 +97,7 @@ def _ray(cluster: str) -> Any:
             logging_level=logging.ERROR,
             include_dashboard=False,
         )
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except Exception as error:
         raise LeewayError(f"--cluster {cluster}: {error}") from error
     return ray
 
