@@ -11,14 +11,14 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class Returned(Generic[Result]):
+class WorkReturned(Generic[Result]):
     """What a worker says of a piece that is done."""
 
     result: Result
 
 
 @dataclass(frozen=True, slots=True)
-class Raised:
+class WorkRaised:
     """What a worker says of a piece that raised."""
 
     error: BaseException
@@ -31,15 +31,15 @@ class WorkerDied:
     why: str
 
 
-Answer = Returned[Result] | Raised | WorkerDied
+Answer = WorkReturned[Result] | WorkRaised | WorkerDied
 
 
-def answer_of(do: Callable[[Work], Result], piece: Work) -> Returned[Result] | Raised:
+def answer_of(do: Callable[[Work], Result], piece: Work) -> WorkReturned[Result] | WorkRaised:
     """What a worker answers: the result, or what was raised, with its traceback as a note."""
     try:
-        return Returned(do(piece))
+        return WorkReturned(do(piece))
     except Exception as error:  # noqa: BLE001 - raised again by who waits for the answer
-        return Raised(_portable(error, traceback.format_exc()))
+        return WorkRaised(_portable(error, traceback.format_exc()))
 
 
 def _portable(error: Exception, where: str) -> Exception:
@@ -51,6 +51,6 @@ def _portable(error: Exception, where: str) -> Exception:
     return same
 
 
-def not_sent(error: Exception) -> Raised:
+def not_sent(error: Exception) -> WorkRaised:
     """The answer in place of a result that cannot be pickled."""
-    return Raised(RuntimeError(f"a result that cannot be sent: {error}"))
+    return WorkRaised(RuntimeError(f"a result that cannot be sent: {error}"))

@@ -26,7 +26,8 @@ GRACE_S = 15.0
 @dataclass(slots=True)
 class _Member:
     process: SpawnProcess
-    pipe: Connection
+    pipe: Any
+    """A `Connection`, as each system has its own."""
 
 
 class ProcessCrew(Generic[Work, Result]):

@@ -8,7 +8,13 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.workers.answers import Answer, Raised, Returned, WorkerDied, answer_of
+from ground_station.adapters.workers.answers import (
+    Answer,
+    WorkerDied,
+    WorkRaised,
+    WorkReturned,
+    answer_of,
+)
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
@@ -61,7 +67,7 @@ class RayCrew(Generic[Work, Result]):
         try:
             answer = self._ray.get(reference)
         except errors.RayTaskError as error:  # not of the work: the worker could not begin
-            return index, Raised(LeewayError(str(error.cause or error)))
+            return index, WorkRaised(LeewayError(str(error.cause or error)))
         except errors.RayError as error:
             return index, WorkerDied(f"a worker died: {str(error).splitlines()[0]}")
         self._idle.append(worker)
@@ -79,7 +85,7 @@ class _RemoteWorker:
         os.chdir(folder)
         self._do = do
 
-    def answer(self, piece: Any) -> Returned[Any] | Raised:
+    def answer(self, piece: Any) -> WorkReturned[Any] | WorkRaised:
         return answer_of(self._do, piece)
 
 
@@ -97,7 +103,7 @@ def _ray(cluster: str) -> Any:
             logging_level=logging.ERROR,
             include_dashboard=False,
         )
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except Exception as error:
         raise LeewayError(f"--cluster {cluster}: {error}") from error
     return ray
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from ground_station.adapters.workers.answers import Answer, Raised, Returned
+from ground_station.adapters.workers.answers import Answer, WorkRaised, WorkReturned
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
@@ -119,9 +119,9 @@ def _worked(
         error: BaseException | None = None
         for index, answer in crew.ended():
             piece = under_way.pop(index)
-            if isinstance(answer, Returned):
+            if isinstance(answer, WorkReturned):
                 told.append(PieceDone(index, answer.result))
-            elif isinstance(answer, Raised):
+            elif isinstance(answer, WorkRaised):
                 error = answer.error
             elif index in deaths:
                 told.append(PieceLost(index, piece, f"{deaths[index]}; again: {answer.why}"))

@@ -63,7 +63,7 @@ class Session:
                 report.lost(self.console, self.lost[-1])
                 bar.advance(flights)
 
-            rows = run_all(self.todo, self.bounds, done, flown, lost)
+            rows = run_all(self.todo, self.bounds, done, flown, lost, self.console.print)
         self._end(rows)
         return rows
 

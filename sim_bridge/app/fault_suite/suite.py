@@ -44,10 +44,11 @@ def run_all(
     done: Mapping[int, FaultRow],
     flown: Callable[[int, FaultRow], None],
     lost: Callable[[int, str], None],
+    say: Callable[[str], None],
 ) -> list[FaultRow]:
     """Fly those that are not `done`, side by side; `flown` is told each as it ends.
 
-    `lost` is told each whose worker was killed twice, and why.
+    `lost` is told each whose worker was killed twice, and why; `say` is told of the first time.
 
     Returns all that have been flown, in the tasks' order.
     """
@@ -59,7 +60,7 @@ def run_all(
         lost(numbered[0], why)
         return []
 
-    for index, row in tried(left, _fly_numbered, needed, not_flown):
+    for index, row in tried(left, _fly_numbered, needed, not_flown, say):
         rows[index] = row
         flown(index, row)
     return [rows[index] for index in sorted(rows)]

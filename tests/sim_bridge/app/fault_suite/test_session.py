@@ -111,7 +111,7 @@ def test_no_flight_begins_when_the_time_is_up_and_what_was_flown_is_a_drawn_samp
     assert len(done) == len(todo)
 
 
-def one_is_lost(todo, attempt, bounds, lost):
+def one_is_lost(todo, attempt, bounds, lost, say):
     """Stands for workers of which one was killed twice, by a flight of seed 2."""
     for numbered in todo:
         is_lost = (numbered[1].autopilot, numbered[1].seed) == (BOTH[0], 2)
