@@ -33,6 +33,7 @@ from companion.core.calibration.flight import (
     with_room,
 )
 from companion.core.calibration.power import PowerPriors, power_keys
+from companion.core.calibration.quantities import avionics_std_w
 from companion.core.calibration.records import Blocks, prepare
 from companion.core.calibration.standing import StandingPower, ground_test, told_of
 from companion.core.calibration.trim import TRIM_KEYS
@@ -326,6 +327,7 @@ def _sources(done: Calibration) -> dict[tuple[str, str], str]:
     for keys, fit in ((drag, done.drag), (power_keys(done.airframe), done.power)):
         for key, std in zip(keys, np.sqrt(np.diag(fit.cov)), strict=True):
             found[key] = f"fitted, ± {std:.2g}"
+    found["power_rotor", "avionics_w"] = f"fitted, ± {avionics_std_w(done.power):.2g}"
     found["drag", "gain_std_frac"] = "of that fit at cruise, at least the air's density"
     found["power_rotor", "model_std_frac"] = (
         "rms over two-minute pieces of flights left out, or 0.03"

@@ -199,3 +199,14 @@ def test_a_sheet_is_markdown_and_csv(tmp_path):
     page, table = Sheet("T", ["a", "b"], [["1", "2"]], "n").write(tmp_path, "t")
     assert "| 1 | 2 |" in page.read_text()
     assert table.read_text().splitlines() == ["a,b", "1,2"]
+
+
+def test_processes_side_by_side_run_matrix_routines_on_one_thread_each(tmp_path, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    names = ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"]
+    assert journaled_map(names, os.getenv, Workers(2), Journal(tmp_path / "j", "d", str)) == [
+        "1",
+        "1",
+    ]
+    assert [os.getenv(name) for name in names] == ["7", None]
