@@ -114,11 +114,11 @@ def held(data: DayData, highest_m: float = 40.0, clock: str = "13:09:00") -> boo
 
 def test_floors_count_as_they_do_for_a_flight():
     """Flown under: 8 m and 24 m for dodging over the highest flight (docs/how-to/geo-zones.md)."""
-    above = lambda m: (
-        lambda data: zone_about(
-            data, FAR, low_m=12.0 + m, applicability=hours("13:10:00", "14:00:00")
-        )
-    )
+
+    def above(floor_m: float) -> Callable[[DayData], dict[str, Any]]:
+        late_hours = hours("13:10:00", "14:00:00")
+        return lambda data: zone_about(data, FAR, low_m=12.0 + floor_m, applicability=late_hours)
+
     assert held(day_of(above(40.0 + 32.0 - 1.0)))
     assert not held(day_of(above(40.0 + 32.0 + 1.0)))
     assert held(day_of(above(40.0 + 32.0 + 1.0)), highest_m=50.0)
