@@ -156,12 +156,14 @@ def fly_missions(work: MissionWork) -> MissionsFlown:
         ).tolist()
         for policy, by_mission in turns.items()
     }
-    best = _codes(clairvoyant(drawn.flown)).tolist()
+    with np.errstate(invalid="ignore"):
+        best = _codes(clairvoyant(drawn.flown)).tolist()
     return MissionsFlown(work.case, work.number, work.front, ends, best, asked, used)
 
 
 def _ends(flown: TrueMissions, turn_s: Floats) -> Ends:
-    return ends_of(flown, turn_s, turn_s > 0.0)
+    with np.errstate(invalid="ignore"):  # who never arrives has no energy to deliver either
+        return ends_of(flown, turn_s, turn_s > 0.0)
 
 
 def _codes(ends: Ends) -> Ints:

@@ -209,9 +209,14 @@ def _risk_sheet(ends: MissionEnds) -> Sheet:
         for codes in (own, fleet):
             each = codes[:, level]
             cells += [f"{100 * (each == SUC).mean():.1f}", f"{int(_lost(each).sum())}"]
-        rows.append([*cells, f"{more.mean():+.1f}", f"{low:+.1f} to {high:+.1f}"])
+        cells += [f"{more.mean():+.1f}", f"{low:+.1f} to {high:+.1f}"]
+        if LIED_TO in ends.by_policy:
+            each = ends.by_policy[LIED_TO][:, level]
+            cells += [f"{100 * (each == SUC).mean():.1f}", f"{int(_lost(each).sum())}"]
+        rows.append(cells)
     head = ["risk of one decision %", "own wind alone, SUC %", "lost", "the fleet's wind, SUC %",
             "lost", "points", "95 %"]  # fmt: skip
+    head += ["the desk lies, SUC %", "lost"] if LIED_TO in ends.by_policy else []
     note = (
         f"The same {count} missions; lost: how many. A flight that accepts a loss of 1 % takes"
         " risks of 1 to 3 % at a single decision."
