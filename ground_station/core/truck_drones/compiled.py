@@ -19,7 +19,8 @@ def compiled(function: Function) -> Function:
     """The function in machine code. It makes no arrays: so none that it is given is counted, which
     had been two thirds of the time of a search.
     """
-    return njit(cache=_kept(), _nrt=False)(function)
+    # numba's option is not in its documented ones; code that makes an array fails to compile.
+    return njit(cache=_kept(), _nrt=False)(function)  # pyright: ignore[reportCallIssue]
 
 
 def compiled_with_arrays(function: Function) -> Function:
