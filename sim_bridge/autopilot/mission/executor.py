@@ -542,8 +542,8 @@ class MissionExecutor:
 
         Within the radius it heads back for the waypoint, and takes it once it is in height. Where
         it has left the radius at speed, and is not so far off the leg's line that it aims back, it
-        aims ahead along the leg for good: it flies on, in its mission, without a failsafe (PX4
-        issue 27730; PositionSmoothing.cpp, _getL1Point, before pull requests 27733 and 28374;
+        aims ahead along the leg for good: it flies on, in its mission, without a failsafe
+        (PX4 issue 27730; PositionSmoothing.cpp, _getL1Point, before pull requests 27733 and 28374;
         flown: 2 km).
         """
         north, east, _ = self._vehicle.vel_ned_mps
