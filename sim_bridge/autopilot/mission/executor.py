@@ -114,6 +114,8 @@ _LOST_AFTER_BRAKING_MPS = 0.9
 _BRAKING_LIMIT_S = 8.0
 _LEAVES_MPS = 0.2
 """PositionSmoothing.cpp, _isTurning."""
+_LEAST_REACH_M = 5.0
+"""PositionSmoothing.cpp, _getL1Point."""
 _HOLDING = {Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME}
 _PLACED_LEGS = {
     Cmd.NAV_WAYPOINT,
@@ -154,7 +156,10 @@ class MissionExecutor:
     # --- control ------------------------------------------------------------------------------
 
     def load(self, items: Sequence[MissionItem], *, keep_jumps: bool = False) -> None:
-        """Take over new items; the index is kept if it still exists."""
+        """Take over new items; the index is kept if it still exists.
+
+        ArduCopter keeps it for a landing that is under way, whatever the list holds (measured).
+        """
         self.plan.items = tuple(items)
         if not keep_jumps:
             self.plan.jumps_done.clear()
@@ -163,7 +168,9 @@ class MissionExecutor:
             self.state = MissionState.NO_MISSION
             self.leg = None
             return
-        self.index = min(self.index, len(self.plan) - 1)
+        lands = self.is_active and self.leg is not None and self.leg.phase is Phase.DESCEND
+        if self._sequential or not lands:
+            self.index = min(self.index, len(self.plan) - 1)
         if self.state == MissionState.NO_MISSION:
             self.state = MissionState.NOT_STARTED
 
@@ -533,15 +540,18 @@ class MissionExecutor:
     def _fly_past(self, leg: Leg, *, near: bool) -> Goal:
         """Past a waypoint that was to be flown through and is not taken, as PX4 does.
 
-        Within the radius it heads back for the waypoint, and takes it once it is in height. Once
-        it has left the radius at speed it aims ahead along the leg for good: it flies on, in its
-        mission, without a failsafe (PX4 issue 27730; PositionSmoothing.cpp, _getL1Point, before
-        pull requests 27733 and 28374; flown: 2 km).
+        Within the radius it heads back for the waypoint, and takes it once it is in height. Where
+        it has left the radius at speed, and is not so far off the leg's line that it aims back, it
+        aims ahead along the leg for good: it flies on, in its mission, without a failsafe
+        (PX4 issue 27730; PositionSmoothing.cpp, _getL1Point, before pull requests 27733 and 28374;
+        flown: 2 km).
         """
         north, east, _ = self._vehicle.vel_ned_mps
         ahead = (leg.target[0] - leg.start[0], leg.target[1] - leg.start[1])
         leaves_mps = (north * ahead[0] + east * ahead[1]) / max(math.hypot(*ahead), 1e-6)
-        if leg.lost_mps is None and not near and leaves_mps > _LEAVES_MPS:
+        leaves = not near and leaves_mps > _LEAVES_MPS
+        reach_m = max(self._vehicle.rules.accept_radius_m, _LEAST_REACH_M)
+        if leg.lost_mps is None and leaves and _aims_ahead(leg, self._vehicle.pos_ned_m, reach_m):
             leg.lost_mps = min(leaves_mps, self._cruise_mps())
         if leg.lost_mps is None:
             return HoldPoint(leg.target, leg.yaw_rad)
@@ -576,3 +586,20 @@ def _is_past_end(leg: Leg, here: Vec3, axes: int = 3) -> bool:
     line = [b - a for a, b in zip(leg.start[:axes], leg.target[:axes], strict=True)]
     beyond = [x - b for x, b in zip(here[:axes], leg.target[:axes], strict=True)]
     return sum(a * b for a, b in zip(line, beyond, strict=True)) >= 0.0
+
+
+def _aims_ahead(leg: Leg, here: Vec3, reach_m: float) -> bool:
+    """Whether the point of the leg's line that is `reach_m` away and further on is ahead of it.
+
+    The line leads through both ends, up or down; PX4 aims at the point of it that is nearest where
+    none is within reach (PositionSmoothing.cpp, _getL1Point).
+    """
+    line = [b - a for a, b in zip(leg.start, leg.target, strict=True)]
+    length = max(math.hypot(*line), 1e-6)
+    unit = [x / length for x in line]
+    done = [x - a for x, a in zip(here, leg.start, strict=True)]
+    along = sum(a * b for a, b in zip(unit, done, strict=True))
+    off_m = math.dist(done, [along * x for x in unit])
+    along += math.sqrt(max(reach_m**2 - off_m**2, 0.0))
+    aim = [along * x - d for x, d in zip(unit, done, strict=True)]
+    return aim[0] * unit[0] + aim[1] * unit[1] > 0.0

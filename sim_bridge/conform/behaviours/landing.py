@@ -19,8 +19,8 @@ _LAND = 2
 """LAND's place in the list, counted from the first real item."""
 _ALT_RADIUS = "NAV_MC_ALT_RAD"
 _LEVEL_M, _STEEP_M, _AWAY_M = 40.0, 60.0, 300.0
-_UP_M, _FAR_UP_M = 22.0, 50.0
-"""A climb over the second leg that 3 m/s at 8 m/s of way miss by a few metres, and by far."""
+_SUNK_M, _CLIMBED_M = 18.0, 50.0
+"""Over the second leg: a descent that at 8 m/s of way ends some metres short, a climb far short."""
 _TURNS_MPS = 0.5
 _FAST_MPS = 8.0
 _BEYOND_M = 40.0
@@ -122,26 +122,25 @@ def _land_by_command(s: Subject) -> Finding:
     return Finding(f"{answer}, {entered}, {end.value}", f"{end.note}, item {_seq(s)}")
 
 
-def _steep(s: Subject, up_m: float) -> Finding:
-    """A level leg, a steep one, a level one, all straight on: what it does about the top of the
+def _steep(s: Subject, from_m: float, to_m: float) -> Finding:
+    """A level leg, a steep one, a level one, all straight on: what it does about the end of the
     steep one. (To the height of its first waypoint PX4 climbs before it sets out.)
     """
-    top_m = HEIGHT_M + up_m
     items = [
-        waypoint(s, _LEVEL_M, 0.0, HEIGHT_M),
-        waypoint(s, _LEVEL_M + _STEEP_M, 0.0, top_m),
-        waypoint(s, _AWAY_M, 0.0, top_m),
+        waypoint(s, _LEVEL_M, 0.0, from_m),
+        waypoint(s, _LEVEL_M + _STEEP_M, 0.0, to_m),
+        waypoint(s, _AWAY_M, 0.0, to_m),
     ]
-    fly_straight(s, items, at_mps=2.0)
+    fly_straight(s, items, at_mps=2.0, within_s=60.0)
     s.client.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, _FAST_MPS, -1.0)
-    short_m, turned = [math.nan], [False]
+    off_m, turned = [math.nan], [False]
 
     def is_over() -> bool:
         here = position_in(s.client.latest["GLOBAL_POSITION_INT"])
         beyond_m = s.from_home_m(here)[0] - _LEVEL_M - _STEEP_M
         turned[0] = turned[0] or (beyond_m > 0.0 and here.vel_ned_mps[0] < -_TURNS_MPS)
         if not turned[0] and beyond_m < 0.0:
-            short_m[0] = top_m - here.rel_m
+            off_m[0] = here.rel_m - to_m
         return _seq(s) > 1 or beyond_m > _BEYOND_M
 
     over = s.client.until(is_over, 60.0)
@@ -149,19 +148,23 @@ def _steep(s: Subject, up_m: float) -> Finding:
         word = "turns back, taken" if turned[0] else "taken"
     else:
         word = "not taken, flies on" if over else "not taken, stays"
-    return Finding(word, f"{short_m[0]:.1f} m below it as it passed, {s.mode}")
+    return Finding(word, f"{off_m[0]:+.1f} m as it passed, then {_rel_m(s):.1f} m, {s.mode}")
 
 
-def _steep_by(up_m: float) -> Callable[[Subject], Finding]:
-    return lambda s: _steep(s, up_m)
+def _sinking(s: Subject) -> Finding:
+    return _steep(s, HEIGHT_M + _SUNK_M, HEIGHT_M)
+
+
+def _climbing(s: Subject) -> Finding:
+    return _steep(s, HEIGHT_M, HEIGHT_M + _CLIMBED_M)
 
 
 def _steep_allowed(s: Subject) -> Finding:
     """The same with the setting that says how far off its height a waypoint is taken."""
     if not s.is_px4:
         return Finding("there is no such setting")
-    s.set_parameter(_ALT_RADIUS, _UP_M)
-    return _steep(s, _UP_M)
+    s.set_parameter(_ALT_RADIUS, _SUNK_M)
+    return _sinking(s)
 
 
 BEHAVIOURS = (
@@ -209,19 +212,13 @@ BEHAVIOURS = (
     ),
     Behaviour(
         "height/out",
-        "A waypoint that it would pass some metres below its height is",
-        _steep_by(_UP_M),
-        Where.AIR,
-    ),
-    Behaviour(
-        "height/far_out",
         "A waypoint that it would pass far below its height is",
-        _steep_by(_FAR_UP_M),
+        _climbing,
         Where.AIR,
     ),
     Behaviour(
         "height/allowed",
-        "Some metres below its height, with NAV_MC_ALT_RAD allowing it, it is",
+        "Some metres above its height, with NAV_MC_ALT_RAD allowing it, it is",
         _steep_allowed,
         Where.AIR,
     ),

@@ -26,7 +26,13 @@ def _straight(s: Subject) -> list[Item]:
     return [waypoint(s, _AWAY_M + 40.0 * n, 0.0, HEIGHT_M) for n in range(3)]
 
 
-def fly_straight(s: Subject, items: list[Item] | None = None, *, at_mps: float = 3.0) -> None:
+def fly_straight(
+    s: Subject,
+    items: list[Item] | None = None,
+    *,
+    at_mps: float = 3.0,
+    within_s: float = 15.0,
+) -> None:
     """A mission in the air, flown until it is under way at speed."""
     done = s.upload(items or _straight(s))
     if done.ack != "ACCEPTED":
@@ -34,7 +40,7 @@ def fly_straight(s: Subject, items: list[Item] | None = None, *, at_mps: float =
     s.client.send("MISSION_SET_CURRENT", seq=s.first_seq())
     s.client.collect(0.5)
     s.enter(s.dialect.mission)
-    if not s.client.until(lambda: _speed(s) > at_mps, 15.0):
+    if not s.client.until(lambda: _speed(s) > at_mps, within_s):
         raise CannotSee("the mission does not get under way")
     s.client.collect(1.5)
 

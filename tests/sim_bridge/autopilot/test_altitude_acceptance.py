@@ -68,6 +68,24 @@ def test_px4_that_passes_a_waypoint_out_of_height_flies_on_in_its_mission(airbor
     assert rig.until(lambda: rig.ap.executor.index == 4, 200.0)
 
 
+def test_px4_that_passes_far_out_of_height_turns_back_and_takes_the_waypoint(airborne):
+    # flown on SIH at 5e9cab87d3: 27 m too low over the waypoint at 7.3 m/s, 15 m on, back, taken
+    rig = airborne(PX4, {"MPC_XY_CRUISE": 8.0}, height_m=20.0)
+    north_up_m = ((40, 20), (100, 70), (300, 70))
+    rig.upload([rig.place(WAYPOINT, north, 0, up) for north, up in north_up_m])
+    rig.set_mode(Mode.AUTO)
+    assert rig.until(lambda: rig.ne_m[0] > 100.0, 60.0)
+    assert 20.0 < 70.0 - rig.height_m < 30.0
+    furthest_m = 0.0
+    while rig.ap.executor.index < 2:
+        rig.step(0.2)
+        furthest_m = max(furthest_m, rig.ne_m[0])
+        assert furthest_m < 125.0
+    assert furthest_m > 110.0  # out of its radius
+    assert rig.ne_m[0] < furthest_m - 5.0
+    assert rig.height_m == pytest.approx(70.0, abs=1.0)
+
+
 def test_px4_told_to_allow_more_height_takes_the_same_waypoints(airborne):
     rig = sinking(airborne, PX4, 20.0, NAV_MC_ALT_RAD=15.0)
     furthest_m = 0.0
