@@ -136,8 +136,8 @@ def _to_tell_avionics(power: PowerFit) -> str:
     standing = power.standing
     if standing is not None and not standing.tells_avionics:
         return (
-            f"another meter at the pack: with the motors off the current sensor reads down to"
-            f" {standing.least_a:.2f} A, less than nothing"
+            "another meter at the pack: with the motors off the current sensor reads less than"
+            " nothing"
         )
     return (
         "let it stand disarmed, but logging, for 20 s before take-off (PX4 SDLOG_MODE 1, ArduPilot"
