@@ -46,8 +46,9 @@ SENSING = {
     AutopilotKind.ARDUPILOT: BatterySensing.POWER_MODULE,
 }
 WIND = SteadyWind(4.0, from_deg=270.0)  # as the references were recorded
-LANDINGS = [behaviour.name for behaviour in CATALOGUE if behaviour.family == "landing"]
-ALL_ELSE = [behaviour.name for behaviour in CATALOGUE if behaviour.family != "landing"]
+OF_LANDINGS = ("landing", "height")
+LANDINGS = [behaviour.name for behaviour in CATALOGUE if behaviour.family in OF_LANDINGS]
+ALL_ELSE = [behaviour.name for behaviour in CATALOGUE if behaviour.family not in OF_LANDINGS]
 """A pack that lasts for these does not last for both."""
 
 
