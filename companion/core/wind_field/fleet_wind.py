@@ -98,7 +98,7 @@ class FleetWind:
             self.why_not = "silent"
             self._doubted_s = None  # who comes back is looked at as anybody new
             return None
-        settled = self._belief.settle(now_s, OWN, self._own)
+        settled = self._belief.settle(now_s, OWN, newest=self._own)
         others = [name for name in settled.members if name != OWN]
         square = settled.disagreement(OWN)
         if not others:

@@ -132,7 +132,8 @@ def fleet_wind(
     out.mkdir(parents=True, exist_ok=True)
     work = draws_of(setting, draws, alert_draws)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), DrawResult)
-    done = run_journaled("fields", work, judge_draw, workers_of(jobs, cluster), kept)
+    workers = workers_of(jobs, cluster)
+    done = run_journaled("fields", work, judge_draw, workers, kept)
     ordinary, front, alerts = summed(done)
     rows = sheets.error_rows(ordinary, front)
     shown = {}
@@ -150,7 +151,7 @@ def fleet_wind(
         pieces = works_of(asked)
         name = digest_of(pieces)
         half_flown = Journal(out / f"{name[:12]}.missions.partial", name, MissionsFlown)
-        flown = run_journaled("missions", pieces, fly_missions, jobs, half_flown)
+        flown = run_journaled("missions", pieces, fly_missions, workers, half_flown)
         ends = mission_verdict.MissionEnds.of(flown, seed)
         for stem, sheet in mission_verdict.mission_sheets(ends, flown, asked).items():
             sheet.write(out, stem)
