@@ -72,6 +72,7 @@ class FaultCase:
         A `tight` flight may be refused, may turn back, and may come home or not as P(home) says:
         that is judged over many.
         """
-        asks = (claims_no_delivery,) if tight else (fault_began, *self.asks)
+        kept = tuple(ask for ask in self.asks if ask is claims_no_delivery)
+        asks = kept if tight else (fault_began, *self.asks)
         found = [ask(flown) for ask in (*asks, raises_nothing, ends_in_order)]
         return [words for words in found if words]
