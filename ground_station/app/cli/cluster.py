@@ -25,6 +25,12 @@ app = typer.Typer()
 LOST = 1
 """Exit code where a process that planned was killed twice."""
 
+NOT_APART = (
+    "Near a border drones of two trucks are not kept apart, by plan or by each other: where both"
+    " work there at a time, give each fleet a mission.cruise_height_m of its own, or begin one"
+    " later."
+)
+
 
 class MethodName(StrEnum):
     """The clustering method."""
@@ -229,3 +235,5 @@ def _show_regions(
             words = (f"{plan.makespan_s / 60.0:.1f}", str(len(plan.sorties)), nobody, spent)
         table.add_row(region.name, *counts, f"{region.work_s / 60.0:.1f}", *words)
     console.print(table)
+    if len(regions) > 1:
+        console.print(NOT_APART, highlight=False, markup=False)
