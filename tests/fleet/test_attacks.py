@@ -273,7 +273,7 @@ def plain(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
 def believe_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """The guard taken out: whatever lies in an envelope is believed."""
 
-    def told(self: Trust, kind: str, raw: bytes, speaker: str | None) -> bytes:
+    def told(self: Trust, kind: str, raw: bytes, speaker: str | None, *_: object) -> bytes:
         envelope = read_envelope(kind, raw)
         assert not isinstance(envelope, Refused)
         return envelope.message
