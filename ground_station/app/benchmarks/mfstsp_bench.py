@@ -5,11 +5,9 @@ until all are, so Ctrl-C loses only those under way.
 """
 
 import hashlib
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +18,18 @@ import ground_station.core
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.files.mfstsp_files import read_problem, read_vehicles
+from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
 from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone, mfstsp_problem
 from ground_station.core.benchmark.schedule_check import CheckedDrone, CheckedProblem, violations_of
 
 Row = dict[str, Any]
+
+
+class RowsLost(LeewayError):
+    """Rows whose workers were killed twice; the journal keeps all others."""
+
+    def __init__(self, lost: Sequence[str]) -> None:
+        super().__init__("\n".join(f"lost: {row}" for row in lost))
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,36 +175,26 @@ def run_rows(
     journal: RowJournal,
     tell: Callable[[int, Row], None],
 ) -> list[Row]:
-    """All rows in order, on `jobs` processes. `tell` is called for each when it is done."""
+    """All rows in order, on `jobs` processes. `tell` is called for each when it is done.
+
+    Raises: RowsLost, when all others are done.
+    """
     done = journal.read()
     journal.start(done)
     for number, row in done.items():
         tell(number, row)
     pending = [number for number in range(len(rows)) if number not in done]
-    for number, row in _solved(rows, params, pending, jobs):
-        journal.add(number, row)
-        done[number] = row
-        tell(number, row)
+    plan, lost = partial(solve_row, params=params), list[str]()
+    for ended in side_by_side((rows[number] for number in pending), plan, Workers(jobs)):
+        if isinstance(ended, PieceLost):
+            row = ended.piece
+            name = f"{row.folder.name} {row.vehicles} x{row.drones}"
+            lost.append(f"{name}: {ended.why}")
+            continue
+        number = pending[ended.index]
+        journal.add(number, ended.result)
+        done[number] = ended.result
+        tell(number, ended.result)
+    if lost:
+        raise RowsLost(lost)
     return [done[number] for number in range(len(rows))]
-
-
-def _solved(
-    rows: list[BenchRow], params: BenchParams, pending: list[int], jobs: int
-) -> Iterator[tuple[int, Row]]:
-    if jobs == 1:
-        for number in pending:
-            yield number, solve_row(rows[number], params)
-        return
-    pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), initializer=_leave_ctrl_c_to_the_parent
-    )
-    try:
-        futures = {pool.submit(solve_row, rows[number], params): number for number in pending}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _leave_ctrl_c_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -69,6 +69,7 @@ def mfstsp(
     from ground_station.app.benchmarks.mfstsp_bench import (
         BenchParams,
         RowJournal,
+        RowsLost,
         rows_to_plan,
         settings_of,
     )
@@ -88,6 +89,9 @@ def mfstsp(
         kept = "the same command goes on from there" if json_out else "nothing kept without --json"
         console.print(f"stopped; {kept}", highlight=False)
         raise typer.Exit(130) from None
+    except RowsLost as error:
+        console.print(str(error), highlight=False, markup=False)
+        raise typer.Exit(1) from None
     if json_out is not None:
         _write(json_out, done)
         journal.remove()
