@@ -328,7 +328,9 @@ def _sources(done: Calibration) -> dict[tuple[str, str], str]:
         for key, std in zip(keys, np.sqrt(np.diag(fit.cov)), strict=True):
             found[key] = f"fitted, ± {std:.2g}"
     found["power_rotor", "avionics_w"] = f"fitted, ± {avionics_std_w(done.power):.2g}"
-    found["drag", "gain_std_frac"] = "of that fit at cruise, at least the air's density"
+    found["drag", "gain_std_frac"] = "of that fit at the airspeed flown, at least the air's density"
+    found["drag", "axis_gain_std_frac"] = "of that fit at the airspeed flown"
+    found["drag", "model_std_frac"] = "what two coefficients an axis leave over on real vehicles"
     found["power_rotor", "model_std_frac"] = (
         "rms over two-minute pieces of flights left out, or 0.03"
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.core.calibration.battery import BatteryFit, fit_battery
 from companion.core.calibration.drag import DragFit, DragPriors, fit_drag, see_wind
+from companion.core.calibration.drag_doubts import drag_doubts
 from companion.core.calibration.power import (
     VERTICAL_KEY,
     PowerFit,
@@ -34,8 +35,6 @@ _PIECE_BLOCKS = 60  # of the holdout's energy: two minutes, a leg home
 _LEAST_MODEL_STD_FRAC = 0.03
 """Residual of the model against the M100's published power over speed: 3.1 % rms
 (docs/results/calibration.md)."""
-_LEAST_GAIN_STD_FRAC = 0.05
-"""Drag goes with the air's density: 5 % are 15 degrees, between the days of logs and of use."""
 _FASTEST_PERCENTILE = 98.0
 _REACH_FRAC = 0.95
 _LEAST_BLADE_DRAG = 0.005
@@ -105,7 +104,7 @@ def calibrate(
     quantities = quantities_of(flights, start, drag, power, battery)
     quantities += trim_quantities(flights, start, drag)
     holdouts = tuple(_leave_out(flights, start, told, priors)) if leave_out else ()
-    airframe, notes = _assembled(start, drag, power, battery, quantities, holdouts)
+    airframe, notes = _assembled(flights, start, drag, power, battery, quantities, holdouts)
     notes = (*notes, *_extrapolated(flights, drag, airframe), *_bladeless(airframe, start.name))
     return Calibration(airframe, drag, power, battery, quantities, holdouts, notes)
 
@@ -186,6 +185,7 @@ def _fitted(flights: list[Blocks], start: Airframe, priors: DragPriors | None) -
 
 
 def _assembled(
+    flights: list[Blocks],
     start: Airframe,
     drag: DragFit,
     power: PowerFit,
@@ -208,7 +208,7 @@ def _assembled(
         model_std = max(float(np.sqrt(np.mean(pieces**2))), _LEAST_MODEL_STD_FRAC)
     fitted = replace(
         fitted,
-        drag=replace(fitted.drag, gain_std_frac=_gain_std(start, drag), **_trims(quantities)),
+        drag=replace(fitted.drag, **drag_doubts(flights, drag), **_trims(quantities)),
         power_rotor=replace(fitted.power_rotor, model_std_frac=min(model_std, 0.5)),
     )
     pack = start.battery
@@ -229,11 +229,3 @@ def _trims(quantities: tuple[Quantity, ...]) -> dict[str, float]:
     """Both mean trims by their keys, where they are identified; a trim may not pass its range."""
     found = {q.name: q for q in quantities if q.name in TRIM_KEYS and q.identified}
     return {TRIM_KEYS[name]: float(np.clip(q.value, -5.0, 5.0)) for name, q in found.items()}
-
-
-def _gain_std(start: Airframe, drag: DragFit) -> float:
-    """How wrong forward drag at cruise is believed to be, relative."""
-    speed = start.speeds.cruise_airspeed_mps
-    row = np.array([speed, 0.0, speed**2, 0.0, 0.0])
-    std = float(np.sqrt(row @ drag.cov @ row)) / float(row @ drag.values)
-    return float(np.clip(std, _LEAST_GAIN_STD_FRAC, 1.0))

@@ -28,18 +28,23 @@ def trim_quantities(
     flights: Sequence[Blocks], start: Airframe, drag: DragFit
 ) -> tuple[Quantity, Quantity]:
     """Both trims, degrees: the start's plus the mean over flights that turn; NaN in none."""
-    means = [
-        left.mean(axis=0)
-        for blocks, left in zip(flights, drag.residual_mps2, strict=True)
-        if _heading_length(blocks) < _TURNS
-    ]
-    degrees = np.degrees(np.array(means).reshape(-1, 2) / GRAVITY_MPS2)
+    degrees = turning_trims_deg(flights, drag)
     own = start.drag.trim_forward_deg, start.drag.trim_right_deg
     forward, right = (
         _quantity(name, before, degrees[:, axis])
         for axis, (name, before) in enumerate(zip(TRIM_KEYS, own, strict=True))
     )
     return forward, right
+
+
+def turning_trims_deg(flights: Sequence[Blocks], drag: DragFit) -> Floats:
+    """Trim of each flight that turns, forward and right (n, 2), beside the start airframe's."""
+    means = [
+        left.mean(axis=0)
+        for blocks, left in zip(flights, drag.residual_mps2, strict=True)
+        if _heading_length(blocks) < _TURNS
+    ]
+    return np.degrees(np.array(means).reshape(-1, 2) / GRAVITY_MPS2)
 
 
 def _heading_length(blocks: Blocks) -> float:

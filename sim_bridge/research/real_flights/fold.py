@@ -1,7 +1,7 @@
 """One fold: everything fitted on some days' flights, and judged on the flights of others."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,17 +37,11 @@ CALIBRATED_FLIGHTS = 36
 """Drag and power are calibrated on so many of the fitting flights, spread evenly over days and
 hours: with all of 119 drag at 10 m/s moves by less than its standard deviation, in seven times the
 time."""
-DRAG_STDS = ((0.2, 0.03, 0.02), (0.5, 0.03, 0.05), (1.5, 0.05, 0.05))
-"""Trim (degrees), drag model error and drag gain (fractions) that the estimator may be told to
-expect: drag and trims known well, as a vehicle's own calibration leaves them, and what real
-vehicles leave over. Chosen on SCORED_FLIGHTS of the fitting days by the likelihood of the
-anemometer's 10 s means; the calibration does not tell them."""
-AXIS_SHARE = 0.5
-"""Of the gain's deviation: how far one axis may be from the other."""
 SCORED_FLIGHTS = 9
+"""So many of the fitting flights tell the anemometer's scale as the rivals find it."""
 SCALED_FLIGHTS = 24
-"""The anemometer's scale is learned on so many of the fitting flights. With SCORED_FLIGHTS alone
-it moved between 0.90 and 0.99 from fold to fold, which is 1 m/s at 16 m/s of airspeed."""
+"""The anemometer's scale is learned on so many of the fitting flights. With nine alone it
+moved between 0.90 and 0.99 from fold to fold, which is 1 m/s at 16 m/s of airspeed."""
 _ODD_LOG = 0.10
 """A flight that draws so much more or less than predicted may have another payload: four times the
 scatter of flights."""
@@ -164,10 +158,9 @@ def _fit(train: Sequence[ReadFlight], start: Airframe) -> _Fitted:
     charges = charges_of([f.ordered.date for f in train], [f.start_v for f in train])
     known = [_known(*row) for row in zip(train, winds, charges, strict=True)]
     scored = chosen[:: max(len(chosen) // SCORED_FLIGHTS, 1)]
-    flying, replays = _likeliest(done.airframe, {i: train[i] for i in scored})
+    flying = done.airframe
     scaled = [chosen[at] for at in _spread(len(chosen), SCALED_FLIGHTS)]
-    replays |= {i: replay_wind(train[i], flying) for i in scaled if i not in replays}
-    scale = _scale_of([(train[i], replays[i]) for i in scaled])
+    scale = _scale_of([(train[i], replay_wind(train[i], flying)) for i in scaled])
     rivals = [(train[i], rival_winds(train[i], flying)) for i in scored]
     rival_scales = {n: _scale_of([(f, winds[n]) for f, winds in rivals]) for n in WIND_RIVALS}
     forecast = fit_forecast(done.airframe, known)
@@ -190,46 +183,10 @@ def as_reported(airframe: Airframe) -> Airframe:
     return changed(airframe, drag=changed(airframe.drag, trim_forward_deg=0.0, trim_right_deg=0.0))
 
 
-def _likeliest(
-    airframe: Airframe, flights: Mapping[int, ReadFlight]
-) -> tuple[Airframe, dict[int, WindReplay]]:
-    """The airframe with those of DRAG_STDS under which the estimator's errors are likeliest, and
-    what it believed of these flights with it."""
-    found = []
-    for stds in DRAG_STDS:
-        one = _expecting(airframe, *stds)
-        replays = {i: replay_wind(f, one) for i, f in flights.items()}
-        judged = [_wind(f, replays[i], None) for i, f in flights.items()]
-        scale = fit_scale([leg for wind in judged for leg in wind.legs])
-        means = [mean.as_read(scale) for wind in judged for mean in wind.windows]
-        found.append((_wind_loss(means), one, replays))
-    _, likeliest, replays = min(found, key=lambda row: row[0])
-    return likeliest, replays
-
-
-def _expecting(airframe: Airframe, trim_deg: float, model: float, gain: float) -> Airframe:
-    changed = msgspec.structs.replace
-    drag = changed(
-        airframe.drag,
-        trim_std_deg=trim_deg,
-        model_std_frac=model,
-        gain_std_frac=gain,
-        axis_gain_std_frac=AXIS_SHARE * gain,
-    )
-    return changed(airframe, drag=drag)
-
-
 def drag_stds(airframe: Airframe) -> tuple[float, float, float]:
-    """What the estimator is told to expect, in the order of DRAG_STDS."""
+    """What the estimator expects of trim (degrees), drag model and drag gain (fractions)."""
     drag = airframe.drag
     return drag.trim_std_deg, drag.model_std_frac, drag.gain_std_frac
-
-
-def _wind_loss(means: Sequence[AirspeedMean]) -> float:
-    """Minus twice the log-likelihood of the 10 s means, normal errors of the stated std."""
-    return sum(
-        ((m.believed_mps - m.read_mps) / m.std_mps) ** 2 + 2.0 * math.log(m.std_mps) for m in means
-    )
 
 
 def _known(flight: ReadFlight, wind: WindSeen, charge: int) -> KnownFlight:
