@@ -31,10 +31,11 @@ def _flight(gate: str) -> tuple[str, ...]:
     return ("sim-bridge", "fly", "--seed", "1", *own, "--json", json, "--runs", f"{OUT}/{gate}")
 
 
-def _promise(title: str, *words: str) -> PageCommand:
-    logs = ("--wind-log", COAST, "--wind-log", COAST_TAIL)
-    out = f"{OUT}/{title.lower()}"
-    return PageCommand(_research("promise", *logs, *words, "--out", out), title=title)
+RECORDED = ("--wind-log", COAST, "--wind-log", COAST_TAIL)
+
+
+def _promise(title: str, folder: str, *words: str) -> PageCommand:
+    return PageCommand(_research("promise", *words, "--out", f"{OUT}/{folder}"), title=title)
 
 
 def _fleet(title: str, *words: str) -> PageCommand:
@@ -108,10 +109,22 @@ PAGES = (
         "Missions through recorded wind by the flight's gate, held to what it said, beside fixed"
         " rules and a clairvoyant.",
         (
-            _promise("Hard", "--seed", "41"),
-            _promise("Easy", "--seed", "42", "--tier", "easy"),
+            _promise("Hard", "hard", *RECORDED, "--seed", "41"),
+            _promise("Easy", "easy", *RECORDED, "--seed", "42", "--tier", "easy"),
+            _promise(
+                "Wind at half the airspeed", "slow",
+                *RECORDED, "--airspeed", "16.3", "--seed", "61",
+            ),
+            _promise(
+                "Wind at 0.63 of the airspeed", "stress",
+                *RECORDED, "--tier", "stress", "--seed", "51",
+            ),
+            _promise(
+                "Hard, in simulated wind of 300 independent days", "days",
+                "--simulated-days", "300", "--missions", "3000", "--seed", "7001",
+            ),
         ),
-        30.0,
+        6.0,
         needs=("wind/coast_2023_1hz.csv", "wind/coast_2023_tail_1hz.csv"),
         pictures=(("hard/reliability.png", "reliability.png"),),
     ),
