@@ -291,18 +291,25 @@ def estimator(
     draws: Annotated[int, typer.Option(min=1, help="airspeed errors drawn")] = 8,
     pitot: Annotated[bool, typer.Option(help="a pitot aboard in the envelope")] = False,
     envelope: Annotated[bool, typer.Option(help="fly the envelope, too (minutes)")] = True,
+    states: Annotated[
+        bool,
+        typer.Option("--states", help="fly with each state left out instead: what it is worth"),
+    ] = False,
 ) -> None:
     """The wind estimator on a real flight with an anemometer, and beside the bound.
 
-    For example: sim-bridge research bench estimator --no-envelope, which takes half a minute.
+    For example: sim-bridge research bench estimator --no-envelope, which takes half a minute;
+    or --states --flights 24, which takes some ten.
     """
     from companion.adapters.files.params import params_dir, read_airframe
     from sim_bridge.adapters.journal import Journal, digest_of
     from sim_bridge.research.wind import estimator_bench as bench
+    from sim_bridge.research.wind import states_bench
     from sim_bridge.research.wind.anemometer_flight import read_recording
     from sim_bridge.truth.params import load_airframe
 
-    names = [condition.name for condition in bench.CONDITIONS]
+    conditions = states_bench.CONDITIONS if states else bench.CONDITIONS
+    names = [condition.name for condition in conditions]
     if not any(only in name for name in names):
         raise typer.BadParameter(f"--only: {only!r} is in no condition's name: {'; '.join(names)}")
     believed = read_airframe(airframe)
@@ -321,9 +328,21 @@ def estimator(
             typer.echo(f"update, {name}: {median:.0f} us of CPU (median), {most:.0f} us (p99)")
     if not envelope:
         return
-    truth = load_airframe(params_dir() / "truth" / "m100.toml")
+    truth, vehicle = load_airframe(params_dir() / "truth" / "m100.toml"), read_airframe("m100")
+    if states:
+        left_out = states_bench.states_jobs(flights, seed, truth, vehicle, pitot)
+        left_out = [job for job in left_out if only in job.condition.name]
+        kept = Journal(
+            out / "estimator_states.partial", digest_of(left_out), states_bench.StatesRow
+        )
+        rows_found = run_journaled(
+            "states", left_out, states_bench.fly_states, workers_of(jobs, cluster), kept
+        )
+        finish(states_bench.states_sheet(rows_found, seed), out, "estimator_states")
+        kept.remove()
+        return
     bounded = min(flights, bounds or flights)
-    work = bench.jobs_of(flights, bounded, seed, truth, read_airframe("m100"), pitot)
+    work = bench.jobs_of(flights, bounded, seed, truth, vehicle, pitot)
     work = [job for job in work if only in job.condition.name]
     stem = "estimator_envelope" + ("_pitot" if pitot else "")
     kept = Journal(out / f"{stem}.partial", digest_of(work), bench.EnvelopeRow)

@@ -203,6 +203,9 @@ PAGES = (
                 _bench("estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
+            PageCommand(
+                _bench("estimator", "--states", "--seed", "905", "--flights", "32", "--out", OUT),
+            ),
         ),
         45.0,
         needs=(ANEMOMETER,),

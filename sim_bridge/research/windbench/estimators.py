@@ -17,6 +17,7 @@ from companion.core.replay.reference_estimator import ReferenceEstimator
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.estimator import WindEstimator
 from companion.core.wind.observation import WindFilter
+from sim_bridge.research.wind.ablation import ABLATIONS, without
 from sim_bridge.research.wind.px4_drag_fusion import DragFusionParams
 from sim_bridge.research.wind.rival_filters import (
     ARDUPILOT,
@@ -28,7 +29,6 @@ from sim_bridge.research.wind.rival_filters import (
     replayed,
     tuned,
 )
-from sim_bridge.research.windbench.ablation import ABLATIONS, without
 from sim_bridge.research.windbench.flights import BenchFlight
 
 OURS = "Leeway"
