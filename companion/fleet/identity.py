@@ -17,9 +17,9 @@ from companion.adapters.clock import epoch_us
 from companion.adapters.files.atomic_file import write_text_whole
 from companion.core.base.documents import toml_table
 from companion.core.base.errors import LeewayError
-from companion.core.base.wire_message import Name
+from companion.core.base.wire_message import Key, Name
 from companion.fleet.messages import Refused
-from companion.fleet.roster import Key, SignedRoster
+from companion.fleet.roster import SignedRoster
 from companion.fleet.trust import Trust, checked_roster
 
 IDENTITY, ROSTER, SIGNING_KEY, ZENOH = "identity.toml", "roster.json", "signing.key", "zenoh.json5"

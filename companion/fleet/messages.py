@@ -435,9 +435,9 @@ def decode_told_track(told: Told) -> Track | Refused:
     if isinstance(track, Refused):
         return track
     if track.vehicle != told.speaker:
-        return Refused(f"{told.speaker} tells a place of {track.vehicle}")
+        return Refused(f"{told.name} tells a place of {track.vehicle}")
     if cell_of(track.lat_deg, track.lon_deg) != told.cell:
-        return Refused(f"{told.speaker} tells its place in a cell where it is not")
+        return Refused(f"{told.name} tells its place in a cell where it is not")
     return track
 
 

@@ -1,9 +1,11 @@
 """The network as a fleet member needs it: zenoh, or a bus within one process."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
+
+from companion.core.mission.flight_file import NeighbourFleet
 
 OPEN_MARK = "[OPEN NETWORK]"
 """Stands before log lines, and before where a truck is, on a network that lets strangers in."""
@@ -48,11 +50,19 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """A track's bytes, the member whose key it came by, and the cell in that key."""
+    """A track's bytes, the vehicle whose key it came by, and the cell in that key. `fleet`: the
+    neighbouring fleet in that key; empty: our own.
+    """
 
     speaker: str
     cell: str
     raw: bytes
+    fleet: str = ""
+
+    @property
+    def name(self) -> str:
+        """As refusals call it."""
+        return f"{self.fleet}/{self.speaker}" if self.fleet else self.speaker
 
 
 class MemberLink(Protocol):
@@ -82,6 +92,10 @@ class MemberLink(Protocol):
 
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         """Listen to the cells about this place from now on; before the first, to none."""
+        ...
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        """Listen to the tracks of these fleets, too, in the same cells; to no others' any more."""
         ...
 
     def tracks(self) -> list[Told]:

@@ -14,6 +14,7 @@ class Role(Enum):
     SUPERVISOR = "supervisor"
     DISPATCHER = "dispatcher"
     VIEWER = "viewer"
+    NEIGHBOUR = "neighbour"
 
 
 COMMANDS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
@@ -27,6 +28,11 @@ SPEAKS = frozenset({Role.VEHICLE, Role.TRUCK})
 
 MEASURES = frozenset({Role.STATION})
 """Who tells the wind of a fixed place, and nothing else."""
+
+NEIGHBOURS = frozenset({Role.NEIGHBOUR})
+"""Another fleet's desk, under that fleet's name: it hears our vehicles' tracks and nothing else,
+and our vehicles may hear that fleet's tracks.
+"""
 
 LISTENS = frozenset({Role.DESK, Role.ROUTER})
 """Whom the others call: only their certificates are for a server."""

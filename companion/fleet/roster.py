@@ -10,9 +10,9 @@ from msgspec import Meta
 
 from companion.core.base.documents import toml_table
 from companion.core.base.errors import LeewayError
-from companion.core.base.wire_message import Name
+from companion.core.base.wire_message import Key, Name
 from companion.fleet.messages import Refused
-from companion.fleet.roles import Role
+from companion.fleet.roles import NEIGHBOURS, Role
 
 LARGEST_ROSTER_BYTES = 1 << 20
 """Some 5,000 members of 200 bytes."""
@@ -20,7 +20,6 @@ LARGEST_ROSTER_BYTES = 1 << 20
 WARN_DAYS = 30
 """A month: time enough to bring a new certificate to a vehicle that is away."""
 
-Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 Address = Annotated[str, Meta(max_length=260, pattern=r"^([A-Za-z0-9.:\[\]-]+:[0-9]{1,5})?\Z")]
 
 
@@ -28,7 +27,7 @@ class RosterMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """One member: a machine or a person."""
 
     name: Name
-    """Its name; a vehicle's is the one that it flies under."""
+    """Its name; a vehicle's is the one that it flies under, a neighbour's its fleet's."""
     role: Role
     """What it may do."""
     key: Key
@@ -66,6 +65,11 @@ class Roster(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def by_name(self) -> Mapping[str, RosterMember]:
         """Members by name."""
         return {member.name: member for member in self.members}
+
+    @property
+    def neighbours(self) -> list[str]:
+        """Fleets that are neighbours of this one."""
+        return [m.name for m in self.members if m.role in NEIGHBOURS and not m.revoked]
 
 
 class SignedRoster(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

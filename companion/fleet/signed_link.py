@@ -2,17 +2,18 @@
 roster allows comes in. The member behind it does not know the difference.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 from companion.adapters.clock import is_due
 from companion.core.base.rate_limit import RateLimit
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet.envelope import read_envelope
 from companion.fleet.messages import Answered, Refused, Result, decode_told_track, encode
 from companion.fleet.network import Ask, Asked, MemberLink, Told
 from companion.fleet.refusals import Refusals
 from companion.fleet.roles import COMMANDS
-from companion.fleet.trust import DAY_S, Trust
+from companion.fleet.trust import DAY_S, Trust, told_by_neighbour
 
 FAILED_HZ, FAILED_BURST = 250.0, 500.0
 """Messages that were not believed and are looked at, of each name that they claim: a look costs 0.1
@@ -42,6 +43,7 @@ class SignedLink:
     _warned_s: float | None = None
     _failed: dict[str, RateLimit] = field(default_factory=dict)
     _told: RateLimit = field(default_factory=lambda: RateLimit(TOLD_HZ, TOLD_BURST))
+    _neighbours: dict[str, NeighbourFleet] = field(default_factory=dict)
 
     # --- in ------------------------------------------------------------------------------------
 
@@ -123,27 +125,47 @@ class SignedLink:
 
     def tracks(self) -> list[Told]:
         """The newest that each neighbour told and signed itself."""
-        found: dict[str, Told] = {}
+        found: dict[tuple[str, str], Told] = {}
         for told in reversed(self.link.tracks()):
-            if told.speaker in found:
+            who = (told.fleet, told.speaker)
+            if who in found:
                 continue
             believed = self._believed(told)
             if isinstance(believed, Refused):
                 self.refusals.note(believed.reason)
             else:
-                found[told.speaker] = believed
+                found[who] = believed
         return list(found.values())
 
     def _believed(self, told: Told) -> Told | Refused:
         """The cell is looked at here: a true track that somebody plays to another cell does not
         hide the one before it.
         """
-        raw = self.trust.told("track", told.raw, told.speaker)
+        raw = self._opened(told)
         if isinstance(raw, Refused):
-            return Refused(f"{told.speaker}: {raw.reason}")
-        opened = Told(told.speaker, told.cell, raw)
+            return Refused(f"{told.name}: {raw.reason}")
+        opened = replace(told, raw=raw)
         track = decode_told_track(opened)
         return track if isinstance(track, Refused) else opened
+
+    def _opened(self, told: Told) -> bytes | Refused:
+        if not told.fleet:
+            return self.trust.told("track", told.raw, told.speaker)
+        neighbour = self._neighbours.get(told.fleet)
+        if neighbour is None:
+            return Refused("track: of no neighbour any more")
+        return told_by_neighbour(neighbour, told.raw, told.speaker)
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        """Listen to these fleets, too. Whose vehicles' keys nobody has told is not believed, and
+        so not listened to.
+        """
+        known = [one for one in neighbours if one.keys]
+        if without := [one.fleet for one in neighbours if not one.keys]:
+            words = f"no keys of their vehicles: not kept apart from {', '.join(without)}"
+            self._notices.append(words)
+        self._neighbours = {one.fleet: one for one in known}
+        self.link.hear_fleets(known)
 
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         """Listen to the cells about this place."""

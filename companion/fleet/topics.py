@@ -4,7 +4,8 @@ leeway/FLEET/vehicle/ID/alive/LIFE   liveliness token of one life of a companion
 leeway/FLEET/vehicle/ID/state        published about once a second; asked for, the newest
 leeway/FLEET/vehicle/ID/event        published as they happen; asked for with `after=SEQ`, kept
 leeway/FLEET/vehicle/ID/track/CELL   published five times a second in the air, in the grid cell
-                                     where it is (`track_cells`); heard by the vehicles near it
+                                     where it is (`track_cells`); heard by the vehicles near it,
+                                     those of neighbouring fleets too
 leeway/FLEET/vehicle/ID/wind         published by the desk: the winds that others feel
 leeway/FLEET/vehicle/ID/command      asked with a command, answered with its result
 leeway/FLEET/station/ID/wind         published by a wind station as it measures
@@ -58,9 +59,9 @@ class VehicleKeys:
         """Where its place is told while it is in this cell."""
         return f"{self._base}/track/{cell}"
 
-    def tracks(self, cell: str) -> str:
-        """Those of the whole fleet in one cell."""
-        return VehicleKeys(self.fleet, "*").track(cell)
+    def tracks(self, cell: str, fleet: str = "") -> str:
+        """Those of the whole fleet, or of a neighbouring one, in one cell."""
+        return VehicleKeys(fleet or self.fleet, "*").track(cell)
 
     @property
     def wind(self) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from companion.core.base.errors import LeewayError
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
 from companion.fleet.messages import Recall, Refused, decode_command
 from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS, TELLS_WIND, Role
@@ -249,6 +250,31 @@ class Trust:
         self.look_at_certificate()
         self.keep(signed)
         return roster
+
+
+def told_by_neighbour(neighbour: NeighbourFleet, raw: bytes, speaker: str) -> bytes | Refused:
+    """The track that this vehicle of a neighbouring fleet signed itself, as one of that fleet.
+
+    The key is the one that the desk named with the flight. Nothing else of theirs is believed: no
+    other kind of message comes here, and a signature is of one kind and one fleet.
+    """
+    envelope = read_envelope("track", raw)
+    if isinstance(envelope, Refused):
+        return envelope
+    if envelope.signer != speaker:
+        return Refused(f"track: signed by {envelope.signer}")
+    key = neighbour.keys.get(speaker)
+    if key is None:
+        return Refused(f"track: no vehicle of {neighbour.fleet} that the desk named")
+    signed = is_signed(
+        key,
+        envelope.signature,
+        kind="track",
+        fleet=neighbour.fleet,
+        signer=speaker,
+        raw=envelope.message,
+    )
+    return envelope.message if signed else Refused(f"track: not the signature of {speaker}")
 
 
 def checked_roster(

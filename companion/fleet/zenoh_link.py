@@ -11,13 +11,15 @@ import queue
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NoReturn
 
 import zenoh
 
 from companion.adapters.clock import wall_s
 from companion.core.base.rate_limit import RateLimit
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.separation.track_cells import HeardCells
 from companion.fleet.network import ASKED_AGAIN_S, WIND_COV, Ask, Asked, Told
 from companion.fleet.topics import VehicleKeys, life_of, roster_key, track_of
@@ -48,7 +50,9 @@ ROSTER_AGAIN_S = 10.0
 
 LEAVING = 4096
 TRACKS = 256
-"""Neighbours whose newest places are kept; a flood by one takes the room of none."""
+"""Neighbours of each fleet whose newest places are kept; a flood by one takes the room of none, nor
+does a neighbouring fleet that of our own.
+"""
 
 TRACKS_EACH = 8
 """Of one neighbour, who tells five a second: who signed them is seen only later, so a forged one
@@ -97,10 +101,11 @@ class ZenohLink:
         self._wakes = RateLimit(WAKES_HZ, WAKES_BURST)
         self._roster_asked_s = 0.0
         self._newer_told = False
-        self._tracks: dict[str, deque[Told]] = {}
+        self._tracks: dict[str, dict[str, deque[Told]]] = {}
         self._tracks_lock = threading.Lock()
         self._winds: deque[bytes] = deque(maxlen=WINDS_KEPT)
         self._place: tuple[float, float] | None = None
+        self._neighbours: dict[str, NeighbourFleet] = {}
         self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
         self._stop = threading.Event()
         self._session: zenoh.Session | None = None
@@ -154,28 +159,36 @@ class ZenohLink:
         """The newest few that each neighbour told since the last call, each one's oldest first."""
         with self._tracks_lock:
             told, self._tracks = self._tracks, {}
-        return [track for each in told.values() for track in each]
+        return [track for fleet in told.values() for each in fleet.values() for track in each]
 
     def wind_cov_is_read(self) -> bool:
         """Whether all who asked for states of late read the covariance of the wind."""
         since_s = wall_s() - ASKED_AGAIN_S
         return self._reader_s >= since_s > self._old_reader_s
 
-    def _hear_track(self, sample: zenoh.Sample) -> None:
+    def _hear_track(self, fleet: str, sample: zenoh.Sample) -> None:
         key = track_of(str(sample.key_expr))
         if key is None:
             return
         speaker, cell = key
-        if speaker == self._keys.vehicle or not self._is_member(speaker):
+        if not self._gets_room(fleet, speaker):
             return
-        told = Told(speaker, cell, sample.payload.to_bytes())
+        told = Told(speaker, cell, sample.payload.to_bytes(), fleet)
         with self._tracks_lock:
-            box = self._tracks.get(speaker)
+            boxes = self._tracks.setdefault(fleet, {})
+            box = boxes.get(speaker)
             if box is None:
-                if len(self._tracks) >= TRACKS:
+                if len(boxes) >= TRACKS:
                     return
-                box = self._tracks[speaker] = deque(maxlen=TRACKS_EACH)
+                box = boxes[speaker] = deque(maxlen=TRACKS_EACH)
             box.append(told)
+
+    def _gets_room(self, fleet: str, speaker: str) -> bool:
+        """Whether tracks in this name are kept until somebody looks who signed them."""
+        if not fleet:
+            return speaker != self._keys.vehicle and self._is_member(speaker)
+        neighbour = self._neighbours.get(fleet)
+        return neighbour is not None and (not neighbour.keys or speaker in neighbour.keys)
 
     def winds(self) -> list[bytes]:
         """The newest few words of the winds of others since the last call, oldest first."""
@@ -190,6 +203,10 @@ class ZenohLink:
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         """Listen to the cells about this place; the writer thread tells the network."""
         self._place = lat_deg, lon_deg
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        """Listen to these fleets, too; nobody is a neighbour of its own fleet."""
+        self._neighbours = {one.fleet: one for one in neighbours if one.fleet != self._keys.fleet}
 
     def _hear_roster(self, sample: zenoh.Sample) -> None:
         raw = sample.payload.to_bytes()
@@ -303,9 +320,9 @@ class ZenohLink:
         )
         self._session, self._held, self.trouble = session, held, ""
         self._ask_roster(session)
-        ears = _Ears(lambda cell: session.declare_subscriber(keys.tracks(cell), self._hear_track))
+        ears = _Ears(partial(self._listen, session))
         while not (self._stop.is_set() and self._leaving.empty()):
-            if self._calls_a_desk and wall_s() - self._heard_s > unasked_s and _has_line(session):
+            if self._calls_a_desk and wall_s() - self._heard_s > unasked_s and has_line(session):
                 self.trouble = f"nobody has asked for {unasked_s:.0f} s: joining anew"
                 return
             if self._is_roster_due():
@@ -315,9 +332,13 @@ class ZenohLink:
             except queue.Empty:
                 send = None
             if (place := self._place) is not None:
-                self._try(lambda place=place: ears.be_at(place, wall_s()))
+                self._try(partial(ears.be_at, place, ("", *self._neighbours), wall_s()))
             if send is not None:
                 self._try(send)
+
+    def _listen(self, session: zenoh.Session, fleet: str, cell: str) -> "zenoh.Subscriber[None]":
+        key = self._keys.tracks(cell, fleet)
+        return session.declare_subscriber(key, partial(self._hear_track, fleet))
 
     def _try(self, do: Callable[[], Any]) -> None:
         try:
@@ -342,21 +363,26 @@ class ZenohLink:
 
 
 class _Ears:
-    """Subscriptions of one session to tracks, one for each cell; `listen` declares one."""
+    """Subscriptions of one session to tracks, one a fleet and cell; `listen` declares one."""
 
-    def __init__(self, listen: Callable[[str], "zenoh.Subscriber[None]"]) -> None:
+    def __init__(self, listen: Callable[[str, str], "zenoh.Subscriber[None]"]) -> None:
         self._listen = listen
         self._cells = HeardCells()
-        self._held: dict[str, zenoh.Subscriber[None]] = {}
+        self._fleets: Sequence[str] = ()
+        self._held: dict[tuple[str, str], zenoh.Subscriber[None]] = {}
 
-    def be_at(self, place: tuple[float, float], now_s: float) -> None:
+    def be_at(self, place: tuple[float, float], fleets: Sequence[str], now_s: float) -> None:
         """Listen about this place: to the new cells first, then no more to those long left."""
-        self._cells = self._cells.at(*place, now_s)
-        wanted = self._cells.near_s.keys()
-        for cell in wanted - self._held.keys():
-            self._held[cell] = self._listen(cell)
-        for cell in self._held.keys() - wanted:
-            self._held.pop(cell).undeclare()
+        cells = self._cells.at(*place, now_s)
+        if cells is self._cells and fleets == self._fleets:
+            return
+        self._cells, self._fleets = cells, fleets
+        wanted = [(fleet, cell) for fleet in fleets for cell in cells.near_s]
+        for new in wanted:  # our own fleet first
+            if new not in self._held:
+                self._held[new] = self._listen(*new)
+        for left in self._held.keys() - set(wanted):
+            self._held.pop(left).undeclare()
 
 
 def told_number(raw: bytes) -> int | None:
@@ -364,7 +390,8 @@ def told_number(raw: bytes) -> int | None:
     return int(raw) if raw.isdigit() and len(raw) <= NUMBER_DIGITS else None
 
 
-def _has_line(session: zenoh.Session) -> bool:
+def has_line(session: zenoh.Session) -> bool:
+    """Whether it is joined to anybody."""
     return bool(session.info.routers_zid() or session.info.peers_zid())
 
 

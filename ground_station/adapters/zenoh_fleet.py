@@ -3,7 +3,8 @@
 Nothing that asks blocks: answers come by way of the inbox too.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +22,14 @@ from companion.fleet.zenoh_config import read_config
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.fleet_inbox import FleetInbox
 from ground_station.core.fleet.desk_figures import CertificateFigures, certificates_of
-from ground_station.core.fleet.fleet_link import FleetInput
+from ground_station.core.fleet.fleet_link import FleetInput, StateReceived
 
 if TYPE_CHECKING:
     from companion.fleet.identity import Identity
     from companion.fleet.roster import Roster
     from companion.fleet.trust import Trust
     from ground_station.adapters.called_session import CalledSession
+    from ground_station.adapters.neighbour_line import NeighbourLine
     from ground_station.adapters.roster_share import RosterShare
     from ground_station.adapters.zenoh_door import ZenohDoor
     from ground_station.adapters.zenoh_log import DoorLog
@@ -43,9 +45,11 @@ class ZenohFleet:
         options: JoinOptions = ON_ITS_OWN,
         door_log: "DoorLog | None" = None,
         say: Callable[[str], None] = lambda words: None,
+        neighbours: Sequence[str] = (),
     ) -> None:
         """Join with this configuration file (JSON5), or as `options` say. `door_log`: who is turned
-        away. `say`: that the session has opened anew.
+        away. `say`: that the session has opened anew. `neighbours`: fleets whose tracks are brought
+        to our vehicles; without an identity all are on one network.
 
         Raises LeewayError where a file is not valid, or the network refuses us.
         """
@@ -66,6 +70,7 @@ class ZenohFleet:
             session = _opened_once(config, open_network=options.open_network)
         self.door = _door_of(session, self._trust, door_log)
         self._use(session)
+        self._lines = self._open_lines(identity, neighbours)
 
     def _use(self, session: zenoh.Session) -> None:
         """Listen and speak by this session from now on."""
@@ -87,7 +92,13 @@ class ZenohFleet:
             self._roster.turn(monotonic_s())
         if self._called is not None and self._called.is_old(monotonic_s()):
             self._open_again(self._called)
-        return self.inbox.receive(wait_s)
+        heard = self.inbox.receive(wait_s)
+        for line in self._lines.values():
+            line.turn(monotonic_s())
+            for one in heard:
+                if isinstance(one, StateReceived):
+                    line.be_near(one.state)
+        return heard
 
     def _open_again(self, called: "CalledSession") -> None:
         """Take up what is new of rules and certificates. What was asked counts as unanswered, and
@@ -97,6 +108,35 @@ class ZenohFleet:
 
         self._use(called.open_again(self._session, monotonic_s()))
         self._say(anew_words(called.identity.trust.roster))
+
+    def _open_lines(
+        self, identity: "Identity | None", fleets: Sequence[str]
+    ) -> "dict[str, NeighbourLine]":
+        if identity is None or not fleets:
+            return {}
+        from ground_station.adapters.neighbour_line import open_lines
+
+        for fleet in set(fleets) - set(identity.trust.roster.neighbours):
+            self._say(
+                f"neighbour {fleet}: our vehicles may not hear it:"
+                f" `ground-station pki add {fleet} --role neighbour` in our own folder"
+            )
+        try:
+            lines = open_lines(self._fleet, identity.folder, [*fleets], self._pass_on, self._say)
+        except LeewayError:
+            self._session.close()
+            raise
+        return {line.fleet: line for line in lines}
+
+    def _pass_on(self, key: str, raw: bytes) -> None:
+        """A neighbour's track, to our vehicles. While our session opens anew it is lost."""
+        with contextlib.suppress(zenoh.ZError):
+            self._session.put(key, raw, express=True)
+
+    def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
+        """The public keys of a neighbouring fleet's vehicles, by name."""
+        line = self._lines.get(fleet)
+        return {} if line is None else line.keys()
 
     @property
     def warning(self) -> str:
@@ -187,6 +227,8 @@ class ZenohFleet:
 
     def close(self) -> None:
         """Leave the network."""
+        for line in self._lines.values():
+            line.close()
         self._session.close()
 
     def _on_liveliness(self, sample: zenoh.Sample) -> None:

@@ -26,12 +26,17 @@ class SecureSite:
     """A pki folder with a desk that listens on loopback, two drones, a truck and two people."""
 
     def __init__(
-        self, folder: Path, days: dict[str, int] | None = None, routers: tuple[str, ...] = ()
+        self,
+        folder: Path,
+        days: dict[str, int] | None = None,
+        routers: tuple[str, ...] = (),
+        fleet: str = FLEET,
     ) -> None:
         """With `routers` nobody calls the desk: all call them."""
+        self.fleet = fleet
         self.port = free_port()
         self.away: dict[Path, bytes] = {}
-        self.pki = PkiFolder.init(folder, FLEET, utc_at(epoch_us()))
+        self.pki = PkiFolder.init(folder, fleet, utc_at(epoch_us()))
         for name in routers:
             self.pki.add(name, Role.ROUTER, YEAR_DAYS, f"127.0.0.1:{free_port()}")
         address = "" if routers else f"127.0.0.1:{self.port}"
@@ -48,6 +53,7 @@ class SecureSite:
         """A folder that is there already, whose desk is called at this port."""
         site = cls.__new__(cls)
         site.port, site.pki, site.away = port, PkiFolder.read(folder, utc_at(epoch_us())), {}
+        site.fleet = site.pki.roster.fleet
         return site
 
     def identity(self, name: str) -> Identity:
@@ -64,12 +70,12 @@ class SecureSite:
         for path, content in self.away.items():
             path.write_bytes(content)
 
-    def person(self, name: str, zenoh: Path | None = None) -> ZenohFleet:
+    def person(self, name: str, zenoh: Path | None = None, **more: Any) -> ZenohFleet:
         """A desk, or a person's program."""
-        return ZenohFleet(FLEET, zenoh, JoinOptions(self.home(name)))
+        return ZenohFleet(self.fleet, zenoh, JoinOptions(self.home(name)), **more)
 
     def vehicle(self, name: str, folder: Path, **more: Any) -> Vehicle:
         """A vehicle that carries every command out."""
         options = JoinOptions(self.home(more.get("key_of", name)))
-        membership = join(VehicleKeys(FLEET, name), more.get("zenoh"), options)
+        membership = join(VehicleKeys(self.fleet, name), more.get("zenoh"), options)
         return Vehicle.on(name, folder, membership.open_link)

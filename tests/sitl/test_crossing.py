@@ -37,7 +37,7 @@ def make_scene(tmp_path):
 
 
 def nearest(scene: Crossing) -> Nearest | None:
-    return nearest_of({c.drone.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers})
+    return nearest_of({c.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers})
 
 
 def on_for(scene: Crossing, seconds: float) -> None:
@@ -79,3 +79,18 @@ def test_the_same_without_the_filter_breaks_the_separation(make_scene):
     assert near is not None
     assert near.separations < 1.0
     assert min(c.aside_s for c in scene.crossers) > 0.0
+
+
+@pytest.mark.parametrize("neighbours", [True, False], ids=["kept apart", "canary: deaf"])
+def test_two_fleets_whose_vehicles_have_one_name_keep_apart(make_scene, neighbours):
+    """Nose to nose, each on its own fleet's network; both are called d1."""
+    scene = make_scene(fleets=2, neighbours=neighbours)
+    assert [c.drone.name for c in scene.crossers] == ["d1", "d1"]
+    broken = False
+    while not broken and not all(c.is_over for c in scene.crossers):
+        on_for(scene, 1.0)
+        near = nearest(scene)
+        broken = near is not None and near.separations < 1.0
+        assert scene.clock.t_s < 240.0
+    assert broken is not neighbours
+    assert all((c.aside_s > ASIDE_S) is neighbours for c in scene.crossers)

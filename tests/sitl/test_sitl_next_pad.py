@@ -3,7 +3,7 @@ with a fresh pack where the next flight begins. The companion lives on and carri
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -14,6 +14,7 @@ import pytest
 
 from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet.messages import (
     Answered,
     Assign,
@@ -104,6 +105,9 @@ class Desk:
 
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         del lat_deg, lon_deg
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        del neighbours
 
     def tracks(self) -> list[Told]:
         return []

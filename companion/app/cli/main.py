@@ -273,7 +273,8 @@ def run_command(
         typer.Option(
             "--keep-apart",
             help="In a fleet: fly set-points near neighbours to keep separation, then go on with"
-            " the mission (docs: avoidance). All vehicles of the fleet should.",
+            " the mission (docs: avoidance). All vehicles of the fleet, and of its neighbours',"
+            " should.",
         ),
     ] = False,
     policy: Annotated[
@@ -315,6 +316,7 @@ def run_command(
         here=here,
         keep_apart=keep_apart,
         name=vehicle or "",
+        fleet=fleet or "",
         max_loss_per_hour=max_loss_per_hour,
     )
     asked = CommandLine(

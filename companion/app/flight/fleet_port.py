@@ -210,6 +210,7 @@ class FleetPort:
         (self.folder / CURRENT).unlink(missing_ok=True)
         settle_folder(self.folder)
         self.current = None
+        self.link.hear_fleets(())
 
     def give_back(self, why: str, *, flew: bool) -> None:
         """The assignment aboard cannot be taken up: its outcome says why.
@@ -283,8 +284,8 @@ class FleetPort:
             track = decode_told_track(told)
             if isinstance(track, Refused):
                 self.refusals.note(track.reason)
-            elif told.speaker != self.vehicle:
-                found.append(NeighbourHeard(t_s, track))
+            elif told.fleet or told.speaker != self.vehicle:
+                found.append(NeighbourHeard(t_s, track, told.fleet))
         return found
 
     def winds(self, t_s: float) -> list[Event]:

@@ -116,6 +116,7 @@ class Run:
         loop.port = port
         if port is not None:
             port.link.be_woken(link.wake)
+            port.link.hear_fleets(loaded.flight.neighbours)
             port.doubt = "; ".join(pilot.doubts.words)
         recorder.note(pilot.telemetry.t_s, loaded.names)
         if stamps is not None and stamps.trouble:

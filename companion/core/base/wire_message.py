@@ -11,6 +11,8 @@ from companion.core.base.errors import LeewayError
 VERSION = 1
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}\Z")]
+Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
+"""Public half of an Ed25519 key, 64 hex digits."""
 
 
 class WireMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -371,9 +371,17 @@ class GnssTime(Event):
 
 @dataclass(frozen=True, slots=True)
 class NeighbourHeard(Event):
-    """Another vehicle of the fleet told where it is."""
+    """Another vehicle told where it is. `fleet`: the neighbouring fleet that it is of; empty: our
+    own.
+    """
 
     track: Track
+    fleet: str = ""
+
+    @property
+    def name(self) -> str:
+        """As we call it: `d2`, or `north-2/d2`, since two fleets may have the same names."""
+        return f"{self.fleet}/{self.track.vehicle}" if self.fleet else self.track.vehicle
 
 
 @dataclass(frozen=True, slots=True)

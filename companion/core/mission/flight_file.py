@@ -12,6 +12,7 @@ from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.geo_zones import ZoneTerms
 from companion.core.base.place import Place
 from companion.core.base.safe_text import check_name
+from companion.core.base.wire_message import Key, Name
 from companion.core.base.zone_times import UtcSpan, utc_s
 from companion.core.ground.ground_table import GroundTable
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C
@@ -231,6 +232,31 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return "least_energy" if self.cruise_airspeed_mps is None else "cruise"
 
 
+MOST_NEIGHBOURS = 64
+"""Neighbouring fleets of one flight: each is listened to in some ten cells."""
+
+
+class NeighbourFleet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Another fleet whose drones this flight keeps apart from, with `--keep-apart`."""
+
+    fleet: Name
+    """Its name."""
+    keys: dict[Name, Key] = {}
+    """Its vehicles, and the public key that each signs its tracks with, as the desk found them on
+    that fleet's roster. A fleet with identities believes nobody else of them; without identities
+    everybody is heard.
+    """
+
+
+def check_neighbours(where: str, fleets: list[str]) -> None:
+    """LeewayError where a fleet is named twice, or too many are."""
+    twice = sorted({fleet for fleet in fleets if fleets.count(fleet) > 1})
+    if twice:
+        raise LeewayError(f"{where}: {', '.join(twice)} more than once")
+    if len(fleets) > MOST_NEIGHBOURS:
+        raise LeewayError(f"{where}: {len(fleets)} fleets, expected at most {MOST_NEIGHBOURS}")
+
+
 class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A `flight/1` file: one delivery, and the world that a simulator flies it in."""
 
@@ -244,6 +270,8 @@ class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """The flight's name."""
     mission: Mission = Mission()
     """What the operator asks, and the risk that they accept."""
+    neighbours: list[NeighbourFleet] = []
+    """Other fleets whose drones may be near."""
     wind: dict[str, Any] = {}
     """The true wind, for the simulator; the companion never reads it. Absent: still air."""
     faults: list[dict[str, Any]] = []
@@ -251,3 +279,4 @@ class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def __post_init__(self) -> None:
         check_name("name", self.name)
+        check_neighbours("neighbours", [one.fleet for one in self.neighbours])

@@ -69,7 +69,7 @@ class PilotOptions:
     """How this run is to be flown. `authorise` counts once and never after a restart.
 
     `keep_apart`: fly set-points near neighbours. Without `separation_filter` the set-points are
-    what is desired, for comparison only. `name`: as which the fleet knows this vehicle.
+    what is desired, for comparison only. `name` and `fleet`: as which others know this vehicle.
 
     `here`: the site lies about where the vehicle stands, not about the flight file's depot.
     `max_loss_per_hour`: in place of the flight file's; `None`: as there.
@@ -82,6 +82,7 @@ class PilotOptions:
     here: bool = False
     keep_apart: bool = False
     name: str = ""
+    fleet: str = ""
     separation_filter: bool = True
     unanswered_hold: Unanswered = Unanswered.ALARM
     unanswered_hold_s: float = UNANSWERED_HOLD_S

@@ -9,7 +9,7 @@ import json
 from typing import Any
 
 from companion.fleet.identity import TLS_CERTIFICATE
-from companion.fleet.roles import COMMANDS, LISTENS, MEASURES, SPEAKS
+from companion.fleet.roles import COMMANDS, LISTENS, MEASURES, NEIGHBOURS, SPEAKS, Role
 from companion.fleet.roster import Roster, RosterMember
 from companion.fleet.topics import VehicleKeys, roster_key, station_key
 from companion.fleet.zenoh_config import BATCH_BYTES, LEASE_MS, RECEIVE_BUFFER_BYTES
@@ -120,10 +120,13 @@ def _allowed(roster: Roster) -> list[RosterMember]:
 
 def _rules_of(roster: Roster, member: RosterMember) -> list[Rule]:
     if member.role in LISTENS:
-        return _carries_all(roster.fleet)
+        return [*_carries_all(roster.fleet), *_carries_neighbours(roster)]
     told = _hears_roster(roster.fleet)
+    if member.role in NEIGHBOURS:
+        return [*_near(roster.fleet), *told]
     if member.role in SPEAKS:
-        return [*_speaks(roster.fleet, member), *told]
+        beside = _beside(roster) if member.role is Role.VEHICLE else []
+        return [*_speaks(roster.fleet, member), *beside, *told]
     if member.role in MEASURES:
         return [*_measures(roster.fleet, member), *told]
     looks = [*_looks(roster.fleet), *told]
@@ -164,7 +167,7 @@ def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
     too: where vehicles of before told them.)
     """
     name, own = member.name, f"leeway/{fleet}/vehicle/{member.name}/**"
-    everybody, tracks = f"leeway/{fleet}/vehicle/*/**", VehicleKeys(fleet, "*").track("**")
+    everybody = f"leeway/{fleet}/vehicle/*/**"
     wind = VehicleKeys(fleet, name).wind
     says = ["put", "reply", "declare_queryable", "liveliness_token"]
     hears = ["query", "liveliness_token", "declare_queryable", "declare_subscriber"]
@@ -176,8 +179,7 @@ def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
         _rule(f"{name}-wind-asks", "ingress", ["declare_subscriber"], wind),
         _rule(f"{name}-wind-hears", "egress", ["put"], wind),
         _rule("state-asked", "egress", ["query"], VehicleKeys(fleet, "*").state),  # of all at once
-        _rule("near-asks", "ingress", ["declare_subscriber"], tracks),
-        _rule("near-hears", "egress", ["put"], tracks),
+        *_near(fleet),
         _rule(
             "desk-interest",
             "egress",
@@ -185,6 +187,38 @@ def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
             everybody,
         ),
     ]
+
+
+def _near(fleet: str) -> list[Rule]:
+    """Who is near, a neighbouring fleet's desk for its vehicles too, hears the fleet's tracks."""
+    tracks = VehicleKeys(fleet, "*").track("**")
+    return [
+        _rule("near-asks", "ingress", ["declare_subscriber"], tracks),
+        _rule("near-hears", "egress", ["put"], tracks),
+    ]
+
+
+def _beside(roster: Roster) -> list[Rule]:
+    """A vehicle hears the tracks of neighbouring fleets, which the desk tells here."""
+    tracks = _neighbours_tracks(roster)
+    if not tracks:
+        return []
+    return [
+        _rule("beside-asks", "ingress", ["declare_subscriber"], *tracks),
+        _rule("beside-hears", "egress", ["put"], *tracks),
+    ]
+
+
+def _carries_neighbours(roster: Roster) -> list[Rule]:
+    """Desks and routers pass neighbours' tracks on."""
+    tracks, messages = _neighbours_tracks(roster), ["put", "declare_subscriber"]
+    if not tracks:
+        return []
+    return [_rule(f"beside-all-{flow}", flow, messages, *tracks) for flow in ("ingress", "egress")]
+
+
+def _neighbours_tracks(roster: Roster) -> list[str]:
+    return [VehicleKeys(fleet, "*").track("**") for fleet in roster.neighbours]
 
 
 def _measures(fleet: str, member: RosterMember) -> list[Rule]:

@@ -73,7 +73,7 @@ class PkiFolder:
         checked_name("fleet", fleet)
         if (folder / ROSTER_TEXT).exists():
             raise LeewayError(f"{folder}: holds a fleet already")
-        _private_folder(folder)
+        private_folder(folder)
         made = cls(folder, Roster(fleet=fleet, number=1, members=[]), [], now)
         made._new_authority()
         made._write()
@@ -114,7 +114,7 @@ class PkiFolder:
     def _made(self, name: str, role: Role, days: int, address: str) -> RosterMember:
         """A member's keys and certificate, in its folder."""
         home = self.folder / MEMBERS / name
-        _private_folder(home)
+        private_folder(home)
         signing, tls = new_private_key(), TlsKey.new()
         member = _checked_member(
             name=name,
@@ -123,8 +123,8 @@ class PkiFolder:
             not_after=self._until(days),
             address=address,
         )
-        _write(home / SIGNING_KEY, f"{signing.hex()}\n".encode(), PRIVATE)
-        _write(home / TLS_KEY, tls.pem, PRIVATE)
+        write_file(home / SIGNING_KEY, f"{signing.hex()}\n".encode(), PRIVATE)
+        write_file(home / TLS_KEY, tls.pem, PRIVATE)
         self._certify(member, tls.private.public_key())
         return member
 
@@ -191,18 +191,18 @@ class PkiFolder:
         """By the newest authority."""
         tls = self.authorities[-1].tls
         pem = tls.certify(self.roster.fleet, member, public, self.now)  # pyright: ignore
-        _write(self.folder / MEMBERS / member.name / TLS_CERTIFICATE, pem, PUBLIC)
+        write_file(self.folder / MEMBERS / member.name / TLS_CERTIFICATE, pem, PUBLIC)
 
     def _new_authority(self) -> None:
         number = len(self.authorities) + 1
         while (self.folder / AUTHORITY / str(number)).exists():
             number += 1
         home = self.folder / AUTHORITY / str(number)
-        _private_folder(home)
+        private_folder(home)
         made = FleetAuthority(TlsAuthority.new(self.roster.fleet, self.now), new_private_key())
-        _write(home / TLS_KEY, made.tls.key.pem, PRIVATE)
-        _write(home / TLS_CERTIFICATE, made.tls.pem, PUBLIC)
-        _write(home / ROSTER_KEY, f"{made.roster_key.hex()}\n".encode(), PRIVATE)
+        write_file(home / TLS_KEY, made.tls.key.pem, PRIVATE)
+        write_file(home / TLS_CERTIFICATE, made.tls.pem, PUBLIC)
+        write_file(home / ROSTER_KEY, f"{made.roster_key.hex()}\n".encode(), PRIVATE)
         self.authorities = [*self.authorities, made]
 
     def _put(self, members: list[RosterMember]) -> None:
@@ -214,18 +214,18 @@ class PkiFolder:
         """The roster last but for the members: cut before, the old one counts."""
         text = roster_toml(self.roster)
         signed = msgspec.json.encode(self._signed(text))
-        _write(self.folder / ROSTER_TEXT, text.encode(), PUBLIC)
-        _write(self.folder / ROSTER, signed, PUBLIC)
+        write_file(self.folder / ROSTER_TEXT, text.encode(), PUBLIC)
+        write_file(self.folder / ROSTER, signed, PUBLIC)
         for member in self.roster.members:
             if not member.revoked:
                 self._write_member(member, signed)
 
     def _write_member(self, member: RosterMember, signed: bytes) -> None:
         home = self.folder / MEMBERS / member.name
-        _write(home / TLS_AUTHORITIES, b"".join(a.tls.pem for a in self.authorities), PUBLIC)
-        _write(home / IDENTITY, self._identity(member).encode(), PUBLIC)
-        _write(home / ZENOH, zenoh_json(self.roster, member).encode(), PUBLIC)
-        _write(home / ROSTER, signed, PUBLIC)
+        write_file(home / TLS_AUTHORITIES, b"".join(a.tls.pem for a in self.authorities), PUBLIC)
+        write_file(home / IDENTITY, self._identity(member).encode(), PUBLIC)
+        write_file(home / ZENOH, zenoh_json(self.roster, member).encode(), PUBLIC)
+        write_file(home / ROSTER, signed, PUBLIC)
 
     def _identity(self, member: RosterMember) -> str:
         keys = ", ".join(f'"{authority.name}"' for authority in self.authorities)
@@ -263,7 +263,8 @@ def _read_authority(home: Path) -> FleetAuthority:
     return FleetAuthority(tls, read_signing_key(home / ROSTER_KEY))
 
 
-def _private_folder(path: Path) -> None:
+def private_folder(path: Path) -> None:
+    """Make a folder that its owner alone may enter."""
     try:
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
         path.chmod(0o700)
@@ -271,8 +272,8 @@ def _private_folder(path: Path) -> None:
         raise LeewayError(f"{path}: {error.strerror}") from error
 
 
-def _write(path: Path, content: bytes, mode: int) -> None:
-    """Whole or not at all, and never for a moment readable by others."""
+def write_file(path: Path, content: bytes, mode: int) -> None:
+    """Write a file whole or not at all, and never for a moment readable by others."""
     fresh = path.with_name(f"{path.name}.new")
     try:
         fresh.unlink(missing_ok=True)

@@ -25,10 +25,10 @@ app = typer.Typer()
 LOST = 1
 """Exit code where a process that planned was killed twice."""
 
-NOT_APART = (
-    "Near a border drones of two trucks are not kept apart, by plan or by each other: where both"
-    " work there at a time, give each fleet a mission.cruise_height_m of its own, or begin one"
-    " later."
+BY_EACH_OTHER = (
+    "Near a border drones of two trucks are kept apart by each other, not by plan: each day names"
+    " its neighbours, and every companion must fly with --keep-apart. With identities:"
+    " `ground-station pki neighbours` first."
 )
 
 
@@ -236,4 +236,4 @@ def _show_regions(
         table.add_row(region.name, *counts, f"{region.work_s / 60.0:.1f}", *words)
     console.print(table)
     if len(regions) > 1:
-        console.print(NOT_APART, highlight=False, markup=False)
+        console.print(BY_EACH_OTHER, highlight=False, markup=False)

@@ -126,7 +126,8 @@ def dispatch(
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         say = _say_open if open_network else _say
         log = None if identity is None else _door_log()
-        network = open_fleet(data.day.fleet, zenoh, identity, open_network, log, say)
+        neighbours = data.day.neighbours
+        network = open_fleet(data.day.fleet, zenoh, identity, open_network, log, say, neighbours)
         with closing(network) as fleet:
             if chosen is None:
                 cannot = frozenset(impossible)

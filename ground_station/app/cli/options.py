@@ -1,6 +1,6 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -114,15 +114,18 @@ def open_fleet(
     open_network: bool,
     door_log: "DoorLog | None" = None,
     say: Callable[[str], None] = lambda words: None,
+    neighbours: Sequence[str] = (),
 ) -> "ZenohFleet":
     """The fleet's network. `door_log`: who is turned away there. `say`: that it has opened anew.
+    `neighbours`: fleets whose tracks are brought to our vehicles.
 
     LeewayError where a file is not valid, or would let strangers in.
     """
     from companion.fleet.membership import JoinOptions
     from ground_station.adapters.zenoh_fleet import ZenohFleet
 
-    ears = ZenohFleet(fleet, zenoh, JoinOptions(identity, open_network), door_log, say)
+    options = JoinOptions(identity, open_network)
+    ears = ZenohFleet(fleet, zenoh, options, door_log, say, neighbours)
     if ears.warning:
         typer.echo(ears.warning, err=True)
     return ears

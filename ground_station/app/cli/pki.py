@@ -102,6 +102,32 @@ def revoke(names: Names, pki: Folder = HERE) -> None:
 
 
 @app.command()
+def neighbours(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="PKI PKI...", help="The folders of the fleets, each with a desk."),
+    ],
+    days: Days = DAYS,
+) -> None:
+    """Make fleets of yours neighbours: their vehicles hear one another's tracks, nothing else.
+
+    Each fleet's desk gets what the others' authorities made for it, in its own folder: carry that
+    to it once more. Of fleets of two operators each does `pki add OTHER --role neighbour`.
+
+    ground-station pki neighbours north-pki south-pki
+    """
+    from ground_station.adapters.pki.neighbours import introduce
+
+    if len(folders) < 2:
+        raise LeewayError("neighbours: expected two folders or more")
+    fleets = [_open(pki) for pki in folders]
+    for made in introduce(fleets, days):
+        typer.echo(f"{made}: for that desk only")
+    for fleet in fleets:
+        typer.echo(f"{fleet.folder}: {fleet.roster.fleet}, roster {fleet.roster.number}")
+
+
+@app.command()
 def rotate(pki: Folder = HERE) -> None:
     """Make a second authority beside the first. Carry all folders to their members, renew all."""
     folder = _open(pki)

@@ -9,6 +9,11 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Progress
 from ground_station.app.desk.forecast_watch import ForecastWatch
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
+from ground_station.core.dispatch.flight_tables import (
+    NeighbourKeys,
+    no_keys,
+    with_neighbour_keys,
+)
 from ground_station.core.dispatch.measured_wind import NEXT_AHEAD_S, differs, next_flights
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
@@ -58,6 +63,7 @@ class DepotDispatcher:
     impossible: frozenset[str] = frozenset()
     wind: SiteWind | None = None
     forecast: ForecastWatch | None = None
+    neighbour_keys: NeighbourKeys = no_keys
     _planned: Forecast | None = None
     _planned_s: float = -math.inf
     _newest_launch: int = 0
@@ -182,6 +188,7 @@ class DepotDispatcher:
         for choice in chosen:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
             flight = self.assigner.flight_of(choice.order, vehicle, layer, choice.stand)
+            flight = with_neighbour_keys(flight, self.neighbour_keys)
             no_fly, by = self.data.no_fly, self.params.by
             id_ = self.store.assign(order, vehicle, flight, no_fly, by, layer)
             if id_ is not None:

@@ -54,6 +54,7 @@ def open_depot_desk(
     wind = site_wind_of(data, say)
     watch = _forecast_watch(data, wind, store, clock, say, at_depot=True)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind, watch)
+    dispatcher.neighbour_keys = fleet.neighbour_keys
     limits, stations = WindHolds(wind, limit_of(data)), _stations(data, wind, clock, say)
     guard = WindGuard(store, data, limits, clock, say, forecast=watch, stations=stations)
     exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
@@ -90,6 +91,7 @@ def open_truck_desk(
     wind = site_wind_of(data, say)
     watch = _forecast_watch(data, wind, store, day_clock, say, at_depot=False)
     dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind, watch)
+    dispatcher.neighbour_keys = fleet.neighbour_keys
     limits = WindHolds(wind, limit_of(data))
     stations = _stations(data, wind, day_clock, say)
     guard = WindGuard(store, data, limits, day_clock, say, day.sorties, watch, stations)

@@ -30,7 +30,12 @@ from ground_station.core.dispatch.dispatch_actions import (
     WithdrawAssignment,
 )
 from ground_station.core.dispatch.dispatch_rules import DispatchRules
-from ground_station.core.dispatch.flight_tables import sortie_table
+from ground_station.core.dispatch.flight_tables import (
+    NeighbourKeys,
+    no_keys,
+    sortie_table,
+    with_neighbour_keys,
+)
 from ground_station.core.dispatch.replanning import candidate_pads
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.desk_figures import ReplanFigures
@@ -60,6 +65,7 @@ class TruckDispatcher:
     by: str = "desk"
     wind: SiteWind | None = None
     forecast: ForecastWatch | None = None
+    neighbour_keys: NeighbourKeys = no_keys
     holds: list[str] = field(default_factory=list)
     _tracker: DayTracker = field(init=False)
     _made_for: int | None = None
@@ -177,6 +183,7 @@ class TruckDispatcher:
             return None
         pads = candidate_pads(self.active.plan, sortie, self.active.stops)
         table = sortie_table(data.day, drone, order, sortie, pads, data.elevation)
+        table = with_neighbour_keys(table, self.neighbour_keys)
         id_ = self.day.assign(
             sortie, pads, lambda assignment: table | {"name": assignment}, data.no_fly, self.by
         )

@@ -1,7 +1,7 @@
 """Large days: several day files as one, divided into a day for each truck, each of them planned.
 
 Each day has its own orders, drones and fleet, so that each truck has a desk of its own; nothing
-flies from one region's truck to another's.
+flies from one region's truck to another's. Fleets that may meet in the air are neighbours.
 """
 
 import csv
@@ -18,18 +18,29 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import place_ned
+from companion.core.base.place import Place
+from companion.core.mission.flight_file import check_neighbours
 from companion.core.mission.flight_plan import frame_at
 from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.plan_files import write_day_plan, write_text
 from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
-from ground_station.core.planning.regions import RegionProblem, order_work_s, regions_of
+from ground_station.core.planning.regions import (
+    RegionProblem,
+    meeting,
+    order_work_s,
+    regions_of,
+)
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.orders import Order, Service, place_of
 
 COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
 LONGEST_NAME = 32
+MEET_M = 2000.0
+"""Between the hulls about two regions' places, each flown as straight lines: who flies around what
+may not be flown over, or dodges, leaves its own by less than half of that.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +105,32 @@ def divided(days: Sequence[DayData], trucks: Sequence[int]) -> list[RegionDay]:
             own = [order for order, is_mine in zip(orders, mine.tolist(), strict=True) if is_mine]
             region_data = replace(data, day=day, orders=own)
             found.append(RegionDay(day.name, region_data, float(problem.work_s[mine].sum())))
+    return _with_neighbours(found, {data.day.fleet for data in days})
+
+
+def _with_neighbours(regions: Sequence[RegionDay], divided_up: set[str]) -> list[RegionDay]:
+    """Each with the others that it may meet in the air, beside those that its day names already;
+    fleets that are divided up are no more.
+    """
+    frame = frame_at(regions[0].data.day.depot.place)
+    areas_ne_m = [
+        np.array([place_ned(frame, place)[:2] for place in _places(region.data)])
+        for region in regions
+    ]
+    found: list[RegionDay] = []
+    for region, near in zip(regions, meeting(areas_ne_m, MEET_M), strict=True):
+        day = region.data.day
+        others = [name for name in day.neighbours if name not in divided_up]
+        names = dict.fromkeys([*others, *(regions[k].data.day.fleet for k in near)])
+        day = msgspec.structs.replace(day, neighbours=list(names))
+        check_neighbours(f"{day.name}: neighbours", day.neighbours)
+        found.append(replace(region, data=replace(region.data, day=day)))
     return found
+
+
+def _places(data: DayData) -> list[Place]:
+    """Where its drones take off, deliver and may land."""
+    return [data.day.depot.place, *data.day.rally, *(place_of(order) for order in data.orders)]
 
 
 def _check(days: Sequence[DayData], trucks: Sequence[int]) -> None:

@@ -1,13 +1,20 @@
 """The `flight/1` of an order or a planned sortie, as its vehicle is assigned it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
-from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle, with_heights
+from companion.core.mission.flight_file import (
+    Flight,
+    Mission,
+    NeighbourFleet,
+    Site,
+    Vehicle,
+    with_heights,
+)
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
@@ -16,6 +23,14 @@ from ground_station.core.schema.orders import Order, place_of
 
 ANY_CHARGE = [0.05, 1.0]
 """The desk does not know the charge of a pack: the companion measures it at rest."""
+
+NeighbourKeys = Callable[[str], Mapping[str, str]]
+"""The public keys of a neighbouring fleet's vehicles, by name."""
+
+
+def no_keys(fleet: str) -> Mapping[str, str]:
+    """Without identities nobody has one."""
+    return {}
 
 
 def delivery_table(
@@ -42,7 +57,15 @@ def delivery_table(
             "battery_health_frac": drone.battery_health_frac,
         },
         "mission": _mission(day.mission, elevation),
-    }
+    } | ({"neighbours": [{"fleet": name} for name in day.neighbours]} if day.neighbours else {})
+
+
+def with_neighbour_keys(table: dict[str, Any], keys_of: NeighbourKeys) -> dict[str, Any]:
+    """The same with what the desk knows now of its neighbours' vehicles: whose tracks are believed
+    on this flight.
+    """
+    told = [one | {"keys": dict(keys_of(one["fleet"]))} for one in table.get("neighbours", [])]
+    return table | {"neighbours": told} if told else table
 
 
 def sortie_table(
@@ -90,6 +113,7 @@ def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
     flight = Flight(
         format="flight/1",
         name=order.id,
+        neighbours=[NeighbourFleet(fleet=name) for name in day.neighbours],
         site=Site(
             depot=msgspec.structs.replace(launch, name=""),
             customer=place_of(order),

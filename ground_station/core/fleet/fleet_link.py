@@ -1,5 +1,6 @@
 """What the desk needs of a network and of a clock: zenoh, or a bus within one process."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -88,6 +89,10 @@ class FleetLink(Protocol):
 
     def tell_winds(self, winds: SharedWinds) -> None:
         """Tell one vehicle the winds that others feel; what is lost is told anew soon."""
+        ...
+
+    def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
+        """The public keys of a neighbouring fleet's vehicles, by name; none without identities."""
         ...
 
     def close(self) -> None:

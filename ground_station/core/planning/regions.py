@@ -7,9 +7,11 @@ turns, as in k-means. Nothing is drawn: the same day gives the same regions.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.errors import LeewayError
@@ -89,6 +91,21 @@ def regions_of(problem: RegionProblem) -> Ints:
             break
         truck = following
     return truck
+
+
+def meeting(areas_ne_m: Sequence[Floats], within_m: float) -> list[list[int]]:
+    """For each area, the others whose flights may come near its own: where the hulls about the
+    areas' places (n, 2) come so near to each other. Who may meet whom is the same from both sides.
+    """
+    hulls = [shapely.MultiPoint(area).convex_hull for area in areas_ne_m]
+    return [
+        [
+            other
+            for other, beside in enumerate(hulls)
+            if other != number and shapely.dwithin(hull, beside, within_m)
+        ]
+        for number, hull in enumerate(hulls)
+    ]
 
 
 def _sectors(problem: RegionProblem, home: Ints) -> Ints:

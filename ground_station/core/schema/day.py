@@ -10,7 +10,7 @@ from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.place import Place
 from companion.core.base.safe_text import one_line
 from companion.core.base.wire_message import Name
-from companion.core.mission.flight_file import Mission, Terrain
+from companion.core.mission.flight_file import Mission, Terrain, check_neighbours
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C, Air, standard_air
 from companion.fleet.topics import checked_name
 
@@ -187,6 +187,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """The day's name."""
     fleet: str = "fleet"
     """The fleet's name, as companions are started with."""
+    neighbours: list[Name] = []
+    """Other fleets whose drones may be near in the air, and name this one in their day: vehicles
+    hear their tracks and, with `--keep-apart`, keep apart from their drones.
+    """
     orders: list[str] = []
     """Files of orders, CSV or GeoJSON."""
     no_fly: str | None = None
@@ -216,6 +220,9 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
     def __post_init__(self) -> None:
         checked_name("fleet", self.fleet)
+        check_neighbours("neighbours", self.neighbours)
+        if self.fleet in self.neighbours:
+            raise LeewayError(f"neighbours: {self.fleet} is this day's own fleet")
         if self.wind_limit_mps is not None:
             check_range("wind_limit_mps", self.wind_limit_mps, 1.0, 40.0)
         names = [drone.id for drone in self.drones]

@@ -16,6 +16,16 @@ def cross(
     autopilot: Annotated[str, typer.Option(help="px4, ardupilot or mixed (takes turns).")] = (
         "mixed"
     ),
+    fleets: Annotated[
+        int, typer.Option(min=1, max=4, help="How many fleets they are of, by turns.")
+    ] = 1,
+    neighbours: Annotated[
+        bool,
+        typer.Option(
+            help="With --fleets: whether each fleet hears the others; without, a seed ends when"
+            " separation is broken."
+        ),
+    ] = True,
     seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:1",
     late_s: Annotated[
         float, typer.Option(min=0.0, max=5.0, help="How late neighbours' places come.")
@@ -62,6 +72,8 @@ def cross(
     options = CrossOptions(
         vehicles=vehicles,
         autopilot=autopilot,
+        fleets=fleets,
+        neighbours=neighbours,
         late_s=late_s,
         off_m=off_m,
         keep_apart=set_points,

@@ -63,10 +63,10 @@ LIMIT_S = 420.0
 class CrossOptions:
     """`late_s`, `off_m`: delay and error of neighbours' tracks (1 sigma a horizontal axis).
 
-    `keep_apart` False: missions only. `separation_filter` False: set-points that are what is
-    wished, by `policy` (a learned actor) or straight on. Pads and customers lie so far from the
-    truck, customers at
-    most so far from straight across.
+    `fleets`: how many they are of, by turns; each fleet has a network and names of its own, and
+    (`neighbours`) hears the others'. `keep_apart` False: missions only. `separation_filter` False:
+    set-points that are what is wished, by `policy` (a learned actor) or straight on. Pads and
+    customers lie so far from the truck, customers at most so far from straight across.
     """
 
     vehicles: int = 8
@@ -74,6 +74,8 @@ class CrossOptions:
     seed: int = 1
     late_s: float = 0.2
     off_m: float = 2.0
+    fleets: int = 1
+    neighbours: bool = True
     keep_apart: bool = True
     separation_filter: bool = True
     policy: str | None = None
@@ -139,12 +141,18 @@ class Crosser:
     """One vehicle of the scene; `truth` has a row (t, north, east, down, airborne) each step."""
 
     drone: DayDrone
+    fleet: str
     pad_ne_m: tuple[float, float]
     customer_ne_m: tuple[float, float]
     companion: LoneCompanion | None = None
     truth: list[tuple[float, float, float, float, float]] = field(default_factory=list)
     aside_s: float = 0.0
     dead: bool = False
+
+    @property
+    def name(self) -> str:
+        """Among all fleets."""
+        return self.drone.folder.name
 
     @property
     def is_ready(self) -> bool:
@@ -192,10 +200,7 @@ class Crossing:
         self.clock = DayClock()
         seeds = np.random.SeedSequence(options.seed).spawn(4)
         scene_seed, bus_seed, error_seed, drone_seed = seeds
-        self.bus = Bus(np.random.default_rng(bus_seed))
-        self.bus.track_delay_s = options.late_s
-        if options.off_m > 0.0:
-            self.bus.spoil = Spoiler(options.off_m, np.random.default_rng(error_seed))
+        self.buses = _networks(options, bus_seed, error_seed)
         self.airframe = read_airframe(AIRFRAME)
         self.authorised_s: float | None = None
         self.crossers = self._crossers(np.random.default_rng(scene_seed), drone_seed)
@@ -225,8 +230,11 @@ class Crossing:
         for k, own in enumerate(seed.spawn(count)):
             angle = turn + 2.0 * math.pi * k / count
             across = angle + math.pi + float(rng.uniform(-1.0, 1.0)) * self.options.astray_rad
+            fleet = list(self.buses)[k % len(self.buses)]
+            name = f"d{k // len(self.buses) + 1}"  # the same in each fleet
+            alone = len(self.buses) == 1
             drone = DayDrone(
-                name=f"d{k + 1}",
+                name=name,
                 number=k + 1,
                 autopilot_kind=self._autopilot_kind(k),
                 airframe=truth,
@@ -234,13 +242,14 @@ class Crossing:
                 battery_health_frac=1.0,
                 shelf_frac=(0.9, 0.95),
                 world=world,
-                folder=self.folder / f"d{k + 1}",
+                folder=self.folder / (name if alone else f"{fleet}-{name}"),
                 seeds=own,
                 start_companion=self._start,
             )
             found.append(
                 Crosser(
                     drone,
+                    fleet,
                     _polar(self.options.ring_m, angle),
                     _polar(self.options.customer_m, across),
                 )
@@ -261,7 +270,7 @@ class Crossing:
             AIRFRAME,
             self.airframe,
             drone.folder,
-            lambda life: self.bus.join(drone.name, life),
+            lambda life: self.buses[crosser.fleet].join(drone.name, life),
             self.clock.monotonic_s,
             self.clock.epoch_us,
         )
@@ -276,6 +285,7 @@ class Crossing:
                 keep_apart=self.options.keep_apart,
                 separation_filter=self.options.separation_filter,
                 name=drone.name,
+                fleet=crosser.fleet,
             ),
         )
         run = Run.begin(
@@ -310,6 +320,9 @@ class Crossing:
                 "wind_settle_s": 4.0,
             },
         }
+        if self.options.neighbours and len(self.buses) > 1:
+            others = [fleet for fleet in self.buses if fleet != crosser.fleet]
+            table["neighbours"] = [{"fleet": fleet} for fleet in others]
         path = crosser.drone.folder / "flight.toml"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(msgspec.toml.encode(table))
@@ -337,7 +350,8 @@ class Crossing:
         """A tenth of a second."""
         self._steps += 1
         t_s = self.clock.t_s = self._steps * STEP_S
-        self.bus.deliver(t_s)
+        for bus in self.buses.values():
+            bus.deliver(t_s)
         for crosser in self.crossers:
             if not crosser.is_over:
                 crosser.drone.advance(t_s, STEPS)
@@ -365,6 +379,24 @@ class Crossing:
         crosser.truth.append((t_s, north, east, down, float(vehicle.is_airborne)))
         if crosser.companion is not None and crosser.companion.ended is None:
             crosser.aside_s += STEP_S * crosser.companion.run.pilot.on_setpoints
+
+
+def _networks(
+    options: CrossOptions, bus_seed: np.random.SeedSequence, error_seed: np.random.SeedSequence
+) -> dict[str, Bus]:
+    """A network for each fleet, by its name."""
+    several, buses = options.fleets > 1, dict[str, Bus]()
+    own_seeds = bus_seed.spawn(options.fleets) if several else [bus_seed]
+    error_seeds = error_seed.spawn(options.fleets) if several else [error_seed]
+    for number, (own, errors) in enumerate(zip(own_seeds, error_seeds, strict=True)):
+        bus = Bus(np.random.default_rng(own), fleet=f"fleet-{number + 1}")
+        bus.track_delay_s = options.late_s
+        if options.off_m > 0.0:
+            bus.spoil = Spoiler(options.off_m, np.random.default_rng(errors))
+        buses[bus.fleet] = bus
+    for bus in buses.values():
+        bus.beside = [other for other in buses.values() if other is not bus]
+    return buses
 
 
 def _polar(radius_m: float, angle_rad: float) -> tuple[float, float]:

@@ -23,7 +23,8 @@ def cross_seeds(
 ) -> list[dict[str, Any]]:
     """Fly the scene with each seed; every row is written as soon as it is flown."""
     rows: list[dict[str, Any]] = []
-    is_canary = not (options.separation_filter and options.keep_apart)  # one meeting is enough
+    deaf = options.fleets > 1 and not options.neighbours
+    is_canary = deaf or not (options.separation_filter and options.keep_apart)  # one meeting is all
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         for seed in seeds:
@@ -65,14 +66,14 @@ def _is_broken(scene: Crossing) -> bool:
 
 
 def _flown(scene: Crossing) -> dict[str, np.ndarray]:
-    return {c.drone.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers}
+    return {c.name: np.array(c.truth).reshape(-1, 5) for c in scene.crossers}
 
 
 def row_of(scene: Crossing) -> dict[str, Any]:
     """What the scene came to."""
     flown = _flown(scene)
     for crosser in scene.crossers:
-        np.save(crosser.drone.folder / "truth.npy", flown[crosser.drone.name])
+        np.save(crosser.drone.folder / "truth.npy", flown[crosser.name])
     nearest = nearest_of(flown)
     options = scene.options
     return {
@@ -81,12 +82,14 @@ def row_of(scene: Crossing) -> dict[str, Any]:
         "seed": options.seed,
         "late_s": options.late_s,
         "off_m": options.off_m,
+        "fleets": options.fleets,
+        "neighbours": options.neighbours,
         "keep_apart": options.keep_apart,
         "separation_filter": options.separation_filter,
         "policy": options.policy,
         "kept": nearest is None or nearest.separations >= 1.0,
         "nearest": None if nearest is None else asdict(nearest),
-        "flights": [_flight(c, flown[c.drone.name]) for c in scene.crossers],
+        "flights": [_flight(c, flown[c.name]) for c in scene.crossers],
         "run": str(scene.folder),
     }
 
@@ -104,7 +107,7 @@ def _flight(crosser: Crosser, rows: np.ndarray) -> dict[str, Any]:
         crashed=truth.crashed,
     )
     return {
-        "vehicle": drone.name,
+        "vehicle": crosser.name,
         "autopilot": drone.autopilot_kind,
         "outcome": outcome,
         "flight_time_s": round(0.1 * float(rows[:, 4].sum()), 1),

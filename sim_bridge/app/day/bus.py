@@ -7,13 +7,14 @@ zenoh maintains it itself. The same generator gives the same losses.
 """
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
 import numpy as np
 
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.separation.track_cells import HeardCells, cell_of
 from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.messages import (
@@ -62,6 +63,9 @@ class Bus:
     spoil: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
     states: dict[str, State] = field(default_factory=dict)
     """Each vehicle's last published state, delivered or not; for the judge."""
+    fleet: str = "fleet"
+    beside: list["Bus"] = field(default_factory=list)
+    """Networks of other fleets: vehicles there may hear the tracks that are told here."""
     cut_until_s: float = 0.0
     """Until then nothing passes between the desk and the members."""
     _cut_off_until_s: dict[str, float] = field(default_factory=dict)
@@ -167,6 +171,12 @@ class Bus:
             near = link.vehicle != sender.vehicle and link.listens_to(cell)
             if near and not self._is_lost(sender.vehicle, link.vehicle):
                 self.later(self.track_delay_s, lambda link=link: link.hear_track(told))
+        foreign = Told(sender.vehicle, cell, raw, self.fleet)
+        for bus in self.beside:
+            for link in bus.links_of():
+                near = link.hears(self.fleet) and link.listens_to(cell)
+                if near and not self._is_lost(sender.vehicle):
+                    self.later(self.track_delay_s, lambda link=link: link.hear_track(foreign))
 
     def _is_lost(self, *members: str) -> bool:
         self.sent += 1
@@ -201,6 +211,7 @@ class BusLink:
     _tracks: list[Told] = field(default_factory=list)
     _winds: list[bytes] = field(default_factory=list)
     _cells: HeardCells = field(default_factory=HeardCells)
+    _neighbours: frozenset[str] = frozenset()
 
     def asked(self) -> list[Asked]:
         """Take all pending commands and queries."""
@@ -235,6 +246,14 @@ class BusLink:
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         """Listen to the cells about this place."""
         self._cells = self._cells.at(lat_deg, lon_deg, self.bus.t_s)
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        """Listen to these fleets, too."""
+        self._neighbours = frozenset(one.fleet for one in neighbours)
+
+    def hears(self, fleet: str) -> bool:
+        """Whether it listens to this neighbouring fleet."""
+        return fleet in self._neighbours
 
     def listens_to(self, cell: str) -> bool:
         """Whether this cell is near, or was of late."""
@@ -355,6 +374,10 @@ class BusFleet:
         raw = encode(winds)
         for link in self.bus.links_of(winds.vehicle):
             self.bus.post(winds.vehicle, lambda link=link: link.hear_winds(raw))
+
+    def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
+        """No identities here."""
+        return {}
 
     def _decoded(self, vehicle: str, raw: bytes, decode: Callable[[bytes], Any]) -> Any:
         message = decode(raw)

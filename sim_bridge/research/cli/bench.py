@@ -216,9 +216,13 @@ def tracks(
     across_km: Annotated[float, typer.Option(min=1.0, help="Side of the square.")] = 10.0,
     seconds: Annotated[float, typer.Option(min=1.0, help="How long is counted.")] = 20.0,
     seed: Annotated[int, typer.Option(min=0, help="Where they fly.")] = 1,
+    fleets: Annotated[
+        int, typer.Option(min=1, max=16, help="Neighbouring fleets that they are of, by turns.")
+    ] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
 ) -> None:
-    """What a drone hears of the others a second: of all, and by grid cell.
+    """What a drone hears of the others a second: of all, and by grid cell; of several fleets also
+    where each hears its own only.
 
     sim-bridge research bench tracks --drones 100 --across-km 10
     """
@@ -227,7 +231,7 @@ def tracks(
     from sim_bridge.research.benchmarks.fleet_bench.track_bench import bench as bench_now
     from sim_bridge.research.benchmarks.fleet_bench.track_flights import TrackFlights
 
-    heard = bench_now(TrackFlights(drones, 1000.0 * across_km, seed), seconds)
+    heard = bench_now(TrackFlights(drones, 1000.0 * across_km, seed, fleets), seconds)
     figures = json.dumps([asdict(one) for one in heard], indent=1)
     typer.echo(figures)
     if json_file is not None:

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from companion.app.flight import fleet_port
 from companion.app.flight.assignment import MISSION, take_up, write_assignment
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
 from companion.core.base.errors import LeewayError
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet import member as fleet_member
 from companion.fleet.command_log import Verdict
 from companion.fleet.event_log import BATCH, KEPT, LEAP, SLACK, EventLog
@@ -346,6 +348,9 @@ class HandLink:
         state = decode_state(raw)
         assert isinstance(state, State)
         self.states.append(state)
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        del neighbours
 
     def wind_cov_is_read(self) -> bool:
         return True

@@ -8,15 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from companion.core.mission import events as ev
-from companion.core.mission.actions import FlyVelocity, JumpTo, Order, SetMode, TellPlace
+from companion.core.mission.actions import Decision, FlyVelocity, JumpTo, Order, SetMode, TellPlace
 from companion.core.mission.events import AutopilotKind, Mode
 from companion.core.mission.mission_items import ItemKind, Part
 from companion.core.pilot.authority import Authority
 from companion.core.pilot.context import FlightContext, PilotOptions
 from companion.core.pilot.neighbours.desired_velocity import DesiredVelocity
-from companion.core.pilot.neighbours.setpoint_takeover import SetpointTakeover
+from companion.core.pilot.neighbours.setpoint_takeover import SetpointTakeover, dodge_rank
 from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.setpoint_motion import FLEET, backing_off
@@ -412,3 +414,49 @@ def test_who_has_flown_out_of_hearing_is_let_go_without_a_word(away_m):
     for _ in range(350):
         w.step()
     assert ("neighbour lost: d2" in w.said) is (away_m < 1000.0)
+
+
+NAMES = st.sampled_from(["d1", "d2", "d-2", "d_2", "d10", "north", "d"])
+MEMBERS = st.sets(st.tuples(st.sampled_from(["d", "d1", "north", "north-1", "north_1"]), NAMES))
+
+
+@given(MEMBERS)
+def test_vehicles_of_several_fleets_find_one_order_of_dodge_heights(members: set) -> None:
+    """Each calls its own fleet's vehicles by name, and others by fleet and name."""
+    ranks = [
+        dodge_rank(
+            fleet,
+            name,
+            [
+                other if beside == fleet else f"{beside}/{other}"
+                for beside, other in members
+                if (beside, other) != (fleet, name)
+            ],
+        )
+        for fleet, name in members
+    ]
+    assert sorted(ranks) == list(range(len(members)))
+
+
+@given(st.sets(NAMES, min_size=1))
+def test_within_one_fleet_the_order_is_that_of_the_names(names: set) -> None:
+    for name in names:
+        others = names - {name}
+        assert dodge_rank("north", name, others) == sorted([*others, name]).index(name)
+
+
+@pytest.mark.parametrize("fleet", ["north", ""], ids=["told apart", "canary: one name"])
+def test_a_neighbouring_fleets_vehicle_is_told_from_ours_of_the_same_name(fleet):
+    """Our own d2 is far away; theirs stands in our way, and tells at the same instants."""
+    w = beside(AutopilotKind.PX4)
+    w.tells = False
+    far, near = (w.north - 900.0, w.east, -w.height), (w.north + 60.0, w.east, -w.height)
+    until_s = w.t_s + 5.0
+    while w.t_s < until_s and not w.pilot.on_setpoints:
+        for place, of in ((far, ""), (near, fleet)):
+            w.neighbour = place
+            w.tell(ev.NeighbourHeard(w.t_s, w.track(), of))
+        w.step()
+    assert w.pilot.on_setpoints is (fleet == "north")
+    if fleet:
+        assert any("near north/d2" in a.reason for _, a in w.log if isinstance(a, Decision))

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.fleet.identity import read_identity
 from companion.fleet.messages import Answered, Command, Recall
+from companion.fleet.roles import Role
 from companion.fleet.roster import Roster
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
@@ -142,6 +143,59 @@ def test_several_are_added_renewed_and_revoked_by_one_roster_each(fleet):
         assert read_identity(fleet / "members" / name).trust.roster.number == number + 2
     assert "d3, d4 are revoked" in pki("revoke", "d3", "d4")
     assert [m.name for m in roster().members if m.revoked] == ["d3", "d4"]
+
+
+def two_fleets(*more: str) -> None:
+    for name, folder in (("north", "a"), ("south", "b")):
+        pki("init", name, "--pki", folder)
+        pki("add", "desk", "--role", "desk", "--pki", folder)
+        pki("add", "d1", *more, "--role", "vehicle", "--pki", folder)
+
+
+def test_fleets_of_one_operator_become_neighbours_by_one_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    two_fleets()
+    shown = pki("neighbours", "a", "b")
+    given = Path("a") / "members" / "desk" / "neighbours" / "south"
+    assert str(given) in shown
+    assert given.stat().st_mode & 0o777 == 0o700
+    assert (given / "signing.key").stat().st_mode & 0o777 == 0o600
+    theirs = read_identity(given).trust
+    assert (theirs.fleet, theirs.name, theirs.me.role) == ("south", "north", Role.NEIGHBOUR)
+    assert set(theirs.roster.by_name) == {"desk", "d1", "north"}
+    roster = PkiFolder.read(Path("a"), utc_at(epoch_us())).roster
+    assert roster.neighbours == ["south"]
+    number, key = roster.number, theirs.private
+    pki("neighbours", "a", "b")
+    again = PkiFolder.read(Path("a"), utc_at(epoch_us())).roster
+    assert (again.number, read_identity(given).trust.private) == (number, key), "nothing is new"
+    pki("revoke", "south", "--pki", "a")
+    pki("neighbours", "a", "b")
+    assert read_identity(given).trust.private == key, "south's word for north stands"
+    anew = Path("b") / "members" / "desk" / "neighbours" / "north"
+    revived = PkiFolder.read(Path("a"), utc_at(epoch_us())).roster.by_name["south"]
+    assert read_identity(anew).trust.me == revived
+
+
+@pytest.mark.parametrize(
+    ("folders", "more", "why"),
+    [
+        (["a"], (), "expected two folders"),
+        (["a", "a"], (), "expected fleets of different names"),
+        (["a", "b"], ("south",), "south is a vehicle"),
+        (["a", "c"], (), "no desk on the roster"),
+    ],
+)
+def test_who_cannot_be_neighbours_is_told_why_and_nothing_is_made(
+    tmp_path, monkeypatch, folders, more, why
+):
+    monkeypatch.chdir(tmp_path)
+    two_fleets(*more)
+    pki("init", "east", "--pki", "c")
+    result = CliRunner().invoke(app, ["pki", "neighbours", *folders])
+    assert isinstance(result.exception, LeewayError)
+    assert why in str(result.exception)
+    assert PkiFolder.read(Path("a"), utc_at(epoch_us())).roster.neighbours == []
 
 
 @pytest.mark.parametrize(

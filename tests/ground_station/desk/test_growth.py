@@ -62,6 +62,10 @@ class Fleet:
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None: ...
     def close(self) -> None: ...
 
+    def neighbour_keys(self, fleet: str) -> dict[str, str]:
+        del fleet
+        return {}
+
     def tell_winds(self, winds: object) -> None:
         del winds
 

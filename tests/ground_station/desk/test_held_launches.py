@@ -42,6 +42,10 @@ class Wire:
     def ask_states(self, wait_s: float) -> None: ...
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None: ...
 
+    def neighbour_keys(self, fleet: str) -> dict[str, str]:
+        del fleet
+        return {}
+
     def tell_winds(self, winds: object) -> None:
         del winds
 

@@ -14,7 +14,12 @@ from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.day_files import read_day
 from ground_station.app.planning.region_days import divided, write_region
-from ground_station.core.planning.regions import RegionProblem, order_work_s, regions_of
+from ground_station.core.planning.regions import (
+    RegionProblem,
+    meeting,
+    order_work_s,
+    regions_of,
+)
 
 TOWN = params_dir() / "days" / "town.toml"
 
@@ -115,3 +120,36 @@ def test_days_that_cannot_be_divided_together_are_refused() -> None:
     pooled = divided([data, other], [1, 2])
     ids = list(itertools.chain.from_iterable([o.id for o in one.data.orders] for one in pooled))
     assert sorted(ids) == sorted(order.id for order in data.orders), "the same orders, once"
+
+
+def test_regions_that_may_meet_in_the_air_are_neighbours_from_both_sides(tmp_path: Path) -> None:
+    """Two trucks of each of two depots, 40 km apart; one day names a fleet of its own accord."""
+    data = read_day(TOWN)
+    depot = data.day.depot
+    there = msgspec.structs.replace(depot, lat_deg=depot.lat_deg + 0.36)
+    far_orders = [
+        msgspec.structs.replace(order, id=f"far-{order.id}", lat_deg=order.lat_deg + 0.36)
+        for order in data.orders
+    ]
+    far_day = msgspec.structs.replace(
+        data.day, name="far", fleet="far", depot=there, neighbours=["other-operator", "town"]
+    )
+    far = replace(data, day=far_day, orders=far_orders)
+    regions = divided([data, far], [2, 2])
+    named = {region.data.day.fleet: region.data.day.neighbours for region in regions}
+    assert named == {
+        "town-1": ["town-2"],
+        "town-2": ["town-1"],
+        "far-1": ["other-operator", "far-2"],
+        "far-2": ["other-operator", "far-1"],
+    }
+    back = [read_day(write_region(tmp_path, region, TOWN)) for region in regions]
+    assert [one.day.neighbours for one in back] == list(named.values())
+
+
+def test_areas_meet_where_their_hulls_come_near_to_each_other() -> None:
+    square = np.array([[0.0, 0.0], [0.0, 1000.0], [1000.0, 0.0], [1000.0, 1000.0]])
+    right = square + np.array([0.0, 2900.0])  # 1.9 km from edge to edge
+    inside = square * 0.1 + 400.0
+    away = np.array([[9000.0, 9000.0]])
+    assert meeting([square, right, inside, away], 2000.0) == [[1, 2], [0], [0], []]

@@ -1,7 +1,7 @@
 """The truck as a member of the fleet: what it is told, what its driver says, what it keeps."""
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from companion.core.base.errors import LeewayError
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet.messages import (
     Answered,
     Command,
@@ -69,6 +70,9 @@ class Wire:
 
     def hear_near(self, lat_deg: float, lon_deg: float) -> None:
         del lat_deg, lon_deg
+
+    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        del neighbours
 
     def tracks(self) -> list[Told]:
         return []

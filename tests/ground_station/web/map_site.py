@@ -64,6 +64,10 @@ class MapEars:
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         self.events_asked.append(vehicle)
 
+    def neighbour_keys(self, fleet: str) -> dict[str, str]:
+        del fleet
+        return {}
+
     def tell_winds(self, winds: object) -> None:
         del winds
 

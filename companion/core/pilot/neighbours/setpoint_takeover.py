@@ -323,7 +323,7 @@ class SetpointTakeover:
         return min(level - DODGES[self._state.rank % len(DODGES)] * DODGE_M, -LOWEST_M)
 
     def _take_over(self, context: FlightContext, here: Floats) -> None:
-        state, name = self._state, context.options.name
+        state = self._state
         if not self._may_take_over(context):
             words = "a neighbour is near; no set-points: no way back from them"
             context.say_once(Severity.WARNING, words)
@@ -332,7 +332,7 @@ class SetpointTakeover:
         nearest = min(
             reports, key=lambda name: math.dist(reports[name].pos_ned_m, tuple(here)), default=""
         )
-        state.rank = sorted([*reports, name]).index(name)
+        state.rank = dodge_rank(context.options.fleet, context.options.name, reports)
         state.active, state.since_s, state.asked_s = True, context.t_s, None
         state.motion, state.free_ticks = None, 0
         context.decide("aside", f"near {nearest}: set-points")
@@ -393,6 +393,15 @@ class SetpointTakeover:
         elif self._progress.jump_index is None and index is not None:
             state.asked_s = context.t_s
             context.do(JumpTo(index))  # routed to where set-points are obeyed
+
+
+def dodge_rank(fleet: str, name: str, near: Collection[str]) -> int:
+    """Our place among the names of those who are near, each with its fleet's before it: so the
+    vehicles of two fleets, who call each other otherwise, find one order.
+    """
+    return sum(
+        (other if "/" in other else f"{fleet}/{other}") < f"{fleet}/{name}" for other in near
+    )
 
 
 def _here(context: FlightContext) -> tuple[Ned | None, Floats | None]:

@@ -73,7 +73,7 @@ class TrafficExchange:
             case GnssTime():
                 self._state.ahead_of_core_s = event.unix_s - event.t_s
             case NeighbourHeard():
-                self._take(context, event.track)
+                self._take(context, event.name, event.track)
             case _:
                 return
 
@@ -115,7 +115,7 @@ class TrafficExchange:
             )
         )
 
-    def _take(self, context: FlightContext, track: Track) -> None:
+    def _take(self, context: FlightContext, name: str, track: Track) -> None:
         """Take a neighbour's place into our own frame.
 
         Heights are reported above the pad as flown, on the ground that the flight files state: that
@@ -130,7 +130,7 @@ class TrafficExchange:
         )
         down = frame.alt_amsl_m - track.alt_amsl_m
         report = Report(
-            track.vehicle,
+            name,
             track.gnss_s,
             (north, east, down),
             (track.vel_n_mps, track.vel_e_mps, track.vel_d_mps),
@@ -142,13 +142,13 @@ class TrafficExchange:
             goal_n, goal_e, _ = frame.to_ned(
                 math.radians(track.to_lat_deg), math.radians(track.to_lon_deg), frame.alt_amsl_m
             )
-            state.goals[track.vehicle] = (goal_n, goal_e)
+            state.goals[name] = (goal_n, goal_e)
         if track.aside:
-            state.on_setpoints.add(track.vehicle)
+            state.on_setpoints.add(name)
         else:
-            state.on_setpoints.discard(track.vehicle)
+            state.on_setpoints.discard(name)
         tracks = state.tracks.heard(report, now_s)
         if tracks is not state.tracks:
             here = context.here_ned()
-            state.away_m[report.name] = horizontal_m((north, east, down), here) if here else 0.0
+            state.away_m[name] = horizontal_m((north, east, down), here) if here else 0.0
         state.tracks = tracks

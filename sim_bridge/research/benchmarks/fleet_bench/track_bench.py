@@ -58,11 +58,14 @@ class TracksHeard:
 
 
 def bench(flights: TrackFlights, seconds: float) -> list[TracksHeard]:
-    """Of all and by cell, over the same flights."""
-    return [_run(flights, seconds, cells=cells) for cells in (False, True)]
+    """Of all and by cell, over the same flights; of several fleets also by cell where each hears
+    its own only.
+    """
+    ways = ["all", "cell"] if flights.fleets == 1 else ["all", "cell", "cell, own fleet"]
+    return [_run(flights, seconds, how) for how in ways]
 
 
-def _run(flights: TrackFlights, seconds: float, *, cells: bool) -> TracksHeard:
+def _run(flights: TrackFlights, seconds: float, how: str) -> TracksHeard:
     ticks = round(seconds * TRACK_HZ)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="leeway-bench-")))
@@ -72,8 +75,8 @@ def _run(flights: TrackFlights, seconds: float, *, cells: bool) -> TracksHeard:
         members: list[BenchProcess] = []
         for first in range(0, flights.drones, A_PROCESS):
             count = min(A_PROCESS, flights.drones - first)
-            words = (first, count, flights.drones, flights.across_m, flights.seed, config, ticks)
-            how = "cells" if cells else "all"
+            words = (first, count, flights.drones, flights.across_m, flights.seed, flights.fleets)
+            words = (*words, config, ticks)
             members.append(BenchProcess.start("tracks", how, *map(str, words)))
             stack.callback(members[-1].kill)
         for member in members:
@@ -91,7 +94,7 @@ def _run(flights: TrackFlights, seconds: float, *, cells: bool) -> TracksHeard:
     drone_seconds = flights.drones * seconds
     near_due = sum(one.near_due for one in counts)
     return TracksHeard(
-        by="cell" if cells else "all",
+        by=how,
         messages_hz=round(sum(one.messages for one in counts) / drone_seconds, 1),
         most_messages_hz=round(max(one.most for one in counts) / seconds, 1),
         bytes_hz=round(sum(one.payload_bytes for one in counts) / drone_seconds),

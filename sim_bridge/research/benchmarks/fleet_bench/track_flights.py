@@ -16,6 +16,7 @@ import numpy as np
 from companion.adapters.clock import wall_s
 from companion.core.base.arrays import Floats
 from companion.core.base.geo import moved_deg
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.separation import track_cells
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import HEARD_M, cell_of
@@ -53,6 +54,17 @@ class TrackFlights:
     drones: int
     across_m: float
     seed: int
+    fleets: int = 1
+    """How many they are of, by turns."""
+
+    def fleet_of(self, number: int) -> str:
+        """The fleet of a drone."""
+        return f"{FLEET}-{number % self.fleets + 1}"
+
+    @property
+    def names(self) -> list[str]:
+        """Of the fleets."""
+        return [self.fleet_of(number) for number in range(self.fleets)]
 
     def ne_m(self, tick: int) -> Floats:
         """North and east of the corner, (drones, 2)."""
@@ -126,19 +138,27 @@ def _name(number: int) -> str:
 
 
 def serve(
-    numbers: range, flights: TrackFlights, config_file: Path, ticks: int, *, cells: bool
+    numbers: range,
+    flights: TrackFlights,
+    config_file: Path,
+    ticks: int,
+    *,
+    cells: bool,
+    neighbours: bool = True,
 ) -> None:
     """Join; fly from the moment that a line names, and count over so many ticks. Without `cells`
-    all are near, wherever they are.
+    all are near, wherever they are; without `neighbours` each hears its own fleet only.
     """
     if not cells:
         track_cells.cells_within = lambda lat_deg, lon_deg, within_m: frozenset({"*/*"})
     zenoh_link.TRACKS_EACH = TRACKS_EACH
     config = read_config(config_file)
     tellers = [
-        _Teller(n, ZenohLink(config, VehicleKeys(FLEET, _name(n)), "a", lambda: None))
+        _Teller(n, ZenohLink(config, VehicleKeys(flights.fleet_of(n), _name(n)), "a", lambda: None))
         for n in numbers
     ]
+    for teller in tellers if neighbours else []:
+        teller.link.hear_fleets([NeighbourFleet(fleet=name) for name in flights.names])
     print("loaded", flush=True)
     begun_s, rest = float(sys.stdin.readline()), threading.Event()
     for tick in range(WARM_TICKS + ticks + LATE_TICKS):

@@ -70,3 +70,13 @@ def test_by_cell_drones_hear_all_who_are_near_and_few_others():
     assert near.near_hz == everybody.near_hz > 0.0
     assert near.near_frac == everybody.near_frac == 1.0
     assert near.bytes_hz < 0.5 * everybody.bytes_hz
+
+
+@pytest.mark.timeout(120)
+def test_of_two_fleets_by_cell_both_are_heard_and_without_neighbours_ones_own_only():
+    flights = TrackFlights(drones=6, across_m=6000.0, seed=4, fleets=2)
+    _, both, own = bench_tracks(flights, seconds=2.0)
+    assert (both.by, own.by) == ("cell", "cell, own fleet")
+    assert both.near_frac == 1.0
+    assert 0.0 <= own.near_frac < 1.0
+    assert own.messages_hz < both.messages_hz
