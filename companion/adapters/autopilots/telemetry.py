@@ -30,6 +30,7 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values
+from companion.core.vehicle.air import HIGHEST_AMSL_M, LOWEST_AMSL_M
 from companion.core.vehicle.airframe import MULTIROTOR
 
 READY_STATES = (
@@ -177,6 +178,8 @@ def _position(message: Any, t_s: float) -> list[Event]:
         return []  # no position yet: both autopilots send zeros
     if not (abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000):
         return []
+    if not LOWEST_AMSL_M <= message.alt / 1000.0 <= HIGHEST_AMSL_M:
+        return []  # nowhere on Earth, as a latitude of 100 degrees
     return [
         Position(
             t_s,

@@ -9,6 +9,8 @@ degrees are 5 % of density.
 import math
 from dataclasses import dataclass
 
+from companion.core.base.errors import check_range
+
 REFERENCE_DENSITY_KGPM3 = 1.225
 """At which an airframe file states drag: the standard atmosphere at sea level (ISO 2533)."""
 
@@ -25,6 +27,9 @@ PRESSURE_FRAC = 0.1
 """A barometer may be so far from the standard pressure at its height: 870 to 1,085 hPa are the
 records at sea level, and a column of warm or cold air adds 3 % at 3,000 m. More is another unit, a
 broken sensor, or another height."""
+
+LOWEST_AMSL_M, HIGHEST_AMSL_M = -1_000.0, 11_000.0
+"""Between the lowest ground there is and the top of the standard troposphere."""
 
 COLDEST_C, WARMEST_C = -60.0, 55.0
 """Air in which anything flies; the records are -68 and 57 where people live."""
@@ -58,7 +63,10 @@ class Air:
 
 
 def standard_pressure_pa(alt_amsl_m: float) -> float:
-    """The standard atmosphere's pressure at a height (ISO 2533, troposphere)."""
+    """The standard atmosphere's pressure at a height (ISO 2533, troposphere). LeewayError for a
+    height at which nothing flies.
+    """
+    check_range("height above sea, m", alt_amsl_m, LOWEST_AMSL_M, HIGHEST_AMSL_M)
     return _SEA_LEVEL_PA * (1.0 - 2.25577e-5 * alt_amsl_m) ** 5.25588
 
 

@@ -238,6 +238,25 @@ def status(voltage: int = 22_000, current: int = 2150, remaining: int = 60) -> o
     )
 
 
+@pytest.mark.parametrize(
+    ("lat_e7", "lon_e7", "alt_mm"),
+    [
+        (479_000_000, 85_000_000, 2**31 - 1),
+        (479_000_000, 85_000_000, 60_000_000),
+        (479_000_000, 85_000_000, -(2**31)),
+        (479_000_000, 85_000_000, -1_000_001),
+        (900_000_001, 85_000_000, 500_000),
+        (479_000_000, -1_800_000_001, 500_000),
+    ],
+)
+def test_a_position_that_is_nowhere_on_earth_is_no_position(lat_e7, lon_e7, alt_mm):
+    made, _, codec = port()
+    there = mavlink.MAVLink_global_position_int_message(
+        12_300, lat_e7, lon_e7, alt_mm, 40_000, 0, 0, 0, 9000
+    )
+    assert hear(made, codec, frame(sender(), there)) == []
+
+
 def test_unknown_battery_fields_are_none_and_never_minus_one():
     made, _, codec = port()
     (event,) = hear(made, codec, frame(sender(), status(65535, -1, -1)))

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from companion.adapters.files.params import read_airframe
+from companion.core.base.errors import LeewayError
 from companion.core.vehicle.air import (
     BOARD_WARMTH_C,
     Air,
@@ -31,6 +32,12 @@ def test_nothing_measured_is_the_standard_atmosphere(alt_m, pressure_pa, tempera
     assert air.pressure_pa == pytest.approx(pressure_pa, rel=2e-4)
     assert air.temperature_c == pytest.approx(temperature_c, abs=0.01)
     assert air.density_kgpm3 == pytest.approx(density, rel=3e-4)
+
+
+@pytest.mark.parametrize("alt_m", [-1_000.1, 11_000.1, 60_000.0, math.nan])
+def test_a_height_at_which_nothing_flies_has_no_air(alt_m):
+    with pytest.raises(LeewayError, match="height above sea"):
+        air_at(alt_m, None, None, None)
 
 
 def test_a_stated_temperature_goes_before_the_boards_and_with_the_measured_pressure():
