@@ -4,7 +4,6 @@ Down is what several sources agree on: disarmed, and by landed-state, height and
 (`FlightContext.against_standing`). Nothing is configured before.
 """
 
-import math
 from dataclasses import dataclass
 
 from companion.core.base.geo import Ned, horizontal_m
@@ -32,8 +31,8 @@ LANDED_AFTER_S = 5.0
 STILL_S = 15.0
 STILL_MPS = 0.4
 SINKS_M = 1.0
-"""Nothing that comes down keeps its height so well for `STILL_S`: the slowest landing, 0.3 m/s, makes
-4.5 m of it."""
+"""Nothing that comes down keeps its height so well for `STILL_S`: the slowest landing, 0.3 m/s,
+makes 4.5 m of it."""
 DRIFT_M = 3.0
 """What stands is told higher or lower by so much as its barometer drifts: 1.5 m in a quarter of an
 hour behind a front (simulated)."""
