@@ -29,7 +29,7 @@ SUSPECT_SQUARE = 5.0
 once in a dozen."""
 LOOK_S = 2.0
 """And no sooner after the last time."""
-LOG_ODDS = 6.0
+LOG_ODDS = 5.5
 """A front is believed from these odds on (natural logarithm).
 
 Chosen on fields about recorded wind (seeds 98 and 99) for less than one false alert in ten hours of

@@ -54,11 +54,11 @@ class DispatchParams:
     can still be in the air (its time limit, and some more). `move_home_s`: a flight's home is moved
     when the truck would come later than its landing by this, and asked again no sooner than
     `ask_home_s` after it refused: it may refuse for what passes, or because it lands. `ready_s`: a
-    drone on its pad is ready by then, or withdrawn. `launches`: so many refused launches,
-    and it is withdrawn. `wind_sigmas`: the measured wind is off by so many standard deviations.
+    drone on its pad is ready by then, or withdrawn. `launches`: so many refused launches, and it is
+    withdrawn. `wind_sigmas`: the measured wind is off by so many standard deviations.
     `replan_tries`: how often a planner whose process ends without an answer is asked for one
-    reason, each time `replan_again_s` after the last. `forecast_again_s`: for a forecast that closes sorties no
-    sooner after the last plan than this.
+    reason, each time `replan_again_s` after the last. `forecast_again_s`: for a forecast that
+    closes sorties no sooner after the last plan than this.
     """
 
     late_s: float = 120.0
