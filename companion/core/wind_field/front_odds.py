@@ -24,7 +24,7 @@ from companion.core.wind_field.tellings import TELLING_S, WindTelling
 AGES_S = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 150.0)
 """What each member told so long ago: means over 10 s that do not overlap."""
 KEPT_S = AGES_S[-1] + TELLING_S
-BEFORE_S = 60.0
+BEFORE_S = 45.0
 """Less than that of somebody says nothing of the wind before."""
 FEW = 4
 """So few of the newest ages may be of the wind behind a front: the mean wind is that of the

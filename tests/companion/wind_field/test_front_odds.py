@@ -92,7 +92,7 @@ def test_the_gustier_it_was_before_the_more_is_asked() -> None:
     assert gusty.log_odds < calm.log_odds - 2.0
 
 
-def test_of_a_minute_nobody_knows_the_wind_before() -> None:
-    short = [[one for one in rows if one.t_s > NOW_S - 45.0] for rows in told(8.0, 30.0)]
+def test_of_half_a_minute_nobody_knows_the_wind_before() -> None:
+    short = [[one for one in rows if one.t_s > NOW_S - 40.0] for rows in told(8.0, 30.0)]
     assert front_odds(short, PLACES[0], NOW_S, COAST, 1.0) is None
     assert front_odds([], PLACES[0], NOW_S, COAST, 1.0) is None
