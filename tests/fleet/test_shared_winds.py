@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from companion.core.mission.events import WindsTold
-from companion.core.wind_field.fronts import FeltChange, estimated
+from companion.core.wind_field.fronts import FeltChange
 from companion.core.wind_field.shared_winds import (
     MOST_TOLD,
     TOLD_EVERY_S,
@@ -26,6 +26,7 @@ from companion.fleet.zenoh_config import read_config
 from ground_station.adapters import called_session
 from ground_station.adapters.pki.access_rules import access_control
 from ground_station.core.fleet.fleet_link import StateReceived
+from tests.companion.wind_field.made_front import made_front
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S
 from tests.fleet.test_called_session import Running, running
@@ -205,13 +206,13 @@ def test_up_and_down_together_are_at_most_two_hundred_bytes_a_second(site) -> No
     print(f"a word of {MOST_TOLD} others: {len(seal('winds', raw))} bytes")
     assert STATE_BYTES_A_S + a_second <= 200.0
     felt = FeltChange("d2", 100.0, (0.0, -1000.0), (0.0, 8.0), (0.0, 14.0), 60.0)
-    front = told_front(estimated(100.0, (felt,)), (0.0, 0.0), 110.0)
+    front = told_front(made_front(100.0, felt), (0.0, 0.0), 110.0)
     assert len(seal("winds", encode(word("drone-17", "4f1c2a9b7d3e", 1.0, front=front)))) < 1000
 
 
 def test_a_front_is_told_as_it_was_known() -> None:
     felt = FeltChange("d2", 100.0, (300.0, -1000.0), (2.0, 8.0), (1.0, 14.0), 60.0)
-    known = estimated(100.0, (felt,))
+    known = made_front(100.0, felt)
     told = word("d1", "life", 40.0, front=told_front(known, (0.0, 0.0), 110.0))
     # The vehicle's own clock reads 7 where the desk's read 110, and its origin is the word's place.
     heard = told.front_ahead((told.lat_deg, told.lon_deg), 7.0)

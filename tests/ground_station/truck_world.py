@@ -110,6 +110,8 @@ class Drone(Member):
     flies_s: float = 200.0
     mood: str = "good"
     loaded: bool = False
+    down_at: str | None = None
+    """The stop where it landed; None: it has not flown from where it stands."""
     wind_ne_mps: tuple[float, float] | None = None
 
     @property
@@ -128,7 +130,9 @@ class Drone(Member):
                 if self.clock.t_s - self.assigned_s < READY_S:
                     return Verdict(Answered.LATER, "not ready")
                 self.launched_s = self.clock.t_s
-            case MoveHome() if self.in_air:
+            case MoveHome() if self.in_air and self.mood == "too busy to move":
+                return Verdict(Answered.LATER, "not yet")
+            case MoveHome() if self.in_air and self.mood != "refuses to move":
                 self.asked = (command.deed.home, self.clock.t_s + 3.0)
             case Withdraw() if not self.in_air:
                 self.end("ABRT", False)
@@ -278,7 +282,8 @@ class World:
                 continue
             if drone.in_air and stop in (drone.home, drone.asked and drone.asked[0]):
                 self.wrong.append(f"the truck leaves {stop}, promised to {drone.name}")
-            if not drone.in_air and drone.name not in self.on_truck:
+            here = drone.down_at in (None, stop)
+            if not drone.in_air and drone.name not in self.on_truck and here:
                 self.wrong.append(f"the truck leaves {drone.name} behind at {stop}")
 
     # --- time ----------------------------------------------------------------------------------
@@ -330,11 +335,12 @@ class World:
 
     def land(self, drone: Drone, flight: Assign) -> None:
         stops = {stop["name"]: stop for stop in flight.flight["site"]["stops"]}
-        pad = stops[drone.home or ""]
+        pad, drone.down_at = stops[drone.home or ""], drone.home
         drone.place = (pad["lat_deg"], pad["lon_deg"])
         kept = drone.mood in ("turns", "holds on")
         unproven = drone.mood in ("holds on", "drops unseen")
-        drone.mood, drone.loaded = "good", kept
+        stays = drone.mood.endswith("to move")
+        drone.mood, drone.loaded = drone.mood if stays else "good", kept
         if not kept:
             if flight.order in self.delivered:
                 self.wrong.append(f"{flight.order} delivered twice")
@@ -372,6 +378,7 @@ class World:
         self.end_task(confirmed(driver.truck, task, gone=gone))
         if task.kind is TaskKind.PUT_OUT and drone is not None:
             self.on_truck.discard(drone.name)
+            drone.down_at = None
             drone.place = (task.lat_deg or 0.0, task.lon_deg or 0.0)
             self.switch_on_s[drone.name] = t_s + SWITCHED_ON_S
         if task.kind is TaskKind.RECOVER and drone is not None:

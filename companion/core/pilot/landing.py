@@ -4,7 +4,6 @@ Down is what several sources agree on: disarmed, and by landed-state, height and
 (`FlightContext.against_standing`). Nothing is configured before.
 """
 
-import math
 from dataclasses import dataclass
 
 from companion.core.base.geo import Ned, horizontal_m
@@ -13,10 +12,11 @@ from companion.core.mission.events import Ground
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.monitor.figures import FlightFigures
 from companion.core.pilot.context import (
+    GROUND_HEIGHT_M,
+    STANDING_MPS,
     Airborne,
     Disarming,
     FlightContext,
-    GateState,
     Parcel,
     PositionWatch,
     Promise,
@@ -30,7 +30,12 @@ from companion.core.vehicle.energy_ledger import EnergyBelief
 LANDED_AFTER_S = 5.0
 STILL_S = 15.0
 STILL_MPS = 0.4
-STILL_HEIGHT_M = 1.5
+SINKS_M = 1.0
+"""Nothing that comes down keeps its height so well for `STILL_S`: the slowest landing, 0.3 m/s,
+makes 4.5 m of it."""
+DRIFT_M = 3.0
+"""What stands is told higher or lower by so much as its barometer drifts: 1.5 m in a quarter of an
+hour behind a front (simulated)."""
 STILL_ARMED_S = 40.0
 BY_HAND_S = 120.0
 """Wait for a person to walk up and disarm it: only then does the autopilot get its settings back.
@@ -58,6 +63,8 @@ class LandingState:
     """How far down it is: since when still, and what was ordered."""
 
     still_since_s: float | None = None
+    rest_down_m: float | None = None
+    """The height that it had when it came to rest, as it was told."""
     disarm_asked_s: float | None = None
     disarms_asked: int = 0
     disarm_by_hand_said: bool = False
@@ -75,7 +82,6 @@ class Landing:
         self,
         flight: Airborne,
         parcel: Parcel,
-        gate: GateState,
         promise: Promise,
         position: PositionWatch,
         settings: SettingsRestore,
@@ -84,21 +90,25 @@ class Landing:
         self._state = LandingState()
         self._flight = flight
         self._parcel = parcel
-        self._gate = gate
         self._promise = promise
         self._position = position
         self._settings = settings
         self._disarming = disarming
 
     def tick(self, context: FlightContext) -> None:
-        """See it down: disarmed, or standing still on the ground; never a forced disarm."""
+        """See it down: disarmed, or standing still on the ground; never a forced disarm.
+
+        Where another hand brought it down nothing is ordered, and that hand ends the flight: people
+        are told that it stands there armed.
+        """
         state, telemetry = self._state, context.telemetry
         if telemetry.state is None:
             return
         if not telemetry.state.armed:
             self._see_disarmed(context)
             return
-        if context.phase not in (Phase.LAND, Phase.LAST_RESORT):
+        ours = context.phase in (Phase.LAND, Phase.LAST_RESORT)
+        if not ours and not (context.phase is Phase.SUSPENDED and self._flight.flying):
             return
         down = telemetry.ground is not None and telemetry.ground.ground is Ground.ON_GROUND
         if not (down or self._stands_still(context)):
@@ -110,14 +120,15 @@ class Landing:
         waited_s = context.since_s(state.still_since_s)
         if waited_s < (LANDED_AFTER_S if down else STILL_S):
             return
-        if context.since_s(state.disarm_asked_s) > DISARM_EVERY_S and state.disarms_asked < DISARMS:
+        again = context.since_s(state.disarm_asked_s) > DISARM_EVERY_S
+        if ours and again and state.disarms_asked < DISARMS:
             state.disarm_asked_s = context.t_s
             state.disarms_asked += 1
             context.do(Note("on the ground and still armed: plain disarm"), Disarm())
         if waited_s > STILL_ARMED_S and not state.disarm_by_hand_said:
             state.disarm_by_hand_said = True
             context.say(Severity.WARNING, "landed, still armed: disarm by hand")
-        if waited_s > STILL_ARMED_S + BY_HAND_S:
+        if ours and waited_s > STILL_ARMED_S + BY_HAND_S:
             self._landed(context)
 
     def _see_disarmed(self, context: FlightContext) -> None:
@@ -202,18 +213,23 @@ class Landing:
         )
 
     def _stands_still(self, context: FlightContext) -> bool:
-        here, position = context.here_ned(), context.telemetry.position
-        if here is None or position is None or context.flight_plan is None:
-            return False
-        ground = self._landing_ned(context.flight_plan.plan)
-        speed = math.hypot(context.ground_speed_mps(), position.vel_d_mps)
-        return abs(here[2] - ground[2]) < STILL_HEIGHT_M and speed < STILL_MPS
+        """Whether it lies where it came to rest, near the ground: that it does not move.
 
-    def _landing_ned(self, plan: Plan) -> Ned:
-        for rally in plan.rally:
-            if rally.name == self._gate.rally:
-                return rally.ground_ned_m
-        return plan.landing_ned_m
+        Who has stood for `STILL_S` stands until it moves as nothing does that stands: what is told
+        of its place goes on drifting, and a receiver at rest says 0.1 to 0.3 m/s.
+        """
+        state, here = self._state, context.here_ned()
+        if here is None:
+            state.rest_down_m = None
+            return False
+        stood = state.rest_down_m is not None and context.since_s(state.still_since_s) >= STILL_S
+        slow = context.speed_mps() < (STANDING_MPS if stood else STILL_MPS)
+        if state.rest_down_m is None:
+            near = abs(context.height_m(here)) <= GROUND_HEIGHT_M
+            state.rest_down_m = here[2] if slow and near else None
+        elif not slow or abs(here[2] - state.rest_down_m) > (DRIFT_M if stood else SINKS_M):
+            state.rest_down_m = None
+        return state.rest_down_m is not None
 
     def _landed(self, context: FlightContext) -> None:
         """Put the autopilot's settings back (only under our own authority), then end."""

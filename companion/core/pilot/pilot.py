@@ -210,7 +210,6 @@ class Pilot:
         self._landing = Landing(
             self._flight_state,
             self._parcel_state,
-            self._return_state,
             self._promise,
             self._position,
             self._ground,

@@ -1,49 +1,51 @@
 """Fronts: a wind that changes for good where one member is, and comes to the others.
 
 A member's newest 10 s mean is held against the mean of the minute before. The process says how much
-the two differ by chance, and the last ten minutes how much gustier it is than that; what differs by
-far more is a front. Two members that feel the like, one after the other, need less than one alone.
-
-Where it goes is guessed from the change itself: the normal of a gust front lies along the change
-of the wind, and it moves as a density current, at about three quarters of the wind behind it (0.6
-to 0.9: Goff, Mon. Weather Rev. 104, 1976). Whoever feels it next corrects that: times of arrival
-are linear in the slowness vector s, t = t0 + s . x, which is estimated by least squares with the
-guess as prior.
+the two differ by chance, and the last ten minutes how much gustier it is than that. Where they
+differ by more, all that the members near by told is weighed (`front_odds`): the odds of a front
+decide, and say where it goes and when. Whoever feels it next corrects that: times of arrival are
+linear in the slowness vector s, t = t0 + s . x.
 """
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from heapq import nsmallest
 
 import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.field_process import FieldProcess
+from companion.core.wind_field.front_odds import KEPT_S, FrontOdds, front_odds
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 
 BEFORE_S, GAP_S = 60.0, 15.0
 """The minute before, and the seconds between it and now in which a front may be passing."""
 LEAST_BEFORE_S = 30.0
 
-ALONE_SQUARE, ALONE_MPS = 25.0, 6.0
-"""Change over chance, squared, and the change itself, of one member that is believed alone.
+SUSPECT_SQUARE = 5.0
+"""Change over chance, squared, at which the odds are worked out: chance makes it
+once in a dozen."""
+LOOK_S = 2.0
+"""And no sooner after the last time."""
+LOG_ODDS = 5.5
+"""A front is believed from these odds on (natural logarithm).
 
-These limits and the next were chosen on fields about recorded wind (seed 99) for about one false
-alert in ten hours of eight drones. With a sum of 34 there were five in seven hours, and alerts came
-4 s sooner.
+Chosen on fields about recorded wind (seeds 98 and 99) for less than one false alert in ten hours of
+eight drones.
 """
-EACH_SQUARE, EACH_MPS, SUM_SQUARE = 8.0, 3.5, 40.0
-"""Of each of two members that are believed together, and the sum of their squares."""
-TOGETHER_S, TOGETHER_COS, TOGETHER_STDS = 45.0, 0.7, 1.5
-"""Felt within so long, within 45 degrees, and when the first one's front was due at the second."""
+ALONE_LOG_ODDS = 2.5
+"""And where a change that only one member tells of explains what was told no better than so much:
+who stands near it would have felt a front."""
+MOST_ASKED = 10
+"""So many members are asked: who suspects a front, and the nearest. More says little more."""
+HEARD_S = 15.0
+"""Who has told nothing for so long is not asked."""
 
-SPEED_OVER_BEHIND = 0.75
-SPEED_STD_FRAC, NORMAL_STD_RAD = 0.35, math.radians(35.0)
+FELT_SQUARE, FELT_MPS, FELT_COS = 8.0, 3.5, 0.7
+"""Of a member's own change once a front is known: it has come there. Within 45 degrees of it."""
 FELT_STD_S = 10.0
-LEAST_SPEED_MPS = 2.0
-
-APART_M = 200.0
-"""Two members nearer than this may feel the same gust."""
 
 GUSTS_S, MOST_SQUARE, USUAL_SQUARE = 600.0, 14.0, 2.0
 """How gusty it is, learned over ten minutes: the mean square, over 2 by the process. Fronts count
@@ -51,13 +53,14 @@ as no more than a gust."""
 
 GONE_S = 300.0
 """After so long a front has left the site, and another one may come."""
-DULL_S = 120.0
-"""A member that felt a front feels its other side no sooner than that."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeltChange:
-    """One member's change of wind: where and when it was noticed, the change, the wind behind."""
+    """One member's change of wind: where and when it was noticed, the change, the wind behind.
+
+    Of who feels a front first they are what is believed of it: the change has only begun there.
+    """
 
     member: str
     t_s: float
@@ -114,13 +117,31 @@ class FrontAhead:
         t_s, std_s = self.arrives(place_ne_m)
         return first_s - 2.0 * std_s <= t_s <= last_s + 2.0 * std_s
 
+    def better_known(self, felt: FeltChange) -> "FrontAhead":
+        """The same front once one more member has felt it: a linear update of its times."""
+        row = np.array([1.0, *(np.array(felt.place_ne_m) - self.origin_ne_m)])
+        late_s = felt.t_s - self.t0_s - float(row[1:] @ self.slowness_spm)
+        with_late = self.cov @ row
+        variance = float(row @ with_late) + FELT_STD_S**2
+        gain = with_late / variance
+        cov = self.cov - np.outer(gain, with_late)
+        return replace(
+            self,
+            felt=(*self.felt, felt),
+            t0_s=self.t0_s + float(gain[0]) * late_s,
+            slowness_spm=self.slowness_spm + gain[1:] * late_s,
+            cov=0.5 * (cov + cov.T),
+        )
+
 
 @dataclass(slots=True)
 class _Member:
-    """One member's winds of the last minutes: time, north, east."""
+    """What one member told in the last minutes, oldest first, and how gusty it is there."""
 
-    winds: deque[tuple[float, float, float]] = field(default_factory=deque)
+    told: deque[WindTelling] = field(default_factory=deque)
     square: float = USUAL_SQUARE
+    newest: FeltChange | None = None
+    """How much the wind has changed, by the newest of them."""
 
     def learn(self, square: float, dt_s: float) -> None:
         """Follow how gusty it is here."""
@@ -130,13 +151,13 @@ class _Member:
     def change(self, telling: WindTelling) -> tuple[float, float] | None:
         """Newest wind less the mean of the minute before; None while that is not known."""
         now_s = telling.t_s
-        while self.winds and now_s - self.winds[0][0] > BEFORE_S + GAP_S:
-            self.winds.popleft()
-        before = [one for one in self.winds if now_s - one[0] >= GAP_S]
-        self.winds.append((now_s, *telling.mean_to_ne_mps))
-        if len(before) < 2 or before[-1][0] - before[0][0] < LEAST_BEFORE_S:
+        while self.told and now_s - self.told[0].t_s > KEPT_S:
+            self.told.popleft()
+        before = [one for one in self.told if GAP_S <= now_s - one.t_s <= BEFORE_S + GAP_S]
+        self.told.append(telling)
+        if len(before) < 2 or before[-1].t_s - before[0].t_s < LEAST_BEFORE_S:
             return None
-        north, east = (sum(one[k] for one in before) / len(before) for k in (1, 2))
+        north, east = (sum(one.mean_to_ne_mps[k] for one in before) / len(before) for k in (0, 1))
         wind = telling.mean_to_ne_mps
         return wind[0] - north, wind[1] - east
 
@@ -146,10 +167,10 @@ class FrontWatch:
 
     def __init__(self, process: WindProcessParams) -> None:
         self._process = process
+        self._field = FieldProcess(process)
         self._chance_m2ps2 = chance_m2ps2(process)
         self._members: dict[str, _Member] = {}
-        self._suspects: deque[FeltChange] = deque()
-        self._dull_until_s: dict[str, float] = {}
+        self._looked_s = -math.inf
         self.front: FrontAhead | None = None
         """The front that is passing, while it may be on the site."""
 
@@ -160,17 +181,20 @@ class FrontWatch:
         felt = self._felt(telling)
         if self.front is not None and telling.t_s - self.front.noticed_s > GONE_S:
             self.front = None
-        if felt is None:
+        if felt is None or felt.square < SUSPECT_SQUARE:
             return None
         if self.front is not None:
-            return self._better_known(felt)
+            return self._better_known(self.front, felt)
+        if felt.t_s - self._looked_s < LOOK_S - 0.05:
+            return None
+        self._looked_s = felt.t_s
         return self._noticed(felt)
 
     def _felt(self, telling: WindTelling) -> FeltChange | None:
-        """The change where it is one that a front might make."""
+        """How much the wind has changed where it is; None: not known."""
         known = self._members.setdefault(telling.member, _Member())
-        before_s = known.winds[-1][0] if known.winds else telling.t_s
-        if known.winds and telling.t_s <= before_s:
+        before_s = known.told[-1].t_s if known.told else telling.t_s
+        if known.told and telling.t_s <= before_s:
             return None
         change = known.change(telling)
         if change is None:
@@ -182,88 +206,69 @@ class FrontWatch:
         told = 0.5 * sum(telling.variance_m2ps2)
         square = (north**2 + east**2) / (scale * self._chance_m2ps2 + told)
         known.learn(square, min(telling.t_s - before_s, BEFORE_S))
-        square /= max(self._gusts, 1.0)
-        dull_s = self._dull_until_s.get(telling.member)
-        if dull_s is not None and telling.t_s < dull_s:
-            return None
-        if square < EACH_SQUARE or math.hypot(north, east) < EACH_MPS:
-            return None
-        wind = telling.mean_to_ne_mps
-        here = telling.place_ne_m
-        return FeltChange(telling.member, telling.t_s, here, (north, east), wind, square)
+        known.newest = FeltChange(
+            telling.member,
+            telling.t_s,
+            telling.place_ne_m,
+            change,
+            telling.mean_to_ne_mps,
+            square / self._gustier,
+        )
+        return known.newest
 
     @property
-    def _gusts(self) -> float:
-        """How much gustier it is than the process says: the ratio of squares."""
+    def _gustier(self) -> float:
+        """How much gustier it is than the process says: the ratio of squares, at least 1."""
         squares = [one.square for one in self._members.values()]
-        return sum(squares) / len(squares) / USUAL_SQUARE
+        return max(sum(squares) / len(squares) / USUAL_SQUARE, 1.0)
 
     def _noticed(self, felt: FeltChange) -> FrontAhead | None:
-        """Whether there is a front now: one member felt much, or two felt the like."""
-        while self._suspects and felt.t_s - self._suspects[0].t_s > TOGETHER_S:
-            self._suspects.popleft()
-        others: dict[str, FeltChange] = {}
-        for one in self._suspects:
-            if _fits(one, felt):
-                others.setdefault(one.member, one)
-        self._suspects.append(felt)
-        alone = felt.square >= ALONE_SQUARE and felt.size_mps >= ALONE_MPS
-        if not alone and not others:
+        """Whether there is a front now, by all who are near."""
+        asked = self._near(felt)
+        told = [tuple(one.told) for one in asked]
+        odds = front_odds(told, felt.place_ne_m, felt.t_s, self._field, self._gustier)
+        if odds is None or odds.log_odds < LOG_ODDS:
             return None
-        self._suspects.clear()
-        everybody = (*sorted(others.values(), key=lambda one: one.t_s), felt)
-        for one in everybody:
-            self._dull_until_s[one.member] = felt.t_s + DULL_S
-        self.front = estimated(felt.t_s, everybody)
+        if odds.log_odds < odds.alone_log_odds - ALONE_LOG_ODDS:
+            return None
+        changes = [one.newest for one in asked if one.newest is not None]
+        towards = odds.change_ne_mps
+        first = max(changes, key=lambda one: np.dot(one.change_ne_mps, towards))
+        self.front = _front_of(odds, replace(first, t_s=felt.t_s))
         return self.front
 
-    def _better_known(self, felt: FeltChange) -> FrontAhead | None:
-        assert self.front is not None
-        known = self.front
-        if any(one.member == felt.member for one in known.felt) or not _alike(known.felt[0], felt):
+    def _near(self, felt: FeltChange) -> list[_Member]:
+        """Who is asked: the nearest of those that have told of late."""
+        heard = (
+            one
+            for one in self._members.values()
+            if one.told and felt.t_s - one.told[-1].t_s <= HEARD_S
+        )
+        return nsmallest(
+            MOST_ASKED, heard, key=lambda one: math.dist(one.told[-1].place_ne_m, felt.place_ne_m)
+        )
+
+    def _better_known(self, known: FrontAhead, felt: FeltChange) -> FrontAhead | None:
+        if felt.square < FELT_SQUARE or felt.size_mps < FELT_MPS or not _alike(known.felt[0], felt):
             return None
-        self._dull_until_s[felt.member] = felt.t_s + DULL_S
-        self.front = estimated(known.noticed_s, (*known.felt, felt))
+        if any(one.member == felt.member for one in known.felt):
+            return None
+        self.front = known.better_known(felt)
         return self.front
 
 
-def estimated(noticed_s: float, felt: tuple[FeltChange, ...]) -> FrontAhead:
-    """Where a front goes, from who felt it where and when (at least one, in order of time)."""
-    change = np.mean([one.change_ne_mps for one in felt], axis=0)
-    behind = np.mean([one.wind_ne_mps for one in felt], axis=0)
-    normal = change / max(float(np.hypot(*change)), 1e-6)
-    speed = max(SPEED_OVER_BEHIND * float(behind @ normal), LEAST_SPEED_MPS)
-    aside = np.array([-normal[1], normal[0]])
-    turned = np.stack([normal, aside], axis=1)
-    guess = normal / speed
-    spread = np.diag([SPEED_STD_FRAC / speed, NORMAL_STD_RAD / speed]) ** 2
-    origin = np.array(felt[0].place_ne_m)
-    prior = np.zeros((3, 3))
-    prior[0, 0] = 1e6  # nothing is known of the time but what was felt
-    prior[1:, 1:] = turned @ spread @ turned.T
-    rows = np.array([[1.0, *(np.array(one.place_ne_m) - origin)] for one in felt])
-    late = np.array([one.t_s for one in felt]) - felt[0].t_s - rows[:, 1:] @ guess
-    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + FELT_STD_S**2 * np.eye(len(felt)))
-    step = gain @ late
-    cov = prior - gain @ rows @ prior
-    t0_s = felt[0].t_s + float(step[0])
-    return FrontAhead(noticed_s, felt, origin, t0_s, guess + step[1:], 0.5 * (cov + cov.T))
-
-
-def _fits(one: FeltChange, later: FeltChange) -> bool:
-    """Whether two members may have felt one front: enough, apart, alike, and when it was due."""
-    if one.member == later.member or one.square + later.square < SUM_SQUARE:
-        return False
-    if math.dist(one.place_ne_m, later.place_ne_m) < APART_M or not _alike(one, later):
-        return False
-    due_s, std_s = estimated(one.t_s, (one,)).arrives(later.place_ne_m)
-    return one.t_s < later.t_s and abs(later.t_s - due_s) <= TOGETHER_STDS * std_s
+def _front_of(odds: FrontOdds, felt: FeltChange) -> FrontAhead:
+    """The front that is believed, and who feels most of it."""
+    before = np.subtract(felt.wind_ne_mps, felt.change_ne_mps)
+    north, east = before + odds.change_ne_mps
+    first = replace(felt, change_ne_mps=odds.change_ne_mps, wind_ne_mps=(float(north), float(east)))
+    return FrontAhead(felt.t_s, (first,), odds.origin_ne_m, odds.t0_s, odds.slowness_spm, odds.cov)
 
 
 def _alike(one: FeltChange, other: FeltChange) -> bool:
     """Whether the winds changed in much the same direction."""
     (n0, e0), (n1, e1) = one.change_ne_mps, other.change_ne_mps
-    return n0 * n1 + e0 * e1 >= TOGETHER_COS * one.size_mps * other.size_mps
+    return n0 * n1 + e0 * e1 >= FELT_COS * one.size_mps * other.size_mps
 
 
 def chance_m2ps2(process: WindProcessParams) -> float:

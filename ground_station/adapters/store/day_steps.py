@@ -74,6 +74,8 @@ def held(db: sa.Connection, assignment: str) -> bool:
 def sortie_row(row: Any, answers: Any) -> SortieRow:
     """A row as the core's type, with the answers to its commands."""
     mine = [a for a in answers if a.id.startswith(f"{row.id}:launch")]
+    homes = [a for a in answers if a.id.startswith(f"{row.id}:home")]
+    refusals = [a.answered_us for a in homes if a.answer == Answered.REFUSED.value]
     return SortieRow(
         row=rows.assignment_row(row),
         sortie=msgspec.json.decode(row.content, type=PlannedSortie),
@@ -90,4 +92,5 @@ def sortie_row(row: Any, answers: Any) -> SortieRow:
         launching=any(a.answer is None for a in mine),
         refused=sum(a.answer == Answered.REFUSED.value and a.life is not None for a in mine),
         recovering=any(a.id == f"{row.id}:recover" for a in answers),
+        home_refused_us=max((us for us in refusals if us is not None), default=None),
     )

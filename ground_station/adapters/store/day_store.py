@@ -269,6 +269,13 @@ class DayStore:
             )
         return done.rowcount == 1
 
+    def forget_home(self, assignment: str, stop: str) -> bool:
+        """The flight is over elsewhere: that it was asked to end there binds nobody any more."""
+        here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == stop)
+        with self._database.write() as db:
+            done = db.execute(sa.update(t.sorties).where(*here).values(asked=None))
+        return done.rowcount == 1
+
     def note(self, assignment: str, **facts: bool | float) -> None:
         """`away` or `lapsed`: nothing waits for it any more. `used_wh`: energy that it used."""
         with self._database.write() as db:
@@ -282,8 +289,9 @@ class DayStore:
             .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
             .order_by(t.assignments.c.n)
         )
-        told = sa.select(t.commands.c.id, t.commands.c.answer, t.commands.c.life).where(
-            sa.or_(t.commands.c.id.like("%:launch%"), t.commands.c.id.like("%:recover"))
+        columns = (t.commands.c.answer, t.commands.c.life, t.commands.c.answered_us)
+        told = sa.select(t.commands.c.id, *columns).where(
+            sa.or_(*(t.commands.c.id.like(f"%:{word}") for word in ("launch%", "home%", "recover")))
         )
         with self._database.read() as db:
             found = db.execute(query).all()

@@ -22,6 +22,7 @@ from ground_station.core.dispatch.dispatch_actions import (
     DeclareOverdue,
     DispatchAction,
     DriveToStop,
+    ForgetHomeChange,
     PutDroneOut,
     RecoverDrone,
     RequestHomeChange,
@@ -162,6 +163,9 @@ class TruckDispatcher:
             case ConfirmHomeChange():
                 done = day.home_is(action.assignment, action.stop)
                 return f"{action.assignment}: its home is now {action.stop}" if done else None
+            case ForgetHomeChange():
+                done = day.forget_home(action.assignment, action.stop)
+                return f"{action.assignment}: is down, not at {action.stop}" if done else None
             case DeclareOverdue():
                 day.note(action.assignment, lapsed=True)
                 return f"{action.assignment}: overdue: not heard for longer than it can fly"

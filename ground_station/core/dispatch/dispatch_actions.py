@@ -61,6 +61,14 @@ class ConfirmHomeChange:
 
 
 @dataclass(frozen=True, slots=True)
+class ForgetHomeChange:
+    """The flight is over, and did not end where it was asked to: nothing waits there any more."""
+
+    assignment: str
+    stop: str
+
+
+@dataclass(frozen=True, slots=True)
 class DeclareOverdue:
     """Not heard for longer than it can fly: the truck waits for it no more."""
 
@@ -97,6 +105,7 @@ DispatchAction = (
     | RecoverDrone
     | RequestHomeChange
     | ConfirmHomeChange
+    | ForgetHomeChange
     | DeclareOverdue
     | DeclareOffSite
     | ServeOrder

@@ -20,6 +20,7 @@ from ground_station.core.dispatch.dispatch_actions import (
     DeclareOverdue,
     DispatchAction,
     DriveToStop,
+    ForgetHomeChange,
     PutDroneOut,
     RecoverDrone,
     RequestHomeChange,
@@ -51,12 +52,13 @@ class DispatchParams:
     `late_s`: the truck is later than planned by this. `silent_s`: a drone counts as silent.
     `take_off_s`: a launched drone has left the ground by then. `lapse_s`: after its launch no drone
     can still be in the air (its time limit, and some more). `move_home_s`: a flight's home is moved
-    when the truck would come later than its landing by this. `ready_s`: a drone on its pad is ready
-    by then, or withdrawn. `launches`: so many refused launches, and it is withdrawn.
-    `wind_sigmas`: the measured wind is off by so many standard deviations. `replan_tries`: how
-    often a planner whose process ends without an answer is asked for one reason, each time
-    `replan_again_s` after the last. `forecast_again_s`: for a forecast that closes sorties no
-    sooner after the last plan than this.
+    when the truck would come later than its landing by this, and asked again no sooner than
+    `ask_home_s` after it refused: it may refuse for what passes, or because it lands. `ready_s`: a
+    drone on its pad is ready by then, or withdrawn. `launches`: so many refused launches, and it is
+    withdrawn. `wind_sigmas`: the measured wind is off by so many standard deviations.
+    `replan_tries`: how often a planner whose process ends without an answer is asked for one
+    reason, each time `replan_again_s` after the last. `forecast_again_s`: for a forecast that
+    closes sorties no sooner after the last plan than this.
     """
 
     late_s: float = 120.0
@@ -64,6 +66,7 @@ class DispatchParams:
     take_off_s: float = 60.0
     lapse_s: float = 2100.0
     move_home_s: float = 60.0
+    ask_home_s: float = 30.0
     replan_again_s: float = 60.0
     replan_tries: int = 3
     launches: int = 3
@@ -153,6 +156,9 @@ class DispatchRules:
         here = day.here
         if here is None or row.asked or here.id == row.promised or here.id not in row.pads:
             return []
+        refused_us = row.home_refused_us
+        if refused_us is not None and day.now_s - day.day_s(refused_us) < self.params.ask_home_s:
+            return []
         expected = {stop.id: stop.arrive_s for stop in day.plan.stops}
         lands_s = day.lands_s(row)
         delay_s = max(0.0, day.delay_s(), day.held_s())
@@ -173,6 +179,9 @@ class DispatchRules:
         where = landed_at(row, day)
         if where is None:
             return [DeclareOffSite(row.id)]
+        if row.asked:  # its answer is not waited for any more: where it is tells what it was
+            done = ConfirmHomeChange if where == row.asked else ForgetHomeChange
+            return [done(row.id, row.asked)]
         here = day.here
         if here is None or here.id != where or row.recovering:
             return []

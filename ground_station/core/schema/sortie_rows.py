@@ -16,7 +16,7 @@ class SortieRow:
     pad. `recovered`: the driver has taken it aboard again. `away`: it is down where the truck
     does not come. `lapsed`: it is overdue, not heard for longer than it can fly. `launching`: a
     launch command waits for its answer. `refused`: launches that it refused. `recovering`: its
-    recovery was ordered.
+    recovery was ordered. `home_refused_us`: when it last refused to end at another stop.
     """
 
     row: AssignmentRow
@@ -34,6 +34,7 @@ class SortieRow:
     launching: bool = False
     refused: int = 0
     recovering: bool = False
+    home_refused_us: int | None = None
 
     @property
     def id(self) -> str:

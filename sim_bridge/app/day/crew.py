@@ -108,6 +108,10 @@ class DepotCrew:
     def _mind(self, drone: DayDrone, t_s: float) -> None:
         assert drone.up is not None
         state = self._told_since(drone, drone.up.t0_s)
+        if drone.wants_a_hand(t_s) and drone.standing_at(
+            t_s, (0.0, 0.0), STANDS_RADIUS_M + ON_PAD_M
+        ):
+            drone.disarm()
         if drone.grounded_s(t_s) > 0.0:
             if self._is_over(drone, state, t_s):
                 self._fetch(drone, t_s)

@@ -316,12 +316,22 @@ class DayDrone:
 
     def ground_takes_over(self, t_s: float) -> None:
         """A person at a second ground station orders the autopilot home."""
-        up = self.up
-        assert up is not None
-        up.taken = TakeOver(self.autopilot_kind, t_s)
-        up.autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
-        for frame in Operator(self.number).mode_change(self.autopilot_kind):
-            up.autopilot.receive(OPERATOR_LINK, frame)
+        assert self.up is not None
+        self.up.taken = TakeOver(self.autopilot_kind, t_s)
+        self._order(Operator(self.number).mode_change(self.autopilot_kind))
+
+    def _order(self, frames: list[bytes]) -> None:
+        """What a second ground station tells its autopilot."""
+        assert self.up is not None
+        autopilot = self.up.autopilot
+        autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
+        for frame in frames:
+            autopilot.receive(OPERATOR_LINK, frame)
+
+    def disarm(self) -> None:
+        """Somebody beside it disarms what has landed and stays armed, and leaves it switched on."""
+        self._order(Operator(self.number).disarm())
+        self.disarmed_by_hand += 1
 
     def kill_companion(self, t_s: float) -> None:
         """SIGKILL; it restarts after RESTART_S, as its service does."""
@@ -369,6 +379,13 @@ class DayDrone:
         if up.autopilot.is_armed and self.grounded_s(t_s) < BY_HAND_AFTER_S:
             return False
         return math.dist(up.vehicle.pos_ned_m[:2], ne_m) <= within_m
+
+    def wants_a_hand(self, t_s: float) -> bool:
+        """It has landed and stays armed, and its companion has said so: "disarm by hand"."""
+        up = self.up
+        if up is None or self.is_airborne or not up.autopilot.is_armed:
+            return False
+        return not up.vehicle.is_crashed and self.grounded_s(t_s) >= BY_HAND_AFTER_S
 
     def grounded_s(self, t_s: float) -> float:
         """How long (s) it has been on the ground; 0 if it has not flown."""

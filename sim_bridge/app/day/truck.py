@@ -19,6 +19,9 @@ from sim_bridge.app.day.drone import DayDrone
 ON_PAD_M = 30.0
 """Radius about its pad in which a driver looks for a drone; beyond is other people's ground."""
 
+IN_SIGHT_M = 100.0
+"""About the truck at a stop: a driver sees who has landed there, and walks up to it."""
+
 WAIT_DOWN_S = 60.0
 """The driver retries a task that cannot be done for this long, then reports it to the desk."""
 
@@ -124,12 +127,20 @@ class DayTruck:
             self._task = None  # withdrawn
         if self._task is None and self.port.todo:
             self._begin(self.port.todo[0], t_s)
+        if self._task is None and not self.port.truck.driving:
+            self._see_to_drones(t_s)
         if self._task is not None and t_s >= self._ends_s:
             self._end(self._task, t_s)
         if self.port.truck.driving:
             lat, lon, _ = self.frame.to_geodetic((*self.ne_at_m(t_s), 0.0))
             self.port.here(math.degrees(lat), math.degrees(lon), self._speed_mps())
         self.port.publish()
+
+    def _see_to_drones(self, t_s: float) -> None:
+        """Between tasks a driver disarms who stands here armed: nobody need ask for that."""
+        for drone in self.drones.values():
+            if drone.wants_a_hand(t_s) and drone.standing_at(t_s, self.ne_m, IN_SIGHT_M):
+                drone.disarm()
 
     def _speed_mps(self) -> float | None:
         drive = self.drives[-1] if self.drives else None

@@ -11,6 +11,8 @@ COMPANION_COMPONENT = 191
 MAV_CMD_MISSION_START = 300
 MAV_CMD_DO_SET_MODE = 176
 MAV_CMD_DO_SET_HOME = 179
+MAV_CMD_ARM_DISARM = 400
+FORCE_DISARM = 21196.0
 MAV_RESULT_TEMPORARILY_REJECTED = 1
 HOME_IS_NOW = "home is now "
 RTL_PARAMS = {"px4": (1.0, 4.0, 5.0), "ardupilot": (1.0, 6.0, 0.0)}
@@ -83,6 +85,11 @@ class Operator:
         order = command_long(
             self.vehicle_system, 1, MAV_CMD_DO_SET_MODE, *RTL_PARAMS[autopilot_kind]
         )
+        return [self._encoder.encode(order)]
+
+    def disarm(self) -> list[bytes]:
+        """Disarm what stands there armed, by force: its landing detector says that it flies."""
+        order = command_long(self.vehicle_system, 1, MAV_CMD_ARM_DISARM, 0.0, FORCE_DISARM)
         return [self._encoder.encode(order)]
 
 

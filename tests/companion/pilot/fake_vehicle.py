@@ -193,6 +193,8 @@ class World:
     gnss: bool = True
     alt_amsl_m: float = DEPOT[2]
     pressure_pa: float = 101_180.0
+    barometer_m: float = 0.0
+    """What its drift adds to the height that is told."""
     board_temperature_c: float = 30.0
     streams: bool = True
     home_north: float = 0.0
@@ -331,8 +333,8 @@ class World:
                 t,
                 DEPOT[0] + self.north / M_PER_DEG,
                 DEPOT[1] + self.east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
-                self.alt_amsl_m + self.height,
-                self.height - self.home_up,
+                self.alt_amsl_m + self.height + self.barometer_m,
+                self.height - self.home_up + self.barometer_m,
                 *self.velocity,
             ),
             ev.GnssFix(t, self.gnss),

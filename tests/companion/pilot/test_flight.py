@@ -17,6 +17,7 @@ from companion.core.mission.actions import (
     Configure,
     Decision,
     Disarm,
+    Finished,
     JumpTo,
     Note,
     Order,
@@ -115,6 +116,58 @@ def test_settings_stay_while_the_autopilot_never_notices_its_landing():
     assert w.armed
     assert w.values["LOW_ACT"] == 2.0
     assert "settings not put back: still armed" in w.said
+
+
+@pytest.mark.parametrize("first_m", [0.0, 2.2])
+def test_a_barometer_that_drifts_while_it_stands_armed_does_not_keep_the_flight_from_ending(
+    first_m,
+):
+    """Behind a front one said 1.2 to 2.2 m for a quarter of an hour: each time that it passed 1.5 m
+    the wait for a person began anew, and the truck waited an hour."""
+    w = world()
+    w.disarms = False
+    w.run(lambda w: w.pilot.phase is Phase.LAND and w.height < 3.0)
+    w.mute.add(ev.GroundState)  # its detector said last that it is in the air
+    w.run(lambda w: w.height < 0.3)
+    down_s, end_s = w.t_s, None
+    while end_s is None:
+        w.step()
+        w.barometer_m = first_m + 1.1 * math.sin((w.t_s - down_s) / 12.0)
+        ended = any(isinstance(a, Finished) for _, a in w.log)
+        end_s = w.t_s if ended else None
+        assert w.t_s < down_s + 300.0, "it never ended"
+    assert end_s - down_s == pytest.approx(40.0 + 120.0, abs=25.0)
+    assert "landed, still armed: disarm by hand" in w.said
+
+
+def test_what_sinks_slowly_in_its_landing_is_not_down_yet():
+    """The canary of the test above: slower than either autopilot lands, from 4.9 m on."""
+    w = world()
+    w.disarms = False
+    w.run(lambda w: w.pilot.phase is Phase.LAND and w.height < 4.9)
+    w.height = 4.9
+    w.mute.add(ev.GroundState)
+    while w.height > 0.3:
+        height = w.height - 0.025
+        w.step()
+        w.height, w.velocity = height, (0.0, 0.0, 0.25)
+    assert not any(isinstance(a, Disarm) for _, a in w.log)
+
+
+def test_who_stands_armed_in_another_hand_is_told_of_and_nothing_is_ordered():
+    w = world()
+    w.disarms = False
+    w.until(Phase.RETURN)
+    w.mode = Mode.LAND
+    taken_s = w.t_s
+    w.until(Phase.SUSPENDED)
+    w.run(lambda w: "landed, still armed: disarm by hand" in w.said)
+    end_s = w.t_s + 200.0
+    w.run(lambda w: w.t_s > end_s)
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert w.orders_after(taken_s + 1.0) == []
+    w.armed = False
+    assert w.to_the_end().outcome in ("TAKEN", "SUC", "FAIL", "DEL")
 
 
 def test_settings_are_put_back_when_a_person_has_disarmed_what_would_not_disarm_itself():

@@ -10,8 +10,9 @@ from companion.adapters.files.params import read_wind_process
 from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
 from companion.core.wind_field.fleet_wind import AGREED_S, MUTE_S, OWN, FleetWind
-from companion.core.wind_field.fronts import FeltChange, estimated
+from companion.core.wind_field.fronts import FeltChange
 from companion.core.wind_field.tellings import WindTelling
+from tests.companion.wind_field.made_front import made_front
 
 COAST = read_wind_process("coast")
 OTHERS = {
@@ -173,7 +174,7 @@ def test_nobody_can_tell_in_the_vehicles_own_name() -> None:
 def test_a_front_is_forgotten_once_it_is_overdue(waits_s: float) -> None:
     fleet = FleetWind(FieldProcess(COAST))
     felt = FeltChange("d2", 100.0, (0.0, -1000.0), (0.0, 8.0), (0.0, 14.0), 60.0)
-    front = estimated(100.0, (felt,))
+    front = made_front(100.0, felt)
     fleet.hear([], front, 100.0)
     due_s, std_s = front.arrives((0.0, 0.0))
     assert due_s == pytest.approx(100.0 + 1000.0 / 10.5, abs=1.0)  # 0.75 of 14 m/s

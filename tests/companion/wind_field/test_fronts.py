@@ -8,12 +8,11 @@ import pytest
 
 from companion.adapters.files.params import read_wind_process
 from companion.core.wind_field.fronts import (
-    APART_M,
+    FELT_STD_S,
     GONE_S,
     FeltChange,
     FrontAhead,
     FrontWatch,
-    estimated,
 )
 from companion.core.wind_field.tellings import WindTelling
 
@@ -103,31 +102,34 @@ def test_in_gusty_air_more_is_asked_of_a_change() -> None:
     assert told > 1
 
 
-def felt(
-    member: str, t_s: float, place: tuple[float, float], square: float = 22.0, size: float = 5.0
-) -> FeltChange:
-    wind = float(CALM[0]) + size, float(CALM[1])
-    return FeltChange(member, t_s, place, (size, 0.0), wind, square)
+def felt(member: str, t_s: float, place: tuple[float, float]) -> FeltChange:
+    return FeltChange(member, t_s, place, (5.0, 0.0), (float(CALM[0]) + 5.0, float(CALM[1])), 22.0)
+
+
+def guessed(speed_mps: float) -> FrontAhead:
+    """Felt by one member at 100 s and going north, known to 35 % and 35 degrees."""
+    slow_std = 0.35 / speed_mps, math.radians(35.0) / speed_mps
+    cov = np.diag([FELT_STD_S**2, slow_std[0] ** 2, slow_std[1] ** 2])
+    slowness = np.array([1.0 / speed_mps, 0.0])
+    return FrontAhead(100.0, (felt("a", 100.0, (0.0, 0.0)),), np.zeros(2), 100.0, slowness, cov)
 
 
 def test_times_of_a_plane_front_give_back_its_course_and_speed() -> None:
-    """Four exact times, in another direction than the change of wind: the guess gives way."""
+    """Exact times, in another direction than was guessed: the guess gives way."""
     angle, speed = math.radians(25.0), 12.0
     slowness = np.array([math.cos(angle), math.sin(angle)]) / speed
-    places = [(0.0, 0.0), (700.0, 0.0), (0.0, 900.0), (900.0, 900.0)]
-    all_felt = [felt(f"m{k}", 100.0 + float(np.dot(p, slowness)), p) for k, p in enumerate(places)]
-    front = estimated(100.0, tuple(all_felt))
+    front = alone = guessed(9.0)
+    for k, place in enumerate([(700.0, 0.0), (0.0, 900.0), (900.0, 900.0)]):
+        front = front.better_known(felt(f"m{k}", 100.0 + float(np.dot(place, slowness)), place))
     assert front.speed_mps == pytest.approx(speed, rel=0.08)
     assert front.towards_rad == pytest.approx(angle, abs=math.radians(4.0))
-    alone = estimated(100.0, (all_felt[0],))
-    assert alone.towards_rad == pytest.approx(0.0, abs=1e-9)
-    assert alone.speed_mps == pytest.approx(max(0.75 * (CALM[0] + 5.0), 2.0))
+    assert [one.member for one in front.felt] == ["a", "m0", "m1", "m2"]
     assert front.arrives((500.0, 500.0))[1] < 0.5 * alone.arrives((500.0, 500.0))[1]
 
 
 def test_a_front_catches_who_will_be_there_when_it_comes() -> None:
-    front = estimated(100.0, (felt("a", 100.0, (0.0, 0.0), size=12.0),))
-    place = (750.0, 0.0)  # a hundred seconds at 7.5 m/s
+    front = guessed(7.5)
+    place = (750.0, 0.0)  # a hundred seconds
     due_s, std_s = front.arrives(place)
     assert due_s == pytest.approx(200.0)
     assert front.catches(place, 150.0, 400.0)
@@ -135,27 +137,41 @@ def test_a_front_catches_who_will_be_there_when_it_comes() -> None:
     assert not front.catches(place, due_s + 3.0 * std_s, due_s + 600.0)
 
 
-def strong(scale: float, place: tuple[float, float], late_s: float) -> list[FrontAhead]:
-    """Two members whose wind changes by as much: `b` at a place, some seconds later."""
-    found: list[WindTelling] = []
+def change_of(size_mps: float, late_s: dict[str, float | None]) -> list[FrontAhead]:
+    """Four members 60 m apart in the north and 700 m to the south. Whose wind changes by so much,
+    and how much later than 300 s; None: not at all."""
+    places = {"a": (-700.0, 0.0), "b": (-640.0, 20.0), "c": (0.0, 0.0), "d": (60.0, 30.0)}
     rng = np.random.default_rng(5)
-    for t_s in range(400):
-        for name, here, begins_s in (("a", (0.0, 0.0), 300.0), ("b", place, 300.0 + late_s)):
-            share = min(max((t_s - begins_s) / 10.0, 0.0), 1.0)
-            north = scale * share + 0.02 * float(rng.standard_normal())
+    found: list[WindTelling] = []
+    for t_s in range(420):
+        for name, place in places.items():
+            begins_s = late_s.get(name)
+            over = 0.0 if begins_s is None else (t_s - 300.0 - begins_s) / 40.0
+            north = size_mps * min(max(over, 0.0), 1.0) + 0.3 * float(rng.standard_normal())
             mean = (4.0 + north, 4.0)
-            found.append(WindTelling(name, float(t_s), here, 40.0, mean, (0.25, 0.0, 0.25)))
+            found.append(WindTelling(name, float(t_s), place, 40.0, mean, (0.25, 0.0, 0.25)))
     return heard(found)
 
 
-def test_two_that_feel_the_like_in_order_are_believed_and_two_side_by_side_are_not() -> None:
-    """5.5 m/s: not enough of one member alone."""
-    in_order = strong(5.5, (220.0, 0.0), 32.0)
-    assert [one.member for one in in_order[0].felt] == ["a", "b"]
-    assert in_order[0].noticed_s > 330.0
-    assert strong(5.5, (0.5 * APART_M, 0.0), 15.0) == []
-    assert strong(5.5, (-900.0, 0.0), 20.0) == []  # against the way that it would have come
-    assert [one.member for one in strong(9.0, (0.0, 5000.0), 90.0)[0].felt] == ["a"]
+def test_who_should_feel_a_front_and_does_not_speaks_against_it() -> None:
+    """`b` is 60 m behind `a`: where it feels nothing, it is no front that `a` feels."""
+    both = change_of(7.0, {"a": 0.0, "b": 7.0})
+    assert 305.0 < both[0].noticed_s < 340.0
+    only = change_of(7.0, {"a": 0.0})
+    assert not only or only[0].noticed_s > both[0].noticed_s + 10.0
+
+
+def test_a_front_that_two_feel_in_turn_is_told_where_one_alone_is_not_sure() -> None:
+    in_turn = change_of(5.0, {"a": 0.0, "b": 7.0})
+    assert in_turn
+    assert change_of(5.0, {"a": 0.0}) == []
+    assert change_of(5.0, {"a": 7.0, "d": 0.0}) == []  # both at once, 700 m apart: no one line
+
+
+def test_all_feel_it_at_once_and_it_is_no_front_that_comes_to_anybody() -> None:
+    """A gust as wide as the site: nobody is left to be told."""
+    said = change_of(5.0, dict.fromkeys("abcd", 0.0))
+    assert all(one.arrives((60.0, 30.0))[0] < 400.0 for one in said)
 
 
 def test_after_a_while_another_front_may_come_and_broken_tellings_are_none() -> None:

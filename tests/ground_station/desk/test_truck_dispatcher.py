@@ -214,6 +214,28 @@ def test_a_truck_that_stays_too_long_has_the_homes_moved_to_it(day):
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+def test_a_truck_does_not_wait_where_a_drone_was_asked_to_land_and_did_not(day):
+    """The flight was over before it had answered: the truck stayed bound to the stop that it had
+    asked for, and the drone stood at the other one for the rest of the day."""
+    told = day(8)
+    told.world.slow_s = {"d2": 400.0}
+    told.world.drones["d1"].mood = "too busy to move"
+    told.run()
+    assert any("H-103.1: is down, not at stop-1" in words for words in told.said), told.said
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert told.world.on_truck == {"d1", "d2"}
+
+
+def test_who_refuses_another_home_is_not_asked_again_every_second(day):
+    told = day(8)
+    told.world.slow_s = {"d2": 400.0}
+    told.world.drones["d1"].mood = "refuses to move"
+    told.run()
+    asked = [words for words in told.said if "H-103.1: asked to land at stop-1" in words]
+    assert 1 <= len(asked) <= 1 + 200.0 / DispatchParams().ask_home_s
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+
+
 @dataclass
 class SlowReplanner(InlineReplanner):
     """On a small computer that has other things to do."""

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.core.wind_field.fronts import FeltChange, estimated
+from companion.core.wind_field.fronts import FeltChange
 from companion.fleet.messages import Answered, State
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.hold_store import HoldStore
@@ -33,6 +33,7 @@ from ground_station.core.dispatch.wind_holds import (
 from ground_station.core.feasibility.wind_limit import LIMIT_SHARE, limit_of
 from ground_station.core.fleet.fleet_link import LivelinessChanged, StateReceived
 from ground_station.core.schema.holds import ALL
+from tests.companion.wind_field.made_front import made_front
 from tests.ground_station.desk.test_held_launches import Wire
 from tests.ground_station.store.test_order_store import opened
 
@@ -280,9 +281,8 @@ def test_a_hold_of_before_a_restart_ends_by_itself(site: Site):
 
 
 def test_a_flight_that_is_over_before_a_front_comes_is_not_caught():
-    front = estimated(
-        0.0, (FeltChange("t1", 0.0, (0.0, -20_000.0), (0.0, 9.0), (0.0, 12.0), 80.0),)
-    )
+    felt = FeltChange("t1", 0.0, (0.0, -20_000.0), (0.0, 9.0), (0.0, 12.0), 80.0)
+    front = made_front(0.0, felt)
     comes_s, std_s = front.arrives((0.0, 0.0))
     early = ToLaunch("d1", ((0.0, 0.0), (0.0, -300.0)), 200.0)
     assert comes_s - 2.0 * std_s > 220.0

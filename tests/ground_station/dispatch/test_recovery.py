@@ -6,28 +6,40 @@ import pytest
 
 from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
 from ground_station.core.dispatch.dispatch_actions import (
+    ConfirmHomeChange,
     DeclareOffSite,
     DispatchAction,
+    ForgetHomeChange,
     RecoverDrone,
 )
 from ground_station.core.dispatch.dispatch_rules import DispatchParams, DispatchRules
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.orders import AssignmentState
-from tests.ground_station.hand_made_day import TWO_STOPS, flight
+from tests.ground_station.hand_made_day import TWO_STOPS, flight, place_at
 
 LANDED = flight("d1", "depot", 60.0, 60.0)
-PAD = LANDED.pads["depot"]
+PAD, NEXT = LANDED.pads["depot"], place_at(300.0)
 FAR_LAT_DEG = PAD.lat_deg + 0.01
 """1.1 km away."""
 
 
 def actions(
-    lat_deg: float, *, assignment: str | None, present: bool = True
+    lat_deg: float,
+    *,
+    assignment: str | None,
+    present: bool = True,
+    asked: str | None = None,
+    lon_deg: float | None = None,
 ) -> list[DispatchAction]:
     """What is due when d1 has told of its outcome, and was last seen there."""
-    row = replace(LANDED, row=replace(LANDED.row, state=AssignmentState.DELIVERED))
+    row = replace(LANDED, row=replace(LANDED.row, state=AssignmentState.DELIVERED), asked=asked)
+    row = replace(row, pads=row.pads | {"stop-1": NEXT})
     seen = DroneStatus(
-        "d1", present=present, assignment=assignment, lat_deg=lat_deg, lon_deg=PAD.lon_deg
+        "d1",
+        present=present,
+        assignment=assignment,
+        lat_deg=lat_deg,
+        lon_deg=PAD.lon_deg if lon_deg is None else lon_deg,
     )
     plan = DayPlan(
         format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0,
@@ -61,3 +73,13 @@ def test_who_is_not_heard_any_more_is_looked_for_where_it_was_promised():
     assert actions(FAR_LAT_DEG, assignment=LANDED.id, present=False) == [
         RecoverDrone(LANDED.id, PAD)
     ]
+
+
+def test_where_a_flight_ended_tells_whether_it_had_taken_the_home_that_it_was_asked_for():
+    """It is at one, at the other, or not heard."""
+    at_asked = actions(NEXT.lat_deg, lon_deg=NEXT.lon_deg, assignment=None, asked="stop-1")
+    assert at_asked == [ConfirmHomeChange(LANDED.id, "stop-1")]
+    at_home = actions(PAD.lat_deg, assignment=None, asked="stop-1")
+    assert at_home == [ForgetHomeChange(LANDED.id, "stop-1")]
+    unheard = actions(FAR_LAT_DEG, assignment=LANDED.id, present=False, asked="stop-1")
+    assert unheard == [ForgetHomeChange(LANDED.id, "stop-1")]

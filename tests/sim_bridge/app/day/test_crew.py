@@ -10,6 +10,7 @@ from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import State
 from sim_bridge.app.day.clock import EPOCH_US
 from sim_bridge.app.day.crew import STANDS_RADIUS_M, DepotCrew
+from sim_bridge.app.day.drone import BY_HAND_AFTER_S
 
 CHANGE_S = 40.0
 
@@ -24,6 +25,7 @@ class HandDrone:
     wall_off_s: float = 0.0
     is_airborne: bool = False
     flown_s: float = 0.0
+    armed: bool = False
     done: list[tuple[str, Any]] = field(default_factory=list)
 
     @property
@@ -45,6 +47,13 @@ class HandDrone:
 
     def grounded_s(self, t_s: float) -> float:
         return self.flown_s
+
+    def wants_a_hand(self, t_s: float) -> bool:
+        return self.armed and not self.is_airborne and self.flown_s > BY_HAND_AFTER_S
+
+    def disarm(self) -> None:
+        self.armed = False
+        self.done.append(("disarm", None))
 
     def standing_at(self, t_s: float, ne_m: Any, within_m: float) -> bool:
         return not self.is_airborne
@@ -132,4 +141,13 @@ def test_a_drone_that_crashed_stays_where_it_is(depot):
     crew, drone, _ = depot
     drone.up.vehicle.is_crashed, drone.flown_s = True, 900.0
     crew.turn(1000.0)
+    assert drone.up is not None
+
+
+def test_what_lands_and_stays_armed_is_disarmed_and_left_on_until_its_flight_is_over(depot):
+    crew, drone, states = depot
+    drone.armed, drone.flown_s = True, BY_HAND_AFTER_S + 1.0
+    states["d1"] = told(Phase.LAND.value, "o1", 100.0)
+    crew.turn(100.0)
+    assert drone.done[-1] == ("disarm", None)
     assert drone.up is not None

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
-from companion.core.wind_field.fronts import FeltChange, FrontAhead, chance_m2ps2, estimated
+from companion.core.wind_field.fronts import FeltChange, FrontAhead, chance_m2ps2
 from sim_bridge.research.cli.main import app
 from sim_bridge.research.fleet_wind.alert_study import (
     AlertFigures,
@@ -33,6 +33,7 @@ from sim_bridge.research.fleet_wind.worlds import halves_of
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.field_file import load_wind_field
 from sim_bridge.truth.fields.front import PassingFront
+from tests.companion.wind_field.made_front import made_front
 
 ROOT = Path(__file__).parents[4]
 COAST = read_wind_process("coast")
@@ -91,7 +92,7 @@ def beliefs_of(places: list[tuple[float, float]]) -> Beliefs:
 
 def alert(t_s: float) -> FrontAhead:
     felt = FeltChange("drone-1", t_s, (0.0, 0.0), (8.0, 0.0), (16.0, 0.0), 40.0)
-    return estimated(t_s, (felt,))
+    return made_front(t_s, felt)
 
 
 def test_an_alert_is_worth_what_was_still_to_come_when_it_was_told() -> None:

@@ -1,0 +1,98 @@
+"""The odds of a front against densities of scipy's, and what must move them which way."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from companion.adapters.files.params import read_wind_process
+from companion.core.wind_field.field_process import FieldProcess
+from companion.core.wind_field.front_odds import (
+    CHANGE_MPS,
+    CHANGE_STD_MPS,
+    FrontOdds,
+    front_odds,
+    log_ratios,
+)
+from companion.core.wind_field.tellings import WindTelling
+
+COAST = FieldProcess(read_wind_process("coast"))
+NOW_S = 400.0
+PLACES = ((-600.0, 0.0), (-100.0, 200.0), (500.0, -100.0))
+SPEED_MPS, PASSING_S = 9.0, 40.0
+
+
+def told(
+    jump_mps: float, reached_s_ago: float, gusts_before_mps: float = 0.3, seed: int = 1
+) -> list[list[WindTelling]]:
+    """Three members over 200 s; a front goes north, and has reached the first so long ago."""
+    rng = np.random.default_rng(seed)
+    found: list[list[WindTelling]] = []
+    for number, (north_m, east_m) in enumerate(PLACES):
+        rows: list[WindTelling] = []
+        for t_s in np.arange(NOW_S - 200.0, NOW_S + 1.0, 10.0):
+            reached_s = NOW_S - reached_s_ago + (north_m - PLACES[0][0]) / SPEED_MPS
+            part = min(max((t_s - 5.0 - reached_s) / PASSING_S, 0.0), 1.0)
+            gusts = gusts_before_mps if NOW_S - t_s >= 40.0 else 0.3
+            north, east = gusts * rng.standard_normal(2)
+            share = part * part * (3.0 - 2.0 * part)
+            wind = (4.0 + share * jump_mps + float(north), 3.0 + float(east))
+            here = (north_m, east_m)
+            rows.append(WindTelling(f"d{number}", t_s, here, 40.0, wind, (0.25, 0.0, 0.25)))
+        found.append(rows)
+    return found
+
+
+def odds(jump_mps: float, reached_s_ago: float, gusts_before_mps: float = 0.3) -> FrontOdds:
+    members = told(jump_mps, reached_s_ago, gusts_before_mps)
+    found = front_odds(members, PLACES[0], NOW_S, COAST, 1.0)
+    assert found is not None
+    return found
+
+
+def test_a_likelihood_ratio_is_that_of_two_normal_densities() -> None:
+    """The change integrated over its prior: what is told is normal with that much more spread."""
+    rng = np.random.default_rng(3)
+    share, wind = rng.uniform(0.0, 1.0, (7, 1)), rng.standard_normal((7, 2))
+    towards = np.array([[0.6], [0.8]])
+    logs, change = log_ratios(wind, share, towards)
+    wide = np.eye(7) + CHANGE_STD_MPS**2 * share @ share.T
+    expected = 0.0
+    for axis in (0, 1):
+        mean = CHANGE_MPS * towards[axis, 0] * share[:, 0]
+        expected += multivariate_normal(mean, wide).logpdf(wind[:, axis])
+        expected -= multivariate_normal(np.zeros(7), np.eye(7)).logpdf(wind[:, axis])
+        gain = CHANGE_STD_MPS**2 * share[:, 0] @ np.linalg.inv(wide)
+        believed = CHANGE_MPS * towards[axis, 0] + gain @ (wind[:, axis] - mean)
+        assert change[axis, 0] == pytest.approx(believed)
+    assert logs[0] == pytest.approx(expected)
+
+
+def test_the_odds_grow_as_a_front_comes_in_and_fall_in_ordinary_wind() -> None:
+    grown = [odds(8.0, ago_s).log_odds for ago_s in (5.0, 20.0, 30.0, 45.0)]
+    assert grown == sorted(grown)
+    assert grown[-1] > 10.0
+    assert odds(0.0, 45.0).log_odds < 0.0
+
+
+def test_it_says_the_change_the_course_and_when_it_comes_to_others() -> None:
+    found = odds(8.0, 50.0)
+    assert found.change_ne_mps == pytest.approx((8.0, 0.0), abs=1.5)
+    course = math.atan2(found.slowness_spm[1], found.slowness_spm[0])
+    assert abs(course) < 2.0 * math.sqrt(found.cov[2, 2]) * SPEED_MPS
+    row = np.array([1.0, *(np.array(PLACES[2]) - found.origin_ne_m)])
+    due_s = float(row @ [found.t0_s, *found.slowness_spm])
+    came_s = NOW_S - 50.0 + (PLACES[2][0] - PLACES[0][0]) / SPEED_MPS + 0.5 * PASSING_S
+    assert abs(due_s - came_s) < 2.0 * math.sqrt(float(row @ found.cov @ row))
+
+
+def test_the_gustier_it_was_before_the_more_is_asked() -> None:
+    calm, gusty = odds(8.0, 30.0), odds(8.0, 30.0, gusts_before_mps=4.0)
+    assert gusty.log_odds < calm.log_odds - 2.0
+
+
+def test_of_half_a_minute_nobody_knows_the_wind_before() -> None:
+    short = [[one for one in rows if one.t_s > NOW_S - 40.0] for rows in told(8.0, 30.0)]
+    assert front_odds(short, PLACES[0], NOW_S, COAST, 1.0) is None
+    assert front_odds([], PLACES[0], NOW_S, COAST, 1.0) is None
