@@ -203,12 +203,21 @@ PAGES = (
                 _bench("estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
                           "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
             ),
+        ),
+        25.0,
+        needs=(ANEMOMETER,),
+    ),
+    Page(
+        "wind-states",
+        "What each state of the wind estimator is worth",
+        "The wind estimator with each of its states and hypotheses left out, in simulated flights:"
+        " what real flights do not decide.",
+        (
             PageCommand(
                 _bench("estimator", "--states", "--seed", "905", "--flights", "32", "--out", OUT),
             ),
         ),
-        45.0,
-        needs=(ANEMOMETER,),
+        12.0,
     ),
     Page(
         "fleet-wind",
