@@ -224,7 +224,7 @@ def days(
     exception.
 
     Without a bound: until Ctrl-C. Exit code 0 where all hold, 1 where one does not, 2 for a mistake
-    in the options. About two minutes of CPU a vehicle-hour.
+    in the options. About one minute of CPU a vehicle-hour.
     """
     from itertools import islice
 
