@@ -12,8 +12,8 @@ from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
 from companion.core.wind.estimator import WindEstimator
 from sim_bridge.research.cli.main import app
-from sim_bridge.research.wind.rival_filters import tuned
 from sim_bridge.research.wind.ablation import ABLATIONS, without
+from sim_bridge.research.wind.rival_filters import tuned
 from sim_bridge.research.windbench.estimators import estimators, in_study
 from sim_bridge.research.windbench.flights import cold_starts, read_bench_folder
 from sim_bridge.research.windbench.score import (
