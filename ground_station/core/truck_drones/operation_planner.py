@@ -37,16 +37,26 @@ SMALL_COOLINGS = (
 """Of orders each finds the best order of 59 of 70 proven optima at least eleven times in twelve;
 eleven optima have loops or second visits. Two of these are found from the orders' best plan most
 often, two others from a hot start."""
+ORDER_COOLINGS = (
+    OperationCooling(True, 0.9, 4_000),
+    OperationCooling(False, 0.1, 4_000, 0.7),
+)
 CHAIN_COOLINGS = (OperationCooling(False, 1.0, 40_000),)
+MOST_NODES_OF_ORDERS = 100
+"""A trial of orders takes the longer the more nodes there are, one of chains does not."""
+MOST_ALPHA_OF_ORDERS = 2.5
+"""Of the speed of the drone over the truck's: a fast one waits in long operations."""
 
 
 def default_coolings(
     drive: NDArray[np.float64], fly: NDArray[np.float64]
 ) -> tuple[OperationCooling, ...]:
     """What to cool, in this order: `drive`, `fly` as for `OperationPlanner`."""
-    if len(drive) <= SMALL_NODES:
+    nodes = len(drive)
+    if nodes <= SMALL_NODES:
         return SMALL_COOLINGS
-    return CHAIN_COOLINGS
+    is_slow = drive.sum() <= MOST_ALPHA_OF_ORDERS * fly.sum()
+    return ORDER_COOLINGS if is_slow and nodes <= MOST_NODES_OF_ORDERS else CHAIN_COOLINGS
 
 
 class OperationPlanner:

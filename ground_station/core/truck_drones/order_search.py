@@ -54,8 +54,15 @@ class Split(NamedTuple):
 
 def new_split(order: NDArray[np.int32]) -> Split:
     """An order that is not split yet."""
-    sums = [np.zeros(len(order)) for _ in range(3)]
-    return Split(order.copy(), *sums, *(np.zeros(len(order), dtype=np.int32) for _ in range(2)))
+    places = len(order)
+    return Split(
+        order.copy(),
+        along=np.zeros(places),
+        saved=np.zeros(places),
+        cost=np.zeros(places),
+        start=np.zeros(places, dtype=np.int32),
+        flown=np.zeros(places, dtype=np.int32),
+    )
 
 
 @compiled
@@ -209,9 +216,10 @@ class OrderSearch:
 
     def _begin(self, order: NDArray[np.int32]) -> None:
         """Go on from this order."""
-        self.now = new_split(order)
-        cost = float(split_order(*self._costs_of, self.now, 0, self._params.most_legs))
-        self._new = Split(*(part.copy() for part in self.now))
+        self.now, self._new = new_split(order), new_split(order)
+        most = self._params.most_legs
+        split_order(*self._costs_of, self._new, 0, most)
+        cost = float(split_order(*self._costs_of, self.now, 0, most))
         self._place = np.argsort(order).astype(np.int32)
         self._costs[0] = cost
         if cost < self._costs[1]:
