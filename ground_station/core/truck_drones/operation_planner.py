@@ -42,10 +42,12 @@ ORDER_COOLINGS = (
     OperationCooling(False, 0.1, 4_000, 0.7),
 )
 CHAIN_COOLINGS = (OperationCooling(False, 1.0, 40_000),)
-MOST_NODES_OF_ORDERS = 100
-"""A trial of orders takes the longer the more nodes there are, one of chains does not."""
+MOST_NODES_OF_ORDERS = 75
+"""A trial of orders takes the longer the more nodes there are, one of chains does not: at 100 nodes
+(alpha 1, five times ICP's seconds) orders end 0.66 % under ICP's mean, chains 1.20 %."""
 MOST_ALPHA_OF_ORDERS = 2.5
-"""Of the speed of the drone over the truck's: a fast one waits in long operations."""
+"""Of the speed of the drone over the truck's: at alpha 3 and 50 nodes, twice ICP's
+seconds, orders end 3.77 % under ICP's mean, chains 4.04 %."""
 
 
 def default_coolings(
