@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import ground_station.core
 from companion.core.base.errors import LeewayError
@@ -23,16 +24,11 @@ from ground_station.adapters.files.tspd_files import (
 from ground_station.app.benchmarks.mfstsp_bench import RowJournal
 from ground_station.app.benchmarks.timed_search import round_until
 from ground_station.core.benchmark.operations_check import ABOARD, operation_violations
-from ground_station.core.truck_drones.operation_search import (
-    Operation,
-    OperationParams,
-    OperationSearch,
-    default_rounds,
-    default_trials,
-)
+from ground_station.core.truck_drones.operation_plan import Operation
+from ground_station.core.truck_drones.operation_planner import OperationPlanner, default_coolings
 
 Row = dict[str, Any]
-FIRST_RATE = 1e6
+FIRST_RATE = 1e5
 """Trials a second to begin with; measured from the first step on."""
 KEPT_FRAC = 0.01
 """Share of the seconds that is kept back, so that the last step ends in time."""
@@ -95,23 +91,17 @@ def solve_instance(instance: TspdInstance, seconds: float | None, seed: int) -> 
     drive, fly = instance.truck_cost * apart, instance.drone_cost * apart
     digest = hashlib.sha256(f"{seed} {instance.name}".encode()).hexdigest()
     rng = np.random.default_rng(int(digest[:15], 16))
-    OperationSearch(drive[:2, :2], fly[:2, :2], np.random.default_rng(0)).round(1)  # compiles
+    _plan(drive[:2, :2], fly[:2, :2], np.random.default_rng(0), 0.0)  # compiles
     begin_s = time.process_time()
-    search = OperationSearch(drive, fly, rng, OperationParams())
-    if seconds is None:
-        for _ in range(default_rounds(len(places))):
-            search.round(default_trials(len(places)))
-    else:
-        end_s = begin_s + seconds * (1.0 - KEPT_FRAC)
-        round_until(search, time.process_time(), end_s, FIRST_RATE, lambda frac: None)
+    planner = _plan(drive, fly, rng, seconds)
     spent_s = time.process_time() - begin_s
-    operations = [_reported(operation) for operation in search.best()]
+    operations = [_reported(operation) for operation in planner.best()]
     faults = operation_violations(
         instance.places,
         instance.truck_cost,
         instance.drone_cost,
         operations,
-        search.best_cost,
+        planner.best_cost,
     )
     if faults:
         raise LeewayError(f"{instance.name}: the plan breaks the rules: {'; '.join(faults[:3])}")
@@ -120,10 +110,30 @@ def solve_instance(instance: TspdInstance, seconds: float | None, seed: int) -> 
         "family": instance.family,
         "n": len(places),
         "alpha": instance.alpha,
-        "cost": search.best_cost,
+        "cost": planner.best_cost,
         "seconds": spent_s,
         "operations": operations,
     }
+
+
+def _plan(
+    drive: NDArray[np.float64],
+    fly: NDArray[np.float64],
+    rng: np.random.Generator,
+    seconds: float | None,
+) -> OperationPlanner:
+    """All coolings, by trials or by a share of the seconds each."""
+    until_s = time.process_time()
+    planner = OperationPlanner(drive, fly, rng)
+    for cooling in default_coolings(drive, fly):
+        search = planner.begin(cooling)
+        if seconds is None:
+            search.round(len(drive) * cooling.trials_per_node, cooling.begin_frac)
+            continue
+        until_s += cooling.share * seconds * (1.0 - KEPT_FRAC)
+        from_s = time.process_time()
+        round_until(search, from_s, until_s, FIRST_RATE, lambda frac: None, cooling.begin_frac)
+    return planner
 
 
 def _reported(operation: Operation) -> tuple[int, int, int, list[int]]:

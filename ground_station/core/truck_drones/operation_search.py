@@ -8,6 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.operation_plan import (
+    Operation,
+    near_nodes,
+    plan_cost,
+    short_tour,
+)
 from ground_station.core.truck_drones.operations import (
     ALONE,
     FLOWN,
@@ -19,9 +25,6 @@ from ground_station.core.truck_drones.operations import (
     stretch_cost,
 )
 from ground_station.core.truck_drones.random_stream import random_stream, uniform
-from ground_station.core.truck_drones.tour import improve_tour
-
-NEAR = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,36 +36,8 @@ class OperationParams:
     step_trials: int = 200_000
 
 
-TRIALS_PER_NODE = 40_000
-"""In one cooling: some 2 s of one core for 50 nodes, 10 s for 250."""
-SMALL_NODES = 25
-SMALL_ROUNDS = 12
-
-
-def default_rounds(nodes: int) -> int:
-    """Small instances settle in different plans, so they get more coolings."""
-    return SMALL_ROUNDS if nodes <= SMALL_NODES else 1
-
-
-def default_trials(nodes: int) -> int:
-    """Trials of one cooling."""
-    return nodes * TRIALS_PER_NODE
-
-
 NODES_PER_SPARE = 25
 """Second visits pay seldom: in two of 70 proven optima of 11 to 17 nodes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Operation:
-    """From `start`, where both are, to `stop`; `fly` None: the drone stays aboard. The truck drives
-    by `between`.
-    """
-
-    start: int
-    stop: int
-    fly: int | None
-    between: tuple[int, ...]
 
 
 @compiled
@@ -101,7 +76,7 @@ class OperationSearch:
         nodes = len(drive)
         self._drive, self._fly, self._nodes, self._params = drive, fly, nodes, params
         spare = 2 + nodes // NODES_PER_SPARE
-        tour = _tour(drive)
+        tour = short_tour(drive)
         visits = np.array([*tour[:-1], *range(nodes + 1, nodes + 1 + spare), nodes], dtype=np.int32)
         same_as = np.array([*range(nodes), *([0] * (1 + spare))], dtype=np.int32)
         role = np.full(len(visits), SYNC, dtype=np.int8)
@@ -109,7 +84,7 @@ class OperationSearch:
         self._chain = Chain(
             drive[np.ix_(same_as, same_as)].copy(),
             fly[np.ix_(same_as, same_as)].copy(),
-            _near(drive)[same_as],
+            near_nodes(drive)[same_as],
             visits,
             np.argsort(visits).astype(np.int32),
             role,
@@ -122,6 +97,26 @@ class OperationSearch:
         self._leg = cost / nodes
         self._stream = random_stream(rng)
 
+    def begin_with(self, operations: list[Operation]) -> None:
+        """Go on from this plan, which serves each node once, none by a loop."""
+        visits, chain = [0], self._chain
+        chain.role[self._nodes + 1 :] = OFF
+        for operation in operations:
+            between, stop = list(operation.between), operation.stop or self._nodes
+            chain.role[between] = ALONE
+            chain.role[stop] = SYNC
+            if operation.fly is not None:
+                chain.role[operation.fly] = FLOWN
+                between.append(operation.fly)
+            visits += [*between, stop]
+        chain.visits[:] = [*visits[:-1], *range(self._nodes + 1, len(chain.visits)), self._nodes]
+        chain.place[:] = np.argsort(chain.visits)
+        self._costs[0] = self._cost()
+        if self._costs[0] < self._costs[1]:
+            self._costs[1] = self._costs[0]
+            self._best[:], self._best_role[:] = chain.visits, chain.role
+            self._best_same[:] = chain.same_as
+
     def _cost(self) -> float:
         c = self._chain
         return float(stretch_cost(c.drive, c.fly, c.role, c.visits, 0, len(c.visits) - 1))
@@ -129,15 +124,7 @@ class OperationSearch:
     @property
     def best_cost(self) -> float:
         """Cost of the best plan so far, summed anew."""
-        return sum(self._cost_of(operation) for operation in self.best())
-
-    def _cost_of(self, operation: Operation) -> float:
-        path = (operation.start, *operation.between, operation.stop)
-        truck = sum(float(self._drive[one, other]) for one, other in pairwise(path))
-        if operation.fly is None:
-            return truck
-        out, back = self._fly[operation.start, operation.fly], self._fly[operation.fly, path[-1]]
-        return max(truck, float(out + back))
+        return plan_cost(self._drive, self._fly, self.best())
 
     def step(self, trials: int, from_frac: float, to_frac: float) -> None:
         """This many trials, cooling over this part of a round (0: its start, 1: its end)."""
@@ -155,12 +142,13 @@ class OperationSearch:
         )
         self._costs[0] = self._cost()  # sums of changes drift by rounding
 
-    def round(self, trials: int) -> None:
-        """One cooling of this many trials."""
+    def round(self, trials: int, begin_frac: float = 0.0) -> None:
+        """One cooling of this many trials, from this part of a round on."""
         done = 0
         while done < trials:
             now = min(self._params.step_trials, trials - done)
-            self.step(now, done / trials, (done + now) / trials)
+            parts = (done / trials, (done + now) / trials)
+            self.step(now, *(begin_frac + (1.0 - begin_frac) * part for part in parts))
             done += now
 
     def best(self) -> list[Operation]:
@@ -190,22 +178,3 @@ class OperationSearch:
         last = [v for v in loops if v not in first]
         before = [Operation(start, start, visit, ()) for visit in first]
         return before + found + [Operation(stop, stop, visit, ()) for visit in last]
-
-
-def _near(drive: NDArray[np.float64]) -> NDArray[np.int32]:
-    """By node, the nearest others, nearest first."""
-    apart = drive.copy()
-    np.fill_diagonal(apart, np.inf)
-    return np.argsort(apart, axis=1, kind="stable")[:, : min(NEAR, len(drive) - 1)].astype(np.int32)
-
-
-def _tour(drive: NDArray[np.float64]) -> NDArray[np.int32]:
-    """A short tour of the truck alone, from node 0 to its copy `n`."""
-    end = len(drive)
-    left, tour = list(range(1, end)), [0]
-    while left:
-        tour.append(left.pop(int(np.argmin(drive[tour[-1], left]))))
-    route = np.array([*tour, end], dtype=np.int32)
-    both = [*range(end), 0]
-    improve_tour(drive[np.ix_(both, both)].copy(), _near(drive), route)
-    return route
