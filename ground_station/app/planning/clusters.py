@@ -22,6 +22,7 @@ from ground_station.core.clustering.problem import (
 )
 from ground_station.core.clustering.prompt import SCHEMA, SYSTEM, clusters_from, user_message
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
@@ -36,13 +37,12 @@ longest side is 60 m, on legs of 100 to 300 m."""
 def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> ClusteringProblem:
     """The drones' orders of a day as a clustering problem."""
     orders = [order for order in data.orders if order.service is not Service.TRUCK]
-    assigner = DepotAssigner(data.day, data.airframes)
+    assigner = DepotAssigner(data.day, data.airframes, data.elevation)
     places = [assigner.ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
     airframe = data.airframes[drone.airframe]
-    reach = Reach(
-        drone, airframe, data.day.mission, data.day.forecast, day_energy(data.day, airframe)
-    )
+    energy, hills = day_energy(data.day, airframe), hills_of(data.day, data.elevation)
+    reach = Reach(drone, airframe, data.day.mission, data.day.forecast, energy, hills)
     charge = None if voltage_v is None else airframe.battery.charge_frac_at_rest(voltage_v)
     places_ne_m = np.array([place[:2] for place in places]).reshape(-1, 2)
     mass_kg = np.array([order.mass_kg for order in orders])

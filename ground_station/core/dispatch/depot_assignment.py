@@ -19,6 +19,7 @@ from companion.core.vehicle.airframe import Airframe
 from ground_station.core.deconfliction.depot_layers import DepotLayers
 from ground_station.core.dispatch.dispatch_rules import ON_PAD_M, distance_m
 from ground_station.core.dispatch.flight_tables import delivery_table
+from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.reach import (
     Feasible,
     Infeasible,
@@ -84,8 +85,11 @@ class DepotAssigner:
         self._elevation = elevation
         self._frame = frame_at(day.depot.place)
         energies = {name: day_energy(day, airframe) for name, airframe in airframes.items()}
+        hills = hills_of(day, elevation)
         self._reach = {
-            d.id: Reach(d, airframes[d.airframe], day.mission, day.forecast, energies[d.airframe])
+            d.id: Reach(
+                d, airframes[d.airframe], day.mission, day.forecast, energies[d.airframe], hills
+            )
             for d in day.drones
         }
         self._of_kind: dict[_Kind, Reach] = {_kind(r.drone): r for r in self._reach.values()}

@@ -11,6 +11,7 @@ import numpy as np
 from companion.core.base.geo import Ned, ObstacleMap
 from companion.core.base.place import Place
 from ground_station.core.deconfliction.depot_layers import DepotLayers
+from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.feasibility.wind_limit import limit_of
 from ground_station.core.planning.day_problem import TOP_M, obstacle_map
@@ -59,6 +60,7 @@ class PromisedSorties:
         self.limit_mps = limit_of(data)
         self._layers = DepotLayers(data.day.mission, TOP_M)
         self._energies = {name: day_energy(data.day, one) for name, one in data.airframes.items()}
+        self._hills = hills_of(data.day, data.elevation)
         self._obstacles: ObstacleMap | None = None
         self._flown: dict[tuple[str, str, str, str], Flown] = {}
 
@@ -95,7 +97,7 @@ class PromisedSorties:
     def _reach(self, drone: Drone, wind: Forecast) -> Reach:
         airframe = self._data.airframes[drone.airframe]
         energy = self._energies[drone.airframe]
-        return Reach(drone, airframe, self._data.day.mission, wind, energy)
+        return Reach(drone, airframe, self._data.day.mission, wind, energy, self._hills)
 
 
 def closing_of(sortie: SortieInForecast, now_s: float) -> Closing:

@@ -1,24 +1,28 @@
 """What a drone can bring, by the energy model that it flies with: out, drop, home, landed.
 
-This is the desk's filter, not the promise: a straight line each way in the forecast wind, priced by
-`RouteEnergy` and widened to the accepted loss. Routes around obstacles and the decisions of the
-return budget in flight are the companion's: it may still refuse, and then says why.
+This is the desk's filter, not the promise: a straight line each way in the forecast wind, over the
+hills that the day's elevation has, priced by `RouteEnergy` and widened to the accepted loss. Routes
+around obstacles and the decisions of the return budget in flight are the companion's: it may still
+refuse, and then says why.
 """
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
+from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import DROP_S, SETTLE_SLACK_S
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
+from ground_station.core.feasibility.hills import Hills
 from ground_station.core.schema.day import Day, Drone, Forecast
 
 Waypoints = tuple[tuple[float, float], ...]
@@ -74,8 +78,11 @@ class Reach:
         mission: Mission,
         forecast: Forecast,
         route_energy: RouteEnergy,
+        hills: Hills | None = None,
     ) -> None:
+        """`hills`: what the flights climb over; None: level ground, or none that is known."""
         self.drone = drone
+        self.hills = hills
         self.airframe = airframe
         self.mission = mission
         self.wind_to_ne_mps = np.array(forecast.to_ne_mps)
@@ -118,10 +125,14 @@ class Reach:
         depot.
 
         `start` and `end` are ground points too: the depot, or stops of the truck. The flight is
-        `height_m` above the depot (None: the mission's cruise height), by the points (north,
-        east) given.
+        `height_m` above the depot (None: the mission's cruise height), or higher over hills, by the
+        points (north, east) given.
         """
-        up_m = self.mission.cruise_height_m if height_m is None else height_m
+        level_m = self.mission.cruise_height_m if height_m is None else height_m
+        up_m = (
+            self._over_hills_m(level_m, (start, *out_via, customer)),
+            self._over_hills_m(level_m, (customer, *back_via, end)),
+        )
         legs = self._legs(rounded_up(payload_kg), (start, customer, end), up_m, out_via, back_via)
         costs = self.energy.costs(legs, self.wind_to_ne_mps[None, :])
         mean_wh = float(costs.energy_wh.sum())
@@ -230,14 +241,16 @@ class Reach:
         self,
         payload_kg: float,
         grounds: tuple[Ned, Ned, Ned],
-        height_m: float,
+        up_m: tuple[float, float],
         out_via: Waypoints,
         back_via: Waypoints,
     ) -> tuple[Leg, ...]:
+        """`up_m`: heights of the way out and of the way back above the depot."""
         start, customer, end = grounds
-        mission, up = self.mission, -height_m
-        drop = customer[2] - mission.drop_height_m
-        over_start, over, over_end = ((p[0], p[1], up) for p in grounds)
+        out, back = (-height_m for height_m in up_m)
+        drop = customer[2] - self.mission.drop_height_m
+        over_start, over = (start[0], start[1], out), (customer[0], customer[1], out)
+        over_again, over_end = (customer[0], customer[1], back), (end[0], end[1], back)
         low = (customer[0], customer[1], drop)
         return (
             Leg(LegKind.CLIMB, start, over_start, payload_kg),
@@ -245,15 +258,30 @@ class Reach:
             *_cruise(over_start, out_via, over, payload_kg),
             Leg(LegKind.DESCEND, over, low, payload_kg),
             Leg(LegKind.HOVER, low, low, payload_kg, duration_s=DROP_S),
-            Leg(LegKind.CLIMB, low, over, 0.0),
-            *_cruise(over, back_via, over_end, 0.0),
+            Leg(LegKind.CLIMB, low, over_again, 0.0),
+            *_cruise(over_again, back_via, over_end, 0.0),
             Leg(LegKind.LAND, over_end, end, 0.0),
         )
+
+    def _over_hills_m(self, level_m: float, way: Sequence[Sequence[float]]) -> float:
+        """The height of a way by these points, above the depot, over the hills below it."""
+        if self.hills is None:
+            return level_m
+        points = np.array([point[:2] for point in way])
+        least_m = float(self.hills.least_height_m(points[:-1], points[1:]).max())
+        return over_hills_m(self.mission, level_m, least_m)
 
     @property
     def settle_s(self) -> float:
         """How long it loiters over its pad before it leaves."""
         return self.mission.wind_settle_s + SETTLE_SLACK_S
+
+
+def over_hills_m(mission: Mission, level_m: Floats | float, least_m: Floats | float) -> Any:
+    """The height of a flight in the layer at `level_m`, where the ground asks for `least_m`: a
+    higher layer keeps as much more over the ground as over the depot.
+    """
+    return np.maximum(level_m, np.add(least_m, level_m) - mission.cruise_height_m)
 
 
 def last_that_fits(spare: Callable[[float], float], far: float) -> float:

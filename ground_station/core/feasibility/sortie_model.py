@@ -18,8 +18,9 @@ from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_plan import DROP_S
 from companion.core.routing.leg_energy import Leg, LegKind
+from ground_station.core.feasibility.hills import Hills
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
-from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach
+from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach, over_hills_m
 from ground_station.core.truck_drones.problem import Legs
 
 COURSES = 360
@@ -84,11 +85,13 @@ class WindSorties:
         reaches: Sequence[Reach],
         ways: ObstacleRoutes,
         beside_m: float = 0.0,
+        hills: Hills | None = None,
     ) -> None:
-        """`height_m`: height above the depot of the flight to each place. `beside_m`: how far
-        pads may be from their stop; each cruise is priced as that much longer.
+        """`height_m`: height above the depot of the flight to each place, over `hills` more.
+        `beside_m`: how far pads may be from their stop; each cruise is priced as that much longer.
         """
-        self._ned_m, self._height_m, self._reaches = ned_m, height_m, reaches
+        self._ned_m, self._reaches = ned_m, reaches
+        self._height_m = _heights_m(ned_m, height_m, reaches, hills)
         self._steps = np.ceil(payload_kg / PAYLOAD_STEP_KG - 1e-9).astype(np.int64)
         self._ways, self._beside_m = ways, beside_m
 
@@ -123,9 +126,9 @@ class WindSorties:
     def _out(self, rates: _Rates) -> Price:
         """From each place (row), with the parcel, to each place (column) and its drop."""
         up_m = -self._ned_m[:, 2]
-        rise_m = np.maximum(self._height_m[None, :] - up_m[:, None], 0.0)
+        rise_m = np.maximum(self._height_m - up_m[:, None], 0.0)
         mission = self._reaches[0].mission
-        sink_m = np.maximum(self._height_m - up_m - mission.drop_height_m, 0.0)[None, :]
+        sink_m = np.maximum(self._height_m - up_m[None, :] - mission.drop_height_m, 0.0)
         verticals = rates.climb.at(rise_m).plus(rates.descend.at(sink_m))
         waits = rates.settle.plus(rates.drop)
         return self._ways.priced(self._cruise(rates)).plus(verticals).plus(waits)
@@ -134,8 +137,9 @@ class WindSorties:
         """From each place's drop (row) to the ground at each place (column)."""
         up_m = -self._ned_m[:, 2]
         mission = self._reaches[0].mission
-        rise_m = np.maximum(self._height_m - up_m - mission.drop_height_m, 0.0)[:, None]
-        sink_m = np.maximum(self._height_m[:, None] - up_m[None, :], 0.0)
+        height_m = self._height_m.T
+        rise_m = np.maximum(height_m - up_m[:, None] - mission.drop_height_m, 0.0)
+        sink_m = np.maximum(height_m - up_m[None, :], 0.0)
         verticals = rates.climb.at(rise_m).plus(rates.land.at(sink_m))
         return self._ways.priced(self._cruise(rates)).plus(verticals)
 
@@ -152,6 +156,21 @@ class WindSorties:
             return Price(*(np.maximum(a, b) * BETWEEN_COURSES for a, b in zip(*sides, strict=True)))
 
         return price_of
+
+
+def _heights_m(
+    ned_m: Floats, height_m: Floats, reaches: Sequence[Reach], hills: Hills | None
+) -> Floats:
+    """Heights of the flight between a start or landing (row) and a customer (column), (n, n)."""
+    count = len(ned_m)
+    level_m = np.broadcast_to(height_m[None, :], (count, count))
+    if hills is None or not reaches:
+        return level_m
+    first, second = np.triu_indices(count)
+    least_m = np.empty((count, count))
+    least_m[first, second] = hills.least_height_m(ned_m[first, :2], ned_m[second, :2])
+    least_m[second, first] = least_m[first, second]
+    return over_hills_m(reaches[0].mission, level_m, least_m)
 
 
 def _by_course(cruise: _Line, course: np.ndarray, length_m: Floats) -> Price:

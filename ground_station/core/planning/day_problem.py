@@ -13,6 +13,7 @@ from companion.core.base.arrays import Floats, ShortInts
 from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, place_ned
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
+from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.feasibility.sortie_model import WindSorties
@@ -70,6 +71,7 @@ def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneCl
     """The available drones, grouped by what makes them alike."""
     day = data.day
     energies = {name: day_energy(day, airframe) for name, airframe in data.airframes.items()}
+    hills = hills_of(day, data.elevation)
     alike: dict[tuple[Drone, float], list[str]] = {}
     for drone in day.drones:
         if drone.id in free_from_s:
@@ -84,6 +86,7 @@ def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneCl
                 day.mission,
                 day.forecast,
                 energies[drone.airframe],
+                hills,
             ),
             from_s,
         )
@@ -129,7 +132,13 @@ def build_day_problem(
     mass_kg = np.array([0.0, *(order.mass_kg for order in orders), 0.0])
     most_kg = max((c.reach.airframe.mass.max_payload_kg for c in classes), default=0.0)
     sorties = WindSorties(
-        ned_m, np.minimum(mass_kg, most_kg), height_m, [c.reach for c in classes], ways, pads_m
+        ned_m,
+        np.minimum(mass_kg, most_kg),
+        height_m,
+        [c.reach for c in classes],
+        ways,
+        pads_m,
+        hills_of(data.day, data.elevation),
     )
     truck = data.day.truck
     by_truck = _flags(orders, [order.service is not Service.DRONE for order in orders])

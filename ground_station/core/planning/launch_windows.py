@@ -7,6 +7,7 @@ import numpy as np
 from companion.core.base.geo import Ned, ObstacleMap, place_ned
 from companion.core.base.place import Place
 from companion.core.mission.flight_plan import frame_at
+from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.feasibility.wind_limit import limit_of
@@ -44,12 +45,13 @@ def launch_windows(data: DayData, plan: DayPlan, forecast: DayForecast) -> list[
     orders = {order.id: order for order in data.orders}
     obstacles = obstacle_map(data)
     energies = {name: day_energy(data.day, one) for name, one in data.airframes.items()}
+    hills = hills_of(data.day, data.elevation)
     found: list[LaunchWindow] = []
     for sortie in plan.sorties:
         drone = data.day.drone(sortie.vehicle)
         assert drone is not None
         airframe, energy = data.airframes[drone.airframe], energies[drone.airframe]
-        reach = Reach(drone, airframe, data.day.mission, data.day.forecast, energy)
+        reach = Reach(drone, airframe, data.day.mission, data.day.forecast, energy, hills)
         start = plan.stop(sortie.launch).pads[sortie.vehicle]
         end = plan.stop(sortie.home).pads[sortie.vehicle]
         flown = flown_by_plan(data, orders[sortie.order], (start, end), sortie, obstacles)
