@@ -3,9 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from companion.core.mission.flight_file import NeighbourFleet
+if TYPE_CHECKING:
+    from companion.core.mission.flight_file import NeighbourFleet
 
 OPEN_MARK = "[OPEN NETWORK]"
 """Stands before log lines, and before where a truck is, on a network that lets strangers in."""
@@ -94,7 +95,7 @@ class MemberLink(Protocol):
         """Listen to the cells about this place from now on; before the first, to none."""
         ...
 
-    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+    def hear_fleets(self, neighbours: Sequence["NeighbourFleet"]) -> None:
         """Listen to the tracks of these fleets, too, in the same cells; to no others' any more."""
         ...
 

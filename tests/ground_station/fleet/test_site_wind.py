@@ -235,18 +235,41 @@ def test_the_canary_gusts_alone_make_no_front():
 
 
 def test_who_comes_down_to_land_in_weaker_wind_feels_no_front():
-    """From 40 m into a fifth of the wind; the same at its height is a front."""
-    lands, stays = Air(seed=2), Air(seed=2)
-    for air in (lands, stays):
-        for mean in air.mean.values():
-            mean[:] = (0.0, 13.0)
-        air.blow(180.0)
+    """From 40 m into a fifth of the wind."""
+    air = Air(seed=2)
+    for mean in air.mean.values():
+        mean[:] = (0.0, 13.0)
+    air.blow(180.0)
+    air.mean["d1"][:] = (0.0, 3.0)
+    for _ in range(25):
+        air.blow(1.0, silent=frozenset({"d1"}))
+        air.tell("d1", height_rel_m=12.0)
+    assert air.wind.fronts == []
+
+
+def test_who_climbs_out_of_weaker_wind_feels_no_front():
+    """From 12 m into four times the wind; the same rise at its height is a front."""
+    climbs, stays = Air(seed=2), Air(seed=2)
+    for air in (climbs, stays):
         air.mean["d1"][:] = (0.0, 3.0)
-        for _ in range(25):
+        for _ in range(180):
             air.blow(1.0, silent=frozenset({"d1"}))
-            air.tell("d1", height_rel_m=12.0 if air is lands else 40.0)
-    assert lands.wind.fronts == []
+            air.tell("d1", height_rel_m=12.0 if air is climbs else 40.0)
+        air.mean["d1"][:] = (0.0, 11.0)
+        air.blow(25.0)
+    assert climbs.wind.fronts == []
     assert [one.felt[0].member for one in stays.wind.fronts] == ["d1"]
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
+def test_a_gust_front_that_one_drone_alone_has_felt_is_told(seed):
+    """Of 10 m/s within 20 s: at most 15 s after it began; the next drone lies 45 s further on."""
+    air = Air(seed=seed)
+    air.blow(180.0)
+    for second in range(15):
+        air.mean["d1"][:] = (0.0, 6.0 + min(second + 1, 20) * 0.5)
+        air.blow(1.0)
+    assert [one.felt[0].member for one in air.wind.fronts] == ["d1"]
 
 
 def test_who_has_been_left_out_for_a_minute_raises_no_front():
