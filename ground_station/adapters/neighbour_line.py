@@ -97,7 +97,7 @@ class NeighbourLine:
         self._look_s = now_s + SAY_S
         if self._stands != self._said:
             self._said = self._stands
-            words = "is heard: drones of both fleets keep apart where both fly --keep-apart"
+            words = "is reached: drones keep apart where each names the other, with --keep-apart"
             if not self._stands:
                 trouble = f" ({self._trouble})" if self._trouble else ""
                 words = f"IS NOT REACHED{trouble}: nothing keeps our drones and its apart"

@@ -240,7 +240,7 @@ def test_a_desk_says_whether_its_line_to_a_neighbour_stands(tmp_path, monkeypatc
     with closing(town.harbour.person("desk", neighbours=[PIER], say=said.append)) as desk:
         until(lambda: desk.receive(0.02) or any("pier IS NOT REACHED" in words for words in said))
         with closing(town.pier.person("desk")):
-            until(lambda: desk.receive(0.02) or any("pier is heard" in words for words in said))
+            until(lambda: desk.receive(0.02) or any("pier is reached" in words for words in said))
 
 
 def test_a_desk_without_its_neighbours_folder_does_not_begin(tmp_path):
