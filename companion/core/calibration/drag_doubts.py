@@ -1,8 +1,7 @@
 """What a calibration leaves open of drag and attitude, as the wind estimator is told it.
 
 An estimator that is told too much of it learns drag from changes of speed, where a real vehicle's
-thrust, attitude and velocity do not agree to better than a tenth: on 119 flights of an M100, told
-5 to 10 %, it took the drag for 10 to 30 % too large and the wind for 0.6 m/s too weak.
+thrust, attitude and velocity agree less well than in steady flight.
 """
 
 import math
@@ -22,8 +21,7 @@ about 6 degrees."""
 LEAST_AXIS_STD_FRAC = 0.01
 LEAST_TRIM_STD_DEG = 0.2
 MODEL_STD_FRAC = 0.03
-"""What two coefficients an axis leave over on real vehicles: on 119 flights of an M100 the
-estimator's errors against an anemometer are likelier with 3 % than with 1 or 5 %."""
+"""[est] What two coefficients an axis leave over on real vehicles."""
 _LEAST_FLIGHTS = 5
 """For the scatter of their trims."""
 

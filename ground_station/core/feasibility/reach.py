@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -269,7 +268,7 @@ class Reach:
             return level_m
         points = np.array([point[:2] for point in way])
         least_m = float(self.hills.least_height_m(points[:-1], points[1:]).max())
-        return over_hills_m(self.mission, level_m, least_m)
+        return float(over_hills_m(self.mission, level_m, least_m))
 
     @property
     def settle_s(self) -> float:
@@ -277,11 +276,11 @@ class Reach:
         return self.mission.wind_settle_s + SETTLE_SLACK_S
 
 
-def over_hills_m(mission: Mission, level_m: Floats | float, least_m: Floats | float) -> Any:
+def over_hills_m(mission: Mission, level_m: Floats | float, least_m: Floats | float) -> Floats:
     """The height of a flight in the layer at `level_m`, where the ground asks for `least_m`: a
     higher layer keeps as much more over the ground as over the depot.
     """
-    return np.maximum(level_m, np.add(least_m, level_m) - mission.cruise_height_m)
+    return np.asarray(np.maximum(level_m, np.add(least_m, level_m) - mission.cruise_height_m))
 
 
 def last_that_fits(spare: Callable[[float], float], far: float) -> float:

@@ -18,7 +18,6 @@ from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_plan import DROP_S
 from companion.core.routing.leg_energy import Leg, LegKind
-from ground_station.core.feasibility.hills import Hills
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
 from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach, over_hills_m
 from ground_station.core.truck_drones.problem import Legs
@@ -85,13 +84,13 @@ class WindSorties:
         reaches: Sequence[Reach],
         ways: ObstacleRoutes,
         beside_m: float = 0.0,
-        hills: Hills | None = None,
     ) -> None:
-        """`height_m`: height above the depot of the flight to each place, over `hills` more.
-        `beside_m`: how far pads may be from their stop; each cruise is priced as that much longer.
+        """`height_m`: height above the depot of the flight to each place, over the reaches' hills
+        more. `beside_m`: how far pads may be from their stop; each cruise is priced as that much
+        longer.
         """
         self._ned_m, self._reaches = ned_m, reaches
-        self._height_m = _heights_m(ned_m, height_m, reaches, hills)
+        self._height_m = _heights_m(ned_m, height_m, reaches)
         self._steps = np.ceil(payload_kg / PAYLOAD_STEP_KG - 1e-9).astype(np.int64)
         self._ways, self._beside_m = ways, beside_m
 
@@ -158,13 +157,12 @@ class WindSorties:
         return price_of
 
 
-def _heights_m(
-    ned_m: Floats, height_m: Floats, reaches: Sequence[Reach], hills: Hills | None
-) -> Floats:
+def _heights_m(ned_m: Floats, height_m: Floats, reaches: Sequence[Reach]) -> Floats:
     """Heights of the flight between a start or landing (row) and a customer (column), (n, n)."""
     count = len(ned_m)
     level_m = np.broadcast_to(height_m[None, :], (count, count))
-    if hills is None or not reaches:
+    hills = reaches[0].hills if reaches else None
+    if hills is None:
         return level_m
     first, second = np.triu_indices(count)
     least_m = np.empty((count, count))

@@ -132,13 +132,7 @@ def build_day_problem(
     mass_kg = np.array([0.0, *(order.mass_kg for order in orders), 0.0])
     most_kg = max((c.reach.airframe.mass.max_payload_kg for c in classes), default=0.0)
     sorties = WindSorties(
-        ned_m,
-        np.minimum(mass_kg, most_kg),
-        height_m,
-        [c.reach for c in classes],
-        ways,
-        pads_m,
-        hills_of(data.day, data.elevation),
+        ned_m, np.minimum(mass_kg, most_kg), height_m, [c.reach for c in classes], ways, pads_m
     )
     truck = data.day.truck
     by_truck = _flags(orders, [order.service is not Service.DRONE for order in orders])

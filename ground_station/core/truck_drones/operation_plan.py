@@ -1,5 +1,6 @@
 """Plans of one truck and one drone: operations, what they cost, and a tour to begin with."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,6 +23,25 @@ class Operation:
     stop: int
     fly: int | None
     between: tuple[int, ...]
+
+
+class CooledSearch(ABC):
+    """A search that cools in steps of at most `step_trials`."""
+
+    step_trials: int
+
+    @abstractmethod
+    def step(self, trials: int, from_frac: float, to_frac: float) -> None:
+        """This many trials, cooling over this part of a round (0: its start, 1: its end)."""
+
+    def round(self, trials: int, begin_frac: float = 0.0) -> None:
+        """One cooling of this many trials, from this part of a round on."""
+        done = 0
+        while done < trials:
+            now = min(self.step_trials, trials - done)
+            parts = (done / trials, (done + now) / trials)
+            self.step(now, *(begin_frac + (1.0 - begin_frac) * part for part in parts))
+            done += now
 
 
 def plan_cost(

@@ -34,20 +34,18 @@ SMALL_COOLINGS = (
     *[OperationCooling(False, 0.08, 40_000, 0.5)] * 2,
     *[OperationCooling(False, 0.08, 40_000)] * 6,
 )
-"""Of orders each finds the best order of 59 of 70 proven optima at least eleven times in twelve;
-eleven optima have loops or second visits. Two of these are found from the orders' best plan most
-often, two others from a hot start."""
+"""[est] Orders first; then chains for the loops and second visits that no order has, some from the
+orders' best plan and some from a hot start."""
 ORDER_COOLINGS = (
     OperationCooling(True, 0.9, 4_000),
     OperationCooling(False, 0.1, 4_000, 0.7),
 )
 CHAIN_COOLINGS = (OperationCooling(False, 1.0, 40_000),)
 MOST_NODES_OF_ORDERS = 75
-"""A trial of orders takes the longer the more nodes there are, one of chains does not: at 100 nodes
-(alpha 1, five times ICP's seconds) orders end 0.66 % under ICP's mean, chains 1.20 %."""
+"""[est] A trial of orders takes the longer the more nodes there are, one of chains does not."""
 MOST_ALPHA_OF_ORDERS = 2.5
-"""Of the speed of the drone over the truck's: at alpha 3 and 50 nodes, twice ICP's
-seconds, orders end 3.77 % under ICP's mean, chains 4.04 %."""
+"""[est] Of the speed of the drone over the truck's: a fast drone leaves the truck few visits, which
+chains arrange as well."""
 
 
 def default_coolings(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.operation_plan import (
+    CooledSearch,
     Operation,
     near_nodes,
     plan_cost,
@@ -62,7 +63,7 @@ def anneal(c, best, best_role, best_same, costs, stream, trials, hot, cold):
                 best_same[at] = c.same_as[at]
 
 
-class OperationSearch:
+class OperationSearch(CooledSearch):
     """A search under way: `step` as often as wanted; `best_cost` is valid at any time."""
 
     def __init__(
@@ -75,6 +76,7 @@ class OperationSearch:
         """`drive`, `fly`: costs from node to node, (n, n), symmetric; node 0 is the depot."""
         nodes = len(drive)
         self._drive, self._fly, self._nodes, self._params = drive, fly, nodes, params
+        self.step_trials = params.step_trials
         spare = 2 + nodes // NODES_PER_SPARE
         tour = short_tour(drive)
         visits = np.array([*tour[:-1], *range(nodes + 1, nodes + 1 + spare), nodes], dtype=np.int32)
@@ -141,15 +143,6 @@ class OperationSearch:
             self._leg * hot * (cold / hot) ** to_frac,
         )
         self._costs[0] = self._cost()  # sums of changes drift by rounding
-
-    def round(self, trials: int, begin_frac: float = 0.0) -> None:
-        """One cooling of this many trials, from this part of a round on."""
-        done = 0
-        while done < trials:
-            now = min(self._params.step_trials, trials - done)
-            parts = (done / trials, (done + now) / trials)
-            self.step(now, *(begin_frac + (1.0 - begin_frac) * part for part in parts))
-            done += now
 
     def best(self) -> list[Operation]:
         """The best plan so far."""

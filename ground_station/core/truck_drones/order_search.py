@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.operation_plan import (
+    CooledSearch,
     Operation,
     near_nodes,
     plan_cost,
@@ -191,7 +192,7 @@ def anneal_order(drive, fly, near, s, new, place, best, costs, stream, trials, h
                 best[at] = s.order[at]
 
 
-class OrderSearch:
+class OrderSearch(CooledSearch):
     """A search under way: `step` as often as wanted; `best` is valid at any time. `now` is the
     order that it goes on from.
     """
@@ -205,6 +206,7 @@ class OrderSearch:
     ) -> None:
         """`drive`, `fly`: costs from node to node, (n, n), symmetric; node 0 is the depot."""
         self._drive, self._fly, self._rng, self._params = drive, fly, rng, params
+        self.step_trials = params.step_trials
         self._costs_of = with_copy(drive), with_copy(fly)
         self._near = near_nodes(drive)
         tour = short_tour(drive)
@@ -254,15 +256,6 @@ class OrderSearch:
             self._leg * hot * (cold / hot) ** to_frac,
             self._params.most_legs,
         )
-
-    def round(self, trials: int, begin_frac: float = 0.0) -> None:
-        """One cooling of this many trials, from this part of a round on."""
-        done = 0
-        while done < trials:
-            now = min(self._params.step_trials, trials - done)
-            parts = (done / trials, (done + now) / trials)
-            self.step(now, *(begin_frac + (1.0 - begin_frac) * part for part in parts))
-            done += now
 
     def best(self) -> list[Operation]:
         """The best plan so far."""

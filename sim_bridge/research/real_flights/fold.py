@@ -107,7 +107,6 @@ class FoldResult:
 @dataclass(frozen=True, slots=True)
 class _Fitted:
     calibration: Calibration
-    flying: Airframe
     scale: AnemometerScale
     rival_scales: dict[str, AnemometerScale]
     forecast: EnergyForecast
@@ -122,7 +121,7 @@ def run_fold(fold: Fold) -> FoldResult:
     test = [f for f in _routes(judged) if fold.day in ("", f.ordered.date)]
     fitted = _fit(train, read_airframe(fold.airframe))
     done = tuple(_judge(flight, fitted) for flight in test)
-    quantities = fitted.calibration.quantities
+    quantities, flying = fitted.calibration.quantities, fitted.calibration.airframe
     forecast = fitted.forecast
     flown = forecast.airframe.power_flown
     assert flown is not None
@@ -130,8 +129,8 @@ def run_fold(fold: Fold) -> FoldResult:
         fold.day,
         done,
         fitted.scale,
-        (fitted.flying.drag.trim_forward_deg, fitted.flying.drag.trim_right_deg),
-        drag_stds(fitted.flying),
+        (flying.drag.trim_forward_deg, flying.drag.trim_right_deg),
+        drag_stds(flying),
         {"flown": forecast.flown, **{n: p.scatter for n, p in forecast.points.items()}},
         {n: p.slope for n, p in forecast.points.items()},
         (flown.climb_frac, flown.level_frac, flown.descent_frac),
@@ -164,7 +163,7 @@ def _fit(train: Sequence[ReadFlight], start: Airframe) -> _Fitted:
     rivals = [(train[i], rival_winds(train[i], flying)) for i in scored]
     rival_scales = {n: _scale_of([(f, winds[n]) for f, winds in rivals]) for n in WIND_RIVALS}
     forecast = fit_forecast(done.airframe, known)
-    return _Fitted(done, flying, scale, rival_scales, forecast, fit_rivals(train))
+    return _Fitted(done, scale, rival_scales, forecast, fit_rivals(train))
 
 
 def _spread(count: int, most: int) -> list[int]:
@@ -211,7 +210,7 @@ def planned_route(flight: ReadFlight) -> tuple[FlownRoute | None, str]:
 
 
 def _judge(flight: ReadFlight, fitted: _Fitted) -> JudgedFlight:
-    airframe = fitted.flying
+    airframe = fitted.calibration.airframe
     alone = replay_wind(flight, airframe)
     aided = replay_wind(flight, airframe, with_airspeed=True)
     leaning = replay_wind(flight, as_reported(airframe))

@@ -144,9 +144,10 @@ def test_what_the_tables_allow_over_hills_reach_allows():
     height_m = np.full(count, day.mission.cruise_height_m + 24.0)
     reach = Reach(drone, airframe, day.mission, day.forecast, day_energy(day, airframe), hills)
     ways = ObstacleRoutes(ObstacleMap((), 15.0, 8.0), ned_m[:, :2], 40.0)
-    tables = WindSorties(ned_m, payload_kg, height_m, [reach], ways, 0.0, hills)
-    legs = tables.legs(0)
-    level = WindSorties(ned_m, payload_kg, height_m, [reach], ways).legs(0)
+    flat = Reach(drone, airframe, day.mission, day.forecast, day_energy(day, airframe))
+    legs, level = (
+        WindSorties(ned_m, payload_kg, height_m, [one], ways).legs(0) for one in (reach, flat)
+    )
     assert (legs.out_s >= level.out_s).all()
     assert (legs.out_s > level.out_s + 10.0).any()
     places = [tuple(row) for row in ned_m.tolist()]
