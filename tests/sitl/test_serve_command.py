@@ -96,7 +96,7 @@ def test_as_a_user_starts_it_a_vehicle_answers_as_the_real_autopilot_was_recorde
             )
         finally:
             process.kill()
-    assert asked.returncode == 0, asked
+    assert asked.returncode == 0, asked.stderr + asked.stdout
     assert re.search(r"[1-9]\d* same", asked.stderr)
 
 

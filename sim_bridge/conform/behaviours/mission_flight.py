@@ -380,8 +380,9 @@ def _land_reached_amid(s: Subject) -> Finding:
 
 
 def _mission_end_in_air(s: Subject) -> str:
-    """A mission whose last item is a waypoint."""
-    fly_straight(s, [waypoint(s, 60.0, 0.0, HEIGHT_M)])
+    """A mission whose last item is a waypoint, 60 m from where it is."""
+    north_m, east_m = s.from_home_m(s.position())
+    fly_straight(s, [waypoint(s, north_m + 60.0, east_m, HEIGHT_M)])
     s.client.until(lambda: _speed(s) < _SLOW_MPS, 40.0)
     s.client.collect(4.0)
     return f"holds in {s.mode}" if _speed(s) < _SLOW_MPS else f"flies on in {s.mode}"
