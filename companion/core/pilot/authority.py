@@ -18,11 +18,18 @@ from companion.core.mission.events import (
     Event,
     Mode,
     ModeNow,
+    OrderAccepted,
     OtherComputer,
+    Position,
     VehicleState,
 )
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import GROUND_HEIGHT_M, FlightContext
+from companion.core.pilot.context import (
+    DISARMED_BY_ANOTHER,
+    GROUND_HEIGHT_M,
+    FlightContext,
+)
+from companion.core.pilot.telemetry_state import DISARMED_WITNESSES
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,
@@ -38,13 +45,23 @@ COMPANION = 191
 FALLING_MPS = 2.0
 """Faster down than any landing in its last metres (PX4 0.7, ArduCopter 0.5 m/s by default)."""
 
+DROPPING_MPS = 2.0
+"""So much faster down than the airframe descends, at any height: no landing."""
+
+DROPPED_WITHIN_S = 3.0
+"""A drop in a landing ends within this, and the heartbeats that tell of it, at 1 Hz, with it."""
+
+ARM_IN_FORCE_S = 0.2
+"""From so long after an ARM was accepted on, a heartbeat that says disarmed was sent after it."""
+
 
 @dataclass(slots=True)
 class Authority:
     """Knows which mode is ours. `ordered_from` is the mode that we are changing away from.
 
-    `armed_by_us`: armed in our own phases, as telemetry showed. `disarmed_by_another`: and then
-    disarmed by another hand. `disarmed_in_air`: above the ground, so that it fell.
+    `armed_by_us`: armed in our own phases, as telemetry showed, or as the autopilot's acceptance of
+    our ARM did. `disarmed_by_another`: and then disarmed by another hand. `disarmed_in_air`: above
+    the ground, so that it fell.
     """
 
     ground_mode: str | None = None
@@ -53,18 +70,31 @@ class Authority:
     armed_by_us: bool = False
     disarmed_by_another: bool = False
     disarmed_in_air: bool = False
+    arm_accepted_s: float | None = None
+    """When ours was, as long as no heartbeat has shown it armed."""
+    unarmed_reports: int = 0
+    """Heartbeats since then that say disarmed."""
+    dropped_s: float | None = None
+    """When it last came down faster than it lands."""
     failsafe_flies: bool = False
     """By the last heartbeat with running motors: a mode that is not ours is no person's then."""
     flies_since_ms: int | None = None
     """From when on this process has flown this flight, on the autopilot's clock; said aloud."""
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """Heartbeats, other computers, and operators who take control or hand it back."""
+        """Heartbeats, positions, other computers, operators who take or hand back control."""
         state = context.telemetry.state
         match event:
             case VehicleState() | ModeNow() if state is not None:
+                if isinstance(event, VehicleState):
+                    self._count(event)
                 self._judge(context, state)
+            case Position():
+                self._watch_drop(context, event)
+            case OrderAccepted() if event.order == "arm":
+                self.arm_accepted_s, self.unarmed_reports = event.t_s, 0
             case ClockStepped():
+                self.arm_accepted_s = None
                 self.ground_mode = None  # rebooted: it stands in another mode, by nobody's hand
             case OtherComputer():
                 self._yield_to(context, event)
@@ -127,21 +157,46 @@ class Authority:
         if state.armed:
             self.failsafe_flies = state.failsafe
             self.armed_by_us = self.armed_by_us or ours
+            self.arm_accepted_s = None
             return False
+        if context.phase is Phase.ARM and self.unarmed_reports >= DISARMED_WITNESSES:
+            self.armed_by_us = True  # between two heartbeats
         if self.disarmed_by_another or not self.armed_by_us:
             return False
         if context.phase in (Phase.LAND, Phase.LAST_RESORT):
-            return _falls(context)
+            return _falls(context) or self._has_dropped(context)
         return ours or context.phase is Phase.SUSPENDED
 
+    def _count(self, told: VehicleState) -> None:
+        """Heartbeats after an accepted ARM that say disarmed: somebody has undone it."""
+        if told.armed:
+            self.arm_accepted_s = None
+        accepted_s = self.arm_accepted_s
+        if accepted_s is not None and told.t_s - accepted_s >= ARM_IN_FORCE_S:
+            self.unarmed_reports += 1
+
+    def _watch_drop(self, context: FlightContext, position: Position) -> None:
+        """Keep when it last fell: the heartbeat that tells why may come when it lies there."""
+        if position.vel_d_mps > context.airframe.speeds.descent_mps + DROPPING_MPS:
+            self.dropped_s = position.t_s
+
+    def _has_dropped(self, context: FlightContext) -> bool:
+        return context.since_s(self.dropped_s) < DROPPED_WITHIN_S
+
     def _disarmed(self, context: FlightContext) -> None:
-        """Hands off for good: what another hand has disarmed is never armed again by us."""
+        """Hands off for good: what another hand has disarmed is never armed again by us.
+
+        Where no heartbeat has shown it armed the ground sequence begins the flight and lets go.
+        """
         taken_over = context.phase is Phase.SUSPENDED  # and may be landed anywhere
         against = context.against_standing() if not taken_over or _falls(context) else ""
+        if not taken_over and self._has_dropped(context):
+            against = against or "it fell"
         self.disarmed_by_another = True
         self.disarmed_in_air = bool(against)
-        why = "disarmed in the air" if against else "disarmed by another hand"
-        context.request_transition(Trigger.TAKEN_OVER, why)
+        why = "disarmed in the air" if against else DISARMED_BY_ANOTHER
+        if context.phase is not Phase.ARM:
+            context.request_transition(Trigger.TAKEN_OVER, why)
         position = context.telemetry.position
         if against and position is not None:
             where = f"{position.lat_deg:.5f} {position.lon_deg:.5f}"

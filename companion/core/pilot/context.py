@@ -39,6 +39,8 @@ from companion.core.return_budget.budget import Ahead, Assessment
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.airframe import Airframe
 
+DISARMED_BY_ANOTHER = "disarmed by another hand"
+
 GROUND_HEIGHT_M = 5.0
 """Standing shows at most so much height: a barometer drifts by some metres in a flight. The lowest
 that the mission flies away from the ground is the drop, 6 m by default, and there it says in air.

@@ -54,7 +54,13 @@ from companion.core.mission.preflight_checks import (
     settings_wanted,
 )
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import Airborne, ArmedModes, FlightContext, ForeignList
+from companion.core.pilot.context import (
+    DISARMED_BY_ANOTHER,
+    Airborne,
+    ArmedModes,
+    FlightContext,
+    ForeignList,
+)
 from companion.core.pilot.estimates import Limits
 from companion.core.pilot.telemetry_state import (
     ATTITUDE_MAX_AGE_S,
@@ -697,7 +703,7 @@ class GroundSequence:
 
     def _ready(self, context: FlightContext) -> None:
         if self._modes.disarmed_by_another:
-            self._give_up(context, "disarmed by another hand before: not armed again")
+            self._give_up(context, f"{DISARMED_BY_ANOTHER} before: not armed again")
             return
         if not context.options.authorise or self._state.authorised:
             return
@@ -726,6 +732,11 @@ class GroundSequence:
         """
         state, progress = context.telemetry.state, context.telemetry.progress
         if state is None:
+            return
+        if self._modes.disarmed_by_another:
+            self._flight.take_off(context.t_s)
+            context.decide("take_off", "the autopilot accepted ARM")
+            context.request_transition(Trigger.TAKEN_OVER, DISARMED_BY_ANOTHER)
             return
         if state.armed and state.mode is Mode.MISSION:
             self._flight.take_off(context.t_s)

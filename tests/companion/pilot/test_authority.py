@@ -47,6 +47,15 @@ class UndoneAtOnce(World):
             super().obey(order)
 
 
+class UndoneOnceAccepted(UndoneAtOnce):
+    """The same; the answer comes."""
+
+    def obey(self, order: Order) -> None:
+        if isinstance(order, Arm):
+            self.answers.append(ev.OrderAccepted(self.t_s, "arm"))
+        super().obey(order)
+
+
 class Deaf(World):
     """Refuses to arm some times, in words."""
 
@@ -73,6 +82,19 @@ def test_safety_rule_1_an_arm_that_nobody_answered_and_nobody_saw_is_not_ordered
     assert arms(w) == 1
     assert done.outcome == "ABRT"
     assert "not sent again" in w.said
+
+
+def test_safety_rule_1_accepted_and_never_seen_armed_it_was_disarmed_by_another_hand():
+    w = beside(UndoneOnceAccepted)
+    w.run(lambda w: arms(w) == 1)
+    armed_s = w.t_s
+    w.run(lambda w: w.pilot.phase is not Phase.ARM, 2.3)  # two heartbeats
+    assert w.t_s - armed_s > 0.5  # one heartbeat alone, at 2 Hz here, may be wrong
+    assert "hands off: disarmed by another hand" in w.said
+    done = w.to_the_end()
+    assert (done.outcome, arms(w)) == ("ABRT", 1)
+    assert w.orders_after(armed_s) == []
+    assert w.values["LOW_ACT"] == 2.0
 
 
 def test_an_arm_that_the_autopilot_refused_is_ordered_again():
@@ -177,6 +199,24 @@ def test_safety_rule_1_disarmed_in_the_air_it_lets_go_says_where_and_sets_nothin
     assert done.outcome in ("FAIL", "DEL")
     assert w.orders_after(cut_s + 1.1) == []  # two heartbeats
     assert w.values["LOW_ACT"] == 2.0
+
+
+@pytest.mark.parametrize("height_m", [2.0, 4.0, 9.0])
+def test_safety_rule_1_disarmed_low_in_a_landing_it_lets_go_when_it_hears_of_it_on_the_ground(
+    height_m,
+):
+    w = world().until(Phase.LAND)
+    w.run(lambda w: w.height < height_m)
+    w.mute = {ev.VehicleState}
+    drop_out_of_the_air(w)
+    w.step(0.3)
+    w.mute = set()
+    cut_s = w.t_s
+    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 1.1)
+    assert "disarmed in the air, it falls: 55.47" in w.said
+    done = w.to_the_end()
+    assert done.home is False
+    assert w.orders_after(cut_s) == []
 
 
 # --- landed by another hand ----------------------------------------------------------------------
