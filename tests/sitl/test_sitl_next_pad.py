@@ -15,6 +15,7 @@ import pytest
 from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
 from companion.core.mission.flight_file import NeighbourFleet
+from companion.core.pilot.context import PilotOptions
 from companion.fleet.messages import (
     Answered,
     Assign,
@@ -159,6 +160,7 @@ class Scene:
             airframe="m100",
             link=MemoryLink(),
             clock_s=lambda: self.t_s,
+            pilot=PilotOptions(configure=True),
         )
         wind = parse_wind({"kind": "steady", "speed_mps": 3.0, "from_deg": 250.0})
         autopilots = params_dir() / "autopilots"

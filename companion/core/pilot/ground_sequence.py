@@ -424,6 +424,8 @@ class GroundSequence:
             found.append(Finding("pack", trouble, blocks=True))
         if self._state.plan_refused:
             found.append(Finding("plan", self._state.plan_refused, blocks=True))
+        if words := _keeps_no_distance(context):
+            found.append(Finding("keep_apart", words, blocks=True))
         found += self._state.findings
         troubles = telemetry.troubles()
         found += [Finding("position", words, blocks=True, waits=True) for words in troubles]
@@ -766,6 +768,17 @@ class GroundSequence:
             return
         self._state.arm_open_since_s = context.t_s
         context.do(Arm())
+
+
+def _keeps_no_distance(context: FlightContext) -> str:
+    """Say which fleets' drones may be near that this companion would not keep apart from."""
+    near = [one.fleet for one in context.flight.neighbours]
+    if not near or context.options.keep_apart or context.options.check_only:
+        return ""
+    return (
+        f"drones of {', '.join(near)} may be near, and this companion does not keep apart:"
+        " expected --fleet, --vehicle and --keep-apart, or a flight that names no neighbours"
+    )
 
 
 def _pack_trouble(context: FlightContext) -> str:

@@ -17,6 +17,7 @@ from companion.app.flight.fleet_port import FleetPort
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Ned, place_ned
 from companion.core.mission.flight_plan import frame_at
+from companion.core.pilot.context import PilotOptions
 from companion.fleet.messages import State
 from companion.fleet.network import MemberLink
 from ground_station.app.truck.truck_member import TruckMember
@@ -221,7 +222,11 @@ def here(loss: float, folder: Path) -> Plumb:
                 clock.monotonic_s,
                 lambda: clock.epoch_us() + round(drone.wall_off_s * 1e6),
             )
-            return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s)
+            beside = bool(data.day.neighbours)
+            pilot = PilotOptions(
+                configure=True, keep_apart=beside, name=drone.name, fleet=data.day.fleet
+            )
+            return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s, pilot)
 
         def truck_link(life: str) -> MemberLink:
             return bus.join(TRUCK, life)

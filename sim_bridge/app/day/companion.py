@@ -64,6 +64,7 @@ class SteppedCompanion:
     airframe: str
     link: MemoryLink
     clock_s: Callable[[], float]
+    pilot: PilotOptions
     ended: int | None = None
     _standby: Standby | None = None
     _run: Run | None = None
@@ -78,7 +79,7 @@ class SteppedCompanion:
             run_dir=self.port.folder,
             plan_at_once=True,
             record_at_once=True,
-            pilot=PilotOptions(configure=True),
+            pilot=self.pilot,
         )
         self._settings = Settings.read(self._options)
 

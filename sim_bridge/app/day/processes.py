@@ -152,6 +152,7 @@ class Launcher:
                 f"--zenoh={self.folder / MEMBER}",
                 f"--monitor={drone.folder / 'monitor'}",
                 "--configure",
+                *(["--keep-apart"] if self.data.day.neighbours else []),
             ],
         )
         process.start()

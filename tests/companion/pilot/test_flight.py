@@ -32,6 +32,7 @@ from companion.core.mission.actions import (
 )
 from companion.core.mission.events import Mode
 from companion.core.mission.find_plan import FindPlan, PlanFound
+from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.mission.jump_watch import LegWatch
 from companion.core.mission.mission_items import ItemKind, MissionItem
 from companion.core.mission.preflight_checks import Requirement
@@ -677,6 +678,17 @@ def test_a_vehicle_that_does_not_stand_at_the_depot_is_refused():
     w.north = 80.0
     done = w.to_the_end()
     assert "80 m from it" in done.reason
+
+
+@pytest.mark.parametrize("keep_apart", [False, True])
+def test_beside_another_fleet_it_takes_off_only_where_it_keeps_apart(keep_apart):
+    flight = msgspec.structs.replace(FLIGHT, neighbours=[NeighbourFleet(fleet="pier")])
+    options = PilotOptions(configure=True, keep_apart=keep_apart, name="d1", fleet="harbour")
+    w = world(flight=flight, options=options)
+    w.until(Phase.READY)
+    reply = Reply.ACCEPTED if keep_apart else Reply.DENIED
+    assert Answer(reply) in w.tell(ev.Authorised(w.t_s, "255/190"))
+    assert ("drones of pier may be near" in w.said) is not keep_apart
 
 
 # --- never on stale or unknown data --------------------------------------------------------------
