@@ -17,7 +17,11 @@ from rich.table import Table
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.reference.programs import PROGRAMS, root_command
 from sim_bridge.research.result_pages import tables, write
-from sim_bridge.research.result_pages.markdown import MarkdownConsole, sheet_markdown
+from sim_bridge.research.result_pages.markdown import (
+    MarkdownConsole,
+    sheet_markdown,
+    without_title,
+)
 from sim_bridge.research.result_pages.page import DATA, OUT, CommandOutput, Page, PageCommand
 from sim_bridge.research.result_pages.registry import PAGES
 
@@ -226,3 +230,9 @@ def test_what_commands_write_as_json_becomes_markdown(tmp_path: Path) -> None:
 
 def test_a_sheet_goes_one_level_down() -> None:
     assert sheet_markdown("# A\n\n\n\ntext\n") == "## A\n\ntext"
+
+
+def test_a_sheet_says_no_title_that_its_page_says() -> None:
+    assert without_title("## Paths\n\n| a |", {"Paths", ""}) == "| a |"
+    assert without_title("## Paths in wind\n\n| a |", {"Paths"}) == "## Paths in wind\n\n| a |"
+    assert without_title("Paths\n\n| a |", {"Paths"}) == "Paths\n\n| a |"

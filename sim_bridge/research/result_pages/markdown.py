@@ -1,6 +1,7 @@
 """Plain Markdown from what commands print: their tables of a terminal, and their own sheets."""
 
 import re
+from collections.abc import Collection
 from typing import Any
 
 from rich.console import Console, Group
@@ -53,6 +54,12 @@ def sheet_markdown(printed: str) -> str:
     """A printed sheet a level deeper, since the page has a title of its own."""
     lines = [re.sub(r"^(#+ )", r"#\1", line) for line in printed.strip().splitlines()]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines))
+
+
+def without_title(body: str, titles: Collection[str]) -> str:
+    """A sheet without its own title where that stands above it already."""
+    first, _, rest = body.partition("\n")
+    return rest.lstrip("\n") if first.lstrip("# ") in titles and first.startswith("#") else body
 
 
 def _row(cells: Any) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.result_pages.machine import Commit, commit, machine, today
-from sim_bridge.research.result_pages.markdown import sheet_markdown
+from sim_bridge.research.result_pages.markdown import sheet_markdown, without_title
 from sim_bridge.research.result_pages.page import CommandOutput, Page
 from sim_bridge.research.result_pages.run import folder_of, run_commands
 
@@ -87,6 +87,7 @@ def page_text(
     ]
     for command, one in zip(page.commands, done, strict=True):
         body = command.show(one) if command.show else sheet_markdown(one.printed)
+        body = without_title(body, {page.title, command.title})
         if body:
             lines += ["", *([f"## {command.title}", ""] if command.title else []), body]
     for _, name in page.pictures:
