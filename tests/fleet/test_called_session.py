@@ -20,7 +20,7 @@ from ground_station.adapters.zenoh_router import ZenohRouter
 from ground_station.core.fleet.fleet_link import FleetInput, StateReceived
 from tests.fleet.programs import program, short_day
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S
+from tests.fleet.strangers import KEPT_OUT_S, PATIENCE_S
 from tests.fleet.zenoh_net import FLEET, Vehicle
 
 BY_WHOM = pytest.mark.parametrize("called", ["desk", "router"])

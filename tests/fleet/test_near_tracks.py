@@ -23,7 +23,7 @@ from companion.fleet.zenoh_config import read_config
 from companion.fleet.zenoh_link import ZenohLink
 from ground_station.adapters.clock import monotonic_s
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import PATIENCE_S, Plain, plain_network, trust_of, wait_for_listener
+from tests.fleet.strangers import PATIENCE_S, Plain, plain_network, trust_of, wait_for_listener
 from tests.fleet.zenoh_net import AT_HARBOUR, CELL, FLEET, HERE, Vehicle, config_file, free_port
 
 HARBOUR = AT_HARBOUR.lat_deg, AT_HARBOUR.lon_deg

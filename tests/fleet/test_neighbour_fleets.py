@@ -34,7 +34,7 @@ from ground_station.adapters.pki.neighbours import introduce
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.adapters.zenoh_router import ZenohRouter
 from tests.fleet.secure_site import YEAR_DAYS, SecureSite
-from tests.fleet.test_attacks import PATIENCE_S, Plain, plain_network, trust_of
+from tests.fleet.strangers import PATIENCE_S, Plain, plain_network, trust_of
 from tests.fleet.test_near_tracks import router_and_client, track, until
 from tests.fleet.zenoh_net import CELL, FLEET, HERE, Vehicle
 

@@ -27,7 +27,7 @@ from ground_station.adapters.pki.access_rules import access_control
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, MessageRejected
 from tests.fleet.secure_site import YEAR_DAYS, SecureSite
-from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S, hears, plain_network
+from tests.fleet.strangers import KEPT_OUT_S, PATIENCE_S, hears, plain_network
 from tests.fleet.test_called_session import Running, running
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 

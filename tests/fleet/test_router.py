@@ -22,7 +22,7 @@ from ground_station.adapters.zenoh_router import ZenohRouter
 from ground_station.core.fleet.fleet_link import CommandAnswered, FleetInput, StateReceived
 from tests.fleet.programs import Program, program, short_day
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S, believe_all, hears, limits
+from tests.fleet.strangers import KEPT_OUT_S, PATIENCE_S, believe_all, hears, limits
 from tests.fleet.zenoh_net import Vehicle, free_port
 from tests.ground_station.metrics.scrape import Scrape, scrape_until
 

@@ -28,7 +28,7 @@ from ground_station.adapters.pki.access_rules import access_control
 from ground_station.core.fleet.fleet_link import StateReceived
 from tests.companion.wind_field.made_front import made_front
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import KEPT_OUT_S, PATIENCE_S
+from tests.fleet.strangers import KEPT_OUT_S, PATIENCE_S
 from tests.fleet.test_called_session import Running, running
 from tests.fleet.zenoh_net import FLEET, Vehicle
 

@@ -16,7 +16,7 @@ from companion.fleet.trust import Trust
 from companion.fleet.zenoh_link import TRACKS, TRACKS_EACH
 from ground_station.adapters.clock import monotonic_s
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import PATIENCE_S, Plain, plain_network, trust_of
+from tests.fleet.strangers import PATIENCE_S, Plain, plain_network, trust_of
 from tests.fleet.zenoh_net import HERE
 
 GUARD = pytest.mark.parametrize("guarded", [True, False], ids=["kept", "canary: lost"])

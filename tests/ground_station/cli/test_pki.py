@@ -20,7 +20,7 @@ from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.main import app
 from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import hears
+from tests.fleet.strangers import hears
 from tests.fleet.zenoh_net import FLEET, free_port
 
 DAY = str(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")

@@ -21,7 +21,7 @@ from companion.fleet.waiting_room import WaitingRoom
 from companion.fleet.zenoh_link import ASKS_BURST, ASKS_HZ, COMMANDS_WAIT
 from ground_station.adapters.clock import monotonic_s
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import (
+from tests.fleet.strangers import (
     GUARD,
     PATIENCE_S,
     Plain,

@@ -34,7 +34,7 @@ from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
 
-PARAMS = Path(__file__).parents[2] / "params"
+PARAMS = Path(__file__).parents[3] / "params"
 STEPS_A_TURN = 2
 BOTH = pytest.mark.parametrize("kind", AutopilotKind)
 SPEEDUP = 20.0

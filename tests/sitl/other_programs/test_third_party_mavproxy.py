@@ -28,7 +28,7 @@ pytestmark = [
     pytest.mark.skipif(not MAVPROXY.exists(), reason="MAVProxy is not installed (see Makefile)"),
 ]
 
-PARAMS = Path(__file__).parents[2] / "params"
+PARAMS = Path(__file__).parents[3] / "params"
 HOME = Home()
 SPEEDUP = 8.0
 CRUISE_M = 15.0

@@ -29,7 +29,7 @@ from sim_bridge.truth.params import load_airframe
 
 pytestmark = [pytest.mark.third_party, pytest.mark.timeout(120)]
 
-PARAMS = Path(__file__).parents[2] / "params"
+PARAMS = Path(__file__).parents[3] / "params"
 HOME = Home()
 SPEEDUP = 8.0
 CRUISE_M = 15.0

@@ -18,7 +18,7 @@ from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import FleetInput, MessageRejected, StateReceived
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import GUARD, KEPT_OUT_S, PATIENCE_S, hears, trust_of
+from tests.fleet.strangers import GUARD, KEPT_OUT_S, PATIENCE_S, hears, trust_of
 from tests.fleet.zenoh_net import CELL, FLEET, HERE, Vehicle
 
 

@@ -27,7 +27,7 @@ from sim_bridge.truth.wind_field import SteadyWind, WindField
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
 
-PARAMS = Path(__file__).parents[2] / "params"
+PARAMS = Path(__file__).parents[3] / "params"
 ROUTE = {"customer": {"name": "customer", "east_m": -110.0, "north_m": -20.0}}
 DEPOT = {"lat_deg": 55.47, "lon_deg": 8.45, "alt_amsl_m": 12.0}
 ELSEWHERE = Home(lat_deg=47.397742, lon_deg=8.545594, alt_amsl_m=489.4)

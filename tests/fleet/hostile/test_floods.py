@@ -28,7 +28,7 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import (
+from tests.fleet.strangers import (
     GUARD,
     KEPT_OUT_S,
     PATIENCE_S,

@@ -13,7 +13,7 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
 )
 from tests.fleet.secure_site import SecureSite
-from tests.fleet.test_attacks import PATIENCE_S, forged_state, hears, plain_network
+from tests.fleet.strangers import PATIENCE_S, forged_state, hears, plain_network
 from tests.fleet.zenoh_net import FLEET
 
 NAMES = [f"x{number}" for number in range(100)]
