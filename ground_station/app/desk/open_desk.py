@@ -23,11 +23,11 @@ from ground_station.core.dispatch.wind_holds import WindHolds
 from ground_station.core.feasibility.wind_limit import limit_of
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.followed_forecast import FollowedForecast
-from ground_station.core.fleet.site_wind import SiteWind
-from ground_station.core.fleet.wind_stations import StationBook
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.site_wind.followed_forecast import FollowedForecast
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.wind_stations import StationBook
 
 Say = Callable[[str], None]
 

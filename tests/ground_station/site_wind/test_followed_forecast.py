@@ -10,8 +10,9 @@ import pytest
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.followed_file import LOOK_S, FollowedFile
 from ground_station.adapters.files.forecast_open_meteo import read_open_meteo
-from ground_station.core.fleet.followed_forecast import OUTLASTED_STD_MPS, FollowedForecast
-from ground_station.core.fleet.forecast_record import (
+from ground_station.core.schema.day_forecast import FORGOTTEN_S, DayForecast, ForecastBias
+from ground_station.core.site_wind.followed_forecast import OUTLASTED_STD_MPS, FollowedForecast
+from ground_station.core.site_wind.forecast_record import (
     EVERY_S,
     KEPT_S,
     LEAST_LOOKS,
@@ -19,7 +20,6 @@ from ground_station.core.fleet.forecast_record import (
     ForecastLook,
     ForecastRecord,
 )
-from ground_station.core.schema.day_forecast import FORGOTTEN_S, DayForecast, ForecastBias
 from ground_station.core.weather.forecast_field import OutsideForecast, WindAt
 from tests.ground_station.weather.open_meteo import START_S, answer, written
 
