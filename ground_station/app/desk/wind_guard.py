@@ -127,6 +127,11 @@ class WindGuard:
             self._to_tell.pop(0)
         return changed
 
+    def close(self) -> None:
+        """Stop what runs beside the desk."""
+        if self.forecast is not None and self.forecast.file is not None:
+            self.forecast.file.close()
+
     def _zones_due(
         self, rows: Sequence[AssignmentRow], launches: Sequence[Launch], status: FleetStatus
     ) -> dict[str, str]:
