@@ -8,6 +8,7 @@ import numpy as np
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_field.field_belief import FieldBelief, SettledField, WindPrior
 from companion.core.wind_field.field_process import FieldProcess
+from companion.core.wind_field.fronts import FrontAhead
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 from ground_station.core.schema.day import Forecast
 from ground_station.core.site_wind.believed_wind import BelievedWind, believed_at, blows_from_deg
@@ -60,6 +61,12 @@ class SiteBelief:
         self._forecast = forecast
         for belief in (self._by_drones, self._by_all):
             belief.expect(_prior(forecast, self._height_m))
+
+    def expect_front(self, front: FrontAhead) -> None:
+        """A front that is believed from now on, or better known."""
+        for belief in (self._by_drones, self._by_all):
+            belief.expect_front(front)
+        self._settled = None
 
     def take_drone(self, telling: WindTelling, teller: Teller, t_s: float) -> bool:
         """Take what a drone tells; whether it is a wind, even one that is not believed."""

@@ -61,7 +61,10 @@ class SiteWind:
 
     def _front(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontAhead | None:
         self._belief.settled(t_s)  # who is left out by now raises none
-        return self._fronts.hear(telling, teller, t_s)
+        found = self._fronts.hear(telling, teller, t_s)
+        if found is not None:
+            self._belief.expect_front(found)
+        return found
 
     def expect(self, forecast: Forecast) -> None:
         """What is expected now before anybody tells, at cruise height: a forecast moves on."""

@@ -139,6 +139,7 @@ def fleet_wind(
     shown = {}
     if rows:
         shown["error"] = sheets.error_sheet(done, rows, setting)
+        shown["stages"] = sheets.stage_sheet(sheets.stage_rows(ordinary, front))
         shown["members"] = sheets.member_sheet(rows, ordinary)
     if alerts.fronts:
         shown["alerts"] = sheets.alert_sheet(alerts)

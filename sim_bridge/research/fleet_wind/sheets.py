@@ -17,10 +17,17 @@ from sim_bridge.research.fleet_wind.error_study import (
     SquareSums,
     key_of,
 )
+from sim_bridge.research.fleet_wind.front_stages import FrontStage
 from sim_bridge.research.fleet_wind.study import DrawResult, FleetWindSetting
 from sim_bridge.research.results.sheet import Sheet, interval95
 
 ORDINARY, FRONT = "ordinary", "with a front"
+IDEAL_NEES = 2.0
+"""Of two axes."""
+FRONT_HOURS = 0.1
+"""Share of the hours, as missions have it. Stated by us."""
+_SHOWN_STAGES = tuple(one for one in QUESTIONS if one.lead_s >= 60.0)
+_OF_WHOLE = ("all_else_right_nees", "as_they_come_nees")
 _SHOWN_BAD = Question(150.0, True)
 
 
@@ -52,6 +59,55 @@ def _error_row(
         "own_only_nees": sums.own_nees / sums.count,
         "count": sums.count,
     }
+
+
+def stage_rows(ordinary: ErrorTally, front: ErrorTally) -> list[dict[str, Any]]:
+    """JSON-safe rows of `stages`: hours with a front, by what was known of it; and as they come."""
+    rows: list[dict[str, Any]] = []
+    for where in PLACES:
+        for question in _SHOWN_STAGES:
+            whole = front.sums.get(key_of(Members.HONEST, where, question))
+            calm = ordinary.sums.get(key_of(Members.HONEST, where, question))
+            if whole is None or calm is None:
+                continue
+            others_right = IDEAL_NEES
+            for stage in (FrontStage.NONE, FrontStage.UNTOLD, FrontStage.TOLD, FrontStage.PASSED):
+                sums = front.sums.get(key_of(Members.HONEST, where, question, stage))
+                if sums is not None:
+                    row = _error_row(FRONT, Members.HONEST, where, question, sums)
+                    share = sums.count / whole.count
+                    rows.append(row | {"stage": stage.value, "share": share})
+                    if stage is FrontStage.UNTOLD:
+                        others_right = share * row["nees"] + (1.0 - share) * IDEAL_NEES
+            come = FRONT_HOURS * whole.fleet_nees / whole.count
+            come += (1.0 - FRONT_HOURS) * calm.fleet_nees / calm.count
+            rows.append(
+                _error_row(FRONT, Members.HONEST, where, question, whole)
+                | {"stage": FrontStage.WHOLE.value, "share": 1.0, "as_they_come_nees": come}
+                | {"all_else_right_nees": others_right}
+            )
+    return rows
+
+
+def stage_sheet(rows: list[dict[str, Any]]) -> Sheet:
+    """Hours with a front by what was known of it, all members honest."""
+    head = ["where", "what", "of the front", "share", "own data, m/s", "fleet, m/s", "NEES own",
+            "NEES fleet", "all else right", "as they come"]  # fmt: skip
+    cells: list[list[str]] = []
+    for row in rows:
+        own, fleet, _, *nees = _figures(row)
+        whole = [
+            f"{row[k]:.2f}" if k in row else ""
+            for k in ("all_else_right_nees", "as_they_come_nees")
+        ]
+        share = f"{100.0 * row['share']:.0f} %"
+        cells.append([*_words(row)[1:], row["stage"], share, own, fleet, *nees, *whole])
+    note = (
+        "All else right: NEES of the whole hour for a fleet that knows nothing of a front before it"
+        f" is told, and whose covariance is right ({IDEAL_NEES:g}) everywhere else. As they come:"
+        " one hour in ten has a front. Own data knows of no front that is told."
+    )
+    return Sheet("Hours with a front, by what was known of it", head, cells, note)
 
 
 def alert_row(alerts: AlertFigures) -> dict[str, Any]:
@@ -193,6 +249,7 @@ def as_document(
         "coherence": {"along": setting.along, "across": setting.across},
         "seed": setting.seed,
         "error": error_rows(ordinary, front),
+        "stages": stage_rows(ordinary, front),
         "alerts": alert_row(alerts),
     }
 

@@ -19,6 +19,7 @@ from sim_bridge.research.fleet_wind.alert_study import (
     judge_front,
 )
 from sim_bridge.research.fleet_wind.error_study import ErrorTally, Members, judge_errors
+from sim_bridge.research.fleet_wind.front_stages import FrontsOfWorld, fronts_of_world
 from sim_bridge.research.fleet_wind.patrols import Patrol, patrols
 from sim_bridge.research.fleet_wind.worlds import FleetWorld, fitted, halves_of, world_of
 from sim_bridge.truth.errors import TruthError
@@ -138,6 +139,12 @@ class DrawnField:
         """The wind with its front or without."""
         return SiteWind(self.field, [self.front] if front else [])
 
+    def fronts(self, *, front: bool) -> FrontsOfWorld:
+        """What the fleet is told of fronts. Its own randomness: what else is drawn stays."""
+        real, rng = self.front if front else None, self.rng.spawn(1)[0]
+        truth, ways, seconds = self.truth(front=front), self.ways, float(self.seconds)
+        return fronts_of_world(truth, ways, seconds, self.process, real, rng)
+
     @property
     def seconds(self) -> int:
         """How long it lasts."""
@@ -163,8 +170,9 @@ def judge_draw(draw: FieldDraw) -> DrawResult:
     drawn = drawn_field(draw.setting, draw.case, draw.number)
     ordinary = with_front = ErrorTally.empty()
     if draw.errors:
-        ordinary = judge_errors(drawn.world(front=False), drawn.rng, tuple(Members))
-        with_front = judge_errors(drawn.world(front=True), drawn.rng)
+        calm, gust = (drawn.fronts(front=front) for front in (False, True))
+        ordinary = judge_errors(drawn.world(front=False), drawn.rng, tuple(Members), calm)
+        with_front = judge_errors(drawn.world(front=True), drawn.rng, fronts=gust)
     names = [way.name for way in drawn.ways]
     alerts = NO_ALERTS
     for front in (False, True) if draw.alerts else ():

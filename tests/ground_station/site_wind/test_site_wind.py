@@ -164,6 +164,21 @@ def test_a_front_felt_by_one_is_told_with_place_speed_and_arrival_within_ten_sec
     assert air.wind.fronts_now(air.t_s) == []
 
 
+def test_a_front_that_is_told_is_in_the_wind_that_flights_to_come_are_priced_in():
+    """It is at `d1` and not at the depot yet; without it the field would say some 7 m/s."""
+    air = Air(seed=2)
+    air.blow(180.0)
+    before = next_flights(air.wind, air.t_s, FORECAST)
+    at = front_comes(air, (0.0, 9.0), 11.0, 25.0)
+    assert air.wind.fronts != []
+    assert air.t_s < at["d4"], "only one has felt it"
+    soon = next_flights(air.wind, air.t_s, FORECAST)
+    assert before.speed_mps < 8.0
+    assert soon.to_ne_mps == pytest.approx((0.0, 15.0), abs=2.0 * soon.std_mps)
+    assert soon.speed_mps > 11.0
+    assert soon.std_mps > before.std_mps
+
+
 def test_a_wind_that_changes_for_all_at_once_is_said_to_do_so():
     air = Air(seed=2)
     air.blow(180.0)
