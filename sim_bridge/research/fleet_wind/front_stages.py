@@ -13,7 +13,7 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_field.fronts import FrontAhead, FrontWatch
-from sim_bridge.research.fleet_wind.alert_study import beliefs, fronts_known
+from sim_bridge.research.fleet_wind.alert_study import beliefs, felt_s, fronts_known
 from sim_bridge.research.fleet_wind.patrols import Patrol
 from sim_bridge.truth.fields.front import PassingFront
 from sim_bridge.truth.fields.site_wind import SiteWind
@@ -34,10 +34,13 @@ class FrontStage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FrontsOfWorld:
-    """`told`: fronts as the fleet's watch told them, each with when; `real`: the one there is."""
+    """`told`: fronts as the fleet's watch told them, each with when, false alerts as well; `real`:
+    the one there is; `told_s`: when that one was told (inf: never).
+    """
 
     told: tuple[tuple[float, FrontAhead], ...] = ()
     real: PassingFront | None = None
+    told_s: float = math.inf
 
     def newest(self, now_s: float) -> FrontAhead | None:
         """The front that is known now, as it is known best."""
@@ -50,10 +53,9 @@ class FrontsOfWorld:
             return FrontStage.NONE
         north, east = place_ne_m
         begins_s = float(self.real.reaches_s(np.array([north]), np.array([east]))[0])
-        told_s = min((t_s for t_s, _ in self.told), default=math.inf)
         if begins_s > until_s or now_s > begins_s + PASSED_S:
             return FrontStage.NONE
-        if now_s < told_s:
+        if now_s < self.told_s:
             return FrontStage.UNTOLD
         return FrontStage.TOLD if now_s < begins_s + self.real.passing_s else FrontStage.PASSED
 
@@ -72,7 +74,12 @@ def fronts_of_world(
     """What the fleet's watch makes of what is told once a second, false alerts as well."""
     told = beliefs(truth, drones, 0.0, seconds, rng)
     found = fronts_known(told, [one.name for one in drones], FrontWatch(process))
-    return FrontsOfWorld(tuple((known_s(front), front) for front in found), real)
+    known = tuple((known_s(front), front) for front in found)
+    if real is None:
+        return FrontsOfWorld(known)
+    began_s = float(felt_s(real, told).min()) - real.passing_s
+    of_real = (t_s for t_s, front in known if front.noticed_s >= began_s)
+    return FrontsOfWorld(known, real, min(of_real, default=math.inf))
 
 
 def known_s(front: FrontAhead) -> float:

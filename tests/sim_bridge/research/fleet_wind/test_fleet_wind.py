@@ -27,13 +27,19 @@ from sim_bridge.research.fleet_wind.error_study import (
     SquareSums,
     key_of,
 )
-from sim_bridge.research.fleet_wind.front_stages import FrontsOfWorld, FrontStage
+from sim_bridge.research.fleet_wind.front_stages import (
+    FrontsOfWorld,
+    FrontStage,
+    fronts_of_world,
+)
 from sim_bridge.research.fleet_wind.patrols import GROUND_SPEED_MPS, SITE_M, patrols
 from sim_bridge.research.fleet_wind.sheets import error_rows, headline, stage_rows, stage_sheet
 from sim_bridge.research.fleet_wind.worlds import halves_of
 from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.fields.coherent_field import Coherence, CoherentField
 from sim_bridge.truth.fields.field_file import load_wind_field
 from sim_bridge.truth.fields.front import PassingFront
+from sim_bridge.truth.fields.site_wind import SiteWind
 from tests.companion.wind_field.made_front import made_front
 
 ROOT = Path(__file__).parents[4]
@@ -140,7 +146,8 @@ def test_a_front_is_told_apart_the_later_the_weaker_it_is_and_never_below_the_gu
 def test_a_wind_is_judged_before_while_and_after_a_front_is_told() -> None:
     """A front of 10 m/s from the south that begins at the middle at 500 s, told 20 s later."""
     real = PassingFront(500.0, 0.0, 10.0, (8.0, 0.0), 30.0)
-    fronts = FrontsOfWorld(((520.0, alert(520.0)), (560.0, alert(560.0))), real)
+    told = (200.0, alert(200.0)), (520.0, alert(520.0)), (560.0, alert(560.0))
+    fronts = FrontsOfWorld(told, real, told_s=520.0)
     ahead = np.array([1000.0, 0.0])  # it begins there at 600 s
     stages = [
         (200.0, 300.0, FrontStage.NONE),
@@ -153,11 +160,27 @@ def test_a_wind_is_judged_before_while_and_after_a_front_is_told() -> None:
     ]
     for now_s, until_s, stage in stages:
         assert fronts.stage(ahead, now_s, until_s) is stage
-    assert fronts.newest(519.0) is None
+    assert fronts.newest(199.0) is None
     newest = fronts.newest(545.0)
     assert newest is not None
     assert newest.noticed_s == 520.0
     assert FrontsOfWorld(fronts.told).stage(ahead, 530.0, 680.0) is FrontStage.NONE
+
+
+def test_an_alert_of_before_the_front_is_not_of_it() -> None:
+    """Two fronts, 350 s apart: only one is judged, and told is what was noticed once it began."""
+    drones = patrols(3, 3, 900.0, np.random.default_rng(1))
+    rng = np.random.default_rng(2)
+    blow = CoherentField(6.0 + 0.3 * rng.standard_normal((900, 2)), Coherence(), rng)
+    angle = math.radians(45.0)
+    jump = 9.0 * math.cos(angle), 9.0 * math.sin(angle)
+    early, real = (PassingFront(t_s, 45.0, 12.0, jump, 30.0) for t_s in (250.0, 600.0))
+    truth = SiteWind(blow, [early, real])
+    found = fronts_of_world(truth, drones, 899.0, COAST, real, rng)
+    first_s = found.told[0][0]
+    assert 150.0 < first_s < 400.0, "the earlier one is told, and is not this one"
+    assert found.told_s > first_s + 100.0
+    assert fronts_of_world(truth, drones, 899.0, COAST, early, rng).told_s < 400.0
 
 
 def test_hours_with_a_front_are_also_said_by_stage_and_as_they_come() -> None:
