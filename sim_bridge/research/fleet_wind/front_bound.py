@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from companion.core.base.arrays import Floats
+from companion.core.base.arrays import Floats, Ints
 from companion.core.wind_field.fronts import GONE_S
 from companion.core.wind_field.tellings import TELLING_S
 from sim_bridge.research.fleet_wind.alert_study import MATCH_S, Beliefs, felt_s
@@ -66,17 +66,17 @@ class BoundFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class AlertBounds:
     """Of who knows the very front but its time, and of who knows how fronts are drawn."""
 
     front_known: BoundFigures = BoundFigures()
     law_known: BoundFigures = BoundFigures()
 
-    def __add__(self, other: "Bounds") -> "Bounds":
-        return Bounds(self.front_known + other.front_known, self.law_known + other.law_known)
+    def __add__(self, other: "AlertBounds") -> "AlertBounds":
+        return AlertBounds(self.front_known + other.front_known, self.law_known + other.law_known)
 
 
-NO_BOUNDS = Bounds()
+NO_BOUNDS = AlertBounds()
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +121,13 @@ def judge_bounds(
     sizes_mps: tuple[float, float],
     with_front: Beliefs,
     without: Beliefs,
-) -> Bounds:
+) -> AlertBounds:
     """Ideal tests in one field, with its front and without it, as the same drones tell both.
 
     `sizes_mps`: between which fronts are drawn.
     """
     laws = FrontLaw.known(front), FrontLaw.drawn(field.mean_ne_mps, *sizes_mps)
-    observer = Observer(field, coherence, ways)
+    observer = IdealObserver(field, coherence, ways)
     at = range(AGES * int(TELLING_S), without.t_s.size, LOOK_S)
     odds = np.array([observer.log_odds(index, laws, (with_front, without)) for index in at])
     t_s = without.t_s[list(at)]
@@ -135,7 +135,7 @@ def judge_bounds(
     known, drawn = (
         _figures(t_s, odds[:, number, 0], odds[:, number, 1], first_s) for number in (0, 1)
     )
-    return Bounds(known, drawn)
+    return AlertBounds(known, drawn)
 
 
 def _figures(t_s: Floats, amid: Floats, calm: Floats, first_s: float) -> BoundFigures:
@@ -160,7 +160,7 @@ def _alerts_s(t_s: Floats, log_odds: Floats, limit: float) -> list[float]:
     return found
 
 
-class Observer:
+class IdealObserver:
     """Knows one field, and the law of a front."""
 
     def __init__(self, field: CoherentField, coherence: Coherence, ways: list[Patrol]) -> None:
@@ -234,14 +234,14 @@ class Observer:
             found.append(mean + noise)
         return found
 
-    def _noise(self, at: Floats) -> Floats:
+    def _noise(self, at: Ints) -> Floats:
         """Of what is told, as `alert_study` makes it: it goes over from one value to the next."""
         share = (at % TELLING_S) / TELLING_S
         size = share**2 + (1.0 - share) ** 2
         one = np.eye(AGES)
         beside = share[:-1] * (1.0 - share[:-1]) / size[:-1]
         one += np.diag(beside, 1) + np.diag(beside, -1)
-        return TOLD_STD_MPS**2 * np.kron(np.eye(len(self._ways)), one)
+        return np.asarray(TOLD_STD_MPS**2 * np.kron(np.eye(len(self._ways)), one), np.float64)
 
 
 def _mean_of(parts: Floats) -> Floats:

@@ -18,7 +18,7 @@ from sim_bridge.research.fleet_wind.error_study import (
     SquareSums,
     key_of,
 )
-from sim_bridge.research.fleet_wind.front_bound import LOG_ODDS, Bounds
+from sim_bridge.research.fleet_wind.front_bound import LOG_ODDS, AlertBounds
 from sim_bridge.research.fleet_wind.front_stages import FrontStage
 from sim_bridge.research.fleet_wind.study import DrawResult, FleetWindSetting
 from sim_bridge.research.results.sheet import Sheet, interval95
@@ -206,7 +206,7 @@ def alert_sheet(alerts: AlertFigures) -> Sheet:
     return Sheet("Fronts", ["what", "figure"], cells, note)
 
 
-def bound_rows(alerts: AlertFigures, bounds: Bounds) -> list[dict[str, Any]]:
+def bound_rows(alerts: AlertFigures, bounds: AlertBounds) -> list[dict[str, Any]]:
     """JSON-safe rows of `bounds`: the fleet's watch and ideal tests, over the same fronts."""
     rows = [
         _bound_row("the fleet's watch", None, alerts.delays_s, alerts.fronts, alerts.false)

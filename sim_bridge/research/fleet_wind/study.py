@@ -20,7 +20,7 @@ from sim_bridge.research.fleet_wind.alert_study import (
     judge_front,
 )
 from sim_bridge.research.fleet_wind.error_study import ErrorTally, Members, judge_errors
-from sim_bridge.research.fleet_wind.front_bound import NO_BOUNDS, Bounds, judge_bounds
+from sim_bridge.research.fleet_wind.front_bound import NO_BOUNDS, AlertBounds, judge_bounds
 from sim_bridge.research.fleet_wind.front_stages import FrontsOfWorld, fronts_of_world
 from sim_bridge.research.fleet_wind.patrols import Patrol, patrols
 from sim_bridge.research.fleet_wind.worlds import FleetWorld, fitted, halves_of, world_of
@@ -72,7 +72,7 @@ class DrawResult:
     ordinary: ErrorTally
     front: ErrorTally
     alerts: AlertFigures
-    bounds: Bounds = NO_BOUNDS
+    bounds: AlertBounds = NO_BOUNDS
 
 
 @dataclass(frozen=True, slots=True)

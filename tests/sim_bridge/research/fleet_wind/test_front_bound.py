@@ -10,7 +10,7 @@ from sim_bridge.research.fleet_wind.front_bound import (
     LOOK_S,
     BoundFigures,
     FrontLaw,
-    Observer,
+    IdealObserver,
     judge_bounds,
 )
 from sim_bridge.research.fleet_wind.patrols import Patrol, patrols
@@ -86,7 +86,7 @@ def test_the_mean_odds_without_a_front_are_one_and_with_it_more() -> None:
     amid: list[float] = []
     for _ in range(40):
         field = CoherentField(another(series, rng), COHERENCE, rng)
-        observer, law = Observer(field, COHERENCE, ways), FrontLaw.known(weak)
+        observer, law = IdealObserver(field, COHERENCE, ways), FrontLaw.known(weak)
         told = told_in(field, ways, rng), told_in(field, ways, rng, weak)
         for index in (160, 220, 280):
             one, other = np.exp(observer.log_odds(index, (law,), told))[0]
