@@ -26,6 +26,7 @@ from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.desk.depot_dispatcher import DepotParams
 from ground_station.app.desk.open_desk import open_depot_desk
 from ground_station.core.dispatch.wind_holds import HELD_BY
+from ground_station.core.site_wind.wind_words import field_words
 from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
 DAY = read_day(Path(__file__).parents[2] / "params" / "days" / "harbour.toml")
@@ -112,7 +113,7 @@ def test_a_front_that_one_drone_feels_holds_a_launch_within_ten_seconds(site):
     turn(lambda: desk.exchange.clock.monotonic_s() - began_s > WARM_UP_S)
     states = [status.of(name).state for name in AT if name != "d1"]
     assert all(state is not None and state.wind_cov_m2ps2 for state in states)
-    assert "by 3 drones" in wind.words(desk.exchange.clock.monotonic_s())
+    assert "by 3 drones" in field_words(wind, desk.exchange.clock.monotonic_s())
     assert store.holds() == []
     drones["t1"].mean_mps = 16.0
     felt_s = turn(lambda: (status.of("t1").state.wind_to_e_mps or 0.0) > 12.0)

@@ -17,8 +17,11 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from companion.core.base.arrays import Floats
 from companion.core.wind_field.agreement import LEAST_TELLINGS, NEW_S, contradicting
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
+from companion.core.wind_field.front_term import FrontTerm
+from companion.core.wind_field.fronts import FrontAhead
 from companion.core.wind_field.tellings import (
     JOINED_S,
+    KEPT_S,
     MOST_AGE_S,
     TELLING_S,
     KeptStretches,
@@ -43,6 +46,9 @@ LEAST_MISFIT, MOST_MISFIT = 1.1, 6.0
 process's variances are then taken so many times as large."""
 _MISFIT_PRIOR = 20.0
 """Weight of the process itself in that, as so many values: few say little."""
+
+FRONT_COUNTS_S = KEPT_S + 300.0
+"""After it was noticed: it has left the site, and nothing told before it is kept."""
 
 _JITTER_M2PS2 = 1e-6
 
@@ -74,6 +80,14 @@ class FieldBelief:
         self._process = process
         self._prior = prior or WindPrior((0.0, 0.0), process.process.level_std_mps)
         self._members: dict[str, MemberTellings] = {}
+        self._front: FrontAhead | None = None
+
+    def expect_front(self, front: FrontAhead | None) -> None:
+        """A front that is believed from now on, or better known; None: there is none any more.
+
+        It counts while somebody is believed who has felt it, until what was told before it is gone.
+        """
+        self._front = front
 
     def expect(self, prior: WindPrior) -> None:
         """What is expected where nobody tells, from now on: a forecast moves on with the time."""
@@ -111,15 +125,39 @@ class FieldBelief:
         kept = KeptStretches.of(self._with(newest), MOST_STRETCHES)
         out: dict[str, str] = {}
         while True:
-            settled = SettledField(self._process, self._prior, kept, now_s)
-            if (misfit := settled.misfit()) > LEAST_MISFIT:
-                more = min(misfit, MOST_MISFIT)
-                settled = SettledField(self._process, self._prior, kept, now_s, more)
+            settled = self._settled(kept, now_s)
             bad = contradicting(settled.mean_shift_squares, kept, now_s, always, firm)
             if not bad:
-                return settled.leaving_out(out)
+                break
             out |= bad
             kept = kept.without(frozenset(bad))
+        # Not before: a front would excuse the one who made it up.
+        front = self._front_of(kept, now_s)
+        if front is not None:
+            settled = self._settled(kept, now_s, front, settled)
+        return settled.leaving_out(out)
+
+    def _settled(
+        self,
+        kept: KeptStretches,
+        now_s: float,
+        front: FrontTerm | None = None,
+        same: "SettledField | None" = None,
+    ) -> "SettledField":
+        """By what is kept; as gusty as it makes the air. `same`: of this kept already."""
+        settled = SettledField(self._process, self._prior, kept, now_s, 1.0, front, same)
+        if (misfit := settled.misfit()) <= LEAST_MISFIT:
+            return settled
+        more = min(misfit, MOST_MISFIT)
+        return SettledField(self._process, self._prior, kept, now_s, more, front, settled)
+
+    def _front_of(self, kept: KeptStretches, now_s: float) -> FrontTerm | None:
+        """The front as far as it counts."""
+        front = self._front
+        if front is None or now_s - front.noticed_s > FRONT_COUNTS_S:
+            return None
+        believed = {kept.members[int(k)] for k in np.unique(kept.member)}
+        return FrontTerm(front) if any(one.member in believed for one in front.felt) else None
 
     def _with(self, newest: WindTelling | None) -> dict[str, MemberTellings]:
         """All members, one of them with what it feels at this moment."""
@@ -141,11 +179,15 @@ class SettledField:
         kept: KeptStretches,
         now_s: float,
         gustier: float = 1.0,
+        front: FrontTerm | None = None,
+        same: "SettledField | None" = None,
     ) -> None:
-        """`gustier`: the process's variances are so many times as large."""
+        """`gustier`: the process's variances are so many times as large. `same`: another of what is
+        kept, whose covariance by the process alone need not be worked out again.
+        """
         self.left_out: dict[str, str] = {}
         self.now_s = now_s
-        self._gustier = gustier
+        self._gustier, self._front = gustier, front
         self._process, self._kept = process, kept
         self._height_m = float(kept.middle[:, 3].mean()) if kept.count.size else prior.height_m
         grown, doubt = process.shear(np.array([self._height_m]), prior.height_m)
@@ -155,7 +197,15 @@ class SettledField:
         self.mean_to_ne_mps = self._mean_wind()
         speed = float(np.hypot(*self.mean_to_ne_mps))
         self._scale = gustier * process.process.variance_scale(speed)
-        self._told_s, self._told_left = self._coordinates(kept)
+        if same is None:
+            self._told_s, self._told_left = self._coordinates(kept)
+            self._within = process.within(self._told_s, self._told_left)
+        else:
+            self._told_s, self._told_left = same._told_s, same._told_left
+            self._within = same._within
+        ends = kept.middle
+        span_s = kept.last[:, 0] - kept.first[:, 0] + TELLING_S
+        self._told_behind = self._behind(ends[:, 1:3], ends[:, 0], span_s)
         self._factors = self._factored()
 
     @property
@@ -180,12 +230,19 @@ class SettledField:
             asked_s, left, self._told_s, self._told_left
         )
         with_told += level
+        span_s = np.full(points.count, averaged_s)
+        behind = self._behind(points.place_ne_m, points.t_s, span_s)
         means: list[Floats] = []
         covs: list[Floats] = []
         for axis, (lower, weighed) in enumerate(self._factors):
-            mean = self._prior_ne[axis] + with_told @ weighed
-            known = solve_triangular(lower, with_told.T, lower=True, check_finite=False)
-            left_over = np.outer(grown, grown) * (cov - known.T @ known)
+            mean, to_told, own = self._prior_ne[axis], with_told, cov
+            if self._front is not None:
+                mean = mean + self._front.mean_ne_mps(behind)[:, axis]
+                to_told = to_told + self._front.cov_m2ps2(behind, self._told_behind, axis)
+                own = own + self._front.cov_m2ps2(behind, behind, axis)
+            mean = mean + to_told @ weighed
+            known = solve_triangular(lower, to_told.T, lower=True, check_finite=False)
+            left_over = np.outer(grown, grown) * (own - known.T @ known)
             means.append(grown * mean)
             covs.append(left_over + np.diag((doubt * grown * mean) ** 2))
         return FieldForecast(np.stack(means, axis=1), covs[0], covs[1])
@@ -200,7 +257,7 @@ class SettledField:
         if not count:
             return 1.0
         grown, _ = self._process.shear(self._kept.middle[:, 3], self._height_m)
-        told = self._kept.wind_ne_mps / grown[:, None] - self._prior_ne
+        told = self._kept.wind_ne_mps / grown[:, None] - self._prior_ne - self._front_ne_mps
         squares = (told[:, k] @ weighed for k, (_, weighed) in enumerate(self._factors))
         return (0.5 * float(sum(squares)) + _MISFIT_PRIOR) / (count + _MISFIT_PRIOR)
 
@@ -257,7 +314,7 @@ class SettledField:
         kept = self._kept
         count = kept.count.size
         grown, doubt = self._process.shear(kept.middle[:, 3], self._height_m)
-        common = self._scale * self._process.within(self._told_s, self._told_left)
+        common = self._scale * self._within
         common += self._level_m2ps2
         same = kept.member[:, None] == kept.member[None, :]
         noise = self._process.process.seen_noise_std_mps**2
@@ -265,19 +322,35 @@ class SettledField:
         for axis in (0, 1):
             told = kept.wind_ne_mps[:, axis] / grown
             variance = kept.variance_ne_m2ps2[:, axis]
-            if axis == 0 or not self._is_round():
+            if axis == 0 or self._front is not None or not self._is_round():
                 fresh = np.minimum(variance, noise)
                 lasting = np.sqrt(variance - fresh) / grown
                 cov = common + np.where(same, np.outer(lasting, lasting), 0.0)
+                if self._front is not None:
+                    cov += self._front.cov_m2ps2(self._told_behind, self._told_behind, axis)
                 own = fresh / kept.count / grown**2 + _JITTER_M2PS2
                 own += (doubt * np.hypot(*self.mean_to_ne_mps)) ** 2
                 cov[np.diag_indices(count)] += own
                 lower = cholesky(cov, lower=True, overwrite_a=True, check_finite=False)
             else:
                 lower = factors[0][0]
-            weighed = cho_solve((lower, True), told - self._prior_ne[axis], check_finite=False)
+            off = told - self._prior_ne[axis] - self._front_ne_mps[:, axis]
+            weighed = cho_solve((lower, True), off, check_finite=False)
             factors.append((lower, weighed))
         return factors
+
+    def _behind(self, place_ne_m: Floats, t_s: Floats, span_s: Floats) -> Floats:
+        """Probability to lie behind the front; nothing where there is none."""
+        if self._front is None:
+            return np.zeros(t_s.size)
+        return self._front.behind(place_ne_m, t_s, span_s)
+
+    @property
+    def _front_ne_mps(self) -> Floats:
+        """What the front is expected to have in what was told, (n, 2)."""
+        if self._front is None:
+            return np.zeros((self._told_behind.size, 2))
+        return self._front.mean_ne_mps(self._told_behind)
 
     def _is_round(self) -> bool:
         """Whether all errors told are the same on both axes."""

@@ -108,9 +108,15 @@ class FrontAhead:
 
     def arrives(self, place_ne_m: tuple[float, float]) -> tuple[float, float]:
         """When it is noticed at a place, and the standard deviation of that, s."""
-        row = np.array([1.0, *(np.array(place_ne_m) - self.origin_ne_m)])
-        t_s = self.t0_s + float(row[1:] @ self.slowness_spm)
-        return t_s, math.sqrt(float(row @ self.cov @ row) + FELT_STD_S**2)
+        due_s, std_s = self.arrivals(np.array([place_ne_m]))
+        return float(due_s[0]), float(std_s[0])
+
+    def arrivals(self, place_ne_m: Floats) -> tuple[Floats, Floats]:
+        """The same at places (n, 2): times and standard deviations (n,)."""
+        off_m = place_ne_m - self.origin_ne_m
+        rows = np.column_stack([np.ones(len(off_m)), off_m])
+        variance = np.einsum("ij,jk,ik->i", rows, self.cov, rows)
+        return self.t0_s + off_m @ self.slowness_spm, np.sqrt(variance + FELT_STD_S**2)
 
     def catches(self, place_ne_m: tuple[float, float], first_s: float, last_s: float) -> bool:
         """Whether it may pass a place within a stretch of time (two standard deviations)."""

@@ -6,9 +6,9 @@ from companion.core.base.errors import LeewayError
 from companion.core.wind.process import WindProcessParams
 from ground_station.adapters.files.params import read_wind_process
 from ground_station.adapters.files.station_file import StationFile
-from ground_station.core.fleet.site_wind import SiteWind
-from ground_station.core.fleet.wind_stations import StationBook
 from ground_station.core.schema.day_data import DayData
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.wind_stations import StationBook
 
 DEFAULT_PROCESS = "coast"
 """Where no day says how wind changes at the site: as a flight file's own default."""

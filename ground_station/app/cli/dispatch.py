@@ -236,7 +236,7 @@ def watch(
     from ground_station.app.views.watch_view import watch_view
     from ground_station.app.views.watched_rows import WatchRows, read_rows
     from ground_station.app.views.wind_notes import wind_notes
-    from ground_station.core.fleet.wind_stations import StationBook
+    from ground_station.core.site_wind.wind_stations import StationBook
 
     opened = open_store(store, store_file, goes_on=True)
     ears = open_fleet(fleet, zenoh, identity, open_network)

@@ -14,13 +14,13 @@ from ground_station.core.dispatch.dispatch_rules import distance_m
 from ground_station.core.dispatch.measured_wind import DAY_AHEAD_S, forecast_now, off_sigmas
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import STANDBY, FleetStatus, VehicleStatus
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.fleet.truck_state import DRIVING, TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.holds import Hold, holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, Visit
+from ground_station.core.site_wind.site_wind import SiteWind
 
 OFF_PAD_M = 30.0
 OFF_GROUND_M = 2.0

@@ -17,11 +17,11 @@ from ground_station.core.dispatch.flight_tables import (
 from ground_station.core.dispatch.measured_wind import NEXT_AHEAD_S, differs, next_flights
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import holding
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
+from ground_station.core.site_wind.site_wind import SiteWind
 
 WIND_S = 30.0
 """The wind that orders are weighed in is looked at so often: each change prices all anew."""

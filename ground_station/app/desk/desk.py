@@ -114,6 +114,8 @@ class Desk:
     def close(self) -> None:
         """Stop what runs beside the desk; store and network are the caller's."""
         self.dispatcher.close()
+        if self.wind is not None:
+            self.wind.close()
 
     # --- assignments in force --------------------------------------------------------------------
 

@@ -19,8 +19,6 @@ from ground_station.core.dispatch.launch_promise import (
 )
 from ground_station.core.dispatch.wind_holds import HELD_BY
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.followed_forecast import FollowedForecast
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.planning.launch_windows import SortieInForecast
 from ground_station.core.schema.day import Drone, Forecast
 from ground_station.core.schema.day_data import DayData
@@ -29,6 +27,8 @@ from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentRow, Order, OrderState, Service, place_of
 from ground_station.core.schema.sortie_rows import SortieRow
+from ground_station.core.site_wind.followed_forecast import FollowedForecast
+from ground_station.core.site_wind.site_wind import SiteWind
 
 EXPECT_S = 60.0
 """What is expected before anybody tells moves on so often."""

@@ -7,6 +7,11 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
 from ground_station.adapters.files.day_wind import site_wind_of, station_files
 from ground_station.adapters.files.followed_file import FollowedFile
+from ground_station.adapters.files.forecast_readers import (
+    ForecastPlace,
+    ForecastReader,
+    ProcessReader,
+)
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan, check_plan
@@ -23,11 +28,11 @@ from ground_station.core.dispatch.wind_holds import WindHolds
 from ground_station.core.feasibility.wind_limit import limit_of
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.followed_forecast import FollowedForecast
-from ground_station.core.fleet.site_wind import SiteWind
-from ground_station.core.fleet.wind_stations import StationBook
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.site_wind.followed_forecast import FollowedForecast
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.wind_stations import StationBook
 
 Say = Callable[[str], None]
 
@@ -41,9 +46,11 @@ def open_depot_desk(
     impossible: frozenset[str] = frozenset(),
     clock: Clock | None = None,
     assigner: DepotAssigner | None = None,
+    forecasts: ForecastReader | None = None,
 ) -> Desk:
     """A desk of drones that start from the depot. `impossible`: orders that none of them can bring.
-    `assigner`: one that knows the day already.
+    `assigner`: one that knows the day already. `forecasts`: who reads a newer forecast file; None:
+    a process beside the desk.
 
     Raises LeewayError where the store holds a day with a truck.
     """
@@ -52,7 +59,8 @@ def open_depot_desk(
         raise LeewayError("this store holds a day with a truck: expected --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
     wind = site_wind_of(data, say)
-    watch = _forecast_watch(data, wind, store, clock, say, at_depot=True)
+    reader = forecasts or ProcessReader(clock)
+    watch = _forecast_watch(data, wind, store, clock, say, reader, at_depot=True)
     dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind, watch)
     dispatcher.neighbour_keys = fleet.neighbour_keys
     limits, stations = WindHolds(wind, limit_of(data)), _stations(data, wind, clock, say)
@@ -70,8 +78,9 @@ def open_truck_desk(
     clock: Clock | None = None,
     replanner: Replanner | None = None,
     by: str = "desk",
+    forecasts: ForecastReader | None = None,
 ) -> Desk:
-    """A desk of drones that ride on a truck, by a plan.
+    """A desk of drones that ride on a truck, by a plan. `forecasts` as above.
 
     Where the store holds a plan of this day already (after a restart), the newest one goes on.
     Raises LeewayError where `plan` does not fit the day, or the store began with another one.
@@ -89,7 +98,8 @@ def open_truck_desk(
     assert in_force is not None
     active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
     wind = site_wind_of(data, say)
-    watch = _forecast_watch(data, wind, store, day_clock, say, at_depot=False)
+    reader = forecasts or ProcessReader(clock)
+    watch = _forecast_watch(data, wind, store, day_clock, say, reader, at_depot=False)
     dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind, watch)
     dispatcher.neighbour_keys = fleet.neighbour_keys
     limits = WindHolds(wind, limit_of(data))
@@ -100,7 +110,14 @@ def open_truck_desk(
 
 
 def _forecast_watch(
-    data: DayData, wind: SiteWind, store: Store, clock: Clock, say: Say, *, at_depot: bool
+    data: DayData,
+    wind: SiteWind,
+    store: Store,
+    clock: Clock,
+    say: Say,
+    reader: ForecastReader,
+    *,
+    at_depot: bool,
 ) -> ForecastWatch | None:
     """None: the day names no forecast to follow."""
     forecast = data.forecast
@@ -109,7 +126,8 @@ def _forecast_watch(
     follows = FollowedForecast(forecast, clock, data.day.mission.cruise_height_m)
     file = None
     if forecast.file:
-        file = FollowedFile(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
+        place = ForecastPlace(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
+        file = FollowedFile(place, reader)
     return ForecastWatch(follows, file, data, wind, store, clock, say, at_depot)
 
 

@@ -7,7 +7,7 @@ from companion.core.wind_field.fronts import FrontAhead
 from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.station_message import StationWind
-from ground_station.core.fleet.wind_stations import StationBook
+from ground_station.core.site_wind.wind_stations import StationBook
 
 LOOK_S = 1.0
 SAY_S = 10.0

@@ -42,10 +42,10 @@ from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.desk_figures import ReplanFigures
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.orders import AssignmentRow
+from ground_station.core.site_wind.site_wind import SiteWind
 
 CHARGE_ERROR_FRAC = 0.05
 """Error of a charge read from the resting voltage; the companion checks it before the flight."""

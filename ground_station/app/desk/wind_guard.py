@@ -32,7 +32,6 @@ from ground_station.core.feasibility.reach import Reach, day_energy
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.route_aboard import route_of
-from ground_station.core.fleet.site_wind import SiteWind, front_words
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.planning.day_problem import TOP_M
@@ -41,6 +40,8 @@ from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import ALL
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, Order, place_of
 from ground_station.core.schema.sortie_rows import SortieRow
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.wind_words import field_words, front_words
 
 SAY_S = 300.0
 """What the field is stands in the log so often, and when somebody is left out or back in."""
@@ -125,6 +126,11 @@ class WindGuard:
             self._tell(self._to_tell[0], rows, status, now_s)
             self._to_tell.pop(0)
         return changed
+
+    def close(self) -> None:
+        """Stop what runs beside the desk."""
+        if self.forecast is not None and self.forecast.file is not None:
+            self.forecast.file.close()
 
     def _zones_due(
         self, rows: Sequence[AssignmentRow], launches: Sequence[Launch], status: FleetStatus
@@ -219,7 +225,7 @@ class WindGuard:
         if out == self._out and now_s - self._said_s < SAY_S:
             return
         changed = out != self._out
-        words = self.wind.words(now_s) if changed or self.wind.is_known(now_s) else ""
+        words = field_words(self.wind, now_s) if changed or self.wind.is_known(now_s) else ""
         if words or changed:
             self._said_s, self._out = now_s, out
             self.say(words or "wind: nobody who is believed tells it")

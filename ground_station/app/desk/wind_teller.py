@@ -23,8 +23,8 @@ from companion.core.wind_field.tellings import WindTelling
 from companion.fleet.messages import State
 from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.site_wind.site_wind import SiteWind
 
 FRONT_TOLD_TIMES = 3
 """A front is told so often each time that it is new or better known: words may be lost."""

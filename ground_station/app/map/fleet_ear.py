@@ -22,8 +22,8 @@ from ground_station.core.fleet.fleet_link import (
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.route_aboard import RouteAboard, route_of
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.fleet.station_message import StationWind
+from ground_station.core.site_wind.site_wind import SiteWind
 
 ASK_S = 2.0
 """All are asked for their states at most so often, however many join."""

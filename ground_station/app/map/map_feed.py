@@ -23,7 +23,7 @@ from ground_station.app.views.watched_rows import read_rows
 from ground_station.app.views.wind_notes import front_notes
 from ground_station.core.fleet.desk_figures import CertificateFigures
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.site_wind import SETTLE_S
+from ground_station.core.site_wind.site_belief import SETTLE_S
 
 TICK_S = 0.2
 ROWS_S = 0.5

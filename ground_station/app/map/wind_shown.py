@@ -8,7 +8,8 @@ from companion.core.base.arrays import Floats
 from companion.fleet.messages import State
 from ground_station.app.map.fleet_ear import VehicleTrack
 from ground_station.app.map.picture import WindShown
-from ground_station.core.fleet.site_wind import SiteWind
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.wind_words import field_words
 
 LEAST = 3
 """Reports that make an ellipse where their own errors are not told: two are a line."""
@@ -49,7 +50,9 @@ def field_shown(wind: SiteWind, now_s: float) -> WindShown | None:
     here = wind.here(now_s)
     if here is None:
         return None
-    return WindShown(to_ne_mps=here.to_ne_mps, cov_m2ps2=here.cov_m2ps2, source=wind.words(now_s))
+    return WindShown(
+        to_ne_mps=here.to_ne_mps, cov_m2ps2=here.cov_m2ps2, source=field_words(wind, now_s)
+    )
 
 
 def _shown(winds: Floats, cov: Floats, source: str) -> WindShown:

@@ -1,7 +1,8 @@
 """The wind that the fleet tells, in lines for people: what the field is, and fronts that come."""
 
 from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.site_wind import SiteWind, front_words
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.wind_words import field_words, front_words
 
 FRONT_SHOWN_S = 300.0
 """A front wants a person's eye so long."""
@@ -22,6 +23,6 @@ def front_notes(wind: SiteWind, status: FleetStatus, now_s: float) -> tuple[str,
 
 def wind_notes(wind: SiteWind, status: FleetStatus, now_s: float) -> list[str]:
     """The field in a line, where somebody tells it, and fronts."""
-    field = wind.words(now_s)
+    field = field_words(wind, now_s)
     looks = [f"LOOK: {words}" for words in front_notes(wind, status, now_s)]
     return ([field] if field else []) + looks

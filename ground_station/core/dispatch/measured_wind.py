@@ -4,8 +4,9 @@ import math
 
 import msgspec
 
-from ground_station.core.fleet.site_wind import BelievedWind, SiteWind
 from ground_station.core.schema.day import Forecast
+from ground_station.core.site_wind.believed_wind import BelievedWind
+from ground_station.core.site_wind.site_wind import SiteWind
 
 DAY_AHEAD_S, DAY_MEAN_S = 1800.0, 600.0
 """A day's plan rests on the mean wind of ten minutes, half an hour from now: gusts of the moment

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from companion.core.wind_field.fronts import FrontAhead
-from ground_station.core.fleet.site_wind import SiteWind
 from ground_station.core.schema.holds import ALL
+from ground_station.core.site_wind.site_wind import SiteWind
 
 HELD_BY = "desk-wind"
 """Whose holds these are. No person has this name: nobody else lifts them, and they lift none."""

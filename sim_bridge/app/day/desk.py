@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.forecast_readers import InlineReader
 from ground_station.adapters.store.database import BUSY_MS, Database, StoreError
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
@@ -129,7 +130,10 @@ class DeskHere:
         ) -> Desk:
             replanner = InlineReplanner(seed, trials)
             first = books.plans[0]
-            return open_truck_desk(built.data, first, books.store, fleet, say, clock, replanner)
+            return open_truck_desk(
+                built.data, first, books.store, fleet, say, clock, replanner,
+                forecasts=InlineReader(),
+            )  # fmt: skip
 
         impossible = frozenset(line.order for line in plan.unplanned)
         seat = cls._begun(built, folder, clock, host, sit_down, impossible)
@@ -152,7 +156,9 @@ class DeskHere:
             books: Books, fleet: BusFleet, say: Callable[[str], None], clock: Clock
         ) -> Desk:
             known = DepotAssigner(data.day, data.airframes, data.elevation)
-            return open_depot_desk(data, books.store, fleet, say, params, impossible, clock, known)
+            return open_depot_desk(
+                data, books.store, fleet, say, params, impossible, clock, known, InlineReader()
+            )
 
         seat = cls._begun(built, folder, None, host, sit_down, impossible)
         if isinstance(built.crew, DepotCrew):

@@ -7,6 +7,7 @@ import numpy as np
 from companion.adapters.files.params import read_wind_process
 from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
+from companion.core.wind_field.fronts import FeltChange, FrontAhead
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 from sim_bridge.research.benchmarks.timing import Samples, cpu_time_s
 from sim_bridge.research.results.sheet import Sheet
@@ -25,10 +26,14 @@ class FieldCost:
     drones: int
     update: Samples
     forecast: Samples
+    front: bool = False
 
 
-def measured(drones: int, seed: int) -> FieldCost:
-    """All drones tell every 10 s for twenty minutes; the first ten are not counted."""
+def measured(drones: int, seed: int, *, front: bool = False) -> FieldCost:
+    """All drones tell every 10 s for twenty minutes; the first ten are not counted.
+
+    `front`: one passes all that time.
+    """
     rng = np.random.default_rng([seed, drones])
     belief = FieldBelief(FieldProcess(read_wind_process("coast")))
     place = rng.uniform(-SITE_M, SITE_M, (drones, 2))
@@ -52,6 +57,9 @@ def measured(drones: int, seed: int) -> FieldCost:
             for k in range(drones)
         ]
 
+        if front:
+            belief.expect_front(_front_in_the_middle(now_s))
+
         def update(now_s: float = now_s, tellings: list[WindTelling] = tellings) -> None:
             for telling in tellings:
                 belief.tell(telling, now_s)
@@ -65,14 +73,21 @@ def measured(drones: int, seed: int) -> FieldCost:
         if index >= WARM:
             updates.append(spent_s)
             forecasts.append(asked_s)
-    return FieldCost(drones, Samples.of(updates, 1e3), Samples.of(forecasts, 1e3))
+    return FieldCost(drones, Samples.of(updates, 1e3), Samples.of(forecasts, 1e3), front)
+
+
+def _front_in_the_middle(now_s: float) -> FrontAhead:
+    """Felt by the first drone; it comes from the north at 10 m/s and is over the middle now."""
+    felt = FeltChange("d0", now_s, (0.0, 0.0), (-8.0, 0.0), (-16.0, 1.0), 30.0)
+    slow = np.array([-0.1, 0.0])
+    return FrontAhead(now_s, (felt,), np.zeros(2), now_s, slow, np.diag([25.0, 1e-4, 1e-4]))
 
 
 def sheet(costs: list[FieldCost]) -> Sheet:
     """Least, median and 99 % of each."""
     cells = [
         [
-            f"{one.drones}",
+            f"{one.drones}{', a front' if one.front else ''}",
             *(f"{v:.2f}" for v in (one.update.least, one.update.median, one.update.p99)),
             f"{one.forecast.median:.2f}",
         ]

@@ -428,7 +428,7 @@ def field(
     out: Out = OUT,
     seed: Annotated[int, typer.Option(min=0, help="of places and winds")] = 1,
 ) -> None:
-    """What an update of the fleet's wind costs with 1, 8, 24 and 100 drones.
+    """What an update of the fleet's wind costs with 1, 8, 24 and 100 drones, and amid a front.
 
     CPU time, so that other work on the machine matters less; the least is what a quiet one takes.
 
@@ -437,11 +437,13 @@ def field(
     from sim_bridge.research.benchmarks import field_bench as experiment
 
     with progress_bar() as bar:
-        shown = bar.add_task("field", total=len(experiment.DRONES))
+        shown = bar.add_task("field", total=len(experiment.DRONES) + 1)
         costs = []
         for drones in experiment.DRONES:
             costs.append(experiment.measured(drones, seed))
             bar.advance(shown)
+        costs.append(experiment.measured(experiment.DRONES[-1], seed, front=True))
+        bar.advance(shown)
     finish(experiment.sheet(costs), out, "field_bench")
 
 

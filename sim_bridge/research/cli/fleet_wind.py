@@ -46,6 +46,14 @@ def fleet_wind(
     alert_draws: Annotated[
         int, typer.Option(min=0, help="Fields drawn about each half, in which alerts are judged.")
     ] = 12,
+    bound: Annotated[
+        bool,
+        typer.Option(
+            "--bound",
+            help="Hold alerts against ideal tests, which know the law of the wind and of fronts: 15"
+            " s of CPU a field.",
+        ),
+    ] = False,
     missions: Annotated[
         int, typer.Option(min=0, help="Missions to fly by each policy; 0: none.")
     ] = 0,
@@ -130,22 +138,26 @@ def fleet_wind(
         seed=seed,
     )
     out.mkdir(parents=True, exist_ok=True)
-    work = draws_of(setting, draws, alert_draws)
+    work = draws_of(setting, draws, alert_draws, bounds=bound)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), DrawResult)
     workers = workers_of(jobs, cluster)
     done = run_journaled("fields", work, judge_draw, workers, kept)
-    ordinary, front, alerts = summed(done)
+    whole = summed(done)
+    ordinary, front, alerts = whole.ordinary, whole.front, whole.alerts
     rows = sheets.error_rows(ordinary, front)
     shown = {}
     if rows:
         shown["error"] = sheets.error_sheet(done, rows, setting)
+        shown["stages"] = sheets.stage_sheet(sheets.stage_rows(ordinary, front))
         shown["members"] = sheets.member_sheet(rows, ordinary)
     if alerts.fronts:
         shown["alerts"] = sheets.alert_sheet(alerts)
+        if bound:
+            shown["bounds"] = sheets.bound_sheet(sheets.bound_rows(alerts, whole.bounds))
     for stem, sheet in shown.items():
         sheet.write(out, stem)
         typer.echo(sheet.markdown())
-    document = sheets.as_document(setting, ordinary, front, alerts)
+    document = sheets.as_document(setting, whole)
     if missions:
         asked = MissionSetting(setting, mission_draws, missions, wind_air, tier, max_loss, lie)
         pieces = works_of(asked)

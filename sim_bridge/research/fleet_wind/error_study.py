@@ -3,7 +3,8 @@
 The same model both times. Judged are the wind now (a 10 s mean), its mean over some time to come,
 and a single 10 s mean at the end of it: at a drone's own place, and at places where nobody is. In
 ordinary wind the fleet is judged again with one drone that lies, is frozen or mute; that one's own
-forecasts are then left out on both sides.
+forecasts are then left out on both sides. Where all are honest the fleet knows the fronts that its
+watch tells, false ones as well; who is alone has nobody who would tell.
 """
 
 import math
@@ -16,6 +17,7 @@ from companion.core.base.arrays import Floats
 from companion.core.wind_field.field_belief import FieldBelief, SettledField
 from companion.core.wind_field.field_process import FieldPoints
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
+from sim_bridge.research.fleet_wind.front_stages import NO_FRONTS, FrontsOfWorld, FrontStage
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M, SITE_M
 from sim_bridge.research.fleet_wind.worlds import FleetWorld
 
@@ -92,11 +94,12 @@ class SquareSums:
         return math.sqrt(self.fleet_m2ps2 / (2.0 * self.count))
 
 
-def key_of(members: Members, where: str, question: Question) -> str:
+def key_of(
+    members: Members, where: str, question: Question, stage: FrontStage = FrontStage.WHOLE
+) -> str:
     """Names a row of the sums."""
-    return (
-        f"{members.value}/{where}/{question.lead_s:g}/{'mean' if question.is_mean else 'instant'}"
-    )
+    what = "mean" if question.is_mean else "instant"
+    return f"{members.value}/{where}/{question.lead_s:g}/{what}/{stage.value}"
 
 
 @dataclass(slots=True)
@@ -129,7 +132,10 @@ class ErrorTally:
 
 
 def judge_errors(
-    world: FleetWorld, rng: np.random.Generator, kinds: tuple[Members, ...] = (Members.HONEST,)
+    world: FleetWorld,
+    rng: np.random.Generator,
+    kinds: tuple[Members, ...] = (Members.HONEST,),
+    fronts: FrontsOfWorld = NO_FRONTS,
 ) -> ErrorTally:
     """All judged winds of one world."""
     drones = len(world.drones)
@@ -152,10 +158,12 @@ def judge_errors(
             continue
         here = np.stack([way.at(np.array([now_s]))[0] for way in world.drones])
         own = [belief.settle(now_s) for belief in alone]
-        judged = [_Judged.of(world, OWN_PLACE, here[k], own, (k,)) for k in range(drones)]
+        judged = [_Judged.of(world, fronts, OWN_PLACE, here[k], own, (k,)) for k in range(drones)]
         everybody = tuple(range(drones))
         free = _free_places(here, rng)
-        judged += [_Judged.of(world, NOBODY, place, own, everybody) for place in free]
+        judged += [_Judged.of(world, fronts, NOBODY, place, own, everybody) for place in free]
+        if Members.HONEST in fleets:
+            fleets[Members.HONEST].expect_front(fronts.newest(now_s))
         for kind, fleet in fleets.items():
             settled = fleet.settle(now_s)
             tally.settled[kind.value] = tally.settled.get(kind.value, 0) + 1
@@ -196,32 +204,35 @@ def _free_places(taken: Floats, rng: np.random.Generator) -> list[Floats]:
 class _Judged:
     """One place: its true winds, and the error and NEES there of who forecasts alone.
 
-    `actual` (questions, 2), `alone` by member (questions, 2).
+    `actual` (questions, 2), `stages` (questions,) of a front, `alone` by member (questions, 2).
     """
 
     where: str
     place_ne_m: Floats
     actual: Floats
+    stages: tuple[FrontStage, ...]
     alone: dict[int, Floats]
 
     @classmethod
     def of(
         cls,
         world: FleetWorld,
+        fronts: FrontsOfWorld,
         where: str,
         place_ne_m: Floats,
         own: list[SettledField],
         who: tuple[int, ...],
     ) -> "_Judged":
         now_s = own[0].now_s
-        actual = np.empty((len(QUESTIONS), 2))
+        actual, stages = np.empty((len(QUESTIONS), 2)), list[FrontStage]()
         for q, question in enumerate(QUESTIONS):
             first, last = now_s, now_s + question.lead_s
             if not question.is_mean:
                 first, last = last - 0.5 * TELLING_S, last + 0.5 * TELLING_S
             actual[q] = world.mean_truth(place_ne_m, first, last)
+            stages.append(fronts.stage(place_ne_m, now_s, last))
         alone = {k: _squares(forecasts(own[k], place_ne_m), actual) for k in who}
-        return cls(where, place_ne_m, actual, alone)
+        return cls(where, place_ne_m, actual, tuple(stages), alone)
 
     def add_to(self, tally: ErrorTally, kind: Members, fleet: SettledField) -> None:
         """Count the fleet's error once for each honest member who forecasts alone."""
@@ -235,7 +246,8 @@ class _Judged:
             error, nees = (float(x) for x in count * squares[q])
             own_error, own_nees = (float(x) for x in alone[q])
             sums = SquareSums(count, own_error, error, own_nees, nees)
-            tally.add(key_of(kind, self.where, question), sums)
+            for stage in (FrontStage.WHOLE, self.stages[q]):
+                tally.add(key_of(kind, self.where, question, stage), sums)
 
 
 def _squares(said: tuple[Floats, Floats], actual: Floats) -> Floats:

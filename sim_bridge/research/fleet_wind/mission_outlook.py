@@ -19,6 +19,7 @@ from companion.core.wind_field.fronts import FrontAhead
 from companion.core.wind_field.shared_outlook import FrontOutlook, SharedOutlook
 from companion.core.wind_field.shared_winds import MOST_TOLD
 from companion.core.wind_field.tellings import WindTelling
+from sim_bridge.research.fleet_wind.front_stages import known_s
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M
 from sim_bridge.research.fleet_wind.worlds import FleetWorld
 from sim_bridge.research.promise.planner import HISTORY_S, SpreadOutlook
@@ -113,11 +114,6 @@ class FleetForesight:
         while self._fronts and known_s(self._fronts[0]) <= now_s:
             found = self._fronts.pop(0)
         return found
-
-
-def known_s(front: FrontAhead) -> float:
-    """When a front has become known so well."""
-    return max(front.noticed_s, *(one.t_s for one in front.felt))
 
 
 def _moved(front: FrontAhead, by_s: float) -> FrontAhead:

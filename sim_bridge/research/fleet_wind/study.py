@@ -14,11 +14,14 @@ from companion.core.wind_field.fronts import FrontWatch
 from sim_bridge.research.fleet_wind.alert_study import (
     NO_ALERTS,
     AlertFigures,
+    Beliefs,
     alerts_in,
     beliefs,
     judge_front,
 )
 from sim_bridge.research.fleet_wind.error_study import ErrorTally, Members, judge_errors
+from sim_bridge.research.fleet_wind.front_bound import NO_BOUNDS, AlertBounds, judge_bounds
+from sim_bridge.research.fleet_wind.front_stages import FrontsOfWorld, fronts_of_world
 from sim_bridge.research.fleet_wind.patrols import Patrol, patrols
 from sim_bridge.research.fleet_wind.worlds import FleetWorld, fitted, halves_of, world_of
 from sim_bridge.truth.errors import TruthError
@@ -58,6 +61,8 @@ class FieldDraw:
     number: int
     errors: bool
     alerts: bool
+    bounds: bool = False
+    """Alerts are held against those of ideal tests, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,7 @@ class DrawResult:
     ordinary: ErrorTally
     front: ErrorTally
     alerts: AlertFigures
+    bounds: AlertBounds = NO_BOUNDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +92,15 @@ def made_field(path: Path) -> WindFieldParams:
         raise LeewayError(str(error)) from error
 
 
-def summed(results: Sequence[DrawResult]) -> tuple[ErrorTally, ErrorTally, AlertFigures]:
-    """All draws: errors in ordinary wind, errors with a front, alerts."""
+def summed(results: Sequence[DrawResult]) -> DrawResult:
+    """All draws as one."""
     ordinary = front = ErrorTally.empty()
-    alerts = NO_ALERTS
+    alerts, bounds = NO_ALERTS, NO_BOUNDS
     for one in results:
         ordinary, front = ordinary.joined(one.ordinary), front.joined(one.front)
         alerts += one.alerts
-    return ordinary, front, alerts
+        bounds += one.bounds
+    return DrawResult(ordinary, front, alerts, bounds)
 
 
 def case_names(setting: FleetWindSetting) -> tuple[str, ...]:
@@ -111,12 +118,18 @@ def mean_wind_mps(setting: FleetWindSetting) -> float:
     return float(np.mean([np.hypot(*half.wind_ne_mps.T).mean() for half in halves]))
 
 
-def draws_of(setting: FleetWindSetting, errors: int, alerts: int) -> list[FieldDraw]:
-    """So many draws of each case: the first `errors` judge errors, the first `alerts` alerts."""
+def draws_of(
+    setting: FleetWindSetting, errors: int, alerts: int, *, bounds: bool = False
+) -> list[FieldDraw]:
+    """So many draws of each case: the first `errors` judge errors, the first `alerts` alerts, with
+    `bounds` against ideal tests as well.
+    """
     cases = range(len(case_names(setting)))
     count = max(errors, alerts)
     return [
-        FieldDraw(setting, case, k, k < errors, k < alerts) for k in range(count) for case in cases
+        FieldDraw(setting, case, k, k < errors, k < alerts, bounds and k < alerts)
+        for k in range(count)
+        for case in cases
     ]
 
 
@@ -128,6 +141,8 @@ class DrawnField:
     process: WindProcessParams
     ways: list[Patrol]
     front: PassingFront
+    sizes_mps: tuple[float, float]
+    """Between which its change was drawn."""
     rng: np.random.Generator
 
     def world(self, *, front: bool) -> FleetWorld:
@@ -137,6 +152,12 @@ class DrawnField:
     def truth(self, *, front: bool) -> SiteWind:
         """The wind with its front or without."""
         return SiteWind(self.field, [self.front] if front else [])
+
+    def fronts(self, *, front: bool) -> FrontsOfWorld:
+        """What the fleet is told of fronts. Its own randomness: what else is drawn stays."""
+        real, rng = self.front if front else None, self.rng.spawn(1)[0]
+        truth, ways, seconds = self.truth(front=front), self.ways, float(self.seconds)
+        return fronts_of_world(truth, ways, seconds, self.process, real, rng)
 
     @property
     def seconds(self) -> int:
@@ -155,7 +176,7 @@ def drawn_field(setting: FleetWindSetting, case: int, number: int) -> DrawnField
         least, most = known.params.front_least_mps, known.params.front_most_mps
     t_s = float(rng.uniform(FRONT_FROM_S, field.seconds - FRONT_UNTIL_S))
     front = drawn_front(t_s, field.mean_ne_mps, least, most, rng)
-    return DrawnField(field, known.process, ways, front, rng)
+    return DrawnField(field, known.process, ways, front, (least, most), rng)
 
 
 def judge_draw(draw: FieldDraw) -> DrawResult:
@@ -163,19 +184,28 @@ def judge_draw(draw: FieldDraw) -> DrawResult:
     drawn = drawn_field(draw.setting, draw.case, draw.number)
     ordinary = with_front = ErrorTally.empty()
     if draw.errors:
-        ordinary = judge_errors(drawn.world(front=False), drawn.rng, tuple(Members))
-        with_front = judge_errors(drawn.world(front=True), drawn.rng)
+        calm, gust = (drawn.fronts(front=front) for front in (False, True))
+        ordinary = judge_errors(drawn.world(front=False), drawn.rng, tuple(Members), calm)
+        with_front = judge_errors(drawn.world(front=True), drawn.rng, fronts=gust)
     names = [way.name for way in drawn.ways]
-    alerts = NO_ALERTS
+    alerts, bounds = NO_ALERTS, NO_BOUNDS
+    heard: list[Beliefs] = []
     for front in (False, True) if draw.alerts else ():
         last_s = float(drawn.seconds)
         told = beliefs(drawn.truth(front=front), drawn.ways, 0.0, last_s, drawn.rng)
+        heard.append(told)
         found = alerts_in(told, names, FrontWatch(drawn.process))
         if front:
             alerts += judge_front(drawn.front, told, found, drawn.process)
         else:
             alerts += AlertFigures(false=len(found), hours=float(np.ptp(told.t_s)) / 3600.0)
-    return DrawResult(ordinary, with_front, alerts)
+    if draw.bounds:
+        calm, amid = heard
+        coherence = Coherence(draw.setting.along, draw.setting.across)
+        bounds = judge_bounds(
+            drawn.field, coherence, drawn.ways, drawn.front, drawn.sizes_mps, amid, calm
+        )
+    return DrawResult(ordinary, with_front, alerts, bounds)
 
 
 @lru_cache(maxsize=4)

@@ -226,7 +226,7 @@ PAGES = (
         " carry a recording's spectrum and lose coherence; fronts told ahead.",
         (
             _fleet_wind("Eight that fly orders", "flying", "--wind-log", COAST, "--seed", "1",
-                        "--draws", "2", "--alert-draws", "3"),
+                        "--draws", "2", "--alert-draws", "3", "--bound"),
             _fleet_wind("Missions at wind/air 0.63", "missions-63", "--wind-log", COAST,
                         "--seed", "1", "--draws", "0", "--alert-draws", "0", "--missions", "400",
                         "--mission-draws", "2", "--wind-air", "0.63", "--lie", "2"),

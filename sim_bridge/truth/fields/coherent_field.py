@@ -89,6 +89,10 @@ class CoherentField:
         # (band, second, node along, node across, axis)
         self._parts = np.stack(drawn, axis=-1)
         self._alike = tuple(nodes.alike(flat[:, axis]) for axis in (0, 1))
+        frequency = _frequencies_hz(seconds)
+        self._power = np.stack(
+            [_smoothed(np.abs(np.fft.rfft(flat[:, axis])) ** 2, frequency) for axis in (0, 1)]
+        )
 
     def to_ne_mps(self, t_s: Floats, north_m: Floats, east_m: Floats) -> Floats:
         """Wind (n, 2) at times and places (n,) about the site's middle.
@@ -110,6 +114,32 @@ class CoherentField:
         north = turned[:, 0] * self._unit[0] - turned[:, 1] * self._unit[1]
         east = turned[:, 0] * self._unit[1] + turned[:, 1] * self._unit[0]
         return np.stack([north, east], axis=1) + self.mean_ne_mps
+
+    def expected_turned_mps(self, t_s: Floats, north_m: Floats, east_m: Floats) -> Floats:
+        """Mean and trend along and across the mean wind (n, 2): what is drawn comes on top."""
+        along = north_m * self._unit[0] + east_m * self._unit[1]
+        passed_s = np.clip(t_s - along / self.mean_mps, 0.0, self.seconds)
+        trend = np.outer(passed_s - 0.5 * self.seconds, self._slope)
+        return trend + np.array([self.mean_mps, 0.0])
+
+    def turned(self, to_ne: Floats) -> Floats:
+        """North and east (n, 2) as along and across the mean wind."""
+        return _turned(to_ne, self._unit)
+
+    def covariances_m2ps2(self, apart_m: Floats, averaged_s: float) -> Floats:
+        """Covariance (2, n, seconds) of what is drawn along and across, as means over `averaged_s`.
+
+        Of two places whose separations times their decays are `apart_m` (n,), at each whole second
+        by which the later one is asked for after what passed the first has come to it. Where the
+        recording itself is not given, which is in the middle.
+        """
+        count = self.seconds + 1
+        frequency = _frequencies_hz(count)
+        kept = np.sinc(frequency * averaged_s) ** 2
+        coherence = np.exp(-np.outer(apart_m, frequency) / self.mean_mps)
+        return (
+            np.stack([np.fft.irfft(one * kept * coherence, count) for one in self._power]) / count
+        )
 
     def _interpolated(self, passed_s: Floats, here: Floats) -> Floats:
         """Eddies (n, 2) along and across, between nodes and seconds, of the right variance."""

@@ -1,7 +1,12 @@
 """A desk that follows a forecast: launches that it closes, the file that changes, what was felt."""
 
+import os
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +16,12 @@ import pytest
 from companion.fleet.messages import Answered, State
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.forecast_files import ForecastWanted
+from ground_station.adapters.files.forecast_readers import (
+    LIMIT_S,
+    ForecastReader,
+    InlineReader,
+    ProcessReader,
+)
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk import forecast_watch
@@ -67,7 +78,13 @@ class Clock:
 class Depot:
     """The desk of a depot over a wire; d1 stands there, d9 may be in the air and tell wind."""
 
-    def __init__(self, store: Store, data: DayData, **params: Any) -> None:
+    def __init__(
+        self,
+        store: Store,
+        data: DayData,
+        forecasts: ForecastReader | None = None,
+        **params: Any,
+    ) -> None:
         self.store, self.data, self.clock = store, data, Clock()
         self.said: list[tuple[float, str]] = []
         self.phase, self.order = "standby", ""
@@ -76,7 +93,7 @@ class Depot:
         self.params = DepotParams(**({"assigns": False, "launch_gap_s": 0.0} | params))
         say = lambda words: self.said.append((self.clock.t_s, words))  # noqa: E731
         self.desk: Desk = open_depot_desk(
-            data, store, self.wire, say, self.params, clock=self.clock
+            data, store, self.wire, say, self.params, clock=self.clock, forecasts=forecasts
         )
         self.wire.heard += [LivelinessChanged(name, name, up=True) for name in ("d1", "d9")]
 
@@ -140,7 +157,7 @@ def depot(tmp_path: Path, store: Store) -> Callable[..., Depot]:
     def made(winds: Winds, limit_mps: float = 40.0, **params: Any) -> Depot:
         data = day_of(tmp_path / "w.json", winds, limit_mps)
         store.add_orders(data.orders)
-        return Depot(store, data, **params)
+        return Depot(store, data, InlineReader(), **params)
 
     return made
 
@@ -278,6 +295,89 @@ def test_a_newer_file_is_taken_a_torn_or_wrong_one_is_said_and_the_old_one_stays
     path.write_text(calm)
     assert site.run(forecast_watch.LEAST_SHUT_S + 60.0, lambda: site.wire.launches() != [])
     assert "a newer forecast: 4.0 m/s from 80 at 40 m now" in site.words()
+
+
+def test_a_file_that_is_never_read_to_its_end_holds_the_desk_up_by_nothing_and_is_said_once(
+    store, tmp_path
+):
+    """A named pipe that nobody writes into. A watchdog ends it for who reads it on the desk's own
+    thread.
+    """
+    path = tmp_path / "w.json"
+    data = day_of(path, rising(4.0, 0.0))
+    store.add_orders(data.orders)
+    site = Depot(store, data)
+    site.run(15.0)
+    os.mkfifo(tmp_path / "pipe")
+    os.replace(tmp_path / "pipe", path)
+    ended = threading.Event()
+
+    def end() -> None:
+        ended.set()
+        descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+        path.unlink()  # nobody opens it again
+        os.close(descriptor)
+
+    watchdog = threading.Timer(30.0, end)
+    watchdog.start()
+    try:
+        site.run(30.0)
+        reader = reader_of(site)
+        assert reader.is_alive()
+        site.run(LIMIT_S + 600.0)
+        assert not ended.is_set(), "the desk waited for the file"
+        assert reader.exitcode == -signal.SIGKILL
+        assert site.desk.exchange.status.of("d1").heard_s == site.clock.t_s
+        assert site.words().count("forecast not taken") == 1
+        assert f"LOOK: forecast not taken, the old one goes on: {path}: not read: not done" in (
+            site.words()
+        )
+    finally:
+        watchdog.cancel()
+        site.desk.close()
+
+
+def test_a_newer_file_is_read_by_a_process_beside_the_desk_which_ends_with_it(store, tmp_path):
+    path = tmp_path / "w.json"
+    data = day_of(path, rising(4.0, 0.0))
+    store.add_orders(data.orders)
+    site = Depot(store, data)
+    site.run(15.0)
+
+    def put(speed_mps: float) -> SpawnProcess:
+        newer = written(tmp_path / "n.json", answer(lambda hour, _: (speed_mps, FROM_DEG)))
+        newer.replace(path)
+        site.run(30.0)
+        return reader_of(site)
+
+    def says(words: str) -> None:
+        until_s = time.monotonic() + 60.0
+        while words not in site.words() and time.monotonic() < until_s:
+            site.desk.wind.turn(site.desk.exchange.status)  # type: ignore[union-attr]
+            time.sleep(0.02)
+        assert words in site.words()
+
+    put(7.0)
+    says("a newer forecast: 7.0 m/s from 80 at 40 m now")
+    os.kill(put(8.0).pid or 0, signal.SIGKILL)
+    says(f"the old one goes on: {path}: not read: its process died")
+    put(9.0)
+    says("a newer forecast: 9.0 m/s")
+    last = put(10.0)
+    site.desk.close()
+    assert last.exitcode is not None
+    assert "10.0 m/s" not in site.words()
+
+
+def reader_of(site: Depot) -> SpawnProcess:
+    """The process that reads a newer file now."""
+    assert site.desk.wind is not None
+    assert site.desk.wind.forecast is not None
+    assert site.desk.wind.forecast.file is not None
+    reader = site.desk.wind.forecast.file.reader
+    assert isinstance(reader, ProcessReader)
+    assert reader.beside.process is not None
+    return reader.beside.process
 
 
 def test_where_the_forecast_is_off_the_fleet_is_believed_and_that_is_said(depot):

@@ -34,8 +34,8 @@ from ground_station.app.desk.replanner import ProcessReplanner
 from ground_station.core.schema.day_state import first_state
 
 if __name__ == "__main__":
-    beside, day = ProcessReplanner(None, trials=10**9), read_day(Path(sys.argv[1]))
-    beside.clock = type("Clock", (), {"monotonic_s": lambda self: 0.0})()
+    clock = type("Clock", (), {"monotonic_s": lambda self: 0.0})()
+    beside, day = ProcessReplanner(clock, trials=10**9), read_day(Path(sys.argv[1]))
     beside.ask(day, first_state(day))
     print(beside.process.pid, flush=True)
     sys.stdin.read()
@@ -93,14 +93,14 @@ def test_a_planner_that_is_killed_is_heard_of_and_the_next_plan_begins_anew(harb
     process = begun(beside, harbour)
     os.kill(process.pid or 0, signal.SIGKILL)
     process.join(60.0)
-    assert beside.made() == NoPlan("the planner's process died", again=True)
+    assert beside.made() == NoPlan("the planner: its process died", again=True)
     assert begun(beside, harbour).pid != process.pid
 
 
 def test_a_planner_that_hangs_is_ended_so_that_the_truck_goes_on(harbour, beside):
     process = begun(beside, harbour)
     beside.clock.t_s = beside.limit_s + 1.0
-    assert beside.made() == NoPlan("the planner was not done within 900 s", again=True)
+    assert beside.made() == NoPlan("the planner: not done within 900 s", again=True)
     assert process.exitcode == -signal.SIGKILL
 
 

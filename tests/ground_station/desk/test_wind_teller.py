@@ -9,7 +9,7 @@ from companion.fleet.messages import State
 from ground_station.app.desk import wind_teller
 from ground_station.app.desk.wind_teller import WindTeller
 from ground_station.core.fleet.fleet_status import FleetStatus
-from tests.ground_station.fleet.test_site_wind import PLACES, Air, front_comes
+from tests.ground_station.site_wind.told_air import PLACES, Air, front_comes
 
 
 @dataclass

@@ -5,7 +5,8 @@ import msgspec
 from ground_station.adapters.files.day_wind import site_wind_of
 from ground_station.app.views.wind_notes import FRONT_SHOWN_S, wind_notes
 from ground_station.core.fleet.fleet_status import FleetStatus
-from tests.ground_station.fleet.test_site_wind import PLACES, Air, a_state, front_comes
+from ground_station.core.site_wind.wind_words import field_words
+from tests.ground_station.site_wind.told_air import PLACES, Air, a_state, front_comes
 
 
 def test_nobody_who_tells_it_is_nothing_said():
@@ -18,7 +19,7 @@ def test_it_is_said_without_a_day_and_a_front_with_those_to_whom_it_comes():
     air.wind = site_wind_of(None)
     air.blow(180.0)
     (field,) = wind_notes(air.wind, status, air.t_s)
-    assert field == air.wind.words(air.t_s)
+    assert field == field_words(air.wind, air.t_s)
     for name in PLACES:
         told = msgspec.structs.replace(a_state(name, air.t_s, (0.0, 6.0)))
         status.on_state(told, air.t_s, 0)

@@ -12,3 +12,6 @@ def test_each_round_after_the_warm_ones_is_timed() -> None:
     table = sheet([few, many])
     assert [row[0] for row in table.rows] == ["1", "12"]
     assert max(DRONES) == 100
+    amid = measured(12, 1, front=True)
+    assert amid.update.median > 1.2 * many.update.median  # judged without it, then with it
+    assert sheet([amid]).rows[0][0] == "12, a front"

@@ -27,12 +27,19 @@ from sim_bridge.research.fleet_wind.error_study import (
     SquareSums,
     key_of,
 )
+from sim_bridge.research.fleet_wind.front_stages import (
+    FrontsOfWorld,
+    FrontStage,
+    fronts_of_world,
+)
 from sim_bridge.research.fleet_wind.patrols import GROUND_SPEED_MPS, SITE_M, patrols
-from sim_bridge.research.fleet_wind.sheets import error_rows, headline
+from sim_bridge.research.fleet_wind.sheets import error_rows, headline, stage_rows, stage_sheet
 from sim_bridge.research.fleet_wind.worlds import halves_of
 from sim_bridge.truth.errors import TruthError
+from sim_bridge.truth.fields.coherent_field import Coherence, CoherentField
 from sim_bridge.truth.fields.field_file import load_wind_field
 from sim_bridge.truth.fields.front import PassingFront
+from sim_bridge.truth.fields.site_wind import SiteWind
 from tests.companion.wind_field.made_front import made_front
 
 ROOT = Path(__file__).parents[4]
@@ -136,6 +143,65 @@ def test_a_front_is_told_apart_the_later_the_weaker_it_is_and_never_below_the_gu
     assert math.isfinite(least_delay_s(surely, told, COAST))
 
 
+def test_a_wind_is_judged_before_while_and_after_a_front_is_told() -> None:
+    """A front of 10 m/s from the south that begins at the middle at 500 s, told 20 s later."""
+    real = PassingFront(500.0, 0.0, 10.0, (8.0, 0.0), 30.0)
+    told = (200.0, alert(200.0)), (520.0, alert(520.0)), (560.0, alert(560.0))
+    fronts = FrontsOfWorld(told, real, told_s=520.0)
+    ahead = np.array([1000.0, 0.0])  # it begins there at 600 s
+    stages = [
+        (200.0, 300.0, FrontStage.NONE),
+        (510.0, 660.0, FrontStage.UNTOLD),
+        (510.0, 570.0, FrontStage.NONE),
+        (530.0, 680.0, FrontStage.TOLD),
+        (620.0, 680.0, FrontStage.TOLD),
+        (640.0, 700.0, FrontStage.PASSED),
+        (1600.0, 1700.0, FrontStage.NONE),
+    ]
+    for now_s, until_s, stage in stages:
+        assert fronts.stage(ahead, now_s, until_s) is stage
+    assert fronts.newest(199.0) is None
+    newest = fronts.newest(545.0)
+    assert newest is not None
+    assert newest.noticed_s == 520.0
+    assert FrontsOfWorld(fronts.told).stage(ahead, 530.0, 680.0) is FrontStage.NONE
+
+
+def test_an_alert_of_before_the_front_is_not_of_it() -> None:
+    """Two fronts, 350 s apart: only one is judged, and told is what was noticed once it began."""
+    drones = patrols(3, 3, 900.0, np.random.default_rng(1))
+    rng = np.random.default_rng(2)
+    blow = CoherentField(6.0 + 0.3 * rng.standard_normal((900, 2)), Coherence(), rng)
+    angle = math.radians(45.0)
+    jump = 9.0 * math.cos(angle), 9.0 * math.sin(angle)
+    early, real = (PassingFront(t_s, 45.0, 12.0, jump, 30.0) for t_s in (250.0, 600.0))
+    truth = SiteWind(blow, [early, real])
+    found = fronts_of_world(truth, drones, 899.0, COAST, real, rng)
+    first_s = found.told[0][0]
+    assert 150.0 < first_s < 400.0, "the earlier one is told, and is not this one"
+    assert found.told_s > first_s + 100.0
+    assert fronts_of_world(truth, drones, 899.0, COAST, early, rng).told_s < 400.0
+
+
+def test_hours_with_a_front_are_also_said_by_stage_and_as_they_come() -> None:
+    """By hand: a tenth of the winds untold at NEES 22, the rest at 3; ordinary hours at 2."""
+    question, ordinary, front = QUESTIONS[3], ErrorTally.empty(), ErrorTally.empty()
+    ordinary.add(key_of(Members.HONEST, NOBODY, question), SquareSums(10, 1.0, 1.0, 20.0, 20.0))
+    untold, rest = SquareSums(1, 50.0, 50.0, 22.0, 22.0), SquareSums(9, 9.0, 9.0, 27.0, 27.0)
+    for stage, sums in ((FrontStage.UNTOLD, untold), (FrontStage.NONE, rest)):
+        for key in (stage, FrontStage.WHOLE):
+            front.add(key_of(Members.HONEST, NOBODY, question, key), sums)
+    rows = stage_rows(ordinary, front)
+    assert [row["stage"] for row in rows] == [
+        s.value for s in (FrontStage.NONE, FrontStage.UNTOLD, FrontStage.WHOLE)
+    ]
+    assert [row["share"] for row in rows] == pytest.approx([0.9, 0.1, 1.0])
+    assert rows[-1]["nees"] == pytest.approx(4.9)
+    assert rows[-1]["all_else_right_nees"] == pytest.approx(0.1 * 22.0 + 0.9 * 2.0)
+    assert rows[-1]["as_they_come_nees"] == pytest.approx(0.1 * 4.9 + 0.9 * 2.0)
+    assert stage_sheet(rows).rows[-1][-2:] == ["4.00", "2.29"]
+
+
 def test_the_shipped_field_is_read_and_a_mistake_in_one_is_named(tmp_path: Path) -> None:
     assert load_wind_field(SHIPPED).coherence.across == 13.0
     broken = tmp_path / "field.toml"
@@ -184,6 +250,10 @@ def test_the_command_judges_a_made_field(tmp_path: Path) -> None:
     assert {"fronts", "warned", "lead_s_median", "false"} <= set(one["alerts"])
     honest = [r for r in one["error"] if (r["wind"], r["members"]) == ("ordinary", "all honest")]
     assert len(honest) == 2 * len(QUESTIONS)
+    assert {row["stage"] for row in one["stages"]} >= {
+        FrontStage.WHOLE.value,
+        FrontStage.NONE.value,
+    }
     for row in one["error"]:
         assert 0.1 < row["fleet_rmse_mps"] < 10.0
         assert math.isfinite(row["nees"])

@@ -10,8 +10,10 @@ import pytest
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.followed_file import LOOK_S, FollowedFile
 from ground_station.adapters.files.forecast_open_meteo import read_open_meteo
-from ground_station.core.fleet.followed_forecast import OUTLASTED_STD_MPS, FollowedForecast
-from ground_station.core.fleet.forecast_record import (
+from ground_station.adapters.files.forecast_readers import ForecastPlace, InlineReader
+from ground_station.core.schema.day_forecast import FORGOTTEN_S, DayForecast, ForecastBias
+from ground_station.core.site_wind.followed_forecast import OUTLASTED_STD_MPS, FollowedForecast
+from ground_station.core.site_wind.forecast_record import (
     EVERY_S,
     KEPT_S,
     LEAST_LOOKS,
@@ -19,7 +21,6 @@ from ground_station.core.fleet.forecast_record import (
     ForecastLook,
     ForecastRecord,
 )
-from ground_station.core.schema.day_forecast import FORGOTTEN_S, DayForecast, ForecastBias
 from ground_station.core.weather.forecast_field import OutsideForecast, WindAt
 from tests.ground_station.weather.open_meteo import START_S, answer, written
 
@@ -188,7 +189,7 @@ def test_a_file_is_read_once_it_has_stopped_changing_and_what_is_wrong_with_it_i
     tmp_path,
 ):
     path = written(tmp_path / "w.json", answer(lambda hour, _: (4.0, 270.0)))
-    file = FollowedFile(path, 55.47, 8.45)
+    file = FollowedFile(ForecastPlace(path, 55.47, 8.45), InlineReader())
     t_s = 0.0
 
     def look():
@@ -235,7 +236,7 @@ def test_the_very_file_that_was_read_is_not_read_again(tmp_path):
         reads.append(path)
         return read_open_meteo(path, lat_deg, lon_deg)
 
-    file = FollowedFile(path, 55.47, 8.45, read)
+    file = FollowedFile(ForecastPlace(path, 55.47, 8.45), InlineReader(read))
     for k in range(10):
         file.look(k * LOOK_S)
     assert reads == []

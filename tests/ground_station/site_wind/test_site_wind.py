@@ -13,64 +13,24 @@ from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.day_wind import site_wind_of
 from ground_station.adapters.files.params import read_wind_process
 from ground_station.core.dispatch.measured_wind import forecast_now, next_flights, off_sigmas
-from ground_station.core.fleet.site_wind import (
-    BACK_S,
-    FRONT_KEPT_S,
-    KNOWN_S,
-    LEAST_SPAN_S,
-    OUT_S,
-    SiteWind,
-    front_words,
+from ground_station.core.site_wind.site_belief import BACK_S
+from ground_station.core.site_wind.site_fronts import FRONT_KEPT_S, OUT_S
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.tellers import KNOWN_S, LEAST_SPAN_S
+from ground_station.core.site_wind.wind_words import field_words, front_words
+from tests.ground_station.site_wind.told_air import (
+    DEPOT,
+    FORECAST,
+    PLACES,
+    Air,
+    a_state,
+    front_comes,
 )
-from ground_station.core.schema.day import Forecast
-
-DEPOT = (55.47, 8.45)
-M_PER_DEG = 111_320.0
-"""Of latitude, within half a percent."""
-COV = (0.3, 0.02, 0.35)
-PLACES = {"d1": (0.0, -400.0), "d2": (0.0, 500.0), "d3": (700.0, 300.0), "d4": (-600.0, 100.0)}
-FORECAST = Forecast(speed_mps=6.0, from_deg=270.0, std_mps=2.0)
-
-
-def a_state(name: str, t_s: float, wind: tuple[float, float], **more: object) -> State:
-    north, east = PLACES[name]
-    fields: dict[str, object] = {
-        "vehicle": name, "life": "a", "uptime_s": t_s, "epoch_us": 0, "airframe": "m100",
-        "max_payload_kg": 1.0, "phase": "outbound", "log": "l", "last_seq": 0, "armed": True,
-        "lat_deg": DEPOT[0] + north / M_PER_DEG, "height_rel_m": 40.0,
-        "lon_deg": DEPOT[1] + east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
-        "wind_to_n_mps": wind[0], "wind_to_e_mps": wind[1], "wind_cov_m2ps2": COV,
-    }  # fmt: skip
-    return State(**{**fields, **more})  # pyright: ignore[reportArgumentType]
-
-
-class Air:
-    """A wind to the east with gusts of its own at each drone; told once a second."""
-
-    def __init__(self, seed: int = 1, **more: object) -> None:
-        self.wind = SiteWind(read_wind_process("coast"), DEPOT, FORECAST)
-        self.rng, self.t_s, self.more = np.random.default_rng(seed), 0.0, more
-        self.gusts = {name: np.zeros(2) for name in PLACES}
-        self.mean = {name: np.array([0.0, 6.0]) for name in PLACES}
-
-    def blow(self, for_s: float, silent: frozenset[str] = frozenset()) -> None:
-        until_s = self.t_s + for_s
-        while self.t_s < until_s:
-            self.t_s += 1.0
-            for name, gust in self.gusts.items():
-                gust += -gust / 15.0 + self.rng.normal(0.0, 0.2, 2)  # 0.55 m/s, 15 s
-                if name not in silent:
-                    self.tell(name)
-
-    def tell(self, name: str, **more: object) -> None:
-        north, east = (round(float(x), 3) for x in self.mean[name] + self.gusts[name])
-        told = a_state(name, self.t_s, (north, east), **(self.more | more))
-        self.wind.on_state(told, self.t_s)
 
 
 def test_nothing_is_known_before_a_minute_of_it_and_nothing_any_more_two_minutes_after_it():
     air = Air()
-    assert air.wind.words(0.0) == ""
+    assert field_words(air.wind, 0.0) == ""
     air.blow(LEAST_SPAN_S - 1.0)
     assert air.wind.ahead(air.t_s, 300.0, 600.0) is None
     assert forecast_now(air.wind, air.t_s, FORECAST) == FORECAST
@@ -86,7 +46,7 @@ def test_it_finds_the_wind_that_blows_and_says_it_in_a_line():
     assert here is not None
     assert math.dist(here.to_ne_mps, (0.0, 6.0)) < 1.0
     assert 0.2 < here.std_mps < 1.2
-    words = air.wind.words(air.t_s)
+    words = field_words(air.wind, air.t_s)
     assert f"wind {here.speed_mps:.1f} +- {here.std_mps:.1f} m/s from" in words
     assert "at 40 m, by 4 drones" in words
 
@@ -128,7 +88,7 @@ def test_a_covariance_that_is_not_told_counts_as_a_large_one():
 def test_who_is_not_in_the_air_or_does_not_say_where_tells_no_wind(more: dict[str, object]):
     air = Air(**more)
     air.blow(120.0)
-    assert air.wind.words(air.t_s) == ""
+    assert field_words(air.wind, air.t_s) == ""
 
 
 @pytest.mark.parametrize(("who", "why"), [("liar", "contradicts"), ("frozen", "the same wind")])
@@ -149,7 +109,7 @@ def test_one_that_lies_or_is_frozen_is_left_out_said_and_moves_the_plan_by_less_
             told.blow(1.0, silent=frozenset({"d4"}))
             told.wind.on_state(a_state("d4", told.t_s, stuck), told.t_s)  # type: ignore[arg-type]
     assert why in told.wind.left_out(told.t_s)["d4"]
-    assert "left out: d4" in told.wind.words(told.t_s)
+    assert "left out: d4" in field_words(told.wind, told.t_s)
     one, other = (next_flights(air.wind, air.t_s, FORECAST) for air in (honest, told))
     assert math.dist(one.to_ne_mps, other.to_ne_mps) < other.std_mps
     assert other.std_mps > 0.9 * one.std_mps  # who is left out makes nobody surer
@@ -166,7 +126,7 @@ def test_a_liar_that_tells_the_truth_again_is_believed_again_after_a_while():
     assert "d4" in air.wind.left_out(air.t_s)
     air.blow(150.0)
     assert air.wind.left_out(air.t_s) == {}
-    assert "by 4 drones" in air.wind.words(air.t_s)
+    assert "by 4 drones" in field_words(air.wind, air.t_s)
 
 
 def test_a_state_that_travelled_tells_the_same():
@@ -179,23 +139,10 @@ def test_a_state_that_travelled_tells_the_same():
             told = decode_state(raw)
             assert isinstance(told, State)
             by_wire.on_state(told, air.t_s)
-    assert by_wire.words(air.t_s) == air.wind.words(air.t_s)
+    assert field_words(by_wire, air.t_s) == field_words(air.wind, air.t_s)
 
 
 # --- fronts --------------------------------------------------------------------------------------
-
-
-def front_comes(
-    air: Air, change: tuple[float, float], speed_mps: float, for_s: float
-) -> dict[str, float]:
-    """A front towards the east that is at d1 now; when it is at each."""
-    at = {n: air.t_s + (p[1] - PLACES["d1"][1]) / speed_mps for n, p in PLACES.items()}
-    for _ in range(round(for_s)):
-        for name, due_s in at.items():
-            if abs(air.t_s - due_s) < 0.5:
-                air.mean[name] = air.mean[name] + change
-        air.blow(1.0)
-    return at
 
 
 def test_a_front_felt_by_one_is_told_with_place_speed_and_arrival_within_ten_seconds():
@@ -215,6 +162,21 @@ def test_a_front_felt_by_one_is_told_with_place_speed_and_arrival_within_ten_sec
         assert t_s > air.t_s, "it is told before it is there"
     air.t_s += FRONT_KEPT_S + 10.0
     assert air.wind.fronts_now(air.t_s) == []
+
+
+def test_a_front_that_is_told_is_in_the_wind_that_flights_to_come_are_priced_in():
+    """It is at `d1` and not at the depot yet; without it the field would say some 7 m/s."""
+    air = Air(seed=2)
+    air.blow(180.0)
+    before = next_flights(air.wind, air.t_s, FORECAST)
+    at = front_comes(air, (0.0, 9.0), 11.0, 25.0)
+    assert air.wind.fronts != []
+    assert air.t_s < at["d4"], "only one has felt it"
+    soon = next_flights(air.wind, air.t_s, FORECAST)
+    assert before.speed_mps < 8.0
+    assert soon.to_ne_mps == pytest.approx((0.0, 15.0), abs=2.0 * soon.std_mps)
+    assert soon.speed_mps > 11.0
+    assert soon.std_mps > before.std_mps
 
 
 def test_a_wind_that_changes_for_all_at_once_is_said_to_do_so():
@@ -290,7 +252,7 @@ def test_a_wind_process_that_only_the_vehicles_have_is_said_and_keeps_no_desk_fr
     mission = msgspec.structs.replace(day.day.mission, wind_process="/etc/leeway/moon.toml")
     said: list[str] = []
     moon = replace(day, day=msgspec.structs.replace(day.day, mission=mission))
-    assert site_wind_of(moon, said.append).words(0.0) == ""
+    assert field_words(site_wind_of(moon, said.append), 0.0) == ""
     assert said == [
         "the field of the wind goes by coast: /etc/leeway/moon.toml: No such file or directory"
     ]

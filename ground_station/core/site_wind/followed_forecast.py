@@ -4,10 +4,15 @@ from dataclasses import dataclass, field, replace
 
 from companion.core.base.errors import LeewayError
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.forecast_record import ForecastLook, ForecastRecord, ForecastScore
-from ground_station.core.fleet.site_wind import BelievedWind, SiteWind
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_forecast import DayForecast
+from ground_station.core.site_wind.believed_wind import BelievedWind
+from ground_station.core.site_wind.forecast_record import (
+    ForecastLook,
+    ForecastRecord,
+    ForecastScore,
+)
+from ground_station.core.site_wind.site_wind import SiteWind
 from ground_station.core.weather.forecast_field import ForecastField, OutsideForecast
 
 OUTLASTED_STD_MPS = 3.0

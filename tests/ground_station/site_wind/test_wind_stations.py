@@ -5,15 +5,17 @@ import math
 import pytest
 
 from ground_station.core.dispatch.measured_wind import next_flights
-from ground_station.core.fleet.site_wind import KNOWN_S, LEAST_SPAN_S, SiteWind
 from ground_station.core.fleet.station_message import (
     StationWind,
     decode_station,
     encode_station,
 )
-from ground_station.core.fleet.wind_stations import MOST_AGE_S, MOST_AHEAD_S, StationBook
 from ground_station.core.schema.day import Forecast, WindStation
-from tests.ground_station.fleet.test_site_wind import DEPOT, FORECAST, M_PER_DEG, Air
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.tellers import KNOWN_S, LEAST_SPAN_S
+from ground_station.core.site_wind.wind_stations import MOST_AGE_S, MOST_AHEAD_S, StationBook
+from ground_station.core.site_wind.wind_words import field_words
+from tests.ground_station.site_wind.told_air import DEPOT, FORECAST, M_PER_DEG, Air
 
 EPOCH_US = 1_780_000_000_000_000
 
@@ -64,7 +66,7 @@ class Masts:
 def test_a_station_is_heard_at_its_place_and_height_beside_the_drones():
     site = Masts(mast())
     site.blow(300.0)
-    assert "by 4 drones and 1 station" in site.wind.words(site.now_s)
+    assert "by 4 drones and 1 station" in field_words(site.wind, site.now_s)
     (told,) = [o for o in site.wind.believed(site.now_s) if o.member == "mast"]
     assert told.place_ne_m[1] == pytest.approx(900.0, rel=0.01)
     assert told.height_m == 40.0
@@ -91,7 +93,7 @@ def test_one_that_lies_is_left_out_by_the_drones_and_changes_nothing_for_the_nex
     told.blow(120.0)
     honest.blow(120.0)
     assert "drones tell" in told.book.troubles(told.now_s)["mast"]
-    assert "left out: mast" in told.wind.words(told.now_s)
+    assert "left out: mast" in field_words(told.wind, told.now_s)
     assert told.wind.fronts == []
     one, other = (next_flights(s.wind, s.now_s, FORECAST) for s in (honest, told))
     assert math.dist(one.to_ne_mps, other.to_ne_mps) < 0.05
@@ -148,8 +150,8 @@ def test_a_mute_one_is_named_after_two_minutes_and_one_that_was_never_heard_too(
     site.blow(KNOWN_S + 40.0, mute=frozenset({"mast"}))
     troubles = site.book.troubles(site.now_s)
     assert troubles == {"mast": "mute for 2 min", "pier": "not heard"}
-    assert "by 4 drones" in site.wind.words(site.now_s)
-    assert "station" not in site.wind.words(site.now_s)
+    assert "by 4 drones" in field_words(site.wind, site.now_s)
+    assert "station" not in field_words(site.wind, site.now_s)
 
 
 @pytest.mark.parametrize(

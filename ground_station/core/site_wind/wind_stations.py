@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from companion.core.base.errors import LeewayError
 from companion.core.wind_field.fronts import FrontAhead
 from companion.core.wind_field.tellings import WindTelling
-from ground_station.core.fleet.site_wind import KNOWN_S, SiteWind
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.day import WindStation
+from ground_station.core.site_wind.believed_wind import blows_from_deg
+from ground_station.core.site_wind.site_wind import SiteWind
+from ground_station.core.site_wind.tellers import KNOWN_S
 
 MOST_AGE_S, MOST_AHEAD_S = 20.0, 5.0
 """By the desk's wall clock: what a station measured longer ago says little of now; what it will
@@ -136,8 +138,7 @@ class StationBook:
                 lines.append(f"LOOK: station {name}: {troubles[name]}")
             elif one is not None:
                 speed_mps = math.hypot(*one.mean_to_ne_mps)
-                north, east = one.mean_to_ne_mps
-                from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
+                from_deg = blows_from_deg(one.mean_to_ne_mps)
                 age_s = now_s - one.t_s
                 lines.append(
                     f"station {name}: {speed_mps:.1f} m/s from {from_deg:.0f} at"
