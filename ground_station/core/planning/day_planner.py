@@ -46,7 +46,11 @@ DAY_TRIALS_FRAC = 0.6
 """Share of the default number of trials: with pads a trial takes longer than in the published
 problem (the goal is 30 s of one core for 200 customers and 8 drones)."""
 QUICK_CUSTOMERS = 60
-BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best"))
+BEST_OF_THREE = (
+    *((Cooling(0.15, 0.0, "first"),) * 2),
+    Cooling(0.15, 0.5, "built"),
+    Cooling(0.55, 0.3, "best"),
+)
 """Up to so many customers, the best of three quick coolings is cooled once more, slowly and not as
 hot; with more of them a quick cooling has too few trials for each."""
 LAYERED_SHARE = 10
@@ -252,9 +256,17 @@ class _DayPlanner:
         """
         found: list[tuple[float, Plan]] = []
         done = tell_frac[0]
-        for cooling in _coolings(problem.customers):
-            best = min(found, key=lambda one: one[0])[1] if cooling.start == "best" else None
-            search = Search(problem, rng, SearchParams(), best)
+        coolings = _coolings(problem.customers)
+        built: list[Plan] = []
+        if any(cooling.start == "built" for cooling in coolings):
+            built = Search(problem, rng, SearchParams()).built()
+        for cooling in coolings:
+            start: Plan | None = None
+            if cooling.start == "best":
+                start = min(found, key=lambda one: one[0])[1]
+            elif cooling.start == "built" and built:
+                start = built.pop(0)
+            search = Search(problem, rng, SearchParams(), start)
             until = done + (tell_frac[1] - tell_frac[0]) * cooling.share
             of_cooling = max(1, int(trials * cooling.share))
             self._cooled(search, of_cooling, cooling.begin_frac, (done, until))

@@ -16,7 +16,7 @@ from ground_station.core.truck_drones.random_stream import RandomStream, below, 
 from ground_station.core.truck_drones.tables import NOWHERE, Tables
 from ground_station.core.truck_drones.tour import first_tour
 
-TRIALS_PER_NODE = 600
+TRIALS_PER_NODE, LEAST_TRIALS = 600, 20_000
 HOT_LEGS, COLD_LEGS = 0.7, 0.025
 """Temperatures as shares of the full tour's mean leg."""
 
@@ -43,7 +43,7 @@ def priced_tour(
         route,
         place,
         stream,
-        TRIALS_PER_NODE * (end + 1),
+        max(LEAST_TRIALS, TRIALS_PER_NODE * (end + 1)),
         max(HOT_LEGS * leg_s, 1e-9),
         max(COLD_LEGS * leg_s, 1e-9),
     )

@@ -77,15 +77,28 @@ SMALL_CUSTOMERS = 25
 TINY_CUSTOMERS = 12
 ROUNDS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
 """For small problems, which settle in different plans."""
-BUILT = (*(Cooling(0.1, 0.5, "built"),) * 4, Cooling(0.6, 0.5, "best"))
-"""For large problems: several plans with tours of different shapes, not hot enough to lose them;
-the best of them once more, slowly. Two coolings of one problem may end ten per cent apart."""
+BUILT = (
+    *(Cooling(0.08, 0.5, "built"),) * 2,
+    Cooling(0.42, 0.0, "first"),
+    Cooling(0.42, 0.5, "best"),
+)
+"""For large problems: two plans with tours of different shapes, not hot enough to lose them, and a
+hot cooling; the best of them once more. Two coolings of one problem may end ten per cent apart."""
 BUILT_AND_OFFERED = (
     *(Cooling(0.1, 0.5, "built"),) * 3,
     Cooling(0.1, 0.5, "offered"),
     Cooling(0.6, 0.5, "best"),
 )
-"""The same with a plan for fewer drones at hand."""
+"""With a plan for fewer drones at hand, which is cooled in turn."""
+FIRST_SHARE, NEXT_SHARE = 1.4, 0.6
+"""Of the trials of large problems: for the fewest drones, and for each number of them after."""
+
+
+def trials_of(customers: int, trials: int, fewer: bool) -> int:
+    """Of one search among those for each number of drones; `fewer`: after one for fewer drones."""
+    if customers <= SMALL_CUSTOMERS:
+        return trials
+    return max(1, int(trials * (NEXT_SHARE if fewer else FIRST_SHARE)))
 
 
 def default_coolings(customers: int, fewer: bool = False) -> tuple[Cooling, ...]:
@@ -261,12 +274,13 @@ class Search:
             return self._offered
         if cooling.start == "built":
             if self._built is None:
-                self._built = self._builds()
+                self._built = self.built()
             if self._built:
                 return self._built.pop(0)
         return self.best
 
-    def _builds(self) -> list[Plan]:
+    def built(self) -> list[Plan]:
+        """Plans to begin with, of tours of different shapes, best first."""
         return built_plans(
             self._problem, self._tables, self._kept, self._work, self._leg_s, self._chance
         )
@@ -314,7 +328,7 @@ def with_more_drones(plan: Plan, one: TruckAndDrones, other: TruckAndDrones) -> 
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
     """`Policy`: a search for each number of drones, fewest first, each offered the plan of the one
-    before. So with the same seed and trials more drones never end the day later. `trials`: of each
+    before. So with the same seed and trials more drones never end the day later. `trials`: of a
     search; None: by the number of customers.
     """
 
@@ -326,9 +340,10 @@ class SearchPolicy:
         trials = self.trials or default_trials(problem.customers)
 
         def searched(search: Search, fewer: bool) -> None:
+            share = trials_of(problem.customers, trials, fewer)
             for cooling in default_coolings(problem.customers, fewer):
                 search.begin(cooling)
-                search.cool(max(1, int(trials * cooling.share)), cooling.begin_frac)
+                search.cool(max(1, int(share * cooling.share)), cooling.begin_frac)
 
         return best_of_fleets(problem, rng, self.params, searched)
 
