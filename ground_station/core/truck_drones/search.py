@@ -77,6 +77,8 @@ SMALL_CUSTOMERS = 25
 TINY_CUSTOMERS = 12
 ROUNDS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
 """For small problems, which settle in different plans."""
+ONCE = (Cooling(1.0, 0.0, "here"),)
+"""One slow cooling, where there are few trials for each customer."""
 BUILT = (
     *(Cooling(0.08, 0.5, "built"),) * 2,
     Cooling(0.42, 0.0, "first"),

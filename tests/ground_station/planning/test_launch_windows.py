@@ -101,7 +101,7 @@ def test_a_window_ends_where_the_limit_of_the_wind_aloft_is_reached(tmp_path):
 
 
 def test_no_sortie_is_planned_into_a_wind_that_it_does_not_stand(tmp_path):
-    steep = harbour(rising(tmp_path / "steep.json", 10.0, 60.0))
+    steep = harbour(rising(tmp_path / "steep.json", 10.0, 40.0))
     calm_later = harbour(rising(tmp_path / "flat.json", 10.0, 0.0))
     constant = plan_day(calm_later, first_state(calm_later), QUICK)
 
@@ -109,7 +109,7 @@ def test_no_sortie_is_planned_into_a_wind_that_it_does_not_stand(tmp_path):
         return [
             s.order
             for s in plan.sorties
-            if not affordable(data, plan, s, 10.0 + 60.0 * s.land_s / 3600.0)
+            if not affordable(data, plan, s, 10.0 + 40.0 * s.land_s / 3600.0)
         ]
 
     assert blown_away(calm_later, constant)  # the canary: the wind of the beginning forbids none

@@ -150,7 +150,7 @@ def grown(problem: TruckAndDrones, drones: int) -> TruckAndDrones:
 
 def test_where_drones_are_plenty_a_built_plan_comes_near_the_truck_and_drivers_own_work():
     """With drones that are never short, no day ends before the cheapest priced tour: driving, and
-    the driver's time for each stop and flight. A search from a tour over all had stayed 10 % above.
+    the driver's time for each stop and flight.
     """
     from ground_station.core.truck_drones.search import Search, SearchParams
 
