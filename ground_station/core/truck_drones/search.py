@@ -7,7 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from ground_station.core.truck_drones.built_plans import built_plans
+from ground_station.core.truck_drones.building.built_plans import built_plans
+from ground_station.core.truck_drones.building.insertion import Insertion
+from ground_station.core.truck_drones.building.rebuild import rebuild
 from ground_station.core.truck_drones.changed_plan import (
     adopt,
     away_s,
@@ -18,11 +20,9 @@ from ground_station.core.truck_drones.changed_plan import (
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
 from ground_station.core.truck_drones.first_plan import first_plan
-from ground_station.core.truck_drones.insertion import Insertion
 from ground_station.core.truck_drones.moves import any_move
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.random_stream import random_stream, uniform
-from ground_station.core.truck_drones.rebuild import rebuild
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
 from ground_station.core.truck_drones.tables import IDLE, Plan, tables_of, work_for
 

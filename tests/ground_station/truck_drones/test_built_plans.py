@@ -58,7 +58,7 @@ def cheapest_s(problem: TruckAndDrones, flight_s: np.ndarray) -> float:
 def test_a_priced_tour_of_six_customers_costs_one_per_cent_more_than_the_cheapest_at_most(
     seed: int, price_s: float
 ):
-    from ground_station.core.truck_drones.priced_tour import priced_tour
+    from ground_station.core.truck_drones.building.priced_tour import priced_tour
     from ground_station.core.truck_drones.random_stream import random_stream
     from ground_station.core.truck_drones.tables import tables_of
 
@@ -95,11 +95,11 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
     problem: TruckAndDrones,
 ):
     from ground_station.core.truck_drones import changed_plan
+    from ground_station.core.truck_drones.building.rebuild import rebuild
     from ground_station.core.truck_drones.edits import index_route
     from ground_station.core.truck_drones.first_plan import first_plan
     from ground_station.core.truck_drones.moves import any_move
     from ground_station.core.truck_drones.random_stream import random_stream
-    from ground_station.core.truck_drones.rebuild import rebuild
     from ground_station.core.truck_drones.search import INSERTION
     from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
     from ground_station.core.truck_drones.tables import tables_of, work_for

@@ -7,8 +7,8 @@ served at its best place, in random order, some places left out by chance (Chris
 Berghe, "Slack induction by string removals", Transportation Science 54, 2020).
 """
 
+from ground_station.core.truck_drones.building.insertion import insert_customer, take_off_route
 from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.insertion import insert_customer, take_off_route
 from ground_station.core.truck_drones.random_stream import below, uniform
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE
 from ground_station.core.truck_drones.tables import LAUNCH, MEET, NOWHERE, TAKEN

@@ -5,11 +5,11 @@ served by drone (or truck) one after another, each at its best place.
 import numpy as np
 from numpy.typing import NDArray
 
+from ground_station.core.truck_drones.building.insertion import Insertion, insert_customer
+from ground_station.core.truck_drones.building.priced_tour import priced_tour
 from ground_station.core.truck_drones.changed_plan import note_simulation
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import index_route
-from ground_station.core.truck_drones.insertion import Insertion, insert_customer
-from ground_station.core.truck_drones.priced_tour import priced_tour
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.random_stream import RandomStream, below
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
