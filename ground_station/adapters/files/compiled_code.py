@@ -36,7 +36,7 @@ def keep_compiled_code() -> bool:
 def _digest(compiler: str) -> str:
     digest = hashlib.sha256(compiler.encode())
     for package in ground_station.core.__path__:
-        for path in sorted(Path(package, "truck_drones").glob("*.py")):
+        for path in sorted(Path(package, "truck_drones").rglob("*.py")):
             digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -61,7 +61,7 @@ def settings_of(rows: list[BenchRow], params: BenchParams) -> str:
     folders = sorted({row.folder for row in rows})
     inputs = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
     core = Path(next(iter(ground_station.core.__path__)))
-    inputs += [core / "benchmark" / "mfstsp.py", *sorted((core / "truck_drones").glob("*.py"))]
+    inputs += [core / "benchmark" / "mfstsp.py", *sorted((core / "truck_drones").rglob("*.py"))]
     for path in [*inputs, *sorted(folders[0].parent.glob("tbl_vehicles_*.csv"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

@@ -49,7 +49,7 @@ def tspd_settings(files: list[Path], params: TspdParams) -> str:
     """A digest of all that decides the rows: files, parameters and the planner's sources."""
     digest = hashlib.sha256(repr(params).encode())
     core = Path(next(iter(ground_station.core.__path__)))
-    for path in [*files, *sorted((core / "truck_drones").glob("*.py"))]:
+    for path in [*files, *sorted((core / "truck_drones").rglob("*.py"))]:
         digest.update(str(path).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 

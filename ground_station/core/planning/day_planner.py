@@ -32,6 +32,8 @@ from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignmen
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import schedule_of
 from ground_station.core.truck_drones.search import (
+    INSERTION,
+    ONCE,
     SMALL_CUSTOMERS,
     Cooling,
     Search,
@@ -49,6 +51,11 @@ QUICK_CUSTOMERS = 60
 BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best"))
 """Up to so many customers, the best of three quick coolings is cooled once more, slowly and not as
 hot; with more of them a quick cooling has too few trials for each."""
+ONE_BUILT = (*BEST_OF_THREE[:2], Cooling(0.15, 0.5, "built"), BEST_OF_THREE[-1])
+THOROUGH_TRIALS = 20_000
+"""From so many trials for each customer on, rebuilds and built plans are worth their time; with
+fewer, small moves alone find more (200 customers, 3,700 for each: 8 %)."""
+HASTY = SearchParams(rebuild_frac=0.0, insertion=INSERTION._replace(air_price=0.0))
 LAYERED_SHARE = 10
 """One trial with layers for so many without: each takes five to ten times as long."""
 LAYERED_CUSTOMERS = 40
@@ -252,9 +259,19 @@ class _DayPlanner:
         """
         found: list[tuple[float, Plan]] = []
         done = tell_frac[0]
-        for cooling in _coolings(problem.customers):
-            best = min(found, key=lambda one: one[0])[1] if cooling.start == "best" else None
-            search = Search(problem, rng, SearchParams(), best)
+        thorough = trials >= THOROUGH_TRIALS * problem.customers
+        params = SearchParams() if thorough else HASTY
+        coolings = _coolings(problem.customers, thorough)
+        built: list[Plan] = []
+        if any(cooling.start == "built" for cooling in coolings):
+            built = Search(problem, rng, params).built()
+        for cooling in coolings:
+            start: Plan | None = None
+            if cooling.start == "best":
+                start = min(found, key=lambda one: one[0])[1]
+            elif cooling.start == "built" and built:
+                start = built.pop(0)
+            search = Search(problem, rng, params, start)
             until = done + (tell_frac[1] - tell_frac[0]) * cooling.share
             of_cooling = max(1, int(trials * cooling.share))
             self._cooled(search, of_cooling, cooling.begin_frac, (done, until))
@@ -407,11 +424,14 @@ class _DayPlanner:
         )
 
 
-def _coolings(customers: int) -> tuple[Cooling, ...]:
+def _coolings(customers: int, thorough: bool) -> tuple[Cooling, ...]:
     if customers == 0:
         return ()
-    quick = SMALL_CUSTOMERS < customers <= QUICK_CUSTOMERS
-    return BEST_OF_THREE if quick else default_coolings(customers)
+    if SMALL_CUSTOMERS < customers <= QUICK_CUSTOMERS:
+        return ONE_BUILT if thorough else BEST_OF_THREE
+    if customers > QUICK_CUSTOMERS and not thorough:
+        return ONCE
+    return default_coolings(customers)
 
 
 def _plan_name(problem: TruckAndDrones) -> str:

@@ -25,6 +25,7 @@ from ground_station.core.truck_drones.tables import (
     LAUNCH,
     LAUNCHED,
     MEET,
+    MET,
     NEXT_LAUNCH,
     NEXT_MEET,
     NOWHERE,
@@ -81,6 +82,44 @@ def _note_spans(plan, whole):
 
 
 @compiled
+def _met_s(plan, kept, w, begin, at, shift_s, customer):
+    """When a customer's drone is met in a simulation of `changed_makespan_s`."""
+    meet = w.whole[PLACE, plan[MEET, customer]]
+    if meet < begin:
+        return kept.times_s[MET, customer]
+    return w.times_s[MET, customer] if meet < at else kept.times_s[MET, customer] + shift_s
+
+
+@compiled
+def changed_away_s(plan, kept, w, begin, at, shift_s):
+    """After `changed_makespan_s`: the time that all drones together are away from the truck."""
+    away_s = 0.0
+    for customer in range(1, plan.shape[1] - 1):
+        launch = plan[LAUNCH, customer]
+        if launch == NOWHERE:
+            continue
+        place = w.whole[PLACE, launch]
+        if place < begin:
+            launched_s = kept.times_s[LAUNCHED, customer]
+        elif place < at:
+            launched_s = w.times_s[LAUNCHED, customer]
+        else:
+            launched_s = kept.times_s[LAUNCHED, customer] + shift_s
+        away_s += _met_s(plan, kept, w, begin, at, shift_s, customer) - launched_s
+    return away_s
+
+
+@compiled
+def away_s(plan, w):
+    """After a whole simulation: the time that all drones together are away from the truck."""
+    total_s = 0.0
+    for customer in range(1, plan.shape[1] - 1):
+        if plan[LAUNCH, customer] != NOWHERE:
+            total_s += w.times_s[MET, customer] - w.times_s[LAUNCHED, customer]
+    return total_s
+
+
+@compiled
 def adopt(plan, kept, w, begin, at, shift_s):
     """Make a simulation of `changed_makespan_s`, which passed the places from `begin` to before
     `at`, that of the new plan, in `kept`: what came before is as it was, what follows is shifted.
@@ -111,10 +150,11 @@ def adopt(plan, kept, w, begin, at, shift_s):
             whole[PUSHES, customer] = was[PUSHES, customer]
             if was[PUSHES, customer] > 0:
                 times_s[RELEASE, customer] = was_s[RELEASE, customer] + shift_s
+        times_s[MET, customer] = _met_s(plan, kept, w, begin, at, shift_s, customer)
     for node in range(end + 1):
         for row in (PLACE, PUSHES, FIRST_LAUNCH, NEXT_LAUNCH):
             was[row, node] = whole[row, node]
-        for row in (ARRIVE, DEPART, LAUNCHED, FLY, SPARE, RELEASE):
+        for row in (ARRIVE, DEPART, LAUNCHED, MET, FLY, SPARE, RELEASE):
             was_s[row, node] = times_s[row, node]
         for kind in range(free.shape[1]):
             had[node, kind] = free[node, kind]

@@ -7,8 +7,13 @@ from typing import Literal
 
 import numpy as np
 
+from ground_station.core.truck_drones.building.built_plans import built_plans
+from ground_station.core.truck_drones.building.insertion import Insertion
+from ground_station.core.truck_drones.building.rebuild import rebuild
 from ground_station.core.truck_drones.changed_plan import (
     adopt,
+    away_s,
+    changed_away_s,
     changed_makespan_s,
     note_simulation,
 )
@@ -20,6 +25,8 @@ from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.random_stream import random_stream, uniform
 from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
 from ground_station.core.truck_drones.tables import IDLE, Plan, tables_of, work_for
+
+INSERTION = Insertion(stops=4, reach=3, ahead=3, skip_frac=0.02, air_price=0.03)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +41,13 @@ class SearchParams:
     hot_legs: float = 0.4
     cold_legs: float = 0.04
     step_trials: int = 20_000
+    rebuild_frac: float = 0.05
+    """Share of the changes that take out several customers and serve them anew."""
+    insertion: Insertion = INSERTION
 
 
+MOST_SAVED_AWAY_S = 1000.0
+"""No change is hoped to save more of the drones' time than this: its timing is given up."""
 TRIALS_PER_CUSTOMER = (4_000, 100_000)
 FULL_TRIALS_CUSTOMERS = 70
 LEAST_TRIALS = 1_200_000
@@ -58,7 +70,7 @@ class Cooling:
 
     share: float
     begin_frac: float
-    start: Literal["first", "best", "here"]
+    start: Literal["first", "built", "best", "offered", "here"]
 
 
 SMALL_CUSTOMERS = 25
@@ -66,16 +78,35 @@ TINY_CUSTOMERS = 12
 ROUNDS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
 """For small problems, which settle in different plans."""
 ONCE = (Cooling(1.0, 0.0, "here"),)
-"""For large problems, which gain more from one slow cooling."""
-ONCE_AND_ON = (Cooling(0.5, 0.0, "here"), Cooling(0.5, 0.3, "best"))
-"""With a plan for fewer drones at hand: the better of that and a fresh one is cooled again, not as
-hot. Two coolings of one problem may end ten per cent apart."""
+"""One slow cooling, where there are few trials for each customer."""
+BUILT = (
+    *(Cooling(0.08, 0.5, "built"),) * 2,
+    Cooling(0.42, 0.0, "first"),
+    Cooling(0.42, 0.5, "best"),
+)
+"""For large problems: two plans with tours of different shapes, not hot enough to lose them, and a
+hot cooling; the best of them once more. Two coolings of one problem may end ten per cent apart."""
+BUILT_AND_OFFERED = (
+    *(Cooling(0.1, 0.5, "built"),) * 3,
+    Cooling(0.1, 0.5, "offered"),
+    Cooling(0.6, 0.5, "best"),
+)
+"""With a plan for fewer drones at hand, which is cooled in turn."""
+FIRST_SHARE, NEXT_SHARE = 1.4, 0.6
+"""Of the trials of large problems: for the fewest drones, and for each number of them after."""
+
+
+def trials_of(customers: int, trials: int, fewer: bool) -> int:
+    """Of one search among those for each number of drones; `fewer`: after one for fewer drones."""
+    if customers <= SMALL_CUSTOMERS:
+        return trials
+    return max(1, int(trials * (NEXT_SHARE if fewer else FIRST_SHARE)))
 
 
 def default_coolings(customers: int, fewer: bool = False) -> tuple[Cooling, ...]:
     """The coolings of one search; `fewer`: after one for fewer drones."""
     if customers > SMALL_CUSTOMERS:
-        return ONCE_AND_ON if fewer else ONCE
+        return BUILT_AND_OFFERED if fewer else BUILT
     return ROUNDS[3 if customers > TINY_CUSTOMERS else 6]
 
 
@@ -88,28 +119,54 @@ def _copy(source, target):
 
 @compiled
 def anneal(
-    t, kept, w, plan, best, place, spare_plan, spare_place, costs_s, stream, trials, hot_s, cold_s
+    t,
+    kept,
+    w,
+    plan,
+    best,
+    place,
+    spare_plan,
+    spare_place,
+    costs_s,
+    stream,
+    trials,
+    hot_s,
+    cold_s,
+    how,
+    rebuild_frac,
 ):
-    """Try `trials` moves while the temperature falls from `hot_s` to `cold_s`, s of makespan.
+    """Try changes while the temperature falls from `hot_s` to `cold_s`, s of makespan; a rebuild
+    counts for as many trials as plans are timed for it.
 
-    Changes `plan`, `best`, `place` and `costs_s` (of plan and best). A move is accepted when the
-    makespan rises by no more than temperature x Exp(1), so hopeless simulations stop early.
-    `kept`: work of the plan's own simulation; `w`: that of the moves.
+    Changes `plan`, `best`, `place` and `costs_s` (of plan and best). A change is accepted when the
+    makespan, and a small share of the drones' time away, rise by no more than temperature x
+    Exp(1), so hopeless simulations stop early. Where layers are priced there are small moves only.
+    `kept`: work of the plan's own simulation; `w`: that of the changes.
     """
     whole_only = t.air.priced or costs_s[0] == IMPOSSIBLE
+    now_away_s, price = 0.0, 0.0
     if not whole_only:
         costs_s[0] = note_simulation(t, plan, kept)  # sums of shifts drift by rounding
-    cooling = (cold_s / hot_s) ** (1.0 / trials)
-    temperature_s = hot_s
-    begin, at, shift_s = 0, 0, 0.0
-    for _ in range(trials):
-        temperature_s *= cooling
+        now_away_s, price = away_s(plan, kept), how.air_price
+    cooling = math.log(cold_s / hot_s) / trials
+    begin, at, shift_s, new_away_s = 0, 0, 0.0, 0.0
+    done = 0
+    while done < trials:
+        worse_s = -hot_s * math.exp(cooling * done) * math.log(1.0 - uniform(stream))
+        done += 1
         _copy(plan, spare_plan)
         for node in range(len(place)):
             spare_place[node] = place[node]
-        if not any_move(t, spare_plan, spare_place, stream):
+        give_up_s = costs_s[0] + worse_s + price * min(now_away_s, MOST_SAVED_AWAY_S)
+        if not whole_only and uniform(stream) < rebuild_frac:
+            changed, timed = rebuild(
+                t, plan, kept, costs_s[0], spare_plan, spare_place, w, give_up_s, how, stream
+            )
+            done += timed
+        else:
+            changed = any_move(t, spare_plan, spare_place, stream)
+        if not changed:
             continue
-        give_up_s = costs_s[0] - temperature_s * math.log(1.0 - uniform(stream))
         if whole_only:
             makespan_s = simulate(t, spare_plan, w, give_up_s)
         else:
@@ -120,10 +177,15 @@ def anneal(
                 continue
         if makespan_s > give_up_s:
             continue
+        if not whole_only:
+            new_away_s = changed_away_s(spare_plan, kept, w, begin, at, shift_s)
+            if makespan_s - costs_s[0] + price * (new_away_s - now_away_s) > worse_s:
+                continue
         _copy(spare_plan, plan)
         index_route(plan, place)
         if not whole_only:
             adopt(plan, kept, w, begin, at, shift_s)
+            now_away_s = new_away_s
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
             if not whole_only:
@@ -154,10 +216,12 @@ class Search:
         self._spare_plan, self._spare_place = self._plan.copy(), self._place.copy()
         self.best: Plan = self._plan.copy()
         first_s = simulate(self._tables, self._plan, self._work, IMPOSSIBLE)
-        self._first: tuple[Plan, float] = self._plan.copy(), first_s
+        self._first: Plan = self._plan.copy()
         self._costs_s = np.full(2, first_s)
         self._leg_s = first_s / problem.nodes
         self._chance = random_stream(rng)
+        self._built: list[Plan] | None = None
+        self._offered: Plan | None = None
 
     @property
     def best_s(self) -> float:
@@ -181,10 +245,13 @@ class Search:
             trials,
             self._leg_s * _temperature(params, from_frac),
             self._leg_s * _temperature(params, to_frac),
+            params.insertion,
+            params.rebuild_frac,
         )
 
     def offer(self, plan: Plan) -> None:
         """A plan from elsewhere, which is the best one where none better is known."""
+        self._offered = plan.copy()
         makespan_s = simulate(self._tables, plan, self._work, IMPOSSIBLE)
         if makespan_s < self.best_s:
             self._costs_s[1] = makespan_s
@@ -194,10 +261,31 @@ class Search:
         """Go on from the plan with which this cooling starts."""
         if cooling.start == "here":
             return
-        best = (self.best, self.best_s)
-        plan, self._costs_s[0] = self._first if cooling.start == "first" else best
+        plan = self._start_of(cooling)
         self._plan[:] = plan
         index_route(self._plan, self._place)
+        self._costs_s[0] = simulate(self._tables, self._plan, self._work, IMPOSSIBLE)
+        if self._costs_s[0] < self._costs_s[1]:
+            self._costs_s[1] = self._costs_s[0]
+            self.best[:] = plan
+
+    def _start_of(self, cooling: Cooling) -> Plan:
+        if cooling.start == "first":
+            return self._first
+        if cooling.start == "offered" and self._offered is not None:
+            return self._offered
+        if cooling.start == "built":
+            if self._built is None:
+                self._built = self.built()
+            if self._built:
+                return self._built.pop(0)
+        return self.best
+
+    def built(self) -> list[Plan]:
+        """Plans to begin with, of tours of different shapes, best first."""
+        return built_plans(
+            self._problem, self._tables, self._kept, self._work, self._leg_s, self._chance
+        )
 
     def cool(
         self,
@@ -242,7 +330,7 @@ def with_more_drones(plan: Plan, one: TruckAndDrones, other: TruckAndDrones) -> 
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
     """`Policy`: a search for each number of drones, fewest first, each offered the plan of the one
-    before. So with the same seed and trials more drones never end the day later. `trials`: of each
+    before. So with the same seed and trials more drones never end the day later. `trials`: of a
     search; None: by the number of customers.
     """
 
@@ -254,9 +342,10 @@ class SearchPolicy:
         trials = self.trials or default_trials(problem.customers)
 
         def searched(search: Search, fewer: bool) -> None:
+            share = trials_of(problem.customers, trials, fewer)
             for cooling in default_coolings(problem.customers, fewer):
                 search.begin(cooling)
-                search.cool(max(1, int(trials * cooling.share)), cooling.begin_frac)
+                search.cool(max(1, int(share * cooling.share)), cooling.begin_frac)
 
         return best_of_fleets(problem, rng, self.params, searched)
 

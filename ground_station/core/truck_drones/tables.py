@@ -82,6 +82,9 @@ class Work(NamedTuple):
     times_s: NDArray[np.float64]
     free: NDArray[np.int32]
     """By place on the route and kind: drones aboard when the truck arrives; last row: right now."""
+    taken: NDArray[np.int32]
+    """No simulation writes here. Row TAKEN: customers taken out of the plan; rows from WAYS on, by
+    kind: drones away on the way from each place to the next."""
 
 
 # Rows of `Work.whole`, by node;
@@ -99,6 +102,8 @@ ARRIVE, DEPART, WORK_AFTER = range(6, 9)
 # by node: blocked by others in the air until then; the corners of what a sortie flies over, m.
 BLOCKED, PAD_N, PAD_E, CUSTOMER_N, CUSTOMER_E, HOME_N, HOME_E = range(9, 16)
 
+# Rows of `Work.taken`.
+TAKEN, WAYS = 0, 1
 
 NEAR = 30
 
@@ -151,6 +156,7 @@ def work_for(tables: Tables) -> Work:
         whole=np.full((13, nodes), NOWHERE, dtype=np.int32),
         times_s=np.zeros((16, nodes)),
         free=np.zeros((nodes + 1, kinds), dtype=np.int32),
+        taken=np.zeros((WAYS + kinds, nodes), dtype=np.int32),
     )
 
 
