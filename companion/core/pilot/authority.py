@@ -24,11 +24,7 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import (
-    DISARMED_BY_ANOTHER,
-    GROUND_HEIGHT_M,
-    FlightContext,
-)
+from companion.core.pilot.context import DISARMED_BY_ANOTHER, GROUND_HEIGHT_M, FlightContext
 from companion.core.pilot.telemetry_state import DISARMED_WITNESSES
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
@@ -157,10 +153,9 @@ class Authority:
         if state.armed:
             self.failsafe_flies = state.failsafe
             self.armed_by_us = self.armed_by_us or ours
-            self.arm_accepted_s = None
             return False
         if context.phase is Phase.ARM and self.unarmed_reports >= DISARMED_WITNESSES:
-            self.armed_by_us = True  # between two heartbeats
+            self.armed_by_us = True  # it was, between two heartbeats
         if self.disarmed_by_another or not self.armed_by_us:
             return False
         if context.phase in (Phase.LAND, Phase.LAST_RESORT):
@@ -168,7 +163,7 @@ class Authority:
         return ours or context.phase is Phase.SUSPENDED
 
     def _count(self, told: VehicleState) -> None:
-        """Heartbeats after an accepted ARM that say disarmed: somebody has undone it."""
+        """Count heartbeats after an accepted ARM that say disarmed: somebody has undone it."""
         if told.armed:
             self.arm_accepted_s = None
         accepted_s = self.arm_accepted_s

@@ -1,6 +1,6 @@
 """Who reads a forecast file for a running desk: a process beside it, or the caller itself.
 
-A GRIB2 file of two days over a country takes seconds, an ensemble a minute; a desk's answers wait
+A GRIB2 file of days over a country may take seconds, an ensemble longer; a desk's answers wait
 for nothing of that.
 """
 
@@ -17,7 +17,7 @@ from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.weather.forecast_field import ForecastField
 
 LIMIT_S = 300.0
-"""Twenty members for 49 hours take 40 s of CPU; who takes so long hangs."""
+"""[est] Many times what an ensemble of two days takes; who takes so long hangs."""
 
 Reader = Callable[[Path, float, float], ForecastField]
 

@@ -5,7 +5,6 @@ that never ends is an answer, too.
 """
 
 import multiprocessing
-import os
 import signal
 import threading
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from typing import Generic, Protocol, TypeVar
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.answers import Answer, WorkerDied, WorkRaised, WorkReturned
+from ground_station.adapters.workers.process_crew import end_with_the_parent
 from ground_station.core.fleet.fleet_link import Clock
 
 Work = TypeVar("Work")
@@ -100,17 +100,9 @@ class Beside(Generic[Work, Result]):
 def _answer(pipe: Connection, do: Callable[[Work], Result], piece: Work) -> None:
     """The life of the process: one answer into the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this one
-    threading.Thread(target=_end_with_the_parent, name="parent", daemon=True).start()
+    threading.Thread(target=end_with_the_parent, name="parent", daemon=True).start()
     try:
         answer: Answer[Result] = WorkReturned(do(piece))
     except LeewayError as error:
         answer = WorkRaised(LeewayError(str(error)))
     pipe.send(answer)
-
-
-def _end_with_the_parent() -> None:
-    """End with it also where it is killed: nobody would take the answer."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)

@@ -140,7 +140,7 @@ def _work(pipe: Connection, do: Callable[[Any], Any]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _stop)
-    threading.Thread(target=_end_with_the_parent, name="parent", daemon=True).start()
+    threading.Thread(target=end_with_the_parent, name="parent", daemon=True).start()
     while True:
         try:
             piece = pipe.recv()
@@ -158,7 +158,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
 
-def _end_with_the_parent() -> None:
+def end_with_the_parent() -> None:
     """End with it also where it is killed: nobody would take the result."""
     parent = parent_process()
     assert parent is not None

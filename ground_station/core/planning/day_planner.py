@@ -53,9 +53,10 @@ BEST_OF_THREE = (*((Cooling(0.15, 0.0, "first"),) * 3), Cooling(0.55, 0.3, "best
 hot; with more of them a quick cooling has too few trials for each."""
 ONE_BUILT = (*BEST_OF_THREE[:2], Cooling(0.15, 0.5, "built"), BEST_OF_THREE[-1])
 THOROUGH_TRIALS = 20_000
-"""From so many trials for each customer on, rebuilds and built plans are worth their time; with
-fewer, small moves alone find more (200 customers, 3,700 for each: 8 %)."""
+"""[est] From so many trials for each customer on, rebuilds and built plans are worth their time;
+with fewer, small moves alone find more."""
 HASTY = SearchParams(rebuild_frac=0.0, insertion=INSERTION._replace(air_price=0.0))
+"""Small moves alone."""
 LAYERED_SHARE = 10
 """One trial with layers for so many without: each takes five to ten times as long."""
 LAYERED_CUSTOMERS = 40

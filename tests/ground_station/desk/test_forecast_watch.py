@@ -351,9 +351,10 @@ def test_a_newer_file_is_read_by_a_process_beside_the_desk_which_ends_with_it(st
         return reader_of(site)
 
     def says(words: str) -> None:
+        assert site.desk.wind is not None
         until_s = time.monotonic() + 60.0
         while words not in site.words() and time.monotonic() < until_s:
-            site.desk.wind.turn(site.desk.exchange.status)  # type: ignore[union-attr]
+            site.desk.wind.turn(site.desk.exchange.status)
             time.sleep(0.02)
         assert words in site.words()
 

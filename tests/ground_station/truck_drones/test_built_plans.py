@@ -69,7 +69,8 @@ def test_a_priced_tour_of_six_customers_costs_one_per_cent_more_than_the_cheapes
     found_s = []
     for _ in range(5):
         tour = priced_tour(tables_of(problem), flight_s, stream).tolist()
-        assert tour[0] == 0 and tour[-1] == problem.end and 2 in tour  # noqa: PT018
+        assert (tour[0], tour[-1]) == (0, problem.end)
+        assert 2 in tour
         assert len(set(tour)) == len(tour)
         driven_s = sum(problem.travel_s[a, b] for a, b in pairwise(tour))
         found_s.append(driven_s + sum(flight_s[j] for j in range(1, problem.end) if j not in tour))
