@@ -56,6 +56,15 @@ class StopPads:
             return None
         return min((self._off_rad(place, to_ned_m), place) for place in near)
 
+    def ranked(self, drone: str, to_ned_m: Ned) -> list[tuple[float, Ned]]:
+        """The pads that this drone could have, with their angles off the direct way, least first."""
+        if drone in self.of:
+            return [(self._off_rad(self.of[drone], to_ned_m), self.of[drone])]
+        taken = set(self.of.values())
+        free = [place for place in self.places if place not in taken]
+        near = free[: max(RING_PADS - len(taken), 0)] or free
+        return sorted((self._off_rad(place, to_ned_m), place) for place in near)
+
     def _off_rad(self, pad: Ned, to_ned_m: Ned) -> float:
         """How far the way from the pad turns back over the stop and the other pads."""
         out = math.atan2(pad[1] - self.stop_ned_m[1], pad[0] - self.stop_ned_m[0])

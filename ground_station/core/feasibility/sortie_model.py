@@ -122,6 +122,21 @@ class WindSorties:
             endurance_hover_s=max(0.0, sure_wh[0] / hover_wh_per_s),
         )
 
+    def rise(self, drone_kind: int, by_m: float) -> tuple[float, float]:
+        """What flying so much higher adds to a sortie: seconds, and seconds of hover (energy), for
+        the heaviest parcel that it may get.
+        """
+        reach = self._reaches[drone_kind]
+        loaded, empty = (
+            _rates(reach, step * PAYLOAD_STEP_KG) for step in (int(self._steps.max()), 0)
+        )
+        both = (loaded.climb, loaded.descend, empty.climb, empty.land)
+        added = [Price(*(by_m * part for part in line.per_m)) for line in both]
+        weight = reach.sigmas
+        hover_wh_per_s = float(empty.settle.wh / empty.settle.s)
+        wh = sum(float(one.wh + weight * one.std_wh) for one in added)
+        return sum(float(one.s) for one in added), wh / hover_wh_per_s
+
     def _out(self, rates: _Rates) -> Price:
         """From each place (row), with the parcel, to each place (column) and its drop."""
         up_m = -self._ned_m[:, 2]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from companion.core.base.arrays import Floats, ShortInts
 from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, place_ned
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
+from ground_station.core.deconfliction.pads import RING_PADS
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
 from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
@@ -140,6 +141,7 @@ def build_day_problem(
         DroneKind(len(c.ids), truck.launch_s, truck.recover_s, _can_fly(orders, c), c.from_s)
         for c in classes
     )
+    rises = [sorties.rise(number, LAYER_GAP_M) for number in range(len(classes))]
     problem = TruckAndDrones(
         travel_s=_travel_s(data, orders, ned_m, start_name),
         deliver_s=np.where(_flags(orders, [True] * len(orders)), truck.deliver_s, 0.0),
@@ -156,10 +158,14 @@ def build_day_problem(
         air=Air(
             ned_m[:, :2],
             *layers_over(-ned_m[:, 2], mission.cruise_height_m),
+            RING_PADS,
             pads_m,
             truck.ready_s,
             APART_M,
             SLACK_S,
+            PRICED_LAYER,
+            tuple(one[0] for one in rises),
+            tuple(one[1] for one in rises),
         ),
     )
     cruise_m = mission.cruise_height_m

@@ -19,7 +19,10 @@ from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Stop, flights_of
 from ground_station.core.truck_drones.tables import Plan
 
-MOST_ROUNDS = 40
+import os
+PUSH_S=float(os.environ.get('PUSH_S','0'))
+MOST_PUSHES = int(os.environ.get('PUSHES','3'))
+"""How often a launch is put off for a truck that comes late, before it is met where it starts."""
 EPSILON_S = 1e-6
 
 
@@ -79,7 +82,7 @@ POLISH_ORDERS = 2_000
 
 
 class ForwardPass:
-    """Carries out one plan of the search, repeated until no drone lands before the truck."""
+    """Carries out one plan of the search; no drone lands before the truck."""
 
     def __init__(
         self,
@@ -101,39 +104,8 @@ class ForwardPass:
 
     def driven(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
         """The schedule; at each rendezvous the truck is there `lead_s` before its drones."""
-        release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
-        pushes = dict.fromkeys(release_s, 0)
-        early: list[tuple[int, float, float]] = []
-        for _ in range(MOST_ROUNDS + len(wishes)):
-            done = _Pass(
-                self._nodes, self._finder, self._standing, self._t0_s, self._ready_s, release_s
-            )
-            day = done.drive(route, wishes)
-            early = self._too_early(day)
-            if not early:
-                return day
-            for customer, by_s, starts_s in early:
-                pushes[customer] += 1
-                release_s[customer] = starts_s + by_s + EPSILON_S
-                if pushes[customer] > 3:  # the truck waits for its launch, so they never meet
-                    wishes = [_as_loop(w) if w.customer == customer else w for w in wishes]
-                    release_s[customer] = 0.0
-        return ForwardSchedule(lost=[customer for customer, _, _ in early])
-
-    def _too_early(self, day: ForwardSchedule) -> list[tuple[int, float, float]]:
-        """Customers whose drone would land before the truck is there: by how much, and its
-        start.
-        """
-        arrive_s = {stop.node: stop.arrive_s for stop in day.stops}
-        problem = self._nodes.problem
-        found: list[tuple[int, float, float]] = []
-        for slot in day.slots:
-            wish = slot.wish
-            by_s = arrive_s[wish.meet] + problem.lead_s - slot.landed_s
-            if wish.launch != wish.meet and by_s > EPSILON_S:
-                starts_s = slot.launched_s - self._ready_s - problem.kinds[wish.kind].launch_s
-                found.append((wish.customer, by_s, starts_s))
-        return found
+        road = (self._nodes, self._finder, self._standing, self._t0_s, self._ready_s)
+        return _Pass(*road, route, wishes).driven()
 
 
 def polished(
@@ -159,8 +131,25 @@ def _as_loop(wish: SortieRequest) -> SortieRequest:
     return replace(wish, launch=wish.meet)
 
 
+@dataclass(frozen=True, slots=True)
+class _Arrival:
+    """All that is as it was when the truck came to a stop, so that it can be driven on from there
+    once more.
+    """
+
+    now_s: float
+    aboard: tuple[dict[str, float], ...]
+    out: tuple[LaunchSlot, ...]
+    blocked_until_s: dict[int, float]
+    wishes: tuple[SortieRequest, ...]
+    stops: int
+    slots: int
+    lost: int
+    pads: int
+
+
 class _Pass:
-    """One pass along the route."""
+    """The way along the route, and back to a launch that turns out to be too early."""
 
     def __init__(
         self,
@@ -169,11 +158,16 @@ class _Pass:
         standing: list[OperationalVolume],
         t0_s: float,
         ready_s: float,
-        release_s: dict[int, float],
+        route: list[int],
+        wishes: list[SortieRequest],
     ) -> None:
-        self._nodes, self._finder, self._release_s = nodes, finder, release_s
+        self._nodes, self._finder, self._route = nodes, finder, route
         self._problem, self._t0_s = nodes.problem, t0_s
         self._standing, self._ready_s = standing, ready_s
+        self._place = {node: number for number, node in enumerate(route)}
+        self._wishes = wishes
+        self._release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
+        self._pushes = dict.fromkeys(self._release_s, 0)
         self._day = ForwardSchedule()
         self._now_s = 0.0
         self._aboard = [
@@ -184,27 +178,104 @@ class _Pass:
         self._out: list[LaunchSlot] = []
         """Not recovered yet."""
         self._blocked_until_s: dict[int, float] = {}
+        self._pads_taken: list[tuple[int, str]] = []
+        """Each pad that a drone got, in this order: node and drone."""
+        self._arrivals: list[_Arrival] = []
 
-    def drive(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
-        day = self._day
-        for number, node in enumerate(route):
-            day.pads[node] = self._finder.pads_at(node, first=number == 0)
-        for number, node in enumerate(route):
-            arrive_s = self._now_s
-            following = route[number + 1] if number + 1 < len(route) else None
-            mine = [wish for wish in wishes if wish.launch == node]
-            put_off = self._stop(node, mine, last=following is None)
-            if number == 0:
-                self._now_s = max(self._now_s, self._problem.hold_s)
-            # The truck does not leave a drone that has not taken off.
-            self._now_s = max([self._now_s, *(slot.launched_s for slot in self._out)])
-            day.stops.append(Stop(node, arrive_s, self._now_s))
-            if following is not None:
-                self._now_s += float(self._problem.travel_s[node, following])
-                wishes = [wish for wish in wishes if wish not in put_off] + [
-                    _from(wish, following, node) for wish in put_off
+    def driven(self) -> ForwardSchedule:
+        """The schedule."""
+        for number, node in enumerate(self._route):
+            self._day.pads[node] = self._finder.pads_at(node, first=number == 0)
+        number = 0
+        while number < len(self._route):
+            early = self._too_early(self._route[number])
+            if early:
+                number = self._launched_later(early)
+                continue
+            self._arrivals[number:] = [self._arrival()]
+            self._visit(number)
+            number += 1
+        return self._day
+
+    def _visit(self, number: int) -> None:
+        """A stop, and the way to the next."""
+        node, arrive_s = self._route[number], self._now_s
+        following = self._route[number + 1] if number + 1 < len(self._route) else None
+        mine = [wish for wish in self._wishes if wish.launch == node]
+        put_off = self._stop(node, mine, last=following is None)
+        if number == 0:
+            self._now_s = max(self._now_s, self._problem.hold_s)
+        # The truck does not leave a drone that has not taken off.
+        self._now_s = max([self._now_s, *(slot.launched_s for slot in self._out)])
+        self._day.stops.append(Stop(node, arrive_s, self._now_s))
+        if following is not None:
+            self._now_s += float(self._problem.travel_s[node, following])
+            self._wishes = [wish for wish in self._wishes if wish not in put_off] + [
+                self._from_next(wish, number) for wish in put_off
+            ]
+
+    def _from_next(self, wish: SortieRequest, number: int) -> SortieRequest:
+        """Launched at the next stop instead, and met as many stops on from there."""
+        span = self._place[wish.meet] - number
+        meet = self._route[min(number + 1 + span, len(self._route) - 1)]
+        if os.environ.get('SPAN')=='0': return _from(wish,self._route[number+1],self._route[number])
+        return replace(wish, launch=self._route[number + 1], meet=meet)
+
+    def _too_early(self, node: int) -> list[tuple[LaunchSlot, float]]:
+        """Who lands here before the truck is ready for it, which has just come, and by how much."""
+        ready_s = self._now_s + self._problem.lead_s
+        return [
+            (slot, ready_s - slot.landed_s)
+            for slot in self._out
+            if slot.wish.meet == node
+            and slot.wish.launch != node
+            and ready_s - slot.landed_s > EPSILON_S
+        ]
+
+    def _launched_later(self, early: list[tuple[LaunchSlot, float]]) -> int:
+        """Go back to the first stop where one of these was launched; its number."""
+        number = min(self._place[slot.wish.launch] for slot, _ in early)
+        self._go_back_to(self._arrivals[number])
+        for slot, by_s in early:
+            wish, customer = slot.wish, slot.wish.customer
+            starts_s = slot.launched_s - self._ready_s - self._problem.kinds[wish.kind].launch_s
+            self._release_s[customer] = starts_s + by_s + EPSILON_S
+            self._pushes[customer] += 1
+            if by_s > PUSH_S or self._pushes[customer] > MOST_PUSHES:
+                self._release_s[customer] = 0.0
+                self._pushes[customer] = 0
+                before = self._route[self._place[wish.meet] - 1]
+                self._wishes = [
+                    replace(one, meet=before) if one.customer == customer else one
+                    for one in self._wishes
                 ]
-        return day
+        return number
+
+    def _arrival(self) -> _Arrival:
+        return _Arrival(
+            self._now_s,
+            tuple(dict(aboard) for aboard in self._aboard),
+            tuple(self._out),
+            dict(self._blocked_until_s),
+            tuple(self._wishes),
+            len(self._day.stops),
+            len(self._day.slots),
+            len(self._day.lost),
+            len(self._pads_taken),
+        )
+
+    def _go_back_to(self, then: _Arrival) -> None:
+        self._now_s = then.now_s
+        self._aboard = [dict(aboard) for aboard in then.aboard]
+        self._out = list(then.out)
+        self._blocked_until_s = dict(then.blocked_until_s)
+        self._wishes = list(then.wishes)
+        del self._day.stops[then.stops :]
+        del self._day.slots[then.slots :]
+        del self._day.lost[then.lost :]
+        for node, drone in self._pads_taken[then.pads :]:
+            del self._day.pads[node].of[drone]
+        del self._pads_taken[then.pads :]
 
     def _stop(self, node: int, wishes: list[SortieRequest], *, last: bool) -> list[SortieRequest]:
         """Everything at this stop; returns the launches that must go to the next one."""
@@ -269,9 +340,17 @@ class _Pass:
                 del self._aboard[wish.kind][found.drone]
                 self._out.append(found)
                 self._day.slots.append(found)
+                self._take_pads(found)
                 return wish, []
             self._wait_or_pass_on(wish, found, launched_s, (waiting, put_off, until_s), node, last)
         return None, until_s
+
+    def _take_pads(self, slot: LaunchSlot) -> None:
+        for node, ned_m in ((slot.wish.launch, slot.from_pad_ned_m), (slot.wish.meet, slot.to_pad_ned_m)):
+            of = self._day.pads[node].of
+            if slot.drone not in of:
+                of[slot.drone] = ned_m
+                self._pads_taken.append((node, slot.drone))
 
     def _wait_or_pass_on(
         self,

@@ -15,6 +15,9 @@ from ground_station.core.deconfliction.separation import OperationalVolume, Prox
 from ground_station.core.feasibility.reach import SortieNeed
 from ground_station.core.planning.day_problem import DayProblem, layer_height_m, layers_over
 
+MOST_CREWS = 1000
+"""So many pairs of pads are tried for a launch."""
+
 Points = tuple[tuple[float, float], ...]
 
 
@@ -79,9 +82,22 @@ class SlotFinder:
         in_air: list[OperationalVolume],
     ) -> LaunchSlot | Blocked:
         """A slot for a launch now, beside these. Pads are assigned only where it is found."""
-        crew = self._crew(wish, drones, pads)
-        if crew is None:
-            return Blocked(None)
+        until_s: float | None = None
+        for crew in self._crews(wish, drones, pads):
+            found = self._slot(wish, launched_s, crew, in_air)
+            if isinstance(found, LaunchSlot):
+                return found
+            if found.until_s is not None:
+                until_s = found.until_s if until_s is None else min(until_s, found.until_s)
+        return Blocked(until_s)
+
+    def _slot(
+        self,
+        wish: SortieRequest,
+        launched_s: float,
+        crew: tuple[str, Ned, Ned],
+        in_air: list[OperationalVolume],
+    ) -> LaunchSlot | Blocked:
         drone, here, there = crew
         shape = self._filled(wish, drone, here, there)
         beside = [(other, self._near_to(shape, other)) for other in in_air]
@@ -100,31 +116,46 @@ class SlotFinder:
             need = self._need(wish, here, there, layer)
             if need is None:
                 continue
-            pads[wish.launch].of[drone] = here
-            pads[wish.meet].of[drone] = there
             from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
             to_s = self._t0_s + landed_s
             volume = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
             return LaunchSlot(wish, drone, here, there, launched_s, landed_s, volume)
         return Blocked(until_s)
 
-    def _crew(
+    def _crews(
         self, wish: SortieRequest, drones: list[str], pads: dict[int, StopPads]
-    ) -> tuple[str, Ned, Ned] | None:
+    ) -> list[tuple[str, Ned, Ned]]:
+        """Drones with their pads, those that lie best on the way first."""
         ned = self._nodes.ned(wish.customer)
         able: list[tuple[float, str, Ned, Ned]] = []
-        for drone in drones:
-            here = pads[wish.launch].best(drone, ned)
-            there = here if wish.meet == wish.launch else pads[wish.meet].best(drone, ned)
-            if here is not None and there is not None:
-                able.append((here[0] + there[0], drone, here[1], there[1]))
-        return min(able)[1:] if able else None
+        fresh = False
+        for drone in sorted(drones):
+            at_home = drone in pads[wish.launch].of or drone in pads[wish.meet].of
+            if fresh and not at_home:
+                continue
+            fresh = fresh or not at_home
+            for off_rad, here in pads[wish.launch].ranked(drone, ned):
+                if wish.meet == wish.launch:
+                    able.append((2.0 * off_rad, drone, here, here))
+                    continue
+                for back_rad, there in pads[wish.meet].ranked(drone, ned):
+                    able.append((off_rad + back_rad, drone, here, there))
+        able.sort()
+        return [one[1:] for one in able[:MOST_CREWS]]
 
     def _layers(self, wish: SortieRequest, here: Ned, there: Ned) -> Iterator[int]:
         """Layers with room for this sortie, from the lowest up."""
         grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
         lowest, layers = layers_over(grounds_m, self._cruise_m)
-        yield from range(int(lowest.max()), int(layers.min()))
+        low,top=int(lowest.max()), int(layers.min())
+        import os
+        v=os.environ.get('LAYERS','low')
+        if v=='high' or (v=='mixed' and wish.launch!=wish.meet): yield from range(top-1,low-1,-1)
+        elif v=='mid' and wish.launch!=wish.meet:
+            m=(low+top)//2
+            yield from range(m,top)
+            yield from range(m-1,low-1,-1)
+        else: yield from range(low,top)
 
     def _need(self, wish: SortieRequest, here: Ned, there: Ned, layer: int) -> SortieNeed | None:
         """Its need in this layer; None where that is more than there is."""

@@ -1,9 +1,10 @@
 """Which sorties may be in the air at once, inside the compiled search (safety rule 7).
 
-The rule itself is `deconfliction.separation`, and every plan passes it before it counts. This is an
-approximation that a search can evaluate a million times a second: the level ground of a sortie is
-the triangle of its pads and its customer, each pad lies where its drone leaves for its customer,
-and routes around obstacles are left out.
+The rule itself is `deconfliction.separation`, and every plan passes it before it counts. This is
+the same rule on what a search can work out a million times a second: the level ground of a sortie
+is the triangle of its pads and its customer, its columns are these three, and its pads are those of
+the first ring that lie best on its way, of those that nobody in the air has. Routes around obstacles
+are left out.
 """
 
 import math
@@ -14,16 +15,23 @@ from ground_station.core.truck_drones.tables import (
     CUSTOMER_N,
     EAST,
     FLY,
+    HOME,
     HOME_E,
     HOME_N,
+    HOVER_LEFT,
+    KIND,
     LAUNCH,
     LAUNCHED,
     LAYER,
+    LAYER_HOVER_S,
+    LAYER_S,
     LAYERS,
+    LEVEL,
     LOG,
     LOWEST,
     MEET,
     NORTH,
+    PAD,
     PAD_E,
     PAD_N,
 )
@@ -33,16 +41,58 @@ FLEETS_BACK = 6
 
 
 @compiled
-def lay_ground(air, plan, times_s, customer):
-    """Note the positions of a sortie's pads and its customer."""
-    north, east = air.at[NORTH, customer], air.at[EAST, customer]
-    times_s[CUSTOMER_N, customer], times_s[CUSTOMER_E, customer] = north, east
-    for row, node in ((PAD_N, plan[LAUNCH, customer]), (HOME_N, plan[MEET, customer])):
-        at_n, at_e = air.at[NORTH, node], air.at[EAST, node]
-        away_m = math.hypot(north - at_n, east - at_e)
-        share = air.pads_m / away_m if away_m > air.pads_m else 0.0
-        times_s[row, customer] = at_n + share * (north - at_n)
-        times_s[row + 1, customer] = at_e + share * (east - at_e)
+def _lay_pad(air, whole, times_s, customer, node, taken, row, number_row):
+    """Give a sortie the pad of a stop that lies best on its way, of those that are not taken."""
+    north, east = air.at[NORTH, node], air.at[EAST, node]
+    turn = math.atan2(air.at[EAST, customer] - east, air.at[NORTH, customer] - north)
+    step = 2.0 * math.pi / air.pads
+    nearest = int(math.floor(turn / step + 0.5))
+    side = 1 if turn > nearest * step else -1
+    pad = nearest
+    for by in range(air.pads):
+        away = (by + 1) // 2
+        pad = nearest + (side * away if by % 2 == 1 else -side * away)
+        if not (taken >> (pad % air.pads)) & 1:
+            break
+    times_s[row, customer] = north + air.pads_m * math.cos(pad * step)
+    times_s[row + 1, customer] = east + air.pads_m * math.sin(pad * step)
+    whole[number_row, customer] = pad % air.pads
+
+
+@compiled
+def _pad_bits(plan, whole, other, node):
+    """The pads that a sortie in the air has at a stop."""
+    bits = 0
+    if plan[LAUNCH, other] == node:
+        bits |= 1 << whole[PAD, other]
+    if plan[MEET, other] == node:
+        bits |= 1 << whole[HOME, other]
+    return bits
+
+
+@compiled
+def lay_ground(air, plan, whole, times_s, customer, off_s, logged):
+    """Note the positions of a sortie's pads and its customer, for a take-off then."""
+    launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
+    here, there, in_air = 0, 0, 0
+    for back in range(logged - 1, max(-1, logged - 1 - FLEETS_BACK * air.fleet), -1):
+        other = whole[LOG, back]
+        if times_s[LAUNCHED, other] + times_s[FLY, other] + air.slack_s <= off_s:
+            continue
+        here |= _pad_bits(plan, whole, other, launch)
+        there |= _pad_bits(plan, whole, other, meet)
+        in_air += 1
+        if in_air == air.fleet:
+            break
+    times_s[CUSTOMER_N, customer] = air.at[NORTH, customer]
+    times_s[CUSTOMER_E, customer] = air.at[EAST, customer]
+    _lay_pad(air, whole, times_s, customer, launch, here, PAD_N, PAD)
+    if launch == meet:
+        times_s[HOME_N, customer] = times_s[PAD_N, customer]
+        times_s[HOME_E, customer] = times_s[PAD_E, customer]
+        whole[HOME, customer] = whole[PAD, customer]
+    else:
+        _lay_pad(air, whole, times_s, customer, meet, there, HOME_N, HOME)
 
 
 @compiled
@@ -120,45 +170,44 @@ def _boxes_apart(g, one, other, apart_m):
 
 
 @compiled
-def _stands_under(apart_m, plan, g, above, below):
-    """Whether a column of `below` lies under the ways of `above`. Pads of one stop are apart
-    anyway.
-    """
+def _corner_near(apart_m, g, one, other):
+    """Whether a corner of the other's triangle is near the triangle of this one."""
     apart_m2 = apart_m * apart_m
-    if near_ground(g, above, g[CUSTOMER_N, below], g[CUSTOMER_E, below], apart_m2):
-        return True
-    launch, meet = plan[LAUNCH, above], plan[MEET, above]
-    for row, node in ((PAD_N, plan[LAUNCH, below]), (HOME_N, plan[MEET, below])):
-        elsewhere = node != launch and node != meet
-        if elsewhere and near_ground(g, above, g[row, below], g[row + 1, below], apart_m2):
+    for corner in range(PAD_N, HOME_E, 2):
+        if near_ground(g, one, g[corner, other], g[corner + 1, other], apart_m2):
             return True
     return False
 
 
 @compiled
-def _near_one_another(apart_m, g, one, other):
-    """Whether the triangles come close (corners near the other triangle, or crossing edges)."""
+def _columns_near(apart_m, g, one, other):
+    """Whether the two climb or descend too close to each other."""
     apart_m2 = apart_m * apart_m
-    for corner in range(PAD_N, HOME_E, 2):
-        if near_ground(g, one, g[corner, other], g[corner + 1, other], apart_m2):
-            return True
-        if near_ground(g, other, g[corner, one], g[corner + 1, one], apart_m2):
-            return True
-    return _edges_cross(g, one, other)
+    for mine in range(PAD_N, HOME_E, 2):
+        for theirs in range(PAD_N, HOME_E, 2):
+            north = g[mine, one] - g[theirs, other]
+            east = g[mine + 1, one] - g[theirs + 1, other]
+            if north * north + east * east < apart_m2:
+                return True
+    return False
 
 
 @compiled
-def closed_layers(apart_m, plan, g, one, other, layer):
+def closed_layers(apart_m, g, one, other, layer):
     """Bits of the layers that `one` cannot have while `other` is in this one."""
     if _boxes_apart(g, one, other, apart_m):
         return 0
-    if not _near_one_another(apart_m, g, one, other):
+    under_one = _corner_near(apart_m, g, one, other)
+    under_other = _corner_near(apart_m, g, other, one)
+    if not (under_one or under_other or _edges_cross(g, one, other)):
         return 0
+    if _columns_near(apart_m, g, one, other):
+        return ~0
     here = 1 << layer
     closed = here
-    if _stands_under(apart_m, plan, g, one, other):
+    if under_one:
         closed |= here - 1
-    if _stands_under(apart_m, plan, g, other, one):
+    if under_other:
         closed |= ~(here - 1)
     return closed
 
@@ -169,7 +218,8 @@ def layer_for(air, plan, whole, times_s, customer, launched_s, logged):
     (layer or -1, time at which the first drone that blocks it has landed).
     """
     off_s = launched_s + air.ready_s
-    launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
+    launch, meet, kind = plan[LAUNCH, customer], plan[MEET, customer], plan[KIND, customer]
+    lay_ground(air, plan, whole, times_s, customer, off_s, logged)
     low = int(max(air.at[LOWEST, launch], air.at[LOWEST, customer], air.at[LOWEST, meet]))
     top = int(min(air.at[LAYERS, launch], air.at[LAYERS, customer], air.at[LAYERS, meet]))
     closed, in_air, free_s = 0, 0, math.inf
@@ -178,7 +228,7 @@ def layer_for(air, plan, whole, times_s, customer, launched_s, logged):
         clear_s = times_s[LAUNCHED, other] + times_s[FLY, other] + air.slack_s
         if clear_s <= off_s:
             continue
-        bits = closed_layers(air.apart_m, plan, times_s, customer, other, whole[LAYER, other])
+        bits = closed_layers(air.apart_m, times_s, customer, other, whole[LAYER, other])
         if bits != 0:
             closed |= bits
             free_s = min(free_s, clear_s)
@@ -187,5 +237,9 @@ def layer_for(air, plan, whole, times_s, customer, launched_s, logged):
             break
     for layer in range(low, top):
         if not (closed >> layer) & 1:
+            above = layer - air.of_priced
+            if above * air.of_layer[LAYER_HOVER_S, kind] > times_s[HOVER_LEFT, customer]:
+                break
+            times_s[FLY, customer] = times_s[LEVEL, customer] + above * air.of_layer[LAYER_S, kind]
             return layer, 0.0
     return -1, free_s - air.ready_s

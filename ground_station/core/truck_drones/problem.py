@@ -57,17 +57,23 @@ class Air:
     """The airspace, for days on which drones are separated by plan (safety rule 7).
 
     By node: its place (north, east), the lowest layer with room above its ground, and the first
-    layer that is too high over it. Pads lie `pads_m` from a stop. A drone takes off `ready_s`
-    after its launch and may land `slack_s` late. Sorties are separated from `apart_m` on.
+    layer that is too high over it. `pads` pads lie in a ring, `pads_m` from each stop. A drone
+    takes off `ready_s` after its launch and may land `slack_s` late. Sorties are separated from
+    `apart_m` on. The legs are priced in layer `priced`; each layer above it takes `layer_s` longer
+    and as much energy as `layer_hover_s` of hover, by kind of drone.
     """
 
     ne_m: Floats
     lowest: NDArray[np.int32]
     layers: NDArray[np.int32]
+    pads: int
     pads_m: float
     ready_s: float
     apart_m: float
     slack_s: float
+    priced: int
+    layer_s: tuple[float, ...]
+    layer_hover_s: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ has landed. The truck stays until what it has launched has taken off.
 import math
 
 from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.layer_pricing import lay_ground, layer_for
+from ground_station.core.truck_drones.layer_pricing import layer_for
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     AT_ONCE,
@@ -29,7 +29,9 @@ from ground_station.core.truck_drones.tables import (
     LATE,
     LAUNCH,
     LAUNCHED,
+    HOVER_LEFT,
     LAYER,
+    LEVEL,
     LOG,
     LOGGED,
     MEET,
@@ -86,8 +88,8 @@ def _index_sorties(t, plan, whole, times_s):
         whole[FIRST_MEET, meet] = customer
         times_s[WORK_AFTER, whole[PLACE, launch]] += launch_s[kind]
         times_s[WORK_AFTER, whole[PLACE, meet]] += recover_s[kind]
-        if t.air.priced:
-            lay_ground(t.air, plan, times_s, customer)
+        times_s[LEVEL, customer] = times_s[FLY, customer]
+        times_s[HOVER_LEFT, customer] = spare_s
     return True
 
 

@@ -62,12 +62,17 @@ class AirTable(NamedTuple):
     """Rows NORTH and EAST (m), LOWEST and LAYERS by node."""
     fleet: int
     """Drones of all kinds."""
+    pads: int
     pads_m: float
     ready_s: float
     apart_m: float
     slack_s: float
+    of_layer: NDArray[np.float64]
+    """Rows LAYER_S and LAYER_HOVER_S by kind of drone: what each layer above `of_priced` adds."""
+    of_priced: int
 
 
+LAYER_S, LAYER_HOVER_S = range(2)
 NORTH, EAST, LOWEST, LAYERS = range(4)
 
 
@@ -93,14 +98,18 @@ PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES, LAYER 
 LOG, LOGGED = range(8, 10)
 # by place on the route, of a plan from whose simulation others are gone on (`changed_plan`).
 RESTART, SPANNED, FURTHEST = range(10, 13)
+# by node: the pads of launch and landing, by their number in the ring.
+PAD, HOME = range(13, 15)
 # Rows of `Work.times_s`; by node: earliest launch, flight, hover to spare, end of the launch, start
 # of the recovery, start of the truck's own delivery;
 RELEASE, FLY, SPARE, LAUNCHED, MET, DELIVERED = range(6)
 # by place on the route: arrival, departure, and what truck and driver have to do from arriving
 # there to the end, waiting aside.
 ARRIVE, DEPART, WORK_AFTER = range(6, 9)
-# by node: blocked by others in the air until then; the corners of what a sortie flies over, m.
+# by node: blocked by others in the air until then; the corners of what a sortie flies over, m; its
+# flight in the layer in which the legs are priced, and how long it could hover there besides.
 BLOCKED, PAD_N, PAD_E, CUSTOMER_N, CUSTOMER_E, HOME_N, HOME_E = range(9, 16)
+LEVEL, HOVER_LEFT = range(16, 18)
 
 # Rows of `Work.taken`.
 TAKEN, WAYS = 0, 1
@@ -144,17 +153,29 @@ def tables_of(problem: TruckAndDrones) -> Tables:
 
 def _air_of(air: Air | None, fleet: int) -> AirTable:
     if air is None:
-        return AirTable(False, np.zeros((4, 0)), fleet, 0.0, 0.0, 0.0, 0.0)
+        return AirTable(False, np.zeros((4, 0)), fleet, 0, 0.0, 0.0, 0.0, 0.0, np.zeros((2, 0)), 0)
     at = np.ascontiguousarray(np.vstack([air.ne_m.T, air.lowest, air.layers]), dtype=np.float64)
-    return AirTable(True, at, fleet, air.pads_m, air.ready_s, air.apart_m, air.slack_s)
+    of_layer = np.array([air.layer_s, air.layer_hover_s], dtype=np.float64)
+    return AirTable(
+        True,
+        at,
+        fleet,
+        air.pads,
+        air.pads_m,
+        air.ready_s,
+        air.apart_m,
+        air.slack_s,
+        of_layer,
+        air.priced,
+    )
 
 
 def work_for(tables: Tables) -> Work:
     """Room for simulations of this problem."""
     nodes, kinds = len(tables.travel_s), len(tables.fleet)
     return Work(
-        whole=np.full((13, nodes), NOWHERE, dtype=np.int32),
-        times_s=np.zeros((16, nodes)),
+        whole=np.full((15, nodes), NOWHERE, dtype=np.int32),
+        times_s=np.zeros((18, nodes)),
         free=np.zeros((nodes + 1, kinds), dtype=np.int32),
         taken=np.zeros((WAYS + kinds, nodes), dtype=np.int32),
     )
