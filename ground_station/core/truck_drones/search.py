@@ -143,7 +143,7 @@ def anneal(
     Exp(1), so hopeless simulations stop early. Where layers are priced there are small moves only.
     `kept`: work of the plan's own simulation; `w`: that of the changes.
     """
-    whole_only = t.air.priced or costs_s[0] == IMPOSSIBLE
+    whole_only = costs_s[0] == IMPOSSIBLE
     now_away_s, price = 0.0, 0.0
     if not whole_only:
         costs_s[0] = note_simulation(t, plan, kept)  # sums of shifts drift by rounding
@@ -158,7 +158,7 @@ def anneal(
         for node in range(len(place)):
             spare_place[node] = place[node]
         give_up_s = costs_s[0] + worse_s + price * min(now_away_s, MOST_SAVED_AWAY_S)
-        if not whole_only and uniform(stream) < rebuild_frac:
+        if not (whole_only or t.air.priced) and uniform(stream) < rebuild_frac:
             changed, timed = rebuild(
                 t, plan, kept, costs_s[0], spare_plan, spare_place, w, give_up_s, how, stream
             )
@@ -184,7 +184,7 @@ def anneal(
         _copy(spare_plan, plan)
         index_route(plan, place)
         if not whole_only:
-            adopt(plan, kept, w, begin, at, shift_s)
+            adopt(t, plan, kept, w, begin, at, shift_s)
             now_away_s = new_away_s
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:

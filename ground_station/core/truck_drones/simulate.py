@@ -156,7 +156,7 @@ def _launch_before(plan, whole, times_s, one, other):
     sooner = whole[PLACE, plan[MEET, one]] - whole[PLACE, plan[MEET, other]]
     if sooner != 0:
         return sooner < 0
-    return times_s[FLY, one] > times_s[FLY, other]
+    return times_s[LEVEL, one] > times_s[LEVEL, other]
 
 
 @compiled

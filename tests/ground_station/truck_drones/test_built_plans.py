@@ -140,7 +140,7 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
         assert_everyone_is_served_once(problem, schedule_of(problem, changed))
         counts["rebuilt" if large else "moved"] += 1
         plan, place, now_s = changed, its_place, makespan_s
-        changed_plan.adopt(plan, kept, work, begin, at, shift_s)
+        changed_plan.adopt(tables, plan, kept, work, begin, at, shift_s)
     assert min(counts.values()) >= 50, counts
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground_station.core.truck_drones.problem import TruckAndDrones
+from ground_station.core.truck_drones.problem import Air, TruckAndDrones
 from ground_station.core.truck_drones.schedule import schedule_of
 from ground_station.core.truck_drones.search import SearchPolicy, with_more_drones
 from tests.ground_station.truck_drones.test_search import mixed_problem
@@ -41,8 +41,31 @@ def with_pads(seed: int) -> TruckAndDrones:
     )
 
 
+def with_layers(seed: int, layers: int) -> TruckAndDrones:
+    """Drones are separated, among places so near one another that many launches wait."""
+    problem = with_pads(seed)
+    rng = np.random.default_rng(seed)
+    kinds = len(problem.kinds)
+    air = Air(
+        ne_m=rng.uniform(-400.0, 400.0, (problem.nodes, 2)),
+        lowest=np.zeros(problem.nodes, np.int32),
+        layers=np.full(problem.nodes, layers, np.int32),
+        pads=8,
+        pads_m=27.0,
+        ready_s=20.0,
+        apart_m=16.0,
+        slack_s=30.0,
+        priced=1,
+        layer_s=(15.0, 20.0)[:kinds],
+        layer_hover_s=(20.0, 25.0)[:kinds],
+    )
+    return replace(problem, air=air)
+
+
 @pytest.mark.parametrize(
-    "problem", [mixed_problem(0), scarce(1), with_pads(2)], ids=["plain", "scarce", "pads"]
+    "problem",
+    [mixed_problem(0), scarce(1), with_pads(2), with_layers(2, 2), with_layers(3, 4)],
+    ids=["plain", "scarce", "pads", "few layers", "layers"],
 )
 def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckAndDrones):
     from ground_station.core.truck_drones.changed_plan import (
@@ -81,7 +104,7 @@ def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckA
         counts["in part"] += begin > 0 or at <= its_place[problem.end]
         counts["adopted"] += 1
         plan, place, now_s = changed, its_place, makespan_s
-        adopt(plan, kept, work, begin, at, shift_s)
+        adopt(tables, plan, kept, work, begin, at, shift_s)
     assert min(counts.values()) >= 50, counts
 
 
