@@ -13,16 +13,17 @@ from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_problem import DayProblem, build_day_problem, without
-from ground_station.core.planning.driven_search import RoadPlan, searched_on_the_road
+from ground_station.core.planning.driven_search import searched_on_the_road
 from ground_station.core.planning.forecast_check import Priced, forbidden, grounded, slot_priced
 from ground_station.core.planning.forward_pass import (
+    AskedDay,
     ForwardPass,
     ForwardSchedule,
     TriedPlan,
     polished,
     tried_plan,
 )
-from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder, SortieRequest
+from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder
 from ground_station.core.planning.unplanned import beyond_capacity, beyond_reach, no_slot
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
@@ -57,13 +58,19 @@ THOROUGH_TRIALS = 20_000
 with fewer, small moves alone find more."""
 HASTY = SearchParams(rebuild_frac=0.0, insertion=INSERTION._replace(air_price=0.0))
 """Small moves alone."""
-LAYERED_SHARE = 10
-"""One trial with layers for so many without: each takes five to ten times as long."""
-LAYERED_CUSTOMERS = 40
-"""With more customers fewer in proportion: there are more launches, and more drones in the air."""
+LAYERED_SHARE = 3
+"""One trial with layers for so many without: each takes about five times as long."""
 LAYERED_FROM = 0.3
-"""Start of the cooling, as a share: hot enough to move a sortie, too cold to lose the first
+"""Start of a cooling, as a share: hot enough to move a sortie, too cold to lose the first
 plan."""
+LAYERED = (
+    Cooling(0.25, 0.0, "first"),
+    Cooling(0.25, LAYERED_FROM, "first"),
+    Cooling(0.5, LAYERED_FROM, "best"),
+)
+SOONER_S = 20.0
+"""[est] So much sooner than by the search's prices a drone may land: its pads lie on its way, and a
+lower layer may be free."""
 Tell = Callable[[float, float], None]
 """Called now and then with the share of the search that is done, and the best makespan so far."""
 
@@ -142,8 +149,8 @@ class _DayPlanner:
         nodes = self.nodes()
         drive = self._drive(nodes)
         for problem, plan in self._plans(nodes):
-            wished = drive.wished(problem, plan)[1]
-            driven = self._repaired(nodes, drive, problem, plan)[2]
+            wished = drive.asked(problem, plan).wishes
+            driven = self._repaired(nodes, drive, problem, plan)[1]
             promised_s = schedule_of(problem, plan).makespan_s
             yield tried_plan(_plan_name(problem), promised_s, wished, driven)
 
@@ -154,9 +161,8 @@ class _DayPlanner:
         for problem, plan in self._plans(nodes):
             first.setdefault(_plan_name(problem), (problem, plan))
         for number, (problem, plan) in enumerate(first.values()):
-            route, wishes, _ = self._repaired(nodes, drive, problem, plan)
+            start, _ = self._repaired(nodes, drive, problem, plan)
             rng = np.random.default_rng([self._params.seed, number])
-            start = RoadPlan(tuple(route), tuple(wishes))
             best, driven = searched_on_the_road(
                 drive, nodes.problem, start, rng, drives, self._tell
             )
@@ -166,25 +172,20 @@ class _DayPlanner:
         """The best of the policy's plans, after the forward pass."""
         drive = self._drive(nodes)
         found = [self._repaired(nodes, drive, *plan) for plan in self._plans(nodes)]
-        route, wishes, driven = min(found, key=lambda one: _worth(one[2]))
+        asked, driven = min(found, key=lambda one: _worth(one[1]))
         if self._params.policy == "dynamic":
             return driven
-        return polished(drive, route, wishes, driven)
+        return polished(drive, asked, driven)
 
     def _repaired(
         self, nodes: DayProblem, drive: ForwardPass, problem: TruckAndDrones, plan: Plan
-    ) -> tuple[list[int], list[SortieRequest], ForwardSchedule]:
-        """Customers without a slot are served by the truck, where it may."""
-        route, wishes = drive.wished(problem, plan)
-        driven = drive.driven(route, wishes)
-        while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
-            lost = driven.lost[0]
-            meet = next(wish.meet for wish in wishes if wish.customer == lost)
-            wishes = [wish for wish in wishes if wish.customer != lost]
-            at = max(1, route.index(meet))
-            route = [*route[:at], lost, *route[at:]]
-            driven = drive.driven(route, wishes)
-        return route, wishes, driven
+    ) -> tuple[AskedDay, ForwardSchedule]:
+        """The plan as it is driven best: each launch as soon as it can be, or not before the search
+        has it. Customers without a slot are served by the truck, where it may.
+        """
+        asked = drive.asked(problem, plan)
+        both = (replace(asked, not_before_s={}), asked)
+        return min((_served(nodes, drive, one) for one in both), key=lambda one: _worth(one[1]))
 
     def nodes(self) -> DayProblem:
         by_id = {order.id: order for order in self._data.orders}
@@ -224,8 +225,8 @@ class _DayPlanner:
         """Plans, each with the problem that it solves.
 
         Two searches ignore layers: drones recovered where they were launched, and recovered
-        anywhere (the first loses least to layers, the second reaches furthest). Each gives the
-        best plan of each cooling. Then the first's best is cooled once more with layers priced.
+        anywhere (the first loses least to layers, the second reaches furthest). A third prices
+        layers and pads. Each gives the best plan of each cooling.
         """
         layered = nodes.problem
         anywhere = replace(layered, air=None)
@@ -242,11 +243,9 @@ class _DayPlanner:
             yield loops, plan
         for plan in self._searched(anywhere, rng, trials - trials // 2, (0.4, 0.8)):
             yield anywhere, plan
-        apart = replace(layered, loops_only=True)
-        share = min(1.0, LAYERED_CUSTOMERS / max(1, layered.customers)) / LAYERED_SHARE
-        kept = self._kept_apart(apart, rng, looped[0], int(share * trials))
-        if kept is not None:
-            yield apart, kept
+        apart = replace(layered, lead_s=layered.lead_s + SOONER_S)
+        for plan in self._searched(apart, rng, max(1, trials // LAYERED_SHARE), (0.8, 1.0)):
+            yield apart, plan
 
     def _searched(
         self,
@@ -262,7 +261,7 @@ class _DayPlanner:
         done = tell_frac[0]
         thorough = trials >= THOROUGH_TRIALS * problem.customers
         params = SearchParams() if thorough else HASTY
-        coolings = _coolings(problem.customers, thorough)
+        coolings = LAYERED if problem.air else _coolings(problem.customers, thorough)
         built: list[Plan] = []
         if any(cooling.start == "built" for cooling in coolings):
             built = Search(problem, rng, params).built()
@@ -283,20 +282,6 @@ class _DayPlanner:
         if not found:
             return [Search(problem, rng, SearchParams()).best]
         return [plan for _, plan in found]
-
-    def _kept_apart(
-        self, problem: TruckAndDrones, rng: np.random.Generator, start: Plan, trials: int
-    ) -> Plan | None:
-        """From a plan without layers to one with them, by the colder part of a round.
-
-        None: some sortie of the first finds no layer at all, however long it waits.
-        """
-        search = Search(problem, rng, SearchParams(), start)
-        if search.best_s == math.inf:
-            return None
-        if problem.customers:
-            self._cooled(search, max(1, trials), LAYERED_FROM, (0.8, 1.0))
-        return search.best
 
     def _cooled(
         self, search: Search, trials: int, begin: float, tell_frac: tuple[float, float]
@@ -423,6 +408,16 @@ class _DayPlanner:
             usable_wh=priced.usable_wh,
             others=self._others(nodes, driven, slot, ids),
         )
+
+
+def _served(
+    nodes: DayProblem, drive: ForwardPass, asked: AskedDay
+) -> tuple[AskedDay, ForwardSchedule]:
+    driven = drive.driven(asked)
+    while driven.lost and nodes.problem.truck_can_serve[driven.lost[0]]:
+        asked = asked.by_truck(driven.lost[0])
+        driven = drive.driven(asked)
+    return asked, driven
 
 
 def _coolings(customers: int, thorough: bool) -> tuple[Cooling, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from companion.core.base.arrays import Floats, ShortInts
 from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, place_ned
 from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
-from ground_station.core.deconfliction.pads import RING_PADS
+from ground_station.core.deconfliction.pads import PAD_APART_M, RING_PADS
 from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
 from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
@@ -160,6 +160,7 @@ def build_day_problem(
             *layers_over(-ned_m[:, 2], mission.cruise_height_m),
             RING_PADS,
             pads_m,
+            PAD_APART_M,
             truck.ready_s,
             APART_M,
             SLACK_S,

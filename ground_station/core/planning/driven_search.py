@@ -8,11 +8,11 @@ other stops of launch and landing. Too slow for a desk.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ground_station.core.planning.forward_pass import ForwardPass, ForwardSchedule
+from ground_station.core.planning.forward_pass import AskedDay, ForwardPass, ForwardSchedule
 from ground_station.core.planning.launch_slots import SortieRequest
 from ground_station.core.truck_drones.problem import TruckAndDrones
 
@@ -22,32 +22,24 @@ LOST_S = 10_000.0
 """What an order that is not served costs: more than any day."""
 
 
-@dataclass(frozen=True, slots=True)
-class RoadPlan:
-    """The route by its nodes, and the sorties in the order in which they are to be launched."""
-
-    route: tuple[int, ...]
-    wishes: tuple[SortieRequest, ...]
-
-
 def searched_on_the_road(
     drive: ForwardPass,
     problem: TruckAndDrones,
-    start: RoadPlan,
+    start: AskedDay,
     rng: np.random.Generator,
     drives: int,
     tell: Callable[[float, float], None] = lambda done_frac, best_s: None,
-) -> tuple[RoadPlan, ForwardSchedule]:
+) -> tuple[AskedDay, ForwardSchedule]:
     """The best plan that simulated annealing finds from `start` in so many drives."""
     now = best = start
-    driven = best_driven = drive.driven(list(start.route), list(start.wishes))
+    driven = best_driven = drive.driven(start)
     now_s = best_s = cost_s(driven)
     for number in range(drives):
         temperature_s = HOT_S * (COLD_S / HOT_S) ** (number / drives)
         tried = changed(now, problem, rng)
         if tried is None:
             continue
-        driven = drive.driven(list(tried.route), list(tried.wishes))
+        driven = drive.driven(tried)
         if cost_s(driven) > now_s - temperature_s * math.log(1.0 - rng.random()):
             continue
         now, now_s = tried, cost_s(driven)
@@ -64,15 +56,15 @@ def cost_s(driven: ForwardSchedule) -> float:
     return driven.makespan_s + LOST_S * len(driven.lost)
 
 
-def changed(plan: RoadPlan, problem: TruckAndDrones, rng: np.random.Generator) -> RoadPlan | None:
+def changed(plan: AskedDay, problem: TruckAndDrones, rng: np.random.Generator) -> AskedDay | None:
     """One small change; None where the one that was drawn is none."""
     move = MOVES[int(rng.integers(len(MOVES)))]
     return move(plan, problem, rng)
 
 
 def _other_stops(
-    plan: RoadPlan, problem: TruckAndDrones, rng: np.random.Generator
-) -> RoadPlan | None:
+    plan: AskedDay, problem: TruckAndDrones, rng: np.random.Generator
+) -> AskedDay | None:
     """A sortie is launched at another stop, met at another one, or both at the same other one."""
     if not plan.wishes:
         return None
@@ -92,8 +84,8 @@ def _other_stops(
 
 
 def _other_order(
-    plan: RoadPlan, _problem: TruckAndDrones, rng: np.random.Generator
-) -> RoadPlan | None:
+    plan: AskedDay, _problem: TruckAndDrones, rng: np.random.Generator
+) -> AskedDay | None:
     """A sortie is launched sooner or later among the others."""
     if len(plan.wishes) < 2:
         return None
@@ -104,8 +96,8 @@ def _other_order(
 
 
 def _other_route(
-    plan: RoadPlan, problem: TruckAndDrones, rng: np.random.Generator
-) -> RoadPlan | None:
+    plan: AskedDay, problem: TruckAndDrones, rng: np.random.Generator
+) -> AskedDay | None:
     """Part of the round is driven the other way about (2-opt), or a stop comes elsewhere."""
     if len(plan.route) < 4:
         return None
@@ -127,12 +119,12 @@ def _other_route(
         if not _reaches(problem, turned.kind, turned.launch, turned.customer, turned.meet):
             return None
         wishes.append(turned)
-    return RoadPlan(tuple(inner), tuple(wishes))
+    return replace(plan, route=tuple(inner), wishes=tuple(wishes))
 
 
 def _by_the_other(
-    plan: RoadPlan, problem: TruckAndDrones, rng: np.random.Generator
-) -> RoadPlan | None:
+    plan: AskedDay, problem: TruckAndDrones, rng: np.random.Generator
+) -> AskedDay | None:
     """An order goes from the truck to a drone, or from a drone to the truck."""
     customer = int(rng.integers(1, problem.end))
     if customer in plan.route:
@@ -141,12 +133,14 @@ def _by_the_other(
         return None
     wishes = tuple(wish for wish in plan.wishes if wish.customer != customer)
     at = int(rng.integers(1, len(plan.route)))
-    return RoadPlan((*plan.route[:at], customer, *plan.route[at:]), wishes)
+    return replace(
+        plan, route=(*plan.route[:at], customer, *plan.route[at:]), wishes=wishes
+    )
 
 
 def _to_a_drone(
-    plan: RoadPlan, problem: TruckAndDrones, rng: np.random.Generator, customer: int
-) -> RoadPlan | None:
+    plan: AskedDay, problem: TruckAndDrones, rng: np.random.Generator, customer: int
+) -> AskedDay | None:
     """Its stop is left out, so what is launched or met there goes to the stop after it."""
     able = [k for k, kind in enumerate(problem.kinds) if kind.count and kind.can_serve[customer]]
     if not able:
@@ -165,7 +159,7 @@ def _to_a_drone(
     fresh = SortieRequest(customer, able[int(rng.integers(len(able)))], stop, stop)
     wishes.insert(int(rng.integers(len(wishes) + 1)), fresh)
     if all(_reaches(problem, w.kind, w.launch, w.customer, w.meet) for w in wishes):
-        return RoadPlan(route, tuple(wishes))
+        return replace(plan, route=route, wishes=tuple(wishes))
     return None
 
 

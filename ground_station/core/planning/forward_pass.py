@@ -7,7 +7,7 @@ is blocked by a drone on its way to a later stop goes to the next stop itself: t
 for that drone here.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -19,9 +19,8 @@ from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Stop, flights_of
 from ground_station.core.truck_drones.tables import Plan
 
-import os
-PUSH_S=float(os.environ.get('PUSH_S','0'))
-MOST_PUSHES = int(os.environ.get('PUSHES','3'))
+MOST_PUSHES = 2
+PUSH_S = 30.0
 """How often a launch is put off for a truck that comes late, before it is met where it starts."""
 EPSILON_S = 1e-6
 
@@ -76,6 +75,24 @@ def tried_plan(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class AskedDay:
+    """The route by its nodes, the sorties in the order in which they are to be launched, and the
+    time before which the driver begins no launch, by customer (0 where there is none).
+    """
+
+    route: tuple[int, ...]
+    wishes: tuple[SortieRequest, ...]
+    not_before_s: Mapping[int, float] = field(default_factory=dict[int, float])
+
+    def by_truck(self, customer: int) -> "AskedDay":
+        """The same, with this customer brought by truck before the stop of its recovery."""
+        meet = next(wish.meet for wish in self.wishes if wish.customer == customer)
+        at = max(1, self.route.index(meet))
+        left = tuple(wish for wish in self.wishes if wish.customer != customer)
+        return replace(self, route=(*self.route[:at], customer, *self.route[at:]), wishes=left)
+
+
 POLISH_DRIVES = 50
 POLISH_ORDERS = 2_000
 """Together: with more orders fewer passes, since each takes longer."""
@@ -96,39 +113,41 @@ class ForwardPass:
         self._nodes, self._finder, self._standing, self._t0_s = nodes, finder, standing, t0_s
         self._ready_s = ready_s
 
-    def wished(self, problem: TruckAndDrones, plan: Plan) -> tuple[list[int], list[SortieRequest]]:
-        """The route and the sorties of a plan of the search, in its order of launches."""
+    def asked(self, problem: TruckAndDrones, plan: Plan) -> AskedDay:
+        """What a plan of the search asks for: its route, its sorties in their order of launch, and
+        when the driver begins each of them there.
+        """
         stops, flights = flights_of(problem, plan)
-        wishes = [SortieRequest(f.customer, f.kind, f.launch, f.meet) for f in flights]
-        return [stop.node for stop in stops], wishes
+        return AskedDay(
+            tuple(stop.node for stop in stops),
+            tuple(SortieRequest(f.customer, f.kind, f.launch, f.meet) for f in flights),
+            {f.customer: f.launched_s - problem.kinds[f.kind].launch_s for f in flights},
+        )
 
-    def driven(self, route: list[int], wishes: list[SortieRequest]) -> ForwardSchedule:
+    def driven(self, asked: AskedDay) -> ForwardSchedule:
         """The schedule; at each rendezvous the truck is there `lead_s` before its drones."""
         road = (self._nodes, self._finder, self._standing, self._t0_s, self._ready_s)
-        return _Pass(*road, route, wishes).driven()
+        return _Pass(*road, asked).driven()
 
 
-def polished(
-    drive: ForwardPass, route: list[int], wishes: list[SortieRequest], driven: ForwardSchedule
-) -> ForwardSchedule:
+def polished(drive: ForwardPass, asked: AskedDay, driven: ForwardSchedule) -> ForwardSchedule:
     """Recover the last launches of a stop at the next one, where that ends the day sooner."""
-    left = min(POLISH_DRIVES, POLISH_ORDERS // max(1, len(wishes)))
-    for here, there in pairwise(route):
+    left = min(POLISH_DRIVES, POLISH_ORDERS // max(1, len(asked.wishes)))
+    for here, there in pairwise(asked.route):
         loops = [s for s in driven.slots if s.wish.launch == s.wish.meet == here]
         for slot in sorted(loops, key=lambda slot: -slot.launched_s):
             if left == 0:
                 return driven
             left -= 1
             customer = slot.wish.customer
-            other = [replace(w, meet=there) if w.customer == customer else w for w in wishes]
-            tried = drive.driven(route, other)
+            wishes = tuple(
+                replace(w, meet=there) if w.customer == customer else w for w in asked.wishes
+            )
+            other = replace(asked, wishes=wishes)
+            tried = drive.driven(other)
             if len(tried.lost) <= len(driven.lost) and tried.makespan_s < driven.makespan_s - 1.0:
-                wishes, driven = other, tried
+                asked, driven = other, tried
     return driven
-
-
-def _as_loop(wish: SortieRequest) -> SortieRequest:
-    return replace(wish, launch=wish.meet)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,15 +177,14 @@ class _Pass:
         standing: list[OperationalVolume],
         t0_s: float,
         ready_s: float,
-        route: list[int],
-        wishes: list[SortieRequest],
+        asked: AskedDay,
     ) -> None:
-        self._nodes, self._finder, self._route = nodes, finder, route
+        self._nodes, self._finder, self._route = nodes, finder, asked.route
         self._problem, self._t0_s = nodes.problem, t0_s
         self._standing, self._ready_s = standing, ready_s
-        self._place = {node: number for number, node in enumerate(route)}
-        self._wishes = wishes
-        self._release_s = dict.fromkeys((wish.customer for wish in wishes), 0.0)
+        self._place = {node: number for number, node in enumerate(asked.route)}
+        self._wishes = list(asked.wishes)
+        self._release_s = {w.customer: asked.not_before_s.get(w.customer, 0.0) for w in asked.wishes}
         self._pushes = dict.fromkeys(self._release_s, 0)
         self._day = ForwardSchedule()
         self._now_s = 0.0
@@ -218,7 +236,6 @@ class _Pass:
         """Launched at the next stop instead, and met as many stops on from there."""
         span = self._place[wish.meet] - number
         meet = self._route[min(number + 1 + span, len(self._route) - 1)]
-        if os.environ.get('SPAN')=='0': return _from(wish,self._route[number+1],self._route[number])
         return replace(wish, launch=self._route[number + 1], meet=meet)
 
     def _too_early(self, node: int) -> list[tuple[LaunchSlot, float]]:
@@ -398,9 +415,3 @@ class _Pass:
         volume = [slot.volume for slot in self._day.slots]
         return [one for one in (*self._standing, *volume) if one.to_s > until_s]
 
-
-def _from(wish: SortieRequest, node: int, before: int) -> SortieRequest:
-    """Launched at the next stop instead; recovered there where it would have been recovered
-    here.
-    """
-    return replace(wish, launch=node, meet=node if wish.meet == before else wish.meet)

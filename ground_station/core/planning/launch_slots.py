@@ -15,7 +15,7 @@ from ground_station.core.deconfliction.separation import OperationalVolume, Prox
 from ground_station.core.feasibility.reach import SortieNeed
 from ground_station.core.planning.day_problem import DayProblem, layer_height_m, layers_over
 
-MOST_CREWS = 1000
+MOST_CREWS = 24
 """So many pairs of pads are tried for a launch."""
 
 Points = tuple[tuple[float, float], ...]
@@ -82,14 +82,19 @@ class SlotFinder:
         in_air: list[OperationalVolume],
     ) -> LaunchSlot | Blocked:
         """A slot for a launch now, beside these. Pads are assigned only where it is found."""
+        best: LaunchSlot | None = None
+        lowest_m = self._cruise_m + 1e-6
         until_s: float | None = None
         for crew in self._crews(wish, drones, pads):
             found = self._slot(wish, launched_s, crew, in_air)
-            if isinstance(found, LaunchSlot):
-                return found
-            if found.until_s is not None:
-                until_s = found.until_s if until_s is None else min(until_s, found.until_s)
-        return Blocked(until_s)
+            if isinstance(found, Blocked):
+                if found.until_s is not None:
+                    until_s = found.until_s if until_s is None else min(until_s, found.until_s)
+            elif best is None or found.volume.low_m < best.volume.low_m:
+                best = found
+                if found.volume.low_m <= lowest_m:
+                    break
+        return best or Blocked(until_s)
 
     def _slot(
         self,
@@ -147,15 +152,7 @@ class SlotFinder:
         """Layers with room for this sortie, from the lowest up."""
         grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
         lowest, layers = layers_over(grounds_m, self._cruise_m)
-        low,top=int(lowest.max()), int(layers.min())
-        import os
-        v=os.environ.get('LAYERS','low')
-        if v=='high' or (v=='mixed' and wish.launch!=wish.meet): yield from range(top-1,low-1,-1)
-        elif v=='mid' and wish.launch!=wish.meet:
-            m=(low+top)//2
-            yield from range(m,top)
-            yield from range(m-1,low-1,-1)
-        else: yield from range(low,top)
+        yield from range(int(lowest.max()), int(layers.min()))
 
     def _need(self, wish: SortieRequest, here: Ned, there: Ned, layer: int) -> SortieNeed | None:
         """Its need in this layer; None where that is more than there is."""

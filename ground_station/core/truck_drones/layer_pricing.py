@@ -34,65 +34,71 @@ from ground_station.core.truck_drones.tables import (
     PAD,
     PAD_E,
     PAD_N,
+    PENDING,
 )
 
+NEXT_RING = 30
+"""The number of any pad beyond the first ring."""
 FLEETS_BACK = 6
 """How far back launches are checked for who is still in the air, in fleets."""
 
 
 @compiled
-def _lay_pad(air, whole, times_s, customer, node, taken, row, number_row):
-    """Give a sortie the pad of a stop that lies best on its way, of those that are not taken."""
+def _lay_pad(air, whole, times_s, customer, node, free, row, number_row):
+    """Give a sortie the pad of a stop that lies best on its way, of those that are free; where none
+    is, one of the next ring.
+    """
     north, east = air.at[NORTH, node], air.at[EAST, node]
     turn = math.atan2(air.at[EAST, customer] - east, air.at[NORTH, customer] - north)
     step = 2.0 * math.pi / air.pads
-    nearest = int(math.floor(turn / step + 0.5))
+    nearest = math.floor(turn / step + 0.5)
     side = 1 if turn > nearest * step else -1
-    pad = nearest
+    at, away_m, pad = turn, air.pads_m + air.rings_m, NEXT_RING
     for by in range(air.pads):
-        away = (by + 1) // 2
-        pad = nearest + (side * away if by % 2 == 1 else -side * away)
-        if not (taken >> (pad % air.pads)) & 1:
+        off = side * ((by + 1) // 2) if by % 2 == 1 else -side * ((by + 1) // 2)
+        if (free >> ((nearest + off) % air.pads)) & 1:
+            at, away_m, pad = (nearest + off) * step, air.pads_m, (nearest + off) % air.pads
             break
-    times_s[row, customer] = north + air.pads_m * math.cos(pad * step)
-    times_s[row + 1, customer] = east + air.pads_m * math.sin(pad * step)
-    whole[number_row, customer] = pad % air.pads
+    times_s[row, customer] = north + away_m * math.cos(at)
+    times_s[row + 1, customer] = east + away_m * math.sin(at)
+    whole[number_row, customer] = pad
 
 
 @compiled
-def _pad_bits(plan, whole, other, node):
-    """The pads that a sortie in the air has at a stop."""
-    bits = 0
-    if plan[LAUNCH, other] == node:
-        bits |= 1 << whole[PAD, other]
-    if plan[MEET, other] == node:
-        bits |= 1 << whole[HOME, other]
-    return bits
-
-
-@compiled
-def lay_ground(air, plan, whole, times_s, customer, off_s, logged):
-    """Note the positions of a sortie's pads and its customer, for a take-off then."""
+def lay_ground(air, plan, whole, times_s, customer, aboard, logged):
+    """Note the positions of a sortie's pads and its customer, launched now by one of the drones
+    aboard. A drone keeps its pad at a stop, and no other gets it.
+    """
     launch, meet = plan[LAUNCH, customer], plan[MEET, customer]
-    here, there, in_air = 0, 0, 0
+    taken, home_taken, again = 0, 0, 0
     for back in range(logged - 1, max(-1, logged - 1 - FLEETS_BACK * air.fleet), -1):
         other = whole[LOG, back]
-        if times_s[LAUNCHED, other] + times_s[FLY, other] + air.slack_s <= off_s:
-            continue
-        here |= _pad_bits(plan, whole, other, launch)
-        there |= _pad_bits(plan, whole, other, meet)
-        in_air += 1
-        if in_air == air.fleet:
-            break
+        pad, home = 1 << whole[PAD, other], 1 << whole[HOME, other]
+        if plan[MEET, other] == launch:
+            if whole[PENDING, other] == 0 and not taken & home:
+                again |= home
+            taken |= home
+        if plan[LAUNCH, other] == launch:
+            taken |= pad
+        if plan[LAUNCH, other] == meet:
+            home_taken |= pad
+        if plan[MEET, other] == meet:
+            home_taken |= home
+    every = (1 << air.pads) - 1
+    again &= every
+    waiting = 0
+    for pad in range(air.pads):
+        waiting += (again >> pad) & 1
+    free = again if waiting >= aboard else again | (every & ~taken)
     times_s[CUSTOMER_N, customer] = air.at[NORTH, customer]
     times_s[CUSTOMER_E, customer] = air.at[EAST, customer]
-    _lay_pad(air, whole, times_s, customer, launch, here, PAD_N, PAD)
+    _lay_pad(air, whole, times_s, customer, launch, free, PAD_N, PAD)
     if launch == meet:
         times_s[HOME_N, customer] = times_s[PAD_N, customer]
         times_s[HOME_E, customer] = times_s[PAD_E, customer]
         whole[HOME, customer] = whole[PAD, customer]
     else:
-        _lay_pad(air, whole, times_s, customer, meet, there, HOME_N, HOME)
+        _lay_pad(air, whole, times_s, customer, meet, every & ~home_taken, HOME_N, HOME)
 
 
 @compiled
@@ -213,13 +219,13 @@ def closed_layers(apart_m, g, one, other, layer):
 
 
 @compiled
-def layer_for(air, plan, whole, times_s, customer, launched_s, logged):
+def layer_for(air, plan, whole, times_s, customer, launched_s, aboard, logged):
     """The lowest free layer for a launch that ends then, and when to ask again if there is none:
     (layer or -1, time at which the first drone that blocks it has landed).
     """
     off_s = launched_s + air.ready_s
     launch, meet, kind = plan[LAUNCH, customer], plan[MEET, customer], plan[KIND, customer]
-    lay_ground(air, plan, whole, times_s, customer, off_s, logged)
+    lay_ground(air, plan, whole, times_s, customer, aboard, logged)
     low = int(max(air.at[LOWEST, launch], air.at[LOWEST, customer], air.at[LOWEST, meet]))
     top = int(min(air.at[LAYERS, launch], air.at[LAYERS, customer], air.at[LAYERS, meet]))
     closed, in_air, free_s = 0, 0, math.inf

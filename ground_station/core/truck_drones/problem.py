@@ -68,6 +68,7 @@ class Air:
     layers: NDArray[np.int32]
     pads: int
     pads_m: float
+    rings_m: float
     ready_s: float
     apart_m: float
     slack_s: float

@@ -255,7 +255,14 @@ def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s
         if launch >= 0:
             if air.priced:
                 layer, free_s = layer_for(
-                    air, plan, whole, times_s, launch, now_s + lasts_s, logged
+                    air,
+                    plan,
+                    whole,
+                    times_s,
+                    launch,
+                    now_s + lasts_s,
+                    aboard[plan[KIND, launch]],
+                    logged,
                 )
                 if layer < 0:
                     if free_s == IMPOSSIBLE:

@@ -64,6 +64,7 @@ class AirTable(NamedTuple):
     """Drones of all kinds."""
     pads: int
     pads_m: float
+    rings_m: float
     ready_s: float
     apart_m: float
     slack_s: float
@@ -153,7 +154,7 @@ def tables_of(problem: TruckAndDrones) -> Tables:
 
 def _air_of(air: Air | None, fleet: int) -> AirTable:
     if air is None:
-        return AirTable(False, np.zeros((4, 0)), fleet, 0, 0.0, 0.0, 0.0, 0.0, np.zeros((2, 0)), 0)
+        return AirTable(False, np.zeros((4, 0)), fleet, 0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((2, 0)), 0)
     at = np.ascontiguousarray(np.vstack([air.ne_m.T, air.lowest, air.layers]), dtype=np.float64)
     of_layer = np.array([air.layer_s, air.layer_hover_s], dtype=np.float64)
     return AirTable(
@@ -162,6 +163,7 @@ def _air_of(air: Air | None, fleet: int) -> AirTable:
         fleet,
         air.pads,
         air.pads_m,
+        air.rings_m,
         air.ready_s,
         air.apart_m,
         air.slack_s,

@@ -52,6 +52,7 @@ def with_layers(seed: int, layers: int) -> TruckAndDrones:
         layers=np.full(problem.nodes, layers, np.int32),
         pads=8,
         pads_m=27.0,
+        rings_m=21.0,
         ready_s=20.0,
         apart_m=16.0,
         slack_s=30.0,
