@@ -57,7 +57,7 @@ class StopPads:
         return min((self._off_rad(place, to_ned_m), place) for place in near)
 
     def ranked(self, drone: str, to_ned_m: Ned) -> list[tuple[float, Ned]]:
-        """The pads that this drone could have, with their angles off the direct way, least first."""
+        """The pads that this drone could have, with their angles off the direct way."""
         if drone in self.of:
             return [(self._off_rad(self.of[drone], to_ned_m), self.of[drone])]
         taken = set(self.of.values())

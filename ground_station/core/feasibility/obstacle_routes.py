@@ -112,17 +112,41 @@ class ObstacleRoutes:
                     total[start, end] = total[start, before] + leg[before, end]
         return Price(*sums)
 
+    @property
+    def corners_ne_m(self) -> Floats:
+        """(corners, 2): all corners, by number."""
+        return self._corners
+
+    def bends(self) -> NDArray[np.int32]:
+        """(n, n, most): the numbers of the corners on each way in their order, -1 after the last;
+        of no size where all ways are straight or blocked for good.
+        """
+        if not self.blocked.any():
+            return np.zeros((0, 0, 0), dtype=np.int32)
+        ways = [
+            [] if none else self._corners_between(int(first), int(last))
+            for none, first, last in zip(self._none, self._first, self._last, strict=True)
+        ]
+        most = max(len(way) for way in ways)
+        count = len(self._ne_m)
+        found = np.full((count, count, most), -1, dtype=np.int32)
+        for row, column, way in zip(self._rows, self._columns, ways, strict=True):
+            found[row, column, : len(way)] = way
+        return found
+
+    def _corners_between(self, first: int, last: int) -> list[int]:
+        found = [last]
+        while found[-1] != first:
+            found.append(int(self._before[first, found[-1]]))
+        return found[::-1]
+
     def via(self, start: int, end: int) -> Points:
         """The corners on the route between two places; none where it is straight."""
         if not self.blocked[start, end]:
             return ()
         at = int(np.nonzero((self._rows == start) & (self._columns == end))[0][0])
-        first, corner = int(self._first[at]), int(self._last[at])
-        found = [corner]
-        while corner != first:
-            corner = int(self._before[first, corner])
-            found.append(corner)
-        return tuple((float(n), float(e)) for n, e in self._corners[found[::-1]])
+        way = self._corners_between(int(self._first[at]), int(self._last[at]))
+        return tuple((float(n), float(e)) for n, e in self._corners[way])
 
 
 def _lengths(a_ne_m: Floats, b_ne_m: Floats) -> Floats:

@@ -184,7 +184,7 @@ class _DayPlanner:
         has it. Customers without a slot are served by the truck, where it may.
         """
         asked = drive.asked(problem, plan)
-        both = (replace(asked, not_before_s={}), asked)
+        both = (asked.as_soon_as_can_be(), asked)
         return min((_served(nodes, drive, one) for one in both), key=lambda one: _worth(one[1]))
 
     def nodes(self) -> DayProblem:

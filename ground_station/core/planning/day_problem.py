@@ -167,6 +167,8 @@ def build_day_problem(
             PRICED_LAYER,
             tuple(one[0] for one in rises),
             tuple(one[1] for one in rises),
+            ways.bends(),
+            ways.corners_ne_m,
         ),
     )
     cruise_m = mission.cruise_height_m
@@ -223,7 +225,13 @@ def without(nodes: DayProblem, lost: set[str]) -> DayProblem:
 
 
 def _air_of(air: Air, keep: list[int]) -> Air:
-    return replace(air, ne_m=air.ne_m[keep], lowest=air.lowest[keep], layers=air.layers[keep])
+    return replace(
+        air,
+        ne_m=air.ne_m[keep],
+        lowest=air.lowest[keep],
+        layers=air.layers[keep],
+        bends=air.bends[np.ix_(keep, keep)] if len(air.bends) else air.bends,
+    )
 
 
 def layer_height_m(cruise_height_m: float, number: int) -> float:

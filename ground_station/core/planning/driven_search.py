@@ -133,9 +133,7 @@ def _by_the_other(
         return None
     wishes = tuple(wish for wish in plan.wishes if wish.customer != customer)
     at = int(rng.integers(1, len(plan.route)))
-    return replace(
-        plan, route=(*plan.route[:at], customer, *plan.route[at:]), wishes=wishes
-    )
+    return replace(plan, route=(*plan.route[:at], customer, *plan.route[at:]), wishes=wishes)
 
 
 def _to_a_drone(

@@ -77,13 +77,20 @@ def tried_plan(
 
 @dataclass(frozen=True, slots=True)
 class AskedDay:
-    """The route by its nodes, the sorties in the order in which they are to be launched, and the
-    time before which the driver begins no launch, by customer (0 where there is none).
+    """The route by its nodes, and the sorties in the order in which they are to be launched.
+
+    By customer, where the plan says so: the time before which the driver does not begin its launch,
+    and the layer that it gets if it is free.
     """
 
     route: tuple[int, ...]
     wishes: tuple[SortieRequest, ...]
     not_before_s: Mapping[int, float] = field(default_factory=dict[int, float])
+    layers: Mapping[int, int] = field(default_factory=dict[int, int])
+
+    def as_soon_as_can_be(self) -> "AskedDay":
+        """The same, with each launch as soon as it can be, as low as it can be."""
+        return AskedDay(self.route, self.wishes)
 
     def by_truck(self, customer: int) -> "AskedDay":
         """The same, with this customer brought by truck before the stop of its recovery."""
@@ -122,6 +129,7 @@ class ForwardPass:
             tuple(stop.node for stop in stops),
             tuple(SortieRequest(f.customer, f.kind, f.launch, f.meet) for f in flights),
             {f.customer: f.launched_s - problem.kinds[f.kind].launch_s for f in flights},
+            {f.customer: f.layer for f in flights if f.layer is not None},
         )
 
     def driven(self, asked: AskedDay) -> ForwardSchedule:
@@ -184,7 +192,10 @@ class _Pass:
         self._standing, self._ready_s = standing, ready_s
         self._place = {node: number for number, node in enumerate(asked.route)}
         self._wishes = list(asked.wishes)
-        self._release_s = {w.customer: asked.not_before_s.get(w.customer, 0.0) for w in asked.wishes}
+        self._layers = asked.layers
+        self._release_s = {
+            w.customer: asked.not_before_s.get(w.customer, 0.0) for w in asked.wishes
+        }
         self._pushes = dict.fromkeys(self._release_s, 0)
         self._day = ForwardSchedule()
         self._now_s = 0.0
@@ -351,7 +362,8 @@ class _Pass:
             put_out_s = self._now_s + self._problem.kinds[wish.kind].launch_s
             launched_s = put_out_s + self._ready_s
             in_air = self._in_air(launched_s)
-            found = self._finder.find(wish, launched_s, drones, self._day.pads, in_air)
+            layer = self._layers.get(wish.customer)
+            found = self._finder.find(wish, launched_s, drones, self._day.pads, in_air, layer)
             if isinstance(found, LaunchSlot):
                 self._now_s = put_out_s
                 del self._aboard[wish.kind][found.drone]
@@ -363,7 +375,10 @@ class _Pass:
         return None, until_s
 
     def _take_pads(self, slot: LaunchSlot) -> None:
-        for node, ned_m in ((slot.wish.launch, slot.from_pad_ned_m), (slot.wish.meet, slot.to_pad_ned_m)):
+        for node, ned_m in (
+            (slot.wish.launch, slot.from_pad_ned_m),
+            (slot.wish.meet, slot.to_pad_ned_m),
+        ):
             of = self._day.pads[node].of
             if slot.drone not in of:
                 of[slot.drone] = ned_m
@@ -414,4 +429,3 @@ class _Pass:
         until_s = self._t0_s + at_s - SLACK_S
         volume = [slot.volume for slot in self._day.slots]
         return [one for one in (*self._standing, *volume) if one.to_s > until_s]
-

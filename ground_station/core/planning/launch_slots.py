@@ -80,20 +80,23 @@ class SlotFinder:
         drones: list[str],
         pads: dict[int, StopPads],
         in_air: list[OperationalVolume],
+        layer: int | None = None,
     ) -> LaunchSlot | Blocked:
-        """A slot for a launch now, beside these. Pads are assigned only where it is found."""
+        """A slot for a launch now, beside these: in this layer where it is free, otherwise as low
+        as can be. Whoever takes it assigns its pads.
+        """
         best: LaunchSlot | None = None
-        lowest_m = self._cruise_m + 1e-6
         until_s: float | None = None
         for crew in self._crews(wish, drones, pads):
-            found = self._slot(wish, launched_s, crew, in_air)
+            found = self._slot(wish, launched_s, crew, in_air, layer)
             if isinstance(found, Blocked):
                 if found.until_s is not None:
                     until_s = found.until_s if until_s is None else min(until_s, found.until_s)
-            elif best is None or found.volume.low_m < best.volume.low_m:
+                continue
+            if found.volume.low_m == layer_height_m(self._cruise_m, layer or 0):
+                return found
+            if best is None or found.volume.low_m < best.volume.low_m:
                 best = found
-                if found.volume.low_m <= lowest_m:
-                    break
         return best or Blocked(until_s)
 
     def _slot(
@@ -102,12 +105,13 @@ class SlotFinder:
         launched_s: float,
         crew: tuple[str, Ned, Ned],
         in_air: list[OperationalVolume],
+        first: int | None,
     ) -> LaunchSlot | Blocked:
         drone, here, there = crew
         shape = self._filled(wish, drone, here, there)
         beside = [(other, self._near_to(shape, other)) for other in in_air]
         until_s: float | None = None
-        for layer in self._layers(wish, here, there):
+        for layer in self._layers(wish, here, there, first):
             up_m = layer_height_m(self._cruise_m, layer)
             blocking = [
                 other.to_s
@@ -148,11 +152,16 @@ class SlotFinder:
         able.sort()
         return [one[1:] for one in able[:MOST_CREWS]]
 
-    def _layers(self, wish: SortieRequest, here: Ned, there: Ned) -> Iterator[int]:
-        """Layers with room for this sortie, from the lowest up."""
+    def _layers(
+        self, wish: SortieRequest, here: Ned, there: Ned, first: int | None
+    ) -> Iterator[int]:
+        """Layers with room for this sortie: the first, and the others from the lowest up."""
         grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
         lowest, layers = layers_over(grounds_m, self._cruise_m)
-        yield from range(int(lowest.max()), int(layers.min()))
+        fit = range(int(lowest.max()), int(layers.min()))
+        if first in fit:
+            yield first
+        yield from (layer for layer in fit if layer != first)
 
     def _need(self, wish: SortieRequest, here: Ned, there: Ned, layer: int) -> SortieNeed | None:
         """Its need in this layer; None where that is more than there is."""

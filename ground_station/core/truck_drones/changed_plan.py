@@ -16,13 +16,13 @@ from ground_station.core.truck_drones.simulate import (
 )
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
+    CORNERS,
     DEPART,
     FIRST_LAUNCH,
     FIRST_MEET,
     FLY,
     FURTHEST,
     HOME,
-    HOME_E,
     HOVER_LEFT,
     IDLE,
     KIND,
@@ -132,9 +132,9 @@ def away_s(plan, w):
 @compiled
 def _copy_flight(whole, times_s, to, to_s, customer):
     """Layer, pads and corners of a sortie."""
-    for row in (LAYER, PAD, HOME):
+    for row in (LAYER, PAD, HOME, CORNERS):
         to[row, customer] = whole[row, customer]
-    for row in range(PAD_N, HOME_E + 1):
+    for row in range(PAD_N, PAD_N + 2 * whole[CORNERS, customer]):
         to_s[row, customer] = times_s[row, customer]
 
 
@@ -257,7 +257,10 @@ def _index_sorties(t, old, was, was_s, plan, whole, times_s, first, last):
                 return -1, -1
             times_s[SPARE, customer] = ON_THE_GROUND_S if t.pads else spare_s
             times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, meet]
-            times_s[LEVEL, customer], times_s[HOVER_LEFT, customer] = times_s[FLY, customer], spare_s
+            times_s[LEVEL, customer], times_s[HOVER_LEFT, customer] = (
+                times_s[FLY, customer],
+                spare_s,
+            )
         else:
             times_s[SPARE, customer] = was_s[SPARE, customer]
             times_s[FLY, customer] = was_s[FLY, customer]

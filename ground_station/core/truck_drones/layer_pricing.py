@@ -2,15 +2,16 @@
 
 The rule itself is `deconfliction.separation`, and every plan passes it before it counts. This is
 the same rule on what a search can work out a million times a second: the level ground of a sortie
-is the triangle of its pads and its customer, its columns are these three, and its pads are those of
-the first ring that lie best on its way, of those that nobody in the air has. Routes around obstacles
-are left out.
+is the hull of its pads, its customer and the first bends around obstacles, its columns are the
+first three, and its pads are those of the first ring that lie best on its way, of those that are
+free.
 """
 
 import math
 
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.tables import (
+    CORNERS,
     CUSTOMER_E,
     CUSTOMER_N,
     EAST,
@@ -37,6 +38,10 @@ from ground_station.core.truck_drones.tables import (
     PENDING,
 )
 
+COLUMNS = 3
+"""The first corners of a sortie's ground: it climbs and descends there."""
+LINE_M2 = 1e-6
+"""A triangle of less is a line."""
 NEXT_RING = 30
 """The number of any pad beyond the first ring."""
 FLEETS_BACK = 6
@@ -99,6 +104,23 @@ def lay_ground(air, plan, whole, times_s, customer, aboard, logged):
         whole[HOME, customer] = whole[PAD, customer]
     else:
         _lay_pad(air, whole, times_s, customer, meet, every & ~home_taken, HOME_N, HOME)
+    whole[CORNERS, customer] = 3
+    if air.bends.shape[0] > 0:
+        _lay_bends(air, whole, times_s, customer, launch, customer)
+        _lay_bends(air, whole, times_s, customer, customer, meet)
+
+
+@compiled
+def _lay_bends(air, whole, times_s, customer, start, end):
+    """Add the corners of the way from node to node to the ground of a sortie."""
+    for number in range(air.bends.shape[2]):
+        corner = air.bends[start, end, number]
+        if corner < 0:
+            return
+        row = PAD_N + 2 * whole[CORNERS, customer]
+        times_s[row, customer] = air.corners_ne_m[corner, 0]
+        times_s[row + 1, customer] = air.corners_ne_m[corner, 1]
+        whole[CORNERS, customer] += 1
 
 
 @compiled
@@ -119,22 +141,36 @@ def _side(an, ae, bn, be, pn, pe):
 
 
 @compiled
-def near_ground(g, one, pn, pe, apart_m2):
-    """Whether this point is nearer than that to the triangle of a sortie."""
-    an, ae = g[PAD_N, one], g[PAD_E, one]
-    bn, be = g[CUSTOMER_N, one], g[CUSTOMER_E, one]
-    cn, ce = g[HOME_N, one], g[HOME_E, one]
-    if _to_segment_m2(pn, pe, an, ae, bn, be) < apart_m2:
-        return True
-    if an == cn and ae == ce:
-        return False
-    if _to_segment_m2(pn, pe, bn, be, cn, ce) < apart_m2:
-        return True
-    if _to_segment_m2(pn, pe, cn, ce, an, ae) < apart_m2:
-        return True
+def near_ground(g, one, corners, pn, pe, apart_m2):
+    """Whether this point is nearer than that to the hull of a sortie's corners.
+
+    Every edge of the hull joins two corners, and what is within it is within a triangle of three.
+    """
+    for first in range(1, corners):
+        an, ae = g[PAD_N + 2 * first, one], g[PAD_E + 2 * first, one]
+        for second in range(first):
+            bn, be = g[PAD_N + 2 * second, one], g[PAD_E + 2 * second, one]
+            if _to_segment_m2(pn, pe, an, ae, bn, be) < apart_m2:
+                return True
+    for first in range(2, corners):
+        an, ae = g[PAD_N + 2 * first, one], g[PAD_E + 2 * first, one]
+        for second in range(1, first):
+            bn, be = g[PAD_N + 2 * second, one], g[PAD_E + 2 * second, one]
+            for third in range(second):
+                cn, ce = g[PAD_N + 2 * third, one], g[PAD_E + 2 * third, one]
+                if _within(an, ae, bn, be, cn, ce, pn, pe):
+                    return True
+    return False
+
+
+@compiled
+def _within(an, ae, bn, be, cn, ce, pn, pe):
+    """Whether a triangle that is no line has this point within."""
     first = _side(an, ae, bn, be, pn, pe)
     second = _side(bn, be, cn, ce, pn, pe)
     third = _side(cn, ce, an, ae, pn, pe)
+    if abs(first + second + third) < LINE_M2:
+        return False
     return (first > 0.0) == (second > 0.0) and (second > 0.0) == (third > 0.0)
 
 
@@ -147,40 +183,44 @@ def _cross(an, ae, bn, be, cn, ce, dn, de):
 
 
 @compiled
-def _edges_cross(g, one, other):
-    """Whether any edges of two triangles cross."""
-    for first in range(3):
+def _edges_cross(g, one, corners, other, others):
+    """Whether any lines between corners of the two cross."""
+    for first in range(1, corners):
         an, ae = g[PAD_N + 2 * first, one], g[PAD_E + 2 * first, one]
-        to = PAD_N + 2 * ((first + 1) % 3)
-        bn, be = g[to, one], g[to + 1, one]
-        for second in range(3):
-            cn, ce = g[PAD_N + 2 * second, other], g[PAD_E + 2 * second, other]
-            end = PAD_N + 2 * ((second + 1) % 3)
-            if _cross(an, ae, bn, be, cn, ce, g[end, other], g[end + 1, other]):
-                return True
+        for second in range(first):
+            bn, be = g[PAD_N + 2 * second, one], g[PAD_E + 2 * second, one]
+            for third in range(1, others):
+                cn, ce = g[PAD_N + 2 * third, other], g[PAD_E + 2 * third, other]
+                for fourth in range(third):
+                    dn, de = g[PAD_N + 2 * fourth, other], g[PAD_E + 2 * fourth, other]
+                    if _cross(an, ae, bn, be, cn, ce, dn, de):
+                        return True
     return False
 
 
 @compiled
-def _boxes_apart(g, one, other, apart_m):
+def _boxes_apart(g, one, corners, other, others, apart_m):
     """A quick test that most distant pairs pass."""
-    for axis in range(2):
-        p, q, r = PAD_N + axis, CUSTOMER_N + axis, HOME_N + axis
-        low = min(g[p, one], g[q, one], g[r, one]) - apart_m
-        high = max(g[p, one], g[q, one], g[r, one]) + apart_m
-        if high < min(g[p, other], g[q, other], g[r, other]):
-            return True
-        if low > max(g[p, other], g[q, other], g[r, other]):
+    for axis in range(PAD_N, PAD_N + 2):
+        low, high = g[axis, one], g[axis, one]
+        for corner in range(1, corners):
+            low = min(low, g[axis + 2 * corner, one])
+            high = max(high, g[axis + 2 * corner, one])
+        least, most = g[axis, other], g[axis, other]
+        for corner in range(1, others):
+            least = min(least, g[axis + 2 * corner, other])
+            most = max(most, g[axis + 2 * corner, other])
+        if high + apart_m < least or low - apart_m > most:
             return True
     return False
 
 
 @compiled
-def _corner_near(apart_m, g, one, other):
-    """Whether a corner of the other's triangle is near the triangle of this one."""
-    apart_m2 = apart_m * apart_m
-    for corner in range(PAD_N, HOME_E, 2):
-        if near_ground(g, one, g[corner, other], g[corner + 1, other], apart_m2):
+def _any_near(apart_m2, g, one, corners, other, others):
+    """Whether any of the other's first corners is near the hull of this one."""
+    for corner in range(others):
+        north, east = g[PAD_N + 2 * corner, other], g[PAD_E + 2 * corner, other]
+        if near_ground(g, one, corners, north, east, apart_m2):
             return True
     return False
 
@@ -199,13 +239,21 @@ def _columns_near(apart_m, g, one, other):
 
 
 @compiled
-def closed_layers(apart_m, g, one, other, layer):
+def closed_layers(apart_m, whole, g, one, other, layer):
     """Bits of the layers that `one` cannot have while `other` is in this one."""
-    if _boxes_apart(g, one, other, apart_m):
+    corners, others = whole[CORNERS, one], whole[CORNERS, other]
+    if _boxes_apart(g, one, corners, other, others, apart_m):
         return 0
-    under_one = _corner_near(apart_m, g, one, other)
-    under_other = _corner_near(apart_m, g, other, one)
-    if not (under_one or under_other or _edges_cross(g, one, other)):
+    apart_m2 = apart_m * apart_m
+    under_one = _any_near(apart_m2, g, one, corners, other, COLUMNS)
+    under_other = _any_near(apart_m2, g, other, others, one, COLUMNS)
+    if not (
+        under_one
+        or under_other
+        or _edges_cross(g, one, corners, other, others)
+        or (others > COLUMNS and _any_near(apart_m2, g, one, corners, other, others))
+        or (corners > COLUMNS and _any_near(apart_m2, g, other, others, one, corners))
+    ):
         return 0
     if _columns_near(apart_m, g, one, other):
         return ~0
@@ -234,7 +282,7 @@ def layer_for(air, plan, whole, times_s, customer, launched_s, aboard, logged):
         clear_s = times_s[LAUNCHED, other] + times_s[FLY, other] + air.slack_s
         if clear_s <= off_s:
             continue
-        bits = closed_layers(air.apart_m, times_s, customer, other, whole[LAYER, other])
+        bits = closed_layers(air.apart_m, whole, times_s, customer, other, whole[LAYER, other])
         if bits != 0:
             closed |= bits
             free_s = min(free_s, clear_s)

@@ -60,7 +60,9 @@ class Air:
     layer that is too high over it. `pads` pads lie in a ring, `pads_m` from each stop. A drone
     takes off `ready_s` after its launch and may land `slack_s` late. Sorties are separated from
     `apart_m` on. The legs are priced in layer `priced`; each layer above it takes `layer_s` longer
-    and as much energy as `layer_hover_s` of hover, by kind of drone.
+    and as much energy as `layer_hover_s` of hover, by kind of drone. `bends` (from, to, some): the
+    numbers of the corners (`corners_ne_m`) around which a way goes, -1 after the last; of no size
+    where all ways are straight.
     """
 
     ne_m: Floats
@@ -75,6 +77,8 @@ class Air:
     priced: int
     layer_s: tuple[float, ...]
     layer_hover_s: tuple[float, ...]
+    bends: NDArray[np.int32]
+    corners_ne_m: Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from ground_station.core.truck_drones.tables import (
     KIND,
     LAUNCH,
     LAUNCHED,
+    LAYER,
     MEET,
     MET,
     NOWHERE,
@@ -73,7 +74,9 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class FlightTimes:
-    """Times of one customer's drone: take-off from its pad, landing, recovery by the driver."""
+    """Times of one customer's drone: take-off from its pad, landing, recovery by the driver; and its
+    layer, where the problem has some.
+    """
 
     customer: int
     kind: int
@@ -82,6 +85,7 @@ class FlightTimes:
     launched_s: float
     landed_s: float
     met_s: float
+    layer: int | None
 
 
 def flights_of(problem: TruckAndDrones, plan: Plan) -> tuple[tuple[Stop, ...], list[FlightTimes]]:
@@ -98,7 +102,10 @@ def flights_of(problem: TruckAndDrones, plan: Plan) -> tuple[tuple[Stop, ...], l
             float(work.times_s[row, customer]) for row in (LAUNCHED, FLY, MET)
         )
         kind, launch, meet = (int(plan[row, customer]) for row in (KIND, LAUNCH, MEET))
-        flight = FlightTimes(customer, kind, launch, meet, launched_s, launched_s + fly_s, met_s)
+        layer = int(work.whole[LAYER, customer]) if problem.air is not None else None
+        flight = FlightTimes(
+            customer, kind, launch, meet, launched_s, launched_s + fly_s, met_s, layer
+        )
         found.append(flight)
     found.sort(key=lambda flight: (flight.launched_s, flight.customer))
     return _stops(plan, work, problem.end), found

@@ -71,6 +71,9 @@ class AirTable(NamedTuple):
     of_layer: NDArray[np.float64]
     """Rows LAYER_S and LAYER_HOVER_S by kind of drone: what each layer above `of_priced` adds."""
     of_priced: int
+    bends: NDArray[np.int32]
+    """From node to node: the corners, by number, around which the way goes; -1: no more."""
+    corners_ne_m: NDArray[np.float64]
 
 
 LAYER_S, LAYER_HOVER_S = range(2)
@@ -99,18 +102,24 @@ PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES, LAYER 
 LOG, LOGGED = range(8, 10)
 # by place on the route, of a plan from whose simulation others are gone on (`changed_plan`).
 RESTART, SPANNED, FURTHEST = range(10, 13)
-# by node: the pads of launch and landing, by their number in the ring.
-PAD, HOME = range(13, 15)
+# by node: the pads of launch and landing, by their number in the ring, and how many corners its
+# ground has.
+PAD, HOME, CORNERS = range(13, 16)
 # Rows of `Work.times_s`; by node: earliest launch, flight, hover to spare, end of the launch, start
 # of the recovery, start of the truck's own delivery;
 RELEASE, FLY, SPARE, LAUNCHED, MET, DELIVERED = range(6)
 # by place on the route: arrival, departure, and what truck and driver have to do from arriving
 # there to the end, waiting aside.
 ARRIVE, DEPART, WORK_AFTER = range(6, 9)
-# by node: blocked by others in the air until then; the corners of what a sortie flies over, m; its
-# flight in the layer in which the legs are priced, and how long it could hover there besides.
-BLOCKED, PAD_N, PAD_E, CUSTOMER_N, CUSTOMER_E, HOME_N, HOME_E = range(9, 16)
-LEVEL, HOVER_LEFT = range(16, 18)
+# by node: blocked by others in the air until then; its flight in the layer in which the legs are
+# priced, and how long it could hover there besides;
+BLOCKED, LEVEL, HOVER_LEFT = range(9, 12)
+# the corners of the ground that a sortie flies over, m: pads and customer, then bends around
+# obstacles, as many as there are (CORNERS).
+PAD_N, PAD_E, CUSTOMER_N, CUSTOMER_E, HOME_N, HOME_E, BENDS = range(12, 19)
+LEG_BENDS = 3
+"""Of each way, out and back, so many bends are looked at."""
+TIMES_ROWS = BENDS + 4 * LEG_BENDS
 
 # Rows of `Work.taken`.
 TAKEN, WAYS = 0, 1
@@ -154,7 +163,11 @@ def tables_of(problem: TruckAndDrones) -> Tables:
 
 def _air_of(air: Air | None, fleet: int) -> AirTable:
     if air is None:
-        return AirTable(False, np.zeros((4, 0)), fleet, 0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((2, 0)), 0)
+        none = np.zeros((2, 0))
+        bends = np.zeros((0, 0, 0), dtype=np.int32)
+        return AirTable(
+            False, np.zeros((4, 0)), fleet, 0, 0.0, 0.0, 0.0, 0.0, 0.0, none, 0, bends, none
+        )
     at = np.ascontiguousarray(np.vstack([air.ne_m.T, air.lowest, air.layers]), dtype=np.float64)
     of_layer = np.array([air.layer_s, air.layer_hover_s], dtype=np.float64)
     return AirTable(
@@ -169,6 +182,8 @@ def _air_of(air: Air | None, fleet: int) -> AirTable:
         air.slack_s,
         of_layer,
         air.priced,
+        np.ascontiguousarray(air.bends[:, :, :LEG_BENDS], dtype=np.int32),
+        np.ascontiguousarray(air.corners_ne_m, dtype=np.float64),
     )
 
 
@@ -176,8 +191,8 @@ def work_for(tables: Tables) -> Work:
     """Room for simulations of this problem."""
     nodes, kinds = len(tables.travel_s), len(tables.fleet)
     return Work(
-        whole=np.full((15, nodes), NOWHERE, dtype=np.int32),
-        times_s=np.zeros((18, nodes)),
+        whole=np.full((16, nodes), NOWHERE, dtype=np.int32),
+        times_s=np.zeros((TIMES_ROWS, nodes)),
         free=np.zeros((nodes + 1, kinds), dtype=np.int32),
         taken=np.zeros((WAYS + kinds, nodes), dtype=np.int32),
     )

@@ -59,6 +59,8 @@ def with_layers(seed: int, layers: int) -> TruckAndDrones:
         priced=1,
         layer_s=(15.0, 20.0)[:kinds],
         layer_hover_s=(20.0, 25.0)[:kinds],
+        bends=np.where(rng.random((problem.nodes, problem.nodes, 2)) < 0.2, 1, -1).astype(np.int32),
+        corners_ne_m=np.array([[50.0, -100.0], [-80.0, 60.0]]),
     )
     return replace(problem, air=air)
 
