@@ -12,11 +12,11 @@ from companion.core.base.geo import Ned, place_ned
 from companion.core.base.place import Place
 from ground_station.core.deconfliction.pads import StopPads, ring_radius_m
 from ground_station.core.planning.airspace import Airspace
+from ground_station.core.planning.asked_day import AskedDay
 from ground_station.core.planning.day_problem import DayProblem, build_day_problem, without
 from ground_station.core.planning.driven_search import searched_on_the_road
 from ground_station.core.planning.forecast_check import Priced, forbidden, grounded, slot_priced
 from ground_station.core.planning.forward_pass import (
-    AskedDay,
     ForwardPass,
     ForwardSchedule,
     TriedPlan,
@@ -58,16 +58,16 @@ THOROUGH_TRIALS = 20_000
 with fewer, small moves alone find more."""
 HASTY = SearchParams(rebuild_frac=0.0, insertion=INSERTION._replace(air_price=0.0))
 """Small moves alone."""
-LAYERED_SHARE = 3
-"""One trial with layers for so many without: each takes about five times as long."""
+LOOPS_SHARE, LAYERED_SHARE = 0.4, 0.4
+"""Of the trials: for drones recovered where they were launched, without layers; and for all plans
+with layers, each of which takes about five times as long."""
 LAYERED_FROM = 0.3
 """Start of a cooling, as a share: hot enough to move a sortie, too cold to lose the first
 plan."""
-LAYERED = (
-    Cooling(0.25, 0.0, "first"),
-    Cooling(0.25, LAYERED_FROM, "first"),
-    Cooling(0.5, LAYERED_FROM, "best"),
-)
+LAYERED = (Cooling(1.0, LAYERED_FROM, "offered"),)
+LAYERED_QUICK = (Cooling(0.5, LAYERED_FROM, "first"), Cooling(0.5, LAYERED_FROM, "best"))
+"""With layers: from the best plan without them whose drones are recovered where they were launched;
+up to `QUICK_CUSTOMERS` from the first plan, and once more from what it came to."""
 SOONER_S = 20.0
 """[est] So much sooner than by the search's prices a drone may land: its pads lie on its way, and a
 lower layer may be free."""
@@ -224,9 +224,9 @@ class _DayPlanner:
     def _plans(self, nodes: DayProblem) -> Iterator[tuple[TruckAndDrones, Plan]]:
         """Plans, each with the problem that it solves.
 
-        Two searches ignore layers: drones recovered where they were launched, and recovered
-        anywhere (the first loses least to layers, the second reaches furthest). A third prices
-        layers and pads. Each gives the best plan of each cooling.
+        One search is for drones recovered where they were launched, without layers, of which such
+        plans lose little. The other is for all plans, with layers and pads priced. Each gives the
+        best plan of each cooling.
         """
         layered = nodes.problem
         anywhere = replace(layered, air=None)
@@ -238,13 +238,12 @@ class _DayPlanner:
         default = max(1, int(DAY_TRIALS_FRAC * default_trials(anywhere.customers)))
         trials = self._params.trials or default
         self._trials = trials
-        looped = self._searched(loops, rng, trials // 2, (0.0, 0.4))
+        looped = self._searched(loops, rng, int(LOOPS_SHARE * trials), (0.0, 0.3), None)
         for plan in looped:
             yield loops, plan
-        for plan in self._searched(anywhere, rng, trials - trials // 2, (0.4, 0.8)):
-            yield anywhere, plan
         apart = replace(layered, lead_s=layered.lead_s + SOONER_S)
-        for plan in self._searched(apart, rng, max(1, trials // LAYERED_SHARE), (0.8, 1.0)):
+        trials = int(LAYERED_SHARE * trials)
+        for plan in self._searched(apart, rng, trials, (0.3, 1.0), looped[0]):
             yield apart, plan
 
     def _searched(
@@ -253,6 +252,7 @@ class _DayPlanner:
         rng: np.random.Generator,
         trials: int,
         tell_frac: tuple[float, float],
+        offered: Plan | None,
     ) -> list[Plan]:
         """The best plan of each cooling, best first, each once. Where several are equally good,
         they differ in how well they can be driven.
@@ -261,7 +261,7 @@ class _DayPlanner:
         done = tell_frac[0]
         thorough = trials >= THOROUGH_TRIALS * problem.customers
         params = SearchParams() if thorough else HASTY
-        coolings = LAYERED if problem.air else _coolings(problem.customers, thorough)
+        coolings = _coolings(problem, thorough)
         built: list[Plan] = []
         if any(cooling.start == "built" for cooling in coolings):
             built = Search(problem, rng, params).built()
@@ -271,7 +271,11 @@ class _DayPlanner:
                 start = min(found, key=lambda one: one[0])[1]
             elif cooling.start == "built" and built:
                 start = built.pop(0)
+            elif cooling.start == "offered":
+                start = offered
             search = Search(problem, rng, params, start)
+            if search.best_s == math.inf:  # the offered one finds no layer, however long it waits
+                search = Search(problem, rng, params)
             until = done + (tell_frac[1] - tell_frac[0]) * cooling.share
             of_cooling = max(1, int(trials * cooling.share))
             self._cooled(search, of_cooling, cooling.begin_frac, (done, until))
@@ -420,9 +424,12 @@ def _served(
     return asked, driven
 
 
-def _coolings(customers: int, thorough: bool) -> tuple[Cooling, ...]:
+def _coolings(problem: TruckAndDrones, thorough: bool) -> tuple[Cooling, ...]:
+    customers = problem.customers
     if customers == 0:
         return ()
+    if problem.air is not None:
+        return LAYERED_QUICK if customers <= QUICK_CUSTOMERS else LAYERED
     if SMALL_CUSTOMERS < customers <= QUICK_CUSTOMERS:
         return ONE_BUILT if thorough else BEST_OF_THREE
     if customers > QUICK_CUSTOMERS and not thorough:

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ground_station.core.planning.forward_pass import AskedDay, ForwardPass, ForwardSchedule
+from ground_station.core.planning.asked_day import AskedDay
+from ground_station.core.planning.forward_pass import ForwardPass, ForwardSchedule
 from ground_station.core.planning.launch_slots import SortieRequest
 from ground_station.core.truck_drones.problem import TruckAndDrones
 

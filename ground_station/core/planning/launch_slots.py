@@ -159,7 +159,7 @@ class SlotFinder:
         grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
         lowest, layers = layers_over(grounds_m, self._cruise_m)
         fit = range(int(lowest.max()), int(layers.min()))
-        if first in fit:
+        if first is not None and first in fit:
             yield first
         yield from (layer for layer in fit if layer != first)
 

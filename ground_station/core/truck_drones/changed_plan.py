@@ -5,8 +5,14 @@ with everything as it was there before but for a shift of time: from there on th
 hold, shifted. The result is that of `simulate` (to rounding), after a part of the work.
 """
 
+from ground_station.core.truck_drones.changed_air import (
+    SAME_SHIFT_S,
+    adopt_log,
+    air_alike,
+    differs,
+    take_log,
+)
 from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.layer_pricing import FLEETS_BACK
 from ground_station.core.truck_drones.simulate import (
     IMPOSSIBLE,
     ON_THE_GROUND_S,
@@ -16,30 +22,22 @@ from ground_station.core.truck_drones.simulate import (
 )
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
-    CORNERS,
     DEPART,
     FIRST_LAUNCH,
     FIRST_MEET,
     FLY,
     FURTHEST,
-    HOME,
     HOVER_LEFT,
     IDLE,
     KIND,
     LAUNCH,
     LAUNCHED,
-    LAYER,
     LEVEL,
-    LOG,
-    LOGGED,
     MEET,
     MET,
     NEXT_LAUNCH,
     NEXT_MEET,
     NOWHERE,
-    ORDER,
-    PAD,
-    PAD_N,
     PLACE,
     PUSHES,
     RELEASE,
@@ -49,9 +47,6 @@ from ground_station.core.truck_drones.tables import (
     SPARE,
     WORK_AFTER,
 )
-
-SAME_SHIFT_S = 1e-8
-"""Shifts of time that differ by less are the same: rounding is a thousandth of it."""
 
 
 @compiled
@@ -130,45 +125,6 @@ def away_s(plan, w):
 
 
 @compiled
-def _copy_flight(whole, times_s, to, to_s, customer):
-    """Layer, pads and corners of a sortie."""
-    for row in (LAYER, PAD, HOME, CORNERS):
-        to[row, customer] = whole[row, customer]
-    for row in range(PAD_N, PAD_N + 2 * whole[CORNERS, customer]):
-        to_s[row, customer] = times_s[row, customer]
-
-
-@compiled
-def _adopt_log(plan, kept, w, begin, at, places):
-    """The launches that came before, those of the places passed, and those that follow."""
-    whole, times_s, was, was_s = w.whole, w.times_s, kept.whole, kept.times_s
-    end = plan.shape[1] - 1
-    before = at - (places - 1 - was[PLACE, end])
-    if at < places:
-        later, total = whole[LOGGED, at] - was[LOGGED, before], 0
-        for customer in range(1, end):
-            total += 1 if plan[LAUNCH, customer] != NOWHERE else 0
-        for number in range(whole[LOGGED, at], total):
-            whole[LOG, number] = was[LOG, number - later]
-        for to in range(at, places):
-            whole[LOGGED, to] = was[LOGGED, to - (at - before)] + later
-    for to in range(begin):
-        whole[LOGGED, to] = was[LOGGED, to]
-    for number in range(whole[LOGGED, begin]):
-        whole[LOG, number] = was[LOG, number]
-    for node in range(end + 1):
-        was[LOGGED, node], was[LOG, node] = whole[LOGGED, node], whole[LOG, node]
-    for customer in range(1, end):
-        launch = plan[LAUNCH, customer]
-        if launch == NOWHERE:
-            continue
-        if begin <= whole[PLACE, launch] < at:
-            _copy_flight(whole, times_s, was, was_s, customer)
-        else:
-            times_s[FLY, customer] = was_s[FLY, customer]
-
-
-@compiled
 def adopt(t, plan, kept, w, begin, at, shift_s):
     """Make a simulation of `changed_makespan_s`, which passed the places from `begin` to before
     `at`, that of the new plan, in `kept`: what came before is as it was, what follows is shifted.
@@ -201,7 +157,7 @@ def adopt(t, plan, kept, w, begin, at, shift_s):
                 times_s[RELEASE, customer] = was_s[RELEASE, customer] + shift_s
         times_s[MET, customer] = _met_s(plan, kept, w, begin, at, shift_s, customer)
     if t.air.priced:
-        _adopt_log(plan, kept, w, begin, at, places)
+        adopt_log(plan, kept, w, begin, at, places)
     for node in range(end + 1):
         for row in (PLACE, PUSHES, FIRST_LAUNCH, NEXT_LAUNCH):
             was[row, node] = whole[row, node]
@@ -210,16 +166,6 @@ def adopt(t, plan, kept, w, begin, at, shift_s):
         for kind in range(free.shape[1]):
             had[node, kind] = free[node, kind]
     _note_spans(plan, was)
-
-
-@compiled
-def _differs(old, plan, customer):
-    return (
-        old[LAUNCH, customer] != plan[LAUNCH, customer]
-        or old[MEET, customer] != plan[MEET, customer]
-        or old[KIND, customer] != plan[KIND, customer]
-        or old[ORDER, customer] != plan[ORDER, customer]
-    )
 
 
 @compiled
@@ -236,7 +182,7 @@ def _index_sorties(t, old, was, was_s, plan, whole, times_s, first, last):
     shorter = whole[PLACE, end] - was[PLACE, end]
     for customer in range(1, end):
         launch = plan[LAUNCH, customer]
-        changed = _differs(old, plan, customer)
+        changed = differs(old, plan, customer)
         if changed and old[LAUNCH, customer] != NOWHERE:
             first = min(first, was[PLACE, old[LAUNCH, customer]])
             last = max(last, was[PLACE, old[MEET, customer]] + shorter)
@@ -317,58 +263,6 @@ def _sum_work(t, plan, times_s, first, last):
 
 
 @compiled
-def _take_log(air, kept, w, begin):
-    """The launches before this place, and where those fly that may be in the air there."""
-    whole, times_s, was, was_s = w.whole, w.times_s, kept.whole, kept.times_s
-    logged = was[LOGGED, begin]
-    whole[LOGGED, begin] = logged
-    for number in range(max(0, logged - FLEETS_BACK * air.fleet), logged):
-        customer = was[LOG, number]
-        whole[LOG, number] = customer
-        _copy_flight(was, was_s, whole, times_s, customer)
-        times_s[FLY, customer] = was_s[FLY, customer]
-        times_s[LAUNCHED, customer] = was_s[LAUNCHED, customer]
-
-
-@compiled
-def _in_air(slack_s, whole, times_s, number, least, now_s):
-    """The number, in the log, of the last launch before this one that may be in the air; -1: none
-    from the number `least` on.
-    """
-    for before in range(number - 1, least - 1, -1):
-        customer = whole[LOG, before]
-        if times_s[LAUNCHED, customer] + times_s[FLY, customer] + slack_s > now_s:
-            return before
-    return -1
-
-
-@compiled
-def _air_alike(air, old, kept, plan, w, at, before):
-    """Whether the same sorties are in the air at this place as there in the old plan, alike but for
-    a shift of time.
-    """
-    whole, times_s, was, was_s = w.whole, w.times_s, kept.whole, kept.times_s
-    now_s, then_s = times_s[ARRIVE, at], was_s[ARRIVE, before]
-    one, other = whole[LOGGED, at], was[LOGGED, before]
-    back, slack_s = FLEETS_BACK * air.fleet, air.slack_s
-    least, their_least = max(0, one - back), max(0, other - back)
-    while True:
-        one = _in_air(slack_s, whole, times_s, one, least, now_s)
-        other = _in_air(slack_s, was, was_s, other, their_least, then_s)
-        if one < 0 and other < 0:
-            return True
-        if one < 0 or other < 0 or whole[LOG, one] != was[LOG, other]:
-            return False
-        customer = whole[LOG, one]
-        for row in (LAYER, PAD, HOME):
-            if whole[row, customer] != was[row, customer]:
-                return False
-        late_s = times_s[LAUNCHED, customer] - was_s[LAUNCHED, customer]
-        if abs(late_s - (now_s - then_s)) > SAME_SHIFT_S or _differs(old, plan, customer):
-            return False
-
-
-@compiled
 def _take_back(t, kept, plan, w, first, begin):
     """A launch before the place where the pass began is put off: what was before comes back."""
     whole, times_s, free = w.whole, w.times_s, w.free
@@ -378,7 +272,7 @@ def _take_back(t, kept, plan, w, first, begin):
         for kind in range(free.shape[1]):
             free[at, kind] = had[at, kind]
     if t.air.priced:
-        _take_log(t.air, kept, w, first)
+        take_log(t.air, kept, w, first)
     _sum_work(t, plan, times_s, first, begin - 1)
     for customer in range(1, plan.shape[1] - 1):
         if plan[LAUNCH, customer] != NOWHERE and whole[PLACE, plan[MEET, customer]] < begin:
@@ -428,7 +322,7 @@ def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
         for customer in range(1, end):
             times_s[LAUNCHED, customer] = was_s[LAUNCHED, customer]
     if t.air.priced:
-        _take_log(t.air, kept, w, begin)
+        take_log(t.air, kept, w, begin)
 
     # A drone in the air at the tail of the route was launched with a shift of time. `uniform` is
     # the furthest meeting of those with the latest shift, `others` of those with another one.
@@ -449,7 +343,7 @@ def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
                 and was[SPANNED, at - longer] == 0
                 and min(arrived_s, arrived_s + now_s) >= t.fixed_until_s
                 and _aboard_alike(free, at, had, at - longer)
-                and (not t.air.priced or _air_alike(t.air, old, kept, plan, w, at, at - longer))
+                and (not t.air.priced or air_alike(t.air, old, kept, plan, w, at, at - longer))
             ):
                 return old_s + now_s, begin, at, now_s
         go_on = visit(t, plan, whole, times_s, free, launch_s, recover_s, at)

@@ -74,8 +74,8 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class FlightTimes:
-    """Times of one customer's drone: take-off from its pad, landing, recovery by the driver; and its
-    layer, where the problem has some.
+    """Times of one customer's drone: take-off from its pad, landing, recovery by the driver. Its
+    layer: None where the problem has none.
     """
 
     customer: int
