@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ground_station.core.deconfliction.separation import (
     APART_M,
@@ -13,12 +12,12 @@ from ground_station.core.deconfliction.separation import (
 from ground_station.core.truck_drones.layer_pricing import closed_layers, lay_ground
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 from ground_station.core.truck_drones.tables import (
-    CUSTOMER_N,
-    HOME_N,
+    CORNERS,
     LAUNCH,
+    LOG,
     MEET,
     PAD_N,
-    Plan,
+    Work,
     empty_plan,
     tables_of,
     work_for,
@@ -36,40 +35,46 @@ def problem(rng: np.random.Generator) -> TruckAndDrones:
     square = np.ones((NODES, NODES))
     flags = np.ones(NODES, dtype=np.bool_)
     none, all_ = np.zeros(NODES, np.int32), np.full(NODES, LAYERS, np.int32)
+    bends = np.full((NODES, NODES, 2), -1, np.int32)
+    bends[:, :, 0] = np.where(rng.random((NODES, NODES)) < 0.3, rng.integers(0, 4), -1)
+    air = Air(
+        ne_m, none, all_, 8, 20.0, 21.0, 60.0, APART_M, 30.0, 2, (20.0,), (30.0,), bends,
+        rng.uniform(-150.0, 150.0, (4, 2)),
+    )  # fmt: skip
     return TruckAndDrones(
         square, np.ones(NODES), (DroneKind(8, 1.0, 1.0, flags),),
-        (Legs(square, square, square, square, 1e6),), flags, pads=True,
-        air=Air(ne_m, none, all_, 20.0, 60.0, APART_M, 30.0),
+        (Legs(square, square, square, square, 1e6),), flags, pads=True, air=air,
     )  # fmt: skip
 
 
-def volume(plan: Plan, at: NDArray[np.float64], customer: int, beside: int) -> OperationalVolume:
-    """What a sortie fills; without its pads at stops that it shares: they are kept apart when they
-    are given.
-    """
-    corners = {row: tuple(at[row : row + 2, customer]) for row in (PAD_N, CUSTOMER_N, HOME_N)}
-    shared = {int(plan[LAUNCH, beside]), int(plan[MEET, beside])}
-    stops = {PAD_N: int(plan[LAUNCH, customer]), HOME_N: int(plan[MEET, customer])}
-    columns = tuple(ne for row, ne in corners.items() if stops.get(row) not in shared)
-    return OperationalVolume("d", "o", tuple(corners.values()), columns, 0.0, 0.0, 0.0, 0.0)
+def volume(work: Work, customer: int) -> OperationalVolume:
+    """What a sortie fills, by the corners that the search gave it."""
+    corners = [
+        (float(work.times_s[row, customer]), float(work.times_s[row + 1, customer]))
+        for row in range(PAD_N, PAD_N + 2 * int(work.whole[CORNERS, customer]), 2)
+    ]
+    return OperationalVolume("d", "o", tuple(corners), tuple(corners[:3]), 0.0, 0.0, 0.0, 0.0)
 
 
 def test_layers_are_closed_to_the_search_where_the_rule_closes_them():
     rng = np.random.default_rng(3)
     seen: set[int] = set()
+    bent = 0
     for _ in range(150):
         tables = tables_of(problem(rng))
-        at, plan = work_for(tables).times_s, empty_plan(NODES)
+        work, plan = work_for(tables), empty_plan(NODES)
         one, other, *stops = rng.permutation(np.arange(1, NODES - 1))[:6].tolist()
-        for customer in (one, other):
+        for logged, customer in enumerate((other, one)):
             plan[LAUNCH, customer], plan[MEET, customer] = rng.choice(stops, 2).tolist()
             if rng.random() < 0.5:
                 plan[MEET, customer] = plan[LAUNCH, customer]
-            lay_ground(tables.air, plan, at, customer)
+            lay_ground(tables.air, plan, work.whole, work.times_s, customer, 8, logged)
+            work.whole[LOG, logged] = customer
 
-        rule = proximity(volume(plan, at, one, other), volume(plan, at, other, one))
+        bent += int(work.whole[CORNERS, one] > 3)
+        rule = proximity(volume(work, one), volume(work, other))
         layer = int(rng.integers(LAYERS))
-        closed = closed_layers(APART_M, plan, at, one, other, layer)
+        closed = closed_layers(APART_M, work.whole, work.times_s, one, other, layer)
         there = (LAYER_GAP_M * layer, LAYER_GAP_M * layer)
         for mine in range(LAYERS):
             here = (LAYER_GAP_M * mine, LAYER_GAP_M * mine)
@@ -78,3 +83,4 @@ def test_layers_are_closed_to_the_search_where_the_rule_closes_them():
     assert 0 in seen
     assert 2**LAYERS - 1 in seen
     assert len(seen) > 10
+    assert bent > 10
