@@ -5,14 +5,14 @@ with everything as it was there before but for a shift of time: from there on th
 hold, shifted. The result is that of `simulate` (to rounding), after a part of the work.
 """
 
-from ground_station.core.truck_drones.changed_air import (
+from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.layers.changed_air import (
     SAME_SHIFT_S,
     adopt_log,
     air_alike,
     differs,
     take_log,
 )
-from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.simulate import (
     IMPOSSIBLE,
     ON_THE_GROUND_S,

@@ -14,7 +14,7 @@ has landed. The truck stays until what it has launched has taken off.
 import math
 
 from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.layer_pricing import layer_for
+from ground_station.core.truck_drones.layers.layer_pricing import layer_for
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     AT_ONCE,

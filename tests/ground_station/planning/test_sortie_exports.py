@@ -54,7 +54,7 @@ class Read:
 @pytest.fixture(scope="module")
 def planned() -> tuple[DayData, DayPlan]:
     data = read_day(VILLAGES)
-    plan = plan_day(data, first_state(data), PlanParams(trials=600))
+    plan = plan_day(data, first_state(data), PlanParams(trials=30_000))
     elsewhere_first = sorted(plan.sorties, key=lambda sortie: sortie.launch == sortie.home)
     assert elsewhere_first[0].launch != elsewhere_first[0].home
     return data, msgspec.structs.replace(plan, sorties=elsewhere_first[:3])

@@ -9,7 +9,7 @@ from ground_station.core.deconfliction.separation import (
     OperationalVolume,
     proximity,
 )
-from ground_station.core.truck_drones.layer_pricing import closed_layers, lay_ground
+from ground_station.core.truck_drones.layers.layer_pricing import closed_layers, lay_ground
 from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
 from ground_station.core.truck_drones.tables import (
     CORNERS,

@@ -3,7 +3,7 @@ the route, and whether the same drones fly there alike.
 """
 
 from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.layer_pricing import FLEETS_BACK
+from ground_station.core.truck_drones.layers.layer_pricing import FLEETS_BACK
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     CORNERS,
