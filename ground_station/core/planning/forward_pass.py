@@ -21,8 +21,9 @@ from ground_station.core.truck_drones.schedule import Stop, flights_of
 from ground_station.core.truck_drones.tables import Plan
 
 MOST_PUSHES = 2
+"""How often a launch is put off for a truck that comes late, before it is met a stop sooner."""
 PUSH_S = 30.0
-"""How often a launch is put off for a truck that comes late, before it is met where it starts."""
+"""[est] A launch that would be put off by more is met a stop sooner at once."""
 EPSILON_S = 1e-6
 
 
