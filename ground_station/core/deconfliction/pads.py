@@ -47,17 +47,12 @@ class StopPads:
 
     def best(self, drone: str, to_ned_m: Ned) -> tuple[float, Ned] | None:
         """The pad that this drone has or would get, and its angle off the direct way, rad."""
-        if drone in self.of:
-            return self._off_rad(self.of[drone], to_ned_m), self.of[drone]
-        taken = set(self.of.values())
-        free = [place for place in self.places if place not in taken]
-        near = free[: max(RING_PADS - len(taken), 0)] or free
-        if not near:
-            return None
-        return min((self._off_rad(place, to_ned_m), place) for place in near)
+        return next(iter(self.ranked(drone, to_ned_m)), None)
 
     def ranked(self, drone: str, to_ned_m: Ned) -> list[tuple[float, Ned]]:
-        """The pads that this drone could have, with their angles off the direct way."""
+        """The pads that this drone has or could get, with their angles off the direct way, rad;
+        the least first.
+        """
         if drone in self.of:
             return [(self._off_rad(self.of[drone], to_ned_m), self.of[drone])]
         taken = set(self.of.values())

@@ -59,8 +59,8 @@ with fewer, small moves alone find more."""
 HASTY = SearchParams(rebuild_frac=0.0, insertion=INSERTION._replace(air_price=0.0))
 """Small moves alone."""
 LOOPS_SHARE, LAYERED_SHARE = 0.4, 0.4
-"""Of the trials: for drones recovered where they were launched, without layers; and for all plans
-with layers, each of which takes about five times as long."""
+"""Of the trials that are asked for: for drones recovered where they were launched, without layers;
+and for all plans with layers, each of which takes about five times as long as one without."""
 LAYERED_FROM = 0.3
 """Start of a cooling, as a share: hot enough to move a sortie, too cold to lose the first
 plan."""

@@ -24,6 +24,10 @@ MOST_PUSHES = 2
 """How often a launch is put off for a truck that comes late, before it is met a stop sooner."""
 PUSH_S = 30.0
 """[est] A launch that would be put off by more is met a stop sooner at once."""
+MOST_RETURNS = 50
+RETURNS_FOR_EACH = 20
+"""So many returns in all and for each sortie; from then on a drone that would land before the truck
+is met where it is launched."""
 EPSILON_S = 1e-6
 
 
@@ -187,9 +191,16 @@ class _Pass:
         self._pads_taken: list[tuple[int, str]] = []
         """Each pad that a drone got, in this order: node and drone."""
         self._arrivals: list[_Arrival] = []
+        self._returns_left = MOST_RETURNS + RETURNS_FOR_EACH * len(asked.wishes)
+        self._loops: set[int] = set()
+        """Customers whose drones are met where they are launched, whatever was asked."""
 
     def driven(self) -> ForwardSchedule:
-        """The schedule."""
+        """The schedule.
+
+        It ends: each return after the last that is allowed makes one more sortie land where it
+        starts, and that one is never too early again.
+        """
         for number, node in enumerate(self._route):
             self._day.pads[node] = self._finder.pads_at(node, first=number == 0)
         number = 0
@@ -207,7 +218,11 @@ class _Pass:
         """A stop, and the way to the next."""
         node, arrive_s = self._route[number], self._now_s
         following = self._route[number + 1] if number + 1 < len(self._route) else None
-        mine = [wish for wish in self._wishes if wish.launch == node]
+        mine = [
+            replace(wish, meet=node) if wish.customer in self._loops else wish
+            for wish in self._wishes
+            if wish.launch == node
+        ]
         put_off = self._stop(node, mine, last=following is None)
         if number == 0:
             self._now_s = max(self._now_s, self._problem.hold_s)
@@ -216,7 +231,8 @@ class _Pass:
         self._day.stops.append(Stop(node, arrive_s, self._now_s))
         if following is not None:
             self._now_s += float(self._problem.travel_s[node, following])
-            self._wishes = [wish for wish in self._wishes if wish not in put_off] + [
+            gone = {wish.customer for wish in put_off}
+            self._wishes = [wish for wish in self._wishes if wish.customer not in gone] + [
                 self._from_next(wish, number) for wish in put_off
             ]
 
@@ -241,6 +257,10 @@ class _Pass:
         """Go back to the first stop where one of these was launched; its number."""
         number = min(self._place[slot.wish.launch] for slot, _ in early)
         self._go_back_to(self._arrivals[number])
+        self._returns_left -= 1
+        if self._returns_left < 0:
+            self._loops.update(slot.wish.customer for slot, _ in early)
+            return number
         for slot, by_s in early:
             wish, customer = slot.wish, slot.wish.customer
             starts_s = slot.launched_s - self._ready_s - self._problem.kinds[wish.kind].launch_s

@@ -137,12 +137,9 @@ class SlotFinder:
         """Drones with their pads, those that lie best on the way first."""
         ned = self._nodes.ned(wish.customer)
         able: list[tuple[float, str, Ned, Ned]] = []
-        fresh = False
-        for drone in sorted(drones):
-            at_home = drone in pads[wish.launch].of or drone in pads[wish.meet].of
-            if fresh and not at_home:
-                continue
-            fresh = fresh or not at_home
+        placed = pads[wish.launch].of.keys() | pads[wish.meet].of.keys()
+        fresh = [drone for drone in sorted(drones) if drone not in placed]
+        for drone in [*fresh[:1], *placed.intersection(drones)]:  # without pads all are alike
             for off_rad, here in pads[wish.launch].ranked(drone, ned):
                 if wish.meet == wish.launch:
                     able.append((2.0 * off_rad, drone, here, here))

@@ -68,6 +68,22 @@ def test_what_the_tables_allow_reach_allows_at_the_same_wind_and_stops(m100, win
     assert agreed >= 0.65 * allowed
 
 
+def test_a_higher_flight_takes_as_much_more_as_reach_says(m100):
+    ned_m = np.array([[0.0, 0.0, 0.0], [600.0, -300.0, 0.0]])
+    reach = reach_of(m100, 6.0, 1.0)
+    ways = ObstacleRoutes(NOTHING, ned_m[:, :2], 40.0)
+    model = WindSorties(ned_m, np.array([0.0, 0.5]), np.full(2, 64.0), [reach], ways)
+    added_s, added_hover_s = model.rise(0, 12.0)
+    low, high = (
+        reach.need(0.5, (0.0, 0.0, 0.0), (600.0, -300.0, 0.0), (0.0, 0.0, 0.0), height_m)
+        for height_m in (64.0, 76.0)
+    )
+    assert added_s == pytest.approx(high.time_s - low.time_s, rel=0.01)
+    hover_wh_per_s = low.mean_wh / low.time_s  # a flight draws about what a hover draws
+    more_wh = high.mean_wh - low.mean_wh
+    assert 0.7 * more_wh < added_hover_s * hover_wh_per_s < 2.0 * more_wh
+
+
 def test_more_deviation_of_the_power_model_or_the_pack_shortens_the_reach(m100):
     change = msgspec.structs.replace
     rotor = change(m100.power_rotor, model_std_frac=0.15)
@@ -112,6 +128,18 @@ def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
     shortest_m = nx.shortest_path_length(oracle, graph.depot, graph.customer, weight="length_m")
     assert length_m == pytest.approx(shortest_m, abs=0.01)
     assert length_m > math.dist(points[0], points[-1]) + 1.0
+
+
+def test_bends_are_the_corners_of_the_ways():
+    obstacles = ObstacleMap((box("house", 0.0, 300.0, 60.0, 80.0),), 15.0, 8.0)
+    ne_m = np.array([[0.0, 0.0], [10.0, 600.0], [400.0, 300.0]])
+    ways = ObstacleRoutes(obstacles, ne_m, 40.0)
+    bends = ways.bends()
+    for start, end in product(range(3), repeat=2):
+        corners = [corner for corner in bends[start, end].tolist() if corner >= 0]
+        assert [tuple(ways.corners_ne_m[k].tolist()) for k in corners] == list(ways.via(start, end))
+    assert len(ways.via(0, 1)) >= 1
+    assert ObstacleRoutes(NOTHING, ne_m, 40.0).bends().size == 0
 
 
 def test_what_is_lower_than_the_flight_is_flown_over_and_what_is_built_in_has_no_way():

@@ -7,19 +7,22 @@ import numpy as np
 import pytest
 
 from ground_station.adapters.files.day_files import read_day
+from ground_station.core.planning import forward_pass
 from ground_station.core.planning.day_planner import (
     PlanParams,
     day_problem,
     plan_day,
     tried_plans,
 )
+from ground_station.core.planning.day_problem import LEAD_S
 from ground_station.core.schema.day_state import first_state
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.schedule import flights_of
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
-HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
+DAYS = Path(__file__).parents[3] / "params" / "days"
+HARBOUR, VILLAGES = DAYS / "harbour.toml", DAYS / "villages.toml"
 
 
 def departures_too_early(stay_s: float) -> int:
@@ -48,3 +51,17 @@ def test_the_plan_that_is_kept_is_no_longer_than_any_that_was_tried():
     }
     kept = plan_day(data, first_state(data), params)
     assert kept.makespan_s <= min(one.driven_s for one in tried) + 1e-6
+
+
+@pytest.mark.parametrize("returns", [0, None], ids=["no returns", "as many as there are"])
+def test_no_drone_lands_before_the_truck(monkeypatch: pytest.MonkeyPatch, returns: int | None):
+    if returns is not None:
+        monkeypatch.setattr(forward_pass, "MOST_RETURNS", returns)
+        monkeypatch.setattr(forward_pass, "RETURNS_FOR_EACH", returns)
+    data = read_day(VILLAGES)
+    plan = plan_day(data, first_state(data), PlanParams(trials=30_000))
+    arrive_s = {stop.id: stop.arrive_s for stop in plan.stops}
+    elsewhere = [sortie for sortie in plan.sorties if sortie.launch != sortie.home]
+    assert elsewhere
+    assert all(sortie.land_s >= arrive_s[sortie.home] + LEAD_S - 1e-3 for sortie in elsewhere)
+    assert not plan.unplanned

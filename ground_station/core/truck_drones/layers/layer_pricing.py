@@ -104,7 +104,7 @@ def lay_ground(air, plan, whole, times_s, customer, aboard, logged):
         whole[HOME, customer] = whole[PAD, customer]
     else:
         _lay_pad(air, whole, times_s, customer, meet, every & ~home_taken, HOME_N, HOME)
-    whole[CORNERS, customer] = 3
+    whole[CORNERS, customer] = COLUMNS
     if air.bends.shape[0] > 0:
         _lay_bends(air, whole, times_s, customer, launch, customer)
         _lay_bends(air, whole, times_s, customer, customer, meet)
