@@ -62,6 +62,6 @@ def test_no_drone_lands_before_the_truck(monkeypatch: pytest.MonkeyPatch, return
     plan = plan_day(data, first_state(data), PlanParams(trials=30_000))
     arrive_s = {stop.id: stop.arrive_s for stop in plan.stops}
     elsewhere = [sortie for sortie in plan.sorties if sortie.launch != sortie.home]
-    assert elsewhere
+    assert elsewhere or returns == 0, "without returns each is met where it was launched"
     assert all(sortie.land_s >= arrive_s[sortie.home] + LEAD_S - 1e-3 for sortie in elsewhere)
     assert not plan.unplanned
