@@ -4,6 +4,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import zenoh
 
@@ -221,6 +222,14 @@ def test_a_front_is_told_as_it_was_known() -> None:
         (due_s, std_s), (heard_s, heard_std_s) = known.arrives(place), heard.arrives(place)
         assert heard_s - 7.0 == pytest.approx(due_s - 110.0, abs=0.2)
         assert heard_std_s == pytest.approx(std_s, rel=0.25)
+
+
+def test_that_a_front_is_withdrawn_travels_apart_from_no_news_of_it() -> None:
+    silent, withdrawn = word("d1", "life", 40.0), word("d1", "life", 40.0, front=None)
+    assert b"front" not in encode(silent)
+    heard = msgspec.json.decode(encode(withdrawn), type=SharedWinds)
+    assert heard.front is None
+    assert heard.front_ahead((heard.lat_deg, heard.lon_deg), 7.0) is None
 
 
 def test_a_covariance_is_told_as_no_less_in_any_direction() -> None:

@@ -37,6 +37,8 @@ class SharedWind:
         self._here: tuple[float, float, float] | None = None
         self._said = ""
         self._front_said: FrontAhead | None = None
+        self._withdrawn = False
+        """And people are not told yet."""
 
     def feel(self, now: TelemetryState, wind: WindBelief) -> None:
         """Take one's own wind at a tick in the air."""
@@ -61,6 +63,8 @@ class SharedWind:
         as_of_s = t_s - age_s
         told = winds.tellings(self._origin_deg, as_of_s)
         self._fleet.hear(told, winds.front_ahead(self._origin_deg, as_of_s), t_s)
+        if winds.front is None and self._fleet.withdraw_front():
+            self._withdrawn = True
 
     def outlook(self, ahead: Ahead, own: WindOutlook, t_s: float) -> WindAhead:
         """The outlook to ask the gate with: of the field, or one's own."""
@@ -99,6 +103,9 @@ class SharedWind:
         return (*said, *self._front_news(t_s))
 
     def _front_news(self, t_s: float) -> tuple[str, ...]:
+        if self._withdrawn:
+            self._withdrawn, self._front_said = False, None
+            return (f"{WORDS}: the front is withdrawn",)
         here = self._here
         front = None if here is None else self._fleet.front_at(t_s, here[:2])
         if here is None or front is None or front is self._front_said:

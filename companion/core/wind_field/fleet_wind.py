@@ -64,7 +64,7 @@ class FleetWind:
         self._belief.tell(own, own.t_s)
 
     def hear(self, told: Iterable[WindTelling], front: FrontAhead | None, now_s: float) -> None:
-        """What the desk told of the others."""
+        """What the desk told of the others; `front`: one that is new or better known."""
         self._heard_s = now_s
         self.refused = {}
         for one in told:
@@ -72,6 +72,11 @@ class FleetWind:
                 self.refused[one.member] = why
         if front is not None:
             self._front = front
+
+    def withdraw_front(self) -> bool:
+        """The front that was told is none; whether one was still expected."""
+        expected, self._front = self._front is not None, None
+        return expected
 
     def used(self, now_s: float) -> SettledField | None:
         """The field as all believe it; None: one's own wind alone is to be used (`why_not`)."""

@@ -4,11 +4,13 @@ A member's newest 10 s mean is held against the mean of the minute before. The p
 the two differ by chance, and the last ten minutes how much gustier it is than that. Where they
 differ by more, all that the members near by told is weighed (`front_odds`): the odds of a front
 decide, and say where it goes and when. Whoever feels it next corrects that: times of arrival are
-linear in the slowness vector s, t = t0 + s . x.
+linear in the slowness vector s, t = t0 + s . x. Where hardly anybody does and what is told
+speaks against a front, it is withdrawn.
 """
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from heapq import nsmallest
 
@@ -29,11 +31,11 @@ SUSPECT_SQUARE = 5.0
 once in a dozen."""
 LOOK_S = 2.0
 """And no sooner after the last time."""
-LOG_ODDS = 5.5
+LOG_ODDS = 6.5
 """A front is believed from these odds on (natural logarithm).
 
-Chosen on fields about recorded wind (seeds 98 and 99) for less than one false alert in ten hours of
-eight drones.
+Chosen on fields about recorded wind (seeds 200 to 202: 82 fronts, 74 h) for less than one false
+alert in ten hours of eight drones.
 """
 ALONE_LOG_ODDS = 2.5
 """And where a change that only one member tells of explains what was told no better than so much:
@@ -42,6 +44,16 @@ MOST_ASKED = 10
 """So many members are asked: who suspects a front, and the nearest. More says little more."""
 HEARD_S = 15.0
 """Who has told nothing for so long is not asked."""
+
+DOUBTED_S, WITHDRAWN_LOG_ODDS = 60.0, 2.0
+"""So long after a front is noticed its odds are worked out again; at fewer it is withdrawn.
+
+On fields about recorded wind (seeds 200 to 202) those of a gust fall so far within this time, those
+of a front rise first. Later they fall, too: the wind behind it becomes the wind of before.
+"""
+
+SURE_OTHERS = 2
+"""So many others have felt it: it is not withdrawn any more."""
 
 FELT_SQUARE, FELT_MPS, FELT_COS = 8.0, 3.5, 0.7
 """Of a member's own change once a front is known: it has come there. Within 45 degrees of it."""
@@ -140,6 +152,17 @@ class FrontAhead:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class FrontWithdrawn:
+    """A front that was believed is none, as is known from `t_s` on."""
+
+    front: FrontAhead
+    t_s: float
+
+
+FrontNews = FrontAhead | FrontWithdrawn
+
+
 @dataclass(slots=True)
 class _Member:
     """What one member told in the last minutes, oldest first, and how gusty it is there."""
@@ -180,13 +203,16 @@ class FrontWatch:
         self.front: FrontAhead | None = None
         """The front that is passing, while it may be on the site."""
 
-    def hear(self, telling: WindTelling) -> FrontAhead | None:
-        """Take a telling; returns the front where it is new or better known by this telling."""
+    def hear(self, telling: WindTelling) -> FrontNews | None:
+        """Take a telling; returns the front where it is new, better known or withdrawn by it."""
         if telling.trouble():
             return None
         felt = self._felt(telling)
         if self.front is not None and telling.t_s - self.front.noticed_s > GONE_S:
             self.front = None
+        if self.front is not None and self._is_none(self.front, telling.t_s):
+            withdrawn, self.front = FrontWithdrawn(self.front, telling.t_s), None
+            return withdrawn
         if felt is None or felt.square < SUSPECT_SQUARE:
             return None
         if self.front is not None:
@@ -230,9 +256,8 @@ class FrontWatch:
 
     def _noticed(self, felt: FeltChange) -> FrontAhead | None:
         """Whether there is a front now, by all who are near."""
-        asked = self._near(felt)
-        told = [tuple(one.told) for one in asked]
-        odds = front_odds(told, felt.place_ne_m, felt.t_s, self._field, self._gustier)
+        asked = self._near(felt.place_ne_m, felt.t_s)
+        odds = self._odds(asked, felt.place_ne_m, felt.t_s)
         if odds is None or odds.log_odds < LOG_ODDS:
             return None
         if odds.log_odds < odds.alone_log_odds - ALONE_LOG_ODDS:
@@ -243,15 +268,33 @@ class FrontWatch:
         self.front = _front_of(odds, replace(first, t_s=felt.t_s))
         return self.front
 
-    def _near(self, felt: FeltChange) -> list[_Member]:
+    def _is_none(self, front: FrontAhead, now_s: float) -> bool:
+        """Whether what was told since a front was noticed speaks against it."""
+        first, *others = front.felt
+        if len(others) >= SURE_OTHERS or now_s - front.noticed_s > DOUBTED_S:
+            return False
+        if now_s - self._looked_s < LOOK_S - 0.05:
+            return False
+        self._looked_s = now_s
+        place = first.place_ne_m
+        odds = self._odds(self._near(place, now_s), place, now_s)
+        return odds is not None and odds.log_odds < WITHDRAWN_LOG_ODDS
+
+    def _odds(
+        self, asked: Sequence[_Member], place_ne_m: tuple[float, float], now_s: float
+    ) -> FrontOdds | None:
+        told = [tuple(one.told) for one in asked]
+        return front_odds(told, place_ne_m, now_s, self._field, self._gustier)
+
+    def _near(self, place_ne_m: tuple[float, float], now_s: float) -> list[_Member]:
         """Who is asked: the nearest of those that have told of late."""
         heard = (
             one
             for one in self._members.values()
-            if one.told and felt.t_s - one.told[-1].t_s <= HEARD_S
+            if one.told and now_s - one.told[-1].t_s <= HEARD_S
         )
         return nsmallest(
-            MOST_ASKED, heard, key=lambda one: math.dist(one.told[-1].place_ne_m, felt.place_ne_m)
+            MOST_ASKED, heard, key=lambda one: math.dist(one.told[-1].place_ne_m, place_ne_m)
         )
 
     def _better_known(self, known: FrontAhead, felt: FeltChange) -> FrontAhead | None:

@@ -109,8 +109,8 @@ class SharedWinds(WireMessage, frozen=True, kw_only=True):
     """Its longitude."""
     told: Annotated[list[ToldWind], Meta(max_length=MOST_TOLD)]
     """The newest of each of the others nearest to it."""
-    front: ToldFront | msgspec.UnsetType = msgspec.UNSET
-    """A front that is new or better known; else left out."""
+    front: ToldFront | msgspec.UnsetType | None = msgspec.UNSET
+    """A front that is new or better known; null: the one told is withdrawn; else left out."""
 
     def tellings(self, origin_deg: tuple[float, float], as_of_t_s: float) -> Iterator[WindTelling]:
         """As tellings about one's own origin; `as_of_t_s`: `as_of_s` on one's own clock."""
@@ -128,7 +128,7 @@ class SharedWinds(WireMessage, frozen=True, kw_only=True):
     def front_ahead(self, origin_deg: tuple[float, float], as_of_t_s: float) -> FrontAhead | None:
         """The front about one's own origin and on one's own clock."""
         front = self.front
-        if front is msgspec.UNSET:
+        if front is msgspec.UNSET or front is None:
             return None
         place = offset_m(*origin_deg, self.lat_deg, self.lon_deg)
         behind = front.behind_n_mps, front.behind_e_mps

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.fronts import FrontNews
 from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.station_message import StationWind
@@ -26,9 +26,9 @@ class StationDesk:
     _said_s: float | None = None
     _troubles: dict[str, str] = field(default_factory=dict)
 
-    def turn(self, now_s: float) -> list[FrontAhead]:
-        """Look at the files; fronts that are new or better known by them."""
-        fronts: list[FrontAhead] = []
+    def turn(self, now_s: float) -> list[FrontNews]:
+        """Look at the files; fronts that are new, better known or withdrawn by them."""
+        fronts: list[FrontNews] = []
         if self._looked_s is None or now_s - self._looked_s >= LOOK_S:
             self._looked_s = now_s
             for file in self.files:
@@ -41,7 +41,7 @@ class StationDesk:
             self._say_troubles(now_s)
         return fronts
 
-    def take(self, told: StationWind) -> list[FrontAhead]:
+    def take(self, told: StationWind) -> list[FrontNews]:
         """Take what a station told, on the network or in its file."""
         front = self.book.take(told, self.clock.monotonic_s(), self.clock.epoch_us())
         return [] if front is None else [front]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from companion.core.base.geo import Ned, place_ned
 from companion.core.base.place import Place
 from companion.core.mission.flight_plan import frame_at
-from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWithdrawn
 from companion.fleet.messages import State
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
@@ -41,7 +41,7 @@ from ground_station.core.schema.holds import ALL
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, Order, place_of
 from ground_station.core.schema.sortie_rows import SortieRow
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_words import field_words, front_words
+from ground_station.core.site_wind.wind_words import field_words, front_words, withdrawn_words
 
 SAY_S = 300.0
 """What the field is stands in the log so often, and when somebody is left out or back in."""
@@ -78,7 +78,7 @@ class WindGuard:
     _held: set[str] = field(default_factory=set)
     _keep_until_s: dict[str, float] = field(default_factory=dict)
     _began: bool = False
-    _to_tell: list[FrontAhead] = field(default_factory=list)
+    _to_tell: list[FrontNews] = field(default_factory=list)
     _said_s: float = -math.inf
     _out: frozenset[str] = frozenset()
     _reach: dict[str, Reach] = field(default_factory=dict)
@@ -123,7 +123,11 @@ class WindGuard:
             due = self.forecast.held(waiting, self._orders, self._sorties, now_s) | due
         changed = self._hold(due, now_s)
         while self._to_tell:
-            self._tell(self._to_tell[0], rows, status, now_s)
+            news = self._to_tell[0]
+            if isinstance(news, FrontWithdrawn):
+                self.say(withdrawn_words(news))
+            else:
+                self._tell(news, rows, status, now_s)
             self._to_tell.pop(0)
         return changed
 

@@ -27,7 +27,7 @@ from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.site_wind.site_wind import SiteWind
 
 FRONT_TOLD_TIMES = 3
-"""A front is told so often each time that it is new or better known: words may be lost."""
+"""A front that is new, better known or withdrawn is told so often: words may be lost."""
 
 
 MOST_A_TURN = 50
@@ -42,7 +42,8 @@ class _Told:
 
     t_s: float = -math.inf
     front: FrontAhead | None = None
-    front_times: int = 0
+    """None: no front, or one that is withdrawn."""
+    front_times: int = FRONT_TOLD_TIMES
 
 
 @dataclass(slots=True)
@@ -60,7 +61,7 @@ class WindTeller:
         due = self._due(status, front, now_s)
         believed = self.wind.believed(now_s, MOST_AGE_S) if due else []
         for told, state, heard_s in due:
-            if front is not None and front is not told.front:
+            if front is not told.front:
                 told.front, told.front_times = front, 0
             winds = self._word(state, heard_s, believed, told)
             if winds is not None:
@@ -79,7 +80,7 @@ class WindTeller:
             if state is None or seen.heard_s is None or not seen.present(now_s):
                 continue
             told = self._told.setdefault(name, _Told())
-            new = front is not None and front is not told.front
+            new = front is not told.front
             if _may_fly(state) and (new or now_s - told.t_s >= TOLD_EVERY_S):
                 due.append((told, state, seen.heard_s))
         due.sort(key=lambda one: one[0].t_s)
@@ -101,8 +102,10 @@ class WindTeller:
             for one in others
             if heard_s - one.t_s <= MOST_AGE_S
         ]
-        front = told.front if told.front_times < FRONT_TOLD_TIMES else None
-        if not winds and front is None:
+        front = msgspec.UNSET
+        if told.front_times < FRONT_TOLD_TIMES:
+            front = None if told.front is None else told_front(told.front, here, heard_s)
+        if not winds and front is msgspec.UNSET:
             return None
         return SharedWinds(
             vehicle=state.vehicle,
@@ -111,7 +114,7 @@ class WindTeller:
             lat_deg=round(state.lat_deg, 4),
             lon_deg=round(state.lon_deg, 4),
             told=winds,
-            front=msgspec.UNSET if front is None else told_front(front, here, heard_s),
+            front=front,
         )
 
 

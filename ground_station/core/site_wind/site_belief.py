@@ -62,8 +62,8 @@ class SiteBelief:
         for belief in (self._by_drones, self._by_all):
             belief.expect(_prior(forecast, self._height_m))
 
-    def expect_front(self, front: FrontAhead) -> None:
-        """A front that is believed from now on, or better known."""
+    def expect_front(self, front: FrontAhead | None) -> None:
+        """A front that is believed from now on, or better known; None: it is none."""
         for belief in (self._by_drones, self._by_all):
             belief.expect_front(front)
         self._settled = None

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from companion.core.wind_field.fronts import FrontAhead, FrontWatch
+from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWatch, FrontWithdrawn
 from companion.core.wind_field.tellings import WindTelling
 from ground_station.core.site_wind.tellers import Teller, Tellers
 
@@ -30,12 +30,16 @@ class SiteFronts:
     known: list[FrontAhead] = field(default_factory=list)
     """Each as it is known best, oldest first."""
 
-    def hear(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontAhead | None:
-        """Take a telling; a front that is new or better known by it, else None."""
+    def hear(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontNews | None:
+        """Take a telling; a front that is new, better known or withdrawn by it, else None."""
         low = telling.height_m < FRONT_HEIGHT_SHARE * self.height_m
         if low or (teller.out and t_s - teller.out_s > OUT_S):
             return None
         found = self.watch.hear(telling)
+        if isinstance(found, FrontWithdrawn):
+            before = len(self.known)
+            self.known = [one for one in self.known if one.noticed_s != found.front.noticed_s]
+            return found if len(self.known) < before else None
         if found is None or self._by_one_station(found):
             return None
         self.known = [*(one for one in self.known if one.noticed_s != found.noticed_s), found]

@@ -5,7 +5,7 @@ tell, and stations; and fronts that come.
 import numpy as np
 
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.fronts import FrontAhead, FrontWatch
+from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWatch, FrontWithdrawn
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 from companion.fleet.messages import State
 from ground_station.core.schema.day import Forecast
@@ -39,8 +39,8 @@ class SiteWind:
         self._belief = SiteBelief(process, self._tellers, forecast, height_m)
         self._fronts = SiteFronts(FrontWatch(process), self._tellers, height_m)
 
-    def on_state(self, state: State, t_s: float) -> FrontAhead | None:
-        """Take a state; a front that is new or better known by it, else None."""
+    def on_state(self, state: State, t_s: float) -> FrontNews | None:
+        """Take a state; a front that is new, better known or withdrawn by it, else None."""
         telling = self._states.telling(state, t_s)
         teller = None if telling is None else self._tellers.note(telling, t_s)
         if telling is None or teller is None:
@@ -49,8 +49,8 @@ class SiteWind:
             return None
         return self._front(telling, teller, t_s)
 
-    def on_station(self, telling: WindTelling, t_s: float) -> FrontAhead | None:
-        """Take what a station measures; a front that is new or better known by it, else None."""
+    def on_station(self, telling: WindTelling, t_s: float) -> FrontNews | None:
+        """Take what a station measures; a front that is new, better known or withdrawn by it."""
         teller = self._tellers.note(telling, t_s)
         if teller is None:
             return None
@@ -59,10 +59,12 @@ class SiteWind:
             return None
         return self._front(telling, teller, t_s)
 
-    def _front(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontAhead | None:
+    def _front(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontNews | None:
         self._belief.settled(t_s)  # who is left out by now raises none
         found = self._fronts.hear(telling, teller, t_s)
-        if found is not None:
+        if isinstance(found, FrontWithdrawn):
+            self._belief.expect_front(None)
+        elif found is not None:
             self._belief.expect_front(found)
         return found
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from companion.core.base.errors import LeewayError
-from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.fronts import FrontNews
 from companion.core.wind_field.tellings import WindTelling
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.day import WindStation
@@ -55,8 +55,8 @@ class StationBook:
         """Of the stations that a day names."""
         return cls(wind, {station.id: station for station in stations})
 
-    def take(self, told: StationWind, now_s: float, now_us: int) -> FrontAhead | None:
-        """Take what a station told; a front that is new or better known by it, else None.
+    def take(self, told: StationWind, now_s: float, now_us: int) -> FrontNews | None:
+        """Take what a station told; a front that is new, better known or withdrawn by it.
 
         `now_s`, `now_us`: the listener's monotonic and wall clocks.
         """

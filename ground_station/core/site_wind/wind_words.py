@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.fronts import FrontAhead, FrontWithdrawn
 from ground_station.core.site_wind.site_wind import SiteWind
 
 EVERYWHERE_MPS = 50.0
@@ -43,6 +43,14 @@ def front_words(
     return (
         f"FRONT: the wind changes by {math.hypot(*change):.0f} m/s, felt by {felt}; {moves}{ahead}"
     )
+
+
+def withdrawn_words(withdrawn: FrontWithdrawn) -> str:
+    """That a front is none, for people."""
+    front = withdrawn.front
+    felt = ", ".join(one.member for one in front.felt)
+    stood_s = withdrawn.t_s - front.noticed_s
+    return f"FRONT withdrawn, felt by {felt} {stood_s:.0f} s ago: all told since speaks against it"
 
 
 def _out_words(site: SiteWind, now_s: float) -> str:

@@ -5,6 +5,7 @@ second: 10 s means whose error lasts about 10 s.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,9 @@ from companion.core.wind_field.fronts import (
     BEFORE_S,
     GAP_S,
     FrontAhead,
+    FrontNews,
     FrontWatch,
+    FrontWithdrawn,
     chance_m2ps2,
 )
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
@@ -54,6 +57,10 @@ class AlertFigures:
     false: int = 0
     hours: float = 0.0
     """Of the fleet in winds without fronts, in which the false ones are counted."""
+    false_for_s: tuple[float, ...] = ()
+    """How long a false alert stood that was withdrawn, one entry each."""
+    withdrawn: int = 0
+    """Fronts whose alert was withdrawn."""
 
     def __add__(self, other: "AlertFigures") -> "AlertFigures":
         return AlertFigures(
@@ -68,6 +75,8 @@ class AlertFigures:
             self.never_told_apart + other.never_told_apart,
             self.false + other.false,
             self.hours + other.hours,
+            self.false_for_s + other.false_for_s,
+            self.withdrawn + other.withdrawn,
         )
 
 
@@ -112,18 +121,34 @@ def _errors(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     return TOLD_STD_MPS * mixed / np.sqrt(share**2 + (1.0 - share) ** 2)
 
 
-def alerts_in(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontAhead]:
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """A front as it was first told, and when it was withdrawn."""
+
+    front: FrontAhead
+    withdrawn_s: float | None = None
+
+    @property
+    def stood_s(self) -> float | None:
+        """How long it stood; None: it was not withdrawn."""
+        return None if self.withdrawn_s is None else self.withdrawn_s - self.front.noticed_s
+
+
+def alerts_in(news: Iterable[FrontNews]) -> list[Alert]:
     """New fronts, in order of time; what is better known later is left out."""
-    found: dict[float, FrontAhead] = {}
-    for front in fronts_known(told, names, watch):
-        if front.noticed_s == max(one.t_s for one in front.felt):
-            found.setdefault(front.noticed_s, front)
+    found: dict[float, Alert] = {}
+    for one in news:
+        if isinstance(one, FrontWithdrawn):
+            noticed_s = one.front.noticed_s
+            found[noticed_s] = Alert(found[noticed_s].front, one.t_s)
+        else:
+            found.setdefault(one.noticed_s, Alert(one))
     return list(found.values())
 
 
-def fronts_known(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontAhead]:
-    """Fronts each time that they are new or better known, in order of time."""
-    found: list[FrontAhead] = []
+def front_news(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontNews]:
+    """Fronts each time that they are new, better known or withdrawn, in order of time."""
+    found: list[FrontNews] = []
     variance = TOLD_STD_MPS**2
     for k, t_s in enumerate(told.t_s):
         for number, name in enumerate(names):
@@ -188,7 +213,7 @@ def least_delay_s(front: PassingFront, told: Beliefs, process: WindProcessParams
 
 
 def judge_front(
-    front: PassingFront, told: Beliefs, found: list[FrontAhead], process: WindProcessParams
+    front: PassingFront, told: Beliefs, found: list[Alert], process: WindProcessParams
 ) -> AlertFigures:
     """What the alerts of a world with one front were worth."""
     felt = felt_s(front, told)
@@ -199,12 +224,12 @@ def judge_front(
     least = (least_s,) if math.isfinite(least_s) else ()
     never = 1 - len(least)
     others = np.flatnonzero(np.isfinite(felt) & (felt > first_s))
-    near = [one for one in found if -MATCH_S <= one.noticed_s - first_s <= MATCH_S]
+    near = [one for one in found if abs(one.front.noticed_s - first_s) <= MATCH_S]
     if not near:
         return AlertFigures(
             fronts=1, drones_to_warn=others.size, least_delays_s=least, never_told_apart=never
         )
-    alert = near[0]
+    alert = near[0].front
     ahead = [int(k) for k in others if felt[k] > alert.noticed_s]
     leads = tuple(float(felt[k]) - alert.noticed_s for k in ahead)
     errors = []
@@ -214,4 +239,5 @@ def judge_front(
         errors.append(alert.arrives((float(north), float(east)))[0] - float(felt[k]))
     delay = (alert.noticed_s - first_s,)
     told_s = delay, leads, tuple(errors), least
-    return AlertFigures(1, 1, others.size, len(ahead), *told_s, never)
+    withdrawn = int(near[0].stood_s is not None)
+    return AlertFigures(1, 1, others.size, len(ahead), *told_s, never, withdrawn=withdrawn)

@@ -12,8 +12,8 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.fronts import FrontAhead, FrontWatch
-from sim_bridge.research.fleet_wind.alert_study import beliefs, felt_s, fronts_known
+from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWatch, FrontWithdrawn
+from sim_bridge.research.fleet_wind.alert_study import beliefs, felt_s, front_news
 from sim_bridge.research.fleet_wind.patrols import Patrol
 from sim_bridge.truth.fields.front import PassingFront
 from sim_bridge.truth.fields.site_wind import SiteWind
@@ -32,13 +32,17 @@ class FrontStage(Enum):
     PASSED = "came in the last 15 min"
 
 
+FrontsTold = tuple[tuple[float, FrontAhead | None], ...]
+"""Fronts as a watch tells them, each with when; None: the last one is withdrawn."""
+
+
 @dataclass(frozen=True, slots=True)
 class FrontsOfWorld:
-    """`told`: fronts as the fleet's watch told them, each with when, false alerts as well; `real`:
-    the one there is; `told_s`: when that one was told (inf: never).
+    """`told`: by the fleet's watch, false alerts as well; `real`: the one there is; `told_s`: when
+    that one was told (inf: never).
     """
 
-    told: tuple[tuple[float, FrontAhead], ...] = ()
+    told: FrontsTold = ()
     real: PassingFront | None = None
     told_s: float = math.inf
 
@@ -73,15 +77,17 @@ def fronts_of_world(
 ) -> FrontsOfWorld:
     """What the fleet's watch makes of what is told once a second, false alerts as well."""
     told = beliefs(truth, drones, 0.0, seconds, rng)
-    found = fronts_known(told, [one.name for one in drones], FrontWatch(process))
-    known = tuple((known_s(front), front) for front in found)
+    found = front_news(told, [one.name for one in drones], FrontWatch(process))
+    known = tuple(front_known(news) for news in found)
     if real is None:
         return FrontsOfWorld(known)
     began_s = float(felt_s(real, told).min()) - real.passing_s
-    of_real = (t_s for t_s, front in known if front.noticed_s >= began_s)
+    of_real = (t_s for t_s, front in known if front is not None and front.noticed_s >= began_s)
     return FrontsOfWorld(known, real, min(of_real, default=math.inf))
 
 
-def known_s(front: FrontAhead) -> float:
-    """When a front has become known so well."""
-    return max(front.noticed_s, *(one.t_s for one in front.felt))
+def front_known(news: FrontNews) -> tuple[float, FrontAhead | None]:
+    """When a front has become known so well; None: withdrawn."""
+    if isinstance(news, FrontWithdrawn):
+        return news.t_s, None
+    return max(news.noticed_s, *(one.t_s for one in news.felt)), news

@@ -19,7 +19,7 @@ from companion.core.wind_field.fronts import FrontAhead
 from companion.core.wind_field.shared_outlook import FrontOutlook, SharedOutlook
 from companion.core.wind_field.shared_winds import MOST_TOLD
 from companion.core.wind_field.tellings import WindTelling
-from sim_bridge.research.fleet_wind.front_stages import known_s
+from sim_bridge.research.fleet_wind.front_stages import FrontsTold
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M
 from sim_bridge.research.fleet_wind.worlds import FleetWorld
 from sim_bridge.research.promise.planner import HISTORY_S, SpreadOutlook
@@ -45,7 +45,7 @@ class FleetForesight:
     def __init__(
         self,
         world: FleetWorld,
-        fronts: list[FrontAhead],
+        fronts: FrontsTold,
         process: WindProcessParams,
         place_ne_m: Floats,
         start_s: float,
@@ -59,7 +59,11 @@ class FleetForesight:
         self._tail_dof = process.tail_dof
         begin_s = start_s - HISTORY_S
         self._next = int(np.searchsorted(world.told_s, begin_s))
-        self._fronts = [_moved(one, -start_s) for one in fronts if known_s(one) > begin_s]
+        self._fronts = [
+            (known_s - start_s, None if one is None else _moved(one, -start_s))
+            for known_s, one in fronts
+            if known_s > begin_s
+        ]
         self.asked = self.used = 0
         """Looks, and those at which the fleet was used."""
 
@@ -90,7 +94,10 @@ class FleetForesight:
         told_s = self._world.told_s
         while self._next < told_s.size and told_s[self._next] - self._start_s <= t_s:
             now_s = float(told_s[self._next]) - self._start_s
-            self._fleet.hear(self._nearest(now_s), self._front_of(now_s), now_s)
+            front, withdrawn = self._front_of(now_s)
+            self._fleet.hear(self._nearest(now_s), front, now_s)
+            if withdrawn:
+                self._fleet.withdraw_front()
             self._next += 1
 
     def _nearest(self, now_s: float) -> list[WindTelling]:
@@ -108,12 +115,13 @@ class FleetForesight:
             for one in told[:MOST_TOLD]
         ]
 
-    def _front_of(self, now_s: float) -> FrontAhead | None:
-        """The newest that has become known since the last word."""
-        found = None
-        while self._fronts and known_s(self._fronts[0]) <= now_s:
-            found = self._fronts.pop(0)
-        return found
+    def _front_of(self, now_s: float) -> tuple[FrontAhead | None, bool]:
+        """The newest that has become known since the last word, and whether it is withdrawn."""
+        front, withdrawn = None, False
+        while self._fronts and self._fronts[0][0] <= now_s:
+            front = self._fronts.pop(0)[1]
+            withdrawn = front is None
+        return front, withdrawn
 
 
 def _moved(front: FrontAhead, by_s: float) -> FrontAhead:

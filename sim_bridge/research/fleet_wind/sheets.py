@@ -120,6 +120,9 @@ def alert_row(alerts: AlertFigures) -> dict[str, Any]:
         "lead_s_median": _quantile(alerts.leads_s, 0.5),
         "false": alerts.false,
         "hours_without_fronts": alerts.hours,
+        "false_withdrawn": len(alerts.false_for_s),
+        "false_for_s_median": _quantile(alerts.false_for_s, 0.5),
+        "fronts_withdrawn": alerts.withdrawn,
         "drones_to_warn": alerts.drones_to_warn,
         "drones_warned": alerts.drones_warned,
         "delay_s_median": _quantile(alerts.delays_s, 0.5),
@@ -196,7 +199,10 @@ def alert_sheet(alerts: AlertFigures) -> Sheet:
         ["fronts that such a test never tells from gusts", f"{row['least_delay_never']}"],
         ["error of the arrival first told, median s", _shown(row["arrival_error_s_median"])],
         ["the same, 90 % s", _shown(row["arrival_error_s_p90"])],
+        ["alerts withdrawn though there was a front", f"{alerts.withdrawn}"],
         ["false alerts without a front", f"{alerts.false} in {alerts.hours:.1f} h"],
+        ["of these withdrawn", f"{len(alerts.false_for_s)}"],
+        ["they stood for, median s", _shown(row["false_for_s_median"])],
     ]
     note = (
         "A front is felt where the 10 s mean has changed by 3 m/s because of it. The least delay is"

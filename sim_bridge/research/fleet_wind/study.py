@@ -17,6 +17,7 @@ from sim_bridge.research.fleet_wind.alert_study import (
     Beliefs,
     alerts_in,
     beliefs,
+    front_news,
     judge_front,
 )
 from sim_bridge.research.fleet_wind.error_study import ErrorTally, Members, judge_errors
@@ -194,11 +195,13 @@ def judge_draw(draw: FieldDraw) -> DrawResult:
         last_s = float(drawn.seconds)
         told = beliefs(drawn.truth(front=front), drawn.ways, 0.0, last_s, drawn.rng)
         heard.append(told)
-        found = alerts_in(told, names, FrontWatch(drawn.process))
+        found = alerts_in(front_news(told, names, FrontWatch(drawn.process)))
         if front:
             alerts += judge_front(drawn.front, told, found, drawn.process)
         else:
-            alerts += AlertFigures(false=len(found), hours=float(np.ptp(told.t_s)) / 3600.0)
+            hours = float(np.ptp(told.t_s)) / 3600.0
+            stood_s = tuple(one.stood_s for one in found if one.stood_s is not None)
+            alerts += AlertFigures(false=len(found), hours=hours, false_for_s=stood_s)
     if draw.bounds:
         calm, amid = heard
         coherence = Coherence(draw.setting.along, draw.setting.across)

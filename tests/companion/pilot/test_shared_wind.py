@@ -2,6 +2,7 @@
 falsely, or not at all. The wind that the vehicle feels is scripted.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -72,7 +73,9 @@ def word(t_s: float, tells: Tells, front: Any = msgspec.UNSET) -> SharedWinds:
 
 
 class Flown:
-    """One flight; `tells` None: nobody says a word. `front`: told so long after leaving."""
+    """One flight; `tells` None: nobody says a word. `front`: told 40 s after leaving, and withdrawn
+    so long after that.
+    """
 
     def __init__(
         self,
@@ -80,6 +83,7 @@ class Flown:
         until_s: float = 1e6,
         front: ToldFront | None = None,
         volts: float = 25.0,
+        withdrawn_after_s: float | None = None,
     ) -> None:
         route_energy = RouteEnergy.for_mission(AIRFRAME, FAR.mission, 1.225)
         judge = Estimates(FAR, AIRFRAME, route_energy, WIND_PROCESS, wind_filter=ScriptedWind())
@@ -98,9 +102,15 @@ class Flown:
             comes = front is not None and self.front_s is None and left_s is not None
             if comes and left_s is not None and now_s - left_s >= 40.0:
                 self.front_s, due = now_s, True
-            if due:
+            over = withdrawn_after_s is not None and (
+                withdrawn_after_s < 0.0  # nothing was told before
+                or (self.front_s is not None and now_s - self.front_s >= withdrawn_after_s)
+            )
+            if due or over:
                 told_s = now_s
                 sent = front if self.front_s == now_s and front is not None else msgspec.UNSET
+                if over:
+                    sent, withdrawn_after_s = None, None
                 winds = word(now_s, tells or (lambda t, n, w: None), sent)
                 self.made.tell(ev.WindsTold(now_s, winds, 0.0))
 
@@ -196,3 +206,31 @@ def test_a_front_that_is_told_is_judged_within_ten_seconds_and_only_against_flyi
     pairs = list(zip(hopes, told, strict=True))
     assert all(with_it.p_home <= without.p_home for without, with_it in pairs)
     assert any(with_it.p_home < without.p_home for without, with_it in pairs), "canary"
+
+
+def test_a_front_that_is_withdrawn_counts_no_more() -> None:
+    """The canary: the same front that is not withdrawn goes on counting."""
+    far = msgspec.structs.replace(AGAINST, arrives_in_s=200.0, behind_n_mps=-4.0, behind_e_mps=0.0)
+    calm, told = Flown(None, volts=23.75), Flown(None, front=far, volts=23.75)
+    over = Flown(None, front=far, volts=23.75, withdrawn_after_s=20.0)
+    assert over.front_s is not None
+    assert told.front_s == over.front_s
+    before, after = over.front_s + 20.0, over.front_s + 22.0
+
+    def hopes(flown: Flown) -> list[tuple[float, float]]:
+        return [(t, a.p_home) for t, a in flown.made.log if isinstance(a, Assessed)]
+
+    def differ(flown: Flown) -> list[float]:
+        pairs = zip(hopes(calm), hopes(flown), strict=False)
+        return [t for (t, without), (_, with_it) in pairs if with_it != without]
+
+    assert any(t < before for t in differ(over))
+    assert max(differ(over)) <= after
+    assert any(t > after for t in differ(told))
+    words = [one for one in over.words() if "front" in one]
+    assert words[-1].endswith("the front is withdrawn")
+
+
+def test_a_word_that_withdraws_what_was_never_told_says_nothing() -> None:
+    flown = Flown(lambda t_s, name, wind: wind, withdrawn_after_s=-math.inf)
+    assert not [one for one in flown.words() if "front" in one]

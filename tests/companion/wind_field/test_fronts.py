@@ -12,7 +12,9 @@ from companion.core.wind_field.fronts import (
     GONE_S,
     FeltChange,
     FrontAhead,
+    FrontNews,
     FrontWatch,
+    FrontWithdrawn,
 )
 from companion.core.wind_field.tellings import WindTelling
 
@@ -48,10 +50,17 @@ def tellings(
     return found
 
 
-def heard(told: list[WindTelling]) -> list[FrontAhead]:
+def news_of(told: list[WindTelling]) -> list[FrontNews]:
     """What a watch says, each time that it says something."""
     watch = FrontWatch(COAST)
-    return [front for one in told if (front := watch.hear(one)) is not None]
+    return [news for one in told if (news := watch.hear(one)) is not None]
+
+
+def heard(told: list[WindTelling]) -> list[FrontAhead]:
+    """The same where nothing is withdrawn."""
+    found = news_of(told)
+    assert not [one for one in found if isinstance(one, FrontWithdrawn)]
+    return [one for one in found if isinstance(one, FrontAhead)]
 
 
 def test_a_front_is_noticed_where_it_is_first_and_told_to_the_others_before_it_comes() -> None:
@@ -183,3 +192,37 @@ def test_after_a_while_another_front_may_come_and_broken_tellings_are_none() -> 
     assert watch.front is not None
     watch.hear(replace(told[-1], t_s=BEGINS_S + GONE_S + 60.0))
     assert watch.front is None
+
+
+def gust_at_a(lasts_s: float, size_mps: float = 9.0, front_s: float = math.inf) -> list[FrontNews]:
+    """A gust at `a` alone from 300 s on; from `front_s` on a front from the south, 40 s to pass."""
+    places = {"a": (-600.0, 0.0), "b": (-200.0, 300.0), "c": (200.0, -300.0), "d": (600.0, 100.0)}
+    rng = np.random.default_rng(6)
+    found: list[WindTelling] = []
+    for t_s in range(700):
+        for name, place in places.items():
+            blows = name == "a" and 300.0 <= t_s < 300.0 + lasts_s
+            behind = (t_s - front_s - (place[0] + 600.0) / 10.0) / 40.0
+            north = size_mps * blows + 9.0 * min(max(behind, 0.0), 1.0)
+            mean = (4.0 + north + 0.3 * float(rng.standard_normal()), 4.0)
+            found.append(WindTelling(name, float(t_s), place, 40.0, mean, (0.25, 0.0, 0.25)))
+    return news_of(found)
+
+
+def test_a_gust_that_was_taken_for_a_front_is_withdrawn_and_the_next_front_is_told() -> None:
+    """Not blind after a false alert: a front that comes 100 s later is told as ever."""
+    told, withdrawn, *more = gust_at_a(15.0, front_s=400.0)
+    assert isinstance(told, FrontAhead)
+    assert isinstance(withdrawn, FrontWithdrawn)
+    assert withdrawn.front == told
+    assert withdrawn.t_s - told.noticed_s < 60.0
+    assert isinstance(more[0], FrontAhead)
+    assert 400.0 < more[0].noticed_s < 440.0
+    assert not [one for one in more if isinstance(one, FrontWithdrawn)]
+
+
+def test_a_front_whose_wind_stays_is_not_withdrawn_before_others_feel_it() -> None:
+    """The canary: the same change that stays, with nobody else where it goes yet."""
+    found = gust_at_a(400.0)
+    assert len(found) == 1
+    assert isinstance(found[0], FrontAhead)

@@ -181,6 +181,21 @@ def test_a_launch_that_a_front_would_catch_is_held_in_ten_seconds_and_goes_when_
     assert "no longer held for the wind" in site.words()
 
 
+def test_a_front_that_is_withdrawn_holds_nobody_any_more(site: Site):
+    site.run(150.0)
+    gust = (0.0, 9.0)
+    site.mean["t1"] = site.mean["t1"] + gust
+    site.run(15.0)
+    site.mean["t1"] = site.mean["t1"] - gust
+    site.phase = "ready"
+    assert list(site.holds()) == [WAITS]
+    assert site.run(60.0, lambda: site.holds() == {})
+    site.run(3.0)
+    assert site.launches() == ["H-101.1:launch1"]
+    assert "FRONT withdrawn, felt by t1" in site.words()
+    assert "no longer held for the wind" in site.words()
+
+
 def test_the_canary_without_a_front_it_is_launched_at_once(site: Site):
     site.run(150.0)
     site.phase = "ready"

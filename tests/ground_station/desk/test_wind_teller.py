@@ -143,3 +143,23 @@ def test_a_front_is_told_at_once_to_all_and_three_times():
         assert len(times) >= 3
     site.air.blow = blown  # type: ignore[method-assign]
     assert all(winds.front is msgspec.UNSET for winds in site.blow(60.0)[-4:])
+
+
+def test_a_front_that_is_withdrawn_is_told_as_none_to_all_at_once_and_three_times():
+    site = Site()
+    site.blow(150.0)
+    gust = (0.0, 9.0)
+    site.air.mean["d1"] = site.air.mean["d1"] + gust
+    told = site.blow(15.0)
+    site.air.mean["d1"] = site.air.mean["d1"] - gust
+    assert {one.vehicle for one in told if one.front is not msgspec.UNSET} == PLACES.keys()
+    assert not [one for one in told if one.front is None]
+    while site.air.wind.fronts:
+        assert site.air.t_s < 250.0
+        told = site.blow(1.0)
+    withdrawn = [one for one in told if one.front is None]
+    assert {one.vehicle for one in withdrawn} == PLACES.keys(), "in the turn in which it is known"
+    withdrawn += [one for one in site.blow(60.0) if one.front is not msgspec.UNSET]
+    assert all(one.front is None for one in withdrawn)
+    for name in PLACES:
+        assert len(of(withdrawn, name)) == 3

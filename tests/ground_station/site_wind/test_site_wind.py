@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWithdrawn
 from companion.fleet.messages import State, decode_state, encode
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.day_wind import site_wind_of
@@ -17,7 +18,7 @@ from ground_station.core.site_wind.site_belief import BACK_S
 from ground_station.core.site_wind.site_fronts import FRONT_KEPT_S, OUT_S
 from ground_station.core.site_wind.site_wind import SiteWind
 from ground_station.core.site_wind.tellers import KNOWN_S, LEAST_SPAN_S
-from ground_station.core.site_wind.wind_words import field_words, front_words
+from ground_station.core.site_wind.wind_words import field_words, front_words, withdrawn_words
 from tests.ground_station.site_wind.told_air import (
     DEPOT,
     FORECAST,
@@ -188,6 +189,36 @@ def test_a_wind_that_changes_for_all_at_once_is_said_to_do_so():
     words = front_words(air.wind.fronts[-1], air.t_s, [("d2", PLACES["d2"])])
     assert "felt by d1, d2, d3, d4" in words
     assert "everywhere at once" in words
+
+
+def test_a_gust_that_was_told_as_a_front_is_withdrawn_and_is_in_nobodys_wind():
+    air, gust = Air(seed=3), np.array([0.0, 9.0])
+    air.blow(150.0)
+    heard, said = air.wind.on_state, list[FrontNews]()
+
+    def hear(state: State, t_s: float) -> FrontNews | None:
+        news = heard(state, t_s)
+        if news is not None:
+            said.append(news)
+        return news
+
+    air.wind.on_state = hear  # type: ignore[method-assign]
+    air.mean["d1"] += gust
+    air.blow(15.0)
+    air.mean["d1"] -= gust
+    later_s = air.t_s + 60.0
+    assert len(air.wind.fronts) == 1
+    awaited = air.wind.at(air.t_s, PLACES["d2"], 40.0, later_s)
+    air.blow(40.0)
+    assert [type(one) for one in said] == [FrontAhead, FrontWithdrawn]
+    assert air.wind.fronts == []
+    assert air.wind.fronts_now(air.t_s) == []
+    found = air.wind.at(air.t_s, PLACES["d2"], 40.0, later_s)
+    assert found.speed_mps < 7.5 < awaited.speed_mps
+    withdrawn = said[1]
+    assert isinstance(withdrawn, FrontWithdrawn)
+    stood_s = withdrawn.t_s - withdrawn.front.noticed_s
+    assert f"FRONT withdrawn, felt by d1 {stood_s:.0f} s ago" in withdrawn_words(withdrawn)
 
 
 def test_the_canary_gusts_alone_make_no_front():

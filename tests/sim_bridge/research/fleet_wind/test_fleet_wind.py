@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,18 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.params import read_wind_process
 from companion.core.base.errors import LeewayError
-from companion.core.wind_field.fronts import FeltChange, FrontAhead, chance_m2ps2
+from companion.core.wind_field.fronts import (
+    FeltChange,
+    FrontAhead,
+    FrontWithdrawn,
+    chance_m2ps2,
+)
 from sim_bridge.research.cli.main import app
 from sim_bridge.research.fleet_wind.alert_study import (
+    Alert,
     AlertFigures,
     Beliefs,
+    alerts_in,
     judge_front,
     least_delay_s,
 )
@@ -30,6 +38,7 @@ from sim_bridge.research.fleet_wind.error_study import (
 from sim_bridge.research.fleet_wind.front_stages import (
     FrontsOfWorld,
     FrontStage,
+    front_known,
     fronts_of_world,
 )
 from sim_bridge.research.fleet_wind.patrols import GROUND_SPEED_MPS, SITE_M, patrols
@@ -106,7 +115,7 @@ def test_an_alert_is_worth_what_was_still_to_come_when_it_was_told() -> None:
     """A front of 12 m/s from the south: felt at 0, 600 and 1200 m some 17 s after it begins."""
     front = PassingFront(500.0, 0.0, 12.0, (8.0, 0.0), 30.0)
     told = beliefs_of([(0.0, 0.0), (600.0, 0.0), (1200.0, 0.0)])
-    found = judge_front(front, told, [alert(530.0)], COAST)
+    found = judge_front(front, told, [Alert(alert(530.0))], COAST)
     assert (found.fronts, found.noticed) == (1, 1)
     assert (found.drones_to_warn, found.drones_warned) == (2, 2)
     first_s = 530.0 - found.delays_s[0]
@@ -115,12 +124,30 @@ def test_an_alert_is_worth_what_was_still_to_come_when_it_was_told() -> None:
         (first_s + 50.0 - 530.0, first_s + 100.0 - 530.0), abs=1.5
     )
     assert max(map(abs, found.arrival_errors_s)) < 20.0
-    late = judge_front(front, told, [alert(580.0)], COAST)
+    late = judge_front(front, told, [Alert(alert(580.0))], COAST)
     assert (late.drones_to_warn, late.drones_warned) == (2, 1)
+    assert found.withdrawn == late.withdrawn == 0
+    taken_back = judge_front(front, told, [Alert(alert(530.0), 560.0)], COAST)
+    assert (taken_back.noticed, taken_back.withdrawn) == (1, 1)
     never = judge_front(front, told, [], COAST)
     assert (never.noticed, never.drones_to_warn, never.drones_warned) == (0, 2, 0)
     weak = PassingFront(500.0, 0.0, 12.0, (2.0, 0.0), 30.0)
-    assert judge_front(weak, told, [alert(530.0)], COAST) == AlertFigures()
+    assert judge_front(weak, told, [Alert(alert(530.0))], COAST) == AlertFigures()
+
+
+def test_news_of_a_front_are_one_alert_that_stands_until_it_is_withdrawn() -> None:
+    first, second = alert(530.0), alert(900.0)
+    better = replace(first, felt=(*first.felt, replace(first.felt[0], member="drone-2", t_s=541.0)))
+    news = [first, better, FrontWithdrawn(better, 562.0), second]
+    one, other = alerts_in(news)
+    assert (one.front, one.stood_s) == (first, 32.0)
+    assert (other.front, other.stood_s) == (second, None)
+    told = tuple(front_known(each) for each in news)
+    assert [known_s for known_s, _ in told] == [530.0, 541.0, 562.0, 900.0]
+    fronts = FrontsOfWorld(told)
+    assert fronts.newest(545.0) == better
+    assert fronts.newest(570.0) is None
+    assert fronts.newest(900.0) == second
 
 
 def test_a_front_is_told_apart_the_later_the_weaker_it_is_and_never_below_the_gusts() -> None:
