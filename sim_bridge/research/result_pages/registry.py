@@ -226,7 +226,9 @@ PAGES = (
         " carry a recording's spectrum and lose coherence; fronts told ahead.",
         (
             _fleet_wind("Eight that fly orders", "flying", "--wind-log", COAST, "--seed", "1",
-                        "--draws", "2", "--alert-draws", "3", "--bound"),
+                        "--draws", "2", "--alert-draws", "0"),
+            _fleet_wind("Fronts told", "fronts", "--wind-log", COAST, "--seed", "6",
+                        "--draws", "0", "--alert-draws", "16", "--bound"),
             _fleet_wind("Missions at wind/air 0.63", "missions-63", "--wind-log", COAST,
                         "--seed", "1", "--draws", "0", "--alert-draws", "0", "--missions", "400",
                         "--mission-draws", "2", "--wind-air", "0.63", "--lie", "2"),
@@ -474,13 +476,17 @@ PAGES = (
         " and planning take, and how far the last truck is from what no plan can beat.",
         (
             PageCommand(
-                _bench("large-day", "--dynamic", "--seed", "1", "--out", f"{OUT}/dynamic"),
-                title="By the dynamic assignment",
+                _bench("large-day", "--seed", "1", "--out", f"{OUT}/search"),
+                title="By the search, as long as it usually is",
             ),
             PageCommand(
-                _bench("large-day", "--orders", "100", "--orders", "500", "--trials", "300000",
-                       "--seed", "1", "--out", f"{OUT}/search"),
+                _bench("large-day", "--trials", "300000", "--seed", "1", "--out", f"{OUT}/short"),
                 title="By a short search",
+            ),
+            PageCommand(
+                _bench("large-day", "--orders", "100", "--orders", "500", "--orders", "1000",
+                       "--dynamic", "--seed", "1", "--out", f"{OUT}/dynamic"),
+                title="By the dynamic assignment",
             ),
             PageCommand(
                 _bench("start", "--orders", "5000", "--drones", "100", "--seed", "1"),
