@@ -39,6 +39,7 @@ from sim_bridge.research.results.sheet import Sheet
 
 Policy = Literal["search", "dynamic"]
 AIRFRAME = "m100"
+DRONES_EACH = 10
 CENTRE_DEG = (55.47, 8.45)
 RADIUS_M_PER_SQRT_ORDER = 110.0
 """As densely as in the bundled day `town`: 26 orders to the square kilometre."""
@@ -134,10 +135,10 @@ def drawn_days(large: LargeDay) -> list[DayData]:
     return days
 
 
-def sized(orders: int, seed: int) -> LargeDay:
-    """A truck with ten drones for each hundred orders, two to ten of them, from up to 3 depots."""
+def sized(orders: int, seed: int, drones_each: int = DRONES_EACH) -> LargeDay:
+    """A truck with its drones for each hundred orders, two to ten of them, from up to 3 depots."""
     trucks = min(max(2, orders // 100), 10)
-    return LargeDay(orders, 10 * trucks, trucks, min(3, trucks // 2), seed)
+    return LargeDay(orders, drones_each * trucks, trucks, min(3, trucks // 2), seed)
 
 
 def trucks_of(large: LargeDay) -> list[int]:

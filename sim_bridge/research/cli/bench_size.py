@@ -76,6 +76,15 @@ def large_day(
     dynamic: Annotated[
         bool, typer.Option("--dynamic", help="By the dynamic assignment, not by the search.")
     ] = False,
+    drones: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=50,
+            help="Of each truck. With twice as many a truck could"
+            " have all of another's, too: no sharing does more.",
+        ),
+    ] = 10,
     trials: Annotated[
         int | None,
         typer.Option(min=1, help="Of each region's search; left out: by the region's size."),
@@ -88,7 +97,7 @@ def large_day(
 ) -> None:
     """Large days divided among trucks: time and worth of the plans as orders grow.
 
-    A truck and ten drones for each hundred orders (two trucks at least, ten at most), from up to
+    A truck and its drones for each hundred orders (two trucks at least, ten at most), from up to
     three depots. Each region's day is written, read back and planned; the longest is planned anew
     from half way. Beside the plans stand two bounds that no plan beats.
 
@@ -108,7 +117,7 @@ def large_day(
         def tell(one: "bench.RegionPlanned", count: int = count) -> None:
             typer.echo(f"{count} orders: {one.region.name} planned, {one.cpu_s:.0f} s", err=True)
 
-        large = bench.sized(count, seed)
+        large = bench.sized(count, seed, drones)
         found.append(bench.bench(large, policy, trials, workers_of(jobs, cluster), tell))
     finish(bench.sheet(found), out, "large_day")
     if json_out is not None:

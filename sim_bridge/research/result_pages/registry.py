@@ -473,7 +473,8 @@ PAGES = (
         "days-at-size",
         "Days at size",
         "A hundred to 5,000 orders among up to ten trucks and a hundred drones: what dividing them"
-        " and planning take, and how far the last truck is from what no plan can beat.",
+        " and planning take, how far the last truck is from what no plan can beat, and what trucks"
+        " could win by sharing drones.",
         (
             PageCommand(
                 _bench("large-day", "--seed", "1", "--out", f"{OUT}/search"),
@@ -482,6 +483,14 @@ PAGES = (
             PageCommand(
                 _bench("large-day", "--trials", "300000", "--seed", "1", "--out", f"{OUT}/short"),
                 title="By a short search",
+            ),
+            *(
+                PageCommand(
+                    _bench("large-day", "--orders", "500", "--drones", str(drones), "--seed", "1",
+                           "--out", f"{OUT}/drones-{drones}"),
+                    title=f"With {drones} drones for each truck",
+                )
+                for drones in (5, 20)
             ),
             PageCommand(
                 _bench("large-day", "--orders", "100", "--orders", "500", "--orders", "1000",

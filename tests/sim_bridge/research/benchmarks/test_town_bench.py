@@ -37,6 +37,7 @@ def test_a_small_town_flies_and_nobody_is_lost(tmp_path: Path) -> None:
 def test_a_large_day_is_sized_and_its_orders_are_all_at_the_first_depot() -> None:
     large = large_day_bench.sized(5000, 1)
     assert (large.trucks, large.drones, large.depots) == (10, 100, 3)
+    assert large_day_bench.sized(5000, 1, 20).drones == 200
     days = large_day_bench.drawn_days(large_day_bench.sized(300, 1))
     assert [len(data.orders) for data in days] == [300]
     drones = [drone.id for data in large_day_bench.drawn_days(large) for drone in data.day.drones]
