@@ -49,6 +49,12 @@ def _fleet_wind(title: str, folder: str, *words: str) -> PageCommand:
     return PageCommand(_research("fleet-wind", *words, *files), title=title)
 
 
+def _day(title: str, folder: str, *words: str) -> PageCommand:
+    file = f"{folder}.json"
+    files = ("--json", f"{OUT}/{file}", "--runs", f"{OUT}/{folder}")
+    return PageCommand(("sim-bridge", "day", *words, *files), show=tables.days(file), title=title)
+
+
 def _windbench(title: str, study: str) -> PageCommand:
     folders = (f"{DATA}/{M100_FLIGHTS}", f"{DATA}/estimator=generic")
     words = ("--symmetric", "--study", study, "--json", f"{OUT}/{study}.json", "--out", OUT)
@@ -365,17 +371,21 @@ PAGES = (
     Page(
         "days",
         "Whole days",
-        "A day in the town: one truck, eight drones, forty orders, from orders to report.",
+        "Days in the town: one truck, eight drones, forty orders, from orders to report; on recorded"
+        " wind, with faults, and with a front that nobody foresaw, with the fleet's wind and"
+        " without.",
         (
-            PageCommand(
-                ("sim-bridge", "day", "--wind-log", COAST, "--seeds", "11:12",
-                 "--json", f"{OUT}/days.json", "--runs", f"{OUT}/runs"),
-                show=tables.days,
-            ),
+            _day("On recorded wind", "town", "--wind-log", COAST, "--seeds", "11:12"),
+            _day("With faults", "faults", "--wind-log", COAST, "--seeds", "21:22", "--loss", "0.2",
+                 "--kill-companion", "1", "--kill-ground", "2", "--truck-late", "120"),
+            _day("A front of 8 m/s", "front", "--seeds", "51:53", "--front", "8",
+                 "--front-at", "15"),
+            _day("The same, and no drone hears of another's wind", "front-alone", "--seeds",
+                 "51:53", "--front", "8", "--front-at", "15", "--no-share-wind"),
         ),
-        30.0,
+        50.0,
         needs=("wind/coast_2023_1hz.csv",),
-        pictures=(("runs/*/day.png", "day.png"),),
+        pictures=(("town/*/day.png", "day.png"),),
     ),
     Page(
         "truck-and-drones",

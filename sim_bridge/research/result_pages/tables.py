@@ -1,6 +1,7 @@
 """The tables of commands that print for a terminal, again from the JSON that they write."""
 
 import json
+from collections.abc import Callable
 
 import msgspec
 
@@ -42,13 +43,17 @@ def crossings(done: CommandOutput) -> str:
     return "\n".join(lines)
 
 
-def days(done: CommandOutput) -> str:
-    """Of `sim-bridge day --seeds ... --json {out}/days.json`."""
-    from sim_bridge.app.day.report import print_days
+def days(file: str) -> Callable[[CommandOutput], str]:
+    """Of `sim-bridge day --seeds ... --json {out}/FILE`."""
 
-    console = MarkdownConsole()
-    print_days(console, done.json("days.json")["days"])
-    return console.markdown
+    def show(done: CommandOutput) -> str:
+        from sim_bridge.app.day.report import print_days
+
+        console = MarkdownConsole()
+        print_days(console, done.json(file)["days"])
+        return console.markdown
+
+    return show
 
 
 def nothing(_: CommandOutput) -> str:
