@@ -371,9 +371,9 @@ PAGES = (
     Page(
         "days",
         "Whole days",
-        "Days in the town: one truck, eight drones, forty orders, from orders to report; on recorded"
-        " wind, with faults, and with a front that nobody foresaw, with the fleet's wind and"
-        " without.",
+        "Days in the town: one truck, eight drones, forty orders, from orders to report; on"
+        " recorded wind, with faults, and with a front that nobody foresaw, with the fleet's wind"
+        " and without.",
         (
             _day("On recorded wind", "town", "--wind-log", COAST, "--seeds", "11:12"),
             _day("With faults", "faults", "--wind-log", COAST, "--seeds", "21:22", "--loss", "0.2",
