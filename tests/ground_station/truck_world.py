@@ -118,6 +118,11 @@ class Drone(Member):
     def in_air(self) -> bool:
         return self.launched_s is not None
 
+    @property
+    def cut_off(self) -> bool:
+        """From when it has a mission until it is switched off."""
+        return self.mood == "cut off" and self.flight is not None
+
     def carry_out(self, command: Command) -> Verdict:
         match command.deed:
             case Assign() if self.flight is None:
@@ -220,18 +225,18 @@ class World:
 
     def ask_states(self, wait_s: float) -> None:
         del wait_s
-        self.waiting += [StateReceived(member.state()) for member in self.members()]
+        self.waiting += [StateReceived(member.state()) for member in self.heard()]
 
     def join(self) -> None:
         """A desk starts: it hears who is there, and nothing of before."""
         self.waiting = [
-            LivelinessChanged(member.name, member.name, True) for member in self.members()
+            LivelinessChanged(member.name, member.name, True) for member in self.heard()
         ]
 
     def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
         del wait_s
         member = next(m for m in self.everybody() if m.name == vehicle)
-        if member.on and not self.lost():
+        if member in self.heard() and not self.lost():
             self.waiting.append(EventsReceived(vehicle, member.events[after:], replayed=True))
 
     def neighbour_keys(self, fleet: str) -> dict[str, str]:
@@ -245,7 +250,7 @@ class World:
         del wait_s
         member = next(m for m in self.everybody() if m.name == command.vehicle)
         result = None
-        if member.on and not self.lost():
+        if member in self.heard() and not self.lost():
             before = self.driver.truck
             answer = member.answer(command)
             result = None if self.lost() else answer
@@ -294,13 +299,16 @@ class World:
     def members(self) -> list[Member]:
         return [m for m in self.everybody() if m.on]
 
+    def heard(self) -> list[Member]:
+        return [m for m in self.members() if not (isinstance(m, Drone) and m.cut_off)]
+
     def step(self) -> None:
         """A second passes."""
         self.clock.t_s += 1.0
         for drone in self.drones.values():
             self.fly(drone)
         self.drive()
-        for member in self.members():
+        for member in self.heard():
             if isinstance(member, Drone) and member.mood == "unheard":
                 continue
             if not self.lost():
@@ -384,7 +392,10 @@ class World:
         if task.kind is TaskKind.RECOVER and drone is not None:
             self.on_truck.add(drone.name)
             self.switch_on_s.pop(drone.name, None)
-            drone.end("ABRT", False)
+            if drone.cut_off:
+                drone.mood = "good"  # and holds its mission, for nobody could tell it otherwise
+            else:
+                drone.end("ABRT", False)
             drone.on = False
             self.waiting.append(LivelinessChanged(drone.name, drone.name, False))
 

@@ -65,6 +65,22 @@ def launching(db: sa.Connection, assignment: str) -> bool:
     return db.execute(waiting).scalar_one() > 0
 
 
+def may_still_hold(db: sa.Connection, vehicle: str) -> str | None:
+    """The mission that a drone was switched off with, before it answered that it is withdrawn."""
+    newest = (
+        sa.select(t.assignments.c.id)
+        .where(t.assignments.c.vehicle == vehicle)
+        .order_by(t.assignments.c.n.desc())
+        .limit(1)
+    )
+    id_ = db.execute(newest).scalar_one_or_none()
+    if id_ is None:
+        return None
+    withdrawal = t.commands.c.id == f"{id_}:withdraw"
+    unanswered = sa.select(t.commands.c.n).where(withdrawal, t.commands.c.life.is_(None))
+    return None if db.execute(unanswered).one_or_none() is None else id_
+
+
 def held(db: sa.Connection, assignment: str) -> bool:
     """Whether its mission is still held back."""
     query = sa.select(t.commands.c.held).where(t.commands.c.id == f"{assignment}:assign")

@@ -148,9 +148,13 @@ class DayStore:
                 id_ = rows.order_taken(db, sortie.order)
                 if id_ is None:
                     return None
+                holds_still = steps.may_still_hold(db, sortie.vehicle)
                 rows.make_assignment(db, self._now(), id_, sortie.order, sortie.vehicle)
                 self._note_sortie(db, id_, sortie, pads)
                 self._put_sortie_out(db, id_, sortie, pads, flight_of(id_), obstacles, by)
+                if holds_still is not None:
+                    deed = Withdraw(assignment=holds_still)
+                    self._put_out(db, f"{id_}:forget", sortie.vehicle, id_, deed, by)
         except IntegrityError:  # the drone has another assignment in force
             return None
         return id_

@@ -251,6 +251,7 @@ def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
             db.execute(sa.update(t.sorties).where(here).values(placed=True))
         case EventKind.RECOVERED:
             db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
+            _withdrawn_by_hand(db, now_us, row.assignment)
             if event.delivered is not None:
                 _parcel_found(db, row.assignment, gone=event.delivered)
         case _ if row.placed:
@@ -261,6 +262,15 @@ def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
                 why = f"the driver: {event.text}"
                 end_assignment(db, now_us, held, AssignmentState.WITHDRAWN, False, why)
             db.execute(sa.update(t.sorties).where(here).values(away=True))
+
+
+def _withdrawn_by_hand(db: sa.Connection, now_us: int, assignment: str) -> None:
+    """A drone that has not answered its withdrawal is aboard the truck, and off: it never flew."""
+    row = in_state(db, assignment, (AssignmentState.WITHDRAWING,))
+    if row is None:
+        return
+    why = f"{row.why}; the driver has it aboard"
+    end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, why)
 
 
 def parcel_missed(db: sa.Connection, assignment: str) -> str | None:
@@ -317,10 +327,12 @@ def follow(
             set_state(db, row.id, AssignmentState.ABOARD, f"launch refused: {reason}")
         case MoveHome(), Answered.REFUSED | Answered.INTERRUPTED:
             _forget_asked(db, row.id, command.deed.home)
-        case Withdraw(), Answered.DONE if command.vehicle == row.vehicle:
+        case Withdraw(), _ if command.vehicle != row.vehicle or command.deed.assignment != row.id:
+            return
+        case Withdraw(), Answered.DONE:
             why = row.why or reason  # the desk's own, where it said one
             end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, why)
-        case Withdraw(), Answered.REFUSED | Answered.INTERRUPTED if command.vehicle == row.vehicle:
+        case Withdraw(), Answered.REFUSED | Answered.INTERRUPTED:
             set_state(db, row.id, AssignmentState.FLYING, f"not withdrawn: {reason}")
         case _:
             return

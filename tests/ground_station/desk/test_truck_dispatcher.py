@@ -27,7 +27,7 @@ from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState
 from ground_station.core.schema.orders import AssignmentState, OrderState
-from tests.ground_station.hand_made_day import PLAN, by_truck
+from tests.ground_station.hand_made_day import PLAN, by_truck, sortie
 from tests.ground_station.truck_world import World, WorldClock
 
 HARBOUR = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
@@ -40,6 +40,10 @@ CORE = "ground_station.core"
 
 def fails(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
     raise LeewayError("no plan today")
+
+
+def ignores(*told: object) -> None:
+    """A step of the desk that is left out."""
 
 
 class Killed(BaseException):
@@ -192,6 +196,42 @@ def test_a_drone_that_a_pilot_lands_elsewhere_holds_the_truck_up_nowhere(day):
     assert told.world.on_truck == {"d2"}
     ends = {row.id: row.state for row in told.desk.store.assignments() if row.vehicle == "d1"}
     assert ends == {"H-101.1": AssignmentState.RETURNED}
+
+
+def by_d1_again(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
+    """A planner that has d1 fly H-101 where the truck brings all else."""
+    plan = by_truck(data, start, seed, trials)
+    here = next((stop for stop in plan.stops if "H-101" in stop.serves), None)
+    if here is None:
+        return plan
+    here.serves.remove("H-101")
+    again = sortie("H-101", "d1", here.id, here.id, here.arrive_s + 60.0)
+    return msgspec.structs.replace(plan, sorties=[*plan.sorties, again])
+
+
+def test_a_drone_that_the_driver_takes_in_before_it_answers_its_withdrawal_is_used_again(day):
+    """It was cut off on its pad, withdrawn, switched off, and holds its mission to this moment."""
+    told = day(6)
+    told.dispatcher.active.replanner = InlineReplanner(plan=by_d1_again)
+    told.world.drones["d1"].mood = "cut off"
+    told.run()
+    assert any("H-101.1: withdrawn: not ready" in words for words in told.said), told.said
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert told.world.on_truck == {"d1", "d2"}
+    rows = {row.id: row for row in told.desk.store.assignments()}
+    assert rows["H-101.1"].state is AssignmentState.WITHDRAWN
+    assert "the driver has it aboard" in rows["H-101.1"].why
+    assert rows["H-101.2"].vehicle == "d1"
+    assert "H-101.2" in told.world.flown, "it has forgotten the first one"
+
+
+def test_the_canary_a_desk_that_waits_for_its_answer_never_ends(day, monkeypatch):
+    monkeypatch.setattr("ground_station.adapters.store.order_steps._withdrawn_by_hand", ignores)
+    told = day(6)
+    told.world.drones["d1"].mood = "cut off"
+    with pytest.raises(AssertionError):
+        told.run()
+    assert told.states()["H-101"] is OrderState.ASSIGNED
 
 
 @pytest.mark.parametrize("mood", ["drops unseen", "holds on"])
