@@ -211,6 +211,7 @@ class World:
         self.delivered: list[str] = []
         self.flown: list[str] = []
         self.wrong: list[str] = []
+        self.left_s: list[float] = []
         self.waiting: list[FleetInput] = []
         self.told_seq: dict[str, int] = {}
         self.quits: set[str] = set()
@@ -250,6 +251,10 @@ class World:
         del wait_s
         member = next(m for m in self.everybody() if m.name == command.vehicle)
         result = None
+        dies = isinstance(member, Drone) and member.mood == "dies at its launch"
+        if dies and isinstance(command.deed, Launch):
+            member.on, self.drones[member.name].lost = False, True
+            self.waiting.append(LivelinessChanged(member.name, member.name, False))
         if member in self.heard() and not self.lost():
             before = self.driver.truck
             answer = member.answer(command)
@@ -282,6 +287,7 @@ class World:
             self.wrong.append(f"{name} launched from a truck that has gone")
 
     def check_departure(self, stop: str) -> None:
+        self.left_s.append(self.clock.t_s)
         for drone in self.drones.values():
             if drone.lost:
                 continue

@@ -13,6 +13,7 @@ from sqlalchemy.exc import IntegrityError
 
 from companion.core.base.place import Place
 from companion.fleet.messages import (
+    Answered,
     Assign,
     Deed,
     Drive,
@@ -281,10 +282,21 @@ class DayStore:
         return done.rowcount == 1
 
     def note(self, assignment: str, **facts: bool | float) -> None:
-        """`away` or `lapsed`: nothing waits for it any more. `used_wh`: energy that it used."""
+        """`away`: nothing waits for it any more. `used_wh`: energy that it used."""
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
             db.execute(sa.update(t.sorties).where(here).values(**facts))
+
+    def overdue(self, assignment: str) -> None:
+        """Nothing waits for it any more, and what was ordered and not answered is void: it is not
+        launched from where the truck has left.
+        """
+        void = {"answer": Answered.REFUSED.value, "reason": "overdue"}
+        unanswered = t.commands.c.assignment == assignment, t.commands.c.answer.is_(None)
+        with self._database.write() as db:
+            here = t.sorties.c.assignment == assignment
+            db.execute(sa.update(t.sorties).where(here).values(lapsed=True))
+            db.execute(sa.update(t.commands).where(*unanswered).values(**void))
 
     def sorties(self) -> list[SortieRow]:
         """All sorties from the truck, in the order of their assignment."""

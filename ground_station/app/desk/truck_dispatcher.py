@@ -167,7 +167,7 @@ class TruckDispatcher:
                 done = day.forget_home(action.assignment, action.stop)
                 return f"{action.assignment}: is down, not at {action.stop}" if done else None
             case DeclareOverdue():
-                day.note(action.assignment, lapsed=True)
+                day.overdue(action.assignment)
                 return f"{action.assignment}: overdue: not heard for longer than it can fly"
             case DeclareOffSite():
                 day.note(action.assignment, away=True)

@@ -108,6 +108,8 @@ class DispatchRules:
             return [ConfirmHomeChange(row.id, row.asked)]
         waited_s = day.waited_s.get(row.id, 0.0)
         match row.row.state:
+            case AssignmentState.ABOARD if row.launching and self._unheard(row, day):
+                return [DeclareOverdue(row.id)]
             case AssignmentState.ORDERED | AssignmentState.ABOARD if row.id in day.closed:
                 return [WithdrawAssignment(row.id, f"{CLOSED}: {day.closed[row.id]}")]
             case AssignmentState.ORDERED | AssignmentState.ABOARD if waited_s > self.params.ready_s:
@@ -125,6 +127,12 @@ class DispatchRules:
     def _silent(self, row: SortieRow, day: DaySnapshot) -> bool:
         silent_s = day.drone(row.vehicle).silent_s
         return silent_s is None or silent_s > self.params.silent_s
+
+    def _unheard(self, row: SortieRow, day: DaySnapshot) -> bool:
+        """Not heard since its launch was ordered, for longer than it can fly."""
+        silent_s = day.drone(row.vehicle).silent_s
+        listened_s = day.now_s - day.desk_from_s
+        return (listened_s if silent_s is None else silent_s) > self.params.lapse_s
 
     def _send_mission(self, row: SortieRow, day: DaySnapshot) -> list[DispatchAction]:
         """Once the drone stands charged on its pad."""
@@ -197,6 +205,8 @@ class DispatchRules:
         actions: list[DispatchAction] = []
         for row in sorted(day.sorties, key=lambda r: r.sortie.launch_s):
             if row.row.state is not AssignmentState.ABOARD or row.launching or not row.placed:
+                continue
+            if row.gone:  # the truck may have left
                 continue
             if row.refused >= self.params.launches:
                 actions.append(WithdrawAssignment(row.id, f"launch refused {row.refused} times"))

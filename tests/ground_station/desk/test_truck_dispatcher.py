@@ -198,6 +198,19 @@ def test_a_drone_that_a_pilot_lands_elsewhere_holds_the_truck_up_nowhere(day):
     assert ends == {"H-101.1": AssignmentState.RETURNED}
 
 
+def test_a_drone_that_dies_as_its_launch_is_ordered_holds_the_truck_up_until_it_cannot_fly(day):
+    told = day(6)
+    told.world.drones["d1"].mood = "dies at its launch"
+    told.dispatcher.active.params = DispatchParams(lapse_s=900.0)
+    told.run()
+    assert any("H-101.1: overdue" in words for words in told.said), told.said
+    states = told.states()
+    assert states.pop("H-101") is OrderState.ASSIGNED  # nobody knows whether it flew
+    assert set(states.values()) == {OrderState.DELIVERED}
+    assert told.world.on_truck == {"d2"}
+    assert told.world.left_s[0] > 900.0, "the truck had promised it this stop"
+
+
 def by_d1_again(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
     """A planner that has d1 fly H-101 where the truck brings all else."""
     plan = by_truck(data, start, seed, trials)
