@@ -24,6 +24,7 @@ from companion.fleet.messages import State
 from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.site_wind.site_fronts import FRONT_KEPT_S
 from ground_station.core.site_wind.site_wind import SiteWind
 
 FRONT_TOLD_TIMES = 3
@@ -80,6 +81,8 @@ class WindTeller:
             if state is None or seen.heard_s is None or not seen.present(now_s):
                 continue
             told = self._told.setdefault(name, _Told())
+            if told.front is not None and now_s - told.front.noticed_s > FRONT_KEPT_S:
+                told.front = None  # it has left the site, and is not withdrawn
             new = front is not told.front
             if _may_fly(state) and (new or now_s - told.t_s >= TOLD_EVERY_S):
                 due.append((told, state, seen.heard_s))

@@ -9,6 +9,7 @@ from companion.fleet.messages import State
 from ground_station.app.desk import wind_teller
 from ground_station.app.desk.wind_teller import WindTeller
 from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.site_wind import site_fronts
 from tests.ground_station.site_wind.told_air import PLACES, Air, front_comes
 
 
@@ -143,6 +144,18 @@ def test_a_front_is_told_at_once_to_all_and_three_times():
         assert len(times) >= 3
     site.air.blow = blown  # type: ignore[method-assign]
     assert all(winds.front is msgspec.UNSET for winds in site.blow(60.0)[-4:])
+
+
+def test_a_front_that_has_left_the_site_is_not_told_as_withdrawn(monkeypatch):
+    monkeypatch.setattr(site_fronts, "FRONT_KEPT_S", 300.0)
+    monkeypatch.setattr(wind_teller, "FRONT_KEPT_S", 300.0)
+    site = Site()
+    site.blow(120.0)
+    front_comes(site.air, (0.0, 9.0), 10.0, 60.0)
+    assert any(one.front is not msgspec.UNSET for one in site.blow(30.0))
+    later = site.blow(400.0)
+    assert site.air.wind.fronts_now(site.air.t_s) == []
+    assert not [one for one in later if one.front is None]
 
 
 def test_a_front_that_is_withdrawn_is_told_as_none_to_all_at_once_and_three_times():
