@@ -53,6 +53,13 @@ begin a mission again that it has completed, though it takes the jump and shows 
 """
 
 
+HELD_MPS = 6.0
+"""With less speed than this left against the wind at full tilt it may stand, or drift, and be on
+its way all the same: gusts, and an autopilot that tilts less than it may, are within it. What flies
+away faster than so much is not blown.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class ForeignMove:
     """An item that the mission was moved to and not by us, reported so many times in a row."""
@@ -210,14 +217,16 @@ class MissionFollower:
 
     def strays(self, context: FlightContext, here: Ned) -> bool:
         """Tell whether it flies away from the way home; then the course is watched no longer."""
-        state, flown = self._state, context.flight_plan
-        spot = flown.mission.spot_at(state.index) if flown and state.index is not None else None
-        if flown is None or spot is None:
+        state, target = self._state, self._target(context)
+        if target is None:
             return False
-        target = flown.spot_ned(spot)
-        if self._has_flown_past(context, here, target):
+        flown_past = self._has_flown_past(context, here, target)
+        disobeys = state.course is not None and self._disobeys(context, here, target)
+        if self._held_by_wind(context, here, target):
+            return False
+        if flown_past:
             return True
-        if state.course is None or not self._disobeys(context, here, target):
+        if not disobeys:
             return False
         state.course = None
         return True
@@ -236,11 +245,35 @@ class MissionFollower:
         away_m = horizontal_m(here, target)
         return state.home_leg.has_flown_past(away_m, self._closing_mps(context, here, target))
 
+    def _target(self, context: FlightContext) -> Ned | None:
+        """Where the item lies that the autopilot shows; None: it has no place, or none is known."""
+        flown, index = context.flight_plan, self._state.index
+        spot = flown.mission.spot_at(index) if flown and index is not None else None
+        return None if flown is None or spot is None else flown.spot_ned(spot)
+
+    def _held_by_wind(self, context: FlightContext, here: Ned, target: Ned) -> bool:
+        """Tell whether the wind leaves it so little speed that its course says nothing.
+
+        RTL would be held by it, too, and goes to a place that nobody promised.
+        """
+        estimates, away_m = context.estimates, horizontal_m(here, target)
+        if estimates.wind is None or not estimates.wind.valid or away_m == 0.0:
+            return False
+        north, east = (target[0] - here[0]) / away_m, (target[1] - here[1]) / away_m
+        to_north, to_east = (float(x) for x in estimates.wind.mean_to_ne_mps)
+        along, across = to_north * north + to_east * east, to_east * north - to_north * east
+        top_mps = estimates.route_energy.max_airspeed_mps(estimates.payload_kg)
+        left_mps = math.sqrt(max(top_mps**2 - across**2, 0.0)) + along
+        drifts = self._closing_mps(context, here, target) > min(left_mps, 0.0) - HELD_MPS
+        return left_mps < HELD_MPS and drifts
+
     def stands_still(self, context: FlightContext) -> bool:
         """Tell whether it hovers on the way home, whatever item it shows, for long."""
         vehicle, telemetry = context.telemetry.state, context.telemetry
         flies = vehicle is not None and vehicle.mode is Mode.MISSION
-        moves = context.speed_mps() > STANDS_MPS
+        here, target = context.here_ned(), self._target(context)
+        held = here is not None and target is not None and self._held_by_wind(context, here, target)
+        moves = context.speed_mps() > STANDS_MPS or held
         if moves or not flies or telemetry.position_troubles():
             self._state.moved_s = context.t_s
         stood_s = min(context.phase_s, context.since_s(self._state.moved_s))

@@ -354,6 +354,10 @@ class RouteEnergy:
             wanted_mps = min(wanted_mps, length_m / self._rise_or_sink_s(leg))
         return max(wanted_mps, LEAST_GROUND_SPEED_MPS)
 
+    def max_airspeed_mps(self, payload_kg: float) -> float:
+        """Level airspeed at the largest tilt."""
+        return self._steady_power(payload_kg).max_airspeed_mps
+
     def power_w(self, payload_kg: float, airspeed_mps: float, climb_mps: float = 0.0) -> float:
         """Electrical power in steady flight (the ledger's modelled power)."""
         power = self._steady_power(payload_kg)

@@ -327,6 +327,30 @@ def test_what_hovers_on_the_way_home_is_led_home_by_rtl():
     assert SetMode(Mode.RTL) in w.orders_after(stood_s)
 
 
+def test_what_the_wind_holds_on_the_way_home_is_on_its_way():
+    """A gale as strong as it flies: it stands, drifts, and comes home when that eases. RTL would be
+    held, too, and goes where nobody waits. The canary is the test above, in calm air.
+    """
+    w = reach(Phase.RETURN)
+    w.run(lambda w: w.north < 250.0)
+    w.judge.wind_ne = (18.5, 0.0)
+    held_s, fly = w.t_s, w.fly
+    while w.t_s < held_s + 60.0:
+        w.speed = 0.0
+        w.step()
+
+    def blown(dt_s: float) -> None:
+        w.velocity, w.north = (2.5, 0.0, 0.0), w.north + 2.5 * dt_s
+
+    w.fly = blown  # type: ignore[method-assign]
+    w.run(lambda w: w.north > 350.0)
+    assert w.pilot.phase is Phase.RETURN
+    assert not [o for o in w.orders_after(held_s) if isinstance(o, SetMode | JumpTo)]
+    w.fly, w.judge.wind_ne, w.speed = fly, (6.0, 0.0), 10.0  # type: ignore[method-assign]
+    assert w.to_the_end().outcome == "SUC"
+    assert SetMode(Mode.RTL) not in w.orders_after(held_s)
+
+
 def test_safety_rule_1_both_of_two_computers_decide_the_same_alone():
     early, late = reach(Phase.CLIMB), reach(Phase.RETURN)
     assert early.pilot.flies_since_ms == late.pilot.flies_since_ms  # two worlds, one clock
@@ -492,8 +516,9 @@ def flies_on(w: World, index: int, north_mps: float, east_mps: float) -> Any:
     return fly
 
 
-def test_an_autopilot_that_flies_on_past_its_item_gets_rtl():
-    """Seen on PX4's SIH over hills: 2 km beyond the depot, "on the way home"."""
+@pytest.mark.parametrize("wind_to_north_mps", [0.0, -16.0])
+def test_an_autopilot_that_flies_on_past_its_item_gets_rtl(wind_to_north_mps):
+    """Seen on PX4's SIH over hills: 2 km beyond the depot, "on the way home"; in a gale, too."""
     w = reach(Phase.RETURN)
     first = w.index
     w.run(lambda w: w.index > first and w.items[w.index].kind is ItemKind.WAYPOINT, 120.0)
@@ -507,6 +532,7 @@ def test_an_autopilot_that_flies_on_past_its_item_gets_rtl():
     goal_n = (item.spot.lat_deg - DEPOT[0]) * M_PER_DEG
     goal_e = (item.spot.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
     w.fly = flies_on(w, w.index, to_n, to_e)  # type: ignore[method-assign]
+    w.judge.wind_ne = (wind_to_north_mps, 0.0)
     w.run(lambda w: w.mode is Mode.RTL, 120.0)
     assert w.pilot.phase is Phase.LAST_RESORT
     beyond_m = math.dist((w.north, w.east), (goal_n, goal_e))
