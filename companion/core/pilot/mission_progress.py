@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from companion.core.base.geo import Ned, horizontal_m
 from companion.core.mission.actions import JumpTo, Note, SetMode, Severity
 from companion.core.mission.events import (
@@ -37,6 +39,7 @@ from companion.core.pilot.context import (
 )
 from companion.core.pilot.telemetry_state import PROGRESS_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
+from companion.core.vehicle.wind_triangle import airspeeds_along_mps
 
 NEAR_M = 10.0
 """Nearer to its goal than this, the course says nothing."""
@@ -222,13 +225,10 @@ class MissionFollower:
             return False
         flown_past = self._has_flown_past(context, here, target)
         disobeys = state.course is not None and self._disobeys(context, here, target)
-        if self._held_by_wind(context, here, target):
+        if not (flown_past or disobeys) or self._held_by_wind(context, here, target):
             return False
-        if flown_past:
-            return True
-        if not disobeys:
-            return False
-        state.course = None
+        if not flown_past:
+            state.course = None
         return True
 
     def _has_flown_past(self, context: FlightContext, here: Ned, target: Ned) -> bool:
@@ -263,17 +263,20 @@ class MissionFollower:
         to_north, to_east = (float(x) for x in estimates.wind.mean_to_ne_mps)
         along, across = to_north * north + to_east * east, to_east * north - to_north * east
         top_mps = estimates.route_energy.max_airspeed_mps(estimates.payload_kg)
-        left_mps = math.sqrt(max(top_mps**2 - across**2, 0.0)) + along
+        left_mps = float(airspeeds_along_mps(top_mps, np.array([across]))[0]) + along
         drifts = self._closing_mps(context, here, target) > min(left_mps, 0.0) - HELD_MPS
         return left_mps < HELD_MPS and drifts
+
+    def _is_held(self, context: FlightContext) -> bool:
+        """The same of where it is, on its way to the item that it shows."""
+        here, target = context.here_ned(), self._target(context)
+        return here is not None and target is not None and self._held_by_wind(context, here, target)
 
     def stands_still(self, context: FlightContext) -> bool:
         """Tell whether it hovers on the way home, whatever item it shows, for long."""
         vehicle, telemetry = context.telemetry.state, context.telemetry
         flies = vehicle is not None and vehicle.mode is Mode.MISSION
-        here, target = context.here_ned(), self._target(context)
-        held = here is not None and target is not None and self._held_by_wind(context, here, target)
-        moves = context.speed_mps() > STANDS_MPS or held
+        moves = context.speed_mps() > STANDS_MPS or self._is_held(context)
         if moves or not flies or telemetry.position_troubles():
             self._state.moved_s = context.t_s
         stood_s = min(context.phase_s, context.since_s(self._state.moved_s))
