@@ -23,7 +23,12 @@ from companion.core.ground.clearance import GroundClearance
 from companion.core.ground.ground_strip import GroundStrip, NoGround
 from companion.core.mission.events import Position
 from companion.core.mission.flight_file import Flight
-from companion.core.mission.mission_items import DeadMansMission, Spot, build_dead_mans_mission
+from companion.core.mission.mission_items import (
+    DeadMansMission,
+    ItemKind,
+    Spot,
+    build_dead_mans_mission,
+)
 from companion.core.mission.preflight_checks import RouteFacts
 from companion.core.routing.route_planner import NoRoute, Plan, Planner, PlanRequest
 from companion.core.routing.waypoint_graph import SAME_PAD_M, SiteMap, cut_into_legs
@@ -129,6 +134,28 @@ class FlightPlan:
                 if total_m <= best_m + 0.5 and self.sees(here_ned_m, point):
                     best, best_m = items[i], min(best_m, total_m)
         return best
+
+    def item_beyond(self, index: int, here_ned_m: Ned) -> int | None:
+        """The next item with a place after one of the way home that is in clear sight from here.
+
+        A landing is flown to at the present height. `None` where none is in sight.
+        """
+        mission = self.mission
+        beyond = mission.next_place(index)
+        while beyond is not None and (spot := mission.items[beyond].spot) is not None:
+            target = self.spot_ned(spot)
+            if mission.items[beyond].kind is ItemKind.LAND:
+                target = over(target, here_ned_m)
+            if self.sees(here_ned_m, target):
+                return beyond
+            beyond = mission.next_place(beyond)
+        return None
+
+    def landing_from(self, index: int | None) -> tuple[str, Spot | None]:
+        """Where the autopilot comes down by itself from an item (None: where it was planned)."""
+        site = None if index is None else self.site_of_item(index)
+        land = self.mission.land if site is None else self.site_items(site)[1]
+        return site or self.plan.landing, self.mission.items[land].spot
 
     def site_items(self, name: str) -> tuple[int, int]:
         """The items over a landing site beside home, and on its ground."""

@@ -18,6 +18,13 @@ AT_ITEM_M = 50.0
 PAST_M = 150.0
 """Beyond an item that it has passed: ten seconds at top speed, so that late reports are none."""
 
+MISSED_M, MISSED_S = 40.0, 10.0
+"""So far beyond, and opening for so long at whatever speed: it does not come back to it. PX4 that
+was too low over a waypoint went 15 m on, and back."""
+
+OPENS_MPS, CREEPS_MPS = 2.0, 0.5
+"""Slower away from a place than the first is no flight away from it; in a gale the second is."""
+
 OLDER_S = 1.0
 """A report overtaken by others arrives up to so late (as `LATE_S` of the adapters' clock)."""
 
@@ -111,25 +118,42 @@ class CourseWatch:
         return (
             t_s - self.since_s > TURN_S
             and distance_m > self.distance_m + AWAY_M
-            and closing_mps < -2.0
+            and closing_mps < -OPENS_MPS
         )
 
 
 @dataclass(slots=True)
 class LegWatch:
-    """Whether an autopilot that shows one item takes it: one that lost its place flies on beyond.
+    """Whether an autopilot that shows one item takes it, or flies on beyond.
 
-    PX4's SIH was seen past an item by 2 km, in its mission, with every report as ever.
+    PX4's SIH was seen past an item by 2 km, in its mission, with every report as ever. Who is blown
+    off its track by more than the radius of acceptance misses one, too.
     """
 
     index: int
     nearest_m: float = math.inf
+    beyond_m: float = 0.0
+    """How much farther than it was at the nearest."""
+    closing_mps: float = 0.0
+    opens_since_s: float | None = None
 
-    def has_flown_past(self, distance_m: float, closing_mps: float) -> bool:
-        """Tell whether it was at its item, is far beyond, and still opens (m, m/s)."""
+    def watch(self, t_s: float, distance_m: float, closing_mps: float) -> None:
+        """Where it is from its item (m), and how fast it comes nearer (m/s)."""
         self.nearest_m = min(self.nearest_m, distance_m)
-        return (
-            self.nearest_m < AT_ITEM_M
-            and distance_m > self.nearest_m + PAST_M
-            and closing_mps < -2.0
-        )
+        self.beyond_m = distance_m - self.nearest_m
+        self.closing_mps = closing_mps
+        if closing_mps >= -CREEPS_MPS:
+            self.opens_since_s = None
+        elif self.opens_since_s is None:
+            self.opens_since_s = t_s
+
+    def has_missed(self, t_s: float) -> bool:
+        """Tell whether it was at its item, is beyond, and has long been flying away from it."""
+        if self.opens_since_s is None or self.nearest_m >= AT_ITEM_M:
+            return False
+        return self.beyond_m > MISSED_M and t_s - self.opens_since_s > MISSED_S
+
+    def has_flown_past(self) -> bool:
+        """Tell whether it was at its item, is far beyond, and still opens."""
+        opens = self.closing_mps < -OPENS_MPS
+        return opens and self.nearest_m < AT_ITEM_M and self.beyond_m > PAST_M

@@ -546,6 +546,17 @@ class HomeInDoubt(Protocol):
         ...
 
 
+class RtlHome(HomeInDoubt, Protocol):
+    """Where an RTL leads."""
+
+    def lead_rtl(self, context: FlightContext) -> str:
+        """Make the promised landing place the autopilot's home, for an RTL that is ordered next.
+
+        Tells in words where it leads.
+        """
+        ...
+
+
 class ListInDoubt(Protocol):
     """Whether the list aboard is not proven to be ours now."""
 

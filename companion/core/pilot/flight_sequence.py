@@ -9,11 +9,11 @@ from companion.core.mission.flight_plan import DROP_S
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import (
     FlightContext,
-    HomeInDoubt,
     Jumps,
     ListInDoubt,
     Parcel,
     ReturnBudget,
+    RtlHome,
     SetpointFlight,
 )
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
@@ -53,6 +53,12 @@ class MissionControl(Jumps, Ticking, Protocol):
         """Turn outward again, to this leg."""
         ...
 
+    def goes_on_past_missed(self, context: FlightContext, here: Ned) -> bool:
+        """Where it has missed an item of the way home, go on to one beyond; tells whether it was
+        ordered now.
+        """
+        ...
+
     def strays(self, context: FlightContext, here: Ned) -> bool:
         """It flies away from the way home that it was sent on."""
         ...
@@ -61,7 +67,7 @@ class MissionControl(Jumps, Ticking, Protocol):
         """Tell whether it hovers on the way home."""
         ...
 
-    def last_resort(self, context: FlightContext) -> None:
+    def last_resort(self, context: FlightContext, rtl_home: RtlHome) -> None:
         """The way home is refused."""
         ...
 
@@ -191,7 +197,7 @@ class FlightSequence:
         parcel: Parcel,
         drop: DropWork,
         position: Ticking,
-        home: HomeInDoubt,
+        home: RtlHome,
         aboard: ListInDoubt,
         landing: Ticking,
         setpoints: SetpointFlight,
@@ -223,7 +229,7 @@ class FlightSequence:
             case Phase.RETURN | Phase.DIVERT if left is Phase.RELEASE:
                 self._drop.end(context)
             case Phase.LAST_RESORT if left is not Phase.SUSPENDED:
-                self._progress.last_resort(context)
+                self._progress.last_resort(context, self._home)
             case _:
                 return
 
@@ -340,6 +346,8 @@ class FlightSequence:
         """Watch that it obeys; turn to a rally point when only that keeps the promise."""
         here = context.here_ned()
         if context.flight_plan is None or here is None or self._progress.jump_index is not None:
+            return
+        if not self._setpoints.active and self._progress.goes_on_past_missed(context, here):
             return
         why = ""
         if self._progress.strays(context, here):

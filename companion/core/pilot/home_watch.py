@@ -6,6 +6,9 @@ item by the new home: 20 m lower it leads into the ground at the customer. So a 
 closes the gate, and is set back once. Until telemetry shows it where it was, there is no leave and
 no jump. Who moves it again means it: then the vehicle comes home by what is safe without it.
 
+Where the promised landing place is not the launch pad, an RTL of ours is led to it: the place is
+made the autopilot's home, at the height of the old one, just before RTL is ordered.
+
 Our own heights do not depend on any of this (telemetry_state.py).
 """
 
@@ -13,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from companion.core.base.geo import LocalFrame, horizontal_m
+from companion.core.base.geo import LocalFrame, horizontal_m, over
 from companion.core.mission.actions import SetHome, Severity
 from companion.core.mission.events import Event, Home, Position
 from companion.core.mission.flight_plan import DEPOT_RADIUS_M
@@ -41,20 +44,27 @@ SET_BACK_S = 6.0
 """Setting it back is given up after so long: four tries a second apart, and one HOME_POSITION."""
 
 
+Place = tuple[float, float, float]
+"""Latitude, longitude (deg), AMSL (m) of the ground."""
+
+
 @dataclass(slots=True)
 class HomeState:
     """Where the vehicle stood, its home at take-off, and what was done about one that moved."""
 
     stood: Position | None = None
-    took_off_from: tuple[float, float, float] | None = None
-    """Latitude, longitude (deg) of the home, AMSL (m) of the ground."""
-    away_m: float = 0.0
-    """How far the home is from there, horizontally, by the last HOME_POSITION."""
+    took_off_from: Place | None = None
+    """Where the home has to be: where it took off, or where an RTL was led to."""
+    told: Place | None = None
+    """The home by the last HOME_POSITION since."""
     off_since_s: float | None = None
     moved: str = ""
     set_back_s: float | None = None
     item_then: int | None = None
     given_up: bool = False
+    led_s: float | None = None
+    led_from: Place | None = None
+    """When an RTL was led elsewhere, until the autopilot shows that as home; and from where."""
 
 
 class HomeWatch:
@@ -74,6 +84,33 @@ class HomeWatch:
         """The home has moved, or perhaps, and may still be set back."""
         return self._state.off_since_s is not None and not self._state.given_up
 
+    def lead_rtl(self, context: FlightContext) -> str:
+        """Make the promised landing place the autopilot's home, for an RTL that is ordered next.
+
+        Tells in words where it leads; `""`: home as ever. It leads to the launch pad all the same
+        where the straight way at this height is not clear, or somebody else moves the home.
+        """
+        state, flown, here = self._state, context.flight_plan, context.here_ned()
+        if flown is None or state.took_off_from is None:
+            return ""
+        name, spot = flown.landing_from(self._jumps.index)
+        if spot is None:
+            return ""
+        place = (spot.lat_deg, spot.lon_deg, state.took_off_from[2])
+        if _apart_m(place, state.took_off_from) <= DEPOT_RADIUS_M:
+            return ""
+        if (
+            here is None
+            or state.moved
+            or not flown.is_clear(here, over(flown.spot_ned(spot), here))
+        ):
+            return f": to the launch pad, not to {name}"
+        state.led_from, state.led_s, state.took_off_from = state.took_off_from, context.t_s, place
+        state.off_since_s = None
+        context.do(SetHome(*place))
+        context.save()
+        return f": to {name}, made the autopilot's home"
+
     def to_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps."""
         return {"took_off_from": self._state.took_off_from}
@@ -87,12 +124,9 @@ class HomeWatch:
         state = self._state
         if not isinstance(event, Home) or state.took_off_from is None:
             return
-        away_m = _apart_m(event, state.took_off_from)
-        if away_m <= DEPOT_RADIUS_M and context.since_s(self._flight.took_off_s) <= TOLD_S:
-            ground_m = state.took_off_from[2]
-            state.took_off_from = (event.lat_deg, event.lon_deg, ground_m)
-            away_m = 0.0
-        state.away_m = away_m
+        state.told = (event.lat_deg, event.lon_deg, state.took_off_from[2])
+        if self._away_m() <= DEPOT_RADIUS_M and context.since_s(self._flight.took_off_s) <= TOLD_S:
+            state.took_off_from = state.told
 
     def tick(self, context: FlightContext) -> None:
         """On the ground remember where it stands; in flight watch its home."""
@@ -128,6 +162,8 @@ class HomeWatch:
 
     def _watch(self, context: FlightContext) -> None:
         state = self._state
+        if self._is_being_led(context):
+            return
         words = self._how(context)
         if not words:
             state.off_since_s = None
@@ -143,9 +179,32 @@ class HomeWatch:
         if context.phase in FLIGHT_PHASES and not state.given_up:
             self._set_back(context)
 
+    def _is_being_led(self, context: FlightContext) -> bool:
+        """Tell whether a home that we have just moved is not shown yet, and may be soon.
+
+        One that never shows was not taken: then it is where it was.
+        """
+        state = self._state
+        if state.led_s is None or state.led_from is None:
+            return False
+        if self._away_m() <= MOVED_M and context.since_s(state.led_s) > TOLD_S:
+            state.led_s = None
+        elif context.since_s(state.led_s) > SET_BACK_S:
+            state.took_off_from, state.led_s = state.led_from, None
+            context.say(Severity.WARNING, "home not taken: RTL to the launch pad")
+            context.decide(
+                "home_not_led", "the autopilot shows its old home: RTL to the launch pad"
+            )
+        return state.led_s is not None
+
+    def _away_m(self) -> float:
+        """How far the home is from where it has to be, horizontally, as it was told."""
+        told, place = self._state.told, self._state.took_off_from
+        return 0.0 if told is None or place is None else _apart_m(told, place)
+
     def _how(self, context: FlightContext) -> str:
-        """How far the home is from where it was, in words; `""`: it is there."""
-        sunk_m, away_m = context.telemetry.home_sunk_m, self._state.away_m
+        """How far the home is from where it has to be, in words; `""`: it is there."""
+        sunk_m, away_m = context.telemetry.home_sunk_m, self._away_m()
         if away_m > MOVED_M:
             return f"home moved {away_m:.0f} m away"
         if abs(sunk_m) > MOVED_M:
@@ -191,15 +250,16 @@ class HomeWatch:
         context.say(Severity.CRITICAL, f"cannot set home back: {state.moved}")
         context.decide("home_stays_moved", state.moved)
         low = context.telemetry.home_sunk_m > MOVED_M
-        if not low or state.away_m > MOVED_M or not self._preflight.rtl_is_safe:
+        if not low or self._away_m() > MOVED_M or not self._preflight.rtl_is_safe:
             return
         if context.phase in OUTWARD_PHASES:
             context.request_transition(Trigger.HOMEWARD, state.moved)
         context.request_transition(Trigger.WAY_HOME_REFUSED, state.moved)
 
 
-def _apart_m(home: Home, took_off_from: tuple[float, float, float]) -> float:
-    lat_deg, lon_deg, amsl_m = took_off_from
+def _apart_m(place: Place, other: Place) -> float:
+    """How far apart two places are, horizontally."""
+    lat_deg, lon_deg, amsl_m = other
     frame = LocalFrame(math.radians(lat_deg), math.radians(lon_deg), amsl_m)
-    there = frame.to_ned(math.radians(home.lat_deg), math.radians(home.lon_deg), amsl_m)
+    there = frame.to_ned(math.radians(place[0]), math.radians(place[1]), amsl_m)
     return horizontal_m(there, (0.0, 0.0, 0.0))

@@ -56,7 +56,7 @@ class PromisedStop:
         part = flown.mission.part_at(index)
         if part is None or part is Part.END:
             return
-        home = _end_of(flown, index)
+        home = flown.landing_from(index)[0]
         before = self.home(context)
         self.noted_home = home
         if home == before:
@@ -143,7 +143,7 @@ class LandingSite:
         if name not in stops:
             return Reply.DENIED, f"no such stop aboard; there are {', '.join(stops)}"
         jump_index = self._jumps.jump_index
-        if jump_index is not None and _end_of(flown, jump_index) != home:
+        if jump_index is not None and flown.landing_from(jump_index)[0] != home:
             return Reply.LATER, "turning to another landing site just now"
         if name == home:
             self._promise.want(context, None)
@@ -201,11 +201,6 @@ class LandingSite:
         )
         ends = _ways_to(name, ahead.stages[-1].ways_home) if ahead.stages else now
         return Ahead(now or ahead.ways_home_now, stages, ahead.delivered) if ends else None
-
-
-def _end_of(flown: FlightPlan, index: int) -> str:
-    """The place where the autopilot ends by itself from an item."""
-    return flown.site_of_item(index) or flown.plan.landing
 
 
 def _stop_named(flown: FlightPlan, event: HomeMoved) -> str | None:

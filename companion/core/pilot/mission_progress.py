@@ -36,6 +36,7 @@ from companion.core.pilot.context import (
     ModeOrders,
     Preflight,
     Promise,
+    RtlHome,
 )
 from companion.core.pilot.telemetry_state import PROGRESS_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
@@ -171,6 +172,7 @@ class MissionFollower:
 
     def restart_course(self, t_s: float) -> None:
         """A detour is no disobedience: the course is watched from now on, where it is watched."""
+        self._state.home_leg = None
         if self._state.course is not None:
             self._state.course = CourseWatch(t_s, math.inf)
 
@@ -218,12 +220,33 @@ class MissionFollower:
             case _:
                 return
 
+    def goes_on_past_missed(self, context: FlightContext, here: Ned) -> bool:
+        """Where it has missed an item of the way home, jump to the next one that is in clear sight;
+        tells whether it was ordered now.
+        """
+        flown, target, leg = context.flight_plan, self._target(context), self._leg_home(context)
+        if flown is None or target is None or leg is None:
+            return False
+        leg.watch(context.t_s, horizontal_m(here, target), self._closing_mps(context, here, target))
+        if not leg.has_missed(context.t_s) or self._held_by_wind(context, here, target):
+            return False
+        missed = flown.mission.stands_for(leg.index)
+        beyond = flown.item_beyond(missed, here)
+        if beyond is None:
+            return False
+        label, onward = (flown.mission.items[index].label for index in (missed, beyond))
+        context.decide("waypoint_missed", f"{label} passed and not taken: to {onward}")
+        context.say(Severity.WARNING, f"{label} missed: on to {onward}")
+        self.jump_home(context, beyond)
+        return True
+
     def strays(self, context: FlightContext, here: Ned) -> bool:
         """Tell whether it flies away from the way home; then the course is watched no longer."""
         state, target = self._state, self._target(context)
         if target is None:
             return False
-        flown_past = self._has_flown_past(context, here, target)
+        leg = self._leg_home(context)
+        flown_past = leg is not None and leg.has_flown_past()
         disobeys = state.course is not None and self._disobeys(context, here, target)
         if not (flown_past or disobeys) or self._held_by_wind(context, here, target):
             return False
@@ -231,19 +254,17 @@ class MissionFollower:
             state.course = None
         return True
 
-    def _has_flown_past(self, context: FlightContext, here: Ned, target: Ned) -> bool:
-        """Tell whether it leaves its item behind, shows it still, and flies on."""
+    def _leg_home(self, context: FlightContext) -> LegWatch | None:
+        """The watch over the item that it shows and flies to; None: it may not be judged now."""
         state, vehicle = self._state, context.telemetry.state
-        assert state.index is not None
-        if vehicle is None or vehicle.mode is not Mode.MISSION:
+        if state.index is None or vehicle is None or vehicle.mode is not Mode.MISSION:
             state.home_leg = None
-            return False
+            return None
         if context.telemetry.position_troubles():
-            return False
+            return None
         if state.home_leg is None or state.home_leg.index != state.index:
             state.home_leg = LegWatch(state.index)
-        away_m = horizontal_m(here, target)
-        return state.home_leg.has_flown_past(away_m, self._closing_mps(context, here, target))
+        return state.home_leg
 
     def _target(self, context: FlightContext) -> Ned | None:
         """Where the item lies that the autopilot shows; None: it has no place, or none is known."""
@@ -319,7 +340,7 @@ class MissionFollower:
         away_m = horizontal_m(here, flown.spot_ned(spot))
         return away_m <= OVER_LANDING_M and context.ground_speed_mps() <= OVER_LANDING_MPS
 
-    def last_resort(self, context: FlightContext) -> None:
+    def last_resort(self, context: FlightContext, rtl_home: RtlHome) -> None:
         """What needs no list: over the landing place down; else RTL, where its altitude clears
         every obstacle; else the mission aboard goes home.
         """
@@ -335,9 +356,7 @@ class MissionFollower:
             context.decide("last_resort", words)
             return
         context.say(Severity.CRITICAL, "way home refused: RTL")
-        away = context.flight_plan is not None and bool(context.flight_plan.plan.away_ned_m)
-        words = "RTL: to the launch pad, which nobody promised" if away else "RTL"
-        context.decide("last_resort", words)
+        context.decide("last_resort", f"RTL{rtl_home.lead_rtl(context)}")
         self._modes.expect(Mode.RTL, context.telemetry.state)
         context.do(SetMode(Mode.RTL))
 
@@ -485,7 +504,7 @@ class MissionFollower:
             context.request_transition(Trigger.GO)
         elif part is Part.DELIVER:
             context.request_transition(Trigger.CUSTOMER_REACHED)
-        if index != jump.index:
+        if index != jump.index or part in (Part.LAND, Part.RALLY_LAND):
             self._at_item(context, index)
 
     def _watch_course(self, context: FlightContext, index: int) -> None:

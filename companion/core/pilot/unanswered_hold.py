@@ -25,9 +25,9 @@ from companion.core.mission.events import (
 from companion.core.pilot.context import (
     FlightContext,
     ForeignList,
-    HomeInDoubt,
     ModeOrders,
     Preflight,
+    RtlHome,
     Unanswered,
 )
 from companion.core.pilot.transitions import Phase, Trigger
@@ -70,7 +70,7 @@ class UnansweredHold:
     """Alarms, and orders what the operator chose for this."""
 
     def __init__(
-        self, aboard: ForeignList, modes: ModeOrders, preflight: Preflight, home: HomeInDoubt
+        self, aboard: ForeignList, modes: ModeOrders, preflight: Preflight, home: RtlHome
     ) -> None:
         self._state = HoldState()
         self._aboard = aboard
@@ -165,7 +165,8 @@ class UnansweredHold:
         """What the operator chose; from then on any other mode is a take-over again."""
         words = f"nobody answered: {WORDS[mode]}, as chosen before the flight"
         context.say(Severity.CRITICAL, f"nobody answered: {WORDS[mode]}")
-        context.decide("last_resort", words)
         context.request_transition(Trigger.UNANSWERED, words)
+        leads = self._home.lead_rtl(context) if mode is Mode.RTL else ""
+        context.decide("last_resort", f"{words}{leads}")
         self._modes.expect(mode, context.telemetry.state)
         context.do(SetMode(mode))

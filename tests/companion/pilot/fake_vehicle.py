@@ -198,6 +198,7 @@ class World:
     board_temperature_c: float = 30.0
     streams: bool = True
     home_north: float = 0.0
+    home_east: float = 0.0
     home_up: float = 0.0
     takes_home: bool = True
     leg: tuple[int, float] | None = None
@@ -259,6 +260,8 @@ class World:
             case SetHome() if self.takes_home:
                 self.home_up = order.alt_amsl_m - DEPOT[2]
                 self.home_north = (order.lat_deg - DEPOT[0]) * M_PER_DEG
+                east_deg = order.lon_deg - DEPOT[1]
+                self.home_east = east_deg * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
             case SetGroundSpeed():
                 self.speed = order.ground_speed_mps
             case Release():
@@ -349,8 +352,10 @@ class World:
         if round(t * 10) % 10 == 0:
             found.append(ev.AirPressure(t, self.pressure_pa, self.board_temperature_c))
         if round(t * 10) % 20 == 0:
-            north_deg = self.home_north / M_PER_DEG
-            found.append(ev.Home(t, DEPOT[0] + north_deg, DEPOT[1], DEPOT[2] + self.home_up))
+            lat_deg = DEPOT[0] + self.home_north / M_PER_DEG
+            east_m_per_deg = M_PER_DEG * math.cos(math.radians(DEPOT[0]))
+            lon_deg = DEPOT[1] + self.home_east / east_m_per_deg
+            found.append(ev.Home(t, lat_deg, lon_deg, DEPOT[2] + self.home_up))
         return [event for event in found if type(event) not in self.mute]
 
     def reboot(self, mode: Mode) -> None:

@@ -516,35 +516,101 @@ def flies_on(w: World, index: int, north_mps: float, east_mps: float) -> Any:
     return fly
 
 
-@pytest.mark.parametrize("wind_to_north_mps", [0.0, -16.0])
-def test_an_autopilot_that_flies_on_past_its_item_gets_rtl(wind_to_north_mps):
-    """Seen on PX4's SIH over hills: 2 km beyond the depot, "on the way home"; in a gale, too."""
+def on_a_leg_home(speed_mps: float) -> tuple[World, float, float]:
+    """On its way to a waypoint of the way home, and the velocity (north, east) along it."""
     w = reach(Phase.RETURN)
     first = w.index
     w.run(lambda w: w.index > first and w.items[w.index].kind is ItemKind.WAYPOINT, 120.0)
     before_n, before_e = w.north, w.east
     w.run(lambda w: math.dist((w.north, w.east), (before_n, before_e)) > 30.0, 60.0)
-    passed_n, passed_e, passed_s = w.north, w.east, w.t_s
-    speed_mps = math.hypot(*w.velocity[:2])
-    to_n, to_e = (v * 8.0 / speed_mps for v in w.velocity[:2])
-    item = w.items[w.index]
-    assert item.spot is not None
-    goal_n = (item.spot.lat_deg - DEPOT[0]) * M_PER_DEG
-    goal_e = (item.spot.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
-    w.fly = flies_on(w, w.index, to_n, to_e)  # type: ignore[method-assign]
+    to_n, to_e = (v * speed_mps / math.hypot(*w.velocity[:2]) for v in w.velocity[:2])
+    return w, to_n, to_e
+
+
+def goal_of(w: World, index: int) -> tuple[float, float]:
+    spot = w.items[index].spot
+    assert spot is not None
+    east_m_per_deg = M_PER_DEG * math.cos(math.radians(DEPOT[0]))
+    return (spot.lat_deg - DEPOT[0]) * M_PER_DEG, (spot.lon_deg - DEPOT[1]) * east_m_per_deg
+
+
+@pytest.mark.parametrize("wind_to_north_mps", [0.0, -16.0])
+def test_an_autopilot_that_flies_on_past_its_item_and_takes_no_jump_gets_rtl(wind_to_north_mps):
+    """Seen on PX4's SIH over hills: 2 km beyond the depot, "on the way home"; in a gale, too."""
+    w, to_n, to_e = on_a_leg_home(8.0)
+    missed, lost_s = w.index, w.t_s
+    w.fly = flies_on(w, missed, to_n, to_e)  # type: ignore[method-assign]
     w.judge.wind_ne = (wind_to_north_mps, 0.0)
     w.run(lambda w: w.mode is Mode.RTL, 120.0)
     assert w.pilot.phase is Phase.LAST_RESORT
-    beyond_m = math.dist((w.north, w.east), (goal_n, goal_e))
-    assert 150.0 < beyond_m < 215.0, (passed_n, passed_e, passed_s)
+    asked = [a.index for t, a in w.log if isinstance(a, JumpTo) and t > lost_s]
+    assert len(asked) == 3
+    assert set(asked) == {missed + 1}
+    assert 100.0 < math.dist((w.north, w.east), goal_of(w, missed)) < 215.0
     assert "way home refused: RTL" in w.said
+
+
+@pytest.mark.parametrize("speed_mps", [1.5, 3.0, 14.0])
+def test_a_waypoint_of_the_way_home_that_is_blown_past_is_left_for_the_next_one(speed_mps):
+    """Blown 13 m off its track PX4 does not take a waypoint, and flies on for good."""
+    w, to_n, to_e = on_a_leg_home(speed_mps)
+    missed, lost_s = w.index, w.t_s
+    passed_n, passed_e = goal_of(w, missed)
+    w.north, w.east = passed_n - 13.0 * to_e / speed_mps, passed_e + 13.0 * to_n / speed_mps
+    obeys, astray = w.fly, flies_on(w, missed, to_n, to_e)
+
+    def fly(dt_s: float) -> None:
+        (astray if w.index == missed else obeys)(dt_s)
+
+    w.fly = fly  # type: ignore[method-assign]
+    w.run(lambda w: w.index != missed, 120.0)
+    (jump,) = [a for t, a in w.log if isinstance(a, JumpTo) and t > lost_s]
+    assert jump.index == missed + 1
+    beyond_m = math.dist((w.north, w.east), (passed_n, passed_e))
+    assert 40.0 < beyond_m < 60.0 + 12.0 * speed_mps
+    assert w.to_the_end().home
+    assert "missed: on to ret" in w.said
+    assert "RTL" not in w.said
+
+
+def test_over_home_and_past_it_the_landing_is_flown_to_at_this_height():
+    w, to_n, to_e = on_a_leg_home(8.0)
+    mission = w.pilot.flight_plan.mission  # type: ignore[union-attr]
+    w.run(lambda w: w.index == mission.returning[-1], 120.0)
+    obeys, astray = w.fly, flies_on(w, mission.returning[-1], to_n, to_e)
+
+    def fly(dt_s: float) -> None:
+        (astray if w.index == mission.returning[-1] else obeys)(dt_s)
+
+    w.fly = fly  # type: ignore[method-assign]
+    w.run(lambda w: w.index == mission.land, 120.0)
+    assert w.pilot.phase is Phase.RETURN  # the order is out, and not seen yet
+    w.step()
+    assert w.pilot.phase is Phase.LAND
+    assert w.to_the_end().home
+    assert "RTL" not in w.said
 
 
 def test_one_late_report_of_an_item_passed_at_speed_is_no_disobedience():
     watch = LegWatch(7)
-    for beyond_m in (-40.0, -12.0, 0.0, 15.0, 60.0, 120.0):
-        assert not watch.has_flown_past(abs(beyond_m), -15.0)
-    assert not LegWatch(7).has_flown_past(400.0, -15.0), "blown back before it came there"
+    for second, along_m in enumerate((-40.0, -12.0, 0.0, 15.0, 60.0, 120.0)):
+        watch.watch(float(second), abs(along_m), -15.0)
+        assert not watch.has_flown_past()
+        assert not watch.has_missed(float(second))
+    blown_back = LegWatch(7)
+    for second in range(30):
+        blown_back.watch(float(second), 100.0 + 15.0 * second, -15.0)
+    assert not blown_back.has_flown_past(), "it was never there"
+    assert not blown_back.has_missed(30.0)
+
+
+def test_who_turns_back_for_its_item_has_not_missed_it():
+    """Seen on SIH: 27 m too low over the waypoint, 15 m on, back, taken."""
+    watch = LegWatch(7)
+    for second in range(60):
+        along_m, along_mps = 45.0 * math.sin(second / 5.0), 9.0 * math.cos(second / 5.0)
+        watch.watch(float(second), abs(along_m), -math.copysign(along_mps, along_m * along_mps))
+        assert not watch.has_missed(float(second))
 
 
 def low_rtl(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:

@@ -12,7 +12,17 @@ import pytest
 
 from companion.core.base.errors import LeewayError
 from companion.core.mission import events as ev
-from companion.core.mission.actions import Answer, Arm, JumpTo, Reply, SaveCheckpoint, SetMode
+from companion.core.mission.actions import (
+    Answer,
+    Arm,
+    Decision,
+    JumpTo,
+    Reply,
+    SaveCheckpoint,
+    SetHome,
+    SetMode,
+)
+from companion.core.mission.events import Mode
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, frame_at, make_plan, site_map
 from companion.core.mission.mission_items import DeadMansMission, ItemKind, Part
@@ -28,7 +38,15 @@ from companion.core.return_budget.remaining_from_plan import (
 )
 from companion.core.routing.leg_energy import LegKind, RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
-from tests.companion.pilot.fake_vehicle import AIRFRAME, ScriptedJudge, World, start, world
+from tests.companion.pilot.fake_vehicle import (
+    AIRFRAME,
+    DEPOT,
+    M_PER_DEG,
+    ScriptedJudge,
+    World,
+    start,
+    world,
+)
 
 TABLE: dict[str, Any] = tomllib.loads(
     """
@@ -313,6 +331,66 @@ def test_an_abort_comes_home_to_the_promised_stop_and_climbs_before_it_flies_the
             low.append(w.height)
     assert math.dist((w.north, w.east), PADS["stop-2"]) < 3.0
     assert min(low) > 25.0
+
+
+def refuses_every_jump(w: World) -> None:
+    """Stuck in the item that it flies, for good."""
+    w.obeys_jumps = False
+    w.items = tuple(
+        i if i.kind is not ItemKind.JUMP else replace(i, value=float(w.index)) for i in w.items
+    )
+    w.judge.turn_back = lambda judge: True
+
+
+def home_and_rtl(w: World) -> list[Any]:
+    """What was ordered of the autopilot's home, and RTL, in order."""
+    rtl = [a for _, a in w.log if isinstance(a, SetHome | SetMode)]
+    return [a for a in rtl if not (isinstance(a, SetMode) and a.mode is not Mode.RTL)]
+
+
+def test_safety_rule_3_an_rtl_leads_to_the_promised_stop_by_the_autopilots_own_home():
+    w = reach(Phase.OUTBOUND)
+    refuses_every_jump(w)
+    w.run(lambda w: w.mode is Mode.RTL, 60.0)
+    home, rtl = home_and_rtl(w)
+    assert isinstance(home, SetHome), "the place first: RTL finds its way when it begins"
+    assert isinstance(rtl, SetMode)
+    north_m = (home.lat_deg - DEPOT[0]) * M_PER_DEG
+    east_m = (home.lon_deg - DEPOT[1]) * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
+    assert (north_m, east_m) == pytest.approx(PADS["stop-2"], abs=0.5)
+    assert home.alt_amsl_m == pytest.approx(12.0, abs=0.01), "heights count from there as before"
+    assert "RTL: to stop-2" in next(
+        a.reason for _, a in w.log if isinstance(a, Decision) and a.kind == "last_resort"
+    )
+    for _ in range(300):
+        w.step()
+    assert "home_moved" not in w.kinds, "our own move is nobody else's"
+    w.north, w.east, w.height, w.armed = *PADS["stop-2"], 2.0, False
+    assert w.to_the_end().home
+
+
+def test_an_autopilot_that_does_not_take_the_stop_as_home_is_known_to_fly_to_the_launch_pad():
+    w = reach(Phase.OUTBOUND)
+    w.takes_home = False
+    refuses_every_jump(w)
+    w.run(lambda w: w.mode is Mode.RTL, 60.0)
+    for _ in range(300):
+        w.step()
+    assert w.said.count("home not taken: RTL to the launch pad") == 1
+    assert "home_moved" not in w.kinds
+    assert len([a for a in home_and_rtl(w) if isinstance(a, SetHome)]) == 1
+
+
+def test_a_home_that_another_hand_moves_after_that_is_still_noticed():
+    w = reach(Phase.OUTBOUND)
+    refuses_every_jump(w)
+    w.run(lambda w: w.mode is Mode.RTL, 60.0)
+    for _ in range(100):
+        w.step()
+    w.home_north += 500.0
+    w.run(lambda w: "home_moved" in w.kinds, 20.0)
+    w.run(lambda w: "home_back" in w.kinds, 20.0)
+    assert (w.home_north, w.home_east) == pytest.approx(PADS["stop-2"], abs=0.5)
 
 
 def test_landed_on_the_launch_pad_it_is_not_home():
