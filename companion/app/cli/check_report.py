@@ -100,5 +100,5 @@ def _home(pilot: Pilot) -> list[str]:
         f" other stops aboard, to be promised in flight: {others}"
     ]
     if plan.away_ned_m:
-        lines.append("note     RTL, the last resort, comes back here, where nobody promises to be")
+        lines.append("note     a failsafe's RTL comes back here, where nobody promises to be")
     return lines

@@ -227,7 +227,8 @@ class Authority:
         if phase in GROUND_PHASES:
             return self._on_ground(phase, state)
         flying = phase in FLIGHT_PHASES or phase is Phase.LINK_LOST
-        if not flying or not state.armed or (phase is Phase.LAND and on_ground):
+        down = phase in (Phase.LAND, Phase.LAST_RESORT) and on_ground
+        if not flying or not state.armed or down:  # PX4 leaves RTL as it disarms
             return None
         return self._mode(state, (Mode.MISSION,) if phase is not Phase.LAST_RESORT else ())
 

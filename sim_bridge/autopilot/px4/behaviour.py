@@ -9,7 +9,7 @@ from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult, MissionState, Severity
 from sim_bridge.autopilot.mavlink.router import Px4Router
-from sim_bridge.autopilot.px4.checks import Px4Checks
+from sim_bridge.autopilot.px4.checks import PREVENT_ARMING, Px4Checks
 from sim_bridge.autopilot.px4.commands import Px4Commands
 from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
 from sim_bridge.autopilot.px4.guided import Px4Guided
@@ -97,6 +97,7 @@ class Px4:
         self._switch: int | None = None
         self._sticks: Sticks | None = None
         self._idle_since_s: float | None = None
+        self._mode_after_disarming: Mode | None = None
         self._changed: list[str] = []
 
     @property
@@ -184,6 +185,8 @@ class Px4:
 
     def entered(self, mode: Mode) -> None:
         """Start what the mode is for."""
+        if mode not in PREVENT_ARMING and self._state.failsafe_reason is None:
+            self._mode_after_disarming = mode
         self._modes.entered(mode)
         if mode is Mode.AUTO and self._state.is_armed:
             self.mission.start()
@@ -196,13 +199,18 @@ class Px4:
         self._radio.say(Severity.INFO, "Armed by external command")
 
     def disarmed(self) -> None:
-        """The mission keeps its place; a finished one will start again."""
+        """The mission keeps its place; a finished one will start again.
+
+        What prevents arming is left for the mode before (UserModeIntention.cpp, onDisarm; flown).
+        """
         self._targets.setpoint = None
         if self._state.mode is Mode.AUTO:
             self.mission.left()
         self._failsafe.disarmed()
         self.executor.stop()
         self._radio.say(Severity.INFO, "Disarmed")
+        if self._state.mode in PREVENT_ARMING and self._mode_after_disarming is not None:
+            self.commander.set_mode(self._mode_after_disarming)
 
     def home_changed(self) -> None:
         """The leg under way moves with it (flown); HOME_POSITION where it is streamed."""

@@ -11,7 +11,8 @@ from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.px4.mission import Px4Mission
 from sim_bridge.autopilot.state import VehicleState
 
-_PREVENT_ARMING = frozenset({Mode.RTL, Mode.LAND, Mode.DESCEND})
+PREVENT_ARMING = frozenset({Mode.RTL, Mode.LAND, Mode.DESCEND})
+"""Nobody arms in these; what disarms in one is in another mode then."""
 
 
 class Px4Checks:
@@ -48,6 +49,6 @@ class Px4Checks:
         state = self._state
         if not state.ekf_is_ready or state.readings is None:
             return "Resolve system health failures first"
-        if state.mode in _PREVENT_ARMING:
+        if state.mode in PREVENT_ARMING:
             return "Mode not suitable for takeoff"
         return None if self.can_run(state.mode) else "Mode not ready"

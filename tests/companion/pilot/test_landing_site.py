@@ -365,8 +365,13 @@ def test_safety_rule_3_an_rtl_leads_to_the_promised_stop_by_the_autopilots_own_h
     for _ in range(300):
         w.step()
     assert "home_moved" not in w.kinds, "our own move is nobody else's"
-    w.north, w.east, w.height, w.armed = *PADS["stop-2"], 2.0, False
+    w.north, w.east, w.height = *PADS["stop-2"], 0.0
+    w.run(lambda w: w.pilot.phase is Phase.LAST_RESORT and w.height == 0.0, 5.0)
+    w.step()
+    w.tell(ev.ModeNow(w.t_s, Mode.MISSION, "AUTO.MISSION"))  # PX4, before its heartbeat disarms
+    w.mode, w.armed = Mode.MISSION, False
     assert w.to_the_end().home
+    assert "hands off" not in w.said
 
 
 def test_an_autopilot_that_does_not_take_the_stop_as_home_is_known_to_fly_to_the_launch_pad():

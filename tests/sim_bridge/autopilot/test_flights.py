@@ -227,6 +227,19 @@ def test_px4_takes_off_again_after_a_landing_that_the_mission_goes_on_from(make_
 
 
 @BOTH
+@pytest.mark.parametrize("order", [Mode.RTL, Mode.LAND])
+def test_px4_leaves_rtl_and_land_as_it_disarms_and_arducopter_stays(make_rig, autopilot, order):
+    # flown: PX4 1.18 SIH is in its mission again in the same second, ArduCopter 4.7 in RTL for good
+    rig = make_rig(autopilot, SETTINGS[autopilot])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 5), rig.place(WAYPOINT, 0, 60, 5)])
+    assert rig.until(lambda: rig.ne_m[1] > 20.0, 60.0)
+    assert rig.set_mode(order) == 0
+    fly_on(rig)
+    rig.step(1.0)
+    assert rig.ap.mode is (order if autopilot is AP else Mode.AUTO)
+
+
+@BOTH
 def test_the_last_landing_disarms_at_once(make_rig, autopilot):
     # flown: ArduCopter 0.4 s after landed; PX4 0.1 s, and 0.02 to 0.04 s in its own log
     rig = make_rig(autopilot, SETTINGS[autopilot])
