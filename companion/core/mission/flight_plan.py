@@ -63,6 +63,10 @@ ASIDE_S = 10.0
 live companion asks again well before."""
 
 RTL_EVERY_M = 50.0
+
+MOST_UP_M = 5.0
+"""A landing place farther above the launch pad is no goal of an RTL: both autopilots come down fast
+to 10 m above their home (PX4 MPC_LAND_ALT1, ArduCopter LAND_ALT_LOW)."""
 """Along the route: where an autopilot's own return may begin."""
 
 GROUND_DIFFERS_M = 10.0
@@ -136,24 +140,38 @@ class FlightPlan:
         return best
 
     def item_beyond(self, index: int, here_ned_m: Ned) -> int | None:
-        """The next item with a place after one of the way home that is in clear sight from here.
+        """The next waypoint after one of the way home that is in clear sight from here, or none.
 
-        A landing is flown to at the present height. `None` where none is in sight.
+        Never a landing: once it shows that, nothing tells whether it goes there.
         """
         mission = self.mission
         beyond = mission.next_place(index)
-        while beyond is not None and (spot := mission.items[beyond].spot) is not None:
-            target = self.spot_ned(spot)
-            if mission.items[beyond].kind is ItemKind.LAND:
-                target = over(target, here_ned_m)
-            if self.sees(here_ned_m, target):
+        while beyond is not None and mission.items[beyond].kind is ItemKind.WAYPOINT:
+            spot = mission.items[beyond].spot
+            if spot is not None and self.sees(here_ned_m, self.spot_ned(spot)):
                 return beyond
             beyond = mission.next_place(beyond)
         return None
 
-    def landing_from(self, index: int | None) -> tuple[str, Spot | None]:
-        """Where the autopilot comes down by itself from an item (None: where it was planned)."""
-        site = None if index is None else self.site_of_item(index)
+    def suits_rtl(self, here_ned_m: Ned, ground_ned_m: Ned) -> bool:
+        """Tell whether an RTL from here may lead to this place instead of the launch pad.
+
+        The straight way is clear at this height and has no ceiling, the place is not much higher,
+        and about it a fence that holds the whole flight about the launch pad holds this one, too.
+        """
+        above = over(ground_ned_m, here_ned_m)
+        flown = (*self.plan.outbound_ned_m, *self.plan.return_ned_m)
+        fenced_m = max(horizontal_m(p, self.plan.depot_ned_m) for p in flown)
+        return (
+            -ground_ned_m[2] <= MOST_UP_M
+            and horizontal_m(here_ned_m, ground_ned_m) <= fenced_m
+            and self.site.obstacles.room_m(here_ned_m, above) == math.inf
+            and self.is_clear(here_ned_m, above)
+        )
+
+    def landing_from(self, index: int) -> tuple[str, Spot | None]:
+        """Where the autopilot comes down by itself from an item."""
+        site = self.site_of_item(index)
         land = self.mission.land if site is None else self.site_items(site)[1]
         return site or self.plan.landing, self.mission.items[land].spot
 

@@ -137,6 +137,10 @@ class LegWatch:
     closing_mps: float = 0.0
     opens_since_s: float | None = None
 
+    def pause(self) -> None:
+        """Where it is is not known for now."""
+        self.opens_since_s, self.closing_mps = None, 0.0
+
     def watch(self, t_s: float, distance_m: float, closing_mps: float) -> None:
         """Where it is from its item (m), and how fast it comes nearer (m/s)."""
         self.nearest_m = min(self.nearest_m, distance_m)
@@ -149,6 +153,8 @@ class LegWatch:
 
     def has_missed(self, t_s: float) -> bool:
         """Tell whether it was at its item, is beyond, and has long been flying away from it."""
+        if self.has_flown_past():
+            return True
         if self.opens_since_s is None or self.nearest_m >= AT_ITEM_M:
             return False
         return self.beyond_m > MISSED_M and t_s - self.opens_since_s > MISSED_S

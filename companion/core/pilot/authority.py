@@ -25,7 +25,7 @@ from companion.core.mission.events import (
 )
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import DISARMED_BY_ANOTHER, GROUND_HEIGHT_M, FlightContext
-from companion.core.pilot.telemetry_state import DISARMED_WITNESSES
+from companion.core.pilot.telemetry_state import DISARMED_WITNESSES, GROUND_MAX_AGE_S
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,
@@ -142,7 +142,10 @@ class Authority:
         if self._is_foreign_disarm(context, state):
             self._disarmed(context)
             return
-        on_ground = context.telemetry.on_ground
+        telemetry = context.telemetry
+        on_ground = telemetry.on_ground
+        if context.phase is Phase.LAST_RESORT:
+            on_ground = on_ground and telemetry.is_fresh(telemetry.ground, GROUND_MAX_AGE_S)
         why = self.intrusion(context.phase, state, on_ground=on_ground)
         if why is not None:
             context.request_transition(Trigger.TAKEN_OVER, why)
@@ -227,9 +230,10 @@ class Authority:
         if phase in GROUND_PHASES:
             return self._on_ground(phase, state)
         flying = phase in FLIGHT_PHASES or phase is Phase.LINK_LOST
-        down = phase in (Phase.LAND, Phase.LAST_RESORT) and on_ground
-        if not flying or not state.armed or down:  # PX4 leaves RTL as it disarms
+        if not flying or not state.armed or (phase is Phase.LAND and on_ground):
             return None
+        if phase is Phase.LAST_RESORT and on_ground and state.mode is Mode.MISSION:
+            return None  # PX4 leaves RTL and LAND as it disarms, for the mode before
         return self._mode(state, (Mode.MISSION,) if phase is not Phase.LAST_RESORT else ())
 
     def mode_intrusion(self, state: VehicleState) -> str | None:

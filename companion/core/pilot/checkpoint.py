@@ -17,7 +17,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     `disarmed_by_another`: what we armed was disarmed by another hand: never armed again.
     `took_off_from`: latitude and longitude (deg) of the autopilot's home at take-off, and the AMSL
-    of the ground there.
+    of the ground there; `led_to`: where an RTL was led to instead.
 
     `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
     authorisation has been used. `settings_before` are autopilot parameters to put back.
@@ -44,6 +44,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     drop_begun: bool = False
     disarmed_by_another: bool = False
     took_off_from: tuple[float, float, float] | None = None
+    led_to: tuple[float, float, float] | None = None
     settings_before: dict[str, float]
     judgement: dict[str, Any]
 

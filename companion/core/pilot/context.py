@@ -549,11 +549,8 @@ class HomeInDoubt(Protocol):
 class RtlHome(HomeInDoubt, Protocol):
     """Where an RTL leads."""
 
-    def lead_rtl(self, context: FlightContext) -> str:
-        """Make the promised landing place the autopilot's home, for an RTL that is ordered next.
-
-        Tells in words where it leads.
-        """
+    def order_rtl(self, context: FlightContext) -> str:
+        """Order RTL, led to the promised landing place; tells in words where it leads."""
         ...
 
 

@@ -16,9 +16,16 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from companion.core.base.geo import LocalFrame, horizontal_m, over
-from companion.core.mission.actions import SetHome, Severity
-from companion.core.mission.events import Event, Home, Position
+from companion.core.base.geo import LocalFrame, horizontal_m
+from companion.core.mission.actions import SetHome, SetMode, Severity
+from companion.core.mission.events import (
+    Event,
+    Home,
+    Mode,
+    OrderAccepted,
+    OrderRefused,
+    Position,
+)
 from companion.core.mission.flight_plan import DEPOT_RADIUS_M
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import Airborne, FlightContext, GateState, Jumps, Preflight
@@ -37,6 +44,12 @@ keeps to the millimetre; the least clearance of a drop is several times this."""
 SURE_S = 1.0
 """A height that disagrees for so long is a fact: ten reports of GLOBAL_POSITION_INT."""
 
+LEAD_S = 3.0
+"""An RTL waits so long for the place that it is led to: three tries of the order."""
+
+SET_HOME = "set home"
+"""What the autopilot's answer calls the order."""
+
 TOLD_S = 3.0
 """HOME_POSITION comes every 2 s: by then the home that arming has set was told."""
 
@@ -54,7 +67,7 @@ class HomeState:
 
     stood: Position | None = None
     took_off_from: Place | None = None
-    """Where the home has to be: where it took off, or where an RTL was led to."""
+    """Where the home has to be, until an RTL is led elsewhere."""
     told: Place | None = None
     """The home by the last HOME_POSITION since."""
     off_since_s: float | None = None
@@ -62,9 +75,12 @@ class HomeState:
     set_back_s: float | None = None
     item_then: int | None = None
     given_up: bool = False
+    led_to: Place | None = None
+    """Where an RTL was led to; the home has to be there."""
     led_s: float | None = None
-    led_from: Place | None = None
-    """When an RTL was led elsewhere, until the autopilot shows that as home; and from where."""
+    """When, until the autopilot shows its home there: it may be at either place."""
+    rtl_waits: bool = False
+    """RTL is ordered once that place is taken."""
 
 
 class HomeWatch:
@@ -84,49 +100,44 @@ class HomeWatch:
         """The home has moved, or perhaps, and may still be set back."""
         return self._state.off_since_s is not None and not self._state.given_up
 
-    def lead_rtl(self, context: FlightContext) -> str:
-        """Make the promised landing place the autopilot's home, for an RTL that is ordered next.
+    def order_rtl(self, context: FlightContext) -> str:
+        """Order RTL, led to the promised landing place; tells in words where it leads.
 
-        Tells in words where it leads; `""`: home as ever. It leads to the launch pad all the same
-        where the straight way at this height is not clear, or somebody else moves the home.
+        `""`: home as ever. Where it is led, RTL follows once the autopilot has taken the place as
+        its home: it finds its way when it begins.
         """
-        state, flown, here = self._state, context.flight_plan, context.here_ned()
-        if flown is None or state.took_off_from is None:
-            return ""
-        name, spot = flown.landing_from(self._jumps.index)
-        if spot is None:
-            return ""
-        place = (spot.lat_deg, spot.lon_deg, state.took_off_from[2])
-        if _apart_m(place, state.took_off_from) <= DEPOT_RADIUS_M:
-            return ""
-        if (
-            here is None
-            or state.moved
-            or not flown.is_clear(here, over(flown.spot_ned(spot), here))
-        ):
-            return f": to the launch pad, not to {name}"
-        state.led_from, state.led_s, state.took_off_from = state.took_off_from, context.t_s, place
-        state.off_since_s = None
+        words, place = self._where_to(context)
+        if place is None:
+            context.do(SetMode(Mode.RTL))
+            return words
+        state = self._state
+        state.led_to, state.led_s, state.told, state.rtl_waits = place, context.t_s, None, True
         context.do(SetHome(*place))
         context.save()
-        return f": to {name}, made the autopilot's home"
+        return words
 
     def to_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps."""
-        return {"took_off_from": self._state.took_off_from}
+        return {"took_off_from": self._state.took_off_from, "led_to": self._state.led_to}
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint."""
         self._state.took_off_from = checkpoint.took_off_from
+        self._state.led_to = checkpoint.led_to
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """The autopilot tells where its home is."""
+        """The autopilot tells where its home is, or answers that it moves it."""
         state = self._state
-        if not isinstance(event, Home) or state.took_off_from is None:
-            return
-        state.told = (event.lat_deg, event.lon_deg, state.took_off_from[2])
-        if self._away_m() <= DEPOT_RADIUS_M and context.since_s(self._flight.took_off_s) <= TOLD_S:
-            state.took_off_from = state.told
+        match event:
+            case Home() if state.took_off_from is not None:
+                state.told = (event.lat_deg, event.lon_deg, state.took_off_from[2])
+                fresh = context.since_s(self._flight.took_off_s) <= TOLD_S
+                if fresh and self._away_m() <= DEPOT_RADIUS_M:
+                    state.took_off_from = state.told
+            case OrderAccepted() | OrderRefused() if event.order == SET_HOME and state.rtl_waits:
+                self._rtl_now(context)
+            case _:
+                return
 
     def tick(self, context: FlightContext) -> None:
         """On the ground remember where it stands; in flight watch its home."""
@@ -134,6 +145,7 @@ class HomeWatch:
             self._stand(context)
         elif self._flight.flying and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
             self._begin(context)
+            self._see_led(context)
             self._watch(context)
 
     # --- the ground that it takes off from -------------------------------------------------------
@@ -158,12 +170,58 @@ class HomeWatch:
             context.save()
         telemetry.measure_heights_from(state.took_off_from[2])
 
+    # --- an RTL that is led ----------------------------------------------------------------------
+
+    def _where_to(self, context: FlightContext) -> tuple[str, Place | None]:
+        """Where an RTL from here is led to, and in words; None: where the autopilot's home is.
+
+        That is the launch pad where somebody else moves the home, or an RTL does not suit the
+        promised place.
+        """
+        state, flown, here = self._state, context.flight_plan, context.here_ned()
+        index = self._jumps.index
+        if flown is None or index is None or state.took_off_from is None:
+            return "", None
+        name, spot = flown.landing_from(index)
+        if spot is None:
+            return "", None
+        place = (spot.lat_deg, spot.lon_deg, state.took_off_from[2])
+        if _apart_m(place, state.took_off_from) <= DEPOT_RADIUS_M:
+            return "", None
+        ground = flown.spot_ned(spot)
+        if state.moved or here is None or not flown.suits_rtl(here, ground):
+            return f": to the launch pad, not to {name}", None
+        return f": to {name}, made the autopilot's home", place
+
+    def _rtl_now(self, context: FlightContext) -> None:
+        """Unless the vehicle is no longer ours to send home."""
+        self._state.rtl_waits = False
+        if context.phase is Phase.LAST_RESORT:
+            context.do(SetMode(Mode.RTL))
+
+    def _see_led(self, context: FlightContext) -> None:
+        """RTL, when its place is taken or waited for long; what the autopilot shows decides where
+        the home has to be.
+        """
+        state = self._state
+        if state.led_s is None or state.led_to is None or state.took_off_from is None:
+            return
+        waited_s, told = context.since_s(state.led_s), state.told
+        taken = told is not None and _apart_m(told, state.led_to) <= MOVED_M
+        if state.rtl_waits and (taken or waited_s > LEAD_S):
+            self._rtl_now(context)
+        if taken:
+            state.led_s = None
+        elif told is not None and waited_s > SET_BACK_S:
+            state.led_s = state.led_to = None
+            context.say(Severity.WARNING, "home not taken: RTL to the launch pad")
+            words = "the autopilot shows its old home: RTL to the launch pad"
+            context.decide("home_not_led", words)
+
     # --- a home that has moved -------------------------------------------------------------------
 
     def _watch(self, context: FlightContext) -> None:
         state = self._state
-        if self._is_being_led(context):
-            return
         words = self._how(context)
         if not words:
             state.off_since_s = None
@@ -179,28 +237,14 @@ class HomeWatch:
         if context.phase in FLIGHT_PHASES and not state.given_up:
             self._set_back(context)
 
-    def _is_being_led(self, context: FlightContext) -> bool:
-        """Tell whether a home that we have just moved is not shown yet, and may be soon.
-
-        One that never shows was not taken: then it is where it was.
-        """
-        state = self._state
-        if state.led_s is None or state.led_from is None:
-            return False
-        if self._away_m() <= MOVED_M and context.since_s(state.led_s) > TOLD_S:
-            state.led_s = None
-        elif context.since_s(state.led_s) > SET_BACK_S:
-            state.took_off_from, state.led_s = state.led_from, None
-            context.say(Severity.WARNING, "home not taken: RTL to the launch pad")
-            context.decide(
-                "home_not_led", "the autopilot shows its old home: RTL to the launch pad"
-            )
-        return state.led_s is not None
-
     def _away_m(self) -> float:
         """How far the home is from where it has to be, horizontally, as it was told."""
-        told, place = self._state.told, self._state.took_off_from
-        return 0.0 if told is None or place is None else _apart_m(told, place)
+        state = self._state
+        if state.told is None or state.took_off_from is None:
+            return 0.0
+        away_m = _apart_m(state.told, state.led_to or state.took_off_from)
+        taken = state.led_s is None
+        return away_m if taken else min(away_m, _apart_m(state.told, state.took_off_from))
 
     def _how(self, context: FlightContext) -> str:
         """How far the home is from where it has to be, in words; `""`: it is there."""
@@ -221,10 +265,11 @@ class HomeWatch:
     def _set_back(self, context: FlightContext) -> None:
         """Order it back the first time; give it up when that does not show, or not last."""
         state = self._state
-        assert state.took_off_from is not None
+        place = state.led_to or state.took_off_from
+        assert place is not None
         if state.set_back_s is None:
             state.set_back_s = context.t_s
-            context.do(SetHome(*state.took_off_from))
+            context.do(SetHome(*place))
         elif context.since_s(state.set_back_s) > SET_BACK_S:
             self._give_up(context)
 

@@ -167,6 +167,7 @@ class MissionFollower:
     def forget_item(self) -> None:
         """Which item is flown has to be found out anew."""
         self._state.index = None
+        self._state.home_leg = None
         self._state.obeyed = None
         self._state.foreign_move = None
 
@@ -260,10 +261,13 @@ class MissionFollower:
         if state.index is None or vehicle is None or vehicle.mode is not Mode.MISSION:
             state.home_leg = None
             return None
-        if context.telemetry.position_troubles():
-            return None
         if state.home_leg is None or state.home_leg.index != state.index:
             state.home_leg = LegWatch(state.index)
+        telemetry = context.telemetry
+        told = telemetry.is_fresh(telemetry.progress, PROGRESS_MAX_AGE_S)
+        if not told or telemetry.position_troubles():
+            state.home_leg.pause()
+            return None
         return state.home_leg
 
     def _target(self, context: FlightContext) -> Ned | None:
@@ -314,6 +318,7 @@ class MissionFollower:
         assert flown is not None
         mission, state, index = flown.mission, self._state, progress.index
         state.index, state.jump, state.foreign_move = index, None, None
+        state.home_leg = None
         self._speed.forget_speed()
         if progress.total is not None and progress.total != len(mission.items):
             why = f"another mission aboard ({progress.total} items)"
@@ -356,9 +361,8 @@ class MissionFollower:
             context.decide("last_resort", words)
             return
         context.say(Severity.CRITICAL, "way home refused: RTL")
-        context.decide("last_resort", f"RTL{rtl_home.lead_rtl(context)}")
         self._modes.expect(Mode.RTL, context.telemetry.state)
-        context.do(SetMode(Mode.RTL))
+        context.decide("last_resort", f"RTL{rtl_home.order_rtl(context)}")
 
     # --- inside ----------------------------------------------------------------------------------
 
@@ -369,6 +373,7 @@ class MissionFollower:
         if state.index == index:  # it flies there already: nothing tells it from obedience
             before.discard(index)
         state.jump = JumpWatch(index, purpose, context.t_s, frozenset(before))
+        state.home_leg = None
         context.do(JumpTo(index))
 
     def _follow(self, context: FlightContext, event: MissionProgress) -> None:
@@ -504,7 +509,7 @@ class MissionFollower:
             context.request_transition(Trigger.GO)
         elif part is Part.DELIVER:
             context.request_transition(Trigger.CUSTOMER_REACHED)
-        if index != jump.index or part in (Part.LAND, Part.RALLY_LAND):
+        if index != jump.index:
             self._at_item(context, index)
 
     def _watch_course(self, context: FlightContext, index: int) -> None:

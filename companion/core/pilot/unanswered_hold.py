@@ -166,7 +166,10 @@ class UnansweredHold:
         words = f"nobody answered: {WORDS[mode]}, as chosen before the flight"
         context.say(Severity.CRITICAL, f"nobody answered: {WORDS[mode]}")
         context.request_transition(Trigger.UNANSWERED, words)
-        leads = self._home.lead_rtl(context) if mode is Mode.RTL else ""
-        context.decide("last_resort", f"{words}{leads}")
         self._modes.expect(mode, context.telemetry.state)
-        context.do(SetMode(mode))
+        leads = ""
+        if mode is Mode.RTL:
+            leads = self._home.order_rtl(context)
+        else:
+            context.do(SetMode(mode))
+        context.decide("last_resort", f"{words}{leads}")

@@ -258,6 +258,7 @@ class World:
             case JumpTo() if self.obeys_jumps:
                 self.index, self.waited, self.leg = order.index, 0.0, None
             case SetHome() if self.takes_home:
+                self.answers.append(ev.OrderAccepted(self.t_s, "set home"))
                 self.home_up = order.alt_amsl_m - DEPOT[2]
                 self.home_north = (order.lat_deg - DEPOT[0]) * M_PER_DEG
                 east_deg = order.lon_deg - DEPOT[1]

@@ -550,7 +550,7 @@ def test_an_autopilot_that_flies_on_past_its_item_and_takes_no_jump_gets_rtl(win
     assert "way home refused: RTL" in w.said
 
 
-@pytest.mark.parametrize("speed_mps", [1.5, 3.0, 14.0])
+@pytest.mark.parametrize("speed_mps", [1.5, 3.0, 14.0, 20.0])
 def test_a_waypoint_of_the_way_home_that_is_blown_past_is_left_for_the_next_one(speed_mps):
     """Blown 13 m off its track PX4 does not take a waypoint, and flies on for good."""
     w, to_n, to_e = on_a_leg_home(speed_mps)
@@ -573,20 +573,41 @@ def test_a_waypoint_of_the_way_home_that_is_blown_past_is_left_for_the_next_one(
     assert "RTL" not in w.said
 
 
-def test_over_home_and_past_it_the_landing_is_flown_to_at_this_height():
+@pytest.mark.parametrize("obeys", [True, False])
+def test_past_the_last_waypoint_there_is_no_jump_to_the_landing_and_rtl_follows(obeys):
+    """Once it shows the landing nothing tells whether it goes there."""
     w, to_n, to_e = on_a_leg_home(8.0)
-    mission = w.pilot.flight_plan.mission  # type: ignore[union-attr]
+    mission, lost_s = w.pilot.flight_plan.mission, w.t_s  # type: ignore[union-attr]
     w.run(lambda w: w.index == mission.returning[-1], 120.0)
-    obeys, astray = w.fly, flies_on(w, mission.returning[-1], to_n, to_e)
+    w.obeys_jumps = obeys
+    w.fly = flies_on(w, mission.returning[-1], to_n, to_e)  # type: ignore[method-assign]
+    w.run(lambda w: w.mode is Mode.RTL, 120.0)
+    assert [a for t, a in w.log if isinstance(a, JumpTo) and t > lost_s] == []
+    assert math.dist((w.north, w.east), goal_of(w, mission.returning[-1])) < 200.0
 
-    def fly(dt_s: float) -> None:
-        (astray if w.index == mission.returning[-1] else obeys)(dt_s)
 
-    w.fly = fly  # type: ignore[method-assign]
-    w.run(lambda w: w.index == mission.land, 120.0)
-    assert w.pilot.phase is Phase.RETURN  # the order is out, and not seen yet
-    w.step()
-    assert w.pilot.phase is Phase.LAND
+def test_a_silent_progress_is_no_missed_waypoint():
+    w, _, _ = on_a_leg_home(10.0)
+    silent_s = w.t_s
+    w.mute = {ev.MissionProgress}
+    w.run(lambda w: not w.armed, 120.0)
+    assert [a for t, a in w.log if isinstance(a, JumpTo) and t > silent_s] == []
+    assert "RTL" not in w.said
+
+
+def test_who_was_flown_on_by_a_pilot_and_handed_back_has_not_missed_its_item():
+    w, to_n, to_e = on_a_leg_home(8.0)
+    item = w.index
+    w.run(lambda w: math.dist((w.north, w.east), goal_of(w, item)) < 20.0, 60.0)
+    obeys = w.fly
+    w.mode = Mode.HOLD
+    w.fly = flies_on(w, item, to_n / 2.0, to_e / 2.0)  # type: ignore[method-assign]
+    for _ in range(600):
+        w.step()
+    w.tell(ev.ControlHandedBack(w.t_s, "operator"))
+    back_s = w.t_s
+    w.run(lambda w: w.t_s > back_s + 4.0)
+    w.fly = obeys  # type: ignore[method-assign]
     assert w.to_the_end().home
     assert "RTL" not in w.said
 

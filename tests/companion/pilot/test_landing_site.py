@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.geo import Obstacle, ObstacleMap
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
     Answer,
@@ -374,6 +375,33 @@ def test_safety_rule_3_an_rtl_leads_to_the_promised_stop_by_the_autopilots_own_h
     assert "hands off" not in w.said
 
 
+def test_an_rtl_waits_for_its_place_to_be_taken_and_not_for_long():
+    for takes in (True, False):
+        w = reach(Phase.OUTBOUND)
+        refuses_every_jump(w)
+        w.takes_home = takes
+        w.run(lambda w: bool(home_and_rtl(w)), 60.0)
+        assert w.mode is Mode.MISSION, "the place first"
+        led_s = w.t_s
+        w.run(lambda w: w.mode is Mode.RTL, 10.0)
+        waited_s = w.t_s - led_s
+        assert waited_s <= 0.2 if takes else 2.9 <= waited_s <= 3.2
+        assert w.pilot.phase is Phase.LAST_RESORT
+
+
+def test_who_takes_over_while_an_rtl_waits_gets_none():
+    w = reach(Phase.OUTBOUND)
+    refuses_every_jump(w)
+    w.takes_home = False
+    w.run(lambda w: bool(home_and_rtl(w)), 60.0)
+    w.mode = Mode.HOLD
+    taken_s = w.t_s
+    for _ in range(200):
+        w.step()
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert w.orders_after(taken_s + 0.6) == []
+
+
 def test_an_autopilot_that_does_not_take_the_stop_as_home_is_known_to_fly_to_the_launch_pad():
     w = reach(Phase.OUTBOUND)
     w.takes_home = False
@@ -386,6 +414,20 @@ def test_an_autopilot_that_does_not_take_the_stop_as_home_is_known_to_fly_to_the
     assert len([a for a in home_and_rtl(w) if isinstance(a, SetHome)]) == 1
 
 
+def test_a_home_that_is_not_told_for_a_time_is_nobody_elses_move():
+    w = reach(Phase.OUTBOUND)
+    refuses_every_jump(w)
+    w.run(lambda w: w.mode is Mode.RTL, 60.0)
+    w.mute = {ev.Home}
+    for _ in range(150):
+        w.step()
+    w.mute = set()
+    for _ in range(150):
+        w.step()
+    assert not {"home_moved", "home_not_led"} & set(w.kinds)
+    assert (w.home_north, w.home_east) == pytest.approx(PADS["stop-2"], abs=0.5)
+
+
 def test_a_home_that_another_hand_moves_after_that_is_still_noticed():
     w = reach(Phase.OUTBOUND)
     refuses_every_jump(w)
@@ -396,6 +438,41 @@ def test_a_home_that_another_hand_moves_after_that_is_still_noticed():
     w.run(lambda w: "home_moved" in w.kinds, 20.0)
     w.run(lambda w: "home_back" in w.kinds, 20.0)
     assert (w.home_north, w.home_east) == pytest.approx(PADS["stop-2"], abs=0.5)
+
+
+HERE, STOP_2 = (200.0, 0.0, -30.0), (60.0, 90.0, -2.0)
+BETWEEN = ((110.0, 30.0), (150.0, 30.0), (150.0, 60.0), (110.0, 60.0))
+
+
+@pytest.mark.parametrize(
+    ("here", "ground", "obstacles", "suits"),
+    [
+        (HERE, STOP_2, (), True),
+        (HERE, (60.0, 90.0, -9.0), (), False),  # high up: it would come down fast
+        (HERE, (-150.0, 0.0, 0.0), (), False),  # outside a fence about it that held the flight
+        (HERE, STOP_2, (Obstacle("tower", BETWEEN, 35.0),), False),
+        (HERE, STOP_2, (Obstacle("shed", BETWEEN, 8.0),), True),
+        (HERE, STOP_2, (Obstacle("ceiling", BETWEEN, math.inf, 90.0),), False),
+    ],
+)
+def test_an_rtl_is_led_where_the_autopilots_descent_fence_and_height_suit(
+    here, ground, obstacles, suits
+):
+    flown = planned(flight())
+    site = replace(flown.site, obstacles=ObstacleMap(obstacles, 5.0, 10.0, 45.0))
+    assert replace(flown, site=site).suits_rtl(here, ground) is suits
+
+
+def test_where_an_rtl_does_not_suit_the_promised_stop_it_goes_to_the_launch_pad_and_says_so():
+    stops = [{"name": "stop-2", "north_m": 60.0, "east_m": 90.0, "up_m": 9.0}]
+    high = flight({"stops": stops})
+    judge = StopsJudge(RouteEnergy.for_mission(AIRFRAME, high.mission, 1.225))
+    w = world(flight=high, judge=judge).until(Phase.OUTBOUND)
+    refuses_every_jump(w)
+    w.run(lambda w: w.mode is Mode.RTL, 60.0)
+    assert not any(isinstance(a, SetHome) for _, a in w.log)
+    (told,) = [a for _, a in w.log if isinstance(a, Decision) and a.kind == "last_resort"]
+    assert told.reason == "RTL: to the launch pad, not to stop-2"
 
 
 def test_landed_on_the_launch_pad_it_is_not_home():
