@@ -394,7 +394,7 @@ class AutopilotPort:
                     f"jump to item {order.index}",
                     lambda _attempt: message,
                     command,
-                    shows=lambda event: _shows_item(event, order.index),
+                    shows=lambda event: _shows_item(event, order),
                     again_s=ECHO_S if command is None else RETRY_S,
                 )
                 self._commands.submit("jump", entry, t_s, replace=True)
@@ -576,8 +576,8 @@ def _shows_mode(event: Event, mode: Mode) -> bool:
     return isinstance(event, VehicleState | ModeNow) and event.mode is mode
 
 
-def _shows_item(event: Event, index: int) -> bool:
-    return isinstance(event, MissionProgress) and event.index == index
+def _shows_item(event: Event, jump: JumpTo) -> bool:
+    return isinstance(event, MissionProgress) and event.index in (jump.index, *jump.passes)
 
 
 def _home_setter(system: int, order: SetHome) -> Callable[[int], Any]:

@@ -1,6 +1,6 @@
 """Actions: what the pilot asks for. Adapters turn them into what the autopilot understands."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 
 from companion.core.mission.events import Mode
@@ -89,9 +89,14 @@ class Disarm(Order):
 
 @dataclass(frozen=True, slots=True)
 class JumpTo(Order):
-    """Go on with the mission at this item."""
+    """Go on with the mission at this item.
+
+    `passes`: items that show, too, that it was obeyed: the autopilot comes to them by itself, and
+    may be there before it tells of this one.
+    """
 
     index: int
+    passes: frozenset[int] = field(default=frozenset(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)

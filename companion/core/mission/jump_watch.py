@@ -68,6 +68,11 @@ class JumpWatch:
         may_be_older = index in self.before and arrived_s - self.began_s <= OLDER_S
         return not may_be_older and self._shows(mission, index)
 
+    def shown_by(self, mission: DeadMansMission) -> frozenset[int]:
+        """The items beside its own that show that the jump was obeyed, and cannot be older."""
+        items = range(len(mission.items))
+        return frozenset(i for i in items if self._shows(mission, i)) - {self.index, *self.before}
+
     def left_behind(self, mission: DeadMansMission, index: int) -> bool:
         """Tell whether this item may have been flown before the jump, and not since.
 

@@ -215,7 +215,7 @@ class MissionFollower:
         match jump.wait(context.t_s):
             case JumpStatus.ASK_AGAIN:
                 context.do(Note(f"jump to item {jump.index} not seen yet: again"))
-                context.do(JumpTo(jump.index))
+                context.do(self._order(context, jump))
             case JumpStatus.REFUSED:
                 self._given_up(context)
             case _:
@@ -374,7 +374,12 @@ class MissionFollower:
             before.discard(index)
         state.jump = JumpWatch(index, purpose, context.t_s, frozenset(before))
         state.home_leg = None
-        context.do(JumpTo(index))
+        context.do(self._order(context, state.jump))
+
+    @staticmethod
+    def _order(context: FlightContext, jump: JumpWatch) -> JumpTo:
+        flown = context.flight_plan
+        return JumpTo(jump.index, frozenset() if flown is None else jump.shown_by(flown.mission))
 
     def _follow(self, context: FlightContext, event: MissionProgress) -> None:
         """What the autopilot flies is where we are in the mission."""

@@ -153,7 +153,7 @@ fleet = typer.Typer()
 
 @fleet.command("bench-fleet")
 def bench_fleet(
-    vehicles: Annotated[int, typer.Option(min=1, max=5000, help="Members of the fleet.")] = 50,
+    vehicles: Annotated[int, typer.Option(min=1, max=10000, help="Members of the fleet.")] = 50,
     minutes: Annotated[float, typer.Option(min=0.1, help="How long they fly orders.")] = 2.0,
     routers: Annotated[
         int, typer.Option(min=0, max=16, help="zenoh routers between members and desk.")
@@ -189,6 +189,15 @@ def bench_fleet(
     order_every: Annotated[
         float, typer.Option(min=80.0, help="So often each vehicle gets an order, s.")
     ] = 300.0,
+    states_every: Annotated[
+        float,
+        typer.Option(
+            min=1.0,
+            max=4.0,
+            help="So often each vehicle tells its state, s; more lets a larger fleet fit this"
+            " machine.",
+        ),
+    ] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="How long each flight takes.")] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
 ) -> None:
@@ -202,8 +211,9 @@ def bench_fleet(
     except ImportError as error:
         raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
     asked = Asked(
-        vehicles, minutes, routers, desks, store, seed, order_every, kill_desk, faults, tls
-    )
+        vehicles, minutes, routers, desks, store, seed, order_every, kill_desk, faults, tls,
+        states_every_s=states_every,
+    )  # fmt: skip
     figures = json.dumps(bench_now(asked), indent=1)
     typer.echo(figures)
     if json_file is not None:

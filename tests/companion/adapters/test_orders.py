@@ -237,6 +237,17 @@ def test_px4_jumps_by_mission_set_current_and_its_echo_ends_the_repeating():
     assert bench.take() == []
 
 
+def test_a_jump_to_an_item_that_is_passed_at_once_is_not_ordered_again():
+    """It would lead back: another hand, to who follows the mission."""
+    bench = Bench(PX4)
+    bench.port.order(JumpTo(4, frozenset({5, 6})), 10.0)
+    bench.take()
+    bench.hear(mavlink.MAVLink_mission_current_message(3, 10, 3, 1))  # from before
+    bench.hear(mavlink.MAVLink_mission_current_message(5, 10, 3, 1))
+    assert bench.wait(5.0) == []
+    assert bench.take() == []
+
+
 def test_a_newer_speed_replaces_the_one_that_still_waits():
     bench = Bench(PX4)
     bench.port.order(SetGroundSpeed(9.0), 10.0)

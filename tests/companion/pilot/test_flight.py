@@ -625,6 +625,16 @@ def test_one_late_report_of_an_item_passed_at_speed_is_no_disobedience():
     assert not blown_back.has_missed(30.0)
 
 
+def test_a_jump_says_which_items_show_that_it_was_obeyed_and_never_the_one_before_it():
+    w, to_n, to_e = on_a_leg_home(8.0)
+    missed = w.index
+    w.fly = flies_on(w, missed, to_n, to_e)  # type: ignore[method-assign]
+    w.run(lambda w: any(isinstance(a, JumpTo) and a.index == missed + 1 for _, a in w.log), 60.0)
+    jump = next(a for _, a in w.log if isinstance(a, JumpTo) and a.index == missed + 1)
+    assert missed + 2 in jump.passes
+    assert missed not in jump.passes
+
+
 def test_who_turns_back_for_its_item_has_not_missed_it():
     """Seen on SIH: 27 m too low over the waypoint, 15 m on, back, taken."""
     watch = LegWatch(7)

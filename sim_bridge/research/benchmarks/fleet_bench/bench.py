@@ -6,6 +6,7 @@ stores and routers are the product's own, each a process; all of them share this
 
 import contextlib
 import itertools
+import math
 import os
 import tempfile
 from collections import Counter
@@ -31,13 +32,18 @@ from sim_bridge.research.benchmarks.fleet_bench.processes import (
     DESK,
     BenchProcess,
     BenchRouter,
+    cpu_s,
     desk_config,
     make_identities,
     member_config,
+    rss_mb,
 )
 from sim_bridge.research.benchmarks.fleet_bench.region import Region
 
 A_PROCESS = 50
+MOST_PROCESSES = 40
+"""Of members: in a larger fleet each has more than `A_PROCESS` of them."""
+
 LOAD_LIMIT_S = 180.0
 """Until every process has loaded its programs."""
 
@@ -56,7 +62,8 @@ class Asked:
     killed half way, and another begins on its store at once. `faults`: that, a router killed
     before, and another's members cut off for a time behind. `tls`: with identities, TLS and
     signatures, as `ground-station pki` makes them. `flight_s`: shortest and longest time
-    of a member in the air.
+    of a member in the air. `states_every_s`: so often each member tells its state and looks for
+    commands; 1 is a companion's.
     """
 
     vehicles: int
@@ -70,6 +77,7 @@ class Asked:
     faults: bool = False
     tls: bool = False
     flight_s: tuple[float, float] = (50.0, 70.0)
+    states_every_s: float = 1.0
 
 
 def bench(asked: Asked) -> Figures:
@@ -101,6 +109,7 @@ def bench(asked: Asked) -> Figures:
         "tls": asked.tls,
         "store": sa.make_url(urls[0]).get_backend_name(),
         "order_every_s": asked.order_every_s,
+        "states_every_s": asked.states_every_s,
         **figures,
         "load_of_machine": [round(load, 1) for load in (load_before, *os.getloadavg()[:2])],
     }
@@ -124,9 +133,18 @@ class _Run:
             region.desk.say(f"fly {since_s}")
             region.look()
         before_s = [region.cpu_s for region in self.regions]
+        others = self._members(), [router.process for router in self.routers]
+        others_before_s = [sum(map(cpu_s, some)) for some in others]
         self._fly(since_s, workers)
+        flown_s = wall_s() - since_s
         spent = zip(self.regions, before_s, strict=True)
-        busy = max((r.cpu_s - s) / (wall_s() - since_s) for r, s in spent)
+        busy = max((r.cpu_s - s) / flown_s for r, s in spent)
+        others = self._members(), [router.process for router in self.routers]
+        members, routers = (
+            (sum(map(cpu_s, some)) - before) / flown_s
+            for some, before in zip(others, others_before_s, strict=True)
+        )
+        held_mb = sum(map(rss_mb, self._members()))
         grown_mb, hours = (self._size_bytes() - size_bytes) / 1e6, (wall_s() - since_s) / 3600.0
         until_s = wall_s() + 2.0 * SETTLE_S
         for region in self.regions:
@@ -140,6 +158,10 @@ class _Run:
             ),
             "desk_cpu_frac": round(busy, 3),
             "desk_rss_mb": round(max(region.rss_mb for region in self.regions), 1),
+            "members_cpu_frac": round(members, 3),
+            "members_rss_mb": round(held_mb, 1),
+            "routers_cpu_frac": None if self.asked.faults else round(routers, 3),
+            "router_rss_mb": max((round(rss_mb(r.process), 1) for r in self.routers), default=None),
             "store_mb_per_hour": round(grown_mb / hours, 1),
             "joined_s": joined_s,
             f"joined_in_{JOIN_LIMIT_S:.0f}_s": joined,
@@ -151,7 +173,7 @@ class _Run:
     def _let_join(self) -> float:
         """All join at the same moment, when everybody has loaded; returns that moment."""
         until_s = wall_s() + LOAD_LIMIT_S
-        members = [member for region in self.regions for member in region.members]
+        members = self._members()
         for member in members:
             if member.hear(until_s - wall_s()) is None:
                 raise LeewayError(f"a process of members did not begin in {LOAD_LIMIT_S:.0f} s")
@@ -162,6 +184,9 @@ class _Run:
         for member in members:
             member.say("join")
         return begun_s
+
+    def _members(self) -> list[BenchProcess]:
+        return [member for region in self.regions for member in region.members]
 
     def _joined(self, begun_s: float) -> tuple[int, float | None]:
         """Who is there when all are or time is up, and how long all took."""
@@ -261,6 +286,7 @@ def _regions(
     ports.
     """
     regions: list[Region] = []
+    each = max(A_PROCESS, math.ceil(asked.vehicles / MOST_PROCESSES))
     for number, (url, share) in enumerate(zip(urls, _shares(asked), strict=True)):
         ports = routers or [free_tcp_port()]
         fleet, homes = f"bench{number}", folder / f"pki{number}"
@@ -272,11 +298,11 @@ def _regions(
         desk = ("desk", fleet, str(len(share)), str(asked.order_every_s), str(config), url)
         regions.append(Region(fleet, len(share), desk, BenchProcess.start(*desk), []))
         workers.append(regions[-1].desk)
-        for k, first in enumerate(range(share.start, share.stop, A_PROCESS)):
-            count = min(A_PROCESS, share.stop - first)
+        for k, first in enumerate(range(share.start, share.stop, each)):
+            count = min(each, share.stop - first)
             port = ports[k % len(ports)]
             calls = homes / MEMBERS if asked.tls else member_config(folder, port)
-            flown = (str(asked.seed), *map(str, asked.flight_s))
+            flown = (str(asked.seed), *map(str, asked.flight_s), str(asked.states_every_s))
             member = BenchProcess.start(
                 "members", fleet, str(first), str(count), str(calls), str(folder), *flown
             )

@@ -1,6 +1,6 @@
 """Members: the companion's own fleet ports and zenoh links around a small state machine.
 
-No physics; a process for every 50.
+No physics; a process for many.
 """
 
 import json
@@ -46,8 +46,11 @@ class Member:
     flights: AirTimes
     rng: np.random.Generator
     telemetry: TelemetryState
+    tells_every_s: float
     phase: str = STANDBY
     lands_s: float = 0.0
+    told_phase: str = ""
+    told_s: float = 0.0
     flown: list[str] = field(default_factory=list)
 
     def turn(self) -> None:
@@ -55,7 +58,9 @@ class Member:
         self.port.turn(self._carry_out)
         if self.phase == "outbound" and wall_s() >= self.lands_s:
             self._land()
-        self.port.publish(self.phase, self.telemetry)
+        if self.phase != self.told_phase or wall_s() >= self.told_s + self.tells_every_s - TURN_S:
+            self.told_phase, self.told_s = self.phase, wall_s()
+            self.port.publish(self.phase, self.telemetry)
 
     def _carry_out(self, command: Command) -> Verdict:
         deed = command.deed
@@ -101,10 +106,12 @@ def serve(
     config_file: Path,
     folder: Path,
     flights: AirTimes,
+    states_every_s: float,
     stands: list[tuple[float, float]],
 ) -> None:
     """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
-    flown. `config_file`: a network file, or a folder with the identities of all.
+    flown. `config_file`: a network file, or a folder with the identities of all. Where states are
+    told less often than once a second, commands are looked for less often by as much.
     """
     joins = [_membership(VehicleKeys(fleet, f"v{number}"), config_file) for number in numbers]
     print("loaded", flush=True)
@@ -117,11 +124,11 @@ def serve(
         name = f"v{number}"
         port = FleetPort.open(name, "m100", airframe, folder / name, membership.open_link)
         rng = np.random.default_rng([flights.seed, number])
-        members.append(Member(port, flights, rng, _telemetry(stands, number)))
+        members.append(Member(port, flights, rng, _telemetry(stands, number), states_every_s))
     while not stop.is_set():
         begun_s = wall_s()
         for member in members:
             member.turn()
-        stop.wait(max(0.0, TURN_S - (wall_s() - begun_s)))
+        stop.wait(max(0.0, TURN_S * max(1.0, states_every_s) - (wall_s() - begun_s)))
     print(json.dumps([x for member in members for x in member.flown]), flush=True)
     os._exit(0)

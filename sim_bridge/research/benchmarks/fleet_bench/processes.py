@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from companion.adapters.clock import epoch_us
 from companion.fleet.roles import Role
 from companion.fleet.zenoh_config import CALL_AGAIN_MS, LEASE_MS
@@ -93,6 +95,17 @@ class BenchProcess:
             if pipe is not None:
                 with contextlib.suppress(OSError):
                     pipe.close()
+
+
+def cpu_s(worker: BenchProcess) -> float:
+    """What it has taken of a processor by now."""
+    spent = psutil.Process(worker.process.pid).cpu_times()
+    return spent.user + spent.system
+
+
+def rss_mb(worker: BenchProcess) -> float:
+    """The memory that it has."""
+    return psutil.Process(worker.process.pid).memory_info().rss / 1e6
 
 
 def write_config(path: Path, table: dict[str, Any]) -> Path:

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import msgspec
-import psutil
 
 from companion.adapters.clock import wall_s
 from companion.core.base.errors import LeewayError
-from sim_bridge.research.benchmarks.fleet_bench.processes import BenchProcess
+from sim_bridge.research.benchmarks.fleet_bench.processes import BenchProcess, cpu_s, rss_mb
 
 
 class DeskLine(msgspec.Struct):
@@ -43,10 +42,8 @@ class Region:
         """How much the desk has taken by now."""
         if self.desk.process.poll() is not None:
             raise LeewayError(f"the desk of {self.fleet} has ended by itself")
-        process = psutil.Process(self.desk.process.pid)
-        spent = process.cpu_times()
-        self.cpu_s = self._before_s + spent.user + spent.system
-        self.rss_mb = max(self.rss_mb, process.memory_info().rss / 1e6)
+        self.cpu_s = self._before_s + cpu_s(self.desk)
+        self.rss_mb = max(self.rss_mb, rss_mb(self.desk))
 
     def wait(self, what: str, until_s: float) -> DeskLine | None:
         """The desk's line of this kind; None where it does not come by then."""

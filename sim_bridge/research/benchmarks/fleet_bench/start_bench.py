@@ -139,7 +139,15 @@ def _members(folder: Path, drones: int, seed: int, port: int) -> list[BenchProce
         times = (str(seed), "50", "70")
         members.append(
             BenchProcess.start(
-                "members", FLEET, str(first), count, str(calls), str(folder), *times, str(stands)
+                "members",
+                FLEET,
+                str(first),
+                count,
+                str(calls),
+                str(folder),
+                *times,
+                "1.0",
+                str(stands),
             )
         )
     for member in members:

@@ -8,12 +8,24 @@ from pathlib import Path
 def main() -> None:
     """As the command line says; never returns."""
     match sys.argv[1:]:
-        case ["members", fleet, first, count, config, folder, seed, least_s, most_s, *stands]:
+        case [
+            "members",
+            fleet,
+            first,
+            count,
+            config,
+            folder,
+            seed,
+            least_s,
+            most_s,
+            every_s,
+            *stands,
+        ]:
             from sim_bridge.research.benchmarks.fleet_bench import members
 
             members.serve(
                 fleet, range(int(first), int(first) + int(count)), Path(config), Path(folder),
-                members.AirTimes(int(seed), float(least_s), float(most_s)),
+                members.AirTimes(int(seed), float(least_s), float(most_s)), float(every_s),
                 members.read_stands(stands[0] if stands else None),
             )  # fmt: skip
         case ["desk", fleet, vehicles, order_every_s, config, url]:

@@ -32,7 +32,7 @@ def test_every_order_of_a_small_fleet_is_delivered_once_though_each_desk_dies(de
 @pytest.mark.timeout(300)
 def test_nothing_is_lost_where_routers_die_members_are_cut_off_and_each_desk_dies(monkeypatch):
     monkeypatch.setattr(fleet_bench, "A_PROCESS", 1)  # members of both desks at both routers
-    longer = SHORT | {"minutes": 0.8}
+    longer = SHORT | {"minutes": 1.6}  # cut off for 14 s: a lease is 10 s
     found = bench(Asked(4, desks=2, routers=2, faults=True, **longer))
     assert found["orders"] >= 12
     assert found["delivered"] >= 4
