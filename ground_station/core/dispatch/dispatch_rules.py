@@ -38,6 +38,9 @@ receiver."""
 
 NEAR_PAD_M = 50.0
 
+SAME_PAD_M = 15.0
+"""No receiver tells apart two pads that are so near one another."""
+
 LaunchConflict = Callable[[PlannedSortie, Sequence[PlannedSortie]], str | None]
 """Why a sortie must wait for those in the air; None: it may go."""
 
@@ -285,7 +288,8 @@ class DispatchRules:
 def landed_at(row: SortieRow, day: DaySnapshot) -> str | None:
     """The stop on whose pad a drone is down; None: it is on none.
 
-    A drone that is not heard counts as landed where it was promised: the driver looks there.
+    A drone that is not heard counts as landed where it was promised: the driver looks there. Where
+    stops have pads at one place, it is the stop where the truck stands, else the promised one.
     """
     if row.launched_us is None:
         return row.sortie.launch
@@ -295,7 +299,13 @@ def landed_at(row: SortieRow, day: DaySnapshot) -> str | None:
         return row.promised
     away = [(distance_m(drone.lat_deg, drone.lon_deg, row.pads[s]), s) for s in stops]
     near = [(m, s) for m, s in away if m is not None and m <= NEAR_PAD_M]
-    return min(near)[1] if near else None
+    if not near:
+        return None
+    nearest = row.pads[min(near)[1]]
+    apart = {s: distance_m(nearest.lat_deg, nearest.lon_deg, row.pads[s]) for _, s in near}
+    same = [s for s, m in apart.items() if m is not None and m <= SAME_PAD_M]
+    here = None if day.here is None else day.here.id
+    return next(s for s in (here, row.promised, *same) if s in same)
 
 
 def _in_air(rows: Sequence[SortieRow]) -> list[PlannedSortie]:

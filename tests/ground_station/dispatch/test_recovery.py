@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import msgspec
 import pytest
 
+from companion.core.base.place import Place
 from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
 from ground_station.core.dispatch.dispatch_actions import (
     ConfirmHomeChange,
@@ -15,6 +17,7 @@ from ground_station.core.dispatch.dispatch_actions import (
 from ground_station.core.dispatch.dispatch_rules import DispatchParams, DispatchRules
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.orders import AssignmentState
+from ground_station.core.schema.sortie_rows import SortieRow
 from tests.ground_station.hand_made_day import TWO_STOPS, flight, place_at
 
 LANDED = flight("d1", "depot", 60.0, 60.0)
@@ -30,10 +33,13 @@ def actions(
     present: bool = True,
     asked: str | None = None,
     lon_deg: float | None = None,
+    landed: SortieRow = LANDED,
+    truck_at: str = "depot",
+    next_pad: Place = NEXT,
 ) -> list[DispatchAction]:
     """What is due when d1 has told of its outcome, and was last seen there."""
-    row = replace(LANDED, row=replace(LANDED.row, state=AssignmentState.DELIVERED), asked=asked)
-    row = replace(row, pads=row.pads | {"stop-1": NEXT})
+    row = replace(landed, row=replace(landed.row, state=AssignmentState.DELIVERED), asked=asked)
+    row = replace(row, pads=row.pads | {"stop-1": next_pad})
     seen = DroneStatus(
         "d1",
         present=present,
@@ -46,7 +52,7 @@ def actions(
         makespan_s=540.0, stops=TWO_STOPS, sorties=[row.sortie],
     )  # fmt: skip
     day = DaySnapshot(
-        now_s=270.0, began_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
+        now_s=270.0, began_us=0, plan=plan, truck=TruckStatus(True, False, truck_at),
         drones={"d1": seen}, open=frozenset(), sorties=(row,), serves=(),
     )  # fmt: skip
     rules = DispatchRules(
@@ -58,6 +64,20 @@ def actions(
 def test_who_is_down_at_a_stop_is_taken_in_and_who_is_down_elsewhere_is_to_be_fetched():
     assert actions(PAD.lat_deg, assignment=None) == [RecoverDrone(LANDED.id, PAD)]
     assert actions(FAR_LAT_DEG, assignment=None)[0] == DeclareOffSite(LANDED.id)
+
+
+@pytest.mark.parametrize("metres_apart", [0.0, 8.0])
+@pytest.mark.parametrize("truck_at", ["depot", "stop-1"])
+def test_of_two_stops_with_pads_at_one_place_it_is_down_where_the_truck_stands(
+    truck_at, metres_apart
+):
+    """The day ends where it began. No receiver tells which of the two a drone came down at: a truck
+    that had gone on from the one to the other waited there for ever.
+    """
+    landed = flight("d1", "stop-1", 60.0, 60.0)
+    other = msgspec.structs.replace(PAD, lat_deg=PAD.lat_deg + metres_apart / 111_195.0)
+    due = actions(PAD.lat_deg, assignment=None, landed=landed, truck_at=truck_at, next_pad=other)
+    assert RecoverDrone(landed.id, other if truck_at == "stop-1" else PAD) in due
 
 
 @pytest.mark.parametrize("lat_deg", [PAD.lat_deg, FAR_LAT_DEG])
