@@ -162,10 +162,13 @@ class DispatchRules:
 
     def _change_home(self, row: SortieRow, day: DaySnapshot) -> list[DispatchAction]:
         """To where the truck stands, when it would come too late to the promised stop: it is late
-        already, or drones that land later are still to land here.
+        already, or drones that land later are still to land here. Not one that is not heard: until
+        it answered, the truck would wait here for one that comes down where it was promised.
         """
         here = day.here
         if here is None or row.asked or here.id == row.promised or here.id not in row.pads:
+            return []
+        if not day.drone(row.vehicle).present:
             return []
         refused_us = row.home_refused_us
         if refused_us is not None and day.now_s - day.day_s(refused_us) < self.params.ask_home_s:

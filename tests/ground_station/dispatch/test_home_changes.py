@@ -28,7 +28,10 @@ def on_its_pad(row: SortieRow) -> SortieRow:
 
 
 def actions(
-    *rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()
+    *rows: SortieRow,
+    now_s: float,
+    planned: tuple[PlannedSortie, ...] = (),
+    unheard: tuple[str, ...] = (),
 ) -> list[DispatchAction]:
     plan = DayPlan(
         format="day-plan/1", day="by hand", policy="by hand", seed=0, trials=0,
@@ -38,8 +41,8 @@ def actions(
         now_s=now_s, began_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
         drones={
             row.vehicle: DroneStatus(
-                row.vehicle, present=True, assignment=row.id, off_ground=row.in_air,
-                ready=not row.in_air,
+                row.vehicle, present=row.vehicle not in unheard, assignment=row.id,
+                off_ground=row.in_air, ready=not row.in_air,
             )
             for row in rows
         },
@@ -51,8 +54,9 @@ def actions(
     return rules.decide(snapshot)
 
 
-def asked(*rows: SortieRow, now_s: float) -> list[str]:
-    return [d.assignment for d in actions(*rows, now_s=now_s) if isinstance(d, RequestHomeChange)]
+def asked(*rows: SortieRow, now_s: float, unheard: tuple[str, ...] = ()) -> list[str]:
+    due = actions(*rows, now_s=now_s, unheard=unheard)
+    return [d.assignment for d in due if isinstance(d, RequestHomeChange)]
 
 
 def launched(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] = ()) -> list[str]:
@@ -65,6 +69,12 @@ def test_who_would_wait_alone_is_asked_as_soon_as_it_is_known_that_the_truck_wai
     d2 would stand there from 460 on."""
     here, next_stop = flight("d1", "depot", 320.0, 60.0), flight("d2", "stop-1", 260.0, 260.0)
     assert asked(here, next_stop, now_s=325.0) == ["O-d2.1"]
+
+
+def test_who_is_not_heard_is_not_asked():
+    """It cannot answer, and comes down where it was promised: the truck would wait here for it."""
+    here, next_stop = flight("d1", "depot", 320.0, 60.0), flight("d2", "stop-1", 260.0, 260.0)
+    assert asked(here, next_stop, now_s=325.0, unheard=("d2",)) == []
 
 
 def test_nobody_is_asked_while_all_come_as_planned():
