@@ -126,8 +126,10 @@ class _Run:
 
     def figures(self, workers: list[BenchProcess]) -> Figures:
         """Let them join and fly, and count."""
-        begun_s = self._let_join()
-        joined, joined_s = self._joined(begun_s)
+        self._wait_for_all()
+        joins = [_joined(region) for region in self.regions]
+        joined, took_s = sum(here for here, _ in joins), [s for _, s in joins if s is not None]
+        joined_s = round(max(took_s), 1) if len(took_s) == len(joins) else None
         since_s, size_bytes = wall_s(), self._size_bytes()
         for region in self.regions:
             region.desk.say(f"fly {since_s}")
@@ -170,8 +172,8 @@ class _Run:
             **self._orders(flown),
         }
 
-    def _let_join(self) -> float:
-        """All join at the same moment, when everybody has loaded; returns that moment."""
+    def _wait_for_all(self) -> None:
+        """Until every process has loaded."""
         until_s = wall_s() + LOAD_LIMIT_S
         members = self._members()
         for member in members:
@@ -180,21 +182,9 @@ class _Run:
         for region in self.regions:
             if region.wait("listens", until_s) is None:
                 raise LeewayError(f"a desk did not begin within {LOAD_LIMIT_S:.0f} s")
-        begun_s = wall_s()
-        for member in members:
-            member.say("join")
-        return begun_s
 
     def _members(self) -> list[BenchProcess]:
         return [member for region in self.regions for member in region.members]
-
-    def _joined(self, begun_s: float) -> tuple[int, float | None]:
-        """Who is there when all are or time is up, and how long all took."""
-        told = [region.wait("whole", begun_s + JOIN_LIMIT_S) for region in self.regions]
-        here = sum(one.here for one in told if one is not None)
-        if None in told:
-            return here, None
-        return here, round(max(one.wall_s for one in told if one is not None) - begun_s, 1)
 
     def _fly(self, since_s: float, workers: list[BenchProcess]) -> None:
         long_s = 60.0 * self.asked.minutes
@@ -262,6 +252,17 @@ class _Run:
     def _size_bytes(self) -> int:
         """SQLite's files (beside each lie at most 4 MB of its journal), or what PostgreSQL says."""
         return sum(map(_size_of, self.urls))
+
+
+def _joined(region: Region) -> tuple[int, float | None]:
+    """All members of a region join at the same moment: who is there when all are or time is up, and
+    how long it took.
+    """
+    begun_s = wall_s()
+    for member in region.members:
+        member.say("join")
+    told = region.wait("whole", begun_s + JOIN_LIMIT_S)
+    return (0, None) if told is None else (told.here, told.wall_s - begun_s)
 
 
 def _size_of(url: str) -> int:
