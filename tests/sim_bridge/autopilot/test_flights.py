@@ -25,6 +25,9 @@ TAKEOFF, WAYPOINT, LOITER_TIME, LAND, JUMP, SPEED, DELAY, GRIPPER = (
 )
 
 
+SET_HOME, GLOBAL = 179, 0
+
+
 def begin(rig, items):
     """Upload and start, the way that each autopilot starts a mission on the ground."""
     rig.step(0.2)
@@ -237,6 +240,19 @@ def test_px4_leaves_rtl_and_land_as_it_disarms_and_arducopter_stays(make_rig, au
     fly_on(rig)
     rig.step(1.0)
     assert rig.ap.mode is (order if autopilot is AP else Mode.AUTO)
+
+
+@BOTH
+def test_an_rtl_right_after_set_home_leads_to_the_new_home(make_rig, autopilot):
+    # flown on both: a stop 92 m from the launch pad, the order for home in the same tick
+    rig = make_rig(autopilot, SETTINGS[autopilot])
+    begin(rig, [rig.place(TAKEOFF, 0, 0, 20), rig.place(WAYPOINT, 0, 150, 20)])
+    assert rig.until(lambda: rig.ne_m[1] > 90.0, 60.0)
+    home_amsl_m = rig.ap.state.frame.alt_amsl_m
+    assert rig.command_int(SET_HOME, GLOBAL, 60.0, 30.0, home_amsl_m) == 0
+    assert rig.set_mode(Mode.RTL) == 0
+    fly_on(rig)
+    assert math.dist(rig.ne_m, (60.0, 30.0)) < 3.0
 
 
 @BOTH
