@@ -280,6 +280,8 @@ class Crossing:
             mission=self._flight_file(crosser),
             run_dir=drone.folder,
             policy=self.options.policy,
+            plan_at_once=True,
+            record_at_once=True,
             pilot=PilotOptions(
                 configure=True,
                 keep_apart=self.options.keep_apart,
