@@ -63,11 +63,11 @@ ASIDE_S = 10.0
 live companion asks again well before."""
 
 RTL_EVERY_M = 50.0
+"""Along the route: where an autopilot's own return may begin."""
 
 MOST_UP_M = 5.0
 """A landing place farther above the launch pad is no goal of an RTL: both autopilots come down fast
 to 10 m above their home (PX4 MPC_LAND_ALT1, ArduCopter LAND_ALT_LOW)."""
-"""Along the route: where an autopilot's own return may begin."""
 
 GROUND_DIFFERS_M = 10.0
 """A place's stated ground and the known one: 4 m of GLO-30 (LE90), and a slope's share."""
@@ -160,11 +160,9 @@ class FlightPlan:
         and about it a fence that holds the whole flight about the launch pad holds this one, too.
         """
         above = over(ground_ned_m, here_ned_m)
-        flown = (*self.plan.outbound_ned_m, *self.plan.return_ned_m)
-        fenced_m = max(horizontal_m(p, self.plan.depot_ned_m) for p in flown)
         return (
             -ground_ned_m[2] <= MOST_UP_M
-            and horizontal_m(here_ned_m, ground_ned_m) <= fenced_m
+            and horizontal_m(here_ned_m, ground_ned_m) <= _farthest_m(self.plan)
             and self.site.obstacles.room_m(here_ned_m, above) == math.inf
             and self.is_clear(here_ned_m, above)
         )
@@ -454,7 +452,6 @@ def route_facts(
 ) -> RouteFacts:
     """What the autopilot's settings are judged against on this flight."""
     plan = flown.plan
-    points = [*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.sites)]
     # RTL flies straight from anywhere on the route: what stands on any of those lines counts.
     starts = _return_starts(plan)
     highest_m = max(
@@ -478,7 +475,7 @@ def route_facts(
         over_ground_m=over_ground_m,
         room_m=room_m,
         cruise_height_m=top_m + (max(DODGES) * DODGE_M if keep_apart else 0.0),
-        farthest_m=max(horizontal_m(p, plan.depot_ned_m) for p in points),
+        farthest_m=_farthest_m(plan),
         first_waypoint_m=horizontal_m(plan.outbound_ned_m[0], plan.depot_ned_m),
         max_ground_mps=speeds.max_ground_mps,
         max_tilt_deg=speeds.max_tilt_deg,
@@ -493,6 +490,12 @@ def route_facts(
         set_points=keep_apart,
         slopes=_slopes(plan),
     )
+
+
+def _farthest_m(plan: Plan) -> float:
+    """How far the flight goes from its launch pad."""
+    points = (*plan.outbound_ned_m, *plan.return_ned_m, *(r.ground_ned_m for r in plan.sites))
+    return max(horizontal_m(p, plan.depot_ned_m) for p in points)
 
 
 def _slopes(plan: Plan) -> bool:

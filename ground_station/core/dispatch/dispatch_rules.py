@@ -38,7 +38,7 @@ receiver."""
 
 NEAR_PAD_M = 50.0
 
-SAME_PAD_M = 15.0
+ONE_PLACE_M = 15.0
 """No receiver tells apart two pads that are so near one another."""
 
 LaunchConflict = Callable[[PlannedSortie, Sequence[PlannedSortie]], str | None]
@@ -306,7 +306,7 @@ def landed_at(row: SortieRow, day: DaySnapshot) -> str | None:
         return None
     nearest = row.pads[min(near)[1]]
     apart = {s: distance_m(nearest.lat_deg, nearest.lon_deg, row.pads[s]) for _, s in near}
-    same = [s for s, m in apart.items() if m is not None and m <= SAME_PAD_M]
+    same = [s for s, m in apart.items() if m is not None and m <= ONE_PLACE_M]
     here = None if day.here is None else day.here.id
     return next(s for s in (here, row.promised, *same) if s in same)
 

@@ -135,17 +135,13 @@ class _Run:
             region.desk.say(f"fly {since_s}")
             region.look()
         before_s = [region.cpu_s for region in self.regions]
-        others = self._members(), [router.process for router in self.routers]
-        others_before_s = [sum(map(cpu_s, some)) for some in others]
+        others_before_s = self._others_cpu_s()
         self._fly(since_s, workers)
         flown_s = wall_s() - since_s
         spent = zip(self.regions, before_s, strict=True)
         busy = max((r.cpu_s - s) / flown_s for r, s in spent)
-        others = self._members(), [router.process for router in self.routers]
-        members, routers = (
-            (sum(map(cpu_s, some)) - before) / flown_s
-            for some, before in zip(others, others_before_s, strict=True)
-        )
+        others = zip(self._others_cpu_s(), others_before_s, strict=True)
+        members, routers = ((now_s - then_s) / flown_s for now_s, then_s in others)
         held_mb = sum(map(rss_mb, self._members()))
         grown_mb, hours = (self._size_bytes() - size_bytes) / 1e6, (wall_s() - since_s) / 3600.0
         until_s = wall_s() + 2.0 * SETTLE_S
@@ -182,6 +178,11 @@ class _Run:
         for region in self.regions:
             if region.wait("listens", until_s) is None:
                 raise LeewayError(f"a desk did not begin within {LOAD_LIMIT_S:.0f} s")
+
+    def _others_cpu_s(self) -> tuple[float, float]:
+        """What members and routers have taken by now."""
+        routers = sum(cpu_s(router.process) for router in self.routers)
+        return sum(map(cpu_s, self._members())), routers
 
     def _members(self) -> list[BenchProcess]:
         return [member for region in self.regions for member in region.members]

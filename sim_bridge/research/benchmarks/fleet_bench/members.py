@@ -47,6 +47,7 @@ class Member:
     rng: np.random.Generator
     telemetry: TelemetryState
     tells_every_s: float
+    """A companion asks its port to tell each turn: once a second is the port's."""
     phase: str = STANDBY
     lands_s: float = 0.0
     told_phase: str = ""
@@ -58,7 +59,8 @@ class Member:
         self.port.turn(self._carry_out)
         if self.phase == "outbound" and wall_s() >= self.lands_s:
             self._land()
-        if self.phase != self.told_phase or wall_s() >= self.told_s + self.tells_every_s - TURN_S:
+        rests = self.tells_every_s > 1.0 and wall_s() < self.told_s + self.tells_every_s
+        if self.phase != self.told_phase or not rests:
             self.told_phase, self.told_s = self.phase, wall_s()
             self.port.publish(self.phase, self.telemetry)
 
