@@ -101,12 +101,12 @@ PAGES = (
         " pack are drawn by the seed.",
         (
             PageCommand(
-                ("sim-bridge", "series", "--seeds", "1:20", "--wind-log", COAST,
+                ("sim-bridge", "series", "--seeds", "1:40", "--wind-log", COAST,
                  "--json", f"{OUT}/series.json", "--runs", f"{OUT}/runs"),
                 show=tables.series,
             ),
         ),
-        15.0,
+        25.0,
         needs=("wind/coast_2023_1hz.csv",),
     ),
     Page(
