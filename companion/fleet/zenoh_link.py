@@ -13,9 +13,10 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import zenoh
+from zenoh.handlers import Callback
 
 from companion.adapters.clock import wall_s
 from companion.core.base.rate_limit import RateLimit
@@ -26,7 +27,11 @@ from companion.fleet.topics import VehicleKeys, life_of, roster_key, track_of
 from companion.fleet.waiting_room import WaitingRoom
 from companion.fleet.zenoh_config import mode_of
 
+Heard = TypeVar("Heard", zenoh.Query, zenoh.Sample, zenoh.Reply)
+
 OPEN_AGAIN_S = 5.0
+LOOK_S = 5.0
+"""Where nothing is to be sent the writer looks so often whether a roster is due."""
 UNASKED_S, MOST_UNASKED_S = 150.0, 2400.0
 """A desk asks all once a minute. Whom nobody asks so long, though he is connected, was missed when
 he joined: he joins anew, after ever longer waits, since there may be a router and no desk.
@@ -310,12 +315,12 @@ class ZenohLink:
         keys = self._keys
         liveliness = session.liveliness()
         held = (  # a declaration that nobody holds is undeclared
-            session.declare_queryable(keys.command, self._hear_command),
-            session.declare_queryable(keys.event, self._hear_events_wanted),
-            session.declare_queryable(keys.state, self._hear_state_wanted),
-            liveliness.declare_subscriber(keys.alive(), self._hear_alive, history=True),
-            session.declare_subscriber(roster_key(keys.fleet), self._hear_roster),
-            session.declare_subscriber(keys.wind, self._hear_winds),
+            session.declare_queryable(keys.command, at_once(self._hear_command)),
+            session.declare_queryable(keys.event, at_once(self._hear_events_wanted)),
+            session.declare_queryable(keys.state, at_once(self._hear_state_wanted)),
+            liveliness.declare_subscriber(keys.alive(), at_once(self._hear_alive), history=True),
+            session.declare_subscriber(roster_key(keys.fleet), at_once(self._hear_roster)),
+            session.declare_subscriber(keys.wind, at_once(self._hear_winds)),
             liveliness.declare_token(keys.alive(self._life)),
         )
         self._session, self._held, self.trouble = session, held, ""
@@ -328,7 +333,7 @@ class ZenohLink:
             if self._is_roster_due():
                 self._ask_roster(session)
             try:
-                send = self._leaving.get(timeout=1.0)
+                send = self._leaving.get(timeout=LOOK_S)
             except queue.Empty:
                 send = None
             if (place := self._place) is not None:
@@ -338,7 +343,7 @@ class ZenohLink:
 
     def _listen(self, session: zenoh.Session, fleet: str, cell: str) -> "zenoh.Subscriber[None]":
         key = self._keys.tracks(cell, fleet)
-        return session.declare_subscriber(key, partial(self._hear_track, fleet))
+        return session.declare_subscriber(key, at_once(partial(self._hear_track, fleet)))
 
     def _try(self, do: Callable[[], Any]) -> None:
         try:
@@ -355,7 +360,7 @@ class ZenohLink:
         self._roster_asked_s, self._newer_told = wall_s(), False
         session.get(
             f"{roster_key(self._keys.fleet)}?{ABOVE}={self._roster_number()}",
-            self._hear_roster_reply,
+            at_once(self._hear_roster_reply),
             timeout=ROSTER_WAIT_S,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -383,6 +388,13 @@ class _Ears:
                 self._held[new] = self._listen(*new)
         for left in self._held.keys() - set(wanted):
             self._held.pop(left).undeclare()
+
+
+def at_once(hear: Callable[[Heard], None]) -> "Callback[Heard]":
+    """In zenoh's own thread: a declaration has none of its own, and what it has not looked at yet
+    waits with the sender. `hear` only puts things in boxes.
+    """
+    return Callback(hear, indirect=False)
 
 
 def told_number(raw: bytes) -> int | None:
