@@ -1,6 +1,7 @@
 """`sim-bridge research bench NAME`: what speed and size the parts have, each by one command."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -198,12 +199,24 @@ def bench_fleet(
             " machine.",
         ),
     ] = 1.0,
+    join_apart: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=10.0,
+            help="Between two processes of members that join, s. With 0 all of a region join at the"
+            " same moment; more for a fleet that nearly fills this machine.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="How long each flight takes.")] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures.")] = None,
 ) -> None:
     """A desk with many vehicles that fly orders: time to acknowledgement, load, nothing lost.
 
     sim-bridge research bench-fleet --vehicles 200 --minutes 2 --json fleet.json
+
+    sim-bridge research bench-fleet --vehicles 10000 --desks 10 --routers 10 --states-every 4
+    --order-every 1800 --join-apart 2
     """
     try:
         from sim_bridge.research.benchmarks.fleet_bench.bench import Asked
@@ -212,9 +225,9 @@ def bench_fleet(
         raise LeewayError(f"bench-fleet needs leeway-uas[ground]: {error}") from error
     asked = Asked(
         vehicles, minutes, routers, desks, store, seed, order_every, kill_desk, faults, tls,
-        states_every_s=states_every,
+        states_every_s=states_every, join_apart_s=join_apart,
     )  # fmt: skip
-    figures = json.dumps(bench_now(asked), indent=1)
+    figures = json.dumps(bench_now(asked, partial(typer.echo, err=True)), indent=1)
     typer.echo(figures)
     if json_file is not None:
         json_file.write_text(figures + "\n")

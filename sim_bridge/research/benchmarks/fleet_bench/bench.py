@@ -10,7 +10,7 @@ import math
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,8 +62,9 @@ class Asked:
     killed half way, and another begins on its store at once. `faults`: that, a router killed
     before, and another's members cut off for a time behind. `tls`: with identities, TLS and
     signatures, as `ground-station pki` makes them. `flight_s`: shortest and longest time
-    of a member in the air. `states_every_s`: so often each member tells its state and looks for
-    commands; 1 is a companion's.
+    of a member in the air. `states_every_s`: so often each member tells its state; 1 is a
+    companion's. `join_apart_s`: between the processes of members; with 0 all of a
+    region join at the same moment.
     """
 
     vehicles: int
@@ -78,10 +79,14 @@ class Asked:
     tls: bool = False
     flight_s: tuple[float, float] = (50.0, 70.0)
     states_every_s: float = 1.0
+    join_apart_s: float = 0.0
 
 
-def bench(asked: Asked) -> Figures:
-    """The figures of one run. Raises LeewayError where a desk or a member ends by itself."""
+def bench(asked: Asked, tell: Callable[[str], None] = lambda words: None) -> Figures:
+    """The figures of one run; `tell` is told how far it is.
+
+    Raises LeewayError where a desk or a member ends by itself.
+    """
     if asked.desks > 1 and asked.store not in (None, POSTGRESQL):
         raise LeewayError("--desks: each desk has a store of its own; leave out --store")
     if asked.desks > asked.vehicles:
@@ -98,7 +103,7 @@ def bench(asked: Asked) -> Figures:
         routers = [BenchRouter(folder, free_tcp_port()) for _ in range(asked.routers)]
         try:
             regions = _regions(asked, folder, urls, [router.port for router in routers], workers)
-            figures = _Run(asked, regions, urls, routers).figures(workers)
+            figures = _Run(asked, regions, urls, routers, tell).figures(workers)
         finally:
             for router in routers:
                 router.process.kill()
@@ -110,6 +115,7 @@ def bench(asked: Asked) -> Figures:
         "store": sa.make_url(urls[0]).get_backend_name(),
         "order_every_s": asked.order_every_s,
         "states_every_s": asked.states_every_s,
+        "join_apart_s": asked.join_apart_s,
         **figures,
         "load_of_machine": [round(load, 1) for load in (load_before, *os.getloadavg()[:2])],
     }
@@ -123,13 +129,16 @@ class _Run:
     regions: list[Region]
     urls: list[str]
     routers: list[BenchRouter]
+    tell: Callable[[str], None]
 
     def figures(self, workers: list[BenchProcess]) -> Figures:
         """Let them join and fly, and count."""
+        self.tell(f"{len(self._members())} processes of members and {len(self.regions)} desks load")
         self._wait_for_all()
-        joins = [_joined(region) for region in self.regions]
+        joins = [self._joined(region) for region in self.regions]
         joined, took_s = sum(here for here, _ in joins), [s for _, s in joins if s is not None]
         joined_s = round(max(took_s), 1) if len(took_s) == len(joins) else None
+        self.tell(f"they fly orders for {self.asked.minutes:g} min")
         since_s, size_bytes = wall_s(), self._size_bytes()
         for region in self.regions:
             region.desk.say(f"fly {since_s}")
@@ -144,7 +153,10 @@ class _Run:
         members, routers = ((now_s - then_s) / flown_s for now_s, then_s in others)
         held_mb = sum(map(rss_mb, self._members()))
         grown_mb, hours = (self._size_bytes() - size_bytes) / 1e6, (wall_s() - since_s) / 3600.0
+        self.tell("no more orders; what flies lands")
         until_s = wall_s() + 2.0 * SETTLE_S
+        for region in self.regions:
+            region.assign_no_more()
         for region in self.regions:
             region.settle(until_s)
         flown = Counter(x for region in self.regions for x in region.flown())
@@ -178,6 +190,20 @@ class _Run:
         for region in self.regions:
             if region.wait("listens", until_s) is None:
                 raise LeewayError(f"a desk did not begin within {LOAD_LIMIT_S:.0f} s")
+
+    def _joined(self, region: Region) -> tuple[int, float | None]:
+        """Who is there when all members of a region are or time is up, and how long it took."""
+        begun_s = wall_s()
+        for member in region.members:
+            member.say("join")
+            region.desk.ends_within(self.asked.join_apart_s)
+        told = region.wait("whole", begun_s + JOIN_LIMIT_S)
+        if told is None:
+            self.tell(f"{region.fleet}: not all have joined in {JOIN_LIMIT_S:.0f} s")
+            return 0, None
+        took_s = told.wall_s - begun_s
+        self.tell(f"{region.fleet}: {told.here:,} joined in {took_s:.1f} s")
+        return told.here, took_s
 
     def _others_cpu_s(self) -> tuple[float, float]:
         """What members and routers have taken by now."""
@@ -255,17 +281,6 @@ class _Run:
         return sum(map(_size_of, self.urls))
 
 
-def _joined(region: Region) -> tuple[int, float | None]:
-    """All members of a region join at the same moment: who is there when all are or time is up, and
-    how long it took.
-    """
-    begun_s = wall_s()
-    for member in region.members:
-        member.say("join")
-    told = region.wait("whole", begun_s + JOIN_LIMIT_S)
-    return (0, None) if told is None else (told.here, told.wall_s - begun_s)
-
-
 def _size_of(url: str) -> int:
     parsed = sa.make_url(url)
     if parsed.get_backend_name() == "sqlite":
@@ -289,6 +304,7 @@ def _regions(
     """
     regions: list[Region] = []
     each = max(A_PROCESS, math.ceil(asked.vehicles / MOST_PROCESSES))
+    router = itertools.cycle(routers)
     for number, (url, share) in enumerate(zip(urls, _shares(asked), strict=True)):
         ports = routers or [free_tcp_port()]
         fleet, homes = f"bench{number}", folder / f"pki{number}"
@@ -300,9 +316,9 @@ def _regions(
         desk = ("desk", fleet, str(len(share)), str(asked.order_every_s), str(config), url)
         regions.append(Region(fleet, len(share), desk, BenchProcess.start(*desk), []))
         workers.append(regions[-1].desk)
-        for k, first in enumerate(range(share.start, share.stop, each)):
+        for first in range(share.start, share.stop, each):
             count = min(each, share.stop - first)
-            port = ports[k % len(ports)]
+            port = next(router, ports[0])
             calls = homes / MEMBERS if asked.tls else member_config(folder, port)
             flown = (str(asked.seed), *map(str, asked.flight_s), str(asked.states_every_s))
             member = BenchProcess.start(

@@ -3,11 +3,14 @@
 No physics; a process for many.
 """
 
+import heapq
 import json
 import os
+import queue
 import sys
 import threading
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +25,9 @@ from companion.fleet.membership import JoinOptions, Membership, join
 from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch
 from companion.fleet.topics import VehicleKeys
 
-TURN_S = 0.1
+STOP_LOOK_S = 0.5
+SLACK_S = 0.005
+"""The port tells nothing sooner than a second after it told last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,22 +52,21 @@ class Member:
     rng: np.random.Generator
     telemetry: TelemetryState
     tells_every_s: float
-    """A companion asks its port to tell each turn: once a second is the port's."""
     phase: str = STANDBY
     lands_s: float = 0.0
     told_phase: str = ""
-    told_s: float = 0.0
+    tells_s: float = 0.0
     flown: list[str] = field(default_factory=list)
 
-    def turn(self) -> None:
-        """Answer, land when it is time, tell the state."""
+    def turn(self) -> float:
+        """Answer, land when it is time, tell the state; when to look again at the latest."""
         self.port.turn(self._carry_out)
         if self.phase == "outbound" and wall_s() >= self.lands_s:
             self._land()
-        rests = self.tells_every_s > 1.0 and wall_s() < self.told_s + self.tells_every_s
-        if self.phase != self.told_phase or not rests:
-            self.told_phase, self.told_s = self.phase, wall_s()
+        if self.phase != self.told_phase or wall_s() >= self.tells_s:
+            self.told_phase, self.tells_s = self.phase, wall_s() + self.tells_every_s + SLACK_S
             self.port.publish(self.phase, self.telemetry)
+        return min(self.tells_s, self.lands_s) if self.phase == "outbound" else self.tells_s
 
     def _carry_out(self, command: Command) -> Verdict:
         deed = command.deed
@@ -112,8 +116,8 @@ def serve(
     stands: list[tuple[float, float]],
 ) -> None:
     """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
-    flown. `config_file`: a network file, or a folder with the identities of all. Where states are
-    told less often than once a second, commands are looked for less often by as much.
+    flown. `config_file`: a network file, or a folder with the identities of all. As in a companion,
+    what comes for a member wakes it.
     """
     joins = [_membership(VehicleKeys(fleet, f"v{number}"), config_file) for number in numbers]
     print("loaded", flush=True)
@@ -122,15 +126,43 @@ def serve(
     stop = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
     members: list[Member] = []
+    woken: queue.SimpleQueue[int] = queue.SimpleQueue()
     for number, membership in zip(numbers, joins, strict=True):
         name = f"v{number}"
         port = FleetPort.open(name, "m100", airframe, folder / name, membership.open_link)
+        port.link.be_woken(partial(woken.put, len(members)))
         rng = np.random.default_rng([flights.seed, number])
         members.append(Member(port, flights, rng, _telemetry(stands, number), states_every_s))
-    while not stop.is_set():
-        begun_s = wall_s()
-        for member in members:
-            member.turn()
-        stop.wait(max(0.0, TURN_S * max(1.0, states_every_s) - (wall_s() - begun_s)))
+    _turn_until(stop, members, woken)
     print(json.dumps([x for member in members for x in member.flown]), flush=True)
     os._exit(0)
+
+
+def _turn_until(
+    stop: threading.Event, members: list[Member], woken: queue.SimpleQueue[int]
+) -> None:
+    """Each when it is woken, and when it has to tell or to land."""
+    at_s = [0.0] * len(members)
+    waiting = [(0.0, number) for number in range(len(members))]
+    while not stop.is_set():
+        number = _next(waiting, at_s, woken)
+        if number is None:
+            continue
+        at_s[number] = members[number].turn()
+        heapq.heappush(waiting, (at_s[number], number))
+
+
+def _next(
+    waiting: list[tuple[float, int]], at_s: list[float], woken: queue.SimpleQueue[int]
+) -> int | None:
+    """Who is woken or due first; None: nobody for some time. `waiting`: a heap, in which only the
+    newest time of each counts, which is in `at_s`.
+    """
+    while waiting and waiting[0][0] != at_s[waiting[0][1]]:
+        heapq.heappop(waiting)
+    try:
+        return woken.get(timeout=min(max(waiting[0][0] - wall_s(), 0.0), STOP_LOOK_S))
+    except queue.Empty:
+        if waiting[0][0] > wall_s():
+            return None
+        return heapq.heappop(waiting)[1]

@@ -68,10 +68,13 @@ class Region:
         whole = self.wait("whole", until_s)
         self.back_s = None if whole is None else whole.wall_s - killed_s
 
-    def settle(self, until_s: float) -> None:
-        """No more assignments; what flies lands."""
+    def assign_no_more(self) -> None:
+        """What flies lands."""
         self.desk.say("stop")
         self.look()
+
+    def settle(self, until_s: float) -> None:
+        """Until all have landed."""
         ended = self.wait("ended", until_s)
         if ended is not None:
             self.here, self.gone = ended.here, self.gone + ended.gone
