@@ -5,6 +5,7 @@ day among its trucks.
 import math
 import os
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ground_station.adapters.workers.side_by_side import Workers
+    from ground_station.app.planning.region_balance import BalanceRound
     from ground_station.app.planning.region_days import PlanWork, RegionDay, RegionPlanned
     from ground_station.core.clustering.problem import Clustered, ClusteringProblem
 
@@ -140,6 +142,13 @@ def divide(
     ],
     out: Annotated[Path, typer.Option(help="Folder for the regions' days, orders and plans.")],
     plan: Annotated[bool, typer.Option(help="Plan each region.")] = True,
+    balance: Annotated[
+        bool,
+        typer.Option(
+            help="Make short plans first and move orders from trucks that are back late to the"
+            " others; else regions have as much work by a measure."
+        ),
+    ] = True,
     policy: Annotated[
         PolicyName,
         typer.Option(help="As of `plan`; dynamic takes a tenth of the time or less."),
@@ -156,10 +165,11 @@ def divide(
 ) -> None:
     """Divide a large day among its trucks, and plan each truck's day.
 
-    The days' orders are pooled, and each truck gets a region of them: orders that lie together, as
-    much work for each driver. Each depot's drones are dealt out to its trucks. Writes NAME-K.toml
-    with its orders and its plan for each truck; `ground-station dispatch` takes them, a desk for
-    each. The same days give the same regions and plans, whatever --jobs.
+    The days' orders are pooled, and each truck gets a region of them: orders that lie together, so
+    many that the trucks come back together by short plans. Each depot's drones are dealt out to its
+    trucks. Writes NAME-K.toml with its orders and its plan for each truck; `ground-station
+    dispatch` takes them, a desk for each. The same days give the same regions and plans, whatever
+    --jobs.
 
     ground-station divide north.toml south.toml --trucks 5 --trucks 5 --out regions
 
@@ -170,6 +180,7 @@ def divide(
     from ground_station.adapters.files.day_files import read_day
     from ground_station.adapters.files.params import day_file
     from ground_station.adapters.workers.side_by_side import Workers
+    from ground_station.app.planning.region_balance import ShortPlans, balanced
     from ground_station.app.planning.region_days import PlanWork, divided, write_region
 
     if len(trucks) != len(days):
@@ -179,12 +190,16 @@ def divide(
     regions = divided(read, trucks)
     out.mkdir(parents=True, exist_ok=True)
     beside = [path for path, count in zip(paths, trucks, strict=True) for _ in range(count)]
-    files = [write_region(out, region, path) for region, path in zip(regions, beside, strict=True)]
+    workers = Workers(jobs or len(os.sched_getaffinity(0)), cluster)
     console = Console()
+    if plan and balance and len(regions) > 1:
+        console.print("short plans of all regions:", highlight=False)
+        short = ShortPlans(policy.value, trials, seed, workers, out, beside)
+        regions = balanced(read, trucks, regions, short, partial(_show_round, console))
+    files = [write_region(out, region, path) for region, path in zip(regions, beside, strict=True)]
     if not plan:
         _show_regions(console, regions, None)
         return
-    workers = Workers(jobs or len(os.sched_getaffinity(0)), cluster)
     work = [PlanWork(str(file.resolve()), policy.value, trials, seed) for file in files]
     done = _with_progress(console, regions, work, workers)
     _show_regions(console, regions, done)
@@ -193,6 +208,12 @@ def divide(
         console.print(f"lost: {one.region.name}: {one.lost}", highlight=False, markup=False)
     if lost:
         raise typer.Exit(LOST)
+
+
+def _show_round(console: "Console", one: "BalanceRound") -> None:
+    last, mean = one.last_s / 60.0, one.mean_s / 60.0
+    words = f"  round {one.number}: last truck back after {last:.0f} min, the mean one {mean:.0f}"
+    console.print(words, highlight=False)
 
 
 def _with_progress(

@@ -71,8 +71,15 @@ class PlanWork(msgspec.Struct, frozen=True):
     seed: int
 
 
-def divided(days: Sequence[DayData], trucks: Sequence[int]) -> list[RegionDay]:
-    """A day for each truck. `trucks`: how many start from each of the days' depots.
+def divided(
+    days: Sequence[DayData],
+    trucks: Sequence[int],
+    share: Floats | None = None,
+    before: Sequence[RegionDay] = (),
+) -> list[RegionDay]:
+    """A day for each truck. `trucks`: how many start from each of the days' depots. `share`
+    (trucks,): of all drivers' work, by truck, 1 in all; each the same by default. `before`: these
+    days divided already, to be changed as little as that asks.
 
     The days' orders are pooled; one that several days name is one order where it is the same.
     Raises LeewayError where the days cannot be divided together.
@@ -89,7 +96,9 @@ def divided(days: Sequence[DayData], trucks: Sequence[int]) -> list[RegionDay]:
         work_s=_work_s(days, sum(trucks), orders, orders_ne_m),
         metres_per_s=truck.speed_mps / truck.detour_factor,
     )
-    region = regions_of(problem)
+    number_of = {order.id: k for k, one in enumerate(before) for order in one.data.orders}
+    now = np.array([number_of[order.id] for order in orders]) if before else None
+    region = regions_of(problem, share, now)
     found: list[RegionDay] = []
     for data, count in zip(days, trucks, strict=True):
         for number in range(count):

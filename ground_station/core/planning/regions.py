@@ -79,11 +79,17 @@ def order_work_s(
     return work_s
 
 
-def regions_of(problem: RegionProblem) -> Ints:
-    """(orders,): the truck of each order; trucks are numbered depot by depot."""
+def regions_of(
+    problem: RegionProblem, share: Floats | None = None, before: Ints | None = None
+) -> Ints:
+    """(orders,): the truck of each order; trucks are numbered depot by depot.
+
+    `share` (trucks,): of all work, by truck; sums to 1, all the same by default. `before`
+    (orders,): a division to begin with, so that a little other share changes little.
+    """
     home = np.repeat(np.arange(len(problem.trucks)), problem.trucks)
-    share = np.full(len(home), 1.0 / len(home))
-    truck = _sectors(problem, home)
+    share = np.full(len(home), 1.0 / len(home)) if share is None else share
+    truck = _sectors(problem, home) if before is None else before
     for _ in range(TURNS):
         cost_s = _cost_s(problem, home, _middles_ne_m(problem, truck, len(home)))
         following = _balanced(cost_s, problem.work_s, share)

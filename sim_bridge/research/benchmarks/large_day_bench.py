@@ -20,6 +20,7 @@ from companion.core.base.geo import moved_deg
 from ground_station.adapters.files.compiled_code import keep_compiled_code
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.workers.side_by_side import Workers
+from ground_station.app.planning.region_balance import BalanceRound, ShortPlans, balanced
 from ground_station.app.planning.region_days import (
     PlanWork,
     RegionDay,
@@ -76,6 +77,8 @@ class LargeDayFigures(msgspec.Struct, frozen=True, kw_only=True):
     policy: str
     trials: int
     divide_s: float
+    balance_s: float
+    """Of all short plans; 0: none were made."""
     read_s: float
     """Of all regions' files, written and read back."""
     work_uneven_frac: float
@@ -152,15 +155,21 @@ def bench(
     trials: int | None,
     workers: Workers,
     tell: Callable[[RegionPlanned], None],
+    balance: bool = True,
 ) -> LargeDayFigures:
-    """Divide, write, read, plan, plan anew."""
+    """Divide, balance by short plans, write, read, plan, plan anew."""
     keep_compiled_code()  # before the planner's first import
     days = drawn_days(large)
     begun_s = cpu_s()
     regions = divided(days, trucks_of(large))
     divide_s = cpu_s() - begun_s
+    rounds: list[BalanceRound] = []
     with tempfile.TemporaryDirectory(prefix="leeway-large-") as name:
         folder = Path(name)
+        if balance:
+            beside = [folder / "day.toml"] * large.trucks
+            short = ShortPlans(policy, trials, large.seed, workers, folder, beside)
+            regions = balanced(days, trucks_of(large), regions, short, rounds.append)
         begun_s = cpu_s()
         paths = [write_region(folder, region, folder / "day.toml") for region in regions]
         read = [read_day(path) for path in paths]
@@ -169,7 +178,16 @@ def bench(
         work = [PlanWork(str(path), policy, trials, large.seed) for path in paths]
         done = planned(regions, work, workers, tell)
         plan_wall_s = wall_s() - begun_s
-    return _figures(large, regions, read, done, (policy, trials), (divide_s, read_s, plan_wall_s))
+    spent = _Spent(divide_s, sum(one.cpu_s for one in rounds), read_s, plan_wall_s)
+    return _figures(large, regions, read, done, (policy, trials), spent)
+
+
+@dataclass(frozen=True, slots=True)
+class _Spent:
+    divide_s: float
+    balance_s: float
+    read_s: float
+    plan_wall_s: float
 
 
 def _figures(
@@ -178,7 +196,7 @@ def _figures(
     read: Sequence[DayData],
     done: Sequence[RegionPlanned],
     searched: tuple[Policy, int | None],
-    spent_s: tuple[float, float, float],
+    spent: _Spent,
 ) -> LargeDayFigures:
     from ground_station.core.planning.day_planner import PlanParams, day_problem, plan_day
     from ground_station.core.planning.plan_bound import plan_bound
@@ -201,8 +219,9 @@ def _figures(
         seed=large.seed,
         policy=searched[0],
         trials=max(plan.trials for plan in plans),
-        divide_s=spent_s[0],
-        read_s=spent_s[1],
+        divide_s=spent.divide_s,
+        balance_s=spent.balance_s,
+        read_s=spent.read_s,
         work_uneven_frac=float(work_s.max() / work_s.mean() - 1.0),
         plan_s=sum(one.cpu_s for one in done),
         plan_most_s=max(one.cpu_s for one in done),
@@ -214,7 +233,7 @@ def _figures(
         unplanned=sum(len(plan.unplanned) for plan in plans),
         replan_s=replan_s,
         replan_makespan_s=anew.makespan_s,
-        plan_wall_s=spent_s[2],
+        plan_wall_s=spent.plan_wall_s,
     )
 
 
@@ -242,7 +261,8 @@ def half_way(data: DayData, plan: DayPlan) -> DayState:
 def sheet(found: Sequence[LargeDayFigures]) -> Sheet:
     """A line for each day. The bounds: of the regions as they are divided, and of any division."""
     head = [
-        "orders", "trucks", "drones", "depots", "divided, s", "files written and read, s",
+        "orders", "trucks", "drones", "depots", "divided, s", "balanced, s",
+        "files written and read, s",
         "all plans, s", "longest plan, s", "planned anew, s", "policy, trials",
         "last truck back, min",
         "mean truck, min", "bound of the regions, min", "bound of all, min", "by drone", "nobody",
@@ -255,6 +275,7 @@ def sheet(found: Sequence[LargeDayFigures]) -> Sheet:
             str(one.drones),
             str(one.depots),
             f"{one.divide_s:.1f}",
+            f"{one.balance_s:.0f}" if one.balance_s else "-",
             f"{one.read_s:.1f}",
             f"{one.plan_s:.0f}",
             f"{one.plan_most_s:.0f}",

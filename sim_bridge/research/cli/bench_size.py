@@ -89,6 +89,9 @@ def large_day(
         int | None,
         typer.Option(min=1, help="Of each region's search; left out: by the region's size."),
     ] = None,
+    balance: Annotated[
+        bool, typer.Option(help="Let the trucks come back together, as `divide` does.")
+    ] = True,
     seed: Annotated[int, typer.Option(min=0, help="Where orders are, and of the searches.")] = 1,
     jobs: Jobs = 0,
     cluster: Cluster = None,
@@ -118,7 +121,8 @@ def large_day(
             typer.echo(f"{count} orders: {one.region.name} planned, {one.cpu_s:.0f} s", err=True)
 
         large = bench.sized(count, seed, drones)
-        found.append(bench.bench(large, policy, trials, workers_of(jobs, cluster), tell))
+        workers = workers_of(jobs, cluster)
+        found.append(bench.bench(large, policy, trials, workers, tell, balance))
     finish(bench.sheet(found), out, "large_day")
     if json_out is not None:
         write_whole(json_out, msgspec.json.format(msgspec.json.encode(found)) + b"\n")

@@ -494,6 +494,11 @@ PAGES = (
                 _bench("large-day", "--trials", "300000", "--seed", "1", "--out", f"{OUT}/short"),
                 title="By a short search",
             ),
+            PageCommand(
+                _bench("large-day", "--trials", "300000", "--no-balance", "--seed", "1",
+                       "--out", f"{OUT}/by-work"),
+                title="The same, every truck with the same work, not balanced by plans",
+            ),
             *(
                 PageCommand(
                     _bench("large-day", "--orders", "500", "--drones", str(drones), "--seed", "1",
@@ -570,6 +575,25 @@ PAGES = (
             _fleet("One desk, PostgreSQL", "--minutes", "2", "--store", "postgresql"),
         ),
         30.0,
+    ),
+    Page(
+        "fleet-regions",
+        "Ten thousand vehicles by region",
+        "A desk and a router for each thousand vehicles, all on two cores with the vehicles; each"
+        " tells its state every 4 s, not every second, and gets an order every half hour.",
+        tuple(
+            PageCommand(
+                _research(
+                    "bench-fleet", "--vehicles", str(1000 * regions), "--desks", str(regions),
+                    "--routers", str(regions), "--states-every", "4", "--order-every", "1800",
+                    "--join-apart", "1", "--minutes", "2", "--seed", "1",
+                ),
+                show=tables.fleet,
+                title=f"{regions} region{'s' if regions > 1 else ''}",
+            )
+            for regions in (1, 4, 10)
+        ),
+        14.0,
     ),
     Page(
         "near-tracks",

@@ -138,6 +138,7 @@ FLEET_ROWS = (
     ("members falsely gone", "false_gone", "", "0"),
     ("members told as gone, the cut off among them", "gone_under_faults", "", ""),
     ("a desk's share of a core", "desk_cpu_frac", "", "0.30"),
+    ("all desks' share of a core", "desks_cpu_frac", "", ""),
     ("a desk's memory, the most seen", "desk_rss_mb", "MB", "300"),
     ("all routers' share of a core", "routers_cpu_frac", "", ""),
     ("a router's memory, the most", "router_rss_mb", "MB", ""),

@@ -148,7 +148,7 @@ class _Run:
         self._fly(since_s, workers)
         flown_s = wall_s() - since_s
         spent = zip(self.regions, before_s, strict=True)
-        busy = max((r.cpu_s - s) / flown_s for r, s in spent)
+        busy = [(r.cpu_s - s) / flown_s for r, s in spent]
         others = zip(self._others_cpu_s(), others_before_s, strict=True)
         members, routers = ((now_s - then_s) / flown_s for now_s, then_s in others)
         held_mb = sum(map(rss_mb, self._members()))
@@ -166,7 +166,8 @@ class _Run:
             ("gone_under_faults" if self.asked.faults else "false_gone"): sum(
                 region.gone for region in self.regions
             ),
-            "desk_cpu_frac": round(busy, 3),
+            "desk_cpu_frac": round(max(busy), 3),
+            "desks_cpu_frac": round(sum(busy), 3) if len(busy) > 1 else None,
             "desk_rss_mb": round(max(region.rss_mb for region in self.regions), 1),
             "members_cpu_frac": round(members, 3),
             "members_rss_mb": round(held_mb, 1),
