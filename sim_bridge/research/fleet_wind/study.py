@@ -29,6 +29,7 @@ from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.coherent_field import Coherence, CoherentField
 from sim_bridge.truth.fields.field_file import WindFieldParams, drawn_series, load_wind_field
 from sim_bridge.truth.fields.front import PassingFront, drawn_front
+from sim_bridge.truth.fields.lees import Obstacle
 from sim_bridge.truth.fields.site_wind import SiteWind
 
 FRONT_LEAST_MPS, FRONT_MOST_MPS = 5.0, 10.0
@@ -145,6 +146,7 @@ class DrawnField:
     sizes_mps: tuple[float, float]
     """Between which its change was drawn."""
     rng: np.random.Generator
+    obstacles: tuple[Obstacle, ...] = ()
 
     def world(self, *, front: bool) -> FleetWorld:
         """What the drones tell in it, with its front or without."""
@@ -152,7 +154,7 @@ class DrawnField:
 
     def truth(self, *, front: bool) -> SiteWind:
         """The wind with its front or without."""
-        return SiteWind(self.field, [self.front] if front else [])
+        return SiteWind(self.field, [self.front] if front else [], obstacles=self.obstacles)
 
     def fronts(self, *, front: bool) -> FrontsOfWorld:
         """What the fleet is told of fronts. Its own randomness: what else is drawn stays."""
@@ -173,11 +175,13 @@ def drawn_field(setting: FleetWindSetting, case: int, number: int) -> DrawnField
     field = CoherentField(known.series_ne_mps, Coherence(setting.along, setting.across), rng)
     ways = patrols(setting.drones, setting.hovering, field.seconds, rng)
     least, most = FRONT_LEAST_MPS, FRONT_MOST_MPS
+    obstacles: tuple[Obstacle, ...] = ()
     if known.params is not None:
         least, most = known.params.front_least_mps, known.params.front_most_mps
+        obstacles = known.params.obstacles
     t_s = float(rng.uniform(FRONT_FROM_S, field.seconds - FRONT_UNTIL_S))
     front = drawn_front(t_s, field.mean_ne_mps, least, most, rng)
-    return DrawnField(field, known.process, ways, front, (least, most), rng)
+    return DrawnField(field, known.process, ways, front, (least, most), rng, obstacles)
 
 
 def judge_draw(draw: FieldDraw) -> DrawResult:

@@ -1,12 +1,11 @@
 """Waypoint graphs from a generated town: buildings bend the wind, differently on each edge.
 
 The paper takes its graphs from rendered scenes. Here buildings are boxes on a jittered street
-grid; edges through a building are left out; along the others the free wind is slowed in wakes and
-sped up around corners and over roofs. Ours, and stated: after Huber & Snyder (Atmospheric
-Environment 16, 1982: wakes of some five building heights) and Stathopoulos (1985: 10 to 40 % more
-wind at corners); no flow is computed.
+grid; edges through a building are left out; along the others the free wind is that among the
+obstacles of the simulator (`sim_bridge.truth.fields.lees`).
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -19,24 +18,10 @@ from companion.core.base.arrays import Floats
 from companion.core.routing.energy_graph import EnergyGraph
 from sim_bridge.research.campaign.scenario_generator import WindRose
 from sim_bridge.research.planners.scenario import Power, Scenario, build_energy_graph
+from sim_bridge.truth.fields.lees import Obstacle, wind_share
 
-WAKE_DEFICIT = 0.6  # of the wind's speed, right behind the building
-WAKE_HEIGHTS = 5.0  # over which it fades
-CORNER_GAIN = 0.25  # at the sides, within a building's half width
-ROOF_GAIN = 0.15
 SAMPLES = 9  # along an edge
 SECTORS = 16
-
-
-@dataclass(frozen=True)
-class Building:
-    """A box: centre, half sizes to east and north, height; metres."""
-
-    east_m: float
-    north_m: float
-    half_east_m: float
-    half_north_m: float
-    height_m: float
 
 
 @dataclass(frozen=True)
@@ -62,7 +47,7 @@ class Town:
 
     scenario: Scenario
     graph: EnergyGraph
-    buildings: list[Building]
+    buildings: list[Obstacle]
 
 
 def generate_town(name: str, params: TownParams, random: np.random.Generator) -> Town:
@@ -98,17 +83,22 @@ def with_budget(town: Town, budget_wh: float) -> Town:
     return replace(town, scenario=scenario)
 
 
-def wind_factors(graph: EnergyGraph, buildings: list[Building], height_m: float) -> Floats:
+def wind_factors(graph: EnergyGraph, buildings: list[Obstacle], height_m: float) -> Floats:
     """Mean factor on the wind along each edge for each sector that it blows to; (E, SECTORS)."""
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
     start, end = graph.vertices_m[graph.tail, :2], graph.vertices_m[graph.head, :2]
     points = start[:, None, :] + share[None, :, None] * (end - start)[:, None, :]
+    east_m, north_m = points.reshape(-1, 2).T
     factors = np.empty((graph.edge_count, SECTORS))
     for sector in range(SECTORS):
         angle = 2.0 * np.pi * sector / SECTORS
         factors[:, sector] = (
-            _factor_at(
-                points.reshape(-1, 2), np.array([np.cos(angle), np.sin(angle)]), buildings, height_m
+            wind_share(
+                north_m,
+                east_m,
+                np.array(height_m),
+                np.array([math.sin(angle), math.cos(angle)]),
+                buildings,
             )
             .reshape(-1, SAMPLES)
             .mean(axis=1)
@@ -116,32 +106,10 @@ def wind_factors(graph: EnergyGraph, buildings: list[Building], height_m: float)
     return factors
 
 
-def _factor_at(points: Floats, to_en: Floats, buildings: list[Building], height_m: float) -> Floats:
-    """Wind speed over free wind speed at points (n, 2) for a wind blowing to `to_en`."""
-    factor = np.ones(len(points))
-    for b in buildings:
-        away = points - [b.east_m, b.north_m]
-        along = away @ to_en
-        across = np.abs(away @ np.array([-to_en[1], to_en[0]]))
-        half = abs(to_en[1]) * b.half_east_m + abs(to_en[0]) * b.half_north_m
-        depth = abs(to_en[0]) * b.half_east_m + abs(to_en[1]) * b.half_north_m
-        behind = along - depth
-        fade = np.exp(-np.maximum(behind, 0.0) / (WAKE_HEIGHTS * b.height_m))
-        if height_m < 1.3 * b.height_m:
-            in_wake = (behind > 0.0) & (across < half + 0.1 * behind)
-            factor *= np.where(in_wake, 1.0 - WAKE_DEFICIT * fade, 1.0)
-            beside = (np.abs(along) < depth) & (across > half) & (across < 2.0 * half)
-            factor *= np.where(beside, 1.0 + CORNER_GAIN, 1.0)
-        elif height_m < 2.0 * b.height_m:
-            over = (np.abs(along) < depth) & (across < half)
-            factor *= np.where(over, 1.0 + ROOF_GAIN, 1.0)
-    return np.clip(factor, 0.2, 1.6)
-
-
-def _buildings(params: TownParams, random: np.random.Generator) -> list[Building]:
+def _buildings(params: TownParams, random: np.random.Generator) -> list[Obstacle]:
     low, high = params.heights_m
     return [
-        Building(
+        Obstacle(
             east_m=(i + 0.5 + float(random.uniform(-0.1, 0.1))) * params.block_m,
             north_m=(j + 0.5 + float(random.uniform(-0.1, 0.1))) * params.block_m,
             half_east_m=float(random.uniform(0.15, 0.33)) * params.block_m,
@@ -154,7 +122,7 @@ def _buildings(params: TownParams, random: np.random.Generator) -> list[Building
     ]
 
 
-def _inside(point: Floats, buildings: list[Building], height_m: float) -> bool:
+def _inside(point: Floats, buildings: list[Obstacle], height_m: float) -> bool:
     return any(
         abs(point[0] - b.east_m) < b.half_east_m + 5.0
         and abs(point[1] - b.north_m) < b.half_north_m + 5.0
@@ -163,7 +131,7 @@ def _inside(point: Floats, buildings: list[Building], height_m: float) -> bool:
     )
 
 
-def _edges(place: Floats, buildings: list[Building], height_m: float) -> list[tuple[int, int]]:
+def _edges(place: Floats, buildings: list[Obstacle], height_m: float) -> list[tuple[int, int]]:
     """Neighbours (Delaunay) between which no building stands as high as the flight."""
     walls = [
         box(

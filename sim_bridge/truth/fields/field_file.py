@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.coherent_field import Coherence
+from sim_bridge.truth.fields.lees import Obstacle
 from sim_bridge.truth.params import check_range
 from sim_bridge.truth.wind_days import day_of_wind, day_process
 
@@ -38,6 +39,8 @@ class WindFieldParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """Least change of wind behind the front."""
     front_most_mps: float
     """Largest change of wind behind the front."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the wind: slower in its lee, faster around it."""
 
     def __post_init__(self) -> None:
         check_range("mean_mps", self.mean_mps, 2.0, 30.0)

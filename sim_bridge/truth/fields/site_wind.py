@@ -1,4 +1,4 @@
-"""The wind that all vehicles of a site meet: a carried field, passing fronts, more wind above."""
+"""The wind that all vehicles of a site meet: a carried field, fronts, more wind above, lees."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim_bridge.truth.fields.front import PassingFront
+from sim_bridge.truth.fields.lees import Obstacle, wind_share
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ class GroundField(Protocol):
 
 
 class SiteWind:
-    """A field, its fronts, and the power law of its growth with height."""
+    """A field, its fronts, the power law of its growth with height, and what stands in it."""
 
     def __init__(
         self,
@@ -31,10 +32,12 @@ class SiteWind:
         *,
         profile_exponent: float = 0.0,
         reference_height_m: float = 40.0,
+        obstacles: Sequence[Obstacle] = (),
     ) -> None:
         """V(h) = V_ref (h / h_ref)^exponent; below 1 m it is held at its value there."""
         self._field, self.fronts = field, tuple(fronts)
         self._exponent, self._reference_m = profile_exponent, reference_height_m
+        self._obstacles = tuple(obstacles)
 
     def to_ne_mps(
         self, t_s: ArrayLike, north_m: ArrayLike, east_m: ArrayLike, height_m: ArrayLike
@@ -46,4 +49,6 @@ class SiteWind:
         for front in self.fronts:
             wind = wind + front.to_ne_mps(t_s, north_m, east_m)
         grown = (np.maximum(height_m, _LEAST_HEIGHT_M) / self._reference_m) ** self._exponent
+        if self._obstacles:
+            grown = grown * wind_share(north_m, east_m, height_m, wind, self._obstacles)
         return wind * grown[:, None]
