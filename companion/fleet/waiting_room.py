@@ -21,19 +21,21 @@ class WaitingRoom:
     _dropped: dict[str, int] = field(default_factory=dict)
     came: int = 0
 
-    def put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> None:
-        """Into this box, which holds so many: the newest, or the first. What finds no room is not
-        answered, so it is asked again.
+    def put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> Asked | None:
+        """Into this box, which holds so many: the newest, or the first. Returns what found no room:
+        it is not answered, so it is asked again.
         """
         with self._lock:
             self.came += 1
+            left_out: Asked | None = None
             waiting = self.boxes.setdefault(box, deque())
             if len(waiting) >= most:
                 self._dropped[box] = self._dropped.get(box, 0) + 1
                 if keep_first:
-                    return
-                waiting.popleft()
+                    return asked
+                _, left_out = waiting.popleft()
             waiting.append((self.came, asked))
+            return left_out
 
     def take(self) -> list[Asked]:
         """Everything that waits, in the order in which it came."""

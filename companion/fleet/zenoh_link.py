@@ -31,7 +31,9 @@ Heard = TypeVar("Heard", zenoh.Query, zenoh.Sample, zenoh.Reply)
 
 OPEN_AGAIN_S = 5.0
 LOOK_S = 5.0
-"""Where nothing is to be sent the writer looks so often whether a roster is due."""
+"""Where nothing is to be sent the writer looks so often whether a roster is due, whether it was
+asked, and for whom to listen here. A companion's states come each second.
+"""
 UNASKED_S, MOST_UNASKED_S = 150.0, 2400.0
 """A desk asks all once a minute. Whom nobody asks so long, though he is connected, was missed when
 he joined: he joins anew, after ever longer waits, since there may be a router and no desk.
@@ -104,6 +106,7 @@ class ZenohLink:
         self.waiting = WaitingRoom()
         self._asks = RateLimit(ASKS_HZ, ASKS_BURST)
         self._wakes = RateLimit(WAKES_HZ, WAKES_BURST)
+        self._limits_lock = threading.Lock()
         self._roster_asked_s = 0.0
         self._newer_told = False
         self._tracks: dict[str, dict[str, deque[Told]]] = {}
@@ -140,7 +143,8 @@ class ZenohLink:
 
     def _hear_events_wanted(self, query: zenoh.Query) -> None:
         self._heard_s = wall_s()
-        if not self._asks.take(self._heard_s):
+        if not self._is_within(self._asks):
+            self._leave(query.drop)
             return
         after = query.parameters.get(AFTER) or "0"
         answer = self._answer(query, self._keys.event)
@@ -154,6 +158,8 @@ class ZenohLink:
             self._reader_s = self._heard_s
         if self._state:
             self._answer(query, self._keys.state)([self._state])
+        else:
+            self._leave(query.drop)
 
     def _hear_alive(self, sample: zenoh.Sample) -> None:
         seen = life_of(str(sample.key_expr))
@@ -216,7 +222,8 @@ class ZenohLink:
     def _hear_roster(self, sample: zenoh.Sample) -> None:
         raw = sample.payload.to_bytes()
         if (number := told_number(raw)) is not None:
-            self._newer_told = self._newer_told or number > self._roster_number()
+            if number > self._roster_number():
+                self._newer_told = True
             return
         self._put(TOLD_ROSTERS, Asked(Ask.ROSTER, lambda replies: None, raw), ROSTERS_WAIT)
 
@@ -250,9 +257,16 @@ class ZenohLink:
                 self._put(asked.ask.value, asked, TWINS_WAIT)
 
     def _put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> None:
-        self.waiting.put(box, asked, most, keep_first=keep_first)
-        if self._wakes.take(wall_s()):
+        left_out = self.waiting.put(box, asked, most, keep_first=keep_first)
+        if left_out is not None:
+            self._leave(partial(_let_go, left_out))
+        if self._is_within(self._wakes):
             self._wake()
+
+    def _is_within(self, limit: RateLimit) -> bool:
+        """Whether one more is within a limit; zenoh's threads ask side by side."""
+        with self._limits_lock:
+            return limit.take(wall_s())
 
     # --- out -----------------------------------------------------------------------------------
 
@@ -391,10 +405,15 @@ class _Ears:
 
 
 def at_once(hear: Callable[[Heard], None]) -> "Callback[Heard]":
-    """In zenoh's own thread: a declaration has none of its own, and what it has not looked at yet
-    waits with the sender. `hear` only puts things in boxes.
+    """In zenoh's own threads, side by side: a declaration has none of its own, and what it has not
+    looked at yet waits with the sender. `hear` puts things in boxes and sends nothing: the last one
+    to let go of a query ends it, which is a message, and so is the writer.
     """
     return Callback(hear, indirect=False)
+
+
+def _let_go(asked: Asked) -> None:
+    """Of a query that found no room, in the writer's thread."""
 
 
 def told_number(raw: bytes) -> int | None:

@@ -213,6 +213,8 @@ def divide(
 def _show_round(console: "Console", one: "BalanceRound") -> None:
     last, mean = one.last_s / 60.0, one.mean_s / 60.0
     words = f"  round {one.number}: last truck back after {last:.0f} min, the mean one {mean:.0f}"
+    if one.nobody:
+        words += f"; {one.nobody} orders that nobody brings"
     console.print(words, highlight=False)
 
 

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.side_by_side import Workers
 from ground_station.app.planning.region_days import (
     PlanWork,
@@ -35,6 +36,10 @@ FIRST_STEP = 0.8
 """Whose truck is out 1 % longer than the mean gets 0.8 % less in the first round."""
 EVEN_FRAC = 0.015
 """The last truck is back so soon after the mean one: short plans tell no finer."""
+
+MOST_CHANGE = 1.5
+LEAST_SHARE = 0.3
+"""Of an even share: a truck that drives far to its region is late whatever it has to bring."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +76,8 @@ class BalanceRound:
     number: int
     last_s: float
     mean_s: float
+    nobody: int
+    """Orders that nobody brings."""
     cpu_s: float
     """Of all these plans."""
 
@@ -82,29 +89,40 @@ def balanced(
     short: ShortPlans,
     tell: Callable[[BalanceRound], None],
 ) -> list[RegionDay]:
-    """The division of those that were tried whose last truck is back first by short plans.
+    """The division of those that were tried that leaves fewest orders to nobody, and of these the
+    one whose last truck is back first, by short plans.
 
     `regions`: the days divided among the trucks, with which it begins.
     """
     share = np.full(len(regions), 1.0 / len(regions))
-    best, best_s = regions, math.inf
+    best, best_worth = regions, (math.inf, math.inf)
     for number in range(1, ROUNDS + 1):
         done = short.made(regions)
-        back_s = np.array([one.plan.makespan_s for one in done if one.plan is not None])
-        if len(back_s) < len(regions):
+        plans = [one.plan for one in done if one.plan is not None]
+        if len(plans) < len(regions):
             break
+        back_s = np.array([plan.makespan_s for plan in plans])
+        nobody = np.array([len(plan.unplanned) for plan in plans])
         last_s, mean_s = float(back_s.max()), float(back_s.mean())
-        tell(BalanceRound(number, last_s, mean_s, sum(one.cpu_s for one in done)))
-        if last_s < best_s:
-            best, best_s = regions, last_s
-        if last_s <= (1.0 + EVEN_FRAC) * mean_s:
+        spent_s = sum(one.cpu_s for one in done)
+        tell(BalanceRound(number, last_s, mean_s, int(nobody.sum()), spent_s))
+        best, best_worth = min(
+            (best, best_worth), (regions, (nobody.sum(), last_s)), key=lambda one: one[1]
+        )
+        if number == ROUNDS or last_s <= (1.0 + EVEN_FRAC) * mean_s:
             break
-        share = next_share(share, back_s, number)
-        regions = divided(days, trucks, share, regions)
+        # Who leaves orders to nobody is not back early: he gets no more.
+        share = next_share(share, np.where(nobody > 0, np.maximum(back_s, mean_s), back_s), number)
+        try:
+            regions = divided(days, trucks, share, regions)
+        except LeewayError:  # too many neighbours: what was found before has not
+            break
     return best
 
 
 def next_share(share: Floats, back_s: Floats, number: int) -> Floats:
     """(trucks,): what each gets after round `number` (from 1) in which its plan took `back_s`."""
-    changed = share * (back_s.mean() / back_s) ** (FIRST_STEP / math.sqrt(number))
+    ratio = back_s.mean() / np.maximum(back_s, 1e-9)
+    step = np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE) ** (FIRST_STEP / math.sqrt(number))
+    changed = np.maximum(share * step, LEAST_SHARE / len(share))
     return changed / changed.sum()

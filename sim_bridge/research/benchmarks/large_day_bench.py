@@ -261,7 +261,7 @@ def half_way(data: DayData, plan: DayPlan) -> DayState:
 def sheet(found: Sequence[LargeDayFigures]) -> Sheet:
     """A line for each day. The bounds: of the regions as they are divided, and of any division."""
     head = [
-        "orders", "trucks", "drones", "depots", "divided, s", "balanced, s",
+        "orders", "trucks", "drones", "depots", "divided, s", "short plans, s",
         "files written and read, s",
         "all plans, s", "longest plan, s", "planned anew, s", "policy, trials",
         "last truck back, min",

@@ -127,6 +127,11 @@ def fleet_wind(
             "--draws 0, --alert-draws 0, --missions 0: expected one of them to be 1 or more"
         )
     made = None if field is None else made_field(field)
+    if made is not None and made.obstacles and alert_draws > 0:
+        raise LeewayError(
+            f"--field {field}: what is told of fronts is judged over flat ground, and here are"
+            " obstacles: expected --alert-draws 0"
+        )
     setting = FleetWindSetting(
         wind_log=None if wind_log is None else str(wind_log),
         field=None if field is None else str(field),

@@ -247,7 +247,7 @@ PAGES = (
                         "--seed", "3", "--along", "5", "--across", "16", "--draws", "1",
                         "--alert-draws", "0"),
             _fleet_wind("Over a ridge and houses", "lees", "--field", "params/fields/lees.toml",
-                        "--seed", "4", "--draws", "3", "--alert-draws", "3"),
+                        "--seed", "4", "--draws", "3", "--alert-draws", "0"),
         ),
         16.0,
         needs=("wind/coast_2023_1hz.csv",),
@@ -581,8 +581,9 @@ PAGES = (
     Page(
         "fleet-regions",
         "Ten thousand vehicles by region",
-        "A desk and a router for each thousand vehicles, all on two cores with the vehicles; each"
-        " tells its state every 4 s, not every second, and gets an order every half hour.",
+        "A desk for each thousand vehicles and as many routers, which they share, all on two cores"
+        " with the vehicles; each tells its state every 4 s, not every second, and gets an order"
+        " every half hour.",
         tuple(
             PageCommand(
                 _research(

@@ -1,8 +1,8 @@
 """Waypoint graphs from a generated town: buildings bend the wind, differently on each edge.
 
 The paper takes its graphs from rendered scenes. Here buildings are boxes on a jittered street
-grid; edges through a building are left out; along the others the free wind is that among the
-obstacles of the simulator (`sim_bridge.truth.fields.lees`).
+grid; edges through a building are left out; along the others blows the wind that true fields have
+among obstacles (`sim_bridge.truth.fields.lees`).
 """
 
 import math

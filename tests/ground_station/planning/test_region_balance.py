@@ -20,7 +20,7 @@ from ground_station.app.planning.region_balance import (
     next_share,
 )
 from ground_station.app.planning.region_days import PlanWork, RegionDay, RegionPlanned, divided
-from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.day_plan import DayPlan, Unplanned
 
 TOWN = params_dir() / "days" / "town.toml"
 
@@ -44,13 +44,17 @@ def test_who_is_back_late_gets_less_and_later_rounds_change_less() -> None:
 
 
 def test_a_little_other_share_moves_few_orders_over_the_border() -> None:
+    """From the division before, though another has the same work: the trucks changed over."""
     data = read_day(TOWN)
-    before = divided([data], [2])
-    after = divided([data], [2], np.array([0.4, 0.6]), before)
-    (fewer, more), (had_less, had_more) = ids_of(after), ids_of(before)
-    assert fewer < had_less
-    assert more > had_more
-    assert len(had_less - fewer) <= 8
+    west, east = ids_of(before := divided([data], [2]))
+    for now, then in zip(
+        ids_of(divided([data], [2], None, before[::-1])), (east, west), strict=True
+    ):
+        assert len(now ^ then) <= 4 < len(now)
+    fewer, more = ids_of(divided([data], [2], np.array([0.4, 0.6]), before[::-1]))
+    assert fewer < east
+    assert more > west
+    assert len(east - fewer) <= 8
 
 
 def test_the_division_whose_plans_end_first_is_kept(
@@ -72,8 +76,14 @@ def test_the_division_whose_plans_end_first_is_kept(
     assert math.isclose(last_s, min(one.last_s for one in told))
 
 
-def answering(back_s: Callable[[RegionDay], float | None], plan: DayPlan) -> object:
-    """In place of the planner: a plan that takes so long; None: its process was killed twice."""
+def answering(
+    back_s: Callable[[RegionDay], float | None],
+    plan: DayPlan,
+    nobody: Callable[[RegionDay], int] = lambda region: 0,
+) -> object:
+    """In place of the planner: a plan that takes so long and leaves so many orders to nobody; None:
+    its process was killed twice.
+    """
 
     def planned(
         regions: Sequence[RegionDay], work: Sequence[PlanWork], *rest: object
@@ -85,7 +95,11 @@ def answering(back_s: Callable[[RegionDay], float | None], plan: DayPlan) -> obj
             if took_s is None:
                 made.append(RegionPlanned(region, None, 0.0, "killed twice"))
             else:
-                changed = msgspec.structs.replace(plan, makespan_s=took_s)
+                left = [
+                    Unplanned(order=f"left-{k}", why="no slot", remedy="none")
+                    for k in range(nobody(region))
+                ]
+                changed = msgspec.structs.replace(plan, makespan_s=took_s, unplanned=left)
                 made.append(RegionPlanned(region, changed, 1.0))
         return made
 
@@ -139,3 +153,36 @@ def test_where_a_plan_is_lost_the_best_so_far_stands(
     told: list[BalanceRound] = []
     assert balanced([data], [2], regions, short_plans(tmp_path), told.append) is regions
     assert [one.number for one in told] == [1]
+
+
+def test_who_leaves_orders_to_nobody_is_not_back_early(
+    a_plan: DayPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trucks that hold 22 orders: what is more stays behind, and the truck is back at once."""
+
+    def left(region: RegionDay) -> int:
+        return max(0, len(region.data.orders) - 22)
+
+    def takes_s(region: RegionDay) -> float:
+        if left(region):
+            return 10.0
+        return 100.0 * len(region.data.orders) * (1.5 if region.name.endswith("1") else 1.0)
+
+    monkeypatch.setattr(region_balance, "planned", answering(takes_s, a_plan, left))
+    data = read_day(TOWN)
+    regions = divided([data], [2])
+    told: list[BalanceRound] = []
+    found = balanced([data], [2], regions, short_plans(tmp_path), told.append)
+    assert told[0].nobody == 0
+    assert max(one.nobody for one in told) > 0, "a division was tried that is none"
+    assert [left(region) for region in found] == [0, 0]
+    assert max(map(takes_s, found)) <= told[0].last_s
+
+
+@pytest.mark.parametrize("back_s", [(0.0, 0.0, 0.0), (0.0, 3000.0, 2000.0), (1.0, 1e6, 1.0)])
+def test_shares_stay_shares_whatever_a_plan_says(back_s: tuple[float, ...]) -> None:
+    share = np.full(3, 1.0 / 3.0)
+    for number in range(1, 20):
+        share = next_share(share, np.array(back_s), number)
+        assert math.isclose(share.sum(), 1.0)
+        assert share.min() > 0.05

@@ -193,11 +193,14 @@ class _Run:
                 raise LeewayError(f"a desk did not begin within {LOAD_LIMIT_S:.0f} s")
 
     def _joined(self, region: Region) -> tuple[int, float | None]:
-        """Who is there when all members of a region are or time is up, and how long it took."""
-        begun_s = wall_s()
-        for member in region.members:
+        """Who is there when all members of a region are or time is up, and how long it took from
+        the moment at which the last of them began to join.
+        """
+        for number, member in enumerate(region.members):
+            if number:
+                region.desk.ends_within(self.asked.join_apart_s)
             member.say("join")
-            region.desk.ends_within(self.asked.join_apart_s)
+        begun_s = wall_s()
         told = region.wait("whole", begun_s + JOIN_LIMIT_S)
         if told is None:
             self.tell(f"{region.fleet}: not all have joined in {JOIN_LIMIT_S:.0f} s")

@@ -155,14 +155,15 @@ def _turn_until(
 def _next(
     waiting: list[tuple[float, int]], at_s: list[float], woken: queue.SimpleQueue[int]
 ) -> int | None:
-    """Who is woken or due first; None: nobody for some time. `waiting`: a heap, in which only the
-    newest time of each counts, which is in `at_s`.
+    """Who is due, or is woken before anybody is; None: nobody for some time. `waiting`: a heap with
+    each of them, in which only the newest time of each counts, which is in `at_s`.
     """
-    while waiting and waiting[0][0] != at_s[waiting[0][1]]:
+    while waiting[0][0] != at_s[waiting[0][1]]:
         heapq.heappop(waiting)
-    try:
-        return woken.get(timeout=min(max(waiting[0][0] - wall_s(), 0.0), STOP_LOOK_S))
-    except queue.Empty:
-        if waiting[0][0] > wall_s():
-            return None
+    rests_s = waiting[0][0] - wall_s()
+    if rests_s <= 0.0:
         return heapq.heappop(waiting)[1]
+    try:
+        return woken.get(timeout=min(rests_s, STOP_LOOK_S))
+    except queue.Empty:
+        return None
