@@ -194,7 +194,7 @@ def divide(
     console = Console()
     if plan and balance and len(regions) > 1:
         console.print("short plans of all regions:", highlight=False)
-        short = ShortPlans(policy.value, trials, seed, workers, out, beside)
+        short = ShortPlans(trials, seed, workers, out, beside)
         regions = balanced(read, trucks, regions, short, partial(_show_round, console))
     files = [write_region(out, region, path) for region, path in zip(regions, beside, strict=True)]
     if not plan:

@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -44,12 +43,11 @@ LEAST_SHARE = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ShortPlans:
-    """How they are made. `trials`: of the plans to come, of which short ones take no more.
+    """By the search, whatever plans come. `trials`: of these, of which short ones take no more.
     `folder`: where workers find what they plan, left as it was; `beside`: the file that each
     truck's day comes from.
     """
 
-    policy: Literal["search", "dynamic"]
     trials: int | None
     seed: int
     workers: Workers
@@ -65,7 +63,7 @@ class ShortPlans:
             ]
             trials = min(TRIALS, self.trials or TRIALS)
             paths = [str(file.resolve()) for file in files]
-            work = [PlanWork(path, self.policy, trials, self.seed) for path in paths]
+            work = [PlanWork(path, "search", trials, self.seed) for path in paths]
             return planned(regions, work, self.workers, lambda one: None)
 
 

@@ -168,7 +168,7 @@ def bench(
         folder = Path(name)
         if balance:
             beside = [folder / "day.toml"] * large.trucks
-            short = ShortPlans(policy, trials, large.seed, workers, folder, beside)
+            short = ShortPlans(trials, large.seed, workers, folder, beside)
             regions = balanced(days, trucks_of(large), regions, short, rounds.append)
         begun_s = cpu_s()
         paths = [write_region(folder, region, folder / "day.toml") for region in regions]

@@ -30,7 +30,7 @@ def ids_of(regions: Sequence[RegionDay]) -> list[set[str]]:
 
 
 def short_plans(folder: Path) -> ShortPlans:
-    return ShortPlans("search", 400, 0, Workers(1, None), folder, [TOWN] * 2)
+    return ShortPlans(400, 0, Workers(1, None), folder, [TOWN] * 2)
 
 
 def test_who_is_back_late_gets_less_and_later_rounds_change_less() -> None:
