@@ -133,14 +133,12 @@ def serve(
         port.link.be_woken(partial(woken.put, len(members)))
         rng = np.random.default_rng([flights.seed, number])
         members.append(Member(port, flights, rng, _telemetry(stands, number), states_every_s))
-    _turn_until(stop, members, woken)
+    turn_until(stop, members, woken)
     print(json.dumps([x for member in members for x in member.flown]), flush=True)
     os._exit(0)
 
 
-def _turn_until(
-    stop: threading.Event, members: list[Member], woken: queue.SimpleQueue[int]
-) -> None:
+def turn_until(stop: threading.Event, members: list[Member], woken: queue.SimpleQueue[int]) -> None:
     """Each when it is woken, and when it has to tell or to land."""
     at_s = [0.0] * len(members)
     waiting = [(0.0, number) for number in range(len(members))]

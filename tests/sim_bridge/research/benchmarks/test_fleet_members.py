@@ -31,7 +31,7 @@ def test_each_has_its_turns_and_a_flood_of_wakes_takes_nobody_elses() -> None:
     stop = threading.Event()
     threading.Timer(1.0, stop.set).start()
     begun_s = wall_s()
-    members._turn_until(stop, [flooded, often, seldom], woken)
+    members.turn_until(stop, [flooded, often, seldom], woken)
     assert wall_s() - begun_s < 2.0
     assert len(flooded.turns_s) > 100
     assert 8 <= len(often.turns_s) <= 21
@@ -42,7 +42,7 @@ def test_who_is_woken_comes_at_once() -> None:
     resting = Counted(60.0)
     woken: queue.SimpleQueue[int] = queue.SimpleQueue()
     stop = threading.Event()
-    thread = threading.Thread(target=members._turn_until, args=(stop, [resting], woken))
+    thread = threading.Thread(target=members.turn_until, args=(stop, [resting], woken))
     thread.start()
     while not resting.turns_s:
         pass
