@@ -146,7 +146,7 @@ def divide(
         bool,
         typer.Option(
             help="Make short plans first and move orders from trucks that are back late to the"
-            " others; else regions have as much work by a measure."
+            " others. Without it, or with --no-plan, regions have as much work by a measure."
         ),
     ] = True,
     policy: Annotated[

@@ -216,7 +216,7 @@ def bench_fleet(
     sim-bridge research bench-fleet --vehicles 200 --minutes 2 --json fleet.json
 
     sim-bridge research bench-fleet --vehicles 10000 --desks 10 --routers 10 --states-every 4
-    --order-every 1800 --join-apart 2
+    --order-every 1800 --join-apart 1
     """
     try:
         from sim_bridge.research.benchmarks.fleet_bench.bench import Asked

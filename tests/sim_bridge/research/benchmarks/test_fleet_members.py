@@ -2,6 +2,7 @@
 
 import queue
 import threading
+import time
 
 import pytest
 
@@ -44,12 +45,12 @@ def test_who_is_woken_comes_at_once() -> None:
     stop = threading.Event()
     thread = threading.Thread(target=members.turn_until, args=(stop, [resting], woken))
     thread.start()
-    while not resting.turns_s:
-        pass
+    while not resting.turns_s and thread.is_alive():
+        time.sleep(0.001)
     told_s = wall_s()
     woken.put(0)
     while len(resting.turns_s) < 2 and wall_s() - told_s < 5.0:
-        pass
+        time.sleep(0.001)
     stop.set()
     thread.join(2.0)
     assert resting.turns_s[1] - told_s < 0.2
