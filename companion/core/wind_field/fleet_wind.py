@@ -13,9 +13,10 @@ agrees with one's own wind, and in doubt one's own wind alone is: then nothing h
 import math
 from collections.abc import Iterable
 
-from companion.core.wind_field.field_belief import FieldBelief, SettledField
+from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldProcess
 from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.settled_field import SettledField
 from companion.core.wind_field.tellings import WindTelling
 
 OWN = "(own)"

@@ -8,9 +8,9 @@ from scipy.special import ndtr
 from companion.core.base.arrays import Floats
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import LEG_S, WindAhead, WindForecast
-from companion.core.wind_field.field_belief import SettledField
 from companion.core.wind_field.field_process import FieldPoints
 from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.settled_field import SettledField
 
 BEHIND_STD_MPS = 2.0
 """Error of the wind behind a front on each axis, away from who felt it: as the desk has it."""
@@ -32,7 +32,9 @@ class SharedOutlook:
         """Means of about a minute. What each estimate is off by for long is in the walk."""
         height = np.full(horizon_s.size, self.height_m)
         points = FieldPoints(place_ne_m + self.shift_ne_m, height, belief.t_s + horizon_s)
-        found = self.field.forecast(points, self.averaged_s)
+        steps = np.gradient(place_ne_m, horizon_s, axis=0) if horizon_s.size > 1 else place_ne_m * 0
+        way_m = self.averaged_s * np.linalg.norm(steps, axis=1)
+        found = self.field.forecast(points, self.averaged_s, way_m)
         north, east = found.north_cov_m2ps2, found.east_cov_m2ps2
         walk = north if np.trace(north) >= np.trace(east) else east
         return WindForecast(horizon_s, found.mean_to_ne_mps, walk, np.zeros((2, 2)), self.tail_dof)

@@ -196,8 +196,8 @@ def _speed_mps(one: WindTelling, other: WindTelling) -> float:
 
 @dataclass(frozen=True, slots=True)
 class KeptStretches:
-    """All stretches of all members as arrays: members by number, ends (n, 4), winds and variances
-    (n, 2), counts (n,)."""
+    """All stretches of all members as arrays, in order of time: members by number, ends (n, 4),
+    winds and variances (n, 2), counts (n,)."""
 
     members: tuple[str, ...]
     member: Ints
@@ -211,10 +211,8 @@ class KeptStretches:
     @classmethod
     def of(cls, members: dict[str, MemberTellings], most: int) -> "KeptStretches":
         """At most so many stretches: the oldest are left out."""
-        rows = list(_rows(members))
-        if len(rows) > most:
-            rows.sort(key=lambda row: -row[1].last[0])
-            rows = sorted(rows[:most], key=lambda row: row[0])
+        rows = sorted(_rows(members), key=lambda row: row[1].first[0] + row[1].last[0])
+        rows = rows[-most:]
         numbers = np.array([row[1].numbers for row in rows]).reshape(-1, 13)
         first, last = numbers[:, 0:4], numbers[:, 4:8]
         middle = 0.5 * (first + last)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field.field_belief import SettledField
 from companion.core.wind_field.field_process import FieldPoints
+from companion.core.wind_field.settled_field import SettledField
 from companion.core.wind_field.tellings import WindTelling
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_forecast import LEAST_STD_MPS, MOST_SPEED_MPS, MOST_STD_MPS

@@ -6,9 +6,10 @@ Drones judge one another, and the stations. No station decides which drone is be
 import numpy as np
 
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.field_belief import FieldBelief, SettledField, WindPrior
+from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldProcess
 from companion.core.wind_field.fronts import FrontAhead
+from companion.core.wind_field.settled_field import SettledField, WindPrior
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 from ground_station.core.schema.day import Forecast
 from ground_station.core.site_wind.believed_wind import BelievedWind, believed_at, blows_from_deg

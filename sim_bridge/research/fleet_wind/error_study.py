@@ -4,7 +4,8 @@ The same model both times. Judged are the wind now (a 10 s mean), its mean over 
 and a single 10 s mean at the end of it: at a drone's own place, and at places where nobody is. In
 ordinary wind the fleet is judged again with one drone that lies, is frozen or mute; that one's own
 forecasts are then left out on both sides. Where all are honest the fleet knows the fronts that its
-watch tells, false ones as well; who is alone has nobody who would tell.
+watch tells, false ones as well; who is alone has nobody who would tell. At its own place a drone
+uses the fleet as it does aboard: not while it contradicts its own wind.
 """
 
 import math
@@ -14,8 +15,10 @@ from enum import Enum
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field.field_belief import FieldBelief, SettledField
+from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldPoints
+from companion.core.wind_field.fleet_wind import DOUBT_SQUARE
+from companion.core.wind_field.settled_field import SettledField
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 from sim_bridge.research.fleet_wind.front_stages import NO_FRONTS, FrontsOfWorld, FrontStage
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M, SITE_M
@@ -212,6 +215,7 @@ class _Judged:
     actual: Floats
     stages: tuple[FrontStage, ...]
     alone: dict[int, Floats]
+    names: tuple[str, ...]
 
     @classmethod
     def of(
@@ -232,15 +236,19 @@ class _Judged:
             actual[q] = world.mean_truth(place_ne_m, first, last)
             stages.append(fronts.stage(place_ne_m, now_s, last))
         alone = {k: _squares(forecasts(own[k], place_ne_m), actual) for k in who}
-        return cls(where, place_ne_m, actual, tuple(stages), alone)
+        names = tuple(way.name for way in world.drones)
+        return cls(where, place_ne_m, actual, tuple(stages), alone, names)
 
     def add_to(self, tally: ErrorTally, kind: Members, fleet: SettledField) -> None:
         """Count the fleet's error once for each honest member who forecasts alone."""
         honest = [k for k in self.alone if kind is Members.HONEST or k > 0]
         if not honest:
             return
-        squares = _squares(forecasts(fleet, self.place_ne_m), self.actual)
         alone = np.sum([self.alone[k] for k in honest], axis=0)
+        if self.where == OWN_PLACE and _contradicts(fleet, self.names[honest[0]]):
+            squares = alone
+        else:
+            squares = _squares(forecasts(fleet, self.place_ne_m), self.actual)
         count = len(honest)
         for q, question in enumerate(QUESTIONS):
             error, nees = (float(x) for x in count * squares[q])
@@ -248,6 +256,12 @@ class _Judged:
             sums = SquareSums(count, own_error, error, own_nees, nees)
             for stage in (FrontStage.WHOLE, self.stages[q]):
                 tally.add(key_of(kind, self.where, question, stage), sums)
+
+
+def _contradicts(fleet: SettledField, member: str) -> bool:
+    """Whether the fleet's wind contradicts a member's own, which it then keeps to (`FleetWind`)."""
+    square = fleet.disagreement(member)
+    return square is None or square > DOUBT_SQUARE
 
 
 def _squares(said: tuple[Floats, Floats], actual: Floats) -> Floats:

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field.field_belief import FieldBelief, SettledField
+from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldPoints
+from companion.core.wind_field.settled_field import SettledField
 from sim_bridge.research.fleet_wind.patrols import HEIGHT_M, SITE_M
 from sim_bridge.research.fleet_wind.study import FleetWindSetting, drawn_field
 

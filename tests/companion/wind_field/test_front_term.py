@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from companion.adapters.files.params import read_wind_process
-from companion.core.wind_field.field_belief import FRONT_COUNTS_S, FieldBelief, SettledField
+from companion.core.wind_field.field_belief import FRONT_COUNTS_S, FieldBelief
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
 from companion.core.wind_field.front_odds import CHANGE_STD_MPS
 from companion.core.wind_field.front_term import MEAN_LAG_S, FrontTerm
 from companion.core.wind_field.fronts import FELT_STD_S, FeltChange, FrontAhead
+from companion.core.wind_field.settled_field import SettledField
 from companion.core.wind_field.tellings import WindTelling
 from tests.companion.wind_field.made_front import made_front
 

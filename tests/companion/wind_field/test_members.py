@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from companion.adapters.files.params import read_wind_process
-from companion.core.wind_field.field_belief import FieldBelief, SettledField
+from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
+from companion.core.wind_field.settled_field import SettledField
 from companion.core.wind_field.tellings import KEPT_S, MemberTellings, WindTelling
 
 PROCESS = FieldProcess(read_wind_process("coast"))

@@ -1,0 +1,183 @@
+"""What the ground does to the wind: learned from what was told, and no excuse for who lies.
+
+The ground here is drawn by hand: lees that slow the wind, wherever the eddies are.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.adapters.files.params import read_wind_process
+from companion.core.wind.estimator import WindBelief
+from companion.core.wind_field import standing
+from companion.core.wind_field.field_belief import FieldBelief
+from companion.core.wind_field.field_process import FieldPoints, FieldProcess
+from companion.core.wind_field.settled_field import SettledField
+from companion.core.wind_field.shared_outlook import SharedOutlook
+from companion.core.wind_field.tellings import WindTelling
+
+COAST = read_wind_process("coast")
+HEIGHT_M, SPEED_MPS, SITE_M = 40.0, 12.0, 700.0
+WIND = np.array([-8.0, 1.0])
+LEES_NE_M = np.array([(0.0, 0.0), (700.0, 300.0), (-500.0, 500.0), (-300.0, -700.0)])
+LEE_M, LEE_SHARE = 200.0, 0.5
+BESIDE_NE_M = (300.0, -500.0)
+
+
+def ground_share(place: np.ndarray) -> float:
+    """Of the wind: half of it in four lees."""
+    away = np.hypot(*(LEES_NE_M - place).T)
+    return float(1.0 - LEE_SHARE * np.exp(-0.5 * (away / LEE_M) ** 2).max())
+
+
+def open_ground(place: np.ndarray) -> float:
+    return 1.0
+
+
+def to_and_fro(index: int, t_s: float) -> np.ndarray:
+    """Each on a line of its own through the site, at 12 m/s; all pass near its middle."""
+    course = index * math.pi / 6.0
+    along = (SPEED_MPS * t_s + 300.0 * index) % (4.0 * SITE_M)
+    along = along - SITE_M if along < 2.0 * SITE_M else 3.0 * SITE_M - along
+    aside = 60.0 * (index - 2.5)
+    unit, normal = (math.cos(course), math.sin(course)), (-math.sin(course), math.cos(course))
+    return np.array([along * unit[k] + aside * normal[k] for k in (0, 1)])
+
+
+def staying(index: int, t_s: float) -> np.ndarray:
+    return np.array([[600.0, 0.0], [-500.0, 300.0], [200.0, -600.0], [-300.0, -400.0]][index])
+
+
+def after_a_quarter(
+    ground: Callable[[np.ndarray], float],
+    way: Callable[[int, float], np.ndarray] = to_and_fro,
+    members: int = 6,
+    lie: Callable[[int, float], float] = lambda index, t_s: 0.0,
+    seed: int = 2,
+) -> SettledField:
+    """Fifteen minutes, the field looked at every 10 s: eddies that all share, noise of each."""
+    rng = np.random.default_rng(seed)
+    belief, eddy = FieldBelief(FieldProcess(COAST)), np.zeros(2)
+    settled = belief.settle(0.0)
+    for k in range(1, 91):
+        t_s = 10.0 * k
+        eddy = 0.95 * eddy + 0.3 * rng.standard_normal(2)
+        for index in range(members):
+            place = way(index, t_s - 5.0)
+            north, east = ground(place) * (WIND + eddy) + 0.4 * rng.standard_normal(2)
+            north += lie(index, t_s)
+            telling = WindTelling(
+                f"d{index}",
+                t_s,
+                (float(place[0]), float(place[1])),
+                HEIGHT_M,
+                (float(north), float(east)),
+                (0.16, 0.0, 0.16),
+            )
+            belief.tell(telling, t_s)
+        settled = belief.settle(t_s)
+    return settled
+
+
+def north_at(field: SettledField, place: tuple[float, float], t_s: float) -> tuple[float, float]:
+    """Mean and standard deviation of the north wind there."""
+    said = field.forecast(FieldPoints(np.array([place]), np.array([HEIGHT_M]), np.array([t_s])))
+    return float(said.mean_to_ne_mps[0, 0]), math.sqrt(float(said.north_cov_m2ps2[0, 0]))
+
+
+def test_over_open_ground_who_moves_learns_that_nothing_stands() -> None:
+    assert after_a_quarter(open_ground).air.standing_share == 0.0
+
+
+@pytest.mark.parametrize("seed", [2, 6])
+def test_a_lee_is_learned_and_known_where_nobody_is_now(seed: int) -> None:
+    """Of the 4 m/s less that it has: means of a minute say the most of it of the newest ways."""
+    lees, open_air = (after_a_quarter(ground, seed=seed) for ground in (ground_share, open_ground))
+    assert 0.05 < lees.air.standing_share <= max(standing.SHARES)
+    slower = []
+    for field in (lees, open_air):
+        later_s = field.now_s + 600.0  # every eddy of now is long gone
+        lee, beside = (north_at(field, place, later_s)[0] for place in ((0.0, 0.0), BESIDE_NE_M))
+        slower.append(lee - beside)
+    assert slower[0] > 0.8
+    assert abs(slower[1]) < 0.2
+
+
+def test_one_who_lies_where_it_stays_is_no_lee() -> None:
+    honest = after_a_quarter(open_ground, staying, members=4)
+    lied = after_a_quarter(
+        open_ground, staying, members=4, lie=lambda k, t_s: 5.0 if k == 0 and t_s > 300.0 else 0.0
+    )
+    assert honest.air.standing_share <= standing.PRIOR_SHARE
+    assert lied.air.standing_share <= standing.PRIOR_SHARE
+    assert "contradicts" in lied.left_out["d0"]
+
+
+def test_evidence_is_forgotten_and_little_of_it_counts_as_none() -> None:
+    learned = standing.StandingShare()
+    assert learned.share == pytest.approx(standing.PRIOR_SHARE)
+    assert learned.seen == 0.0
+    against = -np.arange(5.0) * 10.0
+    learned.learn(against, None, 0.0)
+    assert learned.share == 0.0
+    learned.learn(np.zeros(5), None, 20.0 * standing.MEMORY_S)
+    assert learned.share == pytest.approx(standing.PRIOR_SHARE, rel=0.01)
+    for_much = np.array([0.0, 5.0, 10.0, 30.0, 20.0])
+    learned.learn(for_much, np.zeros(5), 21.0 * standing.MEMORY_S)
+    assert learned.share == pytest.approx(standing.PRIOR_SHARE, rel=0.01), "one alone says so"
+    learned.learn(for_much, for_much, 21.0 * standing.MEMORY_S + 60.0)
+    assert learned.share == pytest.approx(standing.SHARES[3], rel=0.01)
+    assert learned.seen == pytest.approx(
+        math.sqrt(standing.SHARES[3] ** 2 - standing.PRIOR_SHARE**2), rel=0.01
+    )
+
+
+@pytest.mark.parametrize("way_m", [30.0, 120.0, 700.0])
+def test_a_mean_over_a_way_leaves_what_the_double_integral_says(way_m: float) -> None:
+    steps = np.linspace(0.0, way_m, 1001)
+    apart = np.abs(np.subtract.outer(steps, steps))
+    expected = np.exp(-apart / standing.LENGTH_M).mean()
+    assert standing.left_by_averaging(np.array([way_m]))[0] ** 2 == pytest.approx(
+        expected, rel=2e-3
+    )
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(
+        st.tuples(*[st.floats(-1000.0, 1000.0)] * 2, st.floats(0.0, 120.0), st.floats(0.0, 900.0)),
+        min_size=2,
+        max_size=12,
+    )
+)
+def test_the_covariance_of_any_places_is_one(
+    where: list[tuple[float, float, float, float]],
+) -> None:
+    table = np.array(where)
+    left = standing.left_by_averaging(table[:, 3])
+    found = standing.within(standing.coordinates(table[:, :2], table[:, 2]), left)
+    assert np.allclose(found, found.T)
+    assert np.linalg.eigvalsh(found).min() > -1e-9
+    assert np.diag(found).max() <= 1.0 + 1e-12
+
+
+def test_on_a_way_what_stands_averages_out() -> None:
+    """Nodes a minute apart, at 12 m/s and at one place far from who told."""
+    field = after_a_quarter(ground_share)
+    outlook = SharedOutlook(field, HEIGHT_M)
+    now = WindBelief(field.now_s, WIND, np.eye(2) * 0.2, ("tilt",), True)
+    ahead_s = np.array([0.0, 60.0, 120.0])
+    far = np.array([3000.0, 3000.0])
+    staying_there = np.tile(far, (3, 1))
+    flown = far + np.outer(SPEED_MPS * ahead_s, [1.0, 0.0])
+    stays, moves = (
+        float(outlook.on_way(now, ahead_s, way).walk_cov_m2ps2[0, 0])
+        for way in (staying_there, flown)
+    )
+    stood = (field.air.standing_share * float(np.hypot(*field.mean_to_ne_mps))) ** 2
+    left = standing.left_by_averaging(np.array([SPEED_MPS * outlook.averaged_s]))[0] ** 2
+    assert stays - moves == pytest.approx(stood * (1.0 - left), rel=0.05)
