@@ -79,6 +79,11 @@ class FieldBelief:
         crowd = min(TELLING_S * -(-len(self._members) // _CROWD), JOINED_S)
         return self._members.setdefault(telling.member, MemberTellings()).take(telling, crowd)
 
+    @property
+    def standing_share_seen(self) -> float:
+        """What the ground does to the wind, over the mean wind, once it was seen; 0: nothing."""
+        return self._ground.seen
+
     def drop(self, member: str) -> None:
         """Forget all that a member told."""
         self._members.pop(member, None)

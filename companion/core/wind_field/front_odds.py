@@ -7,7 +7,8 @@ together as the wind process says, and the change, a vector, is integrated over 
 and Gaussian: Rasmussen and Williams 2006, eq. 2.42). The mean of these ratios is the odds of a
 front (Shiryaev-Roberts: Roberts, Technometrics 8, 1966). So members whom a front should have
 reached and who feel nothing speak against it, gusts that all feel count once, and members that
-feel a little each count together.
+feel a little each count together; and where the ground slows the wind (`standing`), who flies into
+a lee is no front.
 """
 
 import math
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from companion.core.base.arrays import Floats
+from companion.core.wind_field import standing
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
 from companion.core.wind_field.tellings import TELLING_S, WindTelling
 
@@ -76,13 +78,14 @@ class FrontOdds:
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What is judged, oldest first: places (n, 2), times, winds (n, 2), variances, by whom, and the
-    number of its age, (n,) each."""
+    """What is judged, oldest first: places (n, 2), times, winds (n, 2), variances, how far each
+    reaches over the ground, by whom, and the number of its age, (n,) each."""
 
     place_ne_m: Floats
     t_s: Floats
     wind_ne_mps: Floats
     variance_m2ps2: Floats
+    way_m: Floats
     member: Floats
     age: Floats
 
@@ -94,13 +97,16 @@ class _Told:
             picked = _picked(told, now_s)
             if not picked or picked[0][1].t_s - picked[-1][1].t_s < BEFORE_S:
                 continue
-            for age, one in picked:
+            before = [*(one for _, one in picked[1:]), picked[-2][1]]
+            for (age, one), other in zip(picked, before, strict=True):
                 variance = 0.5 * sum(one.variance_m2ps2)
-                row = (*one.place_ne_m, one.t_s, *one.mean_to_ne_mps, variance, number, age)
-                rows.append(row)
+                way_m = TELLING_S * math.dist(one.place_ne_m, other.place_ne_m)
+                way_m /= abs(one.t_s - other.t_s)
+                told_now = (*one.place_ne_m, one.t_s, *one.mean_to_ne_mps, variance)
+                rows.append((*told_now, way_m, number, age))
         rows.sort(key=lambda row: -row[-1])
-        a = np.array(rows).reshape(-1, 8)
-        return cls(a[:, 0:2], a[:, 2], a[:, 3:5], a[:, 5], a[:, 6], a[:, 7])
+        a = np.array(rows).reshape(-1, 9)
+        return cls(a[:, 0:2], a[:, 2], a[:, 3:5], a[:, 5], a[:, 6], a[:, 7], a[:, 8])
 
 
 def _picked(told: Sequence[WindTelling], now_s: float) -> list[tuple[int, WindTelling]]:
@@ -123,10 +129,12 @@ def front_odds(
     now_s: float,
     process: FieldProcess,
     gustier: float,
+    standing_share: float = 0.0,
 ) -> FrontOdds | None:
     """The odds by what each of a few members told, oldest first; None: too little is known.
 
-    `gustier`: the process's variances are so many times as large.
+    `gustier`: the process's variances are so many times as large. `standing_share`: the standard
+    deviation of what the ground does, over the mean wind.
     """
     told = _Told.of(members, now_s)
     before = told.age >= FEW
@@ -140,7 +148,8 @@ def front_odds(
     since_s = told.t_s[:, None] - _MEAN_LAG_S - (now_s + lag_s - first_s)
     over = (passing_s + 2.0)[None, :, None]
     share = _smooth((since_s[:, :, None] + _BEGAN_S) / over).reshape(told.t_s.size, -1)
-    lower = _covariance_root(told, mean, process, gustier)
+    stands_mps = standing_share * float(np.hypot(*mean))
+    lower = _covariance_root(told, mean, process, gustier, stands_mps)
     known = np.concatenate([told.wind_ne_mps - mean, share], axis=1)
     white = solve_triangular(lower, known, lower=True, check_finite=False)
     misfit = _misfit(white[: np.count_nonzero(before), :2])
@@ -208,7 +217,9 @@ def _fronts(mean_ne_mps: Floats) -> tuple[Floats, Floats, Floats]:
     return np.repeat(normals, each, axis=0), speeds, passing_s
 
 
-def _covariance_root(told: _Told, mean: Floats, process: FieldProcess, gustier: float) -> Floats:
+def _covariance_root(
+    told: _Told, mean: Floats, process: FieldProcess, gustier: float, stands_mps: float
+) -> Floats:
     """Lower Cholesky factor of the covariance of what was told, without a front."""
     count = told.t_s.size
     middle_s = told.t_s - 0.5 * TELLING_S - told.t_s.max()
@@ -217,6 +228,10 @@ def _covariance_root(told: _Told, mean: Floats, process: FieldProcess, gustier: 
     left = process.left_by_averaging(np.full(count, TELLING_S))
     scale = gustier * process.process.variance_scale(float(np.hypot(*mean)))
     cov = scale * process.within(at_s, left) + LEVEL_STD_MPS**2
+    if stands_mps > 0.0:
+        stand_at = standing.coordinates(told.place_ne_m, np.zeros(count))
+        stand_left = standing.left_by_averaging(told.way_m)
+        cov += stands_mps**2 * standing.within(stand_at, stand_left)
     fresh = np.minimum(told.variance_m2ps2, process.process.seen_noise_std_mps**2)
     lasting = np.sqrt(told.variance_m2ps2 - fresh)
     same = told.member[:, None] == told.member

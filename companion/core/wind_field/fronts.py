@@ -200,8 +200,13 @@ class FrontWatch:
         self._chance_m2ps2 = chance_m2ps2(process)
         self._members: dict[str, _Member] = {}
         self._looked_s = -math.inf
+        self._standing_share = 0.0
         self.front: FrontAhead | None = None
         """The front that is passing, while it may be on the site."""
+
+    def expect_ground(self, standing_share: float) -> None:
+        """What the ground does to the wind, over the mean wind, as is known from now on."""
+        self._standing_share = standing_share
 
     def hear(self, telling: WindTelling) -> FrontNews | None:
         """Take a telling; returns the front where it is new, better known or withdrawn by it."""
@@ -284,7 +289,7 @@ class FrontWatch:
         self, asked: Sequence[_Member], place_ne_m: tuple[float, float], now_s: float
     ) -> FrontOdds | None:
         told = [tuple(one.told) for one in asked]
-        return front_odds(told, place_ne_m, now_s, self._field, self._gustier)
+        return front_odds(told, place_ne_m, now_s, self._field, self._gustier, self._standing_share)
 
     def _near(self, place_ne_m: tuple[float, float], now_s: float) -> list[_Member]:
         """Who is asked: the nearest of those that have told of late."""

@@ -78,8 +78,12 @@ class StandingShare:
 
     @property
     def seen(self) -> float:
-        """As much as it is more than what was taken for granted before anybody told."""
-        return math.sqrt(max(self.share**2 - PRIOR_SHARE**2, 0.0))
+        """The same once it is more likely than not that anything stands, until then 0: ground that
+        nobody has seen anything of excuses nobody.
+        """
+        logs = self._evidence[int(np.argmin(self._shares))]
+        weights = np.exp(logs - logs.max())
+        return self.share if weights[0] < 0.5 * weights.sum() else 0.0
 
     def learn(self, everybody: Floats, others: Floats | None, now_s: float) -> None:
         """Take the log likelihoods of what was told since `learned_s`: of all, and without the one

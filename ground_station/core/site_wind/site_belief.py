@@ -110,6 +110,11 @@ class SiteBelief:
         self._settled = settled
         return settled
 
+    @property
+    def standing_share_seen(self) -> float:
+        """What drones have seen the ground do to the wind, over the mean wind."""
+        return self._by_drones.standing_share_seen
+
     def _drones_field(self, t_s: float) -> SettledField:
         """By drones alone, as believed now or a few seconds ago."""
         self.settled(t_s)

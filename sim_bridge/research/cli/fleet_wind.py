@@ -51,7 +51,7 @@ def fleet_wind(
         typer.Option(
             "--bound",
             help="Hold alerts against ideal tests, which know the law of the wind and of fronts: 15"
-            " s of CPU a field.",
+            " s of CPU a field. Over flat ground only.",
         ),
     ] = False,
     missions: Annotated[
@@ -127,10 +127,10 @@ def fleet_wind(
             "--draws 0, --alert-draws 0, --missions 0: expected one of them to be 1 or more"
         )
     made = None if field is None else made_field(field)
-    if made is not None and made.obstacles and alert_draws > 0:
+    if made is not None and made.obstacles and bound:
         raise LeewayError(
-            f"--field {field}: what is told of fronts is judged over flat ground, and here are"
-            " obstacles: expected --alert-draws 0"
+            f"--field {field}: ideal tests know no obstacles, and this field has some: expected it"
+            " without --bound"
         )
     setting = FleetWindSetting(
         wind_log=None if wind_log is None else str(wind_log),

@@ -1,7 +1,8 @@
 """Fronts told ahead: how many of the drones are warned, how long before, and how often for nothing.
 
 The same field with a front and without one: there every alert is false. Beliefs are told once a
-second: 10 s means whose error lasts about 10 s.
+second: 10 s means whose error lasts about 10 s. Among obstacles a front is felt where the free wind
+has changed by as much: in a lee less of it arrives.
 """
 
 import math
@@ -12,6 +13,8 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.wind.process import WindProcessParams
+from companion.core.wind_field.field_belief import LEARNED_S, FieldBelief
+from companion.core.wind_field.field_process import FieldProcess
 from companion.core.wind_field.fronts import (
     BEFORE_S,
     GAP_S,
@@ -146,9 +149,12 @@ def alerts_in(news: Iterable[FrontNews]) -> list[Alert]:
     return list(found.values())
 
 
-def front_news(told: Beliefs, names: list[str], watch: FrontWatch) -> list[FrontNews]:
-    """Fronts each time that they are new, better known or withdrawn, in order of time."""
+def front_news(told: Beliefs, names: list[str], process: WindProcessParams) -> list[FrontNews]:
+    """Fronts each time that they are new, better known or withdrawn, in order of time, as a desk's
+    watch tells them that learns from its field what the ground does."""
     found: list[FrontNews] = []
+    watch, field = FrontWatch(process), FieldBelief(FieldProcess(process))
+    settled_s = -math.inf
     variance = TOLD_STD_MPS**2
     for k, t_s in enumerate(told.t_s):
         for number, name in enumerate(names):
@@ -162,9 +168,14 @@ def front_news(told: Beliefs, names: list[str], watch: FrontWatch) -> list[Front
                 (float(wind[0]), float(wind[1])),
                 (variance, 0.0, variance),
             )
+            field.tell(told_now, float(t_s))
             front = watch.hear(told_now)
             if front is not None:
                 found.append(front)
+        if t_s - settled_s >= LEARNED_S:
+            settled_s = float(t_s)
+            field.settle(settled_s)
+            watch.expect_ground(field.standing_share_seen)
     return found
 
 

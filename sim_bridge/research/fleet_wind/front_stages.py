@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWatch, FrontWithdrawn
+from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWithdrawn
 from sim_bridge.research.fleet_wind.alert_study import beliefs, felt_s, front_news
 from sim_bridge.research.fleet_wind.patrols import Patrol
 from sim_bridge.truth.fields.front import PassingFront
@@ -77,7 +77,7 @@ def fronts_of_world(
 ) -> FrontsOfWorld:
     """What the fleet's watch makes of what is told once a second, false alerts as well."""
     told = beliefs(truth, drones, 0.0, seconds, rng)
-    found = front_news(told, [one.name for one in drones], FrontWatch(process))
+    found = front_news(told, [one.name for one in drones], process)
     known = tuple(front_known(news) for news in found)
     if real is None:
         return FrontsOfWorld(known)

@@ -15,7 +15,6 @@ import numpy as np
 from companion.adapters.files.params import params_dir
 from companion.core.base.arrays import Floats, Ints
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.fronts import FrontWatch
 from sim_bridge.research.fleet_wind.alert_study import beliefs, front_news
 from sim_bridge.research.fleet_wind.front_stages import FrontsTold, front_known
 from sim_bridge.research.fleet_wind.mission_outlook import FleetForesight
@@ -234,7 +233,7 @@ def _site(setting: MissionSetting, case: int, number: int, front: bool) -> _Site
     world = world_of(truth, drawn.seconds, drawn.process, drawn.ways, rng)
     told = beliefs(truth, drawn.ways, 0.0, float(drawn.seconds), rng)
     names = [way.name for way in drawn.ways]
-    news = front_news(told, names, FrontWatch(drawn.process))
+    news = front_news(told, names, drawn.process)
     fronts = tuple(front_known(one) for one in news)
     vehicle = _vehicle(setting)
     return _Site(world, fronts, drawn.process, vehicle, flying.world_of(vehicle))

@@ -10,7 +10,6 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_field.fronts import FrontWatch
 from sim_bridge.research.fleet_wind.alert_study import (
     NO_ALERTS,
     AlertFigures,
@@ -199,7 +198,7 @@ def judge_draw(draw: FieldDraw) -> DrawResult:
         last_s = float(drawn.seconds)
         told = beliefs(drawn.truth(front=front), drawn.ways, 0.0, last_s, drawn.rng)
         heard.append(told)
-        found = alerts_in(front_news(told, names, FrontWatch(drawn.process)))
+        found = alerts_in(front_news(told, names, drawn.process))
         if front:
             alerts += judge_front(drawn.front, told, found, drawn.process)
         else:

@@ -96,3 +96,31 @@ def test_of_half_a_minute_nobody_knows_the_wind_before() -> None:
     short = [[one for one in rows if one.t_s > NOW_S - 40.0] for rows in told(8.0, 30.0)]
     assert front_odds(short, PLACES[0], NOW_S, COAST, 1.0) is None
     assert front_odds([], PLACES[0], NOW_S, COAST, 1.0) is None
+
+
+def into_a_lee(slower_mps: float) -> list[list[WindTelling]]:
+    """The same three; the first flies north at 12 m/s and into a lee 25 s ago, the rest stay."""
+    calm = told(0.0, 45.0)
+    flown: list[WindTelling] = []
+    for one in calm[0]:
+        ago_s = NOW_S - one.t_s
+        north, east = one.mean_to_ne_mps
+        share = min(max((25.0 - ago_s) / 20.0, 0.0), 1.0)
+        place = (PLACES[0][0] - 12.0 * ago_s, PLACES[0][1])
+        wind = (north - share * slower_mps, east)
+        flown.append(WindTelling("d0", one.t_s, place, 40.0, wind, (0.25, 0.0, 0.25)))
+    return [flown, *calm[1:]]
+
+
+def test_where_the_ground_slows_the_wind_who_flies_into_a_lee_is_no_front() -> None:
+    def log_odds(members: list[list[WindTelling]], share: float) -> float:
+        found = front_odds(members, PLACES[0], NOW_S, COAST, 1.0, share)
+        assert found is not None
+        return found.log_odds
+
+    lee = into_a_lee(5.0)[:1]  # nobody else is near
+    assert log_odds(lee, 0.0) > 5.0
+    assert log_odds(lee, 0.15) < log_odds(lee, 0.0) - 2.0
+    # Who stays feels no change of the ground: a front is told as before.
+    front = told(8.0, 45.0)
+    assert log_odds(front, 0.15) > 0.9 * log_odds(front, 0.0) > 20.0

@@ -129,11 +129,10 @@ def test_evidence_is_forgotten_and_little_of_it_counts_as_none() -> None:
     for_much = np.array([0.0, 5.0, 10.0, 30.0, 20.0])
     learned.learn(for_much, np.zeros(5), 21.0 * standing.MEMORY_S)
     assert learned.share == pytest.approx(standing.PRIOR_SHARE, rel=0.01), "one alone says so"
+    assert learned.seen == 0.0
     learned.learn(for_much, for_much, 21.0 * standing.MEMORY_S + 60.0)
     assert learned.share == pytest.approx(standing.SHARES[3], rel=0.01)
-    assert learned.seen == pytest.approx(
-        math.sqrt(standing.SHARES[3] ** 2 - standing.PRIOR_SHARE**2), rel=0.01
-    )
+    assert learned.seen == learned.share
 
 
 @pytest.mark.parametrize("way_m", [30.0, 120.0, 700.0])
