@@ -101,7 +101,7 @@ class _Told:
             for (age, one), other in zip(picked, before, strict=True):
                 variance = 0.5 * sum(one.variance_m2ps2)
                 way_m = TELLING_S * math.dist(one.place_ne_m, other.place_ne_m)
-                way_m /= abs(one.t_s - other.t_s)
+                way_m /= max(abs(one.t_s - other.t_s), 1.0)  # one may be picked for two ages
                 told_now = (*one.place_ne_m, one.t_s, *one.mean_to_ne_mps, variance)
                 rows.append((*told_now, way_m, number, age))
         rows.sort(key=lambda row: -row[-1])

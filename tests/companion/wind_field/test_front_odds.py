@@ -124,3 +124,11 @@ def test_where_the_ground_slows_the_wind_who_flies_into_a_lee_is_no_front() -> N
     # Who stays feels no change of the ground: a front is told as before.
     front = told(8.0, 45.0)
     assert log_odds(front, 0.15) > 0.9 * log_odds(front, 0.0) > 20.0
+
+
+def test_one_telling_that_stands_for_two_ages_is_no_trouble() -> None:
+    """At 9.7 s of age it is the newest for now and for ten seconds ago."""
+    late = told(8.0, 45.0)
+    found = front_odds(late, PLACES[0], NOW_S + 9.7, COAST, 1.0, 0.1)
+    assert found is not None
+    assert math.isfinite(found.log_odds)
