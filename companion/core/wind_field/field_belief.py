@@ -80,9 +80,9 @@ class FieldBelief:
         return self._members.setdefault(telling.member, MemberTellings()).take(telling, crowd)
 
     @property
-    def standing_share_seen(self) -> float:
-        """What the ground does to the wind, over the mean wind, once it was seen; 0: nothing."""
-        return self._ground.seen
+    def standing_share(self) -> float:
+        """What the ground is seen to do to the wind, over the mean wind; 0: nothing."""
+        return self._ground.share
 
     def drop(self, member: str) -> None:
         """Forget all that a member told."""
@@ -105,7 +105,9 @@ class FieldBelief:
                 del self._members[name]
         kept = KeptStretches.of(self._with(newest), MOST_STRETCHES)
         out: dict[str, str] = {}
-        judged = AirState(standing_share=self._ground.seen)
+        if not kept.count.size or now_s < self._ground.learned_s:
+            self._ground = standing.StandingShare()
+        judged = AirState(standing_share=self._ground.share)
         while True:
             settled = self._settled(kept, now_s, judged)
             bad = contradicting(settled.mean_shift_squares, kept, now_s, always, firm)
@@ -113,28 +115,30 @@ class FieldBelief:
                 break
             out |= bad
             kept = kept.without(frozenset(bad))
-        # Not before: a front would excuse the one who made it up, and so would the ground.
+        # Not before: a front would excuse the one who made it up.
         front = self._front_of(kept, now_s)
-        due = not 0.0 <= now_s - self._ground.learned_s < LEARNED_S
+        due = now_s - self._ground.learned_s >= LEARNED_S
         if due:
             self._learn(kept, now_s, front, settled)
         air = AirState(1.0, self._ground.share, front)
-        if due or air != judged:
+        if air != judged:
             settled = self._settled(kept, now_s, air, settled)
         return settled.leaving_out(out)
 
     def _learn(
         self, kept: KeptStretches, now_s: float, front: FrontTerm | None, same: "SettledField"
     ) -> None:
-        """How much the ground does to the wind, by what is kept.
-
-        No more than all but the one say who differs most: it may be in a lee, or wrong.
-        """
-        everybody = self._log_likelihoods(kept, now_s, front, same)
-        odd = same.most_different()
-        others = None
-        if odd is not None and everybody.argmax() > 0:
-            others = self._log_likelihoods(kept.without(frozenset([odd])), now_s, front)
+        """How much the ground does to the wind, by what is kept."""
+        logs = self._log_likelihoods(kept, now_s, front, same)
+        told = {
+            kept.members[int(number)]: logs[:, kept.member == number].sum(axis=1)
+            for number in np.unique(kept.member)
+        }
+        everybody, others = logs.sum(axis=1), np.zeros(len(standing.SHARES))
+        if len(told) > standing.LEAST_OTHERS:
+            most = self._ground.says_most(told, now_s)
+            others = self._log_likelihoods(kept.without(frozenset([most])), now_s, front)
+            others = others.sum(axis=1)
         self._ground.learn(everybody, others, now_s)
 
     def _log_likelihoods(
@@ -144,11 +148,14 @@ class FieldBelief:
         front: FrontTerm | None,
         same: "SettledField | None" = None,
     ) -> Floats:
-        """Of what was told since the last time, for each of `standing.SHARES`."""
-        logs: list[float] = []
+        """For each of `standing.SHARES` that of each stretch told since the last time (shares, n);
+        0 of those told before.
+        """
+        logs: list[Floats] = []
+        newer = kept.middle[:, 0] > self._ground.learned_s
         for share in standing.SHARES:
             same = self._settled(kept, now_s, AirState(1.0, share, front), same)
-            logs.append(same.log_likelihood(self._ground.learned_s))
+            logs.append(np.where(newer, same.log_likelihoods(), 0.0))
         return np.array(logs)
 
     def _settled(

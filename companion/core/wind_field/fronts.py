@@ -31,6 +31,8 @@ SUSPECT_SQUARE = 5.0
 once in a dozen."""
 LOOK_S = 2.0
 """And no sooner after the last time."""
+MOST_STANDING_SHARE = 0.1
+"""More of the ground is not taken into account: it would hide fronts from drones that move."""
 LOG_ODDS = 6.5
 """A front is believed from these odds on (natural logarithm).
 
@@ -206,7 +208,7 @@ class FrontWatch:
 
     def expect_ground(self, standing_share: float) -> None:
         """What the ground does to the wind, over the mean wind, as is known from now on."""
-        self._standing_share = standing_share
+        self._standing_share = min(standing_share, MOST_STANDING_SHARE)
 
     def hear(self, telling: WindTelling) -> FrontNews | None:
         """Take a telling; returns the front where it is new, better known or withdrawn by it."""

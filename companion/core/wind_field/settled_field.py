@@ -93,7 +93,9 @@ class ToldLaw:
         )
         # Its first telling is itself a mean over the seconds before it.
         left = process.left_by_averaging(np.linalg.norm(last - first, axis=1) + TELLING_S)
+        span_s = kept.last[:, 0] - kept.first[:, 0]
         way_m = np.linalg.norm((kept.last - kept.first)[:, 1:3], axis=1)
+        way_m *= 1.0 + TELLING_S / np.maximum(span_s, TELLING_S)
         stand_at = standing.coordinates(kept.middle[:, 1:3], kept.middle[:, 3])
         stand_left = standing.left_by_averaging(way_m)
         speed_mps = float(np.hypot(*mean_ne_mps))
@@ -226,17 +228,16 @@ class SettledField:
             return 1.0
         return (0.5 * self._square() + _MISFIT_PRIOR) / (count + _MISFIT_PRIOR)
 
-    def log_likelihood(self, since_s: float) -> float:
-        """Of what was told since, given what was told before, but for a constant.
+    def log_likelihoods(self) -> Floats:
+        """Of each stretch (n,), given what was told before it, but for a constant.
 
-        With r = L z, in order of time, it is -1/2 sum(z^2) - sum(log diag L) over the newer ones
-        (Rasmussen and Williams 2006, eq. 5.8 and A.4).
+        With r = L z, in order of time, it is -z^2 / 2 - log L_ii on each axis (Rasmussen and
+        Williams 2006, eq. 5.8 and A.4).
         """
-        newer = self._kept.middle[:, 0] > since_s
-        total = 0.0
+        total = np.zeros(self._kept.count.size)
         for axis, (lower, _) in enumerate(self._factors):
             white = solve_triangular(lower, self._off[:, axis], lower=True, check_finite=False)
-            total -= float((0.5 * white**2 + np.log(np.diag(lower)))[newer].sum())
+            total -= 0.5 * white**2 + np.log(np.diag(lower))
         return total
 
     def _square(self) -> float:
@@ -256,15 +257,6 @@ class SettledField:
             shift = groups.T @ weighed
             total += np.divide(shift**2, error, out=np.zeros_like(error), where=error > 0.0)
         return total
-
-    def most_different(self) -> str | None:
-        """Whose tellings, all together, fit the others' worst; None: there are no others."""
-        present = np.unique(self._kept.member)
-        if present.size < 2:
-            return None
-        whose = self._kept.member[:, None] == present[None, :]
-        squares = self.mean_shift_squares(whose.astype(np.float64))
-        return self._kept.members[int(present[int(np.argmax(squares))])]
 
     def disagreement(self, member: str) -> float | None:
         """Chi-square of two degrees that what a member tells fits what all the others tell: all

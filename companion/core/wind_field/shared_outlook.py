@@ -15,6 +15,9 @@ from companion.core.wind_field.settled_field import SettledField
 BEHIND_STD_MPS = 2.0
 """Error of the wind behind a front on each axis, away from who felt it: as the desk has it."""
 
+MOST_WAY_MPS = 10.0
+"""Places to come are means of legs: from one to the next they may jump further."""
+
 
 @dataclass(frozen=True, slots=True)
 class SharedOutlook:
@@ -33,7 +36,7 @@ class SharedOutlook:
         height = np.full(horizon_s.size, self.height_m)
         points = FieldPoints(place_ne_m + self.shift_ne_m, height, belief.t_s + horizon_s)
         steps = np.gradient(place_ne_m, horizon_s, axis=0) if horizon_s.size > 1 else place_ne_m * 0
-        way_m = self.averaged_s * np.linalg.norm(steps, axis=1)
+        way_m = self.averaged_s * np.minimum(np.linalg.norm(steps, axis=1), MOST_WAY_MPS)
         found = self.field.forecast(points, self.averaged_s, way_m)
         north, east = found.north_cov_m2ps2, found.east_cov_m2ps2
         walk = north if np.trace(north) >= np.trace(east) else east

@@ -2,12 +2,12 @@
 
 It stands where it is for as long as the wind blows from there, while an eddy is carried past. Its
 covariance between two places is `(share U)^2 exp(-d / L)`, whatever the times, with the mean wind U
-and the distance d, where heights apart count more than places. A Gaussian of one length: a wake
-has sharp sides, and most places are in none.
+and the distance d, in which heights count `_UP` times. That is a rough model: a wake has sharp
+sides, and most places are in none.
 
-How much of it there is follows from what was told: by the likelihood of each of `SHARES` (Rasmussen
-and Williams 2006, eq. 5.8), minute by minute. Over open ground drones that move tell within minutes
-that there is none.
+How much of it there is follows from what was told, minute by minute: by the likelihood of each of
+`SHARES` (Rasmussen and Williams 2006, eq. 5.8). Until it is more likely than not that anything
+stands nothing does.
 """
 
 import math
@@ -26,10 +26,12 @@ _UP = 4.0
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2)
 """Standard deviation over the mean wind, on each axis."""
 _PRIOR = (0.8, 0.05, 0.05, 0.05, 0.05)
+MOST_LOG_ODDS = 10.0
+"""Of a share against none: the air may come from elsewhere within minutes."""
+LEAST_OTHERS = 2
+"""Fewer members than that, besides the one who says most of it, teach nothing."""
 MEMORY_S = 3600.0
 """What was told so long ago counts 1/e: the wind turns, and stands elsewhere."""
-LITTLE = 0.02
-"""Less is as good as none."""
 
 
 def coordinates(place_ne_m: Floats, height_m: Floats) -> Floats:
@@ -61,44 +63,46 @@ class StandingShare:
     """How much of it there is: the root of the mean square of `SHARES`, each weighed by how likely
     it makes what was told.
 
-    It is no more than all but the one member say who differs most from the others: that one may be
-    in a lee, or wrong.
+    It is no more than all members say but the one who says most of it: that one may be in a lee, or
+    wrong.
     """
 
     def __init__(self) -> None:
         self.learned_s = -math.inf
-        self._evidence = np.tile(np.log(_PRIOR), (2, 1))
-        self._shares = _shares(self._evidence)
+        self._log_odds = np.zeros((2, len(SHARES)))
+        """Against none, of everybody and of the others."""
+        self._by_member: dict[str, Floats] = {}
+        """The same of what each member told, given what was told before it."""
+        self.share = 0.0
+        """Standard deviation over the mean wind."""
 
-    @property
-    def share(self) -> float:
-        """Standard deviation over the mean wind; 0 where it is as good as nothing."""
-        share = float(self._shares.min())
-        return share if share >= LITTLE else 0.0
-
-    @property
-    def seen(self) -> float:
-        """The same once it is more likely than not that anything stands, until then 0: ground that
-        nobody has seen anything of excuses nobody.
+    def says_most(self, told: dict[str, Floats], now_s: float) -> str:
+        """Take each member's log likelihoods of what was told since `learned_s`; returns who speaks
+        most for that anything stands, in all that is remembered.
         """
-        logs = self._evidence[int(np.argmin(self._shares))]
-        weights = np.exp(logs - logs.max())
-        return self.share if weights[0] < 0.5 * weights.sum() else 0.0
+        kept, before = self._remembered(now_s), self._by_member
+        self._by_member = {
+            name: kept * before.get(name, np.zeros(len(SHARES))) + logs - logs[0]
+            for name, logs in told.items()
+        }
+        likeliest = int(np.sum(list(self._by_member.values()), axis=0).argmax())
+        return max(told, key=lambda name: float(self._by_member[name][likeliest]))
 
-    def learn(self, everybody: Floats, others: Floats | None, now_s: float) -> None:
+    def learn(self, everybody: Floats, others: Floats, now_s: float) -> None:
         """Take the log likelihoods of what was told since `learned_s`: of all, and without the one
-        who differs most. None: they say the same.
+        who says most of it.
         """
-        forgotten = math.exp(-max(now_s - self.learned_s, 0.0) / MEMORY_S)
-        self._evidence = np.log(_PRIOR) + forgotten * (self._evidence - np.log(_PRIOR))
-        self._evidence += np.stack([everybody, everybody if others is None else others])
-        self._shares = _shares(self._evidence)
+        told = np.stack([everybody, others])
+        odds = self._remembered(now_s) * self._log_odds + told - told[:, :1]
+        self._log_odds = np.clip(odds, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+        self.share = min(_share(each) for each in self._log_odds)
         self.learned_s = now_s
 
-
-def _shares(log_weights: Floats) -> Floats:
-    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
-    return np.sqrt(weights @ np.square(SHARES) / weights.sum(axis=1))
+    def _remembered(self, now_s: float) -> float:
+        return math.exp(-(now_s - self.learned_s) / MEMORY_S)
 
 
-PRIOR_SHARE = float(_shares(np.log([_PRIOR]))[0])
+def _share(log_odds: Floats) -> float:
+    weights = np.array(_PRIOR) * np.exp(log_odds)
+    weights /= weights.sum()
+    return float(np.sqrt(weights @ np.square(SHARES))) if weights[0] < 0.5 else 0.0

@@ -111,9 +111,9 @@ class SiteBelief:
         return settled
 
     @property
-    def standing_share_seen(self) -> float:
+    def standing_share(self) -> float:
         """What drones have seen the ground do to the wind, over the mean wind."""
-        return self._by_drones.standing_share_seen
+        return self._by_drones.standing_share
 
     def _drones_field(self, t_s: float) -> SettledField:
         """By drones alone, as believed now or a few seconds ago."""

@@ -61,7 +61,7 @@ class SiteWind:
 
     def _front(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontNews | None:
         self._belief.settled(t_s)  # who is left out by now raises none
-        self._fronts.watch.expect_ground(self._belief.standing_share_seen)
+        self._fronts.watch.expect_ground(self._belief.standing_share)
         found = self._fronts.hear(telling, teller, t_s)
         if isinstance(found, FrontWithdrawn):
             self._belief.expect_front(None)

@@ -175,7 +175,7 @@ def front_news(told: Beliefs, names: list[str], process: WindProcessParams) -> l
         if t_s - settled_s >= LEARNED_S:
             settled_s = float(t_s)
             field.settle(settled_s)
-            watch.expect_ground(field.standing_share_seen)
+            watch.expect_ground(field.standing_share)
     return found
 
 

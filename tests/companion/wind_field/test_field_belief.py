@@ -75,10 +75,7 @@ def test_the_covariance_of_any_points_in_any_wind_is_one(
 
 
 def test_what_one_member_tells_is_conditioned_on_as_the_textbook_does() -> None:
-    """Three tellings of a member that stays: Kriging written out (Rasmussen and Williams 2.19).
-
-    What the ground does is the same in all of them.
-    """
+    """Three tellings of a member that stands: Kriging written out (Rasmussen and Williams 2.19)."""
     winds = [(-9.0, 1.0), (-7.0, 0.5), (-8.5, -1.0)]
     field = settled([told("a", 10.0 * k, wind=w) for k, w in enumerate(winds)], 20.0)
     asked = np.array([20.0, 80.0, 320.0])
@@ -93,7 +90,7 @@ def test_what_one_member_tells_is_conditioned_on_as_the_textbook_does() -> None:
     def cov(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         apart = np.abs(np.subtract.outer(a, b))[..., None]
         gusts = scale * (left * variance * np.exp(-apart / memory)).sum(-1)
-        return gusts + COAST.level_std_mps**2 + (field.air.standing_share * speed) ** 2
+        return gusts + COAST.level_std_mps**2
 
     at = np.array([-5.0, 5.0, 15.0])  # each is the mean of the seconds before it
     inverse = np.linalg.inv(cov(at, at) + COAST.seen_noise_std_mps**2 * np.eye(3))

@@ -1,6 +1,7 @@
 """The odds of a front against densities of scipy's, and what must move them which way."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from companion.core.wind_field.front_odds import (
     front_odds,
     log_ratios,
 )
+from companion.core.wind_field.fronts import LOG_ODDS, MOST_STANDING_SHARE
 from companion.core.wind_field.tellings import WindTelling
 
 COAST = FieldProcess(read_wind_process("coast"))
@@ -121,7 +123,7 @@ def test_where_the_ground_slows_the_wind_who_flies_into_a_lee_is_no_front() -> N
     lee = into_a_lee(5.0)[:1]  # nobody else is near
     assert log_odds(lee, 0.0) > 5.0
     assert log_odds(lee, 0.15) < log_odds(lee, 0.0) - 2.0
-    # Who stays feels no change of the ground: a front is told as before.
+    # Who stays feels no change of the ground: a front is known as before.
     front = told(8.0, 45.0)
     assert log_odds(front, 0.15) > 0.9 * log_odds(front, 0.0) > 20.0
 
@@ -132,3 +134,27 @@ def test_one_telling_that_stands_for_two_ages_is_no_trouble() -> None:
     found = front_odds(late, PLACES[0], NOW_S + 9.7, COAST, 1.0, 0.1)
     assert found is not None
     assert math.isfinite(found.log_odds)
+
+
+@pytest.mark.parametrize("course", [0.0, 90.0, 200.0])
+def test_drones_that_move_know_a_front_over_any_ground_that_the_watch_takes_into_account(
+    course: float,
+) -> None:
+    """12 m/s; a front of 8 m/s has reached the first one 60 s ago."""
+    north_mps, east_mps = (12.0 * f(math.radians(course)) for f in (math.cos, math.sin))
+    moving = [
+        [
+            replace(
+                one,
+                place_ne_m=(
+                    one.place_ne_m[0] + north_mps * (one.t_s - NOW_S),
+                    one.place_ne_m[1] + east_mps * (one.t_s - NOW_S),
+                ),
+            )
+            for one in rows
+        ]
+        for rows in told(8.0, 60.0)
+    ]
+    found = front_odds(moving, PLACES[0], NOW_S, COAST, 1.0, MOST_STANDING_SHARE)
+    assert found is not None
+    assert found.log_odds > LOG_ODDS
