@@ -246,12 +246,23 @@ PAGES = (
             _fleet_wind("Less coherence: 5 along, 16 across", "loose", "--wind-log", COAST,
                         "--seed", "3", "--along", "5", "--across", "16", "--draws", "1",
                         "--alert-draws", "0"),
-            _fleet_wind("Over a ridge and houses", "lees", "--field", "params/fields/lees.toml",
-                        "--seed", "8", "--draws", "3", "--alert-draws", "8"),
         ),
         20.0,
         needs=("wind/coast_2023_1hz.csv",),
         pictures=(("flying/fleet_wind.png", "fleet-wind.png"),),
+    ),
+    Page(
+        "wind-over-lees",
+        "The fleet's wind over a ridge and houses",
+        "The same in made fields whose ground slows the wind behind a ridge and a dozen blocks of"
+        " houses, at the height that is flown; and over flat ground, with the same winds.",
+        (
+            _fleet_wind("Over a ridge and houses", "lees", "--field", "params/fields/lees.toml",
+                        "--seed", "8", "--draws", "3", "--alert-draws", "6"),
+            _fleet_wind("Over flat ground", "flat", "--field", "params/fields/front.toml",
+                        "--seed", "8", "--draws", "3", "--alert-draws", "6"),
+        ),
+        12.0,
     ),
     Page(
         "tight-packs",
