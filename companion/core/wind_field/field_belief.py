@@ -45,7 +45,7 @@ FRONT_COUNTS_S = KEPT_S + 300.0
 """After it was noticed: it has left the site, and nothing told before it is kept."""
 
 LEARNED_S = 60.0
-"""The ground's part is learned anew at most so often: it takes as long as a few updates."""
+"""The ground's part is learned at most so often: it about doubles what an update costs."""
 
 
 class FieldBelief:
@@ -94,7 +94,7 @@ class FieldBelief:
         always: str = "",
         firm: frozenset[str] = frozenset(),
         newest: WindTelling | None = None,
-    ) -> "SettledField":
+    ) -> SettledField:
         """The field as believed now. `always` is the vehicle itself: never left out. Nor is who is
         `firm`: that is judged elsewhere. `newest`: what it feels at this moment, not kept.
         """
@@ -126,7 +126,7 @@ class FieldBelief:
         return settled.leaving_out(out)
 
     def _learn(
-        self, kept: KeptStretches, now_s: float, front: FrontTerm | None, same: "SettledField"
+        self, kept: KeptStretches, now_s: float, front: FrontTerm | None, same: SettledField
     ) -> None:
         """How much the ground does to the wind, by what is kept."""
         logs = self._log_likelihoods(kept, now_s, front, same)
@@ -146,7 +146,7 @@ class FieldBelief:
         kept: KeptStretches,
         now_s: float,
         front: FrontTerm | None,
-        same: "SettledField | None" = None,
+        same: SettledField | None = None,
     ) -> Floats:
         """For each of `standing.SHARES` that of each stretch told since the last time (shares, n);
         0 of those told before.
@@ -163,8 +163,8 @@ class FieldBelief:
         kept: KeptStretches,
         now_s: float,
         air: AirState,
-        same: "SettledField | None" = None,
-    ) -> "SettledField":
+        same: SettledField | None = None,
+    ) -> SettledField:
         """By what is kept; as gusty as it makes the air. `same`: of this kept already."""
         settled = SettledField(self._process, self._prior, kept, now_s, air, same)
         if (misfit := settled.misfit()) <= LEAST_MISFIT:

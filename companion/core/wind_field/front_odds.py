@@ -231,7 +231,7 @@ def _covariance_root(
     if stands_mps > 0.0:
         stand_at = standing.coordinates(told.place_ne_m, np.zeros(count))
         stand_left = standing.left_by_averaging(told.way_m)
-        cov += stands_mps**2 * standing.within(stand_at, stand_left)
+        cov += stands_mps**2 * standing.between(stand_at, stand_left, stand_at, stand_left)
     fresh = np.minimum(told.variance_m2ps2, process.process.seen_noise_std_mps**2)
     lasting = np.sqrt(told.variance_m2ps2 - fresh)
     same = told.member[:, None] == told.member

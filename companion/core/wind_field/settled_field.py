@@ -2,9 +2,9 @@
 
 Kriging with the covariance of `field_process` (Rasmussen and Williams 2006, ch. 2). Both axes share
 the covariance of the wind. What is told of them has an error of its own: a part that is new each
-time, and a lasting one, the same in all that a member tells. Over open ground a member alone gives
-itself the forecast that the wind process gives; what the ground does to the wind comes on top
-(`standing`).
+time, and a lasting one, the same in all that a member tells. A member alone gives itself the
+forecast that the wind process gives. Where members see the ground change the wind, that comes on
+top (`standing`).
 """
 
 from dataclasses import dataclass
@@ -121,7 +121,7 @@ class ToldLaw:
             process.within(middle, left),
             stand_at,
             stand_left,
-            standing.within(stand_at, stand_left),
+            standing.between(stand_at, stand_left, stand_at, stand_left),
             (north, east),
         )
 
@@ -196,7 +196,7 @@ class SettledField:
             stand_left = standing.left_by_averaging(
                 np.zeros(points.count) if way_m is None else way_m
             )
-            cov += self._standing_m2ps2 * standing.within(at, stand_left)
+            cov += self._standing_m2ps2 * standing.between(at, stand_left, at, stand_left)
             with_told += self._standing_m2ps2 * standing.between(
                 at, stand_left, self._law.stand_at, self._law.stand_left
             )

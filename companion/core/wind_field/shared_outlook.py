@@ -35,7 +35,11 @@ class SharedOutlook:
         """Means of about a minute. What each estimate is off by for long is in the walk."""
         height = np.full(horizon_s.size, self.height_m)
         points = FieldPoints(place_ne_m + self.shift_ne_m, height, belief.t_s + horizon_s)
-        steps = np.gradient(place_ne_m, horizon_s, axis=0) if horizon_s.size > 1 else place_ne_m * 0
+        steps = (
+            np.gradient(place_ne_m, horizon_s, axis=0)
+            if horizon_s.size > 1
+            else np.zeros_like(place_ne_m)
+        )
         way_m = self.averaged_s * np.minimum(np.linalg.norm(steps, axis=1), MOST_WAY_MPS)
         found = self.field.forecast(points, self.averaged_s, way_m)
         north, east = found.north_cov_m2ps2, found.east_cov_m2ps2

@@ -19,13 +19,14 @@ from companion.core.base.arrays import Floats
 from companion.core.wind.process import averaged_share
 
 LENGTH_M = 200.0
-"""Wakes of houses are some 100 m long, a ridge is as long as it is."""
+"""Between wakes of houses, some 100 m long, and those of ridges."""
 _UP = 4.0
-"""A wake is a few times as long as what makes it is high."""
+"""Metres of height count so many times: a wake is flat."""
 
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2)
 """Standard deviation over the mean wind, on each axis."""
 _PRIOR = (0.8, 0.05, 0.05, 0.05, 0.05)
+"""How likely each is before anybody has told anything."""
 MOST_LOG_ODDS = 10.0
 """Of a share against none: the air may come from elsewhere within minutes."""
 LEAST_OTHERS = 2
@@ -44,15 +45,10 @@ def left_by_averaging(span_m: Floats) -> Floats:
     return np.sqrt(averaged_share(LENGTH_M / np.maximum(span_m, 1.0), 1.0))
 
 
-def within(at: Floats, left: Floats) -> Floats:
-    """Correlations (n, n) among points, each a mean that leaves the share `left` of it."""
-    found = between(at, left, at, left)
-    found[np.diag_indices(left.size)] = left**2
-    return found
-
-
 def between(one: Floats, left: Floats, other: Floats, right: Floats) -> Floats:
-    """Correlations (n, m) between points and other points, likewise."""
+    """Covariance (n, m) between points and other points, over the variance of what stands; each is
+    a mean that leaves the share `left` or `right` of its standard deviation.
+    """
     found = np.exp(-cdist(one, other))
     found *= left[:, None]
     found *= right

@@ -4,7 +4,8 @@ The ground here is drawn by hand: lees that slow the wind, wherever the eddies a
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from companion.core.wind_field.field_belief import FieldBelief
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
 from companion.core.wind_field.settled_field import SettledField
 from companion.core.wind_field.shared_outlook import MOST_WAY_MPS, SharedOutlook
-from companion.core.wind_field.tellings import WindTelling
+from companion.core.wind_field.tellings import KEPT_S, WindTelling
 
 COAST = read_wind_process("coast")
 HEIGHT_M, SPEED_MPS, SITE_M = 40.0, 12.0, 700.0
@@ -53,35 +54,46 @@ def staying(index: int, t_s: float) -> np.ndarray:
     return np.array([[600.0, 0.0], [-500.0, 300.0], [200.0, -600.0], [-300.0, -400.0]][index])
 
 
-def after_a_quarter(
+def tellings(
     ground: Callable[[np.ndarray], float],
     way: Callable[[int, float], np.ndarray] = to_and_fro,
     members: int = 6,
     lie: Callable[[int, float], float] = lambda index, t_s: 0.0,
     seed: int = 2,
-) -> SettledField:
-    """Fifteen minutes, the field looked at every 10 s: eddies that all share, noise of each."""
-    rng = np.random.default_rng(seed)
-    belief, eddy = FieldBelief(FieldProcess(COAST)), np.zeros(2)
-    settled = belief.settle(0.0)
-    for k in range(1, 91):
+    open_until_s: float = 0.0,
+    until_s: float = 900.0,
+) -> Iterator[tuple[float, list[WindTelling]]]:
+    """What all tell every 10 s: eddies that all share, noise of each. First over open ground."""
+    rng, eddy = np.random.default_rng(seed), np.zeros(2)
+    for k in range(1, round(until_s / 10.0) + 1):
         t_s = 10.0 * k
+        under = open_ground if t_s <= open_until_s else ground
         eddy = 0.95 * eddy + 0.3 * rng.standard_normal(2)
+        told: list[WindTelling] = []
         for index in range(members):
             place = way(index, t_s - 5.0)
-            north, east = ground(place) * (WIND + eddy) + 0.4 * rng.standard_normal(2)
-            north += lie(index, t_s)
-            telling = WindTelling(
-                f"d{index}",
-                t_s,
-                (float(place[0]), float(place[1])),
-                HEIGHT_M,
-                (float(north), float(east)),
-                COV,
-            )
-            belief.tell(telling, t_s)
-        settled = belief.settle(t_s)
-    return settled
+            north, east = under(place) * (WIND + eddy) + 0.4 * rng.standard_normal(2)
+            here = float(place[0]), float(place[1])
+            wind = float(north) + lie(index, t_s), float(east)
+            told.append(WindTelling(f"d{index}", t_s, here, HEIGHT_M, wind, COV))
+        yield t_s, told
+
+
+def flown(belief: FieldBelief, told: Iterator[tuple[float, list[WindTelling]]]) -> list[float]:
+    """Tell a belief all of it, and settle it each time; the shares that it learned."""
+    shares: list[float] = []
+    for t_s, every in told:
+        for one in every:
+            belief.tell(one, t_s)
+        shares.append(belief.settle(t_s).air.standing_share)
+    return shares
+
+
+def after_a_quarter(ground: Callable[[np.ndarray], float], **how: Any) -> SettledField:
+    """The field after fifteen minutes."""
+    belief = FieldBelief(FieldProcess(COAST))
+    flown(belief, tellings(ground, **how))
+    return belief.settle(900.0)
 
 
 def north_at(field: SettledField, place: tuple[float, float], t_s: float) -> tuple[float, float]:
@@ -110,7 +122,10 @@ def test_a_lee_is_learned_and_known_where_nobody_is_now(seed: int) -> None:
 
 def test_one_who_lies_where_it_stays_is_no_lee() -> None:
     lied = after_a_quarter(
-        open_ground, staying, members=4, lie=lambda k, t_s: 5.0 if k == 0 and t_s > 300.0 else 0.0
+        open_ground,
+        way=staying,
+        members=4,
+        lie=lambda k, t_s: 5.0 if k == 0 and t_s > 300.0 else 0.0,
     )
     assert lied.air.standing_share == 0.0
     assert "contradicts" in lied.left_out["d0"]
@@ -128,45 +143,33 @@ def test_ground_that_one_member_alone_makes_up_is_none(members: int) -> None:
 
 
 def test_who_flies_from_open_ground_into_lees_learns_them_within_minutes() -> None:
-    belief, shares = FieldBelief(FieldProcess(COAST)), list[float]()
-    rng, eddy = np.random.default_rng(4), np.zeros(2)
-    for k in range(1, 331):
-        t_s = 10.0 * k
-        ground = open_ground if t_s <= 2400.0 else ground_share
-        eddy = 0.95 * eddy + 0.3 * rng.standard_normal(2)
-        for index in range(6):
-            place = to_and_fro(index, t_s - 5.0)
-            north, east = ground(place) * (WIND + eddy) + 0.4 * rng.standard_normal(2)
-            here, wind = (float(place[0]), float(place[1])), (float(north), float(east))
-            belief.tell(WindTelling(f"d{index}", t_s, here, HEIGHT_M, wind, COV), t_s)
-        if k % 6 == 0:
-            shares.append(belief.settle(t_s).air.standing_share)
-    assert max(shares[:40]) == 0.0
-    assert min(shares[-2:]) > 0.04
+    belief = FieldBelief(FieldProcess(COAST))
+    told = tellings(ground_share, seed=4, open_until_s=2400.0, until_s=3300.0)
+    shares = flown(belief, told)
+    assert max(shares[:240]) == 0.0
+    assert min(shares[-12:]) > 0.04
 
 
-def test_what_was_learned_is_forgotten_with_what_was_told() -> None:
-    field = after_a_quarter(ground_share)
-    assert field.air.standing_share > 0.0
+def test_one_alone_teaches_nothing_and_what_was_learned_fades() -> None:
     learned = standing.StandingShare()
     for_much = np.array([0.0, 5.0, 10.0, 30.0, 20.0])
     learned.learn(for_much, np.zeros(5), 0.0)
-    assert learned.share == 0.0, "one alone says so"
+    assert learned.share == 0.0
     learned.learn(for_much, for_much, 60.0)
     assert learned.share > 0.1
     learned.learn(np.zeros(5), np.zeros(5), 20.0 * standing.MEMORY_S)
     assert learned.share == 0.0
 
 
+def test_what_was_learned_is_forgotten_with_what_was_told() -> None:
+    belief = FieldBelief(FieldProcess(COAST))
+    assert flown(belief, tellings(ground_share))[-1] > 0.0
+    assert belief.settle(900.0 + KEPT_S + 1.0).air.standing_share == 0.0
+
+
 def test_a_clock_that_goes_back_begins_anew() -> None:
     belief = FieldBelief(FieldProcess(COAST))
-    for k in range(1, 91):
-        for index in range(6):
-            place = to_and_fro(index, 10.0 * k - 5.0)
-            north, east = ground_share(place) * WIND
-            here, wind = (float(place[0]), float(place[1])), (float(north), float(east))
-            belief.tell(WindTelling(f"d{index}", 10.0 * k, here, HEIGHT_M, wind, COV), 10.0 * k)
-        belief.settle(10.0 * k)
+    flown(belief, tellings(ground_share))
     shares = [belief.settle(t_s).air.standing_share for t_s in (500.0, 900.0) * 10]
     assert shares[1] > 0.0
     assert shares[-1] == pytest.approx(shares[1]), "the same is not told again and again"
@@ -195,7 +198,8 @@ def test_the_covariance_of_any_places_is_one(
 ) -> None:
     table = np.array(where)
     left = standing.left_by_averaging(table[:, 3])
-    found = standing.within(standing.coordinates(table[:, :2], table[:, 2]), left)
+    at = standing.coordinates(table[:, :2], table[:, 2])
+    found = standing.between(at, left, at, left)
     assert np.allclose(found, found.T)
     assert np.linalg.eigvalsh(found).min() > -1e-9
     assert np.diag(found).max() <= 1.0 + 1e-12
