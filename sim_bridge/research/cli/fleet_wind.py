@@ -109,6 +109,7 @@ def fleet_wind(
     from sim_bridge.research.fleet_wind.study import (
         DrawResult,
         FleetWindSetting,
+        computed_flows,
         draws_of,
         judge_draw,
         made_field,
@@ -127,15 +128,19 @@ def fleet_wind(
             "--draws 0, --alert-draws 0, --missions 0: expected one of them to be 1 or more"
         )
     made = None if field is None else made_field(field)
-    if made is not None and made.obstacles and bound:
-        raise LeewayError(
-            f"--field {field}: ideal tests know no obstacles, and this field has some: expected it"
-            " without --bound"
-        )
+    files = [wind_log or field or Path()]
+    if made is not None and field is not None:
+        if bound and (made.obstacles or made.flows):
+            raise LeewayError(
+                f"--field {field}: ideal tests know no obstacles, and this field has some: expected"
+                " it without --bound"
+            )
+        computed_flows(made, field)  # a grid that cannot be used is said before anything is drawn
+        files += [field.parent / one.file for one in made.flows]
     setting = FleetWindSetting(
         wind_log=None if wind_log is None else str(wind_log),
         field=None if field is None else str(field),
-        file=digest(wind_log or field or Path()),
+        file="".join(digest(file) for file in files),
         drones=drones,
         hovering=hovering,
         along=along if along is not None else made.coherence_along if made else 4.0,

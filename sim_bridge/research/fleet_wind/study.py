@@ -26,7 +26,13 @@ from sim_bridge.research.fleet_wind.patrols import Patrol, patrols
 from sim_bridge.research.fleet_wind.worlds import FleetWorld, fitted, halves_of, world_of
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.coherent_field import Coherence, CoherentField
-from sim_bridge.truth.fields.field_file import WindFieldParams, drawn_series, load_wind_field
+from sim_bridge.truth.fields.computed_flow import ComputedFlows
+from sim_bridge.truth.fields.field_file import (
+    WindFieldParams,
+    drawn_series,
+    flows_of,
+    load_wind_field,
+)
 from sim_bridge.truth.fields.front import PassingFront, drawn_front
 from sim_bridge.truth.fields.lees import Obstacle
 from sim_bridge.truth.fields.site_wind import SiteWind
@@ -93,6 +99,14 @@ def made_field(path: Path) -> WindFieldParams:
         raise LeewayError(str(error)) from error
 
 
+def computed_flows(params: WindFieldParams, path: Path) -> ComputedFlows | None:
+    """The flows that a made field's file names, if any; LeewayError names a grid's mistake."""
+    try:
+        return flows_of(params, path)
+    except TruthError as error:
+        raise LeewayError(str(error)) from error
+
+
 def summed(results: Sequence[DrawResult]) -> DrawResult:
     """All draws as one."""
     ordinary = front = ErrorTally.empty()
@@ -146,6 +160,7 @@ class DrawnField:
     """Between which its change was drawn."""
     rng: np.random.Generator
     obstacles: tuple[Obstacle, ...] = ()
+    flows: ComputedFlows | None = None
 
     def world(self, *, front: bool) -> FleetWorld:
         """What the drones tell in it, with its front or without."""
@@ -153,7 +168,8 @@ class DrawnField:
 
     def truth(self, *, front: bool) -> SiteWind:
         """The wind with its front or without."""
-        return SiteWind(self.field, [self.front] if front else [], obstacles=self.obstacles)
+        fronts = [self.front] if front else []
+        return SiteWind(self.field, fronts, obstacles=self.obstacles, flows=self.flows)
 
     def fronts(self, *, front: bool) -> FrontsOfWorld:
         """What the fleet is told of fronts. Its own randomness: what else is drawn stays."""
@@ -180,7 +196,8 @@ def drawn_field(setting: FleetWindSetting, case: int, number: int) -> DrawnField
         obstacles = known.params.obstacles
     t_s = float(rng.uniform(FRONT_FROM_S, field.seconds - FRONT_UNTIL_S))
     front = drawn_front(t_s, field.mean_ne_mps, least, most, rng)
-    return DrawnField(field, known.process, ways, front, (least, most), rng, obstacles)
+    flows = _flows(setting) if known.params is not None else None
+    return DrawnField(field, known.process, ways, front, (least, most), rng, obstacles, flows)
 
 
 def judge_draw(draw: FieldDraw) -> DrawResult:
@@ -235,3 +252,9 @@ def _believed(setting: FleetWindSetting) -> WindProcessParams:
 def _made(setting: FleetWindSetting) -> WindFieldParams:
     assert setting.field is not None
     return made_field(Path(setting.field))
+
+
+@lru_cache(maxsize=1)
+def _flows(setting: FleetWindSetting) -> ComputedFlows | None:
+    assert setting.field is not None
+    return computed_flows(_made(setting), Path(setting.field))

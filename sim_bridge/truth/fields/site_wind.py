@@ -1,4 +1,4 @@
-"""The wind that all vehicles of a site meet: a carried field, fronts, more wind above, lees."""
+"""The wind that all vehicles of a site meet: a carried field, fronts, and what the ground does."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim_bridge.truth.fields.computed_flow import ComputedFlows
 from sim_bridge.truth.fields.front import PassingFront
 from sim_bridge.truth.fields.lees import Obstacle, wind_share
 
@@ -33,11 +34,15 @@ class SiteWind:
         profile_exponent: float = 0.0,
         reference_height_m: float = 40.0,
         obstacles: Sequence[Obstacle] = (),
+        flows: ComputedFlows | None = None,
     ) -> None:
-        """V(h) = V_ref (h / h_ref)^exponent; below 1 m it is held at its value there."""
+        """V(h) = V_ref (h / h_ref)^exponent; below 1 m it is held at its value there. Where a flow
+        was computed it has its own growth with height.
+        """
         self._field, self.fronts = field, tuple(fronts)
         self._exponent, self._reference_m = profile_exponent, reference_height_m
         self._obstacles = tuple(obstacles)
+        self._flows = flows
 
     def to_ne_mps(
         self, t_s: ArrayLike, north_m: ArrayLike, east_m: ArrayLike, height_m: ArrayLike
@@ -51,4 +56,8 @@ class SiteWind:
         grown = (np.maximum(height_m, _LEAST_HEIGHT_M) / self._reference_m) ** self._exponent
         if self._obstacles:
             grown = grown * wind_share(north_m, east_m, height_m, wind, self._obstacles)
+        if self._flows is not None:
+            share = self._flows.share(north_m, east_m, height_m, wind)
+            turned = (wind[:, 0] + 1j * wind[:, 1]) * np.where(np.isnan(share), grown, share)
+            return np.stack([turned.real, turned.imag], axis=-1)
         return wind * grown[:, None]
