@@ -25,7 +25,12 @@ def site_wind_of(data: DayData | None, say: Callable[[str], None] = lambda words
     depot, mission = data.day.depot, data.day.mission
     process = _process_of(mission.wind_process, say)
     place_deg = depot.lat_deg, depot.lon_deg
-    return SiteWind(process, place_deg, data.day.forecast, mission.cruise_height_m)
+    watches = data.day.watch_fronts
+    if not watches:
+        say("fronts are not looked for: the day says watch_fronts = false")
+    return SiteWind(
+        process, place_deg, data.day.forecast, mission.cruise_height_m, watches_fronts=watches
+    )
 
 
 def station_book_of(wind: SiteWind, data: DayData | None) -> StationBook:

@@ -29,14 +29,17 @@ class SiteWind:
         depot_deg: tuple[float, float] | None = None,
         forecast: Forecast | None = None,
         height_m: float = 40.0,
+        *,
+        watches_fronts: bool = True,
     ) -> None:
         """`depot_deg`: latitude and longitude. `forecast` at `height_m` above ground is what is
-        expected before anybody tells; None: any wind.
+        expected before anybody tells; None: any wind. `watches_fronts` False: none is ever told.
         """
         self.height_m = height_m
         self._states = StateTellings(depot_deg)
         self._tellers = Tellers()
         self._belief = SiteBelief(process, self._tellers, forecast, height_m)
+        self._watches_fronts = watches_fronts
         self._fronts = SiteFronts(FrontWatch(process), self._tellers, height_m)
 
     def on_state(self, state: State, t_s: float) -> FrontNews | None:
@@ -60,6 +63,8 @@ class SiteWind:
         return self._front(telling, teller, t_s)
 
     def _front(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontNews | None:
+        if not self._watches_fronts:
+            return None
         self._belief.settled(t_s)  # who is left out by now raises none
         self._fronts.watch.expect_ground(self._belief.standing_share)
         found = self._fronts.hear(telling, teller, t_s)

@@ -165,6 +165,20 @@ def test_a_front_felt_by_one_is_told_with_place_speed_and_arrival_within_ten_sec
     assert air.wind.fronts_now(air.t_s) == []
 
 
+@pytest.mark.parametrize("watched", [True, False])
+def test_a_day_over_steep_ground_may_have_its_desk_look_for_no_fronts(watched: bool):
+    day = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
+    of_day = msgspec.structs.replace(day.day, watch_fronts=watched)
+    said: list[str] = []
+    air = Air(seed=2)
+    air.wind = site_wind_of(replace(day, day=of_day), said.append)
+    air.blow(180.0)
+    front_comes(air, (0.0, 9.0), 11.0, 10.0)
+    assert [one.felt[0].member for one in air.wind.fronts] == ["d1"] * watched
+    assert air.wind.is_known(air.t_s)
+    assert said == ["fronts are not looked for: the day says watch_fronts = false"] * (not watched)
+
+
 def test_a_front_that_is_told_is_in_the_wind_that_flights_to_come_are_priced_in():
     """It is at `d1` and not at the depot yet; without it the field would say some 7 m/s."""
     air = Air(seed=2)
