@@ -216,8 +216,8 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     quarters of the top airspeed of the slowest drone.
     """
     watch_fronts: bool = True
-    """Whether the desk looks for fronts in what drones tell. False over steep ground: there the wind
-    behind a hill is taken for one. `watch` knows no day, and looks all the same.
+    """Whether the desk looks for fronts in what drones tell. False over steep ground: the wind
+    behind a hill would be taken for one. `watch` knows no day, and looks all the same.
     """
     rally: list[Place] = []
     """Places where a drone may land if it cannot come home."""
