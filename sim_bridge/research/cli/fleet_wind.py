@@ -135,7 +135,6 @@ def fleet_wind(
                 f"--field {field}: ideal tests know no obstacles, and this field has some: expected"
                 " it without --bound"
             )
-        computed_flows(made, field)  # a grid that cannot be used is said before anything is drawn
         files += [field.parent / one.file for one in made.flows]
     setting = FleetWindSetting(
         wind_log=None if wind_log is None else str(wind_log),
@@ -147,6 +146,7 @@ def fleet_wind(
         across=across if across is not None else made.coherence_across if made else 13.0,
         seed=seed,
     )
+    computed_flows(setting)  # a grid that cannot be used is said before anything is drawn
     out.mkdir(parents=True, exist_ok=True)
     work = draws_of(setting, draws, alert_draws, bounds=bound)
     kept = Journal(out / f"{digest_of(work)[:12]}.partial", digest_of(work), DrawResult)

@@ -99,14 +99,6 @@ def made_field(path: Path) -> WindFieldParams:
         raise LeewayError(str(error)) from error
 
 
-def computed_flows(params: WindFieldParams, path: Path) -> ComputedFlows | None:
-    """The flows that a made field's file names, if any; LeewayError names a grid's mistake."""
-    try:
-        return flows_of(params, path)
-    except TruthError as error:
-        raise LeewayError(str(error)) from error
-
-
 def summed(results: Sequence[DrawResult]) -> DrawResult:
     """All draws as one."""
     ordinary = front = ErrorTally.empty()
@@ -196,7 +188,7 @@ def drawn_field(setting: FleetWindSetting, case: int, number: int) -> DrawnField
         obstacles = known.params.obstacles
     t_s = float(rng.uniform(FRONT_FROM_S, field.seconds - FRONT_UNTIL_S))
     front = drawn_front(t_s, field.mean_ne_mps, least, most, rng)
-    flows = _flows(setting) if known.params is not None else None
+    flows = computed_flows(setting)
     return DrawnField(field, known.process, ways, front, (least, most), rng, obstacles, flows)
 
 
@@ -255,6 +247,11 @@ def _made(setting: FleetWindSetting) -> WindFieldParams:
 
 
 @lru_cache(maxsize=1)
-def _flows(setting: FleetWindSetting) -> ComputedFlows | None:
-    assert setting.field is not None
-    return computed_flows(_made(setting), Path(setting.field))
+def computed_flows(setting: FleetWindSetting) -> ComputedFlows | None:
+    """The flows that the made field's file names, if any; LeewayError names a grid's mistake."""
+    if setting.field is None:
+        return None
+    try:
+        return flows_of(_made(setting), Path(setting.field))
+    except TruthError as error:
+        raise LeewayError(str(error)) from error

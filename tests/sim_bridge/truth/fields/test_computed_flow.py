@@ -78,10 +78,9 @@ def test_the_grid_lies_where_it_is_stated(west: FlowFile, tmp_path: Path) -> Non
 
 
 def test_between_two_directions_it_goes_over_from_one_to_the_other(tmp_path: Path) -> None:
-    (tmp_path / "a.txt").write_text(grid_text(lambda *_: 8.0, lambda *_: 0.0))  # from the west: 1
-    (tmp_path / "b.txt").write_text(
-        grid_text(lambda *_: 0.0, lambda *_: 4.0)
-    )  # from the south: 1/2
+    """From the west all of the free wind, from the south half of it."""
+    (tmp_path / "a.txt").write_text(grid_text(lambda *_: 8.0, lambda *_: 0.0))
+    (tmp_path / "b.txt").write_text(grid_text(lambda *_: 0.0, lambda *_: 4.0))
     south = FlowFile(file="b.txt", from_deg=180.0, speed_mps=8.0)
     found = flows(tmp_path, FlowFile(file="a.txt", from_deg=270.0, speed_mps=8.0), south)
     for from_deg, expected in (
