@@ -7,7 +7,7 @@ barometric heights: at 5 km the two differ by 2 m.
 
 import math
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import pymap3d
@@ -16,13 +16,16 @@ import shapely
 from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.errors import LeewayError
 from companion.core.base.place import Place
-from companion.core.base.safe_text import LONGEST_NAME, safe_text
 
 Ned = tuple[float, float, float]
 Angle = TypeVar("Angle", float, Floats)
 
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius (IUGG), for what needs a sphere only: curvature, a tolerance in degrees."""
+
+
+TANGENT_MOST_M = 1_000_000.0
+"""Farther away a tangent plane shortens by over 0.4 %, and shows the antipode at its origin."""
 
 
 def offset_m(
@@ -99,62 +102,32 @@ class Obstacle:
     floor_m: float = -math.inf
 
 
+def distance_m(frame: LocalFrame, lat_deg: float, lon_deg: float) -> float:
+    """Return the great-circle distance from the depot, on a sphere."""
+    lat_rad, lon_rad = math.radians(lat_deg), math.radians(lon_deg)
+    half = math.sin((lat_rad - frame.lat_rad) / 2.0) ** 2
+    half += (
+        math.cos(lat_rad) * math.cos(frame.lat_rad) * math.sin((lon_rad - frame.lon_rad) / 2.0) ** 2
+    )
+    return 2.0 * EARTH_RADIUS_M * math.asin(min(1.0, math.sqrt(half)))
+
+
 def place_ned(frame: LocalFrame, place: Place) -> Ned:
-    """The GROUND point of a place of the flight file (down = minus its height above the depot)."""
+    """Return the GROUND point of a place (down: minus its height above the depot).
+
+    A place beyond `TANGENT_MOST_M` is as far away as on the sphere.
+    """
     if place.lat_deg is not None and place.lon_deg is not None and place.alt_amsl_m is not None:
         lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
-        return frame.to_ned(lat, lon, place.alt_amsl_m)
+        ned = frame.to_ned(lat, lon, place.alt_amsl_m)
+        away_m = distance_m(frame, place.lat_deg, place.lon_deg)
+        if away_m < TANGENT_MOST_M:
+            return ned
+        stretch = away_m / max(1.0, math.hypot(ned[0], ned[1]))
+        return stretch * ned[0], stretch * ned[1], ned[2]
     if place.north_m is None or place.east_m is None:
         raise LeewayError(f"{place.name or 'place'}: expected east_m and north_m")
     return place.north_m, place.east_m, -place.up_m
-
-
-def obstacles_from_geojson(frame: LocalFrame, document: dict[str, Any]) -> tuple[Obstacle, ...]:
-    """Polygons of a GeoJSON FeatureCollection (lon, lat degrees; property `height_m` above depot,
-    or `no_fly: true` for an area that no height clears).
-
-    Raises LeewayError naming the feature that breaks the format.
-    """
-    if document.get("type") != "FeatureCollection" or not isinstance(
-        document.get("features"), list
-    ):
-        raise LeewayError("obstacles: expected a GeoJSON FeatureCollection with features")
-    found: list[Obstacle] = []
-    for index, feature in enumerate(document["features"]):
-        found.extend(feature_obstacles(frame, index, feature))
-    return tuple(found)
-
-
-def feature_obstacles(frame: LocalFrame, index: int, feature: Any) -> list[Obstacle]:
-    """The polygons of one feature, by its number. Raises LeewayError naming it."""
-    where = f"obstacles.features[{index}]"
-    try:
-        geometry, properties = feature["geometry"], feature["properties"]
-        kind, coordinates = geometry["type"], geometry["coordinates"]
-        no_fly = properties.get("no_fly", False) is True
-        height_m = math.inf if no_fly else float(properties["height_m"])
-        polygons = {"Polygon": [coordinates], "MultiPolygon": coordinates}[kind]
-        rings = [[(float(lon), float(lat)) for lon, lat, *_ in outer[0]] for outer in polygons]
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise LeewayError(
-            f"{where}: expected a Polygon of [lon, lat] with a height_m property, got {error!r}"
-        ) from error
-    name = safe_text(str(properties.get("name", f"obstacle {index}"))[:LONGEST_NAME])
-    obstacles: list[Obstacle] = []
-    for ring in rings:
-        finite = all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in ring)
-        if len(ring) < 4 or ring[0] != ring[-1] or not finite:
-            raise LeewayError(f"{where}: expected a closed ring of at least 4 [lon, lat] degrees")
-        if not (no_fly or 0.0 < height_m < 10_000.0):
-            raise LeewayError(f"{where}.height_m = {height_m!r}: expected a height above 0 m")
-        corners = tuple(
-            frame.to_ned(math.radians(lat), math.radians(lon), frame.alt_amsl_m)[:2]
-            for lon, lat in ring
-        )
-        if not shapely.Polygon(corners).is_valid:
-            raise LeewayError(f"{where}: the polygon crosses itself")
-        obstacles.append(Obstacle(name, corners, height_m))
-    return obstacles
 
 
 class ObstacleMap:

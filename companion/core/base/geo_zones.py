@@ -6,15 +6,14 @@ What a file leaves open counts against the flight.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
-
-import shapely
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Obstacle
 from companion.core.base.safe_text import LONGEST_NAME, safe_text
+from companion.core.base.site_reach import Ring, circle_deg, site_rings
 from companion.core.base.zone_times import UtcSpan, ZonePeriod, periods_of
 
 FREE = "NO_RESTRICTION"
@@ -25,9 +24,7 @@ REFERENCES = ("AGL", "AMSL", "WGS84")
 GEOID_LOWEST_M, GEOID_HIGHEST_M = -107.0, 86.0
 """The geoid about the ellipsoid: EGM96's extremes (NASA TP-1998-206861), rounded outwards."""
 WIDEST_M = 500_000.0
-_CORNERS = 64  # of the polygon round a circle: 0.12 % wider than it
 
-Ring = tuple[tuple[float, float], ...]
 GroundSpan = Callable[[Ring], tuple[float, float] | None]
 """Ring (north, east) -> lowest and highest ground in it, metres above the depot; None: unknown."""
 
@@ -79,19 +76,24 @@ class GeoZone:
         return "" if in_force else "not in force at the time of the flight"
 
     def prisms(self, frame: LocalFrame, ground: GroundSpan | None) -> list[Obstacle]:
-        """Its volumes about the depot. Raises LeewayError where one is no polygon."""
+        """Return its volumes within reach. Raises LeewayError for an invalid polygon."""
         label = safe_text(f"{self.identifier} {self.name}".strip()[:LONGEST_NAME])
         found: list[Obstacle] = []
-        for volume in self.volumes:
-            for ring in _rings_ne_m(volume, frame):
-                if not shapely.Polygon(ring).is_valid:
-                    raise LeewayError(f"{self.where}: the polygon crosses itself")
-                span_m = None if ground is None else ground(ring)
-                floor_m = _floor_m(volume.lower, frame, span_m)
-                found.append(
-                    Obstacle(label, ring, _ceiling_m(volume.upper, frame, span_m), floor_m)
-                )
+        for volume, corners in self._rings_ne_m(frame):
+            span_m = None if ground is None else ground(corners)
+            floor_m = _floor_m(volume.lower, frame, span_m)
+            found.append(Obstacle(label, corners, _ceiling_m(volume.upper, frame, span_m), floor_m))
         return found
+
+    def _rings_ne_m(self, frame: LocalFrame) -> Iterator[tuple[_Volume, Ring]]:
+        for volume in self.volumes:
+            rings = volume.rings_deg if volume.circle is None else (circle_deg(*volume.circle),)
+            for ring in rings:
+                try:
+                    corners = site_rings(frame, ring)
+                except LeewayError as error:
+                    raise LeewayError(f"{self.where}: {error}") from error
+                yield from ((volume, part) for part in corners)
 
 
 def is_zone(feature: Any) -> bool:
@@ -265,20 +267,6 @@ def _circle(key: str, centre: Any, radius_m: Any) -> tuple[float, float, float]:
 def _is_number(value: Any) -> bool:
     is_one = isinstance(value, int | float) and not isinstance(value, bool)
     return is_one and math.isfinite(value)
-
-
-def _rings_ne_m(volume: _Volume, frame: LocalFrame) -> list[Ring]:
-    def place(lon_deg: float, lat_deg: float) -> tuple[float, float]:
-        ned = frame.to_ned(math.radians(lat_deg), math.radians(lon_deg), frame.alt_amsl_m)
-        return ned[0], ned[1]
-
-    if volume.circle is None:
-        return [tuple(place(lon, lat) for lon, lat in ring) for ring in volume.rings_deg]
-    lon_deg, lat_deg, radius_m = volume.circle
-    north, east = place(lon_deg, lat_deg)
-    out_m = radius_m / math.cos(math.pi / _CORNERS)
-    turns = [2.0 * math.pi * (n % _CORNERS) / _CORNERS for n in range(_CORNERS + 1)]
-    return [tuple((north + out_m * math.cos(a), east + out_m * math.sin(a)) for a in turns)]
 
 
 def _floor_m(

@@ -19,6 +19,7 @@ from companion.core.base.geo import (
 from companion.core.base.geo_zones import GroundSpan
 from companion.core.base.obstacle_document import obstacles_of
 from companion.core.base.place import Place
+from companion.core.base.site_reach import beyond_reach
 from companion.core.ground.clearance import GroundClearance
 from companion.core.ground.ground_strip import GroundStrip, NoGround
 from companion.core.mission.events import Position
@@ -234,6 +235,7 @@ def site_map(
     ground = _ground(flight)
     terms = flight.mission.zone_terms
     spans = None if ground is None else _spans(ground)
+    _check_reach(flight, drawn)
     found = () if obstacles is None else obstacles_of(drawn, obstacles, terms, spans)
     rally = tuple(
         (place.name or f"rally {number}", place_ned(drawn, place))
@@ -249,6 +251,16 @@ def site_map(
         _stops(flight, drawn),
         ground,
     )
+
+
+def _check_reach(flight: Flight, drawn: LocalFrame) -> None:
+    """Raise LeewayError for a place of the flight file beyond the depot's reach."""
+    site = flight.site
+    for place in (site.customer, *site.rally, *site.stops):
+        if place.lat_deg is None or place.lon_deg is None:
+            continue
+        if words := beyond_reach(drawn, place.lat_deg, place.lon_deg):
+            raise LeewayError(f"site, {place.name or 'place'}: {words}")
 
 
 def _spans(ground: GroundClearance) -> GroundSpan:

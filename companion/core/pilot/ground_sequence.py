@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.obstacle_document import zones_passed
+from companion.core.base.obstacle_document import reach_note, zones_passed
 from companion.core.mission.actions import (
     Answer,
     Arm,
@@ -617,6 +617,8 @@ class GroundSequence:
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s as believed",
         )
         for words in zones_passed(self._obstacles, context.flight.mission.zone_terms):
+            context.do(Note(words))
+        if self._obstacles and (words := reach_note(found.site.frame, self._obstacles)):
             context.do(Note(words))
         _accept_rate(context, plan.time_s)
         state.asked_s = context.t_s

@@ -27,6 +27,7 @@ from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.order_parsing import check_columns, duplicates, order_of
+from ground_station.core.schema.order_states import Service
 from ground_station.core.schema.orders import Order
 from ground_station.core.schema.table_errors import table_errors
 
@@ -57,6 +58,7 @@ def read_day(path: Path, wanted: ForecastWanted = NOTHING_WANTED) -> DayData:
     orders = [order for _, _, order in rows]
     no_fly = _read_no_fly(path.parent / day.no_fly, day, problems) if day.no_fly else None
     airframes = _read_airframes(day, path, problems)
+    problems += _in_grams(rows, airframes)
     ids = {order.id for order in orders}
     roads = _read_roads(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
@@ -218,6 +220,20 @@ def _read_airframes(day: Day, path: Path, problems: list[FileProblem]) -> dict[s
         except LeewayError as error:
             problems.append(FileProblem(str(path), None, "drones.airframe", str(error)))
     return found
+
+
+def _in_grams(
+    rows: list[tuple[str, int, Order]], airframes: dict[str, Airframe]
+) -> list[FileProblem]:
+    """Find orders by drone that no drone of the fleet can carry unless their mass is in grams."""
+    most_kg = max((one.mass.max_payload_kg for one in airframes.values()), default=math.inf)
+    return [
+        FileProblem(
+            file, row, "mass_kg", f"{order.mass_kg:g} kg: a drone carries {most_kg:g} kg: grams?"
+        )
+        for file, row, order in rows
+        if order.service is Service.DRONE and 10.0 * most_kg < order.mass_kg <= 1000.0 * most_kg
+    ]
 
 
 def _read_roads(

@@ -104,7 +104,15 @@ def open_day(day: str, *, follows: bool = False) -> "DayData":
     from ground_station.adapters.files.forecast_files import ForecastWanted
     from ground_station.adapters.files.params import day_file
 
-    return read_day(day_file(day), ForecastWanted(later=follows))
+    data = read_day(day_file(day), ForecastWanted(later=follows))
+    report_reach(data)
+    return data
+
+
+def report_reach(data: "DayData") -> None:
+    """Warn on stderr where zones or obstacles of the day lie beyond the depot's reach."""
+    if note := data.reach_note():
+        typer.echo(note, err=True)
 
 
 def open_fleet(

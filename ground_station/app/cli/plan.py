@@ -7,7 +7,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
-from ground_station.app.cli.options import DayArgument, ForecastFile, PolicyName
+from ground_station.app.cli.options import DayArgument, ForecastFile, PolicyName, report_reach
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -84,6 +84,7 @@ def plan(
             raise LeewayError("--basemap: expected --picture beside it")
         check_pmtiles(basemap)  # before the search, which takes its time
     data = _day_in_forecast(day, forecast, at)
+    report_reach(data)
     console = Console()
     if not keep_compiled_code():
         console.print("first run: compiling the planner, some 20 s", highlight=False)

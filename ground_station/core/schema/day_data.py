@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from companion.core.base.geo import LocalFrame, Obstacle
-from companion.core.base.obstacle_document import obstacles_of
+from companion.core.base.obstacle_document import obstacles_of, reach_note
+from companion.core.mission.flight_plan import frame_at
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast
@@ -39,3 +40,10 @@ class DayData:
         if self.no_fly is None:
             return ()
         return obstacles_of(frame, self.no_fly, self.day.mission.zone_terms)
+
+    def reach_note(self) -> str:
+        """State how many of the day's zones and obstacles lie within reach; `""`: all do."""
+        if self.no_fly is None:
+            return ""
+        note = reach_note(frame_at(self.day.depot.place), self.no_fly)
+        return note and f"{self.day.no_fly}: {note}"

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from companion.core.base.geo import EARTH_RADIUS_M
 from companion.core.base.safe_text import safe_text
+from companion.core.base.site_reach import beyond_reach
 from companion.core.mission.flight_plan import frame_at
 from ground_station.core.schema.day import Depot, FileProblem
 from ground_station.core.schema.elevation import SiteElevation
@@ -12,6 +13,8 @@ from ground_station.core.schema.orders import BOUNDS, Order, Service
 
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
 COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
+HEAVIEST_PARCEL_KG = 70.0
+"""The limit of parcel services (UPS: 70 kg): what is heavier is freight, or a mass in grams."""
 SAME_PLACE_M = 2.0
 SAME_PLACE_DEG = math.degrees(SAME_PLACE_M / EARTH_RADIUS_M)  # of latitude
 
@@ -59,6 +62,15 @@ def order_of(
             wrong(name, f"{text!r}: expected a number from {low:g} to {high:g}")
         else:
             numbers[name] = value
+    if depot is not None and {"lat_deg", "lon_deg"} <= numbers.keys():
+        frame = frame_at(depot.place)
+        words = beyond_reach(frame, numbers["lat_deg"], numbers["lon_deg"])
+        if words:
+            wrong("lat_deg", words)
+    mass_kg = numbers.get("mass_kg", 0.0)
+    if mass_kg > HEAVIEST_PARCEL_KG:
+        words = f"{mass_kg:g} kg: expected at most {HEAVIEST_PARCEL_KG:g} kg for a parcel: grams?"
+        wrong("mass_kg", words)
     service = cells.get("service", "").strip() or Service.ANY.value
     if service not in [s.value for s in Service]:
         wrong("service", f"{service!r}: expected any, drone or truck")

@@ -12,11 +12,11 @@ from companion.core.base.geo import (
     ObstacleMap,
     course_rad,
     moved_deg,
-    obstacles_from_geojson,
     offset_m,
     place_ned,
     wrap_pi,
 )
+from companion.core.base.obstacle_document import obstacles_of
 from companion.core.base.place import Place
 
 FRAME = LocalFrame(math.radians(55.47), math.radians(8.45), 12.0)
@@ -67,7 +67,7 @@ SQUARE = [[8.451, 55.471], [8.452, 55.471], [8.452, 55.472], [8.451, 55.472], [8
 
 
 def test_geojson_polygons_become_obstacles_in_metres() -> None:
-    (block,) = obstacles_from_geojson(FRAME, feature(SQUARE, name="silo", height_m=75))
+    (block,) = obstacles_of(FRAME, feature(SQUARE, name="silo", height_m=75))
     assert (block.name, block.height_m) == ("silo", 75.0)
     norths = [n for n, _ in block.ring_ne_m]
     assert min(norths) == pytest.approx(111.36, abs=0.2)
@@ -90,7 +90,7 @@ def test_geojson_polygons_become_obstacles_in_metres() -> None:
 )
 def test_a_broken_feature_is_refused_and_named(document: dict, names: str) -> None:
     with pytest.raises(LeewayError, match=names):
-        obstacles_from_geojson(FRAME, document)
+        obstacles_of(FRAME, document)
 
 
 def test_a_line_through_over_and_past_an_obstacle() -> None:

@@ -67,6 +67,21 @@ def test_at_ten_the_flight_goes_through_a_zone_and_at_noon_round_it() -> None:
     assert round_it.distance(shapely.Point(0.0, 600.6)) >= 80.0 + 15.0 - 1.0
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"customer": {"lat_deg": 8.45, "lon_deg": 55.47, "alt_amsl_m": 12.0}},
+        {"rally": [{"lat_deg": -55.47, "lon_deg": -171.55, "alt_amsl_m": 12.0}]},
+    ],
+)
+def test_a_place_beyond_the_depots_reach_is_refused(table: dict[str, Any]) -> None:
+    document = msgspec.to_builtins(flight())
+    document["site"] |= table
+    of = msgspec.convert(document, Flight)
+    with pytest.raises(LeewayError, match=r"km from the depot: expected at most 100 km"):
+        plan_on_the_ground(of, RouteEnergy(M100, 1.225), None)
+
+
 def test_leave_opens_the_straight_way() -> None:
     # 105 m cruise: the zone's floor, 137 m above the sea, is not 8 m over all that may be flown.
     assert aside_m(planned("ed318.json", cruise_height_m=105.0)) > 200.0

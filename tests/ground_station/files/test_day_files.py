@@ -131,6 +131,30 @@ def test_geojson_points_are_orders_and_what_is_wrong_names_its_feature(tmp_path)
     assert "row 3, column geometry: expected a Point" in said
 
 
+def test_orders_that_no_depot_here_would_have_are_refused_with_the_likely_cause(tmp_path):
+    day = [line for line in HARBOUR.read_text().splitlines() if not line.startswith("no_fly")]
+    (tmp_path / "harbour.toml").write_text("\n".join(day))
+    (tmp_path / "harbour_orders.csv").write_text(
+        "id,lat_deg,lon_deg,alt_amsl_m,mass_kg,service,note\n"
+        "near,55.4680,8.4400,12,0.4,any,\n"
+        "swapped,8.4450,55.4700,12,0.4,any,\n"
+        "nowhere,0,0,12,0.4,any,\n"
+        "antipode,-55.469,-171.556,12,0.4,drone,\n"
+        "grams,55.4690,8.4420,12,400,any,\n"
+        "letter,55.4691,8.4421,12,40,drone,\n"
+    )
+    found = problems_of(tmp_path / "harbour.toml")
+    assert [line.split(": ")[0] for line in found] == [
+        "harbour_orders.csv, row 3, column lat_deg",
+        "harbour_orders.csv, row 4, column lat_deg",
+        "harbour_orders.csv, row 5, column lat_deg",
+        "harbour_orders.csv, row 6, column mass_kg",
+        "harbour_orders.csv, row 7, column mass_kg",
+    ]
+    endings = ("swapped?", "no position stated?", "at most 100 km", "grams?", "grams?")
+    assert all(line.endswith(end) for line, end in zip(found, endings, strict=True))
+
+
 def test_a_day_names_the_problems_of_all_its_files(tmp_path):
     (tmp_path / "orders.csv").write_text("id,lat_deg,lon_deg,alt_amsl_m,mass_kg\na,x,8,3,1\n")
     (tmp_path / "roads.csv").write_text("from,depot,a\ndepot,0,-5\n")

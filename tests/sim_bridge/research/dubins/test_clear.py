@@ -7,7 +7,8 @@ import pytest
 import shapely
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap, obstacles_from_geojson
+from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap
+from companion.core.base.obstacle_document import obstacles_of
 from sim_bridge.research.dubins.clear import ClearPath, NoPath, clear_path
 from sim_bridge.research.dubins.limits import FlightLimits
 
@@ -125,7 +126,7 @@ def test_a_no_fly_area_comes_from_geojson_without_a_height():
         "geometry": {"type": "Polygon", "coordinates": [ring]},
     }
     document = {"type": "FeatureCollection", "features": [feature]}
-    (area,) = obstacles_from_geojson(frame, document)
+    (area,) = obstacles_of(frame, document)
     assert (area.name, area.height_m) == ("school", math.inf)
     above = ObstacleMap((area,), 5.0, 8.0)
     assert above.blocking((20.0, -50.0, -5000.0), (20.0, 200.0, -5000.0)) is area
