@@ -12,7 +12,7 @@ from typing import Any
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, mavlink
 from companion.adapters.autopilots.commands import RETRY_S, CommandQueue, PendingCommand
-from companion.adapters.autopilots.mission_transfer import MissionDownload, MissionUpload
+from companion.adapters.autopilots.mission_transfer import PAUSE_S, MissionDownload, MissionUpload
 from companion.adapters.autopilots.mission_wire import wire_items
 from companion.adapters.autopilots.parameters import ParameterClient
 from companion.adapters.autopilots.px4 import Px4
@@ -128,6 +128,7 @@ class AutopilotPort:
         self._commands = CommandQueue(send)
         self._parameters: ParameterClient | None = None
         self._upload: MissionUpload | None = None
+        self._upload_from_s = 0.0
         self._download: MissionDownload | None = None
         self._expected: tuple[MissionItem, ...] = ()
         self._first_only = False
@@ -360,7 +361,7 @@ class AutopilotPort:
                     home=self._home,
                     free_yaw=profile.free_yaw,
                 )
-                self._upload = MissionUpload(self._send, system, wire, t_s)
+                self._upload = MissionUpload(self._send, system, wire, t_s, self._upload_from_s)
             case ClearMission():
                 self._download = None
                 self._upload = MissionUpload(self._send, system, (), t_s)
@@ -523,6 +524,8 @@ class AutopilotPort:
     def _transfer_events(self, t_s: float) -> list[Event]:
         if self._upload is not None and self._upload.done is not None:
             reason, self._upload = self._upload.done, None
+            if reason:
+                self._upload_from_s = t_s + PAUSE_S
             return [MissionUploaded(t_s, reason or None)]
         if self._download is not None and self._download.done is not None:
             download, self._download = self._download, None

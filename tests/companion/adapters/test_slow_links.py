@@ -1,0 +1,168 @@
+"""Mission transfers over links with long round trips, stalls and stray results.
+
+The autopilots are the simulated ones: their own codec, their own patience (PX4 repeats a request
+after 0.25 s and gives up after 5 s, ArduPilot after 1 s and 8 s).
+"""
+
+from collections import deque
+from typing import Any
+
+import pytest
+
+from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.clock import AutopilotClock
+from companion.core.mission import events as ev
+from companion.core.mission.actions import Order, ReadMissionBack, UploadMission
+from companion.core.mission.mission_items import ItemKind, MissionItem, Part, Spot
+from sim_bridge.autopilot.kinds import AutopilotKind
+from tests.sim_bridge.autopilot.conftest import Rig
+
+BOTH = pytest.mark.parametrize("autopilot", [AutopilotKind.ARDUPILOT, AutopilotKind.PX4])
+STEP_S = 0.1
+ITEMS = (
+    MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", Spot(55.47, 8.45, 40.0)),
+    *(
+        MissionItem(ItemKind.WAYPOINT, Part.OUTBOUND, "out", Spot(55.471 + 0.001 * k, 8.45, 40.0))
+        for k in range(10)
+    ),
+    MissionItem(ItemKind.LAND, Part.LAND, "land", Spot(55.47, 8.45, 0.0)),
+)
+
+
+class SlowLink:
+    """A companion's port and a simulated autopilot, `delay_s` apart each way."""
+
+    def __init__(self, autopilot: AutopilotKind, delay_s: float) -> None:
+        self.rig = Rig(autopilot)
+        self.clock = AutopilotClock()
+        self.port = AutopilotPort(self._send, self.clock)
+        self.delay_s = delay_s
+        self.t_s = 0.0
+        self.stalled_until_s = 0.0
+        self.sent: list[Any] = []
+        self.results: list[int] = []
+        self._codec = MavlinkCodec(datagrams=True)
+        self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+        self._up: deque[tuple[float, bytes]] = deque()
+        self._down: deque[tuple[float, bytes]] = deque()
+        self.until(ev.Identified, 10.0)
+
+    def _send(self, message: Any) -> None:
+        self.sent.append(message)
+        self._up.append((self.t_s + self.delay_s, bytes(message.pack(self._mav))))
+
+    def inject(self, result: int) -> None:
+        """A MISSION_ACK to the companion that belongs to no transfer under way."""
+        mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        ack = mavlink.MAVLink_mission_ack_message(1, 191, result, 0)
+        self._down.append((self.t_s, bytes(ack.pack(mav))))
+
+    def step(self) -> list[ev.Event]:
+        """Let 0.1 s pass on both sides; a stalled companion reads nothing and sends nothing."""
+        self.t_s += STEP_S
+        while self._up and self._up[0][0] <= self.t_s:
+            self.rig.ap.receive(0, self._up.popleft()[1])
+        self.rig.step(STEP_S)
+        for _, datagram in self.rig.ap.take_outbox():
+            self._down.append((self.t_s + self.delay_s, datagram))
+        if self.t_s < self.stalled_until_s:
+            return []
+        events: list[ev.Event] = []
+        while self._down and self._down[0][0] <= self.t_s:
+            for message in self._codec.parse(self._down.popleft()[1]):
+                if message.get_type() == "MISSION_ACK":
+                    self.results.append(message.type)
+                events += self.port.on_message(message)
+        self.clock.stamp(self.rig.ap.state.t_since_boot_s - self.delay_s)
+        return events + self.port.tick(self.clock.t_s)
+
+    def until(self, kind: type[ev.Event], limit_s: float) -> ev.Event:
+        """Step until an event of this kind comes."""
+        for _ in range(round(limit_s / STEP_S)):
+            found = [event for event in self.step() if isinstance(event, kind)]
+            if found:
+                return found[0]
+        raise AssertionError(f"no {kind.__name__} within {limit_s} s")
+
+    def order(self, order: Order) -> None:
+        self.port.order(order, self.clock.t_s)
+
+    def is_uploaded_and_read_back(self) -> None:
+        uploaded = self.until(ev.MissionUploaded, 120.0)
+        assert uploaded == ev.MissionUploaded(uploaded.t_s)
+        self.order(ReadMissionBack(ITEMS))
+        read = self.until(ev.MissionReadBack, 120.0)
+        assert read == ev.MissionReadBack(read.t_s, ())
+
+
+@BOTH
+@pytest.mark.parametrize("round_trip_s", [0.0, 0.6, 1.4, 2.0, 3.0])
+def test_a_mission_is_uploaded_and_read_back_over_any_round_trip(
+    autopilot: AutopilotKind, round_trip_s: float
+) -> None:
+    link = SlowLink(autopilot, round_trip_s / 2.0)
+    link.order(UploadMission(ITEMS))
+    link.is_uploaded_and_read_back()
+    items = [m.seq for m in link.sent if m.get_type() == "MISSION_ITEM_INT"]
+    # Each once, but for what the first round trip and a repeated count cost.
+    assert len(items) <= len(set(items)) + 2
+
+
+@BOTH
+@pytest.mark.parametrize("stall_s", [1.6, 2.0])
+@pytest.mark.parametrize("after_s", [0.3, 0.9, 1.5])
+def test_a_stalled_companion_goes_on_with_its_upload(
+    autopilot: AutopilotKind, stall_s: float, after_s: float
+) -> None:
+    link = SlowLink(autopilot, 0.1)
+    link.order(UploadMission(ITEMS))
+    for _ in range(round(after_s / STEP_S)):
+        link.step()
+    link.stalled_until_s = link.t_s + stall_s
+    link.is_uploaded_and_read_back()
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "result",
+    [
+        mavlink.MAV_MISSION_INVALID_SEQUENCE,
+        mavlink.MAV_MISSION_ERROR,
+        mavlink.MAV_MISSION_OPERATION_CANCELLED,
+    ],
+)
+def test_a_stray_result_ends_no_transfer(autopilot: AutopilotKind, result: int) -> None:
+    link = SlowLink(autopilot, 0.05)
+    link.order(UploadMission(ITEMS))
+    for _ in range(4):
+        link.step()
+    link.inject(result)
+    link.is_uploaded_and_read_back()
+    assert [m.get_type() for m in link.sent].count("MISSION_COUNT") <= 2
+
+
+@BOTH
+def test_requests_of_a_transfer_that_was_dropped_are_discarded(autopilot: AutopilotKind) -> None:
+    link = SlowLink(autopilot, 0.7)
+    link.order(UploadMission(ITEMS[:4]))
+    for _ in range(40):
+        link.step()
+    link.port.drop_orders()
+    link.order(UploadMission(ITEMS))
+    link.is_uploaded_and_read_back()
+
+
+@BOTH
+def test_an_upload_after_a_refusal_waits(autopilot: AutopilotKind) -> None:
+    link = SlowLink(autopilot, 0.05)
+    link.order(UploadMission(ITEMS))
+    link.inject(mavlink.MAV_MISSION_INVALID_PARAM1)
+    refused = link.until(ev.MissionUploaded, 5.0)
+    assert refused == ev.MissionUploaded(refused.t_s, "invalid param1")
+    link.sent.clear()
+    link.order(UploadMission(ITEMS))
+    for _ in range(15):
+        link.step()
+    assert "MISSION_COUNT" not in [m.get_type() for m in link.sent]
+    link.is_uploaded_and_read_back()
