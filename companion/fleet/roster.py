@@ -1,5 +1,6 @@
 """Who belongs to a fleet and what each may do: `roster/1`, and the same signed by an authority."""
 
+import re
 from collections.abc import Mapping
 from datetime import datetime
 from functools import cached_property
@@ -105,12 +106,31 @@ def roster_toml(roster: Roster) -> str:
     return "\n".join(lines) + "\n"
 
 
-def decode_signed_roster(raw: bytes) -> tuple[SignedRoster, Roster] | Refused:
-    """A signed roster and what it says, or why these bytes are none. Signatures are not checked."""
+_FLEET_LINE = re.compile(r'^fleet = "([a-z0-9][a-z0-9_-]{0,31})"$', re.MULTILINE)
+_FLEET_WITHIN = 2000  # characters
+
+
+def decode_signed_roster(raw: bytes) -> tuple[SignedRoster, str] | Refused:
+    """Decode a signed roster, without its text, and find the fleet that the text names.
+
+    The text is parsed only after its signature was verified: TOML can take minutes to parse.
+    """
     if len(raw) > 2 * LARGEST_ROSTER_BYTES:
         return Refused(f"roster: {len(raw)} bytes")
     try:
         signed = msgspec.json.decode(raw, type=SignedRoster)
-        return signed, roster_from_toml(signed.roster.encode(), "roster")
-    except (msgspec.DecodeError, LeewayError, UnicodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         return Refused(f"roster: {error}"[:300])
+    named = _FLEET_LINE.search(signed.roster[:_FLEET_WITHIN])
+    return (signed, named[1]) if named else Refused("roster: expected a line with the fleet's name")
+
+
+def roster_of(signed: SignedRoster, fleet: str) -> Roster | Refused:
+    """Parse the text of a roster whose signature for this fleet was verified."""
+    try:
+        roster = roster_from_toml(signed.roster.encode(), "roster")
+    except (LeewayError, UnicodeError, RecursionError) as error:
+        return Refused(f"roster: {error}"[:300])
+    if roster.fleet != fleet:
+        return Refused(f"roster: of fleet {roster.fleet}")
+    return roster

@@ -22,6 +22,7 @@ from companion.fleet.roster import (
     RosterMember,
     SignedRoster,
     decode_signed_roster,
+    roster_of,
 )
 from companion.fleet.signature import is_signed, public_key_of, sign
 
@@ -284,10 +285,11 @@ def checked_roster(
     found = decode_signed_roster(raw)
     if isinstance(found, Refused):
         return found
-    signed, roster = found
-    if any(is_roster_signed(signed, roster.fleet, key) for key in authorities):
-        return found
-    return Refused("roster: not signed by an authority of this fleet")
+    signed, fleet = found
+    if not any(is_roster_signed(signed, fleet, key) for key in authorities):
+        return Refused("roster: not signed by an authority of this fleet")
+    roster = roster_of(signed, fleet)
+    return roster if isinstance(roster, Refused) else (signed, roster)
 
 
 def is_roster_signed(signed: SignedRoster, fleet: str, authority: str) -> bool:

@@ -44,6 +44,16 @@ DRIVER = (EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
 _IN_FORCE = [state.value for state in IN_FORCE]
 _ASSIGNMENTS = sa.select(t.assignments).order_by(t.assignments.c.n)  # built once: used often
 _ASSIGNMENTS_IN_FORCE = _ASSIGNMENTS.where(t.assignments.c.state.in_(_IN_FORCE))
+_LAUNCHED = _ASSIGNMENTS_IN_FORCE.where(
+    sa.or_(
+        t.assignments.c.state == AssignmentState.FLYING.value,
+        t.assignments.c.id.in_(
+            sa.select(t.commands.c.assignment).where(
+                t.commands.c.id.contains(":launch"), t.commands.c.answer.is_(None)
+            )
+        ),
+    )
+)
 _OUTBOX = (
     sa.select(t.commands)
     .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
@@ -393,6 +403,12 @@ class Store:
         query = _ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS
         with self._database.read() as db:
             found = db.execute(query).all()
+        return [rows.assignment_row(row) for row in found]
+
+    def launched(self) -> list[AssignmentRow]:
+        """Return the assignments that fly, or whose launch is ordered and not answered."""
+        with self._database.read() as db:
+            found = db.execute(_LAUNCHED).all()
         return [rows.assignment_row(row) for row in found]
 
     # --- events --------------------------------------------------------------------------------

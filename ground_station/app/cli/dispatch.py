@@ -83,7 +83,10 @@ def dispatch(
         ),
     ] = True,
     launch_gap: Annotated[
-        float, typer.Option(min=0.0, help="Least time between two launches at the depot, s.")
+        float,
+        typer.Option(
+            min=0.0, help="Least time from a take-off at the depot to the next launch, s."
+        ),
     ] = 20.0,
     until_done: Annotated[
         bool,

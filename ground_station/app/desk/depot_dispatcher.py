@@ -8,6 +8,7 @@ from companion.fleet.messages import State
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Progress
 from ground_station.app.desk.forecast_watch import ForecastWatch
+from ground_station.app.desk.launch_pacing import LaunchPacing
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
 from ground_station.core.dispatch.flight_tables import (
     NeighbourKeys,
@@ -20,7 +21,7 @@ from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import holding
-from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderState, Service
+from ground_station.core.schema.orders import AssignmentRow, OrderState, Service
 from ground_station.core.site_wind.site_wind import SiteWind
 
 WIND_S = 30.0
@@ -34,8 +35,8 @@ LAUNCHES = 3
 class DepotParams:
     """How the depot is run. `assigns` and `launches` False: orders and launches are a person's.
 
-    `launch_gap_s` is the least time between two launches, by whichever desk. `confirms`: each
-    launch waits for a named person.
+    `launch_gap_s`: least time from a take-off to the next launch, by whichever desk. `confirms`:
+    each launch waits for a named person.
     """
 
     by: str = "desk"
@@ -66,19 +67,21 @@ class DepotDispatcher:
     neighbour_keys: NeighbourKeys = no_keys
     _planned: Forecast | None = None
     _planned_s: float = -math.inf
-    _newest_launch: int = 0
-    _launched_s: float | None = None
+    _pacing: LaunchPacing = field(init=False)
     _asked: set[str] = field(default_factory=set)
     _is_full: bool = False
 
+    def __post_init__(self) -> None:
+        gap_s = self.params.launch_gap_s
+        self._pacing = LaunchPacing(self.store, self.clock, self.say, gap_s)
+
     def begin(self) -> None:
         """A launch just before a restart keeps its gap to the next one."""
-        self._newest_launch = self.store.newest_launch()
-        if any(r.state is AssignmentState.FLYING for r in self.store.assignments(in_force=True)):
-            self._launched_s = self.clock.monotonic_s()
+        self._pacing.begin()
 
     def on_state(self, state: State) -> None:
-        """Nothing: `turn` reads the fleet's status."""
+        """Count a take-off; for the rest, `turn` reads the fleet's status."""
+        self._pacing.on_state(state)
 
     def on_ready(self, assignment: AssignmentRow) -> None:
         """Launch it when its slot has come; withdraw it after too many refusals."""
@@ -93,9 +96,9 @@ class DepotDispatcher:
             self._ask_for_a_person(assignment)
             return
         self._asked.discard(id_)  # a hold makes that word void: it is asked for again
-        if self._in_launch_gap():
+        if not self._pacing.may_launch():
             return
-        after = self._newest_launch
+        after = self._pacing.newest_launch
         if self.store.launch(id_, params.by, after=after, confirmed=params.confirms):
             word = f", confirmed by {assignment.confirmed_by}" if params.confirms else ""
             self.say(f"{vehicle}: launch of {id_} ordered{word}")
@@ -109,18 +112,10 @@ class DepotDispatcher:
                 f"{assignment.vehicle}: ready: `ground-station order launch {order}` lets it go"
             )
 
-    def _in_launch_gap(self) -> bool:
-        """By the clock of this desk, from when it saw a launch: desks' clocks may differ."""
-        newest = self.store.newest_launch()
-        if newest != self._newest_launch:
-            self._newest_launch, self._launched_s = newest, self.clock.monotonic_s()
-        if self._launched_s is None:
-            return False
-        return self.clock.monotonic_s() - self._launched_s < self.params.launch_gap_s
-
     def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
         """Give open orders to free drones."""
         del changed
+        self._pacing.update(status)
         given_back = self._give_back()
         if not self.params.assigns:
             return Progress.CHANGED if given_back else Progress.NONE

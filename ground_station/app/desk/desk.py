@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass, field
 
-from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
+from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import FINAL, Answered, EventKind, Launch, State
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.dispatcher import Dispatcher, Progress
 from ground_station.app.desk.exchange import Exchange
 from ground_station.app.desk.wind_guard import WindGuard
 from ground_station.app.desk.wind_teller import WindTeller
-from ground_station.core.fleet.fleet_status import VehicleStatus
+from ground_station.core.fleet.fleet_status import IN_THE_AIR, VehicleStatus
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -17,8 +17,6 @@ from ground_station.core.schema.orders import (
     OrderRow,
     OrderState,
 )
-
-IN_THE_AIR = frozenset(phase.value for phase in FLIGHT_PHASES)
 
 TURN_S = 0.5
 """Interval of turns when nothing new has come: a hundred vehicles send a hundred states a

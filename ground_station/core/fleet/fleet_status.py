@@ -8,6 +8,7 @@ it. It can always be recalled.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES
 from companion.core.vehicle.airframe import Airframe
 from companion.fleet.messages import State
 from ground_station.core.fleet.truck_state import TRUCK
@@ -16,6 +17,8 @@ SILENT_S = 5.0
 """States come every second: after so many are missed a vehicle is called silent."""
 
 STANDBY = "standby"
+BEFORE_TAKE_OFF = frozenset(phase.value for phase in GROUND_PHASES)
+IN_THE_AIR = frozenset(phase.value for phase in FLIGHT_PHASES)
 RISE_FRAC = 0.02
 """Energy left is an estimate: it may rise in flight by this share of the pack, not by more."""
 

@@ -185,6 +185,23 @@ def test_a_roster_of_a_foreign_authority_or_with_a_changed_word_is_not_taken(pki
     assert "not signed by an authority" in why(d1.take_roster(changed))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        'fleet = "harbour"\n' + ".".join(["a"] * 50_000) + " = 1\n",  # quadratic in tomllib
+        'fleet = "harbour"\n' + "a = " + "[" * 50_000,
+        'fleet = "harbour"\n] this is no TOML',
+    ],
+    ids=["dotted", "nested", "broken"],
+)
+def test_the_text_of_a_roster_is_not_parsed_before_its_signature_is_verified(pki, text):
+    signed = msgspec.json.decode((pki.folder / "roster.json").read_bytes())
+    raw = msgspec.json.encode(signed | {"roster": text})
+    assert why(trust(pki, "d1").take_roster(raw)) == (
+        "roster: not signed by an authority of this fleet"
+    )
+
+
 def test_a_roster_that_the_disk_does_not_take_is_in_force_all_the_same(pki):
     d1 = trust(pki, "d1")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from companion.fleet.messages import Answered
+from companion.fleet.messages import Answered, State
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store import order_steps
 from ground_station.adapters.store.hold_store import HoldStore
@@ -14,6 +14,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli.main import app
 from ground_station.app.desk.depot_dispatcher import DepotDispatcher
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.schema.orders import AssignmentRow
 from tests.ground_station.store.test_holds import aboard
 from tests.ground_station.store.test_order_store import an_order, opened
 
@@ -103,6 +104,13 @@ class HandClock:
         return 1
 
 
+def flying(row: AssignmentRow) -> State:
+    return State(
+        vehicle=row.vehicle, life="a", uptime_s=9.0, epoch_us=0, airframe="m100",
+        max_payload_kg=1.0, phase="climb", log="l", last_seq=0, assignment=row.id, armed=True,
+    )  # fmt: skip
+
+
 def test_safety_rule_7_a_desk_waits_a_whole_gap_after_a_launch_of_another_one(tmp_path):
     """By its own clock, from when it saw it: the two clocks have nothing in common."""
     with opened(f"sqlite:///{tmp_path}/d.db") as store:
@@ -117,10 +125,15 @@ def test_safety_rule_7_a_desk_waits_a_whole_gap_after_a_launch_of_another_one(tm
         first, second = store.assignments(in_force=True)
         ours.on_ready(first)
         assert launched(store) == 1
-        for clocks[1].t_s in (9_000.0, 9_019.9):
+        theirs.on_ready(second)
+        clocks[1].t_s = 9_030.0  # ordered, and not flown yet
+        theirs.on_ready(second)
+        assert launched(store) == 1
+        theirs.on_state(flying(first))
+        for clocks[1].t_s in (9_030.0, 9_049.9):
             theirs.on_ready(second)
             assert launched(store) == 1
-        clocks[1].t_s = 9_020.0
+        clocks[1].t_s = 9_050.0
         theirs.on_ready(second)
         assert launched(store) == 2
 
