@@ -119,6 +119,7 @@ def fly_case(tmp_path):
         believed: str | None = None,
         signing_key: Path | None = None,
         companion_arguments: tuple[str, ...] = (),
+        settings: dict[str, float] | None = None,
     ) -> Flown:
         table = merged(SHORT, changes or {})
         path = tmp_path / f"{name}.toml"
@@ -135,6 +136,7 @@ def fly_case(tmp_path):
             believed=believed,
             signing_key=signing_key,
             companion_arguments=companion_arguments,
+            settings=settings or {},
             forks=suite_forks(),
         )
         row = fly(options, keep)["flights"][0]

@@ -122,6 +122,7 @@ def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, autopilot_kind
     lines = checked.said.splitlines()
     assert lines[-1] == "READY"
     assert not any(line.startswith(("MISSING", "WAITING")) for line in lines), checked.said
+    assert any(line.startswith("off      no ground station and no desk") for line in lines)
     assert any(line.startswith("ok       battery: ") for line in lines)
     assert any(line.startswith("ok       route: 5 waypoints out") for line in lines)
 

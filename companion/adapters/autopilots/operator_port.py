@@ -100,6 +100,12 @@ class OperatorPort:
         self._say = say
         self.trust = trust or OperatorTrust()
 
+    def is_station(self, message: Any, system_id: int, peer: Any, *, signed: bool) -> bool:
+        """Whether this is the heartbeat of a ground station whose commands count."""
+        if message.get_type() != "HEARTBEAT" or message.type != mavlink.MAV_TYPE_GCS:
+            return False
+        return self.trust.trusts(message, system_id, peer, signed=signed)
+
     def on_message(
         self, message: Any, system_id: int, t_s: float, peer: Any = None, *, signed: bool = False
     ) -> bool:

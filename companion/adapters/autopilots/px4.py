@@ -65,6 +65,10 @@ UNWANTED_STREAMS = (
 TRUST_PARAMETERS = ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO")
 
 
+LINKS = tuple((f"MAV_{n}_CONFIG", f"MAV_{n}_FORWARD") for n in range(3))
+"""PX4's MAVLink instances: whether one runs, and whether it passes messages on to the others."""
+
+
 class Px4:
     """What is special about PX4 multirotors."""
 
@@ -222,6 +226,14 @@ class Px4:
                 True,
             ),
             _at_least("COM_DISARM_LAND", 0.1, 2.0, "disarming by itself after a landing", False),
+            Requirement(
+                tuple(name for pair in LINKS for name in pair),
+                "messages forwarded between ground station and companion: MAV_n_FORWARD = 1 on"
+                " both links, then reboot",
+                lambda v: not any(v.get(config) and v.get(on) == 0.0 for config, on in LINKS),
+                lambda _: {},
+                False,
+            ),
         )
 
 

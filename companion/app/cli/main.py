@@ -193,6 +193,13 @@ def run_command(
             "--authorise", help="Authorise this mission: used once, never after a restart."
         ),
     ] = False,
+    no_operator: Annotated[
+        bool,
+        typer.Option(
+            "--no-operator",
+            help="Take off although neither a ground station nor a desk reaches the companion.",
+        ),
+    ] = False,
     configure: Annotated[
         bool,
         typer.Option(
@@ -318,6 +325,7 @@ def run_command(
         name=vehicle or "",
         fleet=fleet or "",
         max_loss_per_hour=max_loss_per_hour,
+        without_operator=no_operator,
     )
     asked = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit

@@ -41,6 +41,7 @@ from companion.core.mission.events import (
     Event,
     LinkBack,
     LinkSilent,
+    OperatorReached,
     SettingsLeft,
     Tick,
 )
@@ -208,6 +209,8 @@ class Loop:
     def _talk_to_desk(self, port: "FleetPort") -> None:
         if self.finished is None:
             port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask_why))
+            if port.link.wind_cov_is_read():  # a desk asked for states lately
+                self._give([OperatorReached(self.clock.t_s)])
         port.publish(self.pilot.phase.value, self.pilot.telemetry, self.pilot)
 
     def _message(self, message: Any, peer: Any) -> None:
@@ -218,6 +221,8 @@ class Loop:
             return  # the wiring echoes: it is nobody else
         if not known or source[0] == system:
             self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
+        if known and self.operator.is_station(message, system, peer, signed=self.codec.signed):
+            self._give([OperatorReached(self.clock.t_s)])
         if known and self._to_operator_port(message, system, peer):
             self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
             return

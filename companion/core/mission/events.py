@@ -324,6 +324,11 @@ class Authorised(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class OperatorReached(Event):
+    """A message arrived from a ground station or a desk whose commands count."""
+
+
+@dataclass(frozen=True, slots=True)
 class ControlHandedBack(Event):
     """An operator hands control (back) to the companion."""
 

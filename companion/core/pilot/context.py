@@ -74,7 +74,8 @@ class PilotOptions:
     what is desired, for comparison only. `name` and `fleet`: as which others know this vehicle.
 
     `here`: the site lies about where the vehicle stands, not about the flight file's depot.
-    `max_loss_per_hour`: in place of the flight file's; `None`: as there.
+    `max_loss_per_hour`: in place of the flight file's; `None`: as there. `without_operator`: take
+    off although neither ground station nor desk reaches the companion.
     """
 
     gate_on: bool = True
@@ -89,6 +90,7 @@ class PilotOptions:
     unanswered_hold: Unanswered = Unanswered.ALARM
     unanswered_hold_s: float = UNANSWERED_HOLD_S
     max_loss_per_hour: float | None = None
+    without_operator: bool = False
 
 
 class PhaseObserver(Protocol):

@@ -32,6 +32,7 @@ from companion.core.mission.events import (
     MissionReadBack,
     MissionUploaded,
     Mode,
+    OperatorReached,
     OrderRefused,
     ParametersSet,
     SettingsLeft,
@@ -92,6 +93,13 @@ ARM_LIMIT_S = 90.0
 WAIT_LIMIT_S = 180.0
 CHECK_S = 6.0
 RESTORE_LIMIT_S = 4.0
+
+OPERATOR_MAX_AGE_S = 10.0
+"""A ground station's heartbeat comes at 1 Hz: ten in a row are not lost on a working link."""
+
+FORWARD_HINT = ": set MAV_n_FORWARD = 1 for its link and ours, reboot"
+"""PX4 boards forward on the first link only; the simulators of PX4 forward on all."""
+
 PACK_WAIT_S = 5.0
 PLAN_SAID_S = 10.0
 HOURS_FACTOR = 2.0
@@ -143,6 +151,8 @@ class GroundWork:
     authorised: bool = False
     asked_s: float | None = None
     arm_asked_s: float | None = None
+    reached_s: float | None = None
+    """When a ground station or a desk was last received."""
     arm_open_since_s: float | None = None
     """When ARM was ordered, until it is refused: it may have been obeyed, seen or not."""
     uploads: int = 0
@@ -307,7 +317,10 @@ class GroundSequence:
         match event:
             case GnssTime():
                 state.utc_ahead_s = event.unix_s - event.t_s
+            case OperatorReached():
+                state.reached_s = context.t_s
             case Authorised():
+                state.reached_s = context.t_s
                 context.do(Answer(self._authorise(context, event.by)))
             case OrderRefused() if context.phase is Phase.ARM:
                 self._refused(context, event)
@@ -426,6 +439,9 @@ class GroundSequence:
             found.append(Finding("plan", self._state.plan_refused, blocks=True))
         if words := _keeps_no_distance(context):
             found.append(Finding("keep_apart", words, blocks=True))
+        if words := self._unreachable(context):
+            blocks = not context.options.check_only  # a check is made before all is connected
+            found.append(Finding("operator", words, blocks, waits=blocks))
         found += self._state.findings
         troubles = telemetry.troubles()
         found += [Finding("position", words, blocks=True, waits=True) for words in troubles]
@@ -439,6 +455,15 @@ class GroundSequence:
         if telemetry.failing:
             found.append(Finding("failsafe", "the autopilot reports a failsafe", True, waits=True))
         return tuple(found)
+
+    def _unreachable(self, context: FlightContext) -> str:
+        """State that nobody could stop the flight; `""`: somebody can, or need not."""
+        if context.options.without_operator:
+            return ""
+        if context.since_s(self._state.reached_s) <= OPERATOR_MAX_AGE_S:
+            return ""
+        hint = FORWARD_HINT if context.autopilot is AutopilotKind.PX4 else ""
+        return f"no ground station and no desk reaches this companion{hint} (--no-operator)"
 
     def _out_of_hours(self, context: FlightContext) -> list[Finding]:
         """The flight would be in the air outside its stated hours: other geo-zones are in force."""

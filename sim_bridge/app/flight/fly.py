@@ -4,7 +4,7 @@ import contextlib
 import os
 import shutil
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -89,6 +89,8 @@ class FlyOptions:
     before_companion: str = ""
     companion_arguments: tuple[str, ...] = ()
     """More of `companion run`, as its operator would choose them."""
+    settings: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of the autopilot that differ from its defaults."""
     forks: ForkServer | None = None
     """Of companions, for suites of many flights; None: each is started as a user's is."""
 
@@ -218,7 +220,9 @@ def build_craft(
     autopilot = Autopilot(
         AutopilotKind(autopilot_kind),
         (depot.lat_deg or 0.0, depot.lon_deg or 0.0, depot.alt_amsl_m or 0.0),
-        read_parameters(params_dir() / "autopilots" / f"{autopilot_kind}.toml"),
+        read_parameters(
+            params_dir() / "autopilots" / f"{autopilot_kind}.toml", dict(options.settings)
+        ),
         system_id=number,
     )
     autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD, signing=_signer(options.signing_key))
@@ -273,7 +277,7 @@ def _signer(key: Path | None) -> LinkSigning | None:
 
 
 def _signed_arguments(key: Path | None) -> list[str]:
-    return [] if key is None else [f"--signing-key={key}", "--authorise"]
+    return [] if key is None else [f"--signing-key={key}", "--authorise", "--no-operator"]
 
 
 def _drawn_charge(flight: Flight, rng: np.random.Generator) -> float:

@@ -152,6 +152,7 @@ def _guest(options: ForeignOptions, number: int, run_dir: Path) -> _Guest:
         f"--mission={options.flight_file}",
         f"--gate={'on' if options.gate else 'off'}",
         "--authorise",  # whoever types --link has said that this vehicle is to fly this mission
+        "--no-operator",  # and watches it here
     ]
     arguments += ["--configure"] if options.configure else []
     arguments += ["--here"] if options.here else []

@@ -62,6 +62,10 @@ class ArduPilotLinkHabits:
         """Names in the order of a parameter list."""
         return [name for i in range(len(params)) if (name := params.name_at(i)) is not None]
 
+    def forwards(self, kind: LinkKind, params: ParameterStore) -> bool:
+        """From every link."""
+        return True
+
     def hash_check(self, params: ParameterStore) -> float:
         """There is none."""
         return 0.0

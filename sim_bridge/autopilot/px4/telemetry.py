@@ -101,6 +101,10 @@ class Px4LinkHabits:
         names = [name for i in range(len(params)) if (name := params.name_at(i)) is not None]
         return ["_HASH_CHECK", *names]
 
+    def forwards(self, kind: LinkKind, params: ParameterStore) -> bool:
+        """By MAV_n_FORWARD: instance 0 is the ground station's link, 1 the companion's."""
+        return params["MAV_0_FORWARD" if kind is LinkKind.GCS else "MAV_1_FORWARD"] > 0.0
+
     def hash_check(self, params: ParameterStore) -> float:
         """The checksum's bytes, as a float's."""
         return params.digest_as_float()

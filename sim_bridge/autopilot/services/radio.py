@@ -54,6 +54,10 @@ class LinkHabits(Protocol):
         """The value of _HASH_CHECK."""
         ...
 
+    def forwards(self, kind: LinkKind, params: ParameterStore) -> bool:
+        """Whether messages that arrive on such a link are passed on to the others."""
+        ...
+
 
 class Radio:
     """All links of one autopilot, and the frames that wait to be sent on them."""
@@ -117,7 +121,8 @@ class Radio:
             if (message.src_system, message.src_component) == mine:
                 continue
             routing = self._router.route(link_id, message)
-            for other in routing.forward_to:
+            forwards = self._habits.forwards(link.kind, self._state.params)
+            for other in routing.forward_to if forwards else ():
                 if isinstance(other, int) and other in self.links:
                     self._outbox.append((other, message.wire_bytes))
             link.peers.add((message.src_system, message.src_component))

@@ -197,6 +197,8 @@ class World:
     """What its drift adds to the height that is told."""
     board_temperature_c: float = 30.0
     streams: bool = True
+    station: bool = True
+    """A ground station's heartbeats reach the companion."""
     home_north: float = 0.0
     home_east: float = 0.0
     home_up: float = 0.0
@@ -357,6 +359,8 @@ class World:
             east_m_per_deg = M_PER_DEG * math.cos(math.radians(DEPOT[0]))
             lon_deg = DEPOT[1] + self.home_east / east_m_per_deg
             found.append(ev.Home(t, lat_deg, lon_deg, DEPOT[2] + self.home_up))
+        if self.station and round(t * 10) % 10 == 0:
+            found.append(ev.OperatorReached(t))
         return [event for event in found if type(event) not in self.mute]
 
     def reboot(self, mode: Mode) -> None:
