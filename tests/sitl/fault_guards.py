@@ -190,6 +190,39 @@ GUARDS: dict[str, Guard] = {
     ),
     "second-takes-over": Guard("outbound", NEVER_THEIRS),
     "payload-computer-flies": Guard("return", NEVER_THEIRS),
+    "held-again": Guard(
+        "outbound",
+        "import companion.adapters.autopilots.commands as guarded\n"
+        "submit = guarded.CommandQueue.submit\n"
+        "def unwary(self, lane, entry, t_s, **named):\n"
+        "    entry.most_tries, entry.answer_s = 4, 1.0\n"
+        "    submit(self, lane, entry, t_s, **named)\n"
+        "guarded.CommandQueue.submit = unwary",
+    ),
+    "item-selected": Guard(
+        "outbound",
+        without("companion.adapters.autopilots.port", "AutopilotPort._watch_item", "None"),
+        "ardupilot",
+    ),
+    "replaced-while-held": Guard(
+        "outbound",
+        "import companion.core.pilot.resume as guarded\n"
+        "begin = guarded.Resume.begin\n"
+        "def unwary(self, context, why):\n"
+        "    begin(self, context, why)\n"
+        "    self._mission_matches = True\n"
+        "guarded.Resume.begin = unwary",
+    ),
+    "replaced-while-dead": Guard(
+        "return",
+        without(AUTHORITY, "Authority._may_take_back", "given[1].phase.name == 'SUSPENDED'"),
+    ),
+    "replaced-when-ready": Guard(
+        "ready",
+        without("companion.core.pilot.ground_sequence", "GroundSequence._is_ours_aboard", "True")
+        + "\nguarded.VERIFIED_S = 1e9",
+    ),
+    "last-resort-refused": Guard("outbound", without(HOLD, "LastResort.tick", "None")),
     "strangers": Guard("outbound", HEARS_ANY_SYSTEM),
     "replayed-frames": Guard(
         "return",

@@ -3,6 +3,7 @@
 Times are on the autopilot's clock.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,14 @@ TRIES = 4
 
 ANSWER_S = 1.0
 """How long the last repetition waits for its answer before the order is given up."""
+
+EVIDENCE_S = 0.3
+"""A report of the unchanged state permits a repetition for so long. An older one permits none: a
+person may have decided otherwise since (a person needs 0.2 s and more to select a mode or item).
+"""
+
+SILENT_S = 3.0
+"""An order that may not be repeated for want of a report ends after so long."""
 
 STALE_S = 1.0
 """How long the answers to repetitions may trail the first answer. A busy autopilot works off a
@@ -40,12 +49,17 @@ class PendingCommand:
     It ends with COMMAND_ACK of `command`, or with telemetry that `shows` its effect: an answer may
     be lost, and PX4 acknowledges no jump. `again_s` is how long it waits before it is sent again,
     `most_tries` how often it is sent, `answer_s` how long the last one waits.
+
+    `unchanged`: a report that shows the state as it was at the order. With it, only a recent one
+    permits a repetition. `superseded`: a report that shows a newer decision; the order ends.
     """
 
     name: str
     make: Callable[[int], Any]
     command: int | None = None
     shows: Callable[[Event], bool] | None = None
+    unchanged: Callable[[Event], bool] | None = None
+    superseded: Callable[[Event], bool] | None = None
     quiet: bool = False
     again_s: float = RETRY_S
     most_tries: int = TRIES
@@ -53,6 +67,12 @@ class PendingCommand:
     tries: int = 0
     answers: int = 0
     next_try_s: float = 0.0
+    unchanged_s: float = -math.inf
+    """Time of the newest report that shows the state unchanged."""
+
+    def may_repeat(self, t_s: float) -> bool:
+        """Tell whether the state is known to be unchanged now."""
+        return self.unchanged is None or t_s - self.unchanged_s <= EVIDENCE_S
 
     @property
     def waits_s(self) -> float:
@@ -90,19 +110,23 @@ class CommandQueue:
     ) -> None:
         """Queue an order; `replace` forgets what the lane still holds (a newer wish)."""
         queued = self._lanes.setdefault(lane, [])
-        if replace and queued:
-            self._expect_late_answers(queued[0], t_s)
-            queued.clear()
+        if replace:
+            self.drop(lane, t_s)
         queued.append(entry)
         if len(queued) == 1:
             self._try(entry, t_s)
 
     def clear(self, t_s: float) -> None:
         """Forget everything: nothing more is sent or retried."""
-        for queued in self._lanes.values():
-            if queued:
-                self._expect_late_answers(queued[0], t_s)
-        self._lanes.clear()
+        for lane in self._lanes:
+            self.drop(lane, t_s)
+
+    def drop(self, lane: str, t_s: float) -> None:
+        """Forget what a lane holds."""
+        queued = self._lanes.get(lane)
+        if queued:
+            self._expect_late_answers(queued[0], t_s)
+            queued.clear()
 
     def pending(self, lane: str) -> bool:
         """Tell whether a lane still works on something."""
@@ -134,21 +158,28 @@ class CommandQueue:
         return []
 
     def on_telemetry(self, event: Event, t_s: float) -> list[Event]:
-        """Take a telemetry event: ends the order whose effect it shows."""
+        """Take a telemetry event: ends the order whose effect, or whose successor, it shows."""
         for lane, queued in self._lanes.items():
             if queued and queued[0].shows is not None and queued[0].shows(event):
                 return self._finish(lane, t_s, None)
+            if queued and queued[0].superseded is not None and queued[0].superseded(event):
+                self.drop(lane, t_s)
+            elif queued and queued[0].unchanged is not None and queued[0].unchanged(event):
+                queued[0].unchanged_s = t_s
         return []
 
     def tick(self, t_s: float) -> list[Event]:
         """Retry what is due; give up what was tried often enough."""
         events: list[Event] = []
         for lane, queued in list(self._lanes.items()):
-            if queued and t_s >= queued[0].next_try_s:
-                if queued[0].tries >= queued[0].most_tries:
-                    events += self._finish(lane, t_s, NO_ANSWER)
-                else:
-                    self._try(queued[0], t_s)
+            entry = queued[0] if queued else None
+            if entry is None or t_s < entry.next_try_s:
+                continue
+            last = entry.tries >= entry.most_tries
+            if not last and entry.may_repeat(t_s):
+                self._try(entry, t_s)
+            elif last or t_s >= entry.next_try_s + SILENT_S:
+                events += self._finish(lane, t_s, NO_ANSWER)
         return events
 
     def _try(self, entry: PendingCommand, t_s: float) -> None:

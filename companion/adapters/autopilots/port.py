@@ -85,6 +85,11 @@ ARM_ANSWER_S = 3.0
 1 Hz and lag by up to a second.
 """
 
+MODE_ANSWER_S = 3.0
+"""How long the answer to a mode command is waited for. It is sent once: a person may have selected
+another mode, or the former one again, before a repetition. The pilot repeats it where it may.
+"""
+
 VELOCITY_AND_ACCELERATION = (
     mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
@@ -126,6 +131,7 @@ class AutopilotPort:
         self.profile: AutopilotProfile | None = None
         self.system_id: int | None = None
         self._commands = CommandQueue(send)
+        self._progress: MissionProgress | None = None
         self._parameters: ParameterClient | None = None
         self._upload: MissionUpload | None = None
         self._upload_from_s = 0.0
@@ -169,6 +175,7 @@ class AutopilotPort:
             if isinstance(event, Position) and self._home.lat_deg == 0.0:
                 self._home = Spot(event.lat_deg, event.lon_deg, event.alt_amsl_m)
         ended = [done for event in found for done in self._commands.on_telemetry(event, t_s)]
+        self._progress = next((e for e in found if isinstance(e, MissionProgress)), self._progress)
         return events + found + ended
 
     def on_time_answer(self, message: Any) -> None:
@@ -328,6 +335,7 @@ class AutopilotPort:
             elif mine and self._download is not None:
                 self._download.on_message(message, t_s)
             elif not mine and _ends_a_write(message):
+                self._commands.drop("jump", t_s)
                 words = f"{message.target_system}/{message.target_component} wrote the mission"
                 return [MissionTouched(t_s, words)]
             return self._transfer_events(t_s)
@@ -378,6 +386,7 @@ class AutopilotPort:
                     name, mavlink.MAV_CMD_DO_SET_MODE, profile.mode_params(order.mode)
                 )
                 entry.shows = lambda event: _shows_mode(event, order.mode)
+                entry.most_tries, entry.answer_s = 1, MODE_ANSWER_S
                 self._commands.submit("mode", entry, t_s, replace=True)
             case Arm():
                 entry = self._entry("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
@@ -398,6 +407,7 @@ class AutopilotPort:
                     shows=lambda event: _shows_item(event, order),
                     again_s=ECHO_S if command is None else RETRY_S,
                 )
+                self._watch_item(entry, order)
                 self._commands.submit("jump", entry, t_s, replace=True)
             case SetGroundSpeed():
                 params = (1.0, order.ground_speed_mps, -1.0)
@@ -475,6 +485,16 @@ class AutopilotPort:
         entry = self._entry(name, command, params)
         entry.quiet = quiet
         self._commands.submit(lane, entry, t_s, replace=replace)
+
+    def _watch_item(self, entry: PendingCommand, jump: JumpTo) -> None:
+        """Repeat a jump only while reports show the item that is flown now, in the same list."""
+        if self._progress is None:
+            return
+        at = _item_of(self._progress)
+        entry.unchanged = lambda event: _item_of(event) == at
+        entry.superseded = lambda event: (
+            _item_of(event) not in (None, at) and not _shows_item(event, jump)
+        )
 
     def _entry(self, name: str, command: int, params: tuple[float, ...]) -> PendingCommand:
         """A COMMAND_LONG that is still to be sent."""
@@ -581,6 +601,12 @@ def _shows_mode(event: Event, mode: Mode) -> bool:
 
 def _shows_item(event: Event, jump: JumpTo) -> bool:
     return isinstance(event, MissionProgress) and event.index in (jump.index, *jump.passes)
+
+
+def _item_of(event: Event) -> tuple[int | None, ...] | None:
+    """Return item, length and id of the list that a report names; `None`: no such report."""
+    named = isinstance(event, MissionProgress)
+    return (event.index, event.total, event.mission_id) if named else None
 
 
 def _home_setter(system: int, order: SetHome) -> Callable[[int], Any]:

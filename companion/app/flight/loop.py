@@ -406,6 +406,8 @@ class Loop:
                     self.autopilot.order(action, t_s)
                 case DropOrders():
                     self.autopilot.drop_orders()
+                    self._outgoing = [kept for kept in self._outgoing if not kept.is_order]
+                    self._outgoing_bytes = sum(len(kept.frame) for kept in self._outgoing)
                 case Say():
                     for message in self._texts.messages(action.severity, action.text):
                         self.send(message)

@@ -68,6 +68,18 @@ class JumpWatch:
         may_be_older = index in self.before and arrived_s - self.began_s <= OLDER_S
         return not may_be_older and self._shows(mission, index)
 
+    def explains(self, mission: DeadMansMission, index: int) -> bool:
+        """Tell whether the autopilot may fly this item by itself while the jump is pending: it is
+        no farther than the next place after the items reported so far.
+        """
+        for at in (self.index, *self.before):
+            place = mission.next_place(at)
+            beyond = place not in (None, index) and mission.follows(place or 0, index)
+            if mission.follows(at, index) and (at == index or not beyond):
+                self.before |= {index}
+                return True
+        return not self.before
+
     def shown_by(self, mission: DeadMansMission) -> frozenset[int]:
         """The items beside its own that show that the jump was obeyed, and cannot be older."""
         items = range(len(mission.items))

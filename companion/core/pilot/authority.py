@@ -12,6 +12,7 @@ from typing import Any
 from companion.core.mission.actions import Answer, Reply, Severity
 from companion.core.mission.events import (
     CLAIM_STEP_S,
+    AbortOrdered,
     ClockStepped,
     ControlHandedBack,
     ControlTaken,
@@ -47,6 +48,9 @@ DROPPING_MPS = 2.0
 DROPPED_WITHIN_S = 3.0
 """A drop in a landing ends within this, and the heartbeats that tell of it, at 1 Hz, with it."""
 
+ALARM_EVERY_S = 10.0
+"""Interval of the alarm while a foreign mission is flown."""
+
 ARM_IN_FORCE_S = 0.2
 """From so long after an ARM was accepted on, a heartbeat that says disarmed was sent after it."""
 
@@ -74,6 +78,13 @@ class Authority:
     """When it last came down faster than it lands."""
     failsafe_flies: bool = False
     """By the last heartbeat with running motors: a mode that is not ours is no person's then."""
+    handed_back: bool = False
+    """An operator has given control back, and the flight has not been resumed yet."""
+    abortable: bool = False
+    """Suspended again because the flight could not be resumed: an abort counts as a hand-back."""
+    yielded: bool = False
+    """Another onboard computer has the flight."""
+    alarm_s: float | None = None
     flies_since_ms: int | None = None
     """From when on this process has flown this flight, on the autopilot's clock; said aloud."""
 
@@ -96,14 +107,31 @@ class Authority:
                 self._yield_to(context, event)
             case ControlHandedBack():
                 self._take_back(context, event.by)
+            case AbortOrdered() if self._may_take_back(context) and (
+                context.phase is Phase.PASSIVE or self.abortable
+            ):
+                self._resume(context, event.by)  # the return decision replies
             case ControlTaken():
                 context.do(Answer(Reply.ACCEPTED))
                 context.request_transition(Trigger.TAKEN_OVER, f"told so by {event.by}")
             case _:
                 return
 
+    def tick(self, context: FlightContext) -> None:
+        """Alarm while the vehicle flies a foreign mission: only an operator may end that."""
+        passive = context.phase is Phase.PASSIVE and self._may_take_back(context)
+        if not (passive and context.telemetry.airborne):
+            self.alarm_s = None
+        elif context.since_s(self.alarm_s) >= ALARM_EVERY_S - 1e-6:
+            self.alarm_s = context.t_s
+            words = "mission onboard is not ours: hand back or abort to restore it"
+            context.say(Severity.CRITICAL, words)
+
     def entered(self, context: FlightContext) -> None:
         """A phase begins. A later hand-back or silence changes nothing: who began last flies."""
+        if context.phase is not Phase.RECOGNISE:
+            self.abortable = self.handed_back and context.phase is Phase.SUSPENDED
+            self.handed_back = False
         if self.flies_since_ms is None and context.phase in FLIGHT_PHASES:
             self.flies_since_ms = max(1, round(context.t_s / CLAIM_STEP_S)) * round(
                 1000.0 * CLAIM_STEP_S
@@ -112,6 +140,7 @@ class Authority:
     def _yield_to(self, context: FlightContext, other: OtherComputer) -> None:
         """Hands off for good where another onboard computer flies, or is here before us."""
         if self._is_theirs(context.phase, other):
+            self.yielded = True
             words = f"another onboard computer (component {other.component})"
             context.request_transition(Trigger.OTHER_COMPUTER, words)
         elif other.flies and context.phase in COMMANDING_PHASES:
@@ -266,20 +295,27 @@ class Authority:
         return f"mode changed to {state.mode_name}"
 
     def _take_back(self, context: FlightContext, by: str) -> None:
-        """An operator hands control back: accepted only after a take-over, with our mission."""
-        state = context.telemetry.state
-        if context.phase is not Phase.SUSPENDED:
-            context.do(Answer(Reply.DENIED))
-        elif context.telemetry.armed and context.flight_plan is None:
+        """An operator hands control back: after a take-over, or over a foreign mission."""
+        if context.phase is Phase.SUSPENDED and not self._may_take_back(context):
             context.say(Severity.WARNING, "cannot take control: no mission of ours aboard")
+        if not self._may_take_back(context):
             context.do(Answer(Reply.DENIED))
-        else:
-            context.do(Answer(Reply.ACCEPTED))
-            context.decide("handed_back", f"by {by}")
-            if state is not None and state.armed and state.mode is not Mode.MISSION:
-                self.expect(Mode.MISSION, state)
-            self.ground_mode = None
-            context.request_transition(Trigger.HANDED_BACK, f"handed back by {by}")
+            return
+        context.do(Answer(Reply.ACCEPTED))
+        self._resume(context, by)
+
+    def _may_take_back(self, context: FlightContext) -> bool:
+        """Tell whether the flight may be resumed; an armed vehicle needs a mission of ours."""
+        plan = context.flight_plan is not None
+        if context.phase is Phase.PASSIVE:
+            return plan and not self.yielded
+        return context.phase is Phase.SUSPENDED and (plan or not context.telemetry.armed)
+
+    def _resume(self, context: FlightContext, by: str) -> None:
+        """Read the mission onboard; the mode is ordered after that (resume.py)."""
+        context.decide("handed_back", f"by {by}")
+        self.handed_back, self.ground_mode = True, None
+        context.request_transition(Trigger.HANDED_BACK, f"handed back by {by}")
 
 
 def _falls(context: FlightContext) -> bool:

@@ -551,6 +551,11 @@ class HomeInDoubt(Protocol):
 class RtlHome(HomeInDoubt, Protocol):
     """Where an RTL leads."""
 
+    @property
+    def rtl_waits(self) -> bool:
+        """RTL is not ordered yet: the autopilot's home is set first."""
+        ...
+
     def order_rtl(self, context: FlightContext) -> str:
         """Order RTL, led to the promised landing place; tells in words where it leads."""
         ...

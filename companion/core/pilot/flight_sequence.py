@@ -249,7 +249,8 @@ class FlightSequence:
             self._landing.tick(context)
             return
         self._drop.observe(context)
-        self._progress.tick(context)
+        if not self._home.in_doubt:
+            self._progress.tick(context)
         if context.phase is not Phase.CLIMB:
             self._budget.assess(context, ASSESS_S)
         match context.phase:

@@ -85,6 +85,9 @@ UPLOADS = 6
 ARM_AGAIN_S = 3.0
 """After a refusal, and only then: what the autopilot refused it has not armed."""
 
+VERIFIED_S = 2.5
+"""A read-back counts at an authorisation for so long: stations repeat the command every 2 s."""
+
 ARM_SHOWS_S = 5.0
 """An ARM that was not refused shows within this: the adapter waits 3 s for an answer that was lost,
 the heartbeat that shows it comes at 1 Hz and lags by up to a second."""
@@ -155,6 +158,11 @@ class GroundWork:
     """When a ground station or a desk was last received."""
     arm_open_since_s: float | None = None
     """When ARM was ordered, until it is refused: it may have been obeyed, seen or not."""
+    mode_ordered_s: float = 0.0
+    mode_refused: bool = False
+    """The autopilot has answered the last mode command with a refusal."""
+    start_by: str = ""
+    """Who has authorised a start for which the mission onboard is being verified."""
     uploads: int = 0
     values: dict[str, float | None] = field(default_factory=dict)
     settings_before: dict[str, float] = field(default_factory=dict)
@@ -264,6 +272,7 @@ class GroundSequence:
         state.asked_s = context.t_s
         match context.phase:
             case Phase.CONFIGURE:
+                state.start_by = ""
                 context.do(AskTelemetry(), AskBoard())
             case Phase.PLAN:
                 state.uploads = 0
@@ -280,10 +289,14 @@ class GroundSequence:
             case Phase.ARM:
                 state.authorised = True
                 context.save()
-                self._modes.expect(Mode.MISSION, context.telemetry.state)
-                context.do(SetMode(Mode.MISSION))
+                self._order_mode(context)
             case _:
                 return
+
+    def _order_mode(self, context: FlightContext) -> None:
+        self._state.mode_ordered_s, self._state.mode_refused = context.t_s, False
+        self._modes.expect(Mode.MISSION, context.telemetry.state)
+        context.do(SetMode(Mode.MISSION))
 
     def tick(self, context: FlightContext) -> None:
         """Work on the ground phase that we are in."""
@@ -401,6 +414,7 @@ class GroundSequence:
         context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
         if event.order == "arm" and event.answered:
             self._state.arm_open_since_s = None
+        self._state.mode_refused |= event.order.startswith("mode ") and event.answered
 
     # --- authorisation and refusal ---------------------------------------------------------------
 
@@ -410,7 +424,7 @@ class GroundSequence:
         over = self._state.giving_up or self._modes.disarmed_by_another
         if checking or context.phase not in GROUND_PHASES or over:
             return Reply.DENIED
-        if context.phase is Phase.ARM:
+        if context.phase is Phase.ARM or self._state.start_by:
             return Reply.ACCEPTED
         if context.phase is not Phase.READY:
             return Reply.LATER
@@ -425,9 +439,19 @@ class GroundSequence:
         if waiting:
             self._say_waiting(context, waiting)
             return Reply.LATER
+        if context.phase_s > VERIFIED_S or not self._is_ours_aboard(context):
+            self._state.start_by = by
+            context.request_transition(Trigger.VERIFY, f"authorised by {by}: verifying")
+            return Reply.ACCEPTED
         context.decide("authorised", f"by {by}")
         context.request_transition(Trigger.AUTHORISED, f"authorised by {by}")
         return Reply.ACCEPTED
+
+    def _start_verified(self, context: FlightContext) -> None:
+        """Start where the mission onboard was verified after the authorisation."""
+        by, self._state.start_by = self._state.start_by, ""
+        if self._authorise(context, by) is not Reply.ACCEPTED:
+            context.say(Severity.WARNING, "start not possible now: authorise again")
 
     def _live_findings(self, context: FlightContext) -> tuple[Finding, ...]:
         """The pre-flight now: settings, and what may still come by itself."""
@@ -722,7 +746,11 @@ class GroundSequence:
         if not event.differences:
             context.decide("read_back", "the mission aboard is the one that was planned")
             context.request_transition(Trigger.READ_BACK_MATCHES)
+            if self._state.start_by:
+                self._start_verified(context)
             return
+        if self._state.start_by:
+            context.say(Severity.WARNING, "mission changed before the start: restoring ours")
         for words in event.differences[:10]:
             context.do(Note(f"read back: {words}"))
         if self._state.uploads >= ATTEMPTS:
@@ -783,10 +811,7 @@ class GroundSequence:
         if context.since_s(self._state.arm_asked_s) < ARM_AGAIN_S:
             return
         if state.mode is not Mode.MISSION:
-            if context.phase_s > ARM_AGAIN_S:
-                self._state.arm_asked_s = context.t_s
-                self._modes.expect(Mode.MISSION, state)
-                context.do(SetMode(Mode.MISSION))
+            self._mode_not_shown(context)
             return
         index = progress.index if progress is not None else None
         self._state.arm_asked_s = context.t_s
@@ -795,6 +820,19 @@ class GroundSequence:
             return
         self._state.arm_open_since_s = context.t_s
         context.do(Arm())
+
+    def _mode_not_shown(self, context: FlightContext) -> None:
+        """Order the mode again where the last order had no effect; a gap in telemetry may hide that
+        a person selected the former mode again.
+        """
+        state = self._state
+        unseen = context.telemetry.has_mode_gap_since(state.mode_ordered_s)
+        if unseen and not state.mode_refused:
+            if context.since_s(state.mode_ordered_s) > ARM_SHOWS_S:
+                self._give_up(context, "mode command unconfirmed: not sent again")
+        elif context.since_s(state.mode_ordered_s) > ARM_AGAIN_S:
+            state.arm_asked_s = context.t_s
+            self._order_mode(context)
 
 
 def _keeps_no_distance(context: FlightContext) -> str:

@@ -100,6 +100,11 @@ class HomeWatch:
         """The home has moved, or perhaps, and may still be set back."""
         return self._state.off_since_s is not None and not self._state.given_up
 
+    @property
+    def rtl_waits(self) -> bool:
+        """RTL is ordered once the place that it is led to is the autopilot's home."""
+        return self._state.rtl_waits
+
     def order_rtl(self, context: FlightContext) -> str:
         """Order RTL, led to the promised landing place; tells in words where it leads.
 

@@ -108,6 +108,8 @@ class MissionAboard:
             case MissionProgress():
                 self._told(context, event, len(items))
             case MissionTouched():
+                if context.phase is Phase.READY:
+                    self._state.foreign_s = context.t_s
                 self._state.touched = self._state.in_doubt
                 self._doubt(context, event.words)
             case MissionReadBack() if context.phase in FLOWN_PHASES:

@@ -209,10 +209,14 @@ class MissionFollower:
 
     def tick(self, context: FlightContext) -> None:
         """Ask again for a jump that telemetry does not show, or give it up."""
-        jump = self._state.jump
+        jump, reported = self._state.jump, context.telemetry.progress
         if jump is None:
             return
+        unknown = reported is None or reported.t_s <= jump.ordered_s
+        unknown = unknown and not jump.refused
         match jump.wait(context.t_s):
+            case JumpStatus.ASK_AGAIN if unknown:
+                context.do(Note(f"jump to item {jump.index} not repeated: item not reported"))
             case JumpStatus.ASK_AGAIN:
                 context.do(Note(f"jump to item {jump.index} not seen yet: again"))
                 context.do(self._order(context, jump))
@@ -369,7 +373,8 @@ class MissionFollower:
     def _jump(self, context: FlightContext, index: int, purpose: Purpose) -> None:
         state = self._state
         recent = {r.index for r in state.reports if context.t_s - r.t_s <= OLDER_S}
-        before = {at for at in (*recent, state.index) if at is not None}
+        replaced = (state.jump.index, *state.jump.before) if state.jump is not None else ()
+        before = {at for at in (*recent, *replaced, state.index) if at is not None}
         if state.index == index:  # it flies there already: nothing tells it from obedience
             before.discard(index)
         state.jump = JumpWatch(index, purpose, context.t_s, frozenset(before))
@@ -400,7 +405,11 @@ class MissionFollower:
         if state.jump is not None:
             if state.jump.confirms(mission, event.index, event.t_s):
                 self._confirmed(context, event.index)
-            return  # else the jump is under way; the tick asks again or gives up
+            elif state.jump.explains(mission, event.index):
+                state.foreign_move = None  # the jump is under way; the tick asks again or gives up
+            else:
+                self._note_foreign(event.index)
+            return
         if context.phase is Phase.LAST_RESORT and not _is_flown(vehicle):
             state.foreign_move = None
             return  # RTL or a landing needs no item
@@ -410,12 +419,16 @@ class MissionFollower:
             state.foreign_move = None
             return
         if state.index is not None and not mission.follows(state.index, event.index):
-            move = state.foreign_move
-            again = move is not None and move.index == event.index
-            state.foreign_move = ForeignMove(event.index, move.reports + 1 if again and move else 1)
-            return  # judged at the tick: after a silence it moved on by itself
+            self._note_foreign(event.index)
+            return
         state.foreign_move = None
         self._at_item(context, event.index)
+
+    def _note_foreign(self, index: int) -> None:
+        """Count the report. It is judged at the tick: after a silence it moved on by itself."""
+        move = self._state.foreign_move
+        again = move is not None and move.index == index
+        self._state.foreign_move = ForeignMove(index, move.reports + 1 if again and move else 1)
 
     def _may_be_older(self, mission: DeadMansMission, event: MissionProgress) -> bool:
         """Tell whether this report may have been sent before the jump that was just obeyed."""
@@ -488,7 +501,7 @@ class MissionFollower:
         """Take a refusal in flight: a jump is asked again at once."""
         jump = self._state.jump
         if jump is not None and event.order == f"jump to item {jump.index}":
-            jump.refused = True
+            jump.refused = event.answered
         elif context.phase in FLIGHT_PHASES:
             context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
 
@@ -497,6 +510,7 @@ class MissionFollower:
         assert flown is not None
         assert state.jump is not None
         jump, state.jump = state.jump, None
+        state.foreign_move = None
         state.obeyed, state.obeyed_s = jump, context.t_s
         part = flown.mission.part_at(jump.index)
         state.index = jump.index

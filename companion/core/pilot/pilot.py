@@ -94,7 +94,7 @@ from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     Phase,
 )
-from companion.core.pilot.unanswered_hold import UnansweredHold
+from companion.core.pilot.unanswered_hold import LastResort, UnansweredHold
 from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.separation.learned_policy import AvoidancePolicy
@@ -245,8 +245,11 @@ class Pilot:
             self._progress,
             self._authority,
             self._landing,
+            self._return_state,
+            self._decision,
             obstacles,
         )
+        self._last_resort = LastResort(self._authority, self._home_watch)
         self._keepers = (
             self._ground,
             self._flight_state,
@@ -284,12 +287,18 @@ class Pilot:
             ParametersSet: (self._ground,),
             SettingsLeft: (self._ground,),
             PlanFound: (self._ground,),
-            MissionUploaded: (self._ground, self._aboard),
+            MissionUploaded: (self._resume, self._ground, self._aboard),
             MissionReadBack: (self._resume, self._ground, self._aboard),
-            MissionTouched: (self._aboard, self._unanswered),
+            MissionTouched: (self._resume, self._aboard, self._unanswered),
             MissionProgress: (self._aboard, self._unanswered, self._progress),
-            OrderRefused: (self._ground, self._progress, self._home_watch),
-            AbortOrdered: (self._decision,),
+            OrderRefused: (
+                self._resume,
+                self._ground,
+                self._progress,
+                self._home_watch,
+                self._last_resort,
+            ),
+            AbortOrdered: (self._authority, self._decision),
             LimitsChanged: (self._decision,),
             Home: (self._home_watch,),
             HomeMoved: (self._landing_site,),
@@ -358,10 +367,12 @@ class Pilot:
         if context.phase is Phase.RECOGNISE:
             self._resume.tick(context)
         else:
+            self._authority.tick(context)
             self._home_watch.tick(context)
             self._aboard.tick(context)
             self._ground.tick(context)
             self._sequence.tick(context)
+            self._last_resort.tick(context)
             self._setpoints.tick(context)
             self._unanswered.tick(context)
         self._report()

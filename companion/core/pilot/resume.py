@@ -8,10 +8,12 @@ from companion.core.mission.actions import (
     AskBoard,
     AskTelemetry,
     DropOrders,
+    JumpTo,
     Note,
     ReadMissionBack,
     SetMode,
     Severity,
+    UploadMission,
 )
 from companion.core.mission.events import (
     ClockLeapt,
@@ -20,12 +22,15 @@ from companion.core.mission.events import (
     LinkBack,
     LinkSilent,
     MissionReadBack,
+    MissionTouched,
+    MissionUploaded,
     Mode,
+    OrderRefused,
     VehicleState,
 )
 from companion.core.mission.flight_plan import FlightPlan, lay_out, site_map
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import Airborne, FlightContext, ModeOrders
+from companion.core.pilot.context import Airborne, FlightContext, GateState, ModeOrders
 from companion.core.pilot.estimates import EstimatesSnapshot
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
 from companion.core.pilot.transitions import Phase, Trigger
@@ -39,8 +44,16 @@ SAME_MISSION_S = 30.0
 POSITION_WAIT_S = 30.0
 """Found on the ground, where it is tells whether it is home; a receiver may take as long."""
 
-MODE_WAIT_S = 15.0
+MODE_SHOWS_S = 5.0
+"""A mode command shows within this: its answer, a heartbeat at 1 Hz, and a slow link."""
+
 READ_AGAIN_S = 20.0
+JUMP_AGAIN_S = 2.5
+MODE_ORDER = f"mode {Mode.MISSION.value}"
+"""What the adapter calls the order."""
+
+RESUME_S = 60.0
+"""A hand-back ends after so long: three readings, an upload and a jump on a slow link."""
 
 
 class SettingsCheck(Protocol):
@@ -70,8 +83,21 @@ class ItemSearch(Protocol):
 class ModeWatch(ModeOrders, Protocol):
     """Authority's part."""
 
+    @property
+    def handed_back(self) -> bool:
+        """An operator has given control back, and the flight has not been resumed yet."""
+        ...
+
     def mode_intrusion(self, state: VehicleState) -> str | None:
         """Why this mode shows that somebody else has control."""
+        ...
+
+
+class HomeEntry(Protocol):
+    """The return decision's part."""
+
+    def item_home(self, context: FlightContext) -> int | None:
+        """The item at which the way home is entered from here."""
         ...
 
 
@@ -89,12 +115,18 @@ class Resume:
     __slots__ = (
         "_asked_s",
         "_checkpoint",
+        "_decision",
+        "_entry",
         "_flight",
+        "_gate",
+        "_held_mode",
         "_landing",
         "_mission_matches",
         "_modes",
         "_obstacles",
+        "_ordered_s",
         "_progress",
+        "_restored",
         "_settings",
     )
 
@@ -105,6 +137,8 @@ class Resume:
         progress: ItemSearch,
         modes: ModeWatch,
         landing: Touchdown,
+        gate: GateState,
+        decision: HomeEntry,
         obstacles: dict[str, Any] | None,
     ) -> None:
         self._flight = flight
@@ -112,7 +146,13 @@ class Resume:
         self._progress = progress
         self._modes = modes
         self._landing = landing
+        self._gate = gate
+        self._decision = decision
         self._obstacles = obstacles
+        self._held_mode = ""
+        self._ordered_s: float | None = None
+        self._restored = False
+        self._entry: int | None = None
         self._checkpoint: Checkpoint | None = None
         self._mission_matches = False
         self._asked_s: float | None = None
@@ -144,18 +184,19 @@ class Resume:
     def begin(self, context: FlightContext, why: str) -> None:
         """Ask for everything again, if this flight is ours to fly at all."""
         state, kept = context.telemetry.state, self._checkpoint
-        self._mission_matches = False
-        ordered_back = self._modes.ordered is Mode.MISSION
+        self._mission_matches = self._restored = False
+        self._ordered_s = self._entry = None
+        self._held_mode = state.mode_name if state is not None else ""
+        handed_back = self._modes.handed_back
         self._checkpoint = None
-        if kept is not None and not kept.authority and not ordered_back:
+        if kept is not None and not kept.authority and not handed_back:
             words = "we had no authority before the restart"
             context.request_transition(Trigger.TAKEN_OVER, words)
             return
-        if state is not None and state.armed and state.mode is not Mode.MISSION:
-            if not ordered_back:
-                context.request_transition(Trigger.TAKEN_OVER, f"mode is {state.mode_name}")
-                return
-            context.do(SetMode(Mode.MISSION))
+        flown = state is None or not state.armed or state.mode is Mode.MISSION
+        if state is not None and not flown and not handed_back:
+            context.request_transition(Trigger.TAKEN_OVER, f"mode is {state.mode_name}")
+            return
         if context.flight_plan is None:
             return
         context.decide("recognise", why or "reading the mission aboard again")
@@ -176,17 +217,75 @@ class Resume:
         if context.flight_plan is None:
             context.request_transition(Trigger.MISSION_UNKNOWN, "armed, and no mission of ours")
             return
-        if state.mode is not Mode.MISSION:
-            why = self._modes.mode_intrusion(state)
-            if why is not None or self._modes.ordered is None or context.phase_s > MODE_WAIT_S:
-                words = why or f"mode stays {state.mode_name}"
-                context.request_transition(Trigger.TAKEN_OVER, words)
+        why = self._newer_decision(context, state)
+        if why:
+            context.request_transition(Trigger.TAKEN_OVER, why)
+        elif self._modes.handed_back and context.phase_s > RESUME_S:
+            self._refuse(context, "mission not verified")
+        elif not self._mission_matches:
+            if context.since_s(self._asked_s) > READ_AGAIN_S:
+                self._asked_s = context.t_s
+                context.do(ReadMissionBack(context.flight_plan.mission.items))
+        elif self._restored and not self._leads_home(context, context.flight_plan):
             return
-        if self._mission_matches:
+        elif state.mode is Mode.MISSION:
             self._progress.place_by_progress(context)
-        elif context.since_s(self._asked_s) > READ_AGAIN_S:
-            self._asked_s = context.t_s
-            context.do(ReadMissionBack(context.flight_plan.mission.items))
+        elif self._ordered_s is None:
+            self._ordered_s = context.t_s
+            self._modes.expect(Mode.MISSION, state)
+            context.do(SetMode(Mode.MISSION))
+
+    # --- a hand-back -----------------------------------------------------------------------------
+
+    def _newer_decision(self, context: FlightContext, state: VehicleState) -> str:
+        """Say what ends the hand-back: another mode, or one that a person may have selected unseen.
+
+        The mode is ordered once. A person who selects the former mode again may be hidden by lost
+        telemetry, and a second order would take the vehicle out of it.
+        """
+        if state.mode is Mode.MISSION:
+            return ""
+        if self._ordered_s is not None:
+            late = context.since_s(self._ordered_s) > MODE_SHOWS_S
+            words = "mode command unconfirmed: hand back again" if late else ""
+            return self._modes.mode_intrusion(state) or words
+        if state.mode_name != self._held_mode or not self._modes.handed_back:
+            return f"mode changed to {state.mode_name}"
+        if context.telemetry.has_mode_gap_since(context.phase_since_s):
+            return "gap in telemetry: hand back again"
+        return ""
+
+    def _leads_home(self, context: FlightContext, flown: FlightPlan) -> bool:
+        """After a restoration nothing rests on the current item: lead the mission home first."""
+        progress, items = context.telemetry.progress, flown.mission.items
+        if progress is None or progress.total not in (None, len(items)):
+            return False
+        if self._entry is None or context.since_s(self._asked_s) > JUMP_AGAIN_S:
+            self._entry, self._asked_s = self._decision.item_home(context), context.t_s
+            if self._entry is not None:
+                context.do(JumpTo(self._entry))
+            return False
+        at, reported = progress.index, progress.t_s > (self._asked_s or 0.0)
+        return reported and at is not None and flown.mission.follows(self._entry, at)
+
+    def _restore(self, context: FlightContext, flown: FlightPlan) -> None:
+        """Replace a foreign mission by ours, once."""
+        if self._restored:
+            self._refuse(context, "mission replaced again")
+            return
+        self._restored = True
+        self._gate.close("mission replaced by another station")
+        context.say(Severity.CRITICAL, "mission onboard is not ours: restoring ours")
+        context.decide("mission_changed", "found at the hand-back")
+        self._asked_s = context.t_s
+        context.do(UploadMission(flown.mission.items))
+
+    def _refuse(self, context: FlightContext, why: str) -> None:
+        """Stay in the person's mode; in a foreign mission return by what needs no mission."""
+        state = context.telemetry.state
+        flies = state is not None and state.mode is Mode.MISSION and not self._mission_matches
+        trigger = Trigger.WAY_HOME_REFUSED if flies else Trigger.TAKEN_OVER
+        context.request_transition(trigger, f"cannot resume: {why}")
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """The link, the autopilot's clock, and the mission as it was read back."""
@@ -204,6 +303,16 @@ class Resume:
                 self._rebooted(context, event)
             case MissionReadBack():
                 self._read_back(context, event)
+            case _ if context.phase is not Phase.RECOGNISE:
+                return
+            case MissionTouched() if self._mission_matches:  # else it may be our own upload
+                self._mission_matches, self._asked_s = False, None
+            case MissionUploaded() if event.reason is not None:
+                self._refuse(context, f"upload failed: {event.reason}")
+            case MissionUploaded():
+                self._asked_s = None
+            case OrderRefused() if event.order == MODE_ORDER and event.answered:
+                self._refuse(context, f"mode refused: {event.reason}")
             case _:
                 return
 
@@ -243,6 +352,9 @@ class Resume:
             return  # down: whatever is aboard is not flown any more, and the tick ends the flight
         for words in event.differences[:10]:
             context.do(Note(f"mission aboard: {words}"))
-        if event.differences[0].startswith("no answer"):
+        if not event.complete:
             return  # asked again from the tick
+        if self._modes.handed_back and context.flight_plan is not None:
+            self._restore(context, context.flight_plan)
+            return
         context.request_transition(Trigger.MISSION_UNKNOWN, "the mission aboard is not ours")

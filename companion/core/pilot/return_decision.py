@@ -328,6 +328,11 @@ class ReturnDecision:
         self._jumps.jump_home(context, item)
         context.request_transition(Trigger.HOMEWARD, why)
 
+    def item_home(self, context: FlightContext) -> int | None:
+        """The item at which the way home is entered from here; `None` without a position."""
+        flown, here = context.flight_plan, context.here_ned()
+        return None if flown is None or here is None else self._entry(flown, here)
+
     def _entry(self, flown: FlightPlan, here: Ned) -> int:
         """Which item to fly to: the shortest way home that starts in a clear straight line."""
         mission = flown.mission

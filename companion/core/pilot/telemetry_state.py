@@ -42,6 +42,10 @@ GROUND_MAX_AGE_S = 1.5
 DISARMED_WITNESSES = 2
 """So many heartbeats in a row that say disarmed are believed in flight: one may be wrong."""
 
+MODE_GAP_S = 0.6
+"""Both autopilots report the mode at 4 Hz or more. In a longer gap a person may have changed it and
+changed it back. Where it comes more slowly, a gap is 1.6 times the usual interval."""
+
 THROTTLE_MAX_AGE_S = 1.0
 PRESSURE_MAX_AGE_S = 3.0
 """Three of the 1 Hz that both autopilots are asked for."""
@@ -80,6 +84,11 @@ class TelemetryState:
     disarmed_since_s: float | None = None
     """When the first of the newest heartbeats came that all say disarmed."""
     _disarmed_reports: int = 0
+    mode_s: float | None = None
+    """When the mode was reported last."""
+    mode_gap_s: float | None = None
+    """When the last gap in the reports of the mode ended."""
+    _mode_every_s: float = 0.0
 
     def update(self, event: Event) -> None:
         """Take one telemetry event."""
@@ -87,7 +96,9 @@ class TelemetryState:
         match event:
             case VehicleState():
                 self._take_heartbeat(event)
+                self._note_mode(event.t_s)
             case ModeNow() if self.state is not None:
+                self._note_mode(event.t_s)
                 self.state = replace(self.state, mode=event.mode, mode_name=event.mode_name)
             case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
                 self.attitude = event
@@ -120,6 +131,16 @@ class TelemetryState:
                 self.readiness = event
             case _:
                 return
+
+    def _note_mode(self, t_s: float) -> None:
+        interval_s = t_s - (self.mode_s if self.mode_s is not None else t_s)
+        if interval_s > max(MODE_GAP_S, 1.6 * self._mode_every_s):
+            self.mode_gap_s = t_s
+        self.mode_s, self._mode_every_s = t_s, interval_s
+
+    def has_mode_gap_since(self, then_s: float) -> bool:
+        """Tell whether the mode may have changed and changed back unseen since then."""
+        return self.mode_gap_s is not None and self.mode_gap_s >= then_s
 
     def _take_heartbeat(self, new: VehicleState) -> None:
         was_armed = self.armed

@@ -41,6 +41,7 @@ class Trigger(Enum):
     UPLOADED = "uploaded"
     READ_BACK_MATCHES = "read back, same"
     READ_BACK_DIFFERS = "read back, differs"
+    VERIFY = "authorised, to be verified"
     AUTHORISED = "authorised"
     ARMED = "armed by us"
     AT_HEIGHT = "at cruise height"
@@ -137,6 +138,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         (p.UPLOAD, t.UPLOADED): p.READ_BACK,
         (p.READ_BACK, t.READ_BACK_MATCHES): p.READY,
         (p.READ_BACK, t.READ_BACK_DIFFERS): p.UPLOAD,
+        (p.READY, t.VERIFY): p.READ_BACK,
         (p.READY, t.AUTHORISED): p.ARM,
         (p.ARM, t.ARMED): p.CLIMB,
         (p.CLIMB, t.AT_HEIGHT): p.MEASURE,
@@ -170,6 +172,7 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         (p.RECOGNISE, t.RALLY_BOUND): p.DIVERT,
         (p.RECOGNISE, t.LANDING): p.LAND,
         (p.RECOGNISE, t.LANDED): p.DONE,
+        (p.RECOGNISE, t.WAY_HOME_REFUSED): p.LAST_RESORT,
     }
     # what may happen in any phase
     for phase in Phase:
@@ -178,7 +181,8 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         waiting = phase in (p.SUSPENDED, p.LINK_LOST)
         early = phase is p.IDENTIFY
         table[phase, t.TAKEN_OVER] = phase if (over or passive or early) else p.SUSPENDED
-        table[phase, t.HANDED_BACK] = p.RECOGNISE if phase is p.SUSPENDED else phase
+        resumes = phase in (p.SUSPENDED, p.PASSIVE)  # over a foreign mission, see authority.py
+        table[phase, t.HANDED_BACK] = p.RECOGNISE if resumes else phase
         table[phase, t.OTHER_COMPUTER] = phase if over else p.PASSIVE
         stays = over or passive or waiting or early
         table[phase, t.LINK_SILENT] = phase if stays else p.LINK_LOST

@@ -20,6 +20,7 @@ from companion.core.mission.events import (
     MissionTouched,
     Mode,
     ModeNow,
+    OrderRefused,
     VehicleState,
 )
 from companion.core.pilot.context import (
@@ -46,6 +47,14 @@ LAST_WORDS_S = 0.5
 
 MODES = {Unanswered.RETURN: Mode.RTL, Unanswered.LAND: Mode.LAND}
 WORDS = {Mode.RTL: "RTL", Mode.LAND: "landing"}
+
+REPEAT_S = 2.0
+"""Interval of the orders: a mode shows within 1 s (HEARTBEAT), and as long again on a slow link."""
+
+LAND_AFTER = 10
+"""After so many orders of RTL without effect (20 s) LAND and RTL are ordered in turn."""
+
+NAMES = {Mode.RTL: "RTL", Mode.LAND: "LAND"}
 
 
 @dataclass(slots=True)
@@ -173,3 +182,71 @@ class UnansweredHold:
         else:
             context.do(SetMode(mode))
         context.decide("last_resort", f"{words}{leads}")
+
+
+@dataclass(slots=True)
+class ResortState:
+    """The orders given so far; `chosen` is the mode that was ordered first."""
+
+    chosen: Mode | None = None
+    began_s: float = 0.0
+    ordered_s: float = 0.0
+    orders: int = 1
+    refusal: str = ""
+    alarm_s: float | None = None
+
+
+class LastResort:
+    """Orders RTL or LAND again until telemetry shows that it is flown; alarms, falls back on LAND.
+
+    An autopilot may refuse the mode for some seconds, or accept it without effect. Another mode is
+    a person's, and ends this at once (authority.py). So does a gap in telemetry after which the
+    vehicle is back in a mode that a person selected before.
+    """
+
+    def __init__(self, modes: ModeOrders, home: RtlHome) -> None:
+        self._state = ResortState()
+        self._modes = modes
+        self._home = home
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Keep the autopilot's reason for the alarm."""
+        if isinstance(event, OrderRefused) and event.order.startswith("mode "):
+            self._state.refusal = event.reason
+
+    def tick(self, context: FlightContext) -> None:
+        """Order it again where it is due."""
+        state, vehicle, mode = self._state, context.telemetry.state, self._modes.ordered
+        ours = context.phase is Phase.LAST_RESORT and context.telemetry.airborne
+        if not ours or vehicle is None or mode not in NAMES or vehicle.mode in (mode, Mode.LAND):
+            self._state = ResortState()
+        elif state.chosen is None or self._home.rtl_waits:
+            self._state = ResortState(mode, context.t_s, context.t_s)
+        elif vehicle.mode is not Mode.MISSION and context.telemetry.has_mode_gap_since(
+            state.began_s
+        ):
+            words = "gap in telemetry after the mode command"
+            context.request_transition(Trigger.TAKEN_OVER, words)
+        else:
+            self._alarm(context, mode)
+            if context.since_s(state.ordered_s) >= REPEAT_S - 1e-6:
+                self._order(context, state.chosen)
+
+    def _alarm(self, context: FlightContext, mode: Mode) -> None:
+        state = self._state
+        overdue = state.refusal or context.since_s(state.ordered_s) >= REPEAT_S - 1e-6
+        if overdue and context.since_s(state.alarm_s) >= ALARM_EVERY_S - 1e-6:
+            state.alarm_s = context.t_s
+            words = f"{NAMES[mode]} not in effect ({state.refusal or 'unconfirmed'}): repeating"
+            context.say(Severity.CRITICAL, words)
+
+    def _order(self, context: FlightContext, chosen: Mode) -> None:
+        state = self._state
+        mode = Mode.LAND if state.orders >= LAND_AFTER and state.orders % 2 == 0 else chosen
+        if state.orders == LAND_AFTER and mode is not chosen:
+            context.say(Severity.CRITICAL, f"RTL without effect {LAND_AFTER} times: LAND here")
+            context.decide("last_resort", "RTL is not obeyed: LAND")
+        state.orders += 1
+        state.ordered_s = context.t_s
+        self._modes.expect(mode, context.telemetry.state)
+        context.do(SetMode(mode))

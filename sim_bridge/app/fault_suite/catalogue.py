@@ -4,6 +4,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.app.faults import (
     air,
     authority,
+    decisions,
     energy,
     host,
     link,
@@ -24,6 +25,7 @@ CATALOGUE: tuple[Case, ...] = tuple(
         (
             *air.CASES,
             *authority.CASES,
+            *decisions.CASES,
             *mission_and_home.CASES,
             *energy.CASES,
             *telemetry.CASES,

@@ -174,6 +174,46 @@ def test_an_order_whose_effect_is_not_seen_goes_on_being_sent():
     assert len(bench.take()) == 2
 
 
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_safety_rule_1_a_mode_is_sent_once_since_a_person_may_select_another_meanwhile(autopilot):
+    # Tried: answer and 0.7 s of heartbeats lost, the former mode selected again after 0.3 s.
+    bench = Bench(autopilot)
+    bench.port.order(SetMode(ev.Mode.MISSION), 10.0)
+    (event,) = bench.wait(20.0)
+    assert event == ev.OrderRefused(event.t_s, "mode mission", "no answer", answered=False)
+    assert len(bench.take()) == 1
+
+
+def current(autopilot: int, index: int, total: int = 10) -> Any:
+    """MISSION_CURRENT; ArduCopter counts its home."""
+    return mavlink.MAVLink_mission_current_message(index + (autopilot == ARDUPILOT), total, 3, 1)
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+def test_safety_rule_1_a_jump_is_repeated_only_while_the_item_is_seen_unchanged(autopilot):
+    bench = Bench(autopilot)
+    bench.hear(current(autopilot, 3))
+    bench.port.order(JumpTo(6), 10.0)
+    bench.wait(1.7)
+    assert len(bench.take()) == 1, "no report since: nobody knows what is flown now"
+    bench.hear(current(autopilot, 3))
+    bench.wait(0.1)
+    assert len(bench.take()) == 1, "not obeyed: it was lost"
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
+@pytest.mark.parametrize("seen", [(8, 10), (3, 9)])
+def test_safety_rule_1_another_item_or_list_ends_the_repetition_of_a_jump(autopilot, seen):
+    bench = Bench(autopilot)
+    bench.hear(current(autopilot, 3))
+    bench.port.order(JumpTo(6), 10.0)
+    bench.hear(current(autopilot, *seen))
+    bench.take()
+    bench.hear(current(autopilot, 3))
+    bench.wait(20.0)
+    assert bench.take() == []
+
+
 @pytest.mark.parametrize(("result", "reason"), [(2, "denied"), (3, "unsupported"), (4, "failed")])
 def test_a_refusal_is_told_in_words(result, reason):
     bench = Bench(ARDUPILOT)

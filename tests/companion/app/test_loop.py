@@ -383,6 +383,12 @@ def test_safety_rule_1_an_order_from_before_a_stall_does_not_leave_before_it_is_
     assert [still.hear(7.0 + 0.1 * k) for k in range(1, 40)] == [[]] * 39
 
 
+def test_safety_rule_1_dropped_orders_that_are_encoded_already_do_not_leave(station):
+    still = Stalled(station)
+    station.loop.carry_out([SetGroundSpeed(8.0), SetMode(Mode.MISSION), DropOrders()])
+    assert [still.hear(1.0 + 0.1 * k) for k in range(1, 20)] == [[]] * 19
+
+
 def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(station):
     still = Stalled(station)
     station.loop.carry_out([SetGroundSpeed(8.0)])

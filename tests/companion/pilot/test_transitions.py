@@ -49,9 +49,12 @@ def test_safety_rule_1_only_a_hand_back_the_landing_or_an_unanswered_hold_leaves
     }
 
 
-def test_passive_and_ended_missions_never_move_again():
-    for phase in (Phase.PASSIVE, *END_PHASES):
+def test_ended_missions_never_move_again_and_passive_ones_only_on_an_operators_word():
+    for phase in END_PHASES:
         assert all(next_phase(phase, trigger) is phase for trigger in Trigger)
+    leaves = {t for t in Trigger if next_phase(Phase.PASSIVE, t) is not Phase.PASSIVE}
+    assert leaves == {Trigger.HANDED_BACK}
+    assert next_phase(Phase.PASSIVE, Trigger.HANDED_BACK) is Phase.RECOGNISE
 
 
 def test_only_an_authorisation_leads_to_arming():

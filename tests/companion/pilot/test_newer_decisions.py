@@ -1,0 +1,263 @@
+"""Safety rules 1 and 2: no retry outlives a person's decision, no motion before a verified mission,
+and the last resort is ordered until it is flown (fake vehicle)."""
+
+from dataclasses import dataclass, field, replace
+
+import msgspec
+import pytest
+
+from companion.core.mission import events as ev
+from companion.core.mission.actions import (
+    Answer,
+    Arm,
+    JumpTo,
+    Order,
+    Reply,
+    SaveCheckpoint,
+    Say,
+    SetMode,
+    Severity,
+    UploadMission,
+)
+from companion.core.mission.events import Mode
+from companion.core.mission.mission_items import MissionItem
+from companion.core.pilot.checkpoint import Checkpoint
+from companion.core.pilot.context import PilotOptions
+from companion.core.pilot.transitions import Phase
+from tests.companion.pilot.fake_vehicle import World, start, world
+
+OPERATOR = "255/190"
+
+
+@dataclass
+class Recorded(World):
+    """Notes what was aboard when a mode or arming was ordered, and may refuse modes."""
+
+    aboard: list[tuple[Order, tuple[MissionItem, ...]]] = field(default_factory=list)
+    refuses: bool = False
+    ignores: bool = False
+
+    def obey(self, order: Order) -> None:
+        if isinstance(order, SetMode | Arm):
+            self.aboard.append((order, self.items))
+        if isinstance(order, SetMode) and self.refuses:
+            self.answers.append(ev.OrderRefused(self.t_s, f"mode {order.mode.value}", "failed"))
+        elif not (isinstance(order, SetMode) and self.ignores):
+            super().obey(order)
+
+
+def reach(phase: Phase, options: PilotOptions | None = None) -> Recorded:
+    made = world(options=options)
+    w = Recorded(made.pilot, made.judge, mission_id=7)
+    start(w)
+    w.until(phase)
+    return w
+
+
+def held(phase: Phase = Phase.OUTBOUND) -> Recorded:
+    """A person has selected HOLD."""
+    w = reach(phase)
+    w.mode = Mode.HOLD
+    w.until(Phase.SUSPENDED)
+    return let(w, 2.0)
+
+
+def let(w: Recorded, duration_s: float) -> Recorded:
+    for _ in range(round(duration_s * 10)):
+        w.step()
+    return w
+
+
+def replace_mission(w: World) -> None:
+    """Another station's mission of the same length, 1.5 km to the north."""
+    w.items = tuple(
+        i if i.spot is None else replace(i, spot=replace(i.spot, lat_deg=i.spot.lat_deg + 0.0135))
+        for i in w.items
+    )
+    w.mission_id, w.leg = 8, None
+
+
+def modes(w: World, after_s: float) -> list[Mode]:
+    return [a.mode for a in w.orders_after(after_s) if isinstance(a, SetMode)]
+
+
+# --- retries ------------------------------------------------------------------------------------
+
+
+def test_safety_rule_1_hold_selected_again_after_a_hand_back_is_not_left_again():
+    w = held()
+    handed_s = w.t_s
+    w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    w.run(lambda w: bool(modes(w, handed_s)), 5.0)
+    w.mode = Mode.HOLD  # obeyed, and undone before the next report
+    let(w, 20.0)
+    assert modes(w, handed_s) == [Mode.MISSION]
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert "mode command unconfirmed: hand back again" in w.said
+
+
+def test_safety_rule_1_a_gap_in_the_reports_of_the_mode_ends_a_hand_back():
+    w = held()
+    handed_s = w.t_s
+    w.reads, w.takes_uploads = 0, False
+    w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    w.answers.clear()  # the reading takes a while
+    w.mute = {ev.VehicleState}
+    let(w, 1.5)
+    w.mute = set()
+    let(w, 30.0)
+    assert modes(w, handed_s) == []
+    assert "gap in telemetry: hand back again" in w.said
+
+
+def test_safety_rule_1_an_item_selected_while_a_jump_is_unconfirmed_is_kept():
+    w = reach(Phase.MEASURE)
+    w.run(lambda w: any(isinstance(a, JumpTo) for a in w.orders_after(0.0)))
+    ordered_s = w.t_s
+    w.index = len(w.items) - 2  # the landing
+    let(w, 0.5)
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert not let(w, 20.0).orders_after(ordered_s)
+
+
+def test_a_jump_is_not_repeated_while_no_item_is_reported():
+    w = reach(Phase.MEASURE)
+    w.obeys_jumps = False
+    w.run(lambda w: any(isinstance(a, JumpTo) for a in w.orders_after(0.0)))
+    ordered_s = w.t_s
+    w.mute = {ev.MissionProgress}
+    let(w, 2.9)
+    assert not [a for a in w.orders_after(ordered_s) if isinstance(a, JumpTo)]
+
+
+# --- no motion before the mission is verified ---------------------------------------------------
+
+
+@pytest.mark.parametrize("phase", [Phase.OUTBOUND, Phase.RELEASE, Phase.RETURN])
+def test_safety_rule_2_at_a_hand_back_our_mission_is_restored_before_the_mode_is_ordered(phase):
+    w = held(phase)
+    ours, handed_s = w.items, w.t_s
+    replace_mission(w)
+    w.aboard.clear()
+    assert Answer(Reply.ACCEPTED) in w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    done = w.to_the_end()
+    assert [(order, items == ours) for order, items in w.aboard] == [(SetMode(Mode.MISSION), True)]
+    assert len([a for a in w.orders_after(handed_s) if isinstance(a, UploadMission)]) == 1
+    assert done.home
+
+
+def test_safety_rule_2_a_hand_back_whose_mission_cannot_be_restored_is_refused_and_taken_later():
+    w = held()
+    handed_s = w.t_s
+    replace_mission(w)
+    w.takes_uploads = False
+    w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    let(w, 10.0)
+    assert modes(w, handed_s) == []
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert "cannot resume: upload failed: error" in w.said
+    w.takes_uploads = True
+    assert Answer(Reply.ACCEPTED) in w.tell(ev.AbortOrdered(w.t_s, OPERATOR))
+    assert w.to_the_end().home
+
+
+@pytest.mark.parametrize("word", [ev.ControlHandedBack, ev.AbortOrdered])
+@pytest.mark.parametrize("phase", [Phase.OUTBOUND, Phase.RETURN])
+def test_safety_rule_2_after_a_restart_a_foreign_mission_is_replaced_on_an_operators_word(
+    phase, word
+):
+    w = reach(phase)
+    let(w, 2.0)
+    ours, kept = w.items, [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)][-1]
+    replace_mission(w)
+    made = world(kept=msgspec.convert(kept, Checkpoint), armed=True)
+    again = Recorded(made.pilot, made.judge, w.t_s + 3.0, w.north, w.east, w.height)
+    again.mode, again.armed, again.items, again.index = Mode.MISSION, True, w.items, w.index
+    start(again)
+    again.until(Phase.PASSIVE)
+    let(again, 21.0)
+    alarms = [a for _, a in again.log if isinstance(a, Say) and a.severity is Severity.CRITICAL]
+    assert len(alarms) == 3, "every 10 s"
+    assert Answer(Reply.ACCEPTED) in again.tell(word(again.t_s, OPERATOR))
+    done = again.to_the_end()
+    assert again.items == ours
+    assert done.home
+
+
+def test_safety_rule_1_a_flight_that_another_computer_has_is_not_taken_back():
+    w = reach(Phase.OUTBOUND)
+    later = w.t_s + 1.0
+    w.tell(ev.OtherComputer(w.t_s, active=True, flies=True, since_ms=round(1000.0 * later)))
+    assert w.pilot.phase is Phase.PASSIVE
+    for word in (ev.ControlHandedBack, ev.AbortOrdered):
+        assert Answer(Reply.DENIED) in w.tell(word(w.t_s, OPERATOR))
+
+
+def test_safety_rule_2_a_mission_that_was_replaced_is_restored_before_arming():
+    w = reach(Phase.READY, PilotOptions(configure=True))
+    let(w, 3.0)
+    ours = w.items
+    replace_mission(w)
+    let(w, 3.0)
+    w.aboard.clear()
+    assert Answer(Reply.ACCEPTED) in w.tell(ev.Authorised(w.t_s, OPERATOR))
+    assert w.to_the_end().outcome == "SUC"
+    assert [items == ours for _, items in w.aboard] == [True, True]  # the mode, then arming
+
+
+def test_safety_rule_2_a_mission_that_cannot_be_restored_is_not_started():
+    w = reach(Phase.READY, PilotOptions(configure=True))
+    let(w, 3.0)
+    replace_mission(w)
+    w.takes_uploads = False
+    w.tell(ev.Authorised(w.t_s, OPERATOR))
+    assert "upload refused" in w.to_the_end().reason
+    assert not any(isinstance(order, Arm) for order, _ in w.aboard)
+
+
+# --- the last resort ----------------------------------------------------------------------------
+
+
+def last_resort() -> Recorded:
+    """The mission cannot be put back: RTL is ordered, and refused."""
+    w = reach(Phase.OUTBOUND)
+    w.takes_uploads, w.refuses = False, True
+    replace_mission(w)
+    w.until(Phase.LAST_RESORT)
+    return w
+
+
+def critical(w: World) -> list[str]:
+    return [a.text for _, a in w.log if isinstance(a, Say) and a.severity is Severity.CRITICAL]
+
+
+def test_an_rtl_that_is_refused_for_12_s_is_ordered_until_it_is_flown():
+    w = last_resort()
+    began_s = w.t_s
+    let(w, 12.0)
+    assert set(modes(w, began_s)) == {Mode.RTL}
+    assert "RTL not in effect (failed): repeating" in critical(w)
+    w.refuses = False
+    let(w, 4.0)
+    flown_s = w.t_s
+    assert w.mode is Mode.RTL
+    assert let(w, 20.0).orders_after(flown_s) == []
+
+
+@pytest.mark.parametrize("way", ["refused", "without effect"])
+def test_after_20_s_without_rtl_land_is_ordered_in_turn(way):
+    w = last_resort()
+    w.refuses, w.ignores = way == "refused", way != "refused"
+    began_s = w.t_s
+    let(w, 30.0)
+    assert modes(w, began_s)[:11] == [*[Mode.RTL] * 9, Mode.LAND, Mode.RTL]
+    assert len([text for text in critical(w) if "not in effect" in text]) >= 3, "every 10 s"
+
+
+def test_safety_rule_1_another_mode_ends_the_last_resort_at_once():
+    w = last_resort()
+    let(w, 5.0)
+    w.mode = Mode.OTHER
+    w.until(Phase.SUSPENDED)
+    taken_s = w.t_s
+    assert let(w, 30.0).orders_after(taken_s) == []
