@@ -17,6 +17,7 @@ from companion.core.mission.actions import (
     Note,
     Order,
     Publish,
+    ReadMissionBack,
     SaveCheckpoint,
     Severity,
     WindReport,
@@ -247,6 +248,7 @@ class Pilot:
             self._landing,
             self._return_state,
             self._decision,
+            self._aboard,
             obstacles,
         )
         self._last_resort = LastResort(self._authority, self._home_watch)
@@ -319,7 +321,8 @@ class Pilot:
         self._take(event)
         actions = [self._setpoints.routed(context, action) for action in context.take_outbox()]
         if context.phase not in COMMANDING_PHASES:
-            actions = [action for action in actions if not isinstance(action, Order)]
+            reads = ReadMissionBack if context.phase is Phase.SUSPENDED else ()
+            actions = [a for a in actions if not isinstance(a, Order) or isinstance(a, reads)]
         return actions
 
     def _take(self, event: Event) -> None:

@@ -93,6 +93,14 @@ class ModeWatch(ModeOrders, Protocol):
         ...
 
 
+class MissionProof(Protocol):
+    """The part of mission aboard that verifies while a person has control."""
+
+    def is_proven(self, context: FlightContext) -> bool:
+        """Whether the list is known to be ours now."""
+        ...
+
+
 class HomeEntry(Protocol):
     """The return decision's part."""
 
@@ -113,6 +121,7 @@ class Resume:
     """Finds out where the flight is, and goes on with it."""
 
     __slots__ = (
+        "_aboard",
         "_asked_s",
         "_checkpoint",
         "_decision",
@@ -139,6 +148,7 @@ class Resume:
         landing: Touchdown,
         gate: GateState,
         decision: HomeEntry,
+        aboard: MissionProof,
         obstacles: dict[str, Any] | None,
     ) -> None:
         self._flight = flight
@@ -148,6 +158,7 @@ class Resume:
         self._landing = landing
         self._gate = gate
         self._decision = decision
+        self._aboard = aboard
         self._obstacles = obstacles
         self._held_mode = ""
         self._ordered_s: float | None = None
@@ -184,7 +195,8 @@ class Resume:
     def begin(self, context: FlightContext, why: str) -> None:
         """Ask for everything again, if this flight is ours to fly at all."""
         state, kept = context.telemetry.state, self._checkpoint
-        self._mission_matches = self._restored = False
+        self._mission_matches = self._modes.handed_back and self._aboard.is_proven(context)
+        self._restored = False
         self._ordered_s = self._entry = None
         self._held_mode = state.mode_name if state is not None else ""
         handed_back = self._modes.handed_back

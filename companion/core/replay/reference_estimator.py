@@ -10,8 +10,8 @@ takes the observations that our estimator takes:
 
 What it has not: states for trim, drag gain, heading error and the pitot's scale and bias, a model
 of gusts, outlier rejection, a judgement of a faulty pitot. So its covariance knows of noise only.
-What a comparison shows is what these add (`companion replay --estimator reference`, `sim-bridge
-estimator-bench`). It never flies: nothing that flies imports filterpy.
+What a comparison shows is what these add (`companion replay --estimator reference`). It never
+flies: nothing that flies imports filterpy.
 """
 
 import math
