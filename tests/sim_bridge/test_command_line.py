@@ -16,9 +16,9 @@ IN_FRONT = {
     "examples",
 }  # fmt: skip
 BEFORE = {
-    "bench", "bench-dispatch", "campaign", "table1", "table2", "lambda-sweep", "energy-speed",
-    "speed-to-fly", "towns", "frontier", "planner-bench", "estimator-bench", "paths-bench", "paths",
-    "promise", "avoid", "avoid-table", "avoid-bench", "avoid-curve", "export-avoid", "train-avoid",
+    "bench", "campaign", "table1", "table2", "lambda-sweep", "energy-speed", "speed-to-fly",
+    "towns", "frontier", "paths", "promise", "avoid", "avoid-table", "avoid-curve", "export-avoid",
+    "train-avoid",
 }  # fmt: skip
 """Commands of `sim-bridge` before `research` was."""
 

@@ -23,8 +23,8 @@ FAR = {
 """With 1.7 times the draw it ends under the reserve unless the way home begins at once."""
 
 SMALL_TOLD_S = 60.0
-"""Of 1.4 times, in a flight of which a minute is left: half are told within 20 s, nine of ten
-within 40 s (`sim-bridge research bench draw --seeds 1`)."""
+"""Of 1.4 times, in a flight of which a minute is left: half are reported within 20 s, nine of ten
+within 40 s."""
 
 LEVEL_TOLD_S, TOLD_S = 10.0, 25.0
 """A change of draw by more than a half is told within: in level flight, and where a climb or a

@@ -8,10 +8,8 @@ import typer
 from sim_bridge.research.cli import (
     avoid,
     bench,
-    bench_size,
     campaign,
     fleet_wind,
-    map_pages,
     monitor,
     promise,
     rates,
@@ -37,11 +35,9 @@ for part in (
     fleet_wind,
     avoid,
     results,
-    map_pages,
 ):
     app.registered_commands += part.app.registered_commands
 app.registered_commands += bench.fleet.registered_commands
-bench.app.registered_commands += bench_size.app.registered_commands
 app.add_typer(bench.app, name="bench")
 
 _SAME_NAME = (
@@ -49,14 +45,6 @@ _SAME_NAME = (
     "frontier", "paths", "promise", "avoid", "avoid-table", "avoid-curve", "export-avoid",
     "train-avoid",
 )  # fmt: skip
-_BENCHMARKS = {
-    "bench": "flight",
-    "bench-dispatch": "dispatch",
-    "planner-bench": "planner",
-    "estimator-bench": "estimator",
-    "paths-bench": "paths",
-    "avoid-bench": "avoid",
-}
 OLD_SPELLINGS: dict[str, tuple[str, ...]] = {name: ("research", name) for name in _SAME_NAME}
-OLD_SPELLINGS |= {old: ("research", "bench", new) for old, new in _BENCHMARKS.items()}
+OLD_SPELLINGS["bench"] = ("research", "bench", "flight")
 """Commands that were `sim-bridge`'s own, and where they are now. New commands do not join."""

@@ -157,20 +157,6 @@ PAGES = (
         pictures=(("monitor.png", "monitor.png"),),
     ),
     Page(
-        "anemometer-flight",
-        "The wind estimator on a real flight",
-        "Estimates of the wind against an anemometer on a real multirotor.",
-        (
-            PageCommand(
-                _bench("estimator", "--no-envelope", "--seed", "2024",
-                          "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
-            ),
-        ),
-        1.0,
-        needs=(ANEMOMETER,),
-        pictures=(("estimator_flight.png", "wind-estimator.png"),),
-    ),
-    Page(
         "real-flights",
         "Real delivery flights",
         "Energy and wind of 119 recorded flights on routes, each day predicted from the flights of"
@@ -198,32 +184,6 @@ PAGES = (
         ),
         20.0,
         needs=(M100_FLIGHTS, ANEMOMETER),
-    ),
-    Page(
-        "wind-estimator",
-        "The wind estimator over its envelope",
-        "RMSE and NEES in simulated flights over winds, gusts and manoeuvres, beside the bound that"
-        " no estimator beats.",
-        (
-            PageCommand(
-                _bench("estimator", "--seed", "903", "--flights", "64", "--bounds", "16",
-                          "--anemometer", f"{DATA}/{ANEMOMETER}", "--out", OUT),
-            ),
-        ),
-        25.0,
-        needs=(ANEMOMETER,),
-    ),
-    Page(
-        "wind-states",
-        "What each state of the wind estimator is worth",
-        "The wind estimator with each of its states and hypotheses left out, in simulated flights:"
-        " what real flights do not decide.",
-        (
-            PageCommand(
-                _bench("estimator", "--states", "--seed", "905", "--flights", "32", "--out", OUT),
-            ),
-        ),
-        12.0,
     ),
     Page(
         "fleet-wind",
@@ -277,14 +237,6 @@ PAGES = (
             ),
         ),
         20.0,
-    ),
-    Page(
-        "air-density",
-        "Thin, hot and cold air",
-        "Short flights from sea level to 3,000 m and from -10 to 40 degrees C: the wind as"
-        " believed, what was promised, and the energy left.",
-        (PageCommand(_bench("air", "--seeds", "1", "--out", OUT)),),
-        10.0,
     ),
     Page(
         "frontier",
@@ -468,115 +420,6 @@ PAGES = (
         needs=("tspd",),
     ),
     Page(
-        "planner-speed",
-        "Planner speed and size",
-        "Planners and campaigns beside their plain alternatives.",
-        (PageCommand(_bench("planner", "--large", "--out", OUT), FIXED),),
-        3.0,
-    ),
-    Page(
-        "paths",
-        "Paths",
-        "Dubins paths a second in calm air and in wind, and their lengths beside OMPL's.",
-        (
-            PageCommand(_bench("paths", "--seed", "1", "--out", OUT)),
-            PageCommand(_research("paths", "--out", OUT), NOTHING_DRAWN, tables.nothing),
-        ),
-        1.0,
-        pictures=(("paths.png", "paths.png"),),
-    ),
-    Page(
-        "avoidance-speed",
-        "Speed of avoidance",
-        "One decision on board: the safety filter among neighbours, and the learned policy.",
-        (PageCommand(_bench("avoid", "--neighbours", "20", "--seed", "1", "--out", OUT)),),
-        1.0,
-    ),
-    Page(
-        "days-at-size",
-        "Days at size",
-        "A hundred to 5,000 orders among up to ten trucks and a hundred drones: what dividing them"
-        " and planning take, how far the last truck is from what no plan can beat, and what trucks"
-        " could win by sharing drones.",
-        (
-            PageCommand(
-                _bench("large-day", "--seed", "1", "--out", f"{OUT}/search"),
-                title="By the search, as long as it usually is",
-            ),
-            PageCommand(
-                _bench("large-day", "--trials", "300000", "--seed", "1", "--out", f"{OUT}/short"),
-                title="By a short search",
-            ),
-            PageCommand(
-                _bench("large-day", "--trials", "300000", "--no-balance", "--seed", "1",
-                       "--out", f"{OUT}/by-work"),
-                title="The same, every truck with the same work, not balanced by plans",
-            ),
-            *(
-                PageCommand(
-                    _bench("large-day", "--orders", "500", "--drones", str(drones), "--seed", "1",
-                           "--out", f"{OUT}/drones-{drones}"),
-                    title=f"With {drones} drones for each truck",
-                )
-                for drones in (5, 20)
-            ),
-            PageCommand(
-                _bench("large-day", "--orders", "100", "--orders", "500", "--orders", "1000",
-                       "--dynamic", "--seed", "1", "--out", f"{OUT}/dynamic"),
-                title="By the dynamic assignment",
-            ),
-            PageCommand(
-                _bench("start", "--orders", "5000", "--drones", "100", "--seed", "1"),
-                show=tables.start_of_a_day,
-                title="Import, and the desk's first order",
-            ),
-        ),
-        60.0,
-    ),
-    Page(
-        "town-in-service",
-        "A town in service",
-        "Depots of eight drones with their desks, up to a hundred vehicles that are switched on all"
-        " the time: how much faster than real time they are simulated, on one core and on two.",
-        (PageCommand(_bench("town", "--seed", "1", "--out", OUT)),),
-        40.0,
-    ),
-    Page(
-        "dispatch-speed",
-        "Speed of dispatch",
-        "One order, from the desk's store to its acknowledgement, with a hundred vehicles about;"
-        " and how soon a desk of a large day gives its first.",
-        (
-            PageCommand(
-                _bench("dispatch", "--vehicles", "100", "--orders", "500", "--seed", "1",
-                          "--json", f"{OUT}/dispatch.json"),
-                show=tables.dispatch,
-                title="One order",
-            ),
-            PageCommand(
-                _bench("start", "--orders", "5000", "--drones", "100", "--seed", "1"),
-                show=tables.start_of_a_day,
-                title="The start of a large day",
-            ),
-        ),
-        4.0,
-    ),
-    Page(
-        "map",
-        "The live map",
-        "A busy day on the map: what its server takes, and what a page without a graphics card"
-        " draws while it is looked at, panned and zoomed.",
-        (
-            PageCommand(
-                _bench("map", "--drones", "200", "--orders", "1000", "--seed", "1", "--browser",
-                       "--json", f"{OUT}/map.json"),
-                show=tables.live_map,
-            ),
-        ),
-        2.0,
-        modules=("playwright",),
-    ),
-    Page(
         "fleet-size",
         "A thousand vehicles on one machine",
         "Members, desk, store and routers of a fleet share two cores. Members are the companion's"
@@ -608,20 +451,6 @@ PAGES = (
             for regions in (1, 4, 10)
         ),
         14.0,
-    ),
-    Page(
-        "near-tracks",
-        "Tracks by grid cell",
-        "Drones over a square of 10 km tell their places five times a second; what each hears of"
-        " the others. Links and router are real; a link waits where it usually drops, and nothing"
-        " is signed.",
-        (
-            PageCommand(
-                _bench("tracks", "--drones", "100", "--across-km", "10", "--seed", "1"),
-                show=tables.tracks,
-            ),
-        ),
-        2.0,
     ),
     Page(
         "fleet-failures",

@@ -119,17 +119,6 @@ def speeds(done: CommandOutput) -> str:
     return "\n".join(lines)
 
 
-def dispatch(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench dispatch --json {out}/dispatch.json`."""
-    figures = done.json("dispatch.json")
-    lines = ["| what | p50 ms | p99 ms | most ms |", "| --- | --- | --- | --- |"]
-    for what, one in figures.items():
-        if isinstance(one, dict) and {"p50", "p99", "max"} <= set(one):
-            cells = " | ".join(f"{one[key]:.1f}" for key in ("p50", "p99", "max"))
-            lines.append(f"| {what.replace('_', ' ')} | {cells} |")
-    return "\n".join(lines)
-
-
 FLEET_ROWS = (
     ("time to acknowledgement, median", "ack_ms_p50", "ms", "200"),
     ("time to acknowledgement, p99", "ack_ms_p99", "ms", "500"),
@@ -186,14 +175,6 @@ TRACK_ROWS = (
 )
 
 
-def tracks(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench tracks`."""
-    everybody, near = json.loads(done.printed)
-    lines = ["| what | each hears all | by cell |", "| --- | --- | --- |"]
-    rows = [f"| {what} | {everybody[key]:,} | {near[key]:,} |" for what, key in TRACK_ROWS]
-    return "\n".join([*lines, *rows])
-
-
 def tight_faults(done: CommandOutput) -> str:
     """Of `sim-bridge faults --tight --json {out}/tight.json`."""
     from sim_bridge.app.fault_suite.promises import reliability
@@ -209,19 +190,6 @@ def tight_faults(done: CommandOutput) -> str:
     words = f"{len(rows)} flights, of which {flown} had energy enough to be begun."
     parts = map(table_markdown, promises(rows, by_fault=True))
     return "\n\n".join([words, "\n".join(lines), *parts])
-
-
-def start_of_a_day(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench start`."""
-    figures = json.loads(done.printed)
-    rows = (
-        (f"import of {figures['orders']:,} orders", figures["import_s"]),
-        ("start of the desk to its first assignment", figures["first_s"]),
-        ("start of the desk until a drone has taken it", figures["taken_s"]),
-    )
-    lines = ["| what | s |", "| --- | --- |", *(f"| {what} | {s:.1f} |" for what, s in rows)]
-    words = f"{figures['assigned']} of {figures['drones']} drones had an order"
-    return "\n".join([*lines, "", f"{words} {figures['busy_s']:.0f} s after the first assignment."])
 
 
 def stops_of_the_town(done: CommandOutput) -> str:
@@ -270,32 +238,3 @@ def _wheels(row: dict[str, str | int | None]) -> str:
 
 MAP_GOAL = "> 20"
 """Frames a second of the live map's page, in software rendering."""
-
-
-def live_map(done: CommandOutput) -> str:
-    """Of `sim-bridge research bench map --browser --json {out}/map.json`."""
-    figures = done.json("map.json")
-    before, after = figures["machine_load"]
-    lines = [
-        "| what | value | goal |",
-        "| --- | --- | --- |",
-        f"| server's share of a core, {figures['windows']} windows | {figures['core_pct']:.1f} %"
-        " | < 30 % |",
-        f"| the same, beside a browser | {figures['core_with_browser_pct']:.1f} % | < 30 % |",
-        f"| pictures a second | {figures['pictures_hz']:.1f} | 5 |",
-        f"| first event of a window | {figures['whole_kb']:.0f} kB | |",
-        f"| each after that | {figures['change_kb']:.1f} kB | |",
-        f"| memory | {figures['memory_mb']:.0f} MB | |",
-        "",
-        "| the page, a drone selected | frames/s, median | least, most | goal"
-        " | CPU ms a frame, main thread | with raster |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for name, rate in figures["frames"].items():
-        spread = f"{rate['least_hz']:.1f}, {rate['most_hz']:.1f}"
-        lines.append(
-            f"| {name} | {rate['frames_hz']:.1f} | {spread} | {MAP_GOAL} |"
-            f" {rate['main_ms']:.0f} | {rate['page_ms']:.0f} |"
-        )
-    words = f"Load of the machine before and after: {before:.1f}, {after:.1f}."
-    return "\n".join([*lines, "", words])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim_bridge.research.map_pages.chromium import NAMES, OPTIONS, chromium
+from tests.ground_station.web.chromium import NAMES, OPTIONS, chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

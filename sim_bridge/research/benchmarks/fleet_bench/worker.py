@@ -32,20 +32,10 @@ def main() -> None:
             from sim_bridge.research.benchmarks.fleet_bench import desk_process
 
             desk_process.serve(fleet, int(vehicles), float(order_every_s), Path(config), url)
-        case ["tracks", how, first, count, drones, across_m, seed, fleets, config, ticks]:
-            from sim_bridge.research.benchmarks.fleet_bench import track_flights
-
-            numbers = range(int(first), int(first) + int(count))
-            square = int(drones), float(across_m), int(seed), int(fleets)
-            flights, by_cell = track_flights.TrackFlights(*square), how.startswith("cell")
-            track_flights.serve(
-                numbers, flights, Path(config), int(ticks),
-                cells=by_cell, neighbours=how != "cell, own fleet",
-            )  # fmt: skip
         case ["router", config]:
             _route(Path(config))
         case other:
-            raise SystemExit(f"expected members, tracks, desk or router, got {other}")
+            raise SystemExit(f"expected members, desk or router, got {other}")
 
 
 def _route(config_file: Path) -> None:

@@ -5,9 +5,6 @@ import pytest
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.benchmarks.fleet_bench import bench as fleet_bench
 from sim_bridge.research.benchmarks.fleet_bench.bench import Asked, bench
-from sim_bridge.research.benchmarks.fleet_bench.start_bench import bench as bench_start
-from sim_bridge.research.benchmarks.fleet_bench.track_bench import bench as bench_tracks
-from sim_bridge.research.benchmarks.fleet_bench.track_flights import TrackFlights
 
 SHORT = {"minutes": 0.15, "order_every_s": 6.0, "flight_s": (0.5, 1.0)}
 
@@ -51,32 +48,3 @@ def test_desks_do_not_share_a_store_and_a_store_is_empty(tmp_path):
         bench(Asked(4, routers=1, tls=True, **SHORT))
     with pytest.raises(LeewayError, match="expected --routers"):
         bench(Asked(4, faults=True, **SHORT))
-
-
-@pytest.mark.timeout(120)
-def test_a_desk_of_a_small_day_begins_and_gives_each_drone_an_order():
-    begun = bench_start(8, 2, seed=1, busy_s=3.0)
-    assert (begun.orders, begun.drones, begun.assigned) == (8, 2, 2)
-    assert 0.0 < begun.first_s <= begun.taken_s
-    assert begun.import_s > 0.0
-
-
-@pytest.mark.timeout(120)
-def test_by_cell_drones_hear_all_who_are_near_and_few_others():
-    everybody, near = bench_tracks(TrackFlights(drones=6, across_m=6000.0, seed=4), seconds=2.0)
-    assert (everybody.by, near.by) == ("all", "cell")
-    assert everybody.messages_hz == pytest.approx(5 * 5.0)  # five others, 5 Hz each
-    assert near.messages_hz < 0.5 * everybody.messages_hz
-    assert near.near_hz == everybody.near_hz > 0.0
-    assert near.near_frac == everybody.near_frac == 1.0
-    assert near.bytes_hz < 0.5 * everybody.bytes_hz
-
-
-@pytest.mark.timeout(120)
-def test_of_two_fleets_by_cell_both_are_heard_and_without_neighbours_ones_own_only():
-    flights = TrackFlights(drones=6, across_m=6000.0, seed=4, fleets=2)
-    _, both, own = bench_tracks(flights, seconds=2.0)
-    assert (both.by, own.by) == ("cell", "cell, own fleet")
-    assert both.near_frac == 1.0
-    assert 0.0 <= own.near_frac < 1.0
-    assert own.messages_hz < both.messages_hz

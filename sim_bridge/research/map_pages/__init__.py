@@ -1,1 +1,0 @@
-"""The live map's page in a headless browser: its picture for the documents, its frame rate."""
