@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night trials lint bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
+.PHONY: help fly test sample night trials lint golden bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -61,6 +61,10 @@ lint: $(VENV)/.test
 	@$(BIN)/ruff check .
 	@$(BIN)/basedpyright --warnings
 	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/python deploy/check-budget
+
+golden: $(VENV)/.test  ## run BASE=COMMIT and this tree, and compare their decisions; SET=two|six|full
+	@$(BIN)/python -m tests.golden --base $(BASE) --set $(or $(SET),six)
 
 bench: $(VENV)/.test  ## speed and size of a flight; more: sim-bridge research bench --help
 	@$(BIN)/sim-bridge research bench flight

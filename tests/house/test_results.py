@@ -207,13 +207,11 @@ def test_what_commands_write_as_json_becomes_markdown(tmp_path: Path) -> None:
     flight = {"outcome": "SUC"}
     near = {"who": ["d1", "d2"], "separations": 1.5, "horizontal_m": 9.0, "vertical_m": 0.5}
     row = {"seed": 3, "kept": True, "nearest": near | {"t_s": 50.0}, "flights": [flight, flight]}
-    time = {"p50": 1.0, "p99": 2.0, "max": 3.0}
     size = {"install": "pip install .", "held_gb": 0.456, "map_assets_mb": 1.71}
     wheels = {"install": "pip install .", "python": "3.11", "wheels": 30, "why": "No matching x"}
     speed = {"what": "px4", "values": [28.9], "unit": "x", "goal": ">= 20"}
     for name, content in (
         ("cross.json", {"crossings": [row, row | {"kept": False}]}),
-        ("dispatch.json", {"vehicles": 100, "of it on the network": time}),
         ("bench.json", {"rows": [speed]}),
         ("sizes.json", {"python": "Python 3.11", "sizes": [size, size | {"map_assets_mb": 0.0}]}),
         ("wheels.json", {"rows": [wheels, wheels | {"python": "3.12", "wheels": None}]}),
@@ -221,7 +219,6 @@ def test_what_commands_write_as_json_becomes_markdown(tmp_path: Path) -> None:
         (tmp_path / name).write_text(json.dumps(content))
     assert "separation broken, seeds 3" in tables.crossings(done)
     assert "- seed 3: BROKEN, 1.50 separations: d1 and d2" in tables.crossings(done)
-    assert "| of it on the network | 1.0 | 2.0 | 3.0 |" in tables.dispatch(done)
     assert "| px4 | 28.9 x | >= 20 |" in tables.speeds(done)
     assert "| `pip install .` | 0.46 | 1.7 |" in tables.sizes(done)
     assert "| `pip install .` | 0.46 | not fetched |" in tables.sizes(done)

@@ -46,17 +46,19 @@ class Recorded(World):
             super().obey(order)
 
 
-def reach(phase: Phase, options: PilotOptions | None = None) -> Recorded:
+def reach(
+    phase: Phase, options: PilotOptions | None = None, mission_id: int | None = 7
+) -> Recorded:
     made = world(options=options)
-    w = Recorded(made.pilot, made.judge, mission_id=7)
+    w = Recorded(made.pilot, made.judge, mission_id=mission_id)
     start(w)
     w.until(phase)
     return w
 
 
-def held(phase: Phase = Phase.OUTBOUND) -> Recorded:
+def held(phase: Phase = Phase.OUTBOUND, mission_id: int | None = 7) -> Recorded:
     """A person has selected HOLD."""
-    w = reach(phase)
+    w = reach(phase, mission_id=mission_id)
     w.mode = Mode.HOLD
     w.until(Phase.SUSPENDED)
     return let(w, 2.0)
@@ -99,9 +101,7 @@ def test_safety_rule_1_hold_selected_again_after_a_hand_back_is_not_left_again()
 @pytest.mark.parametrize("mission_id", [7, None])
 def test_safety_rule_1_a_mission_proven_while_held_is_resumed_at_once(mission_id):
     """So that a person who selects HOLD again is seen to do so: from HOLD it would show nothing."""
-    w = held()
-    w.mission_id = mission_id
-    w.pilot._aboard._state.mission_id = mission_id
+    w = held(mission_id=mission_id)
     let(w, 15.0)
     handed_s = w.t_s
     w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
@@ -116,9 +116,7 @@ def test_safety_rule_1_a_mission_proven_while_held_is_resumed_at_once(mission_id
 
 @pytest.mark.parametrize("sign", [True, False], ids=["seen to be written", "another length"])
 def test_safety_rule_2_a_mission_written_while_held_is_no_longer_proven(sign):
-    w = held()
-    w.mission_id = None
-    w.pilot._aboard._state.mission_id = None
+    w = held(mission_id=None)
     let(w, 15.0)
     ours = w.items
     replace_mission(w)
@@ -136,7 +134,8 @@ def test_safety_rule_2_a_mission_written_while_held_is_no_longer_proven(sign):
 
 def test_safety_rule_1_a_gap_in_the_reports_of_the_mode_ends_a_hand_back():
     w = held()
-    w.pilot._aboard._state.mission_id = 6
+    w.mission_id = 6  # not proven: it is read first
+    let(w, 0.2)
     handed_s = w.t_s
     w.reads, w.takes_uploads = 0, False
     w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
