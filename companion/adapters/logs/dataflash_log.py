@@ -185,10 +185,12 @@ class _Reader:
         """Leave out other instances and cores, and what comes faster than it is looked at."""
         if kind in ("XKF1", "XKF2", "NKF1") and getattr(message, "C", 0) != self._core:
             return False
-        if kind in ("BAT", "GPS", "ARSP") and _instance(message) != 0:
+        if kind == "BAT":
+            kind = f"BAT {_instance(message)}"
+        elif kind in ("GPS", "ARSP") and _instance(message) != 0:
             return False
         last_s = self._heard_s.get(kind)
-        if last_s is not None and t_s - last_s < LEAST_STEP_S.get(kind, 0.0):
+        if last_s is not None and t_s - last_s < LEAST_STEP_S.get(kind.split()[0], 0.0):
             return False
         self._heard_s[kind] = t_s
         return True
@@ -258,6 +260,7 @@ class _Reader:
                 consumed_j=used_wh * 3600.0 if measured and math.isfinite(used_wh) else None,
                 remaining_frac=left / 100.0 if left is not None and 0 <= left <= 100 else None,
                 temperature_c=warm if math.isfinite(warm) and warm != 0.0 else None,
+                pack=_instance(message),
             )
         )
 

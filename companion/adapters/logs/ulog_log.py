@@ -140,9 +140,9 @@ def _first(
     take: Callable[[Rows], list[Event]],
     findings: list[LogFinding],
 ) -> list[Event]:
-    """What a topic's first instance tells."""
-    instances = topics.get(name, [])
-    return _taken(name, lambda: take(instances[0]), findings) if instances else []
+    """What a topic's first instance tells; of batteries, what each does."""
+    used = topics.get(name, [])[: None if name == "battery_status" else 1]
+    return [e for rows in used for e in _taken(name, lambda rows=rows: take(rows), findings)]
 
 
 def _taken(name: str, take: Callable[[], list[Event]], findings: list[LogFinding]) -> list[Event]:
@@ -246,6 +246,7 @@ def _topics(log: Any, path: Path, findings: list[LogFinding]) -> dict[str, list[
             findings.append(_strays(data, path, t_s, sound, np.flatnonzero(reported)))
         kept = sound[_apart(t_s[sound], least_s)]
         columns = {name: _numbers(values[kept]) for name, values in data.data.items()}
+        columns["instance"] = np.full(kept.size, data.multi_id)
         found.setdefault(data.name, []).append(columns | {"t_s": t_s[kept]})
     return found
 
@@ -400,9 +401,9 @@ def _fixes(rows: Rows) -> list[Event]:
 def _batteries(rows: Rows) -> list[Event]:
     """0 V, -1 A, -1 mAh, -1 and NaN are unknown; without a current a count of 0 says nothing."""
     unknown = np.full(rows["t_s"].size, np.nan)
-    names = ("voltage_v", "current_a", "discharged_mah", "remaining", "temperature")
+    names = ("instance", "voltage_v", "current_a", "discharged_mah", "remaining", "temperature")
     events: list[Event] = []
-    for t_s, voltage, current, used, remaining, warm in _lists(
+    for t_s, instance, voltage, current, used, remaining, warm in _lists(
         rows["t_s"], *(rows.get(name, unknown) for name in names)
     ):
         measured = math.isfinite(current) and current >= 0.0
@@ -414,6 +415,7 @@ def _batteries(rows: Rows) -> list[Event]:
                 consumed_ah=used / 1000.0 if measured and used >= 0.0 else None,
                 remaining_frac=remaining if 0.0 <= remaining <= 1.0 else None,
                 temperature_c=warm if math.isfinite(warm) and warm != 0.0 else None,
+                pack=int(instance),
             )
         )
     return events

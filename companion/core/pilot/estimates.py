@@ -175,7 +175,8 @@ class Estimates:
         self._left_out.update(left_out)
         energy = self.energy
         if energy is not None:
-            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in energy.warnings}
+            told = (*now.pack_notes, *energy.warnings)
+            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in told}
             warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
             self._warned.update(kinds)
         return tuple(warnings)
@@ -224,11 +225,9 @@ class Estimates:
         self, now: TelemetryState, autopilot_kind: AutopilotKind, t_s: float
     ) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
-        heard = battery is not None and (
-            battery.voltage_v is not None or battery.remaining_frac is not None
-        )
-        if not heard and self._ledger.belief() is None:
-            return  # the ledger never rises: it must start from a battery that was heard
+        measured = battery is not None and battery.voltage_v is not None
+        if not measured and self._ledger.belief() is None:
+            return  # the ledger never rises: it must start from a pack that is measured
         current_a = battery.current_a if battery else None
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
@@ -247,7 +246,7 @@ class Estimates:
             temperature_c=battery.temperature_c if battery else None,
             modelled_power_w=modelled_w,
         )
-        told = [new for new in now.batteries.values() if new is not self._heard.get(new.pack)]
+        told = [new for new in now.pack_messages if new is not self._heard.get(new.pack)]
         self._heard.update({new.pack: new for new in told})
         # The first of several takes the time; the others tell their counters at the same instant.
         for one in [_told_by(seen, new) for new in told] or [seen]:

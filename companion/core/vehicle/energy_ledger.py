@@ -33,7 +33,6 @@ _WHOLE_FRAC = 0.02  # sources that come in whole per cents fall by so much at on
 _NOTHING_KNOWN_FRAC = 1.0 / math.sqrt(12.0)  # anything from empty to full: no std is wider
 _CEILING_SIGMAS = 2.5
 _CEILING_SAG_FRAC = 1.75  # sag that is granted, of what the resistance says: cold, age, diffusion
-_PLAUSIBLE_CELL_V = (2.6, 4.6)
 _UNKNOWN_CHARGE_FRAC, _UNKNOWN_CHARGE_STD_FRAC = 0.8, 0.15
 
 
@@ -246,8 +245,8 @@ class EnergyLedger:
         return min(max((charge_frac - empty) / (1.0 - empty), 0.0), 1.0)
 
     def _plausible(self, voltage_v: float | None) -> bool:
-        low, high = _PLAUSIBLE_CELL_V
-        return voltage_v is not None and low <= voltage_v / self._battery.cells <= high
+        low_v, high_v = self._battery.plausible_v
+        return voltage_v is not None and low_v <= voltage_v <= high_v
 
     # -- counting ------------------------------------------------------------------------------
 
