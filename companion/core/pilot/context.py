@@ -135,7 +135,7 @@ class FlightContext:
         self.airframe = airframe
         self.estimates = estimates
         self.options = options
-        self.telemetry = TelemetryState(pack_v=airframe.battery.plausible_v)
+        self.telemetry = TelemetryState().expecting(airframe.battery.plausible_v)
         self.autopilot: AutopilotKind | None = None
         self.flight_plan: FlightPlan | None = None
         self.assessment: Assessment | None = None

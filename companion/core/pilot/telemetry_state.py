@@ -80,15 +80,19 @@ class TelemetryState:
     """By how much the autopilot's home lies below that ground now."""
     batteries: dict[int | None, Battery] = field(default_factory=dict)
     """The newest battery message of each monitor, and of the whole vehicle (`None`)."""
-    pack_v: tuple[float, float] = (PLAUSIBLE_CELL_V[0], math.inf)
-    """Voltages that the vehicle's pack may have."""
-    pack: int = 0
+    _pack_v: tuple[float, float] = (PLAUSIBLE_CELL_V[0], math.inf)
+    _pack: int = 0
     """The monitor that measures the pack: by its voltage, then its current, then its number."""
     _measured: dict[int, Battery] = field(default_factory=dict)
     _battery_times: dict[str, float] = field(default_factory=dict)
     disarmed_since_s: float | None = None
     """When the first of the newest heartbeats came that all say disarmed."""
     _disarmed_reports: int = 0
+
+    def expecting(self, pack_v: tuple[float, float]) -> "TelemetryState":
+        """The same, of a vehicle whose pack has a voltage from the first to the second."""
+        self._pack_v = pack_v
+        return self
 
     def update(self, event: Event) -> None:
         """Take one telemetry event."""
@@ -163,12 +167,12 @@ class TelemetryState:
         self.batteries[new.pack] = new
         if new.pack is not None and new.voltage_v is not None:
             self._measured[new.pack] = new
-        if not (self.armed and self.pack in self._measured):  # in flight it stays the same pack
+        if not (self.armed and self._pack in self._measured):  # in flight it stays the same pack
             known = [k for k in self._measured or self.batteries if k is not None]
-            before, self.pack = self.pack, max(known, key=self._evidence, default=0)
-            if before != self.pack:
+            before, self._pack = self._pack, max(known, key=self._evidence, default=0)
+            if before != self._pack:
                 self.battery = None
-        if new.pack in (self.pack, None) and self._is_of_pack(new):
+        if new.pack in (self._pack, None) and self._is_of_pack(new):
             self.battery = self._merged(new)
 
     def _volts(self, monitor: int) -> float:
@@ -176,7 +180,7 @@ class TelemetryState:
         return 0.0 if seen is None else seen.voltage_v or 0.0
 
     def _fits(self, monitor: int) -> bool:
-        return self.pack_v[0] <= self._volts(monitor) <= self.pack_v[1]
+        return self._pack_v[0] <= self._volts(monitor) <= self._pack_v[1]
 
     def _evidence(self, monitor: int) -> tuple[bool, bool, bool, int]:
         seen = self._measured.get(monitor)
@@ -186,9 +190,9 @@ class TelemetryState:
     def _is_of_pack(self, new: Battery) -> bool:
         """Whether a message is about a pack; of SYS_STATUS its voltage tells."""
         if new.pack is not None:
-            return new.pack == self.pack or self._fits(new.pack)
-        off_v = abs((new.voltage_v or 0.0) - self._volts(self.pack))
-        return self.pack == 0 or off_v < SAME_PACK_FRAC * self._volts(self.pack)
+            return new.pack == self._pack or self._fits(new.pack)
+        off_v = abs((new.voltage_v or 0.0) - self._volts(self._pack))
+        return self._pack == 0 or off_v < SAME_PACK_FRAC * self._volts(self._pack)
 
     @property
     def pack_messages(self) -> list[Battery]:
@@ -207,7 +211,7 @@ class TelemetryState:
     @property
     def pack_notes(self) -> list[str]:
         """Which monitor measures the pack, where it is not the first."""
-        seen = self._measured.get(self.pack) if self.pack else None
+        seen = self._measured.get(self._pack) if self._pack else None
         return [f"the pack is {_charge_reported(seen)}, by its voltage"] if seen else []
 
     def _merged(self, new: Battery) -> Battery:

@@ -164,7 +164,7 @@ def moments(
     Moments fall on telemetry, as the companion's ticks do; it is one object that goes on changing.
     Silences longer than `period_s` have moments of their own, up to `LARGEST_GAP_S`.
     """
-    now = TelemetryState() if pack_v is None else TelemetryState(pack_v=pack_v)
+    now = TelemetryState() if pack_v is None else TelemetryState().expecting(pack_v)
     ticked_s: float | None = None
     events = flight.events
     for i, event in enumerate(events):
