@@ -59,6 +59,9 @@ HURRY_EVERY_S = 20.0
 HURRY_HALVINGS = 4
 """To within a sixteenth of the range of airspeeds."""
 
+FOR_OPERATORS = ("wind: heading", "battery: the pack")
+"""Beginnings of the warnings that are more than notes for the log."""
+
 RESERVE_STEP_FRAC = 0.01
 """The gate is rebuilt when the reserve moved by more than this share."""
 
@@ -318,6 +321,8 @@ class Estimates:
                 autopilot_wind_cov_m2ps2=_level_cov(wind),
                 height_m=position.height_rel_m if position else None,
                 density_kgpm3=self.route_energy.density_kgpm3,
+                attitude_t_s=attitude.t_s if attitude else None,
+                yaw_rate_rps=attitude.yaw_rate_rps if attitude else None,
             )
         )
 
