@@ -50,7 +50,7 @@ class HeadingSteps:
             yield
 
     def note(self, stage):
-        north, east, _ = stage.craft.vehicle._wind_to_ned
+        north, east, _ = stage.craft.vehicle.truth.wind_to_ned_mps
         self.wind.append((stage.t_s, north, east))
 
     def sigmas(self, folder):

@@ -7,7 +7,7 @@ Energies are in Wh, as on battery labels.
 """
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 
 import msgspec
 
@@ -463,16 +463,13 @@ def _finite(seen: BatteryObservation) -> BatteryObservation:
     celsius = seen.temperature_c
     cold = celsius is not None and math.isfinite(celsius) and -60.0 <= celsius <= 90.0
     remaining = known(seen.remaining_frac)
-    return BatteryObservation(
-        t_s=seen.t_s,
-        at_rest=seen.at_rest,
+    return replace(
+        seen,
         voltage_v=known(seen.voltage_v),
         current_a=known(seen.current_a),
         consumed_mah=known(seen.consumed_mah),
         consumed_wh=known(seen.consumed_wh),
         remaining_frac=min(remaining, 1.0) if remaining is not None else None,
-        remaining_is_timer=seen.remaining_is_timer,
         temperature_c=celsius if cold else None,
         modelled_power_w=known(seen.modelled_power_w),
-        source=seen.source,
     )

@@ -34,24 +34,20 @@ class HeadingWatch:
         """Take a report; returns the step since the last one (rad), 0 for what may be a turn."""
         if seen.yaw_rad is None:
             return 0.0
-        t_s = seen.t_s if seen.attitude_t_s is None else seen.attitude_t_s
-        rate_rps = seen.yaw_rate_rps
-        if rate_rps is not None and not abs(rate_rps) < WILD_RPS:
-            rate_rps = None
-        before, now = self._before, (t_s, seen.yaw_rad, rate_rps)
-        if before is not None and t_s <= before[0]:
+        now_s = seen.t_s if seen.attitude_t_s is None else seen.attitude_t_s
+        now = now_s, seen.yaw_rad, seen.yaw_rate_rps
+        before_s, yaw_rad, rate_rps = before = self._before or now
+        dt_s = now_s - before_s
+        self._before = now if dt_s > 0.0 else before
+        if dt_s <= 0.0:
             return 0.0
-        self._before = now
-        if before is None:
-            return 0.0
-        dt_s = t_s - before[0]
-        rates = [rate for rate in (before[2], rate_rps) if rate is not None]
+        rates = [r for r in (rate_rps, now[2]) if r is not None and abs(r) < WILD_RPS]
         turned = dt_s * sum(rates) / len(rates) if rates else 0.0
         unseen = dt_s * (RATED_RPS if rates else MOST_RPS)
         if dt_s <= SLOWEST_S:
             unseen = min(unseen, MOST_TURN_RAD)
         may = TOLERANCE_RAD + unseen + RATE_ERROR_FRAC * abs(turned)
-        step = math.remainder(seen.yaw_rad - before[1] - turned, math.tau)
+        step = math.remainder(seen.yaw_rad - yaw_rad - turned, math.tau)
         if abs(step) <= may:
             return 0.0
         off = math.remainder(self.off_rad + step, math.tau)
@@ -64,8 +60,7 @@ class HeadingWatch:
         by that without the steps; True once the first is right, by windows of `AGREES_S`.
         """
         seen_s, own, nats = self._evidence
-        seen_s, own = seen_s + dt_s, own + misfit * dt_s
-        nats += 0.5 * (other_misfit - misfit)
+        seen_s, own, nats = seen_s + dt_s, own + misfit * dt_s, nats + 0.5 * (other_misfit - misfit)
         self._evidence = (seen_s, own, nats)
         if seen_s < AGREES_S:
             return False
