@@ -127,7 +127,9 @@ def translate(message: Any, profile: AutopilotProfile, values: Values, t_s: floa
             return [ModeNow(t_s, *profile.mode(message.custom_mode, 0))]
         case "ATTITUDE":
             angles = (message.roll, message.pitch, message.yaw)
-            return [Attitude(t_s, *angles)] if all(map(math.isfinite, angles)) else []
+            rate_rps = message.yawspeed if math.isfinite(message.yawspeed) else None
+            known = all(map(math.isfinite, angles))
+            return [Attitude(t_s, *angles, rate_rps)] if known else []
         case "GLOBAL_POSITION_INT":
             return _position(message, t_s)
         case "GPS_RAW_INT":

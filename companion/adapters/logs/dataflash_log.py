@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
-from companion.adapters.clock import AutopilotClock
 from companion.adapters.logs.dataflash_filter import whole_messages
+from companion.adapters.logs.log_time import LogClock
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import (
@@ -136,7 +136,7 @@ class _Reader:
         self.firmware: str | None = None
         self._values: dict[str, float] = {}
         self._profile = ArduPilot()
-        self._clock = AutopilotClock()
+        self._clock = LogClock()
         self._heard_s: dict[str, float] = {}
         self._core = 0
         self._place: tuple[float, float, float, float, float] | None = None
@@ -148,7 +148,7 @@ class _Reader:
     @property
     def now_s(self) -> float:
         """Where we are in the log, on its clock."""
-        return self._clock.t_s
+        return self._clock.t_s or 0.0
 
     def on_message(self, message: Any) -> None:
         """Take one message."""
@@ -156,7 +156,8 @@ class _Reader:
         if kind in ("MSG", "VER"):
             self._identify(kind, message)
             return
-        t_s = self._time(getattr(message, "TimeUS", None))
+        stamp_us = getattr(message, "TimeUS", None)
+        t_s = None if stamp_us is None else self._clock.stamp(kind, stamp_us / 1e6)
         if t_s is None or not self._due(kind, message, t_s):
             return
         match kind:
@@ -180,27 +181,16 @@ class _Reader:
             case _:
                 self._hear_state(kind, message, t_s)
 
-    def _time(self, stamp_us: int | None) -> float | None:
-        if stamp_us is None:
-            return None
-        before_s = self.now_s
-        reading = self._clock.stamp(stamp_us / 1e6)
-        if reading.back_s > 0.0:
-            what = f"the clock goes back by {reading.back_s:.1f} s"
-            self.findings.append(LogFinding.at(before_s, what, "later times are shifted"))
-        if reading.ahead_s > 0.0:
-            what = f"gap of {reading.ahead_s:.1f} s"
-            self.findings.append(LogFinding.at(before_s, what, "what was believed ages meanwhile"))
-        return reading.t_s
-
     def _due(self, kind: str, message: Any, t_s: float) -> bool:
         """Leave out other instances and cores, and what comes faster than it is looked at."""
         if kind in ("XKF1", "XKF2", "NKF1") and getattr(message, "C", 0) != self._core:
             return False
-        if kind in ("BAT", "GPS", "ARSP") and _instance(message) != 0:
+        if kind == "BAT":
+            kind = f"BAT {_instance(message)}"
+        elif kind in ("GPS", "ARSP") and _instance(message) != 0:
             return False
         last_s = self._heard_s.get(kind)
-        if last_s is not None and t_s - last_s < LEAST_STEP_S.get(kind, 0.0):
+        if last_s is not None and t_s - last_s < LEAST_STEP_S.get(kind.split()[0], 0.0):
             return False
         self._heard_s[kind] = t_s
         return True
@@ -270,6 +260,7 @@ class _Reader:
                 consumed_j=used_wh * 3600.0 if measured and math.isfinite(used_wh) else None,
                 remaining_frac=left / 100.0 if left is not None and 0 <= left <= 100 else None,
                 temperature_c=warm if math.isfinite(warm) and warm != 0.0 else None,
+                pack=_instance(message),
             )
         )
 
@@ -303,6 +294,7 @@ class _Reader:
 
         With LOG_DISARMED 0 it begins when the vehicle is armed already, and does not say so.
         """
+        self.findings += self._clock.findings()
         if not self.events:
             return
         start_s = min(event.t_s for event in self.events)

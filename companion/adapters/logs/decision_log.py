@@ -113,7 +113,13 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "ready_state": FLAG,
     },
     "heard_ground": {"t_s": NUMBER, "ground": TEXT},
-    "heard_attitude": {"t_s": NUMBER, "roll_rad": NUMBER, "pitch_rad": NUMBER, "yaw_rad": NUMBER},
+    "heard_attitude": {
+        "t_s": NUMBER,
+        "roll_rad": NUMBER,
+        "pitch_rad": NUMBER,
+        "yaw_rad": NUMBER,
+        "yaw_rate_rps": MAYBE,
+    },
     "heard_position": {
         "t_s": NUMBER,
         "lat_deg": NUMBER,

@@ -1,11 +1,14 @@
 """A log's time stamps made to run forward: stray stamps left out, gaps and steps said."""
 
+from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.adapters.clock import AutopilotClock
 from companion.core.base.arrays import Floats
 from companion.core.replay.recorded_flight import LogFinding
 
@@ -20,6 +23,70 @@ LONGEST_S = 86_400.0
 
 WITNESSES = 3
 """Consecutive stamps that must agree on a jump: one wild stamp moves nothing (as in flight)."""
+
+
+def rising_rows(stamps_s: Floats) -> NDArray[np.intp]:
+    """Rows of the longest subsequence that never falls: a stray stamp costs its own row only.
+
+    Patience sorting (Fredman 1975), n log n. Of a clock that is set back it keeps the longer part.
+    """
+    if not (np.diff(stamps_s) < 0.0).any():
+        return np.arange(stamps_s.size)
+    tops: list[float] = []
+    rows: list[int] = []
+    before: list[int] = []
+    for row, stamp_s in enumerate(stamps_s.tolist()):
+        place = bisect_right(tops, stamp_s)
+        before.append(rows[place - 1] if place else -1)
+        tops[place : place + 1], rows[place : place + 1] = [stamp_s], [row]
+    kept = [rows[-1]]
+    while before[kept[-1]] >= 0:
+        kept.append(before[kept[-1]])
+    return np.array(kept[::-1])
+
+
+def stray_stamps(t_s: float, topic: str, row: int, stamp_s: float, count: int) -> LogFinding:
+    """The finding of `count` stray stamps in a topic; the first is `row` (from 0), at `t_s`."""
+    more = f", and {count - 1} more" if count > 1 else ""
+    what = f"{topic}: row {row} has the time stamp {stamp_s:.1f} s, out of order{more}"
+    return LogFinding.at(t_s, what, "left out")
+
+
+class LogClock:
+    """Time of a log's messages in the order of the file; steps and stray stamps are findings."""
+
+    def __init__(self) -> None:
+        self._clock = AutopilotClock()
+        self._findings: list[LogFinding] = []
+        self._rows: Counter[str] = Counter()
+        self._strays: list[tuple[float, str, int, float]] = []
+
+    @property
+    def t_s(self) -> float | None:
+        """The newest time; `None` before the first stamp."""
+        return self._clock.t_s if self._clock.known else None
+
+    def stamp(self, topic: str, stamp_s: float) -> float | None:
+        """Time of the topic's next message; `None` where its stamp is not to be believed."""
+        before_s, reading = self._clock.t_s, self._clock.stamp(stamp_s)
+        self._rows[topic] += 1
+        if reading.t_s is None:
+            self._strays.append((before_s, topic, self._rows[topic] - 1, stamp_s))
+        if reading.back_s > 0.0 or reading.ahead_s > 0.0:
+            del self._strays[1 - WITNESSES :]  # they were the first of the step
+            what, done = f"gap of {reading.ahead_s:.1f} s", "what was believed ages meanwhile"
+            if reading.back_s > 0.0:
+                what = f"the clock goes back by {reading.back_s:.1f} s"
+                done = "later times are shifted"
+            self._findings.append(LogFinding.at(before_s, what, done))
+        return reading.t_s
+
+    def findings(self) -> list[LogFinding]:
+        """Steps, and one finding for each topic's stray stamps."""
+        of_topic: dict[str, list[tuple[float, str, int, float]]] = {}
+        for stray in self._strays:
+            of_topic.setdefault(stray[1], []).append(stray)
+        return self._findings + [stray_stamps(*of[0], len(of)) for of in of_topic.values()]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,8 +19,7 @@ from companion.adapters.autopilots.telemetry import (
     translate,
     vehicle_kind,
 )
-from companion.adapters.clock import AutopilotClock
-from companion.adapters.logs.log_time import told
+from companion.adapters.logs.log_time import LogClock, told
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event
 from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
@@ -82,7 +81,7 @@ def read_tlog(path: Path) -> RecordedFlight:
     for frame in frames:
         if frame.system == system and frame.component == AUTOPILOT:
             reader.take(frame)
-    findings = reader.findings
+    findings = reader.clock.findings()
     if torn:
         findings.append(told(torn, _byte, "bytes that are no whole frame (cut off?)", "left out"))
     others = sorted({f.system for f in frames if f.component == AUTOPILOT} - {system})
@@ -105,10 +104,9 @@ class _Reader:
     def __init__(self, profile: AutopilotProfile, codec: MavlinkCodec) -> None:
         self.profile = profile
         self.events: list[Event] = []
-        self.findings: list[LogFinding] = []
         self.firmware: str | None = None
         self._codec = codec
-        self._clock = AutopilotClock()
+        self.clock = LogClock()
         self._values: dict[str, float | None] = {}
         self._heard_s: dict[int, float] = {}
 
@@ -140,16 +138,8 @@ class _Reader:
     def _time(self, message: Any) -> float | None:
         stamp_s = boot_s(message)
         if stamp_s is None:
-            return self._clock.t_s if self._clock.known else None
-        before_s = self._clock.t_s
-        reading = self._clock.stamp(stamp_s)
-        if reading.back_s > 0.0:
-            what = f"the autopilot's clock goes back by {reading.back_s:.1f} s"
-            self.findings.append(LogFinding.at(before_s, what, "later times are shifted"))
-        if reading.ahead_s > 0.0:
-            what = f"gap of {reading.ahead_s:.1f} s"
-            self.findings.append(LogFinding.at(before_s, what, "what was believed ages meanwhile"))
-        return reading.t_s
+            return self.clock.t_s
+        return self.clock.stamp(message.get_type(), stamp_s)
 
 
 def _autopilot(path: Path, frames: list[Frame], codec: MavlinkCodec) -> tuple[int, Any]:

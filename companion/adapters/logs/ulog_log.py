@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.adapters.autopilots.telemetry import vehicle_kind
+from companion.adapters.logs.log_time import LEAP_S, rising_rows, running_time, stray_stamps
 from companion.adapters.logs.ulog_filter import wanted_part
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
@@ -52,6 +53,9 @@ TOPICS = (
     "wind",
     "wind_estimate",
 )
+SELDOM = ("home_position", "mission_result")
+"""Logged as last published, which may be long before the log's start."""
+
 LEAST_STEP_S = {
     "vehicle_attitude": 0.045,
     "vehicle_local_position": 0.09,
@@ -93,6 +97,9 @@ AIRFRAMES = {
 DATA = struct.Struct("<HBHQ")
 """A data message: size, kind, subscription, and the time stamp that every topic begins with."""
 
+MOST_STRAY_FRAC, MOST_STRAY = 0.05, 3.0
+"""Of a topic's stamps; where more are out of order, its clock was set back."""
+
 TAIL_BYTES, LOST_S, DAY_S = 4096, 2.0, 86_400.0
 ROUNDS = 8
 
@@ -100,7 +107,7 @@ ROUNDS = 8
 def read_ulog(path: Path) -> RecordedFlight:
     """Read a .ulg; LeewayError where it is none, or pyulog is not installed."""
     log, findings = _opened(path)
-    topics = _topics(log, findings)
+    topics = _topics(log, path, findings)
     values: dict[str, Any] = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         values[name] = value
@@ -133,9 +140,9 @@ def _first(
     take: Callable[[Rows], list[Event]],
     findings: list[LogFinding],
 ) -> list[Event]:
-    """What a topic's first instance tells."""
-    instances = topics.get(name, [])
-    return _taken(name, lambda: take(instances[0]), findings) if instances else []
+    """What a topic's first instance tells; of batteries, what each does."""
+    used = topics.get(name, [])[: None if name == "battery_status" else 1]
+    return [e for rows in used for e in _taken(name, lambda rows=rows: take(rows), findings)]
 
 
 def _taken(name: str, take: Callable[[], list[Event]], findings: list[LogFinding]) -> list[Event]:
@@ -217,24 +224,69 @@ def _tail_s(path: Path, start_s: float) -> float | None:
     return middle if len(times) >= 3 else None
 
 
-def _topics(log: Any, findings: list[LogFinding]) -> dict[str, list[Rows]]:
+def _topics(log: Any, path: Path, findings: list[LogFinding]) -> dict[str, list[Rows]]:
     """Return the rows of each topic, one entry an instance, with times in seconds that rise."""
     found: dict[str, list[Rows]] = {}
+    stamped: list[tuple[Any, Floats, NDArray[np.intp]]] = []
     for data in log.data_list:
-        rows: Rows = dict(data.data)
-        if "timestamp" not in rows:
+        if "timestamp" in data.data:
+            stamped.append((data, *_in_order(data, findings)))
+        else:
             findings.append(LogFinding("log", f"{data.name}: no field 'timestamp'", "left out"))
-            continue
-        t_s = rows["timestamp"].astype(float) / 1e6
-        kept = _rising(t_s, log.start_timestamp / 1e6, LEAST_STEP_S.get(data.name, 0.0))
-        stray = _stray(t_s)
-        if stray.size:
-            what = f"{data.name}: {stray.size} rows with times out of order"
-            findings.append(LogFinding.at(float(t_s[stray[0]]), what, "left out"))
-        rows = {name: _numbers(values[kept]) for name, values in rows.items()}
-        rows["t_s"] = t_s[kept]
-        found.setdefault(data.name, []).append(rows)
+    start_s = log.start_timestamp / 1e6 - 1.0
+    end_s = _end_s([t_s[rows] for _, t_s, rows in stamped])
+    for data, t_s, rows in stamped:
+        least_s = LEAST_STEP_S.get(data.name, 0.0)
+        sound = rows[(t_s[rows] >= start_s) & (t_s[rows] <= end_s)]
+        reported = np.isfinite(t_s)
+        if data.name in SELDOM:
+            reported[rows[t_s[rows] < start_s]] = False
+        reported[sound] = False
+        if reported.any():
+            findings.append(_strays(data, path, t_s, sound, np.flatnonzero(reported)))
+        kept = sound[_apart(t_s[sound], least_s)]
+        columns = {name: _numbers(values[kept]) for name, values in data.data.items()}
+        columns["instance"] = np.full(kept.size, data.multi_id)
+        found.setdefault(data.name, []).append(columns | {"t_s": t_s[kept]})
     return found
+
+
+def _in_order(data: Any, findings: list[LogFinding]) -> tuple[Floats, NDArray[np.intp]]:
+    """Times (s) of a topic's rows, and which rows rise; a clock that was set back is laid on."""
+    t_s = data.data["timestamp"].astype(float) / 1e6
+    rows = rising_rows(t_s)
+    if t_s.size - rows.size > max(MOST_STRAY, MOST_STRAY_FRAC * t_s.size):
+        time = running_time(t_s, lambda row: f"{data.name}: row {row}")
+        findings += time.findings
+        rows = time.kept
+        t_s = np.full(t_s.size, math.nan)
+        t_s[rows] = time.t_s
+    return t_s, rows
+
+
+def _end_s(times: list[Floats]) -> float:
+    """When the log ends; a stamp or so of each topic, alone behind a gap, is no part of it."""
+    merged = np.sort(np.concatenate([*times, [-math.inf]]))
+    for last in np.flatnonzero(np.diff(merged) > LEAP_S)[::-1]:
+        if merged.size - 1 - last > len(times):
+            break
+        merged = merged[: last + 1]
+    return float(merged[-1])
+
+
+def _strays(
+    data: Any, path: Path, t_s: Floats, sound: NDArray[np.intp], strays: NDArray[np.intp]
+) -> LogFinding:
+    """One finding for a topic's stray stamps. The row is counted in the file, without thinning."""
+    first = int(strays[0])
+    before = sound[sound < first][-1:]
+    raw, row, at = path.read_bytes(), -1, 0
+    for near in (*before.tolist(), first):
+        stamp_us = int(data.data["timestamp"][near])
+        at = max(raw.find(DATA.pack(0, ord("D"), data.msg_id, stamp_us)[2:], at) - 2, 0)
+        row = raw.count(raw[at : at + 5], 0, at)
+    when_s = float(t_s[before[0] if before.size else sound[0]]) if sound.size else 0.0
+    return stray_stamps(when_s, data.name, row, float(t_s[first]), strays.size)
 
 
 def _numbers(values: NDArray[Any]) -> NDArray[Any]:
@@ -243,20 +295,14 @@ def _numbers(values: NDArray[Any]) -> NDArray[Any]:
         return values.astype(float) if values.dtype.kind == "f" else values
 
 
-def _stray(t_s: Floats) -> NDArray[np.intp]:
-    """Rows whose time is not between their neighbours'."""
-    return np.flatnonzero(np.diff(np.minimum.accumulate(t_s[::-1])[::-1]) < 0.0)
-
-
-def _rising(t_s: Floats, start_s: float, least_step_s: float) -> list[int]:
-    """Rows to use: in order, none ahead of a later row, and no nearer than `least_step_s`."""
-    latest = np.minimum.accumulate(t_s[::-1])[::-1]  # a wild stamp ahead is above what follows it
+def _apart(t_s: Floats, least_step_s: float) -> list[int]:
+    """Of rows in order, those to use: none repeated, and no nearer than `least_step_s`."""
     kept: list[int] = []
     last_s = -math.inf
-    for row in np.flatnonzero((t_s <= latest) & (t_s >= start_s - 1.0)).tolist():
-        if t_s[row] - last_s >= least_step_s and t_s[row] > last_s:
+    for row, now_s in enumerate(t_s.tolist()):
+        if now_s - last_s >= least_step_s and now_s > last_s:
             kept.append(row)
-            last_s = float(t_s[row])
+            last_s = now_s
     return kept
 
 
@@ -355,9 +401,9 @@ def _fixes(rows: Rows) -> list[Event]:
 def _batteries(rows: Rows) -> list[Event]:
     """0 V, -1 A, -1 mAh, -1 and NaN are unknown; without a current a count of 0 says nothing."""
     unknown = np.full(rows["t_s"].size, np.nan)
-    names = ("voltage_v", "current_a", "discharged_mah", "remaining", "temperature")
+    names = ("instance", "voltage_v", "current_a", "discharged_mah", "remaining", "temperature")
     events: list[Event] = []
-    for t_s, voltage, current, used, remaining, warm in _lists(
+    for t_s, instance, voltage, current, used, remaining, warm in _lists(
         rows["t_s"], *(rows.get(name, unknown) for name in names)
     ):
         measured = math.isfinite(current) and current >= 0.0
@@ -369,6 +415,7 @@ def _batteries(rows: Rows) -> list[Event]:
                 consumed_ah=used / 1000.0 if measured and used >= 0.0 else None,
                 remaining_frac=remaining if 0.0 <= remaining <= 1.0 else None,
                 temperature_c=warm if math.isfinite(warm) and warm != 0.0 else None,
+                pack=int(instance),
             )
         )
     return events

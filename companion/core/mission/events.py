@@ -102,11 +102,12 @@ class ModeNow(Event):
 
 @dataclass(frozen=True, slots=True)
 class Attitude(Event):
-    """Body attitude, heading clockwise from north."""
+    """Body attitude, heading clockwise from north, and the rate that the gyro reports of it."""
 
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
+    yaw_rate_rps: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

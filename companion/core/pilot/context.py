@@ -137,7 +137,7 @@ class FlightContext:
         self.airframe = airframe
         self.estimates = estimates
         self.options = options
-        self.telemetry = TelemetryState()
+        self.telemetry = TelemetryState().expecting(airframe.battery.plausible_v)
         self.autopilot: AutopilotKind | None = None
         self.flight_plan: FlightPlan | None = None
         self.assessment: Assessment | None = None

@@ -59,6 +59,9 @@ HURRY_EVERY_S = 20.0
 HURRY_HALVINGS = 4
 """To within a sixteenth of the range of airspeeds."""
 
+FOR_OPERATORS = ("wind: heading", "battery: the pack")
+"""Beginnings of the warnings that are more than notes for the log."""
+
 RESERVE_STEP_FRAC = 0.01
 """The gate is rebuilt when the reserve moved by more than this share."""
 
@@ -175,7 +178,8 @@ class Estimates:
         self._left_out.update(left_out)
         energy = self.energy
         if energy is not None:
-            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in energy.warnings}
+            told = (*now.pack_notes, *energy.warnings)
+            kinds = {re.sub(r"[0-9.]+", "#", words): words for words in told}
             warnings += [f"battery: {w}" for kind, w in kinds.items() if kind not in self._warned]
             self._warned.update(kinds)
         return tuple(warnings)
@@ -224,11 +228,9 @@ class Estimates:
         self, now: TelemetryState, autopilot_kind: AutopilotKind, t_s: float
     ) -> None:
         battery = now.battery if now.is_fresh(now.battery, BATTERY_MAX_AGE_S) else None
-        heard = battery is not None and (
-            battery.voltage_v is not None or battery.remaining_frac is not None
-        )
-        if not heard and self._ledger.belief() is None:
-            return  # the ledger never rises: it must start from a battery that was heard
+        measured = battery is not None and battery.voltage_v is not None
+        if not measured and self._ledger.belief() is None:
+            return  # the ledger never rises: it must start from a pack that is measured
         current_a = battery.current_a if battery else None
         modelled_w = self._modelled_power_w(now)
         if battery and battery.voltage_v and current_a and modelled_w and self._is_steady(now):
@@ -247,7 +249,7 @@ class Estimates:
             temperature_c=battery.temperature_c if battery else None,
             modelled_power_w=modelled_w,
         )
-        told = [new for new in now.batteries.values() if new is not self._heard.get(new.pack)]
+        told = [new for new in now.pack_messages if new is not self._heard.get(new.pack)]
         self._heard.update({new.pack: new for new in told})
         # The first of several takes the time; the others tell their counters at the same instant.
         for one in [_told_by(seen, new) for new in told] or [seen]:
@@ -319,6 +321,8 @@ class Estimates:
                 autopilot_wind_cov_m2ps2=_level_cov(wind),
                 height_m=position.height_rel_m if position else None,
                 density_kgpm3=self.route_energy.density_kgpm3,
+                attitude_t_s=attitude.t_s if attitude else None,
+                yaw_rate_rps=attitude.yaw_rate_rps if attitude else None,
             )
         )
 

@@ -472,8 +472,8 @@ class GroundSequence:
         if telemetry.readiness is not None and not telemetry.readiness.ready:
             words = "the autopilot's own pre-arm checks do not pass yet"
             found.append(Finding("prearm", words, blocks=True, waits=True))
-        if context.estimates.energy is None:
-            words = "nothing known about the battery's energy"
+        if (words := telemetry.pack_missing()) or context.estimates.energy is None:
+            words = words or "nothing known about the battery's energy"
             found.append(Finding("energy", words, blocks=True, waits=True))
         found += self._out_of_hours(context)
         if telemetry.failing:
@@ -577,11 +577,12 @@ class GroundSequence:
             context.do(AskTelemetry())
 
     def _wait_position(self, context: FlightContext) -> None:
-        troubles = context.telemetry.position_troubles()
+        telemetry = context.telemetry
+        troubles = telemetry.position_troubles()
         if not troubles and context.estimates.energy is not None:
             context.request_transition(Trigger.POSITION_USABLE)
             return
-        words = "; ".join(troubles) or "battery unknown"
+        words = "; ".join(troubles) or telemetry.pack_missing() or "battery unknown"
         if context.since_s(self._state.asked_s) > ASK_AGAIN_S:
             self._state.asked_s = context.t_s
             context.say_once(Severity.WARNING, words)

@@ -68,7 +68,7 @@ from companion.core.monitor.doubts import NO_DOUBTS, Doubts
 from companion.core.pilot.authority import Authority
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.context import FlightContext, PilotOptions
-from companion.core.pilot.estimates import Estimates
+from companion.core.pilot.estimates import FOR_OPERATORS, Estimates
 from companion.core.pilot.flight_sequence import FlightSequence, FlightState
 from companion.core.pilot.ground_sequence import (
     GroundSequence,
@@ -359,7 +359,10 @@ class Pilot:
         if context.autopilot is None:
             return
         for words in context.estimates.observe(context.telemetry, context.autopilot):
-            context.do(Note(words))
+            if words.startswith(FOR_OPERATORS):
+                context.say(Severity.WARNING, words)
+            else:
+                context.do(Note(words))
         if context.estimates.draw_change:
             context.say(Severity.WARNING, context.estimates.draw_change)
         for words in context.estimates.left_envelope:

@@ -27,6 +27,7 @@ from companion.core.mission.events import (
     Throttle,
     VehicleState,
 )
+from companion.core.vehicle.airframe import PLAUSIBLE_CELL_V
 
 POSITION_MAX_AGE_S = 1.0
 ATTITUDE_MAX_AGE_S = 1.0
@@ -45,6 +46,9 @@ DISARMED_WITNESSES = 2
 MODE_GAP_S = 0.6
 """Both autopilots report the mode at 4 Hz or more. In a longer gap a person may have changed it and
 changed it back. Where it comes more slowly, a gap is 1.6 times the usual interval."""
+
+SAME_PACK_FRAC = 0.05
+"""Two voltages of one pack differ by less."""
 
 THROTTLE_MAX_AGE_S = 1.0
 PRESSURE_MAX_AGE_S = 3.0
@@ -79,7 +83,11 @@ class TelemetryState:
     home_sunk_m: float = 0.0
     """By how much the autopilot's home lies below that ground now."""
     batteries: dict[int | None, Battery] = field(default_factory=dict)
-    """The newest battery message of each pack, and of the whole vehicle (`None`)."""
+    """The newest battery message of each monitor, and of the whole vehicle (`None`)."""
+    _pack_v: tuple[float, float] = (PLAUSIBLE_CELL_V[0], math.inf)
+    _pack: int = 0
+    """The monitor that measures the pack: by its voltage, then its current, then its number."""
+    _measured: dict[int, Battery] = field(default_factory=dict)
     _battery_times: dict[str, float] = field(default_factory=dict)
     disarmed_since_s: float | None = None
     """When the first of the newest heartbeats came that all say disarmed."""
@@ -89,6 +97,11 @@ class TelemetryState:
     mode_gap_s: float | None = None
     """When the last gap in the reports of the mode ended."""
     _mode_every_s: float = 0.0
+
+    def expecting(self, pack_v: tuple[float, float]) -> "TelemetryState":
+        """The same, of a vehicle whose pack has a voltage from the first to the second."""
+        self._pack_v = pack_v
+        return self
 
     def update(self, event: Event) -> None:
         """Take one telemetry event."""
@@ -111,9 +124,7 @@ class TelemetryState:
             case Home():
                 self.home = event
             case Battery():
-                self.batteries[event.pack] = event
-                if event.pack in (None, 0):
-                    self.battery = self._merged(event)
+                self._take_battery(event)
             case Throttle():
                 self.throttle = event
             case Airspeed():
@@ -173,8 +184,59 @@ class TelemetryState:
         self.home_sunk_m = round(told.height_rel_m - (told.alt_amsl_m - ground_m), 2)
         return replace(told, height_rel_m=told.height_rel_m - self.home_sunk_m)
 
+    def _take_battery(self, new: Battery) -> None:
+        self.batteries[new.pack] = new
+        if new.pack is not None and new.voltage_v is not None:
+            self._measured[new.pack] = new
+        if not (self.armed and self._pack in self._measured):  # in flight it stays the same pack
+            known = [k for k in self._measured or self.batteries if k is not None]
+            before, self._pack = self._pack, max(known, key=self._evidence, default=0)
+            if before != self._pack:
+                self.battery = None
+        if new.pack in (self._pack, None) and self._is_of_pack(new):
+            self.battery = self._merged(new)
+
+    def _volts(self, monitor: int) -> float:
+        seen = self._measured.get(monitor)
+        return 0.0 if seen is None else seen.voltage_v or 0.0
+
+    def _fits(self, monitor: int) -> bool:
+        return self._pack_v[0] <= self._volts(monitor) <= self._pack_v[1]
+
+    def _evidence(self, monitor: int) -> tuple[bool, bool, bool, int]:
+        seen = self._measured.get(monitor)
+        has_current = seen is not None and seen.current_a is not None
+        return self._fits(monitor), self.is_fresh(seen, BATTERY_MAX_AGE_S), has_current, -monitor
+
+    def _is_of_pack(self, new: Battery) -> bool:
+        """Whether a message is about a pack; of SYS_STATUS its voltage tells."""
+        if new.pack is not None:
+            return new.pack == self._pack or self._fits(new.pack)
+        off_v = abs((new.voltage_v or 0.0) - self._volts(self._pack))
+        return self._pack == 0 or off_v < SAME_PACK_FRAC * self._volts(self._pack)
+
+    @property
+    def pack_messages(self) -> list[Battery]:
+        """The newest messages about packs; a charge of a monitor without a voltage is of none."""
+        return [new for new in self.batteries.values() if self._is_of_pack(new)]
+
+    def pack_missing(self) -> str:
+        """Why no monitor is known to measure the pack; `""` where one is."""
+        battery = self.battery if self.is_fresh(self.battery, BATTERY_MAX_AGE_S) else None
+        if battery is not None and (battery.voltage_v, battery.current_a) != (None, None):
+            return ""
+        fresh = [b for b in self.batteries.values() if self.is_fresh(b, BATTERY_MAX_AGE_S)]
+        received = ", ".join(map(_charge_reported, fresh)) or "nothing"
+        return f"no battery voltage: received {received}; expected a monitor that measures the pack"
+
+    @property
+    def pack_notes(self) -> list[str]:
+        """Which monitor measures the pack, where it is not the first."""
+        seen = self._measured.get(self._pack) if self._pack else None
+        return [f"the pack is {_charge_reported(seen)}, by its voltage"] if seen else []
+
     def _merged(self, new: Battery) -> Battery:
-        """Two messages report the first battery; a field stays until told again or too old."""
+        """Two messages report the pack; a field stays until told again or too old."""
         fields: dict[str, float | None] = {}
         for name in (
             "voltage_v",
@@ -214,6 +276,7 @@ class TelemetryState:
         self._disarmed_reports = 0
         self.disarmed_since_s = None
         self.batteries.clear()
+        self._measured.clear()
         self.t_s = t_s
 
     def is_fresh(self, sample: Event | None, max_age_s: float) -> bool:
@@ -274,3 +337,8 @@ class TelemetryState:
             if not self.is_fresh(sample, max_age_s):
                 troubles.append(words)
         return tuple(troubles)
+
+
+def _charge_reported(new: Battery) -> str:
+    monitor = "SYS_STATUS" if new.pack is None else f"battery {new.pack}"
+    return monitor if new.remaining_frac is None else f"{monitor} at {new.remaining_frac:.0%}"

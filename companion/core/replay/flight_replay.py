@@ -154,7 +154,7 @@ class _Replay:
     def _say_what_is_missing(self, log: RecordedFlight) -> None:
         if not log.has_battery:
             what, said = (
-                "no battery voltage or charge",
+                "no battery voltage",
                 "nothing said about energy and the way home",
             )
         elif not log.powered:
@@ -170,7 +170,7 @@ class _Replay:
     def run(self, progress: Callable[[float], None] | None) -> ReplayResult:
         start_s, duration_s = self._log.start_s, max(self._log.duration_s, 1e-9)
         before_s: float | None = None
-        for now in moments(self._log, TICK_S):
+        for now in moments(self._log, TICK_S, self._terms.airframe.battery.plausible_v):
             self._tick(now, 0.0 if before_s is None else now.t_s - before_s)
             before_s = now.t_s
             if progress is not None:

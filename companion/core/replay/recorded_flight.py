@@ -97,10 +97,7 @@ class RecordedFlight:
     @property
     def has_battery(self) -> bool:
         """Tell whether the energy ledger has anything to begin with."""
-        return any(
-            isinstance(e, Battery) and (e.voltage_v is not None or e.remaining_frac is not None)
-            for e in self.events
-        )
+        return any(isinstance(e, Battery) and e.voltage_v is not None for e in self.events)
 
     @property
     def powered(self) -> bool:
@@ -159,13 +156,15 @@ _MEASURED = (
 )  # fmt: skip
 
 
-def moments(flight: RecordedFlight, period_s: float) -> Iterator[TelemetryState]:
+def moments(
+    flight: RecordedFlight, period_s: float, pack_v: tuple[float, float] | None = None
+) -> Iterator[TelemetryState]:
     """Yield the situation about every `period_s`, when everything up to then has been heard.
 
     Moments fall on telemetry, as the companion's ticks do; it is one object that goes on changing.
     Silences longer than `period_s` have moments of their own, up to `LARGEST_GAP_S`.
     """
-    now = TelemetryState()
+    now = TelemetryState() if pack_v is None else TelemetryState().expecting(pack_v)
     ticked_s: float | None = None
     events = flight.events
     for i, event in enumerate(events):

@@ -210,6 +210,9 @@ class FlownPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             check_range(f"power_flown.{key}", getattr(self, key), 0.5, 2.0)
 
 
+PLAUSIBLE_CELL_V = (2.6, 4.6)  # empty under load, full at rest
+
+
 class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One pack as a whole; `usable_wh` says what it gives."""
 
@@ -271,6 +274,11 @@ class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         """Charge (0 to 1 of the pack's content) from its resting voltage."""
         cell_v = voltage_v / self.cells
         return float(np.interp(cell_v, self.ocv_cell_v, self.ocv_charge_frac))
+
+    @property
+    def plausible_v(self) -> tuple[float, float]:
+        """Least and greatest voltage of the pack."""
+        return PLAUSIBLE_CELL_V[0] * self.cells, PLAUSIBLE_CELL_V[1] * self.cells
 
     @property
     def low_v(self) -> float:

@@ -7,7 +7,7 @@ Energies are in Wh, as on battery labels.
 """
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 
 import msgspec
 
@@ -33,7 +33,6 @@ _WHOLE_FRAC = 0.02  # sources that come in whole per cents fall by so much at on
 _NOTHING_KNOWN_FRAC = 1.0 / math.sqrt(12.0)  # anything from empty to full: no std is wider
 _CEILING_SIGMAS = 2.5
 _CEILING_SAG_FRAC = 1.75  # sag that is granted, of what the resistance says: cold, age, diffusion
-_PLAUSIBLE_CELL_V = (2.6, 4.6)
 _UNKNOWN_CHARGE_FRAC, _UNKNOWN_CHARGE_STD_FRAC = 0.8, 0.15
 
 
@@ -246,8 +245,8 @@ class EnergyLedger:
         return min(max((charge_frac - empty) / (1.0 - empty), 0.0), 1.0)
 
     def _plausible(self, voltage_v: float | None) -> bool:
-        low, high = _PLAUSIBLE_CELL_V
-        return voltage_v is not None and low <= voltage_v / self._battery.cells <= high
+        low_v, high_v = self._battery.plausible_v
+        return voltage_v is not None and low_v <= voltage_v <= high_v
 
     # -- counting ------------------------------------------------------------------------------
 
@@ -464,16 +463,13 @@ def _finite(seen: BatteryObservation) -> BatteryObservation:
     celsius = seen.temperature_c
     cold = celsius is not None and math.isfinite(celsius) and -60.0 <= celsius <= 90.0
     remaining = known(seen.remaining_frac)
-    return BatteryObservation(
-        t_s=seen.t_s,
-        at_rest=seen.at_rest,
+    return replace(
+        seen,
         voltage_v=known(seen.voltage_v),
         current_a=known(seen.current_a),
         consumed_mah=known(seen.consumed_mah),
         consumed_wh=known(seen.consumed_wh),
         remaining_frac=min(remaining, 1.0) if remaining is not None else None,
-        remaining_is_timer=seen.remaining_is_timer,
         temperature_c=celsius if cold else None,
         modelled_power_w=known(seen.modelled_power_w),
-        source=seen.source,
     )

@@ -7,7 +7,7 @@ sends. No accelerometer or throttle is needed.
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +49,12 @@ class ReportedMotion:
     thrust_e: float
     turning_mps2: float
     since_s: float | None
+
+    def turned(self, turn_rad: float) -> "ReportedMotion":
+        """The same, had the heading been reported so much farther clockwise."""
+        cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+        north, east = self.thrust_n, self.thrust_e
+        return replace(self, thrust_n=cos * north - sin * east, thrust_e=sin * north + cos * east)
 
 
 class MotionWatch:

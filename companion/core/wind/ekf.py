@@ -313,6 +313,10 @@ class WindState:
                 for second in (At.MEAN, At.LATELY):
                     self.cov[first + at, second + at] += variance_m2ps2
 
+    def open_trim(self, variance_rad2: float) -> None:
+        """Add this variance to both trims."""
+        self.cov[[At.TRIM, At.TRIM + 1], [At.TRIM, At.TRIM + 1]] += variance_rad2
+
     def open_gain(self, variance: float) -> None:
         """Add this variance to both drag gains, fully correlated: both axes changed together."""
         self.cov[At.LOG_GAIN : At.HEADING, At.LOG_GAIN : At.HEADING] += variance

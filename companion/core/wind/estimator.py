@@ -10,6 +10,8 @@
   back on the opposite heading shows it.
 - In light wind two filters, one for calm and one for turbulent air, are weighed against each other
   (`multiple_model`); in wind there is the second alone.
+- A step of the reported heading suspends all that depends on it, until the heading is known again
+  (`heading_watch`). The wind before the step is kept and ages; no wind is valid meanwhile.
 - While an airspeed is used, both filters run once more without it. The airspeed is checked against
   these, and when it proves false they take over at once.
 - A released parcel changes the drag by more than its mass tells, so the gains are opened again.
@@ -18,6 +20,7 @@
 """
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -32,6 +35,7 @@ from companion.core.wind.airspeed_update import (
 )
 from companion.core.wind.drag_update import MotionWatch, TiltTold, has_tilt, tilt_told
 from companion.core.wind.ekf import STATES, At, WindEstimatorParams, WindState, gust_length_m
+from companion.core.wind.heading_watch import HeadingWatch
 from companion.core.wind.multiple_model import Airs
 from companion.core.wind.observation import WindBelief, WindObservation
 
@@ -41,6 +45,7 @@ SNAPSHOT_FORMAT = "wind-estimator/5"
 
 
 KNOWN_DRAG_STD_FRAC = 0.1
+REOPENED_WIND_MPS, REOPENED_TRIM_RAD = 0.5, math.radians(0.3)  # after a step of the heading
 FRONT_WALK_M2PS3 = 0.05  # ten times the recordings': fronts are what a way home is lost to
 
 
@@ -71,6 +76,7 @@ class WindEstimator:
         self._entered_s: dict[str, float] = {}
         self._tilt_s = 0.0
         self._motion = MotionWatch()
+        self._heading = HeadingWatch()
         self._pitot = PitotWatch()
         self._rejected_since_s: float | None = None
         self._mass_kg: float | None = None
@@ -131,11 +137,16 @@ class WindEstimator:
         self._notice_mass(observation.mass_kg)
         left_out: list[str] = []
         if observation.airborne:
+            left_out += self._take_heading(observation)
+        else:
+            self._motion.forget()
+            self._heading = HeadingWatch()
+        if self._heading.off_rad:
+            return tuple(left_out)
+        if observation.airborne:
             left_out += self._take_tilt(observation)
             left_out += self._take_pitot(observation)
             left_out += self._take_vector(observation, dt_s)
-        else:
-            self._motion.forget()
         left_out += self._take_autopilot(observation)
         return tuple(left_out)
 
@@ -157,6 +168,7 @@ class WindEstimator:
             "usual": airs.usual.snapshot(),
             "calm": None if airs.calm is None else airs.calm.snapshot(),
             "chance_calm": airs.chance_calm,
+            "heading_off_rad": self._heading.off_rad,
         }
 
     def restore(self, snapshot: dict[str, object]) -> None:
@@ -166,6 +178,7 @@ class WindEstimator:
         try:
             t_s = msgspec.convert(snapshot["t_s"], float | None)
             chance = msgspec.convert(snapshot["chance_calm"], float)
+            off_rad = msgspec.convert(snapshot.get("heading_off_rad", 0.0), float)
             usual = self._restored(snapshot["usual"])
             calm = None if snapshot["calm"] is None else self._restored(snapshot["calm"])
         except (KeyError, ValueError, msgspec.ValidationError) as error:
@@ -174,6 +187,7 @@ class WindEstimator:
             raise LeewayError("checkpoint: expected a chance of calm from 0 to under 1")
         self._t_s, self._with_airspeed = t_s, None
         self._alone = Airs(usual, calm, chance)
+        self._heading = HeadingWatch(off_rad)
 
     def _restored(self, snapshot: object) -> WindState:
         state = WindState(self._airframe, self._params)
@@ -195,6 +209,42 @@ class WindEstimator:
             for state in self._states():
                 state.open_gain(self._params.gain_parcel_std_frac**2)
         self._mass_kg = mass_kg
+
+    def _take_heading(self, seen: WindObservation) -> list[str]:
+        """Suspend what depends on the heading while it is not known."""
+        heading, was_off = self._heading, self._heading.off_rad != 0.0
+        step = heading.step(seen)
+        if step:
+            self._entered_s.clear()
+            self._tilt_s = 0.0
+        elif was_off and self._heading_fits(seen):
+            heading.off_rad = 0.0
+        if step or (was_off and not heading.off_rad):
+            self._motion.forget()
+        if was_off and not heading.off_rad:
+            for state in self._states():
+                state.open_wind(REOPENED_WIND_MPS**2)
+                state.open_trim(REOPENED_TRIM_RAD**2)
+            return ["heading known again: estimate reopened"]
+        size_deg = round(abs(math.degrees(step)), -1)
+        return (
+            [f"heading stepped by {size_deg:.0f} deg, more than a turn: not used"] if step else []
+        )
+
+    def _heading_fits(self, seen: WindObservation) -> bool:
+        if not has_tilt(seen):
+            self._motion.forget()
+            return False
+        motion = self._motion.take(seen, self._params)
+        if motion.since_s is None or seen.yaw_rad is None:
+            return False
+        misfits: list[float] = []
+        for turn_rad in (0.0, -self._heading.off_rad):
+            turned = replace(seen, yaw_rad=seen.yaw_rad + turn_rad)
+            at = self._airframe, self._params, turned, motion.turned(turn_rad)
+            white = tilt_told(self._believed, *at).white
+            misfits.append(min(float(white @ white), self._params.gate_sigmas**2))
+        return self._heading.weigh(misfits[0], misfits[1], motion.since_s)
 
     def _take_tilt(self, seen: WindObservation) -> list[str]:
         if not has_tilt(seen):

@@ -17,7 +17,7 @@ class WindObservation:
     air, along heading and right of it; `autopilot_wind_to_ne_mps` only when the autopilot's adapter
     knows it to be a real estimate, with its variances and covariance (nn, ne, ee) where it says;
     `height_m` above the ground, for the size of the eddies; `density_kgpm3` of the air, which drag
-    goes with.
+    goes with; `attitude_t_s` of the attitude, where it is not `t_s`; `yaw_rate_rps` as reported.
     """
 
     t_s: float
@@ -34,6 +34,8 @@ class WindObservation:
     airspeed_fr_mps: tuple[float, float] | None = None
     height_m: float | None = None
     density_kgpm3: float = REFERENCE_DENSITY_KGPM3
+    attitude_t_s: float | None = None
+    yaw_rate_rps: float | None = None
 
     def refuse_nan(self) -> None:
         """Raise ValueError on NaN, infinity, no mass, no air, or a covariance that is none."""

@@ -273,7 +273,7 @@ def test_two_packs_some_points_apart_ground_nothing():
     for k in range(40):
         t_s = 1.5 + 0.5 * k
         one = ev.Battery(t_s, voltage_v=25.6, current_a=0.5, remaining_frac=0.95, pack=0)
-        other = ev.Battery(t_s, remaining_frac=0.90, pack=1)
+        other = ev.Battery(t_s, voltage_v=25.5, remaining_frac=0.90, pack=1)
         judge.observe(standing(t_s, one, other, now=now), ev.AutopilotKind.ARDUPILOT)
         assert judge.energy is not None
         left.append(judge.energy.mean_wh / judge.energy.usable_full_wh)

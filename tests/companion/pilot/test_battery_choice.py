@@ -1,0 +1,153 @@
+"""Which battery monitor measures the pack: the one with a voltage, whatever its number.
+
+Expected energies are those of the same pack reported as monitor 0 and alone.
+"""
+
+import math
+
+import pytest
+
+from companion.adapters.files.params import read_airframe, read_wind_process
+from companion.core.base.place import Place
+from companion.core.mission import events as ev
+from companion.core.mission.actions import Answer, Reply
+from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle
+from companion.core.pilot.context import PilotOptions
+from companion.core.pilot.estimates import Estimates
+from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.pilot.transitions import Phase
+from companion.core.routing.leg_energy import RouteEnergy
+from tests.companion.pilot.fake_vehicle import World, start, world
+
+AIRFRAME = read_airframe("m100")
+V_RANGE = (15.6, 27.6)  # six cells of 2.6 V (empty, under load) to 4.6 V
+FULL = {"voltage_v": 25.6, "current_a": 0.5}
+LOW = {"voltage_v": 21.9, "current_a": 0.5, "remaining_frac": 0.09}
+KINDS = [ev.AutopilotKind.PX4, ev.AutopilotKind.ARDUPILOT]
+
+
+def judgement(charge_frac=None):
+    vehicle = Vehicle(airframe="m100", charge_frac=charge_frac or [0.05, 1.0])
+    site = Site(customer=Place(east_m=0.0, north_m=0.0))
+    flight = Flight(format="flight/1", site=site, vehicle=vehicle, mission=Mission())
+    return Estimates(flight, AIRFRAME, RouteEnergy(AIRFRAME), read_wind_process("coast"))
+
+
+def stood(messages, kind, judge=None, seconds=10):
+    """Energy and telemetry after standing so long with these monitors reporting at 2 Hz."""
+    now, judge = TelemetryState().expecting(V_RANGE), judge or judgement()
+    warnings = []
+    for k in range(2 * seconds):
+        t_s = 1.0 + 0.5 * k
+        now.update(ev.VehicleState(t_s, ev.Mode.HOLD, "HOLD", armed=False))
+        for pack, fields in messages:
+            now.update(ev.Battery(t_s, **fields, pack=pack))
+        now.update(ev.Tick(t_s))
+        warnings += judge.observe(now, kind)
+    return judge.energy, now, warnings
+
+
+def wh(energy):
+    return None if energy is None else (energy.mean_wh, energy.std_wh)
+
+
+EMPTY_0 = [
+    {"remaining_frac": 1.0},
+    {"remaining_frac": 0.0},
+    {"remaining_frac": 0.5, "consumed_ah": 3.0, "consumed_j": 2e5},
+    {"voltage_v": 0.3, "current_a": 0.0, "remaining_frac": 1.0},  # an open input
+    {"voltage_v": 5.1, "current_a": 0.4, "remaining_frac": 0.0},  # the avionics' supply
+    {},
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("pack", [FULL, LOW])
+@pytest.mark.parametrize("empty", EMPTY_0)
+def test_a_monitor_without_a_pack_changes_nothing_of_the_packs_energy(kind, pack, empty):
+    alone, _, _ = stood([(0, pack)], kind)
+    for others in ([(0, empty), (1, pack)], [(1, pack), (0, empty)], [(2, empty), (3, pack)]):
+        for whole in ([], [(None, empty)]):
+            energy, now, warnings = stood(whole + others, kind)
+            assert wh(energy) == wh(alone)
+            assert now.battery is not None
+            assert now.battery.voltage_v == pack["voltage_v"]
+            assert sum("the pack is battery" in words for words in warnings) == 1
+
+
+def test_what_speaks_of_the_whole_vehicle_counts_where_it_is_about_the_pack():
+    # PX4's SYS_STATUS is of the connected battery with the least charge.
+    told = [(0, {"remaining_frac": 1.0}), (1, LOW), (None, LOW | {"remaining_frac": 0.05})]
+    _, now, _ = stood(told, ev.AutopilotKind.PX4)
+    assert [one.pack for one in now.pack_messages] == [1, None]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_without_a_voltage_no_stated_charge_becomes_energy(kind):
+    for messages in (
+        [(0, {"remaining_frac": 1.0}), (None, {"remaining_frac": 1.0})],
+        [(1, {"remaining_frac": 0.9})],
+        [],
+    ):
+        energy, now, _ = stood(messages, kind, judgement(charge_frac=1.0))
+        assert energy is None
+        assert "expected a monitor that measures the pack" in now.pack_missing()
+        for pack, _ in messages:
+            assert ("SYS_STATUS" if pack is None else f"battery {pack}") in now.pack_missing()
+
+
+def test_two_real_packs_are_reported_by_the_first_and_the_lower_charge_counts():
+    first = {"voltage_v": 25.0, "current_a": 0.5, "remaining_frac": 0.9}
+    second = {"voltage_v": 24.8, "current_a": 0.6, "remaining_frac": 0.7}
+    energy, now, warnings = stood([(0, first), (1, second)], ev.AutopilotKind.ARDUPILOT)
+    assert now.battery is not None
+    assert now.battery.voltage_v == 25.0
+    assert energy is not None
+    assert energy.mean_wh == pytest.approx(0.7 * energy.usable_full_wh, rel=1e-6)
+    assert not any("the pack is" in words for words in warnings)
+
+
+def test_in_flight_another_monitor_does_not_take_the_packs_place():
+    now = TelemetryState().expecting(V_RANGE)
+    now.update(ev.Battery(1.0, voltage_v=25.0, pack=0))  # no current sensor, as PX4's SIH
+    now.update(ev.VehicleState(1.0, ev.Mode.MISSION, "AUTO", armed=True))
+    now.update(ev.Battery(1.5, voltage_v=24.0, current_a=10.0, pack=7))
+    assert now.battery is not None
+    assert now.battery.voltage_v == 25.0
+    now.update(ev.Tick(math.nextafter(9.0, 10.0)))
+    now.update(ev.Battery(9.0, voltage_v=24.0, current_a=10.0, pack=7))
+    assert now.battery is not None
+    assert now.battery.t_s == 1.0
+
+
+class Unmeasured(World):
+    """Its battery monitor states a charge and measures nothing, once `measures` is false."""
+
+    measures = True
+
+    def telemetry(self):
+        return [
+            ev.Battery(self.t_s, remaining_frac=1.0, pack=0)
+            if isinstance(event, ev.Battery) and not self.measures
+            else event
+            for event in super().telemetry()
+        ]
+
+
+@pytest.mark.parametrize("until", [None, Phase.READY])
+def test_no_measured_pack_no_take_off_and_the_operator_reads_why(until):
+    made = world(options=PilotOptions(configure=True))
+    w = Unmeasured(made.pilot, made.judge)
+    w.measures = until is not None
+    w.judge.known = until is not None  # the ledger begins with a measured pack only
+    start(w)
+    if until is not None:
+        w.until(until)
+        w.measures = False
+    for _ in range(300):
+        w.step()
+    assert Answer(Reply.LATER) in w.tell(ev.Authorised(w.t_s, "255/190"))
+    for _ in range(100):
+        w.step()
+    assert not w.armed
+    assert "no battery voltage: received battery 0 at 100%; expected a monitor" in w.said
