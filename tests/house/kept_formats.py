@@ -68,10 +68,15 @@ def plain(value: Any) -> Any:
     return json.loads(msgspec.json.encode(value))
 
 
+ADDED = {"heading_off_rad", "yaw_rate_rps"}
+"""Keys that later versions write too."""
+
+
 def shape(value: Any, at: str = "") -> set[str]:
     """The keys of a document, whatever its values and however many rows it has."""
     if isinstance(value, dict):
-        return {at}.union(*(shape(one, f"{at}.{key}") for key, one in value.items()))
+        kept = ((key, one) for key, one in value.items() if key not in ADDED)
+        return {at}.union(*(shape(one, f"{at}.{key}") for key, one in kept))
     if isinstance(value, list):
         return {f"{at}[]"}.union(*(shape(one, f"{at}[]") for one in value))
     return {at}

@@ -40,6 +40,7 @@ from ground_station.adapters.store.database import Database
 from ground_station.core.fleet.station_message import decode_station, encode_station
 from sim_bridge.app.flight.own_record import own_row
 from tests.house.kept_formats import (
+    ADDED,
     MEMBER_KEY,
     READERS,
     ROOT,
@@ -59,8 +60,6 @@ ROUTE = "/foxglove_route"
 PACKAGES = ("companion", "ground_station", "sim_bridge")
 MOST_ROWS = 30
 """Of each topic: enough for every key that a row may have."""
-ADDED: set[str] = set()
-"""Paths of keys that later versions write too, such as `.mission.new_key`."""
 
 NO_FIXTURE = {
     "audit/1": "a domain of digests: the audit's rows are in the store",
@@ -83,11 +82,11 @@ def differences(then: Any, now: Any, at: str = "") -> list[str]:
     """Where two documents differ."""
     if isinstance(then, dict) and isinstance(now, dict):
         odd = [f"{at}.{key}: gone" for key in then.keys() - now.keys()]
-        odd += [
-            f"{at}.{key}: new" for key in now.keys() - then.keys() if f"{at}.{key}" not in ADDED
-        ]
+        odd += [f"{at}.{key}: new" for key in now.keys() - then.keys() if key not in ADDED]
         both = [(then[key], now[key], f"{at}.{key}") for key in then.keys() & now.keys()]
         return odd + [words for one in both for words in differences(*one)]
+    if isinstance(now, list):  # a schema's list of required keys
+        now = [one for one in now if not (isinstance(one, str) and one in ADDED)]
     if isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         pairs = enumerate(zip(then, now, strict=True))
         return [words for n, (a, b) in pairs for words in differences(a, b, f"{at}[{n}]")]
