@@ -38,6 +38,7 @@ ELSEWHERE = {
 """What nobody who clones the repository can look up, and what to cite in its place."""
 
 NOT_CITED = {
+    *(f"sim_bridge/_reference/{name}" for name in ("ardupilot.json", "px4.json", "differences.toml")),
     "params/wind/site.toml": "an example of a file that somebody writes",
     "companion/_params": "params, as the installed package carries it",
     "sim_bridge/_reference": "tests/reference, as the installed package carries it",

@@ -88,7 +88,7 @@ class Ears:
         self.pilot = Pilot(
             flight, airframe, wind_process, obstacles=None, requirements=requirements,
             digest=digest_of(path, airframe, wind_process),
-            options=PilotOptions(configure=True, authorise=True),
+            options=PilotOptions(configure=True, authorise=True, without_operator=True),
         )  # fmt: skip
         self.recorder = Recorder(folder, at_once=True)
         self.loop = Loop.wire(

@@ -92,9 +92,9 @@ class TelemetryState:
     disarmed_since_s: float | None = None
     """When the first of the newest heartbeats came that all say disarmed."""
     _disarmed_reports: int = 0
-    mode_s: float | None = None
+    _mode_s: float | None = None
     """When the mode was reported last."""
-    mode_gap_s: float | None = None
+    _mode_gap_s: float | None = None
     """When the last gap in the reports of the mode ended."""
     _mode_every_s: float = 0.0
 
@@ -144,14 +144,14 @@ class TelemetryState:
                 return
 
     def _note_mode(self, t_s: float) -> None:
-        interval_s = t_s - (self.mode_s if self.mode_s is not None else t_s)
+        interval_s = t_s - (self._mode_s if self._mode_s is not None else t_s)
         if interval_s > max(MODE_GAP_S, 1.6 * self._mode_every_s):
-            self.mode_gap_s = t_s
-        self.mode_s, self._mode_every_s = t_s, interval_s
+            self._mode_gap_s = t_s
+        self._mode_s, self._mode_every_s = t_s, interval_s
 
     def has_mode_gap_since(self, then_s: float) -> bool:
         """Tell whether the mode may have changed and changed back unseen since then."""
-        return self.mode_gap_s is not None and self.mode_gap_s >= then_s
+        return self._mode_gap_s is not None and self._mode_gap_s >= then_s
 
     def _take_heartbeat(self, new: VehicleState) -> None:
         was_armed = self.armed

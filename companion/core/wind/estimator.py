@@ -222,9 +222,10 @@ class WindEstimator:
         if step or (was_off and not heading.off_rad):
             self._motion.forget()
         if was_off and not heading.off_rad:
+            trim_rad = min(REOPENED_TRIM_RAD, math.radians(self._airframe.drag.trim_std_deg))
             for state in self._states():
                 state.open_wind(REOPENED_WIND_MPS**2)
-                state.open_trim(REOPENED_TRIM_RAD**2)
+                state.open_trim(trim_rad**2)
             return ["heading known again: estimate reopened"]
         size_deg = round(abs(math.degrees(step)), -1)
         return (

@@ -10,9 +10,7 @@ import math
 from companion.core.wind.observation import WindObservation
 
 TOLERANCE_RAD = math.radians(10.0)  # of one report to the next: noise, filters, turns that begin
-MOST_RPS = (
-    math.pi
-)  # without a reported rate: faster than autopilots turn a multirotor by themselves
+MOST_RPS = math.pi  # without a reported rate: faster than autopilots turn a multirotor
 RATED_RPS, RATE_ERROR_FRAC = math.radians(60.0), 0.3  # beside a rate: turns unseen, rates in tilt
 SLOWEST_S, MOST_TURN_RAD = 1.0, math.radians(50.0)  # at low rates: more is checked by the drag
 WILD_RPS = 20.0

@@ -15,7 +15,6 @@ from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.side_by_side import Workers
 from sim_bridge.adapters.journal import Journal, PiecesLost, digest_of, journaled_map
-from sim_bridge.research.benchmarks import planner_bench
 from sim_bridge.research.campaign import frontier_check
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, scenario_set
 from sim_bridge.research.results.sheet import Sheet, interval95, mean_std
@@ -134,14 +133,6 @@ def test_means_and_intervals_are_the_textbook_ones():
     assert mean_std([1.0, 2.0, 3.0]) == "2.0 ± 1.0"
     low, high = interval95([1.0, 2.0, 3.0])
     assert high - low == pytest.approx(2 * 1.96 / math.sqrt(3.0))
-
-
-@pytest.mark.parametrize(
-    "scenario", [planner_bench.bench_scenario(), planner_bench.recorded_scenario()]
-)
-def test_what_the_benchmark_calls_fast_and_plain_end_alike(scenario):
-    poor = msgspec.structs.replace(scenario, budget_wh=60.0)
-    assert planner_bench.same_as_plain(poor, 40)
 
 
 def test_long_work_goes_on_where_it_stopped_and_does_nothing_twice(tmp_path):
