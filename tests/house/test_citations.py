@@ -38,10 +38,12 @@ ELSEWHERE = {
 """What nobody who clones the repository can look up, and what to cite in its place."""
 
 NOT_CITED = {
-    *(f"sim_bridge/_reference/{name}" for name in ("ardupilot.json", "px4.json", "differences.toml")),
     "params/wind/site.toml": "an example of a file that somebody writes",
     "companion/_params": "params, as the installed package carries it",
-    "sim_bridge/_reference": "tests/reference, as the installed package carries it",
+    **{
+        f"sim_bridge/_reference/{name}": "tests/reference, as the installed package carries it"
+        for name in ("ardupilot.json", "px4.json", "differences.toml")
+    },
     "ground_station/adapters/web/assets": "fetched by `make map-assets`",
     "companion/crowd": "made up by test_structure.py",
 }
