@@ -71,6 +71,7 @@ class ArduPilot:
     home_items = 1
     free_yaw: float = 0.0  # it refuses NaN in TAKEOFF (AP_Mission::sanity_check_params)
     bytewise_parameters = False
+    reads_any_item = True
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
     unwanted_streams: tuple[int, ...] = ()

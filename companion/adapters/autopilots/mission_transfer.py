@@ -191,8 +191,11 @@ class MissionDownload:
         home_items: int,
         t_s: float,
         pace_s: float = 0.0,
+        window: int = 1,
     ) -> None:
         self._pace_s = pace_s
+        self._window = window
+        self._requested = 0
         self._send = send
         self._target = target
         self._home_items = home_items
@@ -217,12 +220,11 @@ class MissionDownload:
         autopilot = mavlink.MAV_COMP_ID_AUTOPILOT1
         if self._count is None:
             self._send(mavlink.MAVLink_mission_request_list_message(self._target, autopilot, 0))
-        else:
-            self._send(
-                mavlink.MAVLink_mission_request_int_message(
-                    self._target, autopilot, len(self._found), 0
-                )
-            )
+            return
+        first = len(self._found) if self._tries > 1 else max(self._requested, len(self._found))
+        self._requested = min(len(self._found) + self._window, self._count)
+        for seq in range(first, self._requested):
+            self._send(mavlink.MAVLink_mission_request_int_message(self._target, autopilot, seq, 0))
 
     def on_message(self, message: Any, t_s: float) -> None:
         """Take MISSION_COUNT, MISSION_ITEM_INT or MISSION_ACK."""
@@ -274,6 +276,6 @@ class MissionDownload:
             self.done = self._error or "no answer to the download"
             return
         if self._error is not None:  # PX4 has ended the transfer, another autopilot goes on
-            self._count = None
+            self._count, self._requested = None, 0
             self._found.clear()
         self._ask(t_s)

@@ -377,8 +377,9 @@ class AutopilotPort:
                 self._upload = None
                 self._expected = order.items
                 self._first_only = order.first_only
+                window = order.window if profile.reads_any_item else 1
                 self._download = MissionDownload(
-                    self._send, system, profile.home_items, t_s, order.pace_s
+                    self._send, system, profile.home_items, t_s, order.pace_s, window
                 )
             case SetMode():
                 name = f"mode {order.mode.value}"

@@ -76,6 +76,7 @@ class Px4:
     home_items = 0
     free_yaw: float = math.nan  # 0 would be a heading: north
     bytewise_parameters = True
+    reads_any_item = False
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
     unwanted_streams: tuple[int, ...] = UNWANTED_STREAMS

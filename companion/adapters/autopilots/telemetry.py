@@ -75,6 +75,7 @@ class AutopilotProfile(Protocol):
     home_items: int
     free_yaw: float
     bytewise_parameters: bool
+    reads_any_item: bool
     streams: tuple[tuple[str, int, float, bool], ...]
     unwanted_streams: tuple[int, ...]
     trust_parameters: tuple[str, ...]

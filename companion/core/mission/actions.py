@@ -62,12 +62,13 @@ class ReadMissionBack(Order):
     """Download the mission aboard and compare it with this one.
 
     `pace_s`: so long between two items; 0: as fast as the link is. `first_only`: end at the first
-    item that differs.
+    item that differs. `window`: requests sent at a time, where the autopilot answers several.
     """
 
     items: tuple[MissionItem, ...]
     pace_s: float = 0.0
     first_only: bool = False
+    window: int = 1
 
 
 @dataclass(frozen=True, slots=True)

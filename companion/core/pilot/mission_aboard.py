@@ -35,6 +35,10 @@ from companion.core.pilot.transitions import (
 PACE_S = 0.5
 """Between two items of the slow reading: 70 bytes each, 2.5 % of a radio of 57,600 baud."""
 
+WINDOW = 6
+"""Items requested at a time while a person has control: 0.05 s of a radio of 57,600 baud. Only a
+reading that is done lets a hand-back resume at once."""
+
 PAUSE_S = 10.0
 """Between two slow readings, and room for what is asked again in one."""
 
@@ -180,7 +184,7 @@ class MissionAboard:
             return
         if not self.is_proven(context):
             state.asked_s = context.t_s
-            context.do(ReadMissionBack(flown.mission.items))
+            context.do(ReadMissionBack(flown.mission.items, window=WINDOW))
 
     # --- doubt -----------------------------------------------------------------------------------
 

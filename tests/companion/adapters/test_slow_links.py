@@ -143,6 +143,22 @@ def test_a_stray_result_ends_no_transfer(autopilot: AutopilotKind, result: int) 
 
 
 @BOTH
+def test_a_mission_is_read_back_with_several_requests_at_a_time(autopilot: AutopilotKind) -> None:
+    link = SlowLink(autopilot, 0.0)
+    link.order(UploadMission(ITEMS))
+    link.is_uploaded_and_read_back()
+    took: dict[int, float] = {}
+    for window in (1, 6):
+        began_s = link.t_s
+        link.order(ReadMissionBack(ITEMS, window=window))
+        read = link.until(ev.MissionReadBack, 20.0)
+        assert read == ev.MissionReadBack(read.t_s, ())
+        took[window] = link.t_s - began_s
+    if autopilot is AutopilotKind.ARDUPILOT:
+        assert took[6] < 0.5 * took[1]
+
+
+@BOTH
 def test_requests_of_a_transfer_that_was_dropped_are_discarded(autopilot: AutopilotKind) -> None:
     link = SlowLink(autopilot, 0.7)
     link.order(UploadMission(ITEMS[:4]))
