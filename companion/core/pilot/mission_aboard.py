@@ -24,7 +24,6 @@ from companion.core.mission.events import (
 )
 from companion.core.mission.mission_items import MissionItem
 from companion.core.pilot.context import FlightContext, GateState, Jumps
-from companion.core.pilot.telemetry_state import PROGRESS_MAX_AGE_S
 from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     OUTWARD_PHASES,
@@ -34,10 +33,6 @@ from companion.core.pilot.transitions import (
 
 PACE_S = 0.5
 """Between two items of the slow reading: 70 bytes each, 2.5 % of a radio of 57,600 baud."""
-
-WINDOW = 6
-"""Items requested at a time while a person has control: 0.05 s of a radio of 57,600 baud. Only a
-reading that is done lets a hand-back resume at once."""
 
 PAUSE_S = 10.0
 """Between two slow readings, and room for what is asked again in one."""
@@ -78,8 +73,6 @@ class AboardState:
     restored: bool = False
     foreign_s: float | None = None
     """When telemetry last told of another list than ours, or of none; also after hands off."""
-    proven_s: float | None = None
-    """When the reading began that last proved the list while a person has control."""
 
     @property
     def in_doubt(self) -> bool:
@@ -115,13 +108,10 @@ class MissionAboard:
             case MissionProgress():
                 self._told(context, event, len(items))
             case MissionTouched():
-                if context.phase in (Phase.READY, Phase.SUSPENDED):
+                if context.phase is Phase.READY:
                     self._state.foreign_s = context.t_s
                 self._state.touched = self._state.in_doubt
                 self._doubt(context, event.words)
-            case MissionReadBack() if context.phase is Phase.SUSPENDED and event.complete:
-                if not event.differences:
-                    self._state.proven_s = self._state.asked_s
             case MissionReadBack() if context.phase in FLOWN_PHASES:
                 self._read(context, event, items)
             case MissionUploaded() if self._state.step is Step.RESTORE and event.reason is None:
@@ -135,8 +125,6 @@ class MissionAboard:
     def tick(self, context: FlightContext) -> None:
         """In doubt: go on until it is settled. Else read slowly, where no id is told."""
         state, flown = self._state, context.flight_plan
-        if context.phase is Phase.SUSPENDED:
-            self._prove_while_held(context)
         if flown is None or context.phase not in FLOWN_PHASES or state.step is Step.GIVEN_UP:
             return
         items = flown.mission.items
@@ -149,42 +137,12 @@ class MissionAboard:
         elif state.failed_s is not None and context.since_s(state.failed_s) > AGAIN_S:
             self._try_again(context, items)
 
-    # --- while a person has control ---------------------------------------------------------------
-
     def is_proven(self, context: FlightContext) -> bool:
-        """Whether the list is known to be ours now, so that a hand-back resumes at once.
-
-        By its id, or by a complete reading with no sign of another writer and no gap in telemetry
-        since then.
-        """
-        state, progress = self._state, context.telemetry.progress
-        flown = context.flight_plan
-        if (
-            flown is None
-            or progress is None
-            or progress.total not in (None, len(flown.mission.items))
-        ):
+        """Whether the list is known to be ours by its id, in a report since this phase began."""
+        id_, reported = self._state.mission_id, context.telemetry.progress
+        if id_ is None or reported is None:
             return False
-        if not context.telemetry.is_fresh(progress, PROGRESS_MAX_AGE_S):
-            return False
-        if state.mission_id is not None:
-            return progress.mission_id == state.mission_id
-        since_s = state.proven_s
-        if since_s is None or context.telemetry.has_mode_gap_since(since_s):
-            return False
-        return state.foreign_s is None or state.foreign_s < since_s
-
-    def _prove_while_held(self, context: FlightContext) -> None:
-        """Read the list once, and again after a sign of another writer, where no id is sent."""
-        state, flown = self._state, context.flight_plan
-        if flown is None or state.mission_id is not None or not context.telemetry.airborne:
-            return
-        asked = state.asked_s is not None and state.asked_s >= context.phase_since_s
-        if asked and context.since_s(state.asked_s) <= PAUSE_S:
-            return
-        if not self.is_proven(context):
-            state.asked_s = context.t_s
-            context.do(ReadMissionBack(flown.mission.items, window=WINDOW))
+        return reported.t_s > context.phase_since_s and reported.mission_id == id_
 
     # --- doubt -----------------------------------------------------------------------------------
 

@@ -17,7 +17,6 @@ from companion.core.mission.actions import (
     Note,
     Order,
     Publish,
-    ReadMissionBack,
     SaveCheckpoint,
     Severity,
     WindReport,
@@ -321,8 +320,7 @@ class Pilot:
         self._take(event)
         actions = [self._setpoints.routed(context, action) for action in context.take_outbox()]
         if context.phase not in COMMANDING_PHASES:
-            reads = ReadMissionBack if context.phase is Phase.SUSPENDED else ()
-            actions = [a for a in actions if not isinstance(a, Order) or isinstance(a, reads)]
+            actions = [action for action in actions if not isinstance(action, Order)]
         return actions
 
     def _take(self, event: Event) -> None:

@@ -48,6 +48,12 @@ MODE_SHOWS_S = 5.0
 """A mode command shows within this: its answer, a heartbeat at 1 Hz, and a slow link."""
 
 READ_AGAIN_S = 20.0
+
+WINDOW = 12
+"""Items requested at a time at a hand-back: 0.1 s of a radio of 57,600 baud. Until the mode command
+leaves, a person who selects HOLD in HOLD is not seen to do so.
+"""
+
 JUMP_AGAIN_S = 2.5
 MODE_ORDER = f"mode {Mode.MISSION.value}"
 """What the adapter calls the order."""
@@ -94,10 +100,10 @@ class ModeWatch(ModeOrders, Protocol):
 
 
 class MissionProof(Protocol):
-    """The part of mission aboard that verifies while a person has control."""
+    """Mission aboard's part: verification without a reading."""
 
     def is_proven(self, context: FlightContext) -> bool:
-        """Whether the list is known to be ours now."""
+        """Whether the list is known to be ours, by a report of this phase."""
         ...
 
 
@@ -195,8 +201,7 @@ class Resume:
     def begin(self, context: FlightContext, why: str) -> None:
         """Ask for everything again, if this flight is ours to fly at all."""
         state, kept = context.telemetry.state, self._checkpoint
-        self._mission_matches = self._modes.handed_back and self._aboard.is_proven(context)
-        self._restored = False
+        self._mission_matches = self._restored = False
         self._ordered_s = self._entry = None
         self._held_mode = state.mode_name if state is not None else ""
         handed_back = self._modes.handed_back
@@ -212,7 +217,8 @@ class Resume:
         if context.flight_plan is None:
             return
         context.decide("recognise", why or "reading the mission aboard again")
-        context.do(AskTelemetry(), AskBoard(), ReadMissionBack(context.flight_plan.mission.items))
+        items, window = context.flight_plan.mission.items, WINDOW if handed_back else 1
+        context.do(AskTelemetry(), AskBoard(), ReadMissionBack(items, window=window))
         self._settings.ask_parameters(context)
         self._asked_s = context.t_s
         self._progress.forget_item()
@@ -235,7 +241,9 @@ class Resume:
         elif self._modes.handed_back and context.phase_s > RESUME_S:
             self._refuse(context, "mission not verified")
         elif not self._mission_matches:
-            if context.since_s(self._asked_s) > READ_AGAIN_S:
+            if self._modes.handed_back and not self._restored and self._aboard.is_proven(context):
+                self._mission_matches = True
+            elif context.since_s(self._asked_s) > READ_AGAIN_S:
                 self._asked_s = context.t_s
                 context.do(ReadMissionBack(context.flight_plan.mission.items))
         elif self._restored and not self._leads_home(context, context.flight_plan):

@@ -23,7 +23,6 @@ from sim_bridge.app.faults.verdict import (
     stays_disarmed,
     tells,
 )
-from sim_bridge.app.flight.operator import GROUND_COMPONENT, GROUND_SYSTEM
 from sim_bridge.app.link.tap import Change, as_it_is, with_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
@@ -208,7 +207,7 @@ HOLD_PARAMS = {"px4": (1.0, 4.0, 3.0), "ardupilot": (1.0, 5.0, 0.0)}
 
 def taken_back_at_once(stage: Stage) -> Iterator[None]:
     """A person takes over, hands back, and takes over again within 0.2 s."""
-    station = Station(stage, sender=(GROUND_SYSTEM, GROUND_COMPONENT))
+    station = Station(stage)
     craft = stage.craft
     yield from stage.reached()
     hold = HOLD_PARAMS[craft.autopilot_kind]

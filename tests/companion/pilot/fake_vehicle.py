@@ -219,8 +219,7 @@ class World:
             if isinstance(action, FindPlan):
                 self.answers.append(PlanFound(self.t_s, action.number, action.work()))
             if isinstance(action, Order):
-                reads = isinstance(action, ReadMissionBack)
-                assert reads or self.pilot.phase in COMMANDING_PHASES
+                assert self.pilot.phase in COMMANDING_PHASES
                 self.obey(action)
         return actions
 
@@ -393,10 +392,6 @@ class World:
 
     def orders_after(self, t_s: float) -> list[Order]:
         return [a for t, a in self.log if isinstance(a, Order) and t > t_s]
-
-    def commands_after(self, t_s: float) -> list[Order]:
-        """Orders but for readings of the mission, which change nothing."""
-        return [a for a in self.orders_after(t_s) if not isinstance(a, ReadMissionBack)]
 
     @property
     def kinds(self) -> list[str]:

@@ -93,7 +93,7 @@ def test_safety_rule_1_accepted_and_never_seen_armed_it_was_disarmed_by_another_
     assert "hands off: disarmed by another hand" in w.said
     done = w.to_the_end()
     assert (done.outcome, arms(w)) == ("ABRT", 1)
-    assert w.commands_after(armed_s) == []
+    assert w.orders_after(armed_s) == []
     assert w.values["LOW_ACT"] == 2.0
 
 
@@ -137,7 +137,7 @@ def test_safety_rule_1_armed_after_it_gave_up_it_lets_go_and_sets_nothing():
     w.step(0.5)
     taken_s = w.t_s
     w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 1.0)
-    assert w.commands_after(taken_s) == []
+    assert w.orders_after(taken_s) == []
 
 
 def test_safety_rule_1_disarmed_while_another_hand_has_it_it_is_not_armed_when_handed_back():
@@ -197,7 +197,7 @@ def test_safety_rule_1_disarmed_in_the_air_it_lets_go_says_where_and_sets_nothin
     done = w.to_the_end()
     assert done.home is False
     assert done.outcome in ("FAIL", "DEL")
-    assert w.commands_after(cut_s + 1.1) == []  # two heartbeats
+    assert w.orders_after(cut_s + 1.1) == []  # two heartbeats
     assert w.values["LOW_ACT"] == 2.0
 
 
@@ -216,7 +216,7 @@ def test_safety_rule_1_disarmed_low_in_a_landing_it_lets_go_when_it_hears_of_it_
     assert "disarmed in the air, it falls: 55.47" in w.said
     done = w.to_the_end()
     assert done.home is False
-    assert w.commands_after(cut_s) == []
+    assert w.orders_after(cut_s) == []
 
 
 # --- landed by another hand ----------------------------------------------------------------------

@@ -166,7 +166,7 @@ def test_who_stands_armed_in_another_hand_is_told_of_and_nothing_is_ordered():
     end_s = w.t_s + 200.0
     w.run(lambda w: w.t_s > end_s)
     assert w.pilot.phase is Phase.SUSPENDED
-    assert w.commands_after(taken_s + 1.0) == []
+    assert w.orders_after(taken_s + 1.0) == []
     w.armed = False
     assert w.to_the_end().outcome in ("TAKEN", "SUC", "FAIL", "DEL")
 
@@ -207,7 +207,7 @@ def test_safety_rule_1_the_pilot_takes_over_in_any_phase_and_not_one_order_follo
     taken_s, before = w.t_s, len(w.log)
     for _ in range(600):
         w.step()
-    assert w.commands_after(taken_s) == []
+    assert w.orders_after(taken_s) == []
     later = [a for _, a in w.log[before:]]
     assert any(isinstance(a, Publish) for a in later), "it goes on reporting"
 
@@ -218,7 +218,7 @@ def test_safety_rule_1_control_that_is_not_handed_back_stays_away_even_in_our_mo
     taken_s = w.t_s
     w.mode = Mode.MISSION
     w.run(lambda w: not w.armed)
-    assert w.commands_after(taken_s) == []
+    assert w.orders_after(taken_s) == []
 
 
 def test_safety_rule_1_handed_back_it_reads_the_mission_again_and_flies_on():
@@ -278,7 +278,7 @@ def test_safety_rule_1_a_second_onboard_computer_stays_passive():
     before = w.t_s
     for _ in range(300):
         w.step()
-    assert w.commands_after(before) == []
+    assert w.orders_after(before) == []
 
 
 def test_safety_rule_1_in_flight_the_one_that_flies_goes_on_when_another_wakes():
@@ -305,7 +305,7 @@ def test_safety_rule_1_of_two_computers_in_flight_the_one_that_began_last_flies(
     before = w.t_s
     for _ in range(100):
         w.step()
-    assert w.commands_after(before) == []
+    assert w.orders_after(before) == []
     assert w.said.count("passive: another onboard computer") == 1
 
 
@@ -487,7 +487,7 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
     for _ in range(50):
         w.step()
     assert w.pilot.phase is Phase.LAST_RESORT, "its own RTL is not a take-over"
-    assert w.commands_after(taken_s) == []
+    assert w.orders_after(taken_s) == []
 
 
 def test_a_late_report_before_the_last_resort_does_not_keep_the_flight_from_ending():
@@ -685,7 +685,7 @@ def test_an_autopilot_that_comes_down_blind_is_left_alone_and_the_operator_knows
     for _ in range(50):
         w.step()
     assert "coming down blind, last at 55.47" in w.said
-    assert w.commands_after(taken_s + 0.1) == []
+    assert w.orders_after(taken_s + 0.1) == []
 
 
 # --- safety rule 4: energy is counted and kept ---------------------------------------------------
@@ -1007,7 +1007,7 @@ def test_restarted_beside_a_pilot_who_has_taken_over_it_sends_nothing():
     assert again.pilot.phase is Phase.SUSPENDED
     for _ in range(100):
         again.step()
-    assert again.commands_after(-1.0) == []
+    assert again.orders_after(-1.0) == []
 
 
 def test_restarted_after_it_was_suspended_it_stays_suspended_in_our_own_mode():

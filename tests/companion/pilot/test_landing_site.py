@@ -399,7 +399,7 @@ def test_who_takes_over_while_an_rtl_waits_gets_none():
     for _ in range(200):
         w.step()
     assert w.pilot.phase is Phase.SUSPENDED
-    assert w.commands_after(taken_s + 0.6) == []
+    assert w.orders_after(taken_s + 0.6) == []
 
 
 def test_an_autopilot_that_does_not_take_the_stop_as_home_is_known_to_fly_to_the_launch_pad():

@@ -176,4 +176,4 @@ def test_safety_rule_1_while_another_hand_has_the_vehicle_nothing_is_put_aboard(
     put_aboard(w, dragged(w.items))
     for _ in range(100):
         w.step()
-    assert w.commands_after(taken_s) == []
+    assert w.orders_after(taken_s) == []

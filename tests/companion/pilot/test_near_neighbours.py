@@ -194,7 +194,7 @@ def test_safety_rule_1_a_person_who_takes_the_mode_keeps_it_near_neighbours(auto
     since_s = w.t_s
     for _ in range(100):
         w.step()
-    assert w.commands_after(since_s) == []
+    assert w.orders_after(since_s) == []
     assert w.mode is Mode.HOLD
 
 

@@ -60,7 +60,7 @@ def test_safety_rule_1_without_a_choice_it_alarms_again_and_again_and_orders_not
     said = [a for _, a in w.log if isinstance(a, Say) and "on HOLD" in a.text]
     assert {a.severity for a in said} == {Severity.CRITICAL}
     assert all(len(a.text.encode()) <= 50 for a in said)
-    assert w.commands_after(held_s) == []
+    assert w.orders_after(held_s) == []
 
 
 @pytest.mark.parametrize("phase", FLOWN)
@@ -69,7 +69,7 @@ def test_safety_rule_1_unanswered_it_orders_once_what_the_operator_chose(phase, 
     w = cleared(phase, options)
     held_s = w.t_s
     let(w, WAIT_S - 1.0)
-    assert w.commands_after(held_s) == []
+    assert w.orders_after(held_s) == []
     let(w, 2.0)
     assert modes(w) == [mode]
     assert w.pilot.phase is Phase.LAST_RESORT
@@ -87,7 +87,7 @@ def test_safety_rule_1_a_take_over_after_that_order_is_hands_off_again():
     let(w, 1.0)
     taken_s = w.t_s
     assert w.pilot.phase is Phase.SUSPENDED
-    assert let(w, 60.0).commands_after(taken_s) == []
+    assert let(w, 60.0).orders_after(taken_s) == []
 
 
 def takes_another_mode(w: World) -> None:
@@ -145,7 +145,7 @@ def test_safety_rule_1_a_failsafes_hold_unanswered_is_ended_as_the_operator_chos
     let(w, WAIT_S - 1.0)
     assert alarms(w)[0] <= held_s + 1.2
     assert "failsafe, on HOLD: RTL in 30 s" in w.said
-    assert w.commands_after(held_s) == []
+    assert w.orders_after(held_s) == []
     let(w, 2.0)
     assert modes(w) == [Mode.RTL]
 
@@ -155,7 +155,7 @@ def test_safety_rule_1_a_failsafes_hold_without_a_choice_alarms_and_orders_nothi
     held_s = w.t_s
     let(w, 60.0)
     assert len(alarms(w)) == 7
-    assert w.commands_after(held_s) == []
+    assert w.orders_after(held_s) == []
 
 
 def test_safety_rule_1_a_failsafe_that_acted_long_before_makes_no_hold_its_own():
