@@ -21,12 +21,13 @@ AGREES_S, AGREES_NATS = 2.0, 10.0
 class HeadingWatch:
     """Finds steps; `off_rad` is their sum, 0 while the heading is known."""
 
-    __slots__ = ("_before", "_evidence", "off_rad")
+    __slots__ = ("_before", "_evidence", "_levels", "off_rad")
 
     def __init__(self, off_rad: float = 0.0) -> None:
         self.off_rad = off_rad
         self._before: tuple[float, float, float | None] | None = None  # t_s, yaw, its rate
         self._evidence = (0.0, 0.0, 0.0)
+        self._levels: tuple[float | None, ...] = ()  # roll and pitch of the last report
 
     def step(self, seen: WindObservation) -> float:
         """Take a report; returns the step since the last one (rad), 0 for what may be a turn."""
@@ -34,11 +35,14 @@ class HeadingWatch:
             return 0.0
         now_s = seen.t_s if seen.attitude_t_s is None else seen.attitude_t_s
         now = now_s, seen.yaw_rad, seen.yaw_rate_rps
-        before_s, yaw_rad, rate_rps = before = self._before or now
+        before_s, yaw_rad, rate_rps = self._before = self._before or now
         dt_s = now_s - before_s
-        self._before = now if dt_s > 0.0 else before
-        if dt_s <= 0.0:
+        levels = seen.roll_rad, seen.pitch_rad
+        repeated = levels == self._levels and seen.yaw_rad == yaw_rad and dt_s < SLOWEST_S
+        self._levels = levels
+        if dt_s <= 0.0 or repeated:  # an old sample again: it may have turned meanwhile
             return 0.0
+        self._before = now
         rates = [r for r in (rate_rps, now[2]) if r is not None and abs(r) < WILD_RPS]
         turned = dt_s * sum(rates) / len(rates) if rates else 0.0
         unseen = dt_s * (RATED_RPS if rates else MOST_RPS)
