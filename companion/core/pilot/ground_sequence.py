@@ -162,7 +162,7 @@ class GroundWork:
     mode_refused: bool = False
     """The autopilot has answered the last mode command with a refusal."""
     start_by: str = ""
-    """Who has authorised a start for which the mission onboard is being verified."""
+    """The operator whose start waits for the verification of the mission onboard."""
     uploads: int = 0
     values: dict[str, float | None] = field(default_factory=dict)
     settings_before: dict[str, float] = field(default_factory=dict)
@@ -481,7 +481,7 @@ class GroundSequence:
         return tuple(found)
 
     def _unreachable(self, context: FlightContext) -> str:
-        """State that nobody could stop the flight; `""`: somebody can, or need not."""
+        """State why no operator could stop the flight; `""` if one can, or none is expected."""
         if context.options.without_operator:
             return ""
         if context.since_s(self._state.reached_s) <= OPERATOR_MAX_AGE_S:

@@ -100,7 +100,7 @@ class ModeWatch(ModeOrders, Protocol):
 
 
 class MissionProof(Protocol):
-    """Mission aboard's part: verification without a reading."""
+    """Verification of the mission onboard without a read-back."""
 
     def is_proven(self, context: FlightContext) -> bool:
         """Whether the list is known to be ours, by a report of this phase."""

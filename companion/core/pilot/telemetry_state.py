@@ -236,7 +236,7 @@ class TelemetryState:
         return [f"the pack is {_charge_reported(seen)}, by its voltage"] if seen else []
 
     def _merged(self, new: Battery) -> Battery:
-        """Two messages report the pack; a field stays until told again or too old."""
+        """Merge the two messages about the pack; a field stays until reported again or too old."""
         fields: dict[str, float | None] = {}
         for name in (
             "voltage_v",

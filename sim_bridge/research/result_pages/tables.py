@@ -163,18 +163,6 @@ def fleet(done: CommandOutput) -> str:
     return "\n".join([*lines, "", f"Load of the machine before, 1 and 5 minutes: {load}.{never}"])
 
 
-TRACK_ROWS = (
-    ("messages heard, each drone, /s", "messages_hz"),
-    ("messages heard by the one that heard most, /s", "most_messages_hz"),
-    ("bytes heard (of messages), each drone, /s", "bytes_hz"),
-    ("messages told within 1 km, each drone, /s", "near_hz"),
-    ("of these were heard", "near_frac"),
-    ("all drones together, cores", "drones_cpu"),
-    ("router, cores", "router_cpu"),
-    ("load of the machine, 1 minute", "load_of_machine"),
-)
-
-
 def tight_faults(done: CommandOutput) -> str:
     """Of `sim-bridge faults --tight --json {out}/tight.json`."""
     from sim_bridge.app.fault_suite.promises import reliability
@@ -236,5 +224,4 @@ def _wheels(row: dict[str, str | int | None]) -> str:
     return plain(str(row["why"])) if row["wheels"] is None else f"{row['wheels']} wheels"
 
 
-MAP_GOAL = "> 20"
 """Frames a second of the live map's page, in software rendering."""
