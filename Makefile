@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test sample night trials lint golden bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
+.PHONY: help fly test quick samples test-all night trials lint golden bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -17,28 +17,35 @@ fly: $(VENV)/.sim  ## fly the default flight in the simulator; logs/ holds what 
 	@$(BIN)/sim-bridge fly
 
 # Side by side, for the type checker takes a minute and a half of one core.
-test: $(VENV)/.test  ## lint, types, layers and the tests, of large families a drawn sample
-	@$(MAKE) --no-print-directory -j2 lint sample
+test: $(VENV)/.test  ## lint, types, layers and the tests that take little time
+	@$(MAKE) --no-print-directory -j2 lint quick
 
 # Three workers on two cores: some tests wait for real time. Each takes a file at a time, those that
 # fly first, so that nobody is left with a long one at the end. A worker that dies ends the run, and
 # is named: a new one in its place can wait for ever. DRAW=N draws an earlier sample again.
 WORKERS := -n 3 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 DRAW := new
-sample: $(VENV)/.test
-	@$(BIN)/python -m pytest $(WORKERS) -m "not night" --draw-seed $(DRAW) $(PYTEST_ARGS)
+PYTEST := $(BIN)/python -m pytest $(WORKERS)
+quick: $(VENV)/.test
+	@$(PYTEST) -m "not night and not sample" --draw-seed $(DRAW) $(PYTEST_ARGS)
+
+samples: $(VENV)/.test  ## longer tests, of large families a drawn sample; DRAW=N draws one again
+	@$(PYTEST) -m "sample and not night" --draw-seed $(DRAW) $(PYTEST_ARGS)
+
+test-all: $(VENV)/.night  ## all tests, none drawn, with coverage: hours
+	@$(PYTEST) --cov --cov-report=term $(PYTEST_ARGS)
 
 # Coverage doubles the tests' CPU time on Python 3.11 (measured: 22 to 25 s, 52 s with it), so it is
 # a report of the night. A test that fails keeps no trial from its night.
-night: $(VENV)/.night lint  ## all tests with coverage, a newcomer's clone, long trials: hours
+night: $(VENV)/.night lint  ## test-all, a newcomer's clone, long trials: hours
 	@failed=0; \
-	$(BIN)/python -m pytest $(WORKERS) --cov --cov-report=term $(PYTEST_ARGS) || failed=1; \
+	$(MAKE) --no-print-directory test-all || failed=1; \
 	$(BIN)/python deploy/check-newcomer || failed=1; \
 	$(MAKE) --no-print-directory trials || failed=1; \
 	exit $$failed
-	@echo "longer still, by hand, each with --help: sim-bridge series, day, cross;"
-	@echo "sim-bridge research: campaign, table1, table2, towns, frontier, promise, avoid-table; its"
-	@echo "bench: flight, dispatch, planner, estimator, paths, avoid"
+	@echo "longer still, by hand, each with --help: sim-bridge fly --seeds, day, cross;"
+	@echo "sim-bridge research: campaign, table1, table2, towns, frontier, promise, avoid; its"
+	@echo "bench: flight; bench-fleet, fleet-wind, rates"
 
 # Another seed each day; SEED=N tries an earlier day's again. What broke: logs/trials/cases.
 SEED := $(shell date +%Y%j)
@@ -62,6 +69,7 @@ lint: $(VENV)/.test
 	@$(BIN)/basedpyright --warnings
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python deploy/check-budget
+	@$(BIN)/python deploy/check-wording
 
 golden: $(VENV)/.test  ## run BASE=COMMIT and this tree, and compare their decisions; SET=two|six|full
 	@$(BIN)/python -m tests.golden --base $(BASE) --set $(or $(SET),six)
@@ -84,10 +92,10 @@ image-check:  ## build and run deploy/Containerfile on a clean Debian root (root
 newcomer-check: $(VENV)/.test  ## README's commands in a fresh clone, the map looked at, timed
 	@$(BIN)/python deploy/check-newcomer
 
-docs: $(VENV)/.docs  ## the site, offline, every warning an error: build/site
+docs: $(VENV)/.docs docs-reference  ## the site, offline, every warning an error: build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-docs-reference: $(VENV)/.sim  ## write docs/reference/cli and schemas from the code
+docs-reference: $(VENV)/.sim  ## generate the pages of docs/reference that git ignores
 	@$(BIN)/python -m sim_bridge.research.reference
 
 install: $(VENV)/.sim

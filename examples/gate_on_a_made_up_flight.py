@@ -11,7 +11,13 @@ from itertools import pairwise
 import numpy as np
 
 from companion.adapters.files.params import read_airframe, read_wind_process
-from companion.core.return_budget.budget import Ahead, Gate, GateParams, Stage, WayHome
+from companion.core.return_budget.budget import (
+    Gate,
+    GateParams,
+    RemainingMission,
+    ReturnRoute,
+    Stage,
+)
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief
@@ -26,17 +32,17 @@ def at(west_m: float, up_m: float = HEIGHT_M) -> tuple[float, float, float]:
     return (0.0, -west_m, -up_m)
 
 
-def way_home(west_m: float, payload_kg: float) -> WayHome:
+def return_route(west_m: float, payload_kg: float) -> ReturnRoute:
     """Back to the depot and down."""
     back = Leg(LegKind.CRUISE, at(west_m), at(0.0), payload_kg)
     land = Leg(LegKind.LAND, at(0.0), at(0.0, 0.0), payload_kg)
-    return WayHome("depot", (back, land) if west_m > 0.0 else (land,))
+    return ReturnRoute("depot", (back, land) if west_m > 0.0 else (land,))
 
 
-def mission() -> Ahead:
+def mission() -> RemainingMission:
     """Three legs out, each with a way home from its end, then the drop."""
     stages = [
-        Stage((Leg(LegKind.CRUISE, at(a), at(b), PARCEL_KG),), (way_home(b, PARCEL_KG),))
+        Stage((Leg(LegKind.CRUISE, at(a), at(b), PARCEL_KG),), (return_route(b, PARCEL_KG),))
         for a, b in pairwise(POINTS_M)
     ]
     far = POINTS_M[-1]
@@ -45,8 +51,10 @@ def mission() -> Ahead:
         Leg(LegKind.HOVER, at(far, 6.0), at(far, 6.0), PARCEL_KG, 6.0),
     )
     climb = Leg(LegKind.CLIMB, at(far, 6.0), at(far), 0.0)
-    home = WayHome("depot", (climb, *way_home(far, 0.0).legs))
-    return Ahead((way_home(0.0, PARCEL_KG),), (*stages, Stage(drop, (home,), delivers=True)))
+    home = ReturnRoute("depot", (climb, *return_route(far, 0.0).leg_sequence))
+    return RemainingMission(
+        (return_route(0.0, PARCEL_KG),), (*stages, Stage(drop, (home,), delivers=True))
+    )
 
 
 def main() -> None:
@@ -58,7 +66,7 @@ def main() -> None:
     for wind_mps in (2.0, 8.0, 12.0):
         belief = WindBelief(300.0, np.array([0.0, -wind_mps]), 0.5**2 * np.eye(2), ("tilt",), True)
         outlook = WindOutlook(process)
-        outlook.observe(belief)
+        outlook.update_from_estimate(belief)
         for left_wh in (75.0, 62.0, 58.0):
             energy = EnergyBelief(300.0, left_wh, 2.0, FULL_WH, "made up")
             seen = gate.assess(mission(), belief, outlook, energy)

@@ -12,11 +12,11 @@ import tempfile
 from pathlib import Path
 
 from companion.adapters.files.params import read_airframe, read_wind_process
-from companion.adapters.logs.open_log import open_log
-from companion.core.base.place import Place
+from companion.adapters.logs.open_log import read_log_of_any_format
+from companion.analysis.replay.flight_replay import ReplayConfig, replay_flight
+from companion.analysis.replay.summary import summarise_wind_in_flight
+from companion.core.base.location import Location
 from companion.core.mission.flight_file import Flight, Site, Vehicle
-from companion.core.replay.flight_replay import ReplayTerms, replay
-from companion.core.replay.summary import wind_summary
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 
@@ -31,10 +31,11 @@ def row_at(t_s: float, airframe: Airframe) -> list[float]:
     rate = 2.0 * math.pi / TURN_S
     north, east = SPEED_MPS * math.cos(rate * t_s), SPEED_MPS * math.sin(rate * t_s)
     accel_n, accel_e = -rate * east, rate * north
-    mass_kg = airframe.mass_kg(payload_kg=0.0)
+    mass_kg = airframe.flying_mass_kg(payload_kg=0.0)
     air_n, air_e = north - WIND_TO_NE_MPS[0], east - WIND_TO_NE_MPS[1]
-    linear_n, linear_e = airframe.drag_linear_n_per_mps(mass_kg, REFERENCE_DENSITY_KGPM3)
-    square_n, square_e = airframe.drag_quadratic_n_per_mps2(mass_kg, REFERENCE_DENSITY_KGPM3)
+    flying = (mass_kg, REFERENCE_DENSITY_KGPM3)
+    linear_n, linear_e = airframe.linear_drag_forward_right_n_per_mps(*flying)
+    square_n, square_e = airframe.quadratic_drag_forward_right_n_per_mps2(*flying)
     speed = math.hypot(air_n, air_e)
     thrust_n = accel_n + (linear_n + square_n * speed) * air_n / mass_kg
     thrust_e = accel_e + (linear_e + square_e * speed) * air_e / mass_kg
@@ -56,15 +57,15 @@ def main() -> None:
     airframe = read_airframe("m100")
     flight = Flight(
         format="flight/1",
-        site=Site(customer=Place(east_m=0.0, north_m=0.0)),
+        site=Site(customer=Location(east_m=0.0, north_m=0.0)),
         vehicle=Vehicle(airframe=airframe.name),
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "circles.csv"
         write_log(path, airframe)
-        log = open_log(path)
-    terms = ReplayTerms(airframe, flight, read_wind_process("coast"), False, False)
-    wind = wind_summary(replay(log, terms))
+        log = read_log_of_any_format(path)
+    terms = ReplayConfig(airframe, flight, read_wind_process("coast"), False, False)
+    wind = summarise_wind_in_flight(replay_flight(log, terms))
     assert wind is not None
     print(
         f"wind blown:     {WIND_TO_NE_MPS[0]:+.2f} m/s to north, {WIND_TO_NE_MPS[1]:+.2f} to east"

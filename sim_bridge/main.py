@@ -6,30 +6,59 @@ flies imports.
 
 import signal
 import sys
+import tomllib
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.help_text import flow_help
+from companion.core.base.help_text import reflow_command_help_in_place
+from ground_station.app.options.program_options import (
+    GroupWithOptions,
+    reject_group_options_by_default,
+)
 from sim_bridge.adapters.errors import EndpointError
-from sim_bridge.app.cli import conform, cross, day, examples, faults, fly, fly_plan, serve, trials
-from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE, stop_by_signal
+from sim_bridge.app.cli import conform, cross, day, examples, faults, fly, serve, trials
+from sim_bridge.app.cli.options import (
+    CaseOption,
+    ClusterOption,
+    JobsOption,
+    JsonOption,
+    MinutesOption,
+    OutOption,
+    RunFolderOption,
+    SeedOption,
+)
+from sim_bridge.app.flight.stopping import FORCE_EXIT, exit_on_signal
 from sim_bridge.research.cli import main as research
 from sim_bridge.truth.errors import TruthError
 
 
-class Commands(TyperGroup):
-    """The simulator's commands; the old spelling of a research command still finds it."""
+class Commands(GroupWithOptions):
+    """The simulator's commands, and their old spellings."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        if args and args[0] in research.OLD_SPELLINGS:
-            now = research.OLD_SPELLINGS[args[0]]
-            words = " ".join(("sim-bridge", *now))
-            typer.echo(f"sim-bridge {args[0]} is now {words}", err=True)
-            args = [*now, *args[1:]]
-        return super().resolve_command(ctx, args)
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands:
+            args = replace_deprecated_spelling(args)
+        return super().parse_args(ctx, args)
+
+
+def replace_deprecated_spelling(args: list[str]) -> list[str]:
+    """Replace an old spelling at the start of a command line, and print the current one."""
+    old = current_spelling_by_deprecated()
+    for count in (2, 1):
+        words = " ".join(args[:count])
+        if words in old:
+            typer.echo(f"sim-bridge {words} is now sim-bridge {old[words]}", err=True)
+            return [*old[words].split(), *args[count:]]
+    return args
+
+
+def current_spelling_by_deprecated() -> dict[str, str]:
+    """Return the current spelling of each old one (deprecated.toml)."""
+    text = Path(__file__).with_name("deprecated.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)["sim-bridge"]
 
 
 app = typer.Typer(
@@ -37,8 +66,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(asked: bool) -> None:
-    if not asked:
+def _print_version_and_exit(requested: bool) -> None:
+    if not requested:
         return
     from importlib.metadata import PackageNotFoundError, version
 
@@ -54,38 +83,48 @@ def options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+            "--version",
+            callback=_print_version_and_exit,
+            is_eager=True,
+            help="Print the version and exit.",
         ),
     ] = False,
+    seed: SeedOption = None,
+    jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    minutes: MinutesOption = None,
+    json_out: JsonOption = None,
+    out: OutOption = None,
+    runs: RunFolderOption = None,
+    case: CaseOption = None,
 ) -> None:
-    """Software in the loop without hardware: simulated PX4 and ArduCopter vehicles in true wind,
-    flown by real companions over MAVLink.
+    """Software in the loop without hardware: simulated PX4 and ArduCopter vehicles in simulated
+    wind, flown by real companions over MAVLink.
     """
-    del version  # its callback has printed it
 
 
-for part in (fly, day, examples, faults, cross, serve, conform, fly_plan):
+for part in (fly, day, examples, faults, cross, serve, conform, trials):
     app.registered_commands += part.app.registered_commands
-app.registered_groups += trials.group.registered_groups
 app.add_typer(research.app, name="research")
-flow_help(app)
+reflow_command_help_in_place(app)
+reject_group_options_by_default(app)
 
 
 def main() -> None:
     """Entry point: a mistake in the input is one line on stderr and exit code 2."""
-    stop_by_signal(signal.SIGTERM)
-    LEAVES_AT_ONCE.clear()  # this command's word: an earlier one's may have been in the process
+    exit_on_signal(signal.SIGTERM)
+    FORCE_EXIT.clear()  # this command's word: an earlier one's may have been in the process
     try:
-        _run()
+        _run_app()
     except SystemExit as ended:
-        if LEAVES_AT_ONCE.is_set():
-            from companion.fleet.zenoh_link import leave_process
+        if FORCE_EXIT.is_set():
+            from companion.fleet.zenoh_link import flush_and_exit_process_immediately
 
-            leave_process(ended.code if isinstance(ended.code, int) else 0)
+            flush_and_exit_process_immediately(ended.code if isinstance(ended.code, int) else 0)
         raise
 
 
-def _run() -> None:
+def _run_app() -> None:
     try:
         app()
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The companion's only sources of time: the autopilot's clock and the wall clock."""
+"""The companion's sources of time: the autopilot's clock and the computer's clocks."""
 
 import time
 from dataclasses import dataclass
@@ -6,107 +6,109 @@ from datetime import UTC, datetime
 
 
 def wall_s() -> float:
-    """Seconds of a clock that never goes back, for silences and progress."""
+    """Return seconds of a monotonic clock, for timeouts and progress."""
     return time.monotonic()
 
 
-def cpu_s() -> float:
-    """Seconds that this process has computed, for speeds that a busy machine does not change."""
+def process_cpu_time_s() -> float:
+    """Return this process's CPU time in seconds, for speeds independent of the machine's load."""
     return time.process_time()
 
 
-def epoch_us() -> int:
-    """Microseconds since 1970, for file stamps and signatures."""
+def unix_time_us() -> int:
+    """Return microseconds since 1970, for file stamps and signatures."""
     return time.time_ns() // 1000
 
 
-def local_time() -> str:
-    """Now in local time to the millisecond, for logs that people read."""
+def local_time_text() -> str:
+    """Return the local time to the millisecond, for logs that people read."""
     return datetime.now().strftime("%Y-%m-%d %H:%M:%S,%f")[:-3]
 
 
-def utc_words(since_epoch_us: int) -> str:
-    """A time in words: 2026-11-23 06:30:05Z."""
+def format_unix_time_us(since_epoch_us: int) -> str:
+    """Format a time as 2026-11-23 06:30:05Z."""
     return datetime.fromtimestamp(since_epoch_us / 1e6, UTC).strftime("%Y-%m-%d %H:%M:%SZ")
 
 
-def is_due(last_s: float | None, every_s: float, now_s: float) -> bool:
-    """True once `every_s` has passed since `last_s`, or where there was no last time (None)."""
-    return last_s is None or now_s - last_s >= every_s
+def is_due(last_done_s: float | None, interval_s: float, now_s: float) -> bool:
+    """Return True if `interval_s` has passed since `last_done_s`, or if there is no last time
+    (None).
+    """
+    return last_done_s is None or now_s - last_done_s >= interval_s
 
 
 @dataclass(frozen=True, slots=True)
 class ClockReading:
-    """What a stamp meant. `t_s`: core time of the stamped message, `None` where it is not to be
-    believed (yet). `back_s`, `ahead_s`: how far the clock was just found to have stepped.
+    """Result of a time stamp. `t_s`: core time of the message, `None` if the stamp is not accepted
+    (yet). `step_back_s`, `step_forward_s`: size of a step of the clock that this stamp confirmed.
     """
 
     t_s: float | None
-    back_s: float = 0.0
-    ahead_s: float = 0.0
+    step_back_s: float = 0.0
+    step_forward_s: float = 0.0
 
 
-LATE_S = 1.0
+MAX_LATE_S = 1.0
 """Stamps up to this much older than the newest are late messages: UDP reorders."""
 
-LEAP_S = 2.0
-"""A gap of more than this between two stamps is a step: silence, or the clock leapt."""
+STEP_THRESHOLD_S = 2.0
+"""A larger gap between two stamps is a step: a loss of telemetry, or the clock jumped."""
 
-WITNESSES = 3
-"""Consecutive stamps that must agree on a step: one wild stamp moves nothing."""
+STAMPS_TO_CONFIRM_STEP = 3
+"""Number of consecutive stamps that must agree on a step: one wrong stamp has no effect."""
 
-BEHIND_S = 0.3
-"""A count whose stamps all lie so far behind core time is laid wrong: its first stamp, or the other
-count's, was late. Telemetry is fresh for one to two seconds; what a count tells is older than the
-other's by a tenth of a second at most.
+OFFSET_ERROR_S = 0.3
+"""If all stamps of a time source are this far behind core time, its offset is wrong: its first
+stamp, or the other source's, was late. Telemetry is valid for one to two seconds; the sources
+differ by at most a tenth of a second.
 """
 
 
-class _Source:
-    """One count of the autopilot's time, and how it lies to core time."""
+class _TimeSource:
+    """One time source of the autopilot and its offset to core time."""
 
     def __init__(self) -> None:
         self.newest_s: float | None = None
         self.offset_s = 0.0
         self.doubtful: list[float] = []
-        self.behind_s: list[float] = []
+        self.lags_s: list[float] = []
 
-    def laid(self, stamp_s: float, core_s: float) -> float:
-        """Core time of a stamp. Messages come in order: where one after another lies behind core
-        time, the least that they do is no age of theirs.
+    def convert_to_core_time_and_correct_offset(self, stamp_s: float, core_s: float) -> float:
+        """Return core time of a stamp. Messages arrive in order: if several in succession are
+        behind core time, the smallest lag is an error of the offset and is corrected.
         """
-        behind_s = core_s - stamp_s - self.offset_s
-        if behind_s <= BEHIND_S:
-            self.behind_s.clear()
+        lag_s = core_s - stamp_s - self.offset_s
+        if lag_s <= OFFSET_ERROR_S:
+            self.lags_s.clear()
             return stamp_s + self.offset_s
-        self.behind_s.append(behind_s)
-        if len(self.behind_s) >= WITNESSES:
-            self.offset_s += min(self.behind_s)
-            self.behind_s.clear()
+        self.lags_s.append(lag_s)
+        if len(self.lags_s) >= STAMPS_TO_CONFIRM_STEP:
+            self.offset_s += min(self.lags_s)
+            self.lags_s.clear()
         return stamp_s + self.offset_s
 
-    def witnessed(self, stamp_s: float) -> bool:
-        """Note a stamp that does not fit; True once enough in a row agree with one another."""
-        if self.doubtful and abs(stamp_s - self.doubtful[-1]) > LEAP_S:
+    def record_inconsistent_stamp_confirms_step(self, stamp_s: float) -> bool:
+        """Record an inconsistent stamp; return True once enough consecutive ones agree."""
+        if self.doubtful and abs(stamp_s - self.doubtful[-1]) > STEP_THRESHOLD_S:
             self.doubtful.clear()
         self.doubtful.append(stamp_s)
-        if len(self.doubtful) < WITNESSES:
+        if len(self.doubtful) < STAMPS_TO_CONFIRM_STEP:
             return False
         self.doubtful.clear()
         return True
 
 
 class AutopilotClock:
-    """Core time from the autopilot's counts: never goes back, whatever the autopilot says.
+    """Core time from the autopilot's time sources; never goes back.
 
-    Telemetry carries the time since boot; TIMESYNC requests a count that may be another. A step
-    back adds nothing to core time; a step ahead is taken as time that passed (after a silence it
-    is, and otherwise it only makes everything known older, which is the safe reading).
+    Telemetry carries the time since boot; TIMESYNC requests may carry another time source. A step
+    back adds nothing to core time; a step forward counts as elapsed time (correct after a gap in
+    telemetry, and otherwise safe, since it only makes known values older).
     """
 
     def __init__(self) -> None:
-        self._boot = _Source()
-        self._sync = _Source()
+        self._boot = _TimeSource()
+        self._sync = _TimeSource()
         self._t_s = 0.0
 
     @property
@@ -115,69 +117,110 @@ class AutopilotClock:
         return self._t_s
 
     @property
-    def known(self) -> bool:
-        """True once the autopilot has told a time."""
+    def is_known(self) -> bool:
+        """True once a time was received from the autopilot."""
         return self._boot.newest_s is not None or self._sync.newest_s is not None
 
     @property
-    def doubtful(self) -> bool:
-        """True while telemetry disagrees with the clock and too few stamps agreed on a step."""
+    def has_unconfirmed_step(self) -> bool:
+        """True while telemetry disagrees with the clock and no step is confirmed yet."""
         return bool(self._boot.doubtful)
 
     @property
-    def boot_ms(self) -> int:
+    def autopilot_time_since_boot_ms(self) -> int:
         """The autopilot's own time since boot, for messages that carry it."""
         return int((self._boot.newest_s or self._t_s) * 1000.0) & 0xFFFFFFFF
 
-    def resume(self, t_s: float) -> None:
-        """Start no earlier than a checkpoint's time (before any stamp was heard)."""
-        if not self.known:
+    def set_minimum_start_time(self, t_s: float) -> None:
+        """Start no earlier than a checkpoint's time (before the first stamp is received)."""
+        if not self.is_known:
             self._t_s = max(self._t_s, t_s)
 
-    def stamp(self, boot_s: float) -> ClockReading:
-        """Take the time since boot that a telemetry message carries."""
+    def update_from_boot_time(self, boot_s: float) -> ClockReading:
+        """Process the time since boot in a telemetry message."""
         source = self._boot
         if source.newest_s is None:
-            self._begin(source, boot_s)
+            self._process_first_stamp(source, boot_s)
             return ClockReading(self._t_s)
         step_s = boot_s - source.newest_s
-        if -LATE_S <= step_s <= LEAP_S:
+        if -MAX_LATE_S <= step_s <= STEP_THRESHOLD_S:
             source.doubtful.clear()
-            return ClockReading(self._accept(source, boot_s))
-        if not source.witnessed(boot_s):
+            return ClockReading(self._advance_core_time(source, boot_s))
+        if not source.record_inconsistent_stamp_confirms_step(boot_s):
             return ClockReading(None)
         if step_s < 0.0:
             source.newest_s, source.offset_s = boot_s, self._t_s - boot_s
-            return ClockReading(self._t_s, back_s=-step_s)
-        return ClockReading(self._accept(source, boot_s), ahead_s=step_s)
+            return ClockReading(self._t_s, step_back_s=-step_s)
+        return ClockReading(self._advance_core_time(source, boot_s), step_forward_s=step_s)
 
-    def synchronise(self, sync_s: float) -> None:
-        """Take the time of a TIMESYNC request: moves core time, never reports a step."""
+    def update_from_sync_time(self, sync_s: float) -> None:
+        """Process the time of a TIMESYNC request: advances core time, never reports a step."""
         source = self._sync
         if source.newest_s is None:
-            self._begin(source, sync_s)
+            self._process_first_stamp(source, sync_s)
             return
-        if -LATE_S <= sync_s - source.newest_s <= LEAP_S:
+        if -MAX_LATE_S <= sync_s - source.newest_s <= STEP_THRESHOLD_S:
             source.doubtful.clear()
-            self._accept(source, sync_s)
+            self._advance_core_time(source, sync_s)
             return
-        # Where telemetry has told the time meanwhile, it is laid anew: its first answer may have
+        # If telemetry has set the time since, the offset is recomputed: the first response may have
         # been late.
-        fits = abs(sync_s + source.offset_s - self._t_s) <= LEAP_S
-        if fits or source.witnessed(sync_s):
+        fits = abs(sync_s + source.offset_s - self._t_s) <= STEP_THRESHOLD_S
+        if fits or source.record_inconsistent_stamp_confirms_step(sync_s):
             source.doubtful.clear()
             source.newest_s, source.offset_s = sync_s, self._t_s - sync_s
 
-    def _begin(self, source: _Source, stamp_s: float) -> None:
-        """The first stamp of a count: taken as it is where it can be, else laid at core time."""
-        behind = stamp_s < self._t_s - LEAP_S / 4.0
-        apart = self.known and abs(stamp_s - self._t_s) > LEAP_S / 4.0
-        source.offset_s = self._t_s - stamp_s if behind or apart else 0.0
-        self._accept(source, stamp_s)
+    def _process_first_stamp(self, source: _TimeSource, stamp_s: float) -> None:
+        """Process a source's first stamp: offset 0 if it is consistent with core time."""
+        precedes_core_time = stamp_s < self._t_s - STEP_THRESHOLD_S / 4.0
+        is_inconsistent = self.is_known and abs(stamp_s - self._t_s) > STEP_THRESHOLD_S / 4.0
+        source.offset_s = self._t_s - stamp_s if precedes_core_time or is_inconsistent else 0.0
+        self._advance_core_time(source, stamp_s)
 
-    def _accept(self, source: _Source, stamp_s: float) -> float:
+    def _advance_core_time(self, source: _TimeSource, stamp_s: float) -> float:
         newest_s = source.newest_s
         source.newest_s = stamp_s if newest_s is None else max(newest_s, stamp_s)
-        t_s = source.laid(stamp_s, self._t_s)
+        t_s = source.convert_to_core_time_and_correct_offset(stamp_s, self._t_s)
         self._t_s = max(self._t_s, t_s)
         return t_s
+
+
+TICK_S = 0.1
+TIMESYNC_TIMEOUT_S = 0.25
+"""After this autopilot time without a TIMESYNC request, telemetry triggers the ticks."""
+
+
+class TickTimer:
+    """Times of ticks and requests of one flight. A method that returns True registers the tick;
+    none is due while a step of the clock is unconfirmed.
+    """
+
+    def __init__(self, clock: AutopilotClock) -> None:
+        self._clock = clock
+        self._ticked_s: float | None = None
+        self._requested_s: float | None = None
+        self._request_ns: int | None = None
+
+    def register_request_and_is_tick_due(self, request_ns: int) -> bool:
+        """Update the clock from a TIMESYNC request; a repeated request triggers no tick."""
+        if request_ns == self._request_ns:
+            return False
+        self._request_ns = request_ns
+        self._clock.update_from_sync_time(request_ns / 1e9)
+        self._requested_s = self._clock.t_s
+        if self._clock.has_unconfirmed_step:
+            return False
+        self._ticked_s = self._clock.t_s
+        return True
+
+    def is_tick_due_by_telemetry(self) -> bool:
+        """Return True about ten times a second if there are no TIMESYNC requests."""
+        clock = self._clock
+        if self._requested_s is not None and clock.t_s - self._requested_s <= TIMESYNC_TIMEOUT_S:
+            return False
+        if clock.has_unconfirmed_step or not clock.is_known:
+            return False
+        if not is_due(self._ticked_s, TICK_S - 0.005, clock.t_s):
+            return False
+        self._ticked_s = clock.t_s
+        return True

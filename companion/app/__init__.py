@@ -1,1 +1,1 @@
-"""The programs: wiring of core, adapters and fleet. Imported by nothing."""
+"""The programs: they connect core, adapters and fleet. No other package imports them."""

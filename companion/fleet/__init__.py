@@ -1,1 +1,1 @@
-"""What drones, trucks and the dispatcher share: messages, topics, commands. Imports the core."""
+"""Code shared by drones, trucks and the dispatcher: messages, topics, commands."""

@@ -1,7 +1,7 @@
-"""Commands that were received: each is carried out once, and always gets the same answer.
+"""Received commands: each is executed once, and always gets the same reply.
 
-Written down before a command is carried out and again with its answer, so that a companion killed
-between the two does not launch a second time: it answers `interrupted`.
+A command is stored before it is executed and again with its reply, so that a companion killed in
+between does not launch a second time: it replies `interrupted`.
 """
 
 import hashlib
@@ -11,145 +11,158 @@ from typing import Literal
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.messages import FINAL, Answered, Command, HandBack, Launch, Recall
+from companion.fleet.messages import (
+    FINAL_STATUSES,
+    Command,
+    CommandStatus,
+    Launch,
+    Recall,
+    ReturnControl,
+)
 
-FRESH_S = 15.0
-"""A command rests on a state no older, by the vehicle's own clock; states come every second."""
+MAX_STATE_AGE_S = 15.0
+"""Maximum age of a command's state, by the vehicle's clock; states are sent every second."""
 
-KEPT = 2000
-"""Commands remembered: a day's work of one vehicle many times over, in about 200 kB."""
+MAX_ENTRIES = 2000
+"""Maximum number of stored commands: many days of one vehicle, in about 200 kB."""
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One command as it was taken; without an answer it is (or was, when killed) being done."""
+class CommandEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A received command; without an answer it is being executed (or was, at a kill)."""
 
     id: str
     digest: str
-    answer: Answered | None = None
+    status: CommandStatus | None = msgspec.field(default=None, name="answer")
     reason: str = ""
 
 
-class BookKept(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The book as it lies on the disk."""
+class StoredCommandLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The command log as stored on disk."""
 
     format: Literal["command-book/1"] = "command-book/1"
-    entries: list[Entry] = []
+    entries: list[CommandEntry] = []
     ended: list[str] = []
 
 
-ONCE = (Launch, HandBack)
-"""What a companion that was killed while doing it must not do again; the rest, done twice, is the
-same as done once.
+NOT_REPEATABLE = (Launch, ReturnControl)
+"""Commands that must not be repeated after a kill during execution; all others may be executed
+twice with the same effect.
 """
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """An answer that needs nothing to be carried out."""
+class CommandReply:
+    """A reply that requires no execution."""
 
-    answer: Answered
+    status: CommandStatus
     reason: str = ""
 
 
 @dataclass(slots=True)
-class CommandBook:
-    """`look` first; where it returns `None`, `begin`, carry out, `end`.
+class CommandLog:
+    """`reply_without_execution_or_none`; if `None`: `record_start`, execute, record the reply.
 
-    `ended` are assignments that are over: nothing launches them again.
+    `ended` are closed assignments, which cannot be launched again.
     """
 
-    entries: dict[str, Entry] = field(default_factory=dict)
+    entries: dict[str, CommandEntry] = field(default_factory=dict)
     ended: list[str] = field(default_factory=list)
 
-    def look(self, command: Command, life: str, uptime_s: float) -> Verdict | None:
-        """The answer to a command that is known, stale, or none of ours; `None`: carry it out."""
+    def reply_without_execution_or_none(
+        self, command: Command, instance_id: str, uptime_s: float
+    ) -> CommandReply | None:
+        """Return the reply to a known, stale or invalid command; `None`: execute it."""
         known = self.entries.get(command.id)
         if known is not None:
-            verdict = _again(known, digest_of(command))
-            cut = verdict.answer in (Answered.INTERRUPTED, Answered.LATER)
-            if not cut or isinstance(command.deed, ONCE):
+            verdict = _reply_to_repeated_command(known, command_digest(command))
+            is_not_final = verdict.status in (CommandStatus.INTERRUPTED, CommandStatus.LATER)
+            if not is_not_final or isinstance(command.action, NOT_REPEATABLE):
                 return verdict
-        if isinstance(command.deed, Recall):
+        if isinstance(command.action, Recall):
             return None
-        if command.life != life:
-            return Verdict(Answered.STALE, "meant for another life of this companion")
+        if command.instance_id != instance_id:
+            return CommandReply(
+                CommandStatus.STALE, "addressed to another instance of this companion"
+            )
         age_s = uptime_s - command.as_of_s
-        if age_s < 0.0:  # the desk copies a state's uptime: an honest one is never ahead
-            words = f"rests on a state of {-age_s:.0f} s from now: nobody can know it"
-            return Verdict(Answered.REFUSED, words)
-        if age_s > FRESH_S:
-            words = f"rests on a state {age_s:.0f} s old, expected at most {FRESH_S:.0f} s"
-            return Verdict(Answered.STALE, words)
-        assignment = getattr(command.deed, "assignment", None)
+        if age_s < 0.0:  # the desk copies a state's uptime, so a valid one is never in the future
+            rejection_text = f"refers to a state {-age_s:.0f} s in the future"
+            return CommandReply(CommandStatus.REFUSED, rejection_text)
+        if age_s > MAX_STATE_AGE_S:
+            rejection_text = (
+                f"refers to a state {age_s:.0f} s old, expected at most {MAX_STATE_AGE_S:.0f} s"
+            )
+            return CommandReply(CommandStatus.STALE, rejection_text)
+        assignment = getattr(command.action, "assignment", None)
         if assignment in self.ended:
-            return Verdict(Answered.REFUSED, f"assignment {assignment} is over")
+            return CommandReply(CommandStatus.REFUSED, f"assignment {assignment} is closed")
         return None
 
-    def begin(self, command: Command) -> None:
-        """A command is about to be carried out."""
-        self._note(Entry(id=command.id, digest=digest_of(command)))
+    def record_start(self, command: Command) -> None:
+        """Record that a command is about to be executed."""
+        self._store_entry(CommandEntry(id=command.id, digest=command_digest(command)))
 
-    def end(self, command: Command, verdict: Verdict) -> None:
-        """It has been; an answer that settles nothing is forgotten, so that it may come again."""
-        if verdict.answer in FINAL:
-            entry = Entry(
+    def record_final_reply_or_remove_command(self, command: Command, reply: CommandReply) -> None:
+        """Record a final reply; any other reply removes the command, which may be sent again."""
+        if reply.status in FINAL_STATUSES:
+            entry = CommandEntry(
                 id=command.id,
-                digest=digest_of(command),
-                answer=verdict.answer,
-                reason=verdict.reason,
+                digest=command_digest(command),
+                status=reply.status,
+                reason=reply.reason,
             )
-            self._note(entry)
+            self._store_entry(entry)
         else:
             self.entries.pop(command.id, None)
 
-    def close(self, assignment: str) -> None:
-        """An assignment is over."""
+    def prevent_relaunch_of_assignment(self, assignment: str) -> None:
+        """Close an assignment."""
         if assignment not in self.ended:
-            self.ended = [*self.ended, assignment][-KEPT:]
+            self.ended = [*self.ended, assignment][-MAX_ENTRIES:]
 
-    def _note(self, entry: Entry) -> None:
+    def _store_entry(self, entry: CommandEntry) -> None:
         self.entries.pop(entry.id, None)
         self.entries[entry.id] = entry
-        while len(self.entries) > KEPT:
+        while len(self.entries) > MAX_ENTRIES:
             self.entries.pop(next(iter(self.entries)))
 
-    def kept(self) -> BookKept:
-        """What a restart needs."""
-        return BookKept(entries=list(self.entries.values()), ended=list(self.ended))
+    def to_storage_format(self) -> StoredCommandLog:
+        """Return the content to store for a restart."""
+        return StoredCommandLog(entries=list(self.entries.values()), ended=list(self.ended))
 
     @classmethod
-    def restored(cls, kept: BookKept) -> "CommandBook":
-        """The book as it was; what was being done is now `interrupted`."""
+    def from_storage_format(cls, stored_log: StoredCommandLog) -> "CommandLog":
+        """Restore a stored log; commands in execution become `interrupted`."""
         entries = {
             e.id: e
-            if e.answer is not None
-            else msgspec.structs.replace(e, answer=_CUT, reason=_WHY)
-            for e in kept.entries
+            if e.status is not None
+            else msgspec.structs.replace(e, status=_INTERRUPTED, reason=_INTERRUPTED_REASON)
+            for e in stored_log.entries
         }
-        return cls(entries, list(kept.ended))
+        return cls(entries, list(stored_log.ended))
 
 
-_CUT = Answered.INTERRUPTED
-_WHY = "the companion restarted while doing it; its state tells how it went"
+_INTERRUPTED = CommandStatus.INTERRUPTED
+_INTERRUPTED_REASON = "the companion restarted during execution; its state shows the result"
 
 
-def book_from_dict(table: object, where: str) -> CommandBook:
-    """Check a book that was read; LeewayError names the file."""
+def command_log_from_dict(table: object, error_location: str) -> CommandLog:
+    """Validate a stored command log; LeewayError names the file."""
     try:
-        return CommandBook.restored(msgspec.convert(table, BookKept))
+        return CommandLog.from_storage_format(msgspec.convert(table, StoredCommandLog))
     except msgspec.ValidationError as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{error_location}: {error}") from error
 
 
-def digest_of(command: Command) -> str:
-    """Tells two commands apart by what they ask, not by when they were sent."""
-    asked = msgspec.json.encode((command.vehicle, command.deed), order="deterministic")
-    return hashlib.sha256(asked).hexdigest()[:16]
+def command_digest(command: Command) -> str:
+    """Return a digest of a command's content, independent of its time."""
+    content = msgspec.json.encode((command.vehicle, command.action), order="deterministic")
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _again(known: Entry, digest: str) -> Verdict:
-    if known.digest != digest:
-        return Verdict(Answered.REFUSED, "this id was used for another command")
-    if known.answer is None:
-        return Verdict(Answered.LATER, "being done")
-    return Verdict(known.answer, known.reason)
+def _reply_to_repeated_command(logged_entry: CommandEntry, digest: str) -> CommandReply:
+    if logged_entry.digest != digest:
+        return CommandReply(CommandStatus.REFUSED, "this id was used for another command")
+    if logged_entry.status is None:
+        return CommandReply(CommandStatus.LATER, "in progress")
+    return CommandReply(logged_entry.status, logged_entry.reason)

@@ -1,8 +1,8 @@
-"""Events of a fleet member, kept on disk until a dispatcher has asked for them.
+"""Events of a fleet member, stored on disk until a dispatcher requests them.
 
-One JSON line an event, flushed as it happens; outcomes are also settled on the disk. Nobody is told
-an event that does not lie there yet. The newest are kept (`KEPT`), so that a vehicle without a
-ground never fills its disk.
+One JSON line per event, flushed immediately; outcomes are also synced to the disk. An event is
+published only after it is stored. The newest are kept (`MAX_EVENTS`), so that a vehicle without a
+ground station never fills its disk.
 """
 
 import os
@@ -13,136 +13,158 @@ from typing import BinaryIO
 
 import msgspec
 
-from companion.adapters.files.atomic_file import settle_folder
-from companion.adapters.files.disk import Disk, DiskAtOnce
-from companion.fleet.messages import EventKind, FleetEvent, Refused, decode_event, encode
+from companion.adapters.files.atomic_file import fsync_folder
+from companion.adapters.files.disk import ImmediateRecordWriter, RecordWriter
+from companion.fleet.messages import EventKind, FleetEvent, Refused, decode_message, encode_message
 
-KEPT = 2000
-"""A flight has some 50 events; in bytes, at most about 1 MB."""
+MAX_EVENTS = 2000
+"""A flight has some 50 events; these are at most about 1 MB."""
 
-SLACK = 1000
-"""So many more lie in the file before it is written anew."""
+REWRITE_SURPLUS = 1000
+"""Surplus events in the file that trigger a rewrite."""
 
-LEAP = 1000
-"""Numbers left out at each start: a power cut may have taken events that had been told already, and
-what comes must not bear their numbers, or the desk would take it for known.
+SEQ_GAP_AT_RESTART = 1000
+"""Gap in the numbers at each start: a power cut may have erased events that were already published,
+and new events must not reuse their numbers, or the desk would discard them.
 """
 
-BATCH = 200
-"""Events handed out at one asking; who wants more asks again."""
+MAX_EVENTS_PER_REPLY = 200
+"""Maximum events per reply; a client requests the rest with further requests."""
 
-SETTLED = (EventKind.OUTCOME, EventKind.PLACED, EventKind.RECOVERED, EventKind.CANNOT)
-"""What the desk must hear even after a power cut; the rest is for people."""
+FSYNC_KINDS = (
+    EventKind.OUTCOME,
+    EventKind.DRONE_ON_PAD,
+    EventKind.RECOVERED,
+    EventKind.TASK_FAILED,
+)
+"""Kinds that the desk must receive even after a power cut; the others are for people."""
 
 
-RECORD = "events"
+RECORD_NAME = "events"
 
 
 class EventLog:
-    """Appends events and hands them out again. `trouble` says why the disk does not take them.
+    """Stores events and returns them on request. `error_text` describes a disk error.
 
-    What `_write` and `_rewrite` change is the disk's own while it works; the rest is the caller's.
+    `_append_event_to_file` and `_replace_event_file` run on the disk thread, and their attributes
+    belong to it meanwhile.
     """
 
-    def __init__(self, path: Path, disk: Disk | None = None) -> None:
-        """`disk` writes in its own time; None: at once."""
+    def __init__(self, path: Path, disk: RecordWriter | None = None) -> None:
+        """`disk` writes asynchronously; None: synchronously."""
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path = path
         self._file: BinaryIO | None = None
-        self._disk = disk or DiskAtOnce(lambda words: None)
-        self.trouble = ""
-        self._events = _read(path)
+        self._disk = disk or ImmediateRecordWriter(lambda words: None)
+        self.error_text = ""
+        self._events = _read_complete_event_lines(path)
         self.log = self._events[-1].log if self._events else secrets.token_hex(6)
-        self._events = [event for event in self._events if event.log == self.log][-KEPT:]
+        self._events = [event for event in self._events if event.log == self.log][-MAX_EVENTS:]
         newest = self._events[-1].seq if self._events else 0
-        self._next = newest + LEAP if self._events else 1
-        self._written = self._told = newest
-        self._rewrite(list(self._events))
+        self._next_seq = newest + SEQ_GAP_AT_RESTART if self._events else 1
+        self._stored_seq = self._announced_seq = newest
+        self._replace_event_file(list(self._events))
 
     @property
-    def last_seq(self) -> int:
-        """The newest written event's number; 0: none yet."""
-        written = self._written
-        last = self._after(written) - 1
+    def last_stored_seq(self) -> int:
+        """Number of the newest stored event; 0 for none."""
+        stored_seq = self._stored_seq
+        last = self._first_event_index_after(stored_seq) - 1
         return self._events[last].seq if last >= 0 else 0
 
-    def append(self, event: FleetEvent) -> FleetEvent:
-        """Keep an event under the next number; returns it with log and number."""
-        event = msgspec.structs.replace(event, log=self.log, seq=self._next)
-        self._next += 1
+    def number_and_store_event(self, event: FleetEvent) -> FleetEvent:
+        """Store an event under the next number; return it with log and number."""
+        event = msgspec.structs.replace(event, log=self.log, seq=self._next_seq)
+        self._next_seq += 1
         self._events.append(event)
-        if not self._disk.do(RECORD, lambda: self._write(event), whole=True):
-            self._keep_in_memory("the disk takes no more", event.seq)
-        if len(self._events) > KEPT + SLACK:
-            self._events = self._events[-KEPT:]
-            kept = list(self._events)
-            self._disk.do(RECORD, lambda: self._rewrite(kept), whole=True)
+        if not self._disk.submit_write_job(
+            RECORD_NAME, lambda: self._append_event_to_file(event), is_replaced_at_each_write=True
+        ):
+            self._record_error_and_release_event("the disk queue is full", event.seq)
+        if len(self._events) > MAX_EVENTS + REWRITE_SURPLUS:
+            self._events = self._events[-MAX_EVENTS:]
+            recent = list(self._events)
+            self._disk.submit_write_job(
+                RECORD_NAME,
+                lambda: self._replace_event_file(recent),
+                is_replaced_at_each_write=True,
+            )
         return event
 
-    def newly_written(self) -> list[FleetEvent]:
-        """What has come to lie on the disk since the last call, oldest first."""
-        written = self._written
-        new = self._events[self._after(self._told) : self._after(written)]
-        self._told = max(written, self._told)
+    def drain_newly_stored_events(self) -> list[FleetEvent]:
+        """Return the events stored since the last call, oldest first."""
+        stored_seq = self._stored_seq
+        new = self._events[
+            self._first_event_index_after(self._announced_seq) : self._first_event_index_after(
+                stored_seq
+            )
+        ]
+        self._announced_seq = max(stored_seq, self._announced_seq)
         return new
 
-    def after(self, seq: int) -> list[FleetEvent]:
-        """The next written events after this number, oldest first, at most `BATCH`."""
-        skip = self._after(seq)
-        return self._events[skip : min(skip + BATCH, self._after(self._written))]
+    def next_stored_events_after(self, event_number: int) -> list[FleetEvent]:
+        """Return the next stored events after this number, oldest first, at most
+        `MAX_EVENTS_PER_REPLY`.
+        """
+        first_index = self._first_event_index_after(event_number)
+        return self._events[
+            first_index : min(
+                first_index + MAX_EVENTS_PER_REPLY, self._first_event_index_after(self._stored_seq)
+            )
+        ]
 
-    def _after(self, seq: int) -> int:
-        """Where the events after this number begin."""
-        return bisect_right(self._events, seq, key=lambda event: event.seq)
+    def _first_event_index_after(self, event_number: int) -> int:
+        """Return the index of the first event after this number."""
+        return bisect_right(self._events, event_number, key=lambda event: event.seq)
 
-    def has_outcome(self, assignment: str) -> bool:
-        """Tell whether the end of this assignment has been noted."""
+    def has_stored_outcome(self, assignment: str) -> bool:
+        """Return True if the outcome of this assignment has been stored."""
         return any(e.kind is EventKind.OUTCOME and e.assignment == assignment for e in self._events)
 
     def close(self) -> None:
-        """End the file; the disk is closed first."""
+        """Close the file; the disk must be closed first."""
         if self._file is not None:
             self._file.close()
 
     # --- on the disk's thread ------------------------------------------------------------------
 
-    def _write(self, event: FleetEvent) -> None:
+    def _append_event_to_file(self, event: FleetEvent) -> None:
         assert self._file is not None
         try:
-            self._file.write(encode(event) + b"\n")
+            self._file.write(encode_message(event) + b"\n")
             self._file.flush()
-            if event.kind in SETTLED:
+            if event.kind in FSYNC_KINDS:
                 os.fsync(self._file.fileno())
-            self.trouble = ""
-            self._written = event.seq
+            self.error_text = ""
+            self._stored_seq = event.seq
         except OSError as error:
-            self._keep_in_memory(error.strerror or str(error), event.seq)
+            self._record_error_and_release_event(error.strerror or str(error), event.seq)
 
-    def _keep_in_memory(self, why: str, seq: int) -> None:
-        """It is told all the same: an outcome that nobody hears is worse than one that is lost."""
-        self.trouble = f"events are only kept in memory: {why}"
-        self._written = seq
+    def _record_error_and_release_event(self, reason: str, seq: int) -> None:
+        """Publish an event that is not stored: better lost at a restart than unreported."""
+        self.error_text = f"events are in memory only: {reason}"
+        self._stored_seq = seq
 
-    def _rewrite(self, events: list[FleetEvent]) -> None:
-        """Only these; from a file beside, so that a cut leaves the old one."""
+    def _replace_event_file(self, events: list[FleetEvent]) -> None:
+        """Replace the file by these events, atomically."""
         if self._file is not None:
             self._file.close()
-        fresh = self._path.with_name(f"{self._path.name}.new")
+        temporary_file = self._path.with_name(f"{self._path.name}.new")
         try:
-            with fresh.open("wb") as file:
-                file.writelines(encode(event) + b"\n" for event in events)
+            with temporary_file.open("wb") as file:
+                file.writelines(encode_message(event) + b"\n" for event in events)
                 file.flush()
                 os.fsync(file.fileno())
-            fresh.replace(self._path)
-            settle_folder(self._path.parent)
+            temporary_file.replace(self._path)
+            fsync_folder(self._path.parent)
         except OSError as error:
-            self.trouble = f"events are only kept in memory: {error.strerror}"
+            self.error_text = f"events are in memory only: {error.strerror}"
         self._file = self._path.open("ab")
 
 
-def _read(path: Path) -> list[FleetEvent]:
-    """Every whole line; a torn last one was never acknowledged to anybody."""
+def _read_complete_event_lines(path: Path) -> list[FleetEvent]:
+    """Read every whole line; an incomplete last line was never published."""
     if not path.exists():
         return []
-    found = [decode_event(line) for line in path.read_bytes().splitlines()]
+    found = [decode_message(FleetEvent, line) for line in path.read_bytes().splitlines()]
     return [event for event in found if not isinstance(event, Refused)]

@@ -1,7 +1,7 @@
-"""One life of a member of the fleet, drone or truck: commands in, each answered; events out.
+"""One instance of a fleet member, drone or truck: receives commands, sends events.
 
-What a command means is the member's own; that it is carried out once, and that what happened is
-kept until somebody asks, is the same for all.
+The meaning of a command is member-specific; single execution and the storage of events until they
+are requested are common to all members.
 """
 
 import secrets
@@ -13,277 +13,311 @@ from typing import Any
 
 import msgspec
 
-from companion.adapters.clock import epoch_us, wall_s
-from companion.adapters.files.atomic_file import read_whole, write_whole
-from companion.adapters.files.disk import Disk, DiskAtOnce
-from companion.fleet.command_log import ONCE, CommandBook, Verdict, book_from_dict
+from companion.adapters.clock import is_due, unix_time_us, wall_s
+from companion.adapters.files.atomic_file import read_checked_json, write_json_atomically
+from companion.adapters.files.disk import ImmediateRecordWriter, RecordWriter
+from companion.fleet.command_log import (
+    NOT_REPEATABLE,
+    CommandLog,
+    CommandReply,
+    command_log_from_dict,
+)
 from companion.fleet.event_log import EventLog
 from companion.fleet.messages import (
-    Answered,
     Command,
+    CommandStatus,
     EventKind,
     FleetEvent,
     Refused,
     Result,
     State,
-    decode_command,
-    encode,
+    decode_message,
+    encode_message,
 )
-from companion.fleet.network import Ask, Asked, MemberLink
+from companion.fleet.network import MemberLink, MemberRequest, RequestKind
 
-TWIN_S = 60.0
-"""Another companion of our name is told of so often at most."""
+DUPLICATE_REPORT_INTERVAL_S = 60.0
+"""Minimum interval between reports of another companion with the same name."""
 
-BOOK, EVENTS = "commands.json", "events.jsonl"
+COMMANDS_FILE, EVENTS_FILE = "commands.json", "events.jsonl"
 
-# What a member keeps in its folder, as JSON: a record is written whole or not at all, with a
-# checksum. `ground_station`'s truck keeps its tasks this way too.
-read_record, write_record = read_whole, write_whole
+# The JSON records in a member's folder: replaced atomically, with a checksum. `ground_station`'s
+# truck stores its tasks in the same format.
+read_record, write_record = read_checked_json, write_json_atomically
 
 
 @dataclass(slots=True)
-class _Begun:
-    """A command that is carried out once it lies on the disk that it has begun."""
+class _PendingCommand:
+    """A command that is executed once its start is stored on disk."""
 
-    asked: Asked
+    request: MemberRequest
     command: Command
-    written: bool = False
-    trouble: str = ""
+    is_stored: bool = False
+    error_text: str = ""
 
 
 @dataclass(slots=True)
 class FleetMember:
-    """`clock_s` counts this life's seconds; `remark` is the newest thing to be said about it.
+    """`clock_s` counts the instance's seconds; `status_text` is the newest status text.
 
-    In flight nobody waits for the `disk`: what must lie there first is done once it does.
+    In flight the loop never waits for the `disk`: it acts after the required record is stored.
     """
 
     vehicle: str
     folder: Path
     link: MemberLink
-    life: str
-    book: CommandBook
+    instance_id: str
+    command_log: CommandLog
     log: EventLog
     clock_s: Callable[[], float]
-    born_s: float
-    disk: Disk
-    epoch_us: Callable[[], int] = epoch_us
-    remark: str = ""
-    _twin_told_s: float | None = None
-    _begun: deque[_Begun] = field(default_factory=deque)
-    _book_trouble: str = ""
+    start_s: float
+    disk: RecordWriter
+    epoch_us: Callable[[], int] = unix_time_us
+    status_text: str = ""
+    _duplicate_reported_s: float | None = None
+    _pending: deque[_PendingCommand] = field(default_factory=deque)
+    _command_log_error: str = ""
 
     @classmethod
-    def open(
+    def restore_and_open_link(
         cls,
         vehicle: str,
         folder: Path,
-        link_of: Callable[[str], MemberLink],
+        open_link: Callable[[str], MemberLink],
         clock_s: Callable[[], float] = wall_s,
         epoch_us: Callable[[], int] = epoch_us,
-        disk: Disk | None = None,
+        disk: RecordWriter | None = None,
     ) -> "FleetMember":
-        """Take up what the folder keeps of earlier lives; `link_of(life)` opens the link. `disk`
-        writes in its own time; None: at once.
+        """Restore the state of earlier instances; `open_link(instance_id)` opens the link. `disk`
+        writes asynchronously; None: synchronously.
 
-        Raises LeewayError where a file there is broken: a member that forgot its commands must
-        not take new ones.
+        Raises LeewayError if a stored file is damaged: a member that lost its command log must not
+        accept new commands.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        kept = read_whole(folder / BOOK, "book of commands")
-        book = CommandBook() if kept is None else book_from_dict(kept, str(folder / BOOK))
-        life = secrets.token_hex(6)
-        disk = disk or DiskAtOnce(lambda words: None)
-        log = EventLog(folder / EVENTS, disk)
-        link = link_of(life)
-        return cls(vehicle, folder, link, life, book, log, clock_s, clock_s(), disk, epoch_us)
+        stored = read_checked_json(folder / COMMANDS_FILE, "command log")
+        command_log = (
+            CommandLog()
+            if stored is None
+            else command_log_from_dict(stored, str(folder / COMMANDS_FILE))
+        )
+        instance_id = secrets.token_hex(6)
+        disk = disk or ImmediateRecordWriter(lambda rejection_text: None)
+        log = EventLog(folder / EVENTS_FILE, disk)
+        link = open_link(instance_id)
+        return cls(
+            vehicle, folder, link, instance_id, command_log, log, clock_s, clock_s(), disk, epoch_us
+        )
 
     @property
     def uptime_s(self) -> float:
-        """Seconds of this life."""
-        return self.clock_s() - self.born_s
+        """Seconds since this instance started."""
+        return self.clock_s() - self.start_s
 
     # --- commands ------------------------------------------------------------------------------
 
-    def turn(self, carry_out: Callable[[Command], Verdict]) -> None:
-        """Answer everything that was asked, and tell what has come to lie on the disk."""
-        self._carry_out_begun(carry_out)
-        for asked in self.link.asked():
-            match asked.ask:
-                case Ask.COMMAND:
-                    self._take(asked, carry_out)
-                case Ask.EVENTS:
-                    asked.answer([encode(event) for event in self.log.after(asked.after)])
-                case Ask.TWIN:
-                    self._hear_twin()
-                case Ask.NOTICE:
-                    self.remark = asked.payload.decode()
-                    self.tell(EventKind.SAID, self.remark)
-                case Ask.ROSTER:
-                    pass  # without a roster of its own this member believes everybody
-        self._publish_written()
+    def process_requests_and_publish_events(
+        self, execute: Callable[[Command], CommandReply]
+    ) -> None:
+        """Answer all pending requests, and publish newly stored events."""
+        self._execute_commands_with_stored_start(execute)
+        for request in self.link.drain_requests():
+            match request.kind:
+                case RequestKind.COMMAND:
+                    self._execute_or_answer_command(request, execute)
+                case RequestKind.EVENTS:
+                    events = self.log.next_stored_events_after(request.after_seq)
+                    request.reply([encode_message(event) for event in events])
+                case RequestKind.DUPLICATE:
+                    self._report_duplicate_instance()
+                case RequestKind.TEXT:
+                    self.status_text = request.payload.decode()
+                    self.record_event(EventKind.TEXT, self.status_text)
+                case RequestKind.ROSTER:
+                    pass  # without a roster this member accepts every sender
+        self._publish_newly_stored_events()
 
-    def _hear_twin(self) -> None:
-        """Say it; a flood of namesakes must not push flights out of the log of events."""
+    def _report_duplicate_instance(self) -> None:
+        """Report a duplicate at a limited rate, so that a flood keeps flights in the log."""
         now_s = self.clock_s()
-        if self._twin_told_s is not None and now_s - self._twin_told_s < TWIN_S:
+        if not is_due(self._duplicate_reported_s, DUPLICATE_REPORT_INTERVAL_S, now_s):
             return
-        self._twin_told_s = now_s
-        self.remark = f"another life of {self.vehicle} is on the network"
-        self.tell(EventKind.SAID, self.remark)
+        self._duplicate_reported_s = now_s
+        self.status_text = f"another instance of {self.vehicle} is on the network"
+        self.record_event(EventKind.TEXT, self.status_text)
 
-    def _take(self, asked: Asked, carry_out: Callable[[Command], Verdict]) -> None:
-        command = decode_command(asked.payload)
+    def _execute_or_answer_command(
+        self, request: MemberRequest, execute: Callable[[Command], CommandReply]
+    ) -> None:
+        command = decode_message(Command, request.payload)
         if isinstance(command, Refused):
-            return self._answer(asked, "", Verdict(Answered.REFUSED, command.reason))
+            verdict = CommandReply(CommandStatus.REFUSED, command.reason)
+            return self._send_reply(request, "", verdict)
         if command.vehicle != self.vehicle:
-            words = f"meant for {command.vehicle}, this is {self.vehicle}"
-            return self._answer(asked, command.id, Verdict(Answered.REFUSED, words))
-        command = _named_by_signer(command, asked.signer)
-        verdict = self.book.look(command, self.life, self.uptime_s)
+            rejection_text = f"addressed to {command.vehicle}, this is {self.vehicle}"
+            verdict = CommandReply(CommandStatus.REFUSED, rejection_text)
+            return self._send_reply(request, command.id, verdict)
+        command = _add_signer_to_author(command, request.signer)
+        verdict = self.command_log.reply_without_execution_or_none(
+            command, self.instance_id, self.uptime_s
+        )
         if verdict is not None:
-            return self._answer(asked, command.id, verdict)
-        if isinstance(command.deed, ONCE):
-            self._begin(_Begun(asked, command))
-            return self._carry_out_begun(carry_out)
-        # The rest, done twice, is the same as done once, and waits for no disk.
-        self._give_up_begun(f"overtaken by {_name_of(command)}")
-        verdict = self._finish(command, carry_out)
-        return self._answer(asked, command.id, verdict)
+            return self._send_reply(request, command.id, verdict)
+        if isinstance(command.action, NOT_REPEATABLE):
+            self._store_start_and_queue(_PendingCommand(request, command))
+            return self._execute_commands_with_stored_start(execute)
+        # The other commands have the same effect if repeated, and need no stored record.
+        self._reject_all_pending_commands(f"superseded by {_command_label(command)}")
+        verdict = self._execute_record_and_log_command(command, execute)
+        return self._send_reply(request, command.id, verdict)
 
-    def _begin(self, begun: _Begun) -> None:
-        """Have it written that this has begun."""
-        self.book.begin(begun.command)
-        save = self._book_as_it_is(settle=True)
+    def _store_start_and_queue(self, pending: _PendingCommand) -> None:
+        """Store the start of a command."""
+        self.command_log.record_start(pending.command)
 
-        def write() -> None:
-            try:
-                save()
-            except OSError as error:
-                begun.trouble = f"cannot write it down: {error.strerror}"
-            begun.written = True
+        def mark_stored(error_text: str) -> None:
+            if error_text:
+                pending.error_text = f"cannot store the command: {error_text}"
+            pending.is_stored = True
 
-        if not self.disk.do(BOOK, write, whole=True):
-            begun.written, begun.trouble = True, "cannot write it down: the disk takes no more"
-        self._begun.append(begun)
+        self._submit_command_log_write(mark_stored, sync_folder=True)
+        self._pending.append(pending)
 
-    def _carry_out_begun(self, carry_out: Callable[[Command], Verdict]) -> None:
-        while self._begun and self._begun[0].written:
-            begun = self._begun.popleft()
-            asked, command = begun.asked, begun.command
-            if begun.trouble:
-                self._leave_undone(begun, begun.trouble)
+    def _execute_commands_with_stored_start(
+        self, execute: Callable[[Command], CommandReply]
+    ) -> None:
+        while self._pending and self._pending[0].is_stored:
+            pending = self._pending.popleft()
+            request, command = pending.request, pending.command
+            if pending.error_text:
+                self._reject_pending_command(pending, pending.error_text)
             else:
-                self._answer(asked, command.id, self._finish(command, carry_out))
+                verdict = self._execute_record_and_log_command(command, execute)
+                self._send_reply(request, command.id, verdict)
 
-    def _give_up_begun(self, why: str) -> None:
-        """What still waits for the disk is not done behind a younger order."""
-        while self._begun:
-            self._leave_undone(self._begun.popleft(), why)
+    def _reject_all_pending_commands(self, reason: str) -> None:
+        """Reject commands that still wait for the disk: a newer command supersedes them."""
+        while self._pending:
+            self._reject_pending_command(self._pending.popleft(), reason)
 
-    def _leave_undone(self, begun: _Begun, why: str) -> None:
-        verdict = Verdict(Answered.LATER, why)
-        self.book.end(begun.command, verdict)
-        self._answer(begun.asked, begun.command.id, verdict)
+    def _reject_pending_command(self, pending: _PendingCommand, reason: str) -> None:
+        verdict = CommandReply(CommandStatus.LATER, reason)
+        self.command_log.record_final_reply_or_remove_command(pending.command, verdict)
+        self._send_reply(pending.request, pending.command.id, verdict)
 
-    def _finish(self, command: Command, carry_out: Callable[[Command], Verdict]) -> Verdict:
-        verdict = carry_out(command)
-        self.book.end(command, verdict)
-        self.save_book(settle=isinstance(command.deed, ONCE))
-        said = f"{_name_of(command)} by {command.by}: {verdict.answer.value} {verdict.reason}"
-        self.tell(EventKind.COMMAND, said.strip())
+    def _execute_record_and_log_command(
+        self, command: Command, execute: Callable[[Command], CommandReply]
+    ) -> CommandReply:
+        verdict = execute(command)
+        self.command_log.record_final_reply_or_remove_command(command, verdict)
+        self.save_command_log(sync_folder=isinstance(command.action, NOT_REPEATABLE))
+        label = f"{_command_label(command)} by {command.by}"
+        text = f"{label}: {verdict.status.value} {verdict.reason}"
+        self.record_event(EventKind.COMMAND, text.strip())
         return verdict
 
-    def save_book(self, *, settle: bool = True) -> None:
-        """Have the book written; a disk that does not take it is said with the next state."""
-        save = self._book_as_it_is(settle=settle)
+    def save_command_log(self, *, sync_folder: bool = True) -> None:
+        """Store the command log; a disk error is reported with the next state."""
+
+        def record_error(error_text: str) -> None:
+            self._command_log_error = f"command log not stored: {error_text}" if error_text else ""
+
+        self._submit_command_log_write(record_error, sync_folder=sync_folder)
+
+    def _submit_command_log_write(
+        self, on_end: Callable[[str], None], *, sync_folder: bool
+    ) -> None:
+        """Write the present content of the command log; `on_end` receives an error text or ""."""
+        path = self.folder / COMMANDS_FILE
+        content = msgspec.to_builtins(self.command_log.to_storage_format())
 
         def write() -> None:
             try:
-                save()
-                self._book_trouble = ""
+                write_json_atomically(path, content, sync_folder=sync_folder)
             except OSError as error:
-                self._book_trouble = f"book of commands not written: {error.strerror}"
+                on_end(str(error.strerror))
+            else:
+                on_end("")
 
-        if not self.disk.do(BOOK, write, whole=True, newest_only=not settle):
-            self._book_trouble = "book of commands not written: the disk takes no more"
+        if not self.disk.submit_write_job(
+            COMMANDS_FILE,
+            write,
+            is_replaced_at_each_write=True,
+            replace_queued_job=not sync_folder,
+        ):
+            on_end("the disk queue is full")
 
-    def _book_as_it_is(self, *, settle: bool) -> Callable[[], None]:
-        """What writes the book with what stands in it now."""
-        path, content = self.folder / BOOK, msgspec.to_builtins(self.book.kept())
-        return lambda: write_whole(path, content, settle=settle)
+    def wait_for_disk_and_publish_events(self) -> None:
+        """Wait for the disk (on the ground only), then publish newly stored events."""
+        self.disk.wait_until_done()
+        self._publish_newly_stored_events()
 
-    def settle(self) -> None:
-        """Wait for the disk, on the ground; then tell what lies there."""
-        self.disk.settle()
-        self._publish_written()
-
-    def _answer(self, asked: Asked, id_: str, verdict: Verdict) -> None:
-        asked.answer([encode(self._result(id_, verdict))])
-
-    def _result(self, id_: str, verdict: Verdict) -> Result:
-        return Result(
+    def _send_reply(self, request: MemberRequest, id_: str, verdict: CommandReply) -> None:
+        result = Result(
             id=id_,
             vehicle=self.vehicle,
-            life=self.life,
-            answer=verdict.answer,
+            instance_id=self.instance_id,
+            status=verdict.status,
             reason=verdict.reason[:500],
         )
+        request.reply([encode_message(result)])
 
     # --- out -----------------------------------------------------------------------------------
 
-    def tell(self, kind: EventKind, text: str, **more: Any) -> None:
-        """Have an event written down; it is told once it lies on the disk."""
+    def record_event(self, kind: EventKind, text: str, **optional_fields: Any) -> None:
+        """Store an event; it is published once it is on the disk."""
         event = FleetEvent(
             vehicle=self.vehicle,
             log=self.log.log,
-            seq=1,  # the log gives it its number
+            seq=1,  # replaced by the log
             epoch_us=self.epoch_us(),
             kind=kind,
             text=text[:500],
-            **more,
+            **optional_fields,
         )
-        self.log.append(event)
-        self._publish_written()
+        self.log.number_and_store_event(event)
+        self._publish_newly_stored_events()
 
-    def _publish_written(self) -> None:
-        for event in self.log.newly_written():
-            self.link.publish_event(encode(event))
+    def _publish_newly_stored_events(self) -> None:
+        for event in self.log.drain_newly_stored_events():
+            self.link.publish_event(encode_message(event))
 
-    def publish(self, airframe: str, max_payload_kg: float, phase: str, **more: Any) -> None:
-        """Tell the state; `more` are the fields that this member knows."""
+    def publish_state(
+        self, airframe: str, max_payload_kg: float, phase: str, **optional_fields: Any
+    ) -> None:
+        """Publish the state; `optional_fields` are the optional fields of this member."""
         state = State(
             vehicle=self.vehicle,
-            life=self.life,
+            instance_id=self.instance_id,
             uptime_s=self.uptime_s,
             epoch_us=self.epoch_us(),
             airframe=airframe,
             max_payload_kg=max_payload_kg,
             phase=phase,
             log=self.log.log,
-            last_seq=self.log.last_seq,
-            text=(self.log.trouble or self._book_trouble or self.remark)[:500],
-            **more,
+            last_seq=self.log.last_stored_seq,
+            text=(self.log.error_text or self._command_log_error or self.status_text)[:500],
+            **optional_fields,
         )
-        self.link.publish_state(encode(state))
+        self.link.publish_state(encode_message(state))
 
     def close(self) -> None:
-        """Have all written and told, leave the network and end the files."""
+        """Store and publish everything, leave the network and close the files."""
         self.disk.close()
-        self._publish_written()
+        self._publish_newly_stored_events()
         self.link.close()
         self.log.close()
 
 
-def _named_by_signer(command: Command, signer: str) -> Command:
-    """The command by whom it is proven to come from: the desk may send in a person's name, and that
-    name is told beside the desk's.
+def _add_signer_to_author(command: Command, signer: str) -> Command:
+    """Add the verified signer to the command's author: a desk may send in a person's name, and then
+    both names are reported.
     """
-    behind = f" by way of {signer}"
-    if not signer or command.by == signer or command.by.endswith(behind):
+    suffix = f" by way of {signer}"
+    if not signer or command.by == signer or command.by.endswith(suffix):
         return command
-    return msgspec.structs.replace(command, by=f"{command.by}{behind}"[:64])
+    return msgspec.structs.replace(command, by=f"{command.by}{suffix}"[:64])
 
 
-def _name_of(command: Command) -> str:
-    return f"{type(command.deed).__name__.lower()} ({command.id})"
+def _command_label(command: Command) -> str:
+    return f"{type(command.action).__name__.lower()} ({command.id})"

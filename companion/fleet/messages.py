@@ -1,14 +1,14 @@
 """Messages between vehicles, trucks and the dispatcher: typed, versioned, bounded JSON.
 
-A message of another version, of too many bytes, with an unknown field or a number out of range is
-refused in words (`Refused`), never guessed at. `epoch_us` is the sender's own wall clock, for
-people; nothing is decided on it, since clocks may be off. Decisions rest on `uptime_s`, seconds
-since that life of the companion began, which only its own companion compares.
+A message of another version, over the size limit, with an unknown field or a number out of range is
+rejected with a reason (`Refused`). `epoch_us` is the sender's wall clock, for people; no decision
+uses it, since clocks may be wrong. Decisions use `uptime_s`, seconds since the companion instance
+started, which only that companion compares.
 """
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -17,11 +17,11 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from companion.core.base.wire_message import VERSION, Name, WireMessage
 from companion.core.separation.track import Track
-from companion.core.separation.track_cells import cell_of
+from companion.core.separation.track_cells import cell_name_or_none
 from companion.core.wind_field.shared_winds import SharedWinds
-from companion.fleet.network import Told
+from companion.fleet.network import ReceivedTrack
 
-LARGEST_BYTES = {
+MAX_MESSAGE_BYTES = {
     "state": 4096,
     "event": 8192,
     "command": 1 << 20,
@@ -30,68 +30,69 @@ LARGEST_BYTES = {
     "station": 512,
     "winds": 2048,
 }
-"""A command may carry a site's obstacles and its ground; the others are a few hundred bytes."""
+"""A command may contain a site's obstacles and ground; other messages are a few hundred bytes."""
 
+Message = TypeVar("Message", bound=WireMessage)
 Id = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]*\Z")]
 AIRFRAME = r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,63}\Z"
 AnyId = Annotated[str, Meta(max_length=64, pattern=r"^([A-Za-z0-9][A-Za-z0-9._:-]*)?\Z")]
 AirframeName = Annotated[str, Meta(pattern=AIRFRAME)]
 PhaseName = Annotated[str, Meta(max_length=40, pattern=r"^[a-z][a-z0-9_ ]*\Z")]
-Words = Annotated[str, Meta(max_length=500)]
-"""For people. `WORDS` lists the fields: what is decoded of them is safe to show."""
-Author = Annotated[str, Meta(min_length=1, max_length=64)]
+OperatorText = Annotated[str, Meta(max_length=500)]
+"""Texts for people. `TEXT_FIELDS` lists the fields; they are sanitised at decoding."""
+IssuerName = Annotated[str, Meta(min_length=1, max_length=64)]
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 EpochUs = Annotated[int, Meta(ge=-(2**53), le=2**53)]
-"""As large as every reader of JSON, and every database, takes a whole number."""
+"""The largest integers that every JSON reader and database accepts."""
 
-LONGEST_WAY = 400
-"""Characters of a way in a state: some sixty waypoints."""
+MAX_ROUTE_CHARS = 400
+"""Maximum characters of a route in a state: some sixty waypoints."""
 
-MOST_COV_M2PS2 = 400.0
+MAX_COV_M2PS2 = 400.0
 WindCov = tuple[
-    Annotated[float, Meta(gt=0.0, le=MOST_COV_M2PS2)],
-    Annotated[float, Meta(ge=-MOST_COV_M2PS2, le=MOST_COV_M2PS2)],
-    Annotated[float, Meta(gt=0.0, le=MOST_COV_M2PS2)],
+    Annotated[float, Meta(gt=0.0, le=MAX_COV_M2PS2)],
+    Annotated[float, Meta(ge=-MAX_COV_M2PS2, le=MAX_COV_M2PS2)],
+    Annotated[float, Meta(gt=0.0, le=MAX_COV_M2PS2)],
 ]
-"""A covariance of the wind, (m/s)^2: north, north with east, east."""
+"""A wind covariance, (m/s)^2: north, north with east, east."""
 
-Way = Annotated[str, Meta(max_length=LONGEST_WAY, pattern=r"^[?-~]*\Z")]
-"""A way over the ground, as `polyline.encoded` writes it."""
+EncodedRoute = Annotated[str, Meta(max_length=MAX_ROUTE_CHARS, pattern=r"^[?-~]*\Z")]
+"""A route over the ground, as `polyline.encoded` writes it."""
 
 
 class State(WireMessage, frozen=True, kw_only=True):
-    """A vehicle as its companion sees it now. Unknown is absent.
+    """A vehicle's state as reported by its companion. Unknown values are absent.
 
     A truck is a vehicle of airframe `truck`.
     """
 
     vehicle: Name
-    """Who tells it."""
-    life: Id
-    """Name of this life of the companion: a new one after each start."""
+    """The sender."""
+    instance_id: Id = msgspec.field(name="life")
+    """Identifier of this companion instance: new after each start."""
     uptime_s: Annotated[float, Meta(ge=0.0)]
-    """Seconds since this life began."""
+    """Seconds since this instance started."""
     epoch_us: EpochUs
     """The sender's wall clock, for people."""
     airframe: AirframeName
     """The airframe's name; "truck" is a truck."""
     max_payload_kg: Annotated[float, Meta(ge=0.0)]
-    """Heaviest parcel."""
+    """Maximum payload."""
     phase: PhaseName
     """`standby` between missions, else the mission's phase; of a truck `driving` or `at_stop`."""
     log: Id
-    """Name of the event log."""
+    """Identifier of the event log."""
     last_seq: Count
-    """Newest event of that log: who has seen less asks for the rest."""
+    """Newest event in that log: a receiver that has fewer requests the rest."""
     assignment: Id | None = None
-    """The assignment that it holds."""
+    """The current assignment."""
     order: Id | None = None
     """The order of that assignment."""
     armed: bool | None = None
-    """Whether the motors may turn."""
+    """True if the motors may spin."""
     delivered: bool = False
     """The parcel's release is confirmed."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
@@ -99,151 +100,153 @@ class State(WireMessage, frozen=True, kw_only=True):
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
     """Longitude."""
     height_rel_m: float | None = None
-    """Height above the launch place."""
+    """Height above the launch position."""
     ground_speed_mps: Annotated[float, Meta(ge=0.0)] | None = None
     """Speed over the ground."""
     voltage_v: float | None = None
     """Voltage of the pack."""
     energy_left_wh: float | None = None
-    """Usable energy left."""
+    """Usable energy remaining."""
     margin_wh: float | None = None
-    """Energy expected to be left above the reserve after landing."""
+    """Expected energy above the reserve after landing."""
     p_home: Probability | None = None
-    """Probability of coming home if it flies on as planned."""
+    """Probability of returning if it flies on as planned."""
     p_home_now: Probability | None = None
-    """Probability of coming home if it turns back now."""
+    """Probability of returning if it turns back now."""
     p_success: Probability | None = None
-    """Probability of delivering and coming home."""
+    """Probability of delivering and returning."""
     wind_to_n_mps: float | None = None
-    """Wind, north part of where the air moves to."""
+    """Wind, north component of the direction TO."""
     wind_to_e_mps: float | None = None
-    """Wind, east part of where the air moves to."""
+    """Wind, east component of the direction TO."""
     wind_cov_m2ps2: WindCov | msgspec.UnsetType = msgspec.UNSET
-    """Covariance of that wind: nn, ne, ee. Left out, not null, where it is not told: readers of
-    before refuse a state that has it.
+    """Covariance of that wind: nn, ne, ee. Omitted, not null, if unknown: older readers reject a
+    state that has it.
     """
     home: Id | None = None
-    """The promised stop at which the mission aboard ends if the companion dies now (safety
+    """The guaranteed stop at which the uploaded mission ends if the companion fails now (safety
     rule 3).
     """
     stop: Id | None = None
-    """Of a truck: where it stands or drives to."""
-    text: Words = ""
+    """Of a truck: the stop where it is or to which it drives."""
+    text: OperatorText = ""
     """The last message to people."""
-    doubt: Words = ""
-    """What the monitor of its service holds in doubt, and what clears it; empty: nothing."""
-    way_out: Way = ""
-    """The mission aboard from the launch pad to the customer, an encoded polyline; empty: none, or
-    not told.
+    monitor_text: OperatorText = msgspec.field(default="", name="doubt")
+    """Active alarms of the service monitor, and how to clear them; empty: none."""
+    outbound_route: EncodedRoute = msgspec.field(default="", name="way_out")
+    """The uploaded mission from the launch pad to the customer, an encoded polyline; empty: none,
+    or not reported.
     """
-    way_home: Way = ""
-    """The mission aboard from the customer to where it lands, likewise."""
+    return_route: EncodedRoute = msgspec.field(default="", name="way_home")
+    """The uploaded mission from the customer to its landing site, likewise."""
 
 
 class EventKind(Enum):
-    """What an event tells; the last three are a truck driver's: a drone placed on its pad, taken
-    aboard, or why that cannot be.
+    """Kind of an event; the last three are sent by a truck driver: a drone placed on its pad, a
+    drone recovered, or the reason against either.
     """
 
     PHASE = "phase"
     DECISION = "decision"
-    SAID = "said"
+    TEXT = "said"
     COMMAND = "command"
     OUTCOME = "outcome"
-    PLACED = "placed"
+    DRONE_ON_PAD = "placed"
     RECOVERED = "recovered"
-    CANNOT = "cannot"
+    TASK_FAILED = "cannot"
 
 
 class FleetEvent(WireMessage, frozen=True, kw_only=True):
-    """Something that happened aboard."""
+    """An event on a member."""
 
     vehicle: Name
-    """Who tells it."""
+    """The sender."""
     log: Id
     """The event log, which outlives restarts."""
     seq: Annotated[int, Meta(ge=1, le=2**53)]
-    """Counts up in `log`."""
+    """Increases in `log`."""
     epoch_us: EpochUs
     """The sender's wall clock, for people."""
     kind: EventKind
-    """What the event tells."""
-    text: Words
-    """In words."""
+    """Kind of the event."""
+    text: OperatorText
+    """Description for people."""
     assignment: Id | None = None
     """The assignment that it belongs to."""
     order: Id | None = None
     """The order that it belongs to."""
     p_home: Probability | None = None
-    """Probability of coming home."""
+    """Probability of returning."""
     margin_wh: float | None = None
-    """Energy expected to be left above the reserve after landing."""
+    """Expected energy above the reserve after landing."""
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT|TAKEN)\Z")] | None = None
     """Closes an assignment: one of SUC, DEL, FAIL, ABRT and TAKEN."""
     delivered: bool | None = None
-    """With `outcome`: the parcel was dropped. With kind `recovered`: false where the driver
-    found it aboard.
+    """With `outcome`: the parcel was dropped. With kind `recovered`: false if the driver found it
+    on the drone.
     """
     home: bool | None = None
     """With `outcome`: the vehicle landed at home or at a rally point."""
     evidence_nats: float | None = None
     """With `outcome`: log of the e-value against the vehicle's energy model after this flight."""
     drop_unproven: bool | None = None
-    """Nobody knows yet whether the parcel is still aboard."""
+    """It is unknown whether the drone still carries the parcel."""
 
 
-class _Deed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do"):
-    """What a command asks for."""
+class _CommandAction(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do"
+):
+    """The action of a command."""
 
 
-class Assign(_Deed, frozen=True, kw_only=True, tag="assign"):
-    """Take this mission, plan it, put it aboard and wait for `launch`."""
+class Assign(_CommandAction, frozen=True, kw_only=True, tag="assign"):
+    """Accept this mission, plan it, upload it and wait for `launch`."""
 
     assignment: Id
-    """Name of the assignment."""
+    """Identifier of the assignment."""
     order: Id
     """The order."""
     flight: dict[str, Any]
-    """A whole flight/1 table, `site.obstacles` and `site.terrain.grid` absent: the ground is
-    written out in `site.terrain.heights`.
+    """A whole flight/1 table without `site.obstacles` and `site.terrain.grid`: the ground is
+    included in `site.terrain.heights`.
     """
     obstacles: dict[str, Any] | None = None
-    """The GeoJSON that stands on its site."""
+    """The GeoJSON obstacles of its site."""
 
 
-class Launch(_Deed, frozen=True, kw_only=True, tag="launch"):
+class Launch(_CommandAction, frozen=True, kw_only=True, tag="launch"):
     """The explicit authorisation of this assignment's one flight (safety rule 1)."""
 
     assignment: Id
-    """Which assignment."""
+    """The assignment."""
 
 
-class Withdraw(_Deed, frozen=True, kw_only=True, tag="withdraw"):
-    """Give up an assignment that has not taken off."""
+class Withdraw(_CommandAction, frozen=True, kw_only=True, tag="withdraw"):
+    """Cancel an assignment before take-off."""
 
     assignment: Id
-    """Which assignment."""
+    """The assignment."""
 
 
-class Recall(_Deed, frozen=True, kw_only=True, tag="recall"):
-    """Come home now, by the way home that the gate finds safe; on the ground: stay."""
+class Recall(_CommandAction, frozen=True, kw_only=True, tag="recall"):
+    """Return now, by the return route that the gate finds safe; on the ground: stay."""
 
 
-class MoveHome(_Deed, frozen=True, kw_only=True, tag="move_home"):
-    """Land at another stop of the flight's `site.stops`: the truck promises it from now on.
+class MoveHome(_CommandAction, frozen=True, kw_only=True, tag="move_home"):
+    """Land at another stop of the flight's `site.stops`, which the truck guarantees from now on.
 
-    `done` says that the wish is taken; the earlier promise is void only when `State.home` names the
-    new stop (safety rule 3). Refused where the gate does not find the way there safe.
+    `done` acknowledges the request; the earlier guarantee ends only when `State.home` names the new
+    stop (safety rule 3). Refused if the gate does not find the route to it safe.
     """
 
     assignment: Id
-    """Which assignment."""
+    """The assignment."""
     home: Id
     """One of the flight's `site.stops`."""
 
 
-class Drive(_Deed, frozen=True, kw_only=True, tag="drive"):
-    """To a truck: leave where it stands and drive to this stop."""
+class Drive(_CommandAction, frozen=True, kw_only=True, tag="drive"):
+    """To a truck: leave its current position and drive to this stop."""
 
     stop: Id
     """The stop's name."""
@@ -253,23 +256,23 @@ class Drive(_Deed, frozen=True, kw_only=True, tag="drive"):
     """Its longitude."""
 
 
-class Serve(_Deed, frozen=True, kw_only=True, tag="serve"):
-    """To a truck at a stop: the driver brings this order; an outcome event tells that it did."""
+class Serve(_CommandAction, frozen=True, kw_only=True, tag="serve"):
+    """To a truck at a stop: the driver delivers this order; an outcome event confirms it."""
 
     assignment: Id
-    """Which assignment."""
+    """The assignment."""
     order: Id
-    """The order that the driver brings."""
+    """The order to deliver."""
 
 
-class PutOut(_Deed, frozen=True, kw_only=True, tag="put_out"):
+class PutOut(_CommandAction, frozen=True, kw_only=True, tag="put_out"):
     """To a truck at a stop: put this drone with this parcel on its pad, switch it on, step back.
 
-    An event of kind `placed` says that nobody is near its rotors any more.
+    An event of kind `placed` confirms that the area around its rotors is clear.
     """
 
     assignment: Id
-    """Which assignment."""
+    """The assignment."""
     order: Id
     """The parcel's order."""
     vehicle: Name
@@ -280,64 +283,74 @@ class PutOut(_Deed, frozen=True, kw_only=True, tag="put_out"):
     """Longitude of its pad."""
 
 
-class Recover(_Deed, frozen=True, kw_only=True, tag="recover"):
-    """To a truck at a stop: take this drone aboard, swap its pack; `recovered` tells that it is."""
+class Recover(_CommandAction, frozen=True, kw_only=True, tag="recover"):
+    """To a truck at a stop: recover this drone, swap its pack; a `recovered` event confirms it."""
 
     assignment: Id
-    """Which assignment."""
+    """The assignment."""
     vehicle: Name
     """The drone."""
     parcel: Id | None = None
-    """Look whether this order's parcel is still on it, and tell."""
+    """Check for this order's parcel on the drone, and report the result."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
-    """Latitude of where it stands."""
+    """Latitude of its position."""
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
-    """Longitude of where it stands."""
+    """Longitude of its position."""
 
 
-class HandsOff(_Deed, frozen=True, kw_only=True, tag="hands_off"):
-    """Send the autopilot nothing more; somebody else flies."""
+class ReleaseControl(_CommandAction, frozen=True, kw_only=True, tag="hands_off"):
+    """Send the autopilot no more commands; another operator controls the vehicle."""
 
 
-class HandBack(_Deed, frozen=True, kw_only=True, tag="hand_back"):
-    """Control is the companion's again."""
+class ReturnControl(_CommandAction, frozen=True, kw_only=True, tag="hand_back"):
+    """Return control to the companion."""
 
 
-class SetLimits(_Deed, frozen=True, kw_only=True, tag="set_limits"):
-    """What the operator accepts from now on."""
+class SetLimits(_CommandAction, frozen=True, kw_only=True, tag="set_limits"):
+    """The operator's limits from now on."""
 
     max_loss: Annotated[float, Meta(ge=1e-6, le=0.5)] | None = None
-    """Probability of losing the vehicle that the operator accepts."""
+    """Accepted probability of losing the vehicle."""
     reserve_frac: Annotated[float, Meta(ge=0.0, le=0.6)] | None = None
-    """Energy that must be left after landing, of the usable energy."""
+    """Required energy after landing, as a fraction of the usable energy."""
 
 
-TruckDeed = Drive | Serve | PutOut | Recover
-Deed = Assign | Launch | Withdraw | Recall | MoveHome | HandsOff | HandBack | SetLimits | TruckDeed
+TruckAction = Drive | Serve | PutOut | Recover
+CommandAction = (
+    Assign
+    | Launch
+    | Withdraw
+    | Recall
+    | MoveHome
+    | ReleaseControl
+    | ReturnControl
+    | SetLimits
+    | TruckAction
+)
 
 
 class Command(WireMessage, frozen=True, kw_only=True):
-    """One order to one vehicle.
+    """One command to one vehicle.
 
-    A command from too long ago, or for an earlier life, is answered `stale` (a recall never is).
+    A command that is too old, or for an earlier instance, is answered `stale` (a recall never is).
     """
 
     id: Id
-    """The same id means the same command, however often it is sent."""
+    """A repeated id denotes the same command."""
     vehicle: Name
-    """Who is asked."""
-    life: Id
-    """`life` of the newest state that the sender has heard."""
+    """The addressed vehicle."""
+    instance_id: Id = msgspec.field(name="life")
+    """`instance_id` of the newest state that the sender received."""
     as_of_s: Annotated[float, Meta(ge=0.0)]
-    """`uptime_s` of that state: a command from too long ago is answered `stale`."""
-    by: Author
-    """Who asks, for people and for the audit."""
-    deed: Deed
-    """What is asked for."""
+    """`uptime_s` of that state: a command that is too old is answered `stale`."""
+    by: IssuerName
+    """The author, for people and for the audit."""
+    action: CommandAction = msgspec.field(name="deed")
+    """The requested action."""
 
 
-class Answered(Enum):
-    """How a command was taken. `later` and `stale` settle nothing: the same id may come again."""
+class CommandStatus(Enum):
+    """Status of a command. `later` and `stale` are not final: the same id may be sent again."""
 
     DONE = "done"
     REFUSED = "refused"
@@ -346,120 +359,96 @@ class Answered(Enum):
     INTERRUPTED = "interrupted"
 
 
-FINAL = (Answered.DONE, Answered.REFUSED, Answered.INTERRUPTED)
+FINAL_STATUSES = (CommandStatus.DONE, CommandStatus.REFUSED, CommandStatus.INTERRUPTED)
 
 
 class Result(WireMessage, frozen=True, kw_only=True):
-    """The answer to a command. `interrupted`: begun before a restart; the state tells the rest."""
+    """Reply to a command. `interrupted`: started before a restart; the state shows the result."""
 
     id: AnyId
-    """The command's id; empty where that could not be read."""
+    """The command's id; empty if unreadable."""
     vehicle: Name
-    """Who answers."""
-    life: Id
-    """The life that answers."""
-    answer: Answered
-    """How the command was taken."""
-    reason: Words = ""
-    """Why, in words."""
+    """The vehicle that replies."""
+    instance_id: Id = msgspec.field(name="life")
+    """The instance that replies."""
+    status: CommandStatus = msgspec.field(name="answer")
+    """Status of the command."""
+    reason: OperatorText = ""
+    """The reason, for people."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Why bytes were not taken for a message."""
+    """The reason for which bytes were rejected as a message."""
 
     reason: str
 
 
-class _Head(msgspec.Struct, frozen=True):
+class _VersionHeader(msgspec.Struct, frozen=True):
     v: int
 
 
-_head = msgspec.json.Decoder(_Head)
-_KINDS: dict[str, type[WireMessage]] = {
-    "state": State,
-    "event": FleetEvent,
-    "command": Command,
-    "result": Result,
-    "track": Track,
-    "winds": SharedWinds,
+_version_decoder = msgspec.json.Decoder(_VersionHeader)
+KIND_OF_TYPE: dict[type[WireMessage], str] = {
+    State: "state",
+    FleetEvent: "event",
+    Command: "command",
+    Result: "result",
+    Track: "track",
+    SharedWinds: "winds",
 }
-WORDS: dict[type[WireMessage], tuple[str, ...]] = {
-    State: ("text", "doubt"),
+TEXT_FIELDS: dict[type[WireMessage], tuple[str, ...]] = {
+    State: ("text", "monitor_text"),
     FleetEvent: ("text",),
     Command: ("by",),
     Result: ("reason",),
 }
-"""Fields that hold a person's words. Every other text of a message is a name with a pattern."""
+"""Fields with texts for people. All other texts in a message are names with a pattern."""
 
-_decoders = {kind: msgspec.json.Decoder(type_) for kind, type_ in _KINDS.items()}
+_decoders: dict[type[WireMessage], Any] = {
+    type_: msgspec.json.Decoder(type_) for type_ in KIND_OF_TYPE
+}
 
 
-def encode(message: State | FleetEvent | Command | Result | Track | SharedWinds) -> bytes:
-    """The bytes of a message; LeewayError where they are more than its kind may have."""
-    kind = next(kind for kind, type_ in _KINDS.items() if isinstance(message, type_))
+def encode_message(message: State | FleetEvent | Command | Result | Track | SharedWinds) -> bytes:
+    """Encode a message; LeewayError if it exceeds its kind's size limit."""
+    kind = KIND_OF_TYPE[type(message)]
     raw = msgspec.json.encode(message)
-    if len(raw) > LARGEST_BYTES[kind]:
-        raise LeewayError(f"{kind}: {len(raw)} bytes, expected at most {LARGEST_BYTES[kind]}")
+    if len(raw) > MAX_MESSAGE_BYTES[kind]:
+        raise LeewayError(f"{kind}: {len(raw)} bytes, expected at most {MAX_MESSAGE_BYTES[kind]}")
     return raw
 
 
-def decode_state(raw: bytes) -> State | Refused:
-    """A state, or why these bytes are none."""
-    return _decode("state", raw)
+def decode_message(message_type: type[Message], raw: bytes | Refused) -> Message | Refused:
+    """Decode a message of this type, or return the reason for its rejection, or the given one."""
+    if isinstance(raw, Refused):
+        return raw
+    kind = KIND_OF_TYPE[message_type]
+    if len(raw) > MAX_MESSAGE_BYTES[kind]:
+        return Refused(f"{kind}: {len(raw)} bytes, expected at most {MAX_MESSAGE_BYTES[kind]}")
+    try:
+        version = _version_decoder.decode(raw).v
+        if version != VERSION:
+            return Refused(f"{kind}: version {version}, expected {VERSION}")
+        return with_sanitized_texts(_decoders[message_type].decode(raw))
+    except (msgspec.DecodeError, LeewayError, UnicodeDecodeError, RecursionError) as error:
+        return Refused(safe_text(f"{kind}: {error}"[:300]))  # the error quotes received text
 
 
-def decode_event(raw: bytes) -> FleetEvent | Refused:
-    """An event, or why these bytes are none."""
-    return _decode("event", raw)
-
-
-def decode_command(raw: bytes) -> Command | Refused:
-    """A command, or why these bytes are none."""
-    return _decode("command", raw)
-
-
-def decode_track(raw: bytes) -> Track | Refused:
-    """A neighbour's place, or why these bytes are none."""
-    return _decode("track", raw)
-
-
-def decode_winds(raw: bytes) -> SharedWinds | Refused:
-    """The winds that others feel, or why these bytes are none."""
-    return _decode("winds", raw)
-
-
-def decode_told_track(told: Told) -> Track | Refused:
-    """A neighbour's place, told by its own key and in the cell where it is."""
-    track = decode_track(told.raw)
+def decode_and_match_received_track(received: ReceivedTrack) -> Track | Refused:
+    """Decode a neighbour's track; its vehicle and cell must match the key it was received on."""
+    track = decode_message(Track, received.raw)
     if isinstance(track, Refused):
         return track
-    if track.vehicle != told.speaker:
-        return Refused(f"{told.name} tells a place of {track.vehicle}")
-    if cell_of(track.lat_deg, track.lon_deg) != told.cell:
-        return Refused(f"{told.name} tells its place in a cell where it is not")
+    if track.vehicle != received.sender:
+        return Refused(f"{received.sender_display_name} sent a position of {track.vehicle}")
+    if cell_name_or_none(track.lat_deg, track.lon_deg) != received.cell:
+        return Refused(f"{received.sender_display_name} sent its position in another cell")
     return track
 
 
-def decode_result(raw: bytes) -> Result | Refused:
-    """A result, or why these bytes are none."""
-    return _decode("result", raw)
-
-
-def _decode(kind: str, raw: bytes) -> Any:
-    if len(raw) > LARGEST_BYTES[kind]:
-        return Refused(f"{kind}: {len(raw)} bytes, expected at most {LARGEST_BYTES[kind]}")
-    try:
-        version = _head.decode(raw).v
-        if version != VERSION:
-            return Refused(f"{kind}: version {version}, expected {VERSION}")
-        return with_safe_words(_decoders[kind].decode(raw))
-    except (msgspec.DecodeError, LeewayError, UnicodeDecodeError, RecursionError) as error:
-        return Refused(safe_text(f"{kind}: {error}"[:300]))  # it quotes what was sent
-
-
-def with_safe_words(message: WireMessage) -> WireMessage:
-    """The message, with its words as they may be shown."""
-    words = {name: getattr(message, name) for name in WORDS.get(type(message), ())}
-    safe = {name: safe_text(text) for name, text in words.items()}
-    return message if safe == words else msgspec.structs.replace(message, **safe)
+def with_sanitized_texts(message: Message) -> Message:
+    """Return the message with its texts sanitised for display."""
+    texts = {name: getattr(message, name) for name in TEXT_FIELDS.get(type(message), ())}
+    safe = {name: safe_text(text) for name, text in texts.items()}
+    return message if safe == texts else msgspec.structs.replace(message, **safe)

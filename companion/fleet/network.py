@@ -1,4 +1,4 @@
-"""The network as a fleet member needs it: zenoh, or a bus within one process."""
+"""Interface of a fleet member to the network: zenoh, or a bus within one process."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,108 +9,108 @@ if TYPE_CHECKING:
     from companion.core.mission.flight_file import NeighbourFleet
 
 OPEN_MARK = "[OPEN NETWORK]"
-"""Stands before log lines, and before where a truck is, on a network that lets strangers in."""
+"""Prefix of log lines, and of a truck's position, on a network open to strangers."""
 
-OPEN_WORDS = "OPEN NETWORK: strangers may listen and command"
+OPEN_WARNING = "OPEN NETWORK: strangers may listen and command"
 
 
 WIND_COV = "wind_cov"
-"""Stands in the request for states of whoever reads `State.wind_cov_m2ps2`."""
+"""Parameter in a state request of a client that reads `State.wind_cov_m2ps2`."""
 
-ASKED_AGAIN_S = 150.0
-"""A listener asks for states at its beginning, at least once a minute where it is a desk, and
-within two seconds of a state that it refused.
+STATE_REQUEST_MAX_INTERVAL_S = 150.0
+"""Clients request states at their start, a desk at least once a minute, and within two seconds of a
+state that they rejected.
 """
 
 
-class Ask(Enum):
-    """What somebody on the network wants of the vehicle."""
+class RequestKind(Enum):
+    """Kind of a request from the network."""
 
     COMMAND = "command"
     EVENTS = "events"
-    TWIN = "twin"
+    DUPLICATE = "twin"
     ROSTER = "roster"
-    NOTICE = "notice"
+    TEXT = "notice"
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """A command's bytes, the events after a number, notice that another life bears our name, a
-    roster's bytes, or words for people.
+class MemberRequest:
+    """A command's bytes, a request for events after a number, notice of another instance with this
+    name, a roster's bytes, or a text for people.
 
-    `answer` sends replies, and no more after the first call. `signer` is who signed a command;
-    empty in a fleet without a roster.
+    `reply` sends replies, once. `signer` is the signer of a command; empty in a fleet without a
+    roster.
     """
 
-    ask: Ask
-    answer: Callable[[list[bytes]], None]
+    kind: RequestKind
+    reply: Callable[[list[bytes]], None]
     payload: bytes = b""
-    after: int = 0
+    after_seq: int = 0
     signer: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """A track's bytes, the vehicle whose key it came by, and the cell in that key. `fleet`: the
-    neighbouring fleet in that key; empty: our own.
+class ReceivedTrack:
+    """A received track: its bytes, the vehicle and the cell in its key. `fleet`: the neighbouring
+    fleet in that key; empty for the own fleet.
     """
 
-    speaker: str
+    sender: str
     cell: str
     raw: bytes
     fleet: str = ""
 
     @property
-    def name(self) -> str:
-        """As refusals call it."""
-        return f"{self.fleet}/{self.speaker}" if self.fleet else self.speaker
+    def sender_display_name(self) -> str:
+        """The name in rejection messages."""
+        return f"{self.fleet}/{self.sender}" if self.fleet else self.sender
 
 
 class MemberLink(Protocol):
-    """One life of one member. Its liveliness token is there until `close`; nothing here blocks."""
+    """Link of one member instance. A liveliness token exists until `close`; no method blocks."""
 
-    def asked(self) -> list[Asked]:
-        """Everything that waits."""
+    def drain_requests(self) -> list[MemberRequest]:
+        """Return and remove all pending requests."""
         ...
 
-    def be_woken(self, wake: Callable[[], None]) -> None:
-        """Who waits now, and is to be woken when something is asked."""
+    def set_request_callback(self, on_request: Callable[[], None]) -> None:
+        """Set the function that is called when a request arrives."""
         ...
 
-    def publish_state(self, raw: bytes) -> None:
-        """Tell the newest state; who asks later gets it too."""
+    def publish_state(self, state_bytes: bytes) -> None:
+        """Publish the newest state, which later state requests also receive."""
         ...
 
-    def publish_event(self, raw: bytes) -> None:
-        """Tell an event, if anybody listens."""
+    def publish_event(self, event_bytes: bytes) -> None:
+        """Publish an event to its subscribers."""
         ...
 
-    def publish_track(self, raw: bytes, cell: str) -> None:
-        """Tell those who listen to this cell where we are; what cannot leave at once is worth
-        nothing later.
+    def publish_track(self, track_bytes: bytes, cell: str) -> None:
+        """Publish the position to subscribers of this cell; a track that cannot be sent immediately
+        is dropped.
         """
         ...
 
-    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
-        """Listen to the cells about this place from now on; before the first, to none."""
+    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Subscribe to the cells around this position; before the first call, to none."""
         ...
 
-    def hear_fleets(self, neighbours: Sequence["NeighbourFleet"]) -> None:
-        """Listen to the tracks of these fleets, too, in the same cells; to no others' any more."""
+    def subscribe_fleets(self, neighbours: Sequence["NeighbourFleet"]) -> None:
+        """Subscribe to these fleets' tracks in the same cells, and to no other fleet's."""
         ...
 
-    def tracks(self) -> list[Told]:
-        """What neighbours told since the last call, our own excepted; each one's oldest first."""
+    def drain_tracks(self) -> list[ReceivedTrack]:
+        """Return neighbours' tracks since the last call; oldest first for each vehicle."""
         ...
 
-    def winds(self) -> list[bytes]:
-        """What a desk told of the winds of others since the last call, oldest first."""
+    def drain_wind_messages(self) -> list[bytes]:
+        """Return the winds published by a desk since the last call, oldest first."""
         ...
 
-    def wind_cov_is_read(self) -> bool:
-        """Whether somebody asks for states, and all who do read the covariance of the wind."""
+    def do_all_clients_read_wind_cov(self) -> bool:
+        """Return True if states are requested, and all clients read the wind covariance."""
         ...
 
     def close(self) -> None:
-        """Say what is left to say, and leave."""
+        """Send what is queued, then leave the network."""
         ...

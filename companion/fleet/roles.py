@@ -1,10 +1,10 @@
-"""The roles of a fleet's members; loads nothing, so that a command line can list them."""
+"""The roles of a fleet's members; imports nothing, so that a command line can list them."""
 
 from enum import Enum
 
 
 class Role(Enum):
-    """What a member may do."""
+    """The role of a member."""
 
     DESK = "desk"
     ROUTER = "router"
@@ -17,22 +17,22 @@ class Role(Enum):
     NEIGHBOUR = "neighbour"
 
 
-COMMANDS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
-"""Whose commands a vehicle takes."""
+COMMANDERS = frozenset({Role.DESK, Role.SUPERVISOR, Role.DISPATCHER})
+"""Roles whose commands a vehicle accepts."""
 
-TELLS_WIND = frozenset({Role.DESK})
-"""Whose word of the winds that others feel a vehicle takes: a desk hears and checks them all."""
+WIND_PUBLISHERS = frozenset({Role.DESK})
+"""Roles whose winds, as measured by others, a vehicle accepts: a desk checks all of them."""
 
-SPEAKS = frozenset({Role.VEHICLE, Role.TRUCK})
-"""Who has a state, events, results and a track of its own."""
+STATE_PUBLISHERS = frozenset({Role.VEHICLE, Role.TRUCK})
+"""Roles with a state, events, results and a track."""
 
-MEASURES = frozenset({Role.STATION})
-"""Who tells the wind of a fixed place, and nothing else."""
+WIND_STATIONS = frozenset({Role.STATION})
+"""Roles that publish the wind of a fixed site, and nothing else."""
 
 NEIGHBOURS = frozenset({Role.NEIGHBOUR})
-"""Another fleet's desk, under that fleet's name: it hears our vehicles' tracks and nothing else,
-and our vehicles may hear that fleet's tracks.
+"""Another fleet's desk, under that fleet's name: it receives this fleet's tracks and nothing else,
+and this fleet's vehicles may receive that fleet's tracks.
 """
 
-LISTENS = frozenset({Role.DESK, Role.ROUTER})
-"""Whom the others call: only their certificates are for a server."""
+SERVERS = frozenset({Role.DESK, Role.ROUTER})
+"""Roles to which other members connect: only their certificates are valid for a server."""

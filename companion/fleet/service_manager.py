@@ -1,14 +1,19 @@
-"""What systemd is told by a service of `Type=notify`: that it is ready, and that it still turns."""
+"""A service of `Type=notify`: notifications to systemd, and stop signals for its loop to check."""
 
 import contextlib
 import os
+import signal
 import socket
+from collections.abc import Iterator
+from typing import Any
+
+from companion.adapters.clock import is_due
 
 SOCKET = "NOTIFY_SOCKET"
 
 
-def tell_systemd(state: str) -> None:
-    """Send `READY=1`, `WATCHDOG=1` or `STATUS=...`; without systemd nothing happens."""
+def notify_systemd(state: str) -> None:
+    """Send `READY=1`, `WATCHDOG=1` or `STATUS=...`; no effect without systemd."""
     path = os.environ.get(SOCKET)
     if not path:
         return
@@ -19,15 +24,35 @@ def tell_systemd(state: str) -> None:
 
 
 class Watchdog:
-    """`turn` is called by a loop in each of its turns: a loop that hangs is started again."""
+    """A loop calls `notify_systemd_if_due` in each cycle; systemd restarts it if it hangs."""
 
-    def __init__(self, every_s: float = 5.0) -> None:
-        self._every_s = every_s
-        self._told_s: float | None = None
+    def __init__(self, interval_s: float = 5.0) -> None:
+        self._interval_s = interval_s
+        self._last_notification_s: float | None = None
 
-    def turn(self, now_s: float) -> None:
-        """Say that we turn, a few times in each watchdog's time; the first time: that we are up."""
-        if self._told_s is not None and now_s - self._told_s < self._every_s:
+    def notify_systemd_if_due(self, now_s: float) -> None:
+        """Send READY at the first call, then WATCHDOG at the interval."""
+        if not is_due(self._last_notification_s, self._interval_s, now_s):
             return
-        tell_systemd("WATCHDOG=1" if self._told_s is not None else "READY=1\nWATCHDOG=1")
-        self._told_s = now_s
+        notify_systemd(
+            "WATCHDOG=1" if self._last_notification_s is not None else "READY=1\nWATCHDOG=1"
+        )
+        self._last_notification_s = now_s
+
+
+@contextlib.contextmanager
+def record_stop_signals() -> Iterator[list[int]]:
+    """Record SIGINT and SIGTERM inside the block, so that each cycle completes."""
+    received: list[int] = []
+
+    def record_signal(number: int, frame: Any) -> None:
+        received.append(number)
+
+    previous_handlers = {
+        s: signal.signal(s, record_signal) for s in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield received
+    finally:
+        for number, handler in previous_handlers.items():
+            signal.signal(number, handler)

@@ -1,8 +1,8 @@
-"""Whom a member believes: it signs what it says, and checks what it hears against the roster.
+"""Message authentication of a member: signs its messages, verifies received ones by the roster.
 
-A member expires so that nothing is cut in flight: who has expired may begin nothing (no command but
-a recall is taken of it, and network certificates end by themselves at the next joining), but what
-it tells of a flight is heard to the end. Who is revoked is not heard at all.
+Expiry never interrupts a flight: an expired member may start nothing (only its recall commands are
+accepted, and its network certificate is invalid at the next connection), but its reports of a
+running flight are accepted. A revoked member's messages are all rejected.
 """
 
 import contextlib
@@ -13,18 +13,24 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.mission.flight_file import NeighbourFleet
-from companion.fleet.envelope import Envelope, put_in_envelope, read_envelope
-from companion.fleet.messages import Recall, Refused, decode_command
-from companion.fleet.roles import COMMANDS, LISTENS, SPEAKS, TELLS_WIND, Role
+from companion.fleet.envelope import (
+    Envelope,
+    decode_envelope,
+    encode_envelope,
+    is_signature_valid,
+    public_key_hex_of,
+    sign_message,
+)
+from companion.fleet.messages import Command, Recall, Refused, decode_message
+from companion.fleet.roles import COMMANDERS, SERVERS, STATE_PUBLISHERS, WIND_PUBLISHERS, Role
 from companion.fleet.roster import (
     WARN_DAYS,
     Roster,
     RosterMember,
     SignedRoster,
-    decode_signed_roster,
-    roster_of,
+    decode_signed_roster_and_fleet_name,
+    parse_verified_roster,
 )
-from companion.fleet.signature import is_signed, public_key_of, sign
 
 ROSTER_KIND = "roster"
 DAY_S = 86_400.0
@@ -32,33 +38,79 @@ DAY_S = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class SignedCommand:
-    """A command's bytes that were checked, and the member who signed them."""
+    """A command's verified bytes, and the member that signed them."""
 
     raw: bytes
     signer: str
 
 
 @dataclass(slots=True)
-class Trust:
-    """One member's view of its fleet. `authorities`: the public keys that may sign rosters.
+class CertificateValidity:
+    """Validity of certificates by the local clock. `read_own_end_us` reads the end of this member's
+    certificate on disk (None: no certificate).
 
-    `keep` puts a newer roster on the disk. `read_end_us` looks at our own certificate as it lies
-    on the disk now, and says when that ends (None: there is none). The roster alone does not say:
-    it names the end of a renewed certificate before that has been carried to us.
+    The roster does not suffice for this member: it lists a renewed certificate before that is
+    installed. `entry` is this member's roster entry.
     """
 
-    name: str
-    private: bytes
-    authorities: frozenset[str]
-    signed: SignedRoster
-    roster: Roster
     epoch_us: Callable[[], int]
-    keep: Callable[[SignedRoster], None]
-    read_end_us: Callable[[], int | None] = lambda: None
+    read_own_end_us: Callable[[], int | None]
     own_end_us: int | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self.own_end_us = self.read_end_us()
+        self.own_end_us = self.read_own_end_us()
+
+    def is_expired(self, member: RosterMember) -> bool:
+        """Return True if its certificate has expired (False while the clock is unset, in 1970)."""
+        return self.epoch_us() > member.certificate_end_us
+
+    def membership_end_us(self, entry: RosterMember) -> int:
+        """Return the earlier of the roster's and the certificate's end."""
+        return min(entry.certificate_end_us, self.own_end_us or entry.certificate_end_us)
+
+    def remaining_membership_s(self, entry: RosterMember) -> float:
+        """Return the time until the membership ends."""
+        return (self.membership_end_us(entry) - self.epoch_us()) / 1e6
+
+    def renewal_instruction(self, entry: RosterMember) -> str:
+        """Return the operator's remedy for a near end."""
+        if self.membership_end_us(entry) < entry.certificate_end_us:
+            return f"renewed until {entry.not_after:%Y-%m-%d}: copy tls.pem to {entry.name}"
+        return "ground-station pki renew"
+
+    def reload_own_end_if_near(self, entry: RosterMember) -> None:
+        """Read the certificate again if its end is near: a renewed one may have been installed."""
+        if self.remaining_membership_s(entry) <= WARN_DAYS * DAY_S:
+            self.reload_own_end_unless_server(entry)
+
+    def reload_own_end_unless_server(self, entry: RosterMember | None) -> None:
+        """Read a newly installed certificate.
+
+        Clients read the certificate at each connection, servers once when the session opens.
+        """
+        if entry is None or entry.role not in SERVERS or not entry.address:
+            self.reload_own_end_if_complete()
+
+    def reload_own_end_if_complete(self) -> None:
+        """Use the installed certificate's end, or keep the old end if it is incomplete."""
+        with contextlib.suppress(LeewayError):
+            self.own_end_us = self.read_own_end_us() or self.own_end_us
+
+
+@dataclass(slots=True)
+class MemberTrust:
+    """One member's roster and keys. `authority_keys`: the public keys that may sign rosters.
+
+    `store_roster` stores a newer roster.
+    """
+
+    name: str
+    private_key: bytes
+    authority_keys: frozenset[str]
+    signed_roster: SignedRoster
+    roster: Roster
+    store_roster: Callable[[SignedRoster], None]
+    validity: CertificateValidity
 
     @property
     def fleet(self) -> str:
@@ -66,240 +118,220 @@ class Trust:
         return self.roster.fleet
 
     @property
-    def me(self) -> RosterMember | None:
-        """This member as the roster lists it; None: it does not."""
-        return self.roster.by_name.get(self.name)
+    def own_roster_entry(self) -> RosterMember | None:
+        """This member's roster entry; None if it is not listed."""
+        return self.roster.member_by_name.get(self.name)
 
     # --- out -----------------------------------------------------------------------------------
 
-    def seal(self, kind: str, raw: bytes) -> bytes:
-        """A message of ours in its envelope."""
-        signature = sign(self.private, kind=kind, fleet=self.fleet, signer=self.name, raw=raw)
-        return put_in_envelope(self.name, signature, raw)
+    def sign_in_envelope(self, kind: str, message_bytes: bytes) -> bytes:
+        """Put an own message in a signed envelope."""
+        signature = sign_message(
+            self.private_key, kind=kind, fleet=self.fleet, signer=self.name, raw=message_bytes
+        )
+        return encode_envelope(self.name, signature, message_bytes)
 
     # --- in ------------------------------------------------------------------------------------
 
-    def told(
-        self, kind: str, raw: bytes, speaker: str | None, roles: frozenset[Role] = SPEAKS
+    def verify_message_of_signer(
+        self,
+        kind: str,
+        raw: bytes,
+        expected_signer: str | None,
+        permitted_roles: frozenset[Role] = STATE_PUBLISHERS,
     ) -> bytes | Refused:
-        """The message that `speaker` itself signed: a vehicle or truck, or who has `roles`."""
-        found = self._checked(kind, raw)
-        if isinstance(found, Refused):
-            return found
-        envelope, member = found
-        if envelope.signer != speaker:
+        """Verify a message signed by `expected_signer`, who must have one of `permitted_roles`."""
+        result = self._verify_envelope_and_find_member(kind, raw)
+        if isinstance(result, Refused):
+            return result
+        envelope, member = result
+        if envelope.signer != expected_signer:
             return Refused(f"{kind}: signed by {envelope.signer}")
-        if member.role not in roles:
-            return Refused(f"{kind}: {speaker} is a {member.role.value}")
+        if member.role not in permitted_roles:
+            return Refused(f"{kind}: {expected_signer} is a {member.role.value}")
         return envelope.message
 
-    def commanded(self, raw: bytes) -> SignedCommand | Refused:
-        """The command that somebody signed who may command."""
-        found = self._checked("command", raw)
-        if isinstance(found, Refused):
-            return found
-        envelope, member = found
-        if member.role not in COMMANDS:
+    def verify_command(self, raw: bytes) -> SignedCommand | Refused:
+        """Verify a command: its signer must have a role with this permission."""
+        result = self._verify_envelope_and_find_member("command", raw)
+        if isinstance(result, Refused):
+            return result
+        envelope, member = result
+        if member.role not in COMMANDERS:
             return Refused(f"command: a {member.role.value} may not command ({member.name})")
-        command = decode_command(envelope.message)
+        command = decode_message(Command, envelope.message)
         if isinstance(command, Refused):
             return command
-        if self.is_over(member) and not isinstance(command.deed, Recall):
+        if self.validity.is_expired(member) and not isinstance(command.action, Recall):
             return Refused(f"command: {member.name}'s certificate has expired")
         return SignedCommand(envelope.message, member.name)
 
-    def told_winds(self, raw: bytes) -> bytes | Refused:
-        """The winds of others that a desk signed. Who has expired is not asked any more: one's own
-        wind is there.
+    def verify_winds(self, raw: bytes) -> bytes | Refused:
+        """Verify winds signed by a desk. An expired desk is rejected, since the vehicle's own wind
+        estimate remains.
         """
-        found = self._checked("winds", raw)
-        if isinstance(found, Refused):
-            return found
-        envelope, member = found
-        if member.role not in TELLS_WIND:
-            return Refused(f"winds: a {member.role.value} may not tell them ({member.name})")
-        if self.is_over(member):
+        result = self._verify_envelope_and_find_member("winds", raw)
+        if isinstance(result, Refused):
+            return result
+        envelope, member = result
+        if member.role not in WIND_PUBLISHERS:
+            return Refused(f"winds: a {member.role.value} may not publish them ({member.name})")
+        if self.validity.is_expired(member):
             return Refused(f"winds: {member.name}'s certificate has expired")
         return envelope.message
 
-    def _checked(self, kind: str, raw: bytes) -> tuple[Envelope, RosterMember] | Refused:
-        envelope = read_envelope(kind, raw)
+    def _verify_envelope_and_find_member(
+        self, kind: str, raw: bytes
+    ) -> tuple[Envelope, RosterMember] | Refused:
+        envelope = decode_envelope(kind, raw)
         if isinstance(envelope, Refused):
             return envelope
-        member = self.roster.by_name.get(envelope.signer)
+        member = self.roster.member_by_name.get(envelope.signer)
         if member is None:
-            return Refused(f"{kind}: signed by {envelope.signer}, who is not on the roster")
+            return Refused(f"{kind}: signed by {envelope.signer}, not on the roster")
         if member.revoked:
             return Refused(f"{kind}: {envelope.signer} is revoked")
-        if not self._is_of(member.key, kind, envelope.signer, envelope.signature, envelope.message):
+        if not is_signature_valid(
+            member.key,
+            envelope.signature,
+            kind=kind,
+            fleet=self.fleet,
+            signer=envelope.signer,
+            raw=envelope.message,
+        ):
             return Refused(f"{kind}: not the signature of {envelope.signer}")
         return envelope, member
 
-    def _is_of(self, key: str, kind: str, signer: str, signature: bytes, raw: bytes) -> bool:
-        return is_signed(key, signature, kind=kind, fleet=self.fleet, signer=signer, raw=raw)
+    # --- this member ---------------------------------------------------------------------------
 
-    # --- time ----------------------------------------------------------------------------------
+    def read_membership_end_us(self) -> int | None:
+        """Return the earlier of the roster's and the certificate's end; None: not on the roster."""
+        me = self.own_roster_entry
+        if me is None:
+            return None
+        self.validity.reload_own_end_if_near(me)
+        return self.validity.membership_end_us(me)
 
-    def is_over(self, member: RosterMember) -> bool:
-        """Its certificate has ended by our clock. A clock that stands at 1970 finds none ended."""
-        return self.epoch_us() > member.not_after_us
-
-    @property
-    def end_us(self) -> int | None:
-        """When we can join no more: the roster's end or our certificate's, which comes first.
-        None: the roster does not list us.
-        """
-        return None if self.me is None else self._end_us(self.me)
-
-    def _end_us(self, me: RosterMember) -> int:
-        return min(me.not_after_us, self.own_end_us or me.not_after_us)
-
-    def look_if_near(self) -> None:
-        """Look at our certificate where its end is near: a newer one may have been carried here."""
-        if self.me is not None and self._left_s(self.me) <= WARN_DAYS * DAY_S:
-            self.look_at_certificate()
-
-    def look_at_certificate(self) -> None:
-        """Take up a certificate that was carried here; the old one counts while it is not whole.
-
-        It is read at each joining, but by who is called by the others when its session opens.
-        """
-        if not self._is_called:
-            self.show_certificate()
-
-    def show_certificate(self) -> None:
-        """From now on the one that lies here is shown to callers; not whole, the one before."""
-        with contextlib.suppress(LeewayError):
-            self.own_end_us = self.read_end_us() or self.own_end_us
-
-    @property
-    def _is_called(self) -> bool:
-        return self.me is not None and self.me.role in LISTENS and bool(self.me.address)
-
-    def _left_s(self, me: RosterMember) -> float:
-        return (self._end_us(me) - self.epoch_us()) / 1e6
-
-    def _remedy(self, me: RosterMember) -> str:
-        """What a person does about an end that is near."""
-        if self._end_us(me) < me.not_after_us:
-            return f"renewed until {me.not_after:%Y-%m-%d}: carry tls.pem to {self.name}"
-        return "ground-station pki renew"
-
-    def _trouble(self, me: RosterMember | None) -> str:
-        """Why nobody believes anything of ours; empty: they do."""
+    def _own_entry_accepted_by_others(self) -> RosterMember | Refused:
+        """Return this member's roster entry, or the reason why others reject its messages."""
+        me = self.own_roster_entry
         if me is None or me.revoked:
-            return f"{self.name} is {'revoked' if me else 'not on the roster'}"
-        if me.key != public_key_of(self.private):
-            return f"the signing key is not the one of {self.name} on the roster"
-        return ""
+            return Refused(f"{self.name} is {'revoked' if me else 'not on the roster'}")
+        if me.key != public_key_hex_of(self.private_key):
+            return Refused(f"the signing key is not the one of {self.name} on the roster")
+        return me
 
-    def warning(self) -> str:
-        """What a person should do about our own certificate, looked at now; empty: nothing."""
-        me = self.me
-        if me is None or self._trouble(me):
-            return self._trouble(me)
-        self.look_if_near()
-        days = self._left_s(me) / DAY_S
+    def certificate_warning_or_empty(self) -> str:
+        """Return the operator's warning about this member's certificate; empty: none."""
+        me = self._own_entry_accepted_by_others()
+        if isinstance(me, Refused):
+            return me.reason
+        self.validity.reload_own_end_if_near(me)
+        days = self.validity.remaining_membership_s(me) / DAY_S
         if days > WARN_DAYS:
             return ""
-        return f"certificate of {self.name}: {days:.0f} days left ({self._remedy(me)})"
+        remedy = self.validity.renewal_instruction(me)
+        return f"certificate of {self.name}: {days:.0f} days left ({remedy})"
 
-    def trouble_until(self, seconds: float) -> str:
-        """Why nothing may begin that takes so long: our certificate would end meanwhile."""
-        me = self.me
-        if me is None or self._trouble(me):
-            return self._trouble(me)
-        if self._left_s(me) < seconds:
-            self.look_at_certificate()
-        left_s = self._left_s(me)
-        if left_s >= seconds:
+    def certificate_error_within(self, duration_s: float) -> str:
+        """Return the reason against an action that outlasts the certificate; empty: none."""
+        me = self._own_entry_accepted_by_others()
+        if isinstance(me, Refused):
+            return me.reason
+        if self.validity.remaining_membership_s(me) < duration_s:
+            self.validity.reload_own_end_unless_server(me)
+        remaining_s = self.validity.remaining_membership_s(me)
+        if remaining_s >= duration_s:
             return ""
         return (
-            f"the certificate of {self.name} ends in {max(left_s, 0.0) / 60.0:.0f} min,"
-            f" expected at least {seconds / 60.0:.0f} min more ({self._remedy(me)})"
+            f"the certificate of {self.name} ends in {max(remaining_s, 0.0) / 60.0:.0f} min,"
+            f" expected at least {duration_s / 60.0:.0f} min more"
+            f" ({self.validity.renewal_instruction(me)})"
         )
 
-    def command_trouble(self) -> str:
-        """Why nobody would take a command of ours; empty: they would."""
-        me = self.me
-        if me is None or self._trouble(me):
-            return self._trouble(me)
-        if me.role not in COMMANDS:
+    def command_permission_error_or_empty(self) -> str:
+        """Return why this member's commands would be rejected; empty: they are accepted."""
+        me = self._own_entry_accepted_by_others()
+        if isinstance(me, Refused):
+            return me.reason
+        if me.role not in COMMANDERS:
             return f"{self.name} is a {me.role.value}: may not command"
-        return f"the certificate of {self.name} has expired" if self.is_over(me) else ""
+        return f"the certificate of {self.name} has expired" if self.validity.is_expired(me) else ""
 
     # --- rosters -------------------------------------------------------------------------------
 
     @property
-    def roster_bytes(self) -> bytes:
-        """The roster in force, as it is passed on."""
-        return msgspec.json.encode(self.signed)
+    def encoded_signed_roster(self) -> bytes:
+        """The roster in force, encoded for other members."""
+        return msgspec.json.encode(self.signed_roster)
 
-    def take_roster(self, raw: bytes) -> Roster | Refused | None:
-        """Put a newer roster in force and on the disk; None where it is not newer."""
-        if raw == self.roster_bytes:
+    def store_roster_if_newer(self, raw: bytes) -> Roster | Refused | None:
+        """Store a newer roster and put it in force; return None if it is not newer."""
+        if raw == self.encoded_signed_roster:
             return None
-        found = checked_roster(raw, self.authorities)
-        if isinstance(found, Refused):
-            return found
-        signed, roster = found
+        result = verify_roster(raw, self.authority_keys)
+        if isinstance(result, Refused):
+            return result
+        signed, roster = result
         if roster.fleet != self.fleet:
             return Refused(f"roster: of fleet {roster.fleet}")
         if roster.number <= self.roster.number:
             return None
-        self.signed, self.roster = signed, roster
-        self.look_at_certificate()
-        self.keep(signed)
+        self.signed_roster, self.roster = signed, roster
+        self.validity.reload_own_end_unless_server(self.own_roster_entry)
+        self.store_roster(signed)
         return roster
 
 
-def told_by_neighbour(neighbour: NeighbourFleet, raw: bytes, speaker: str) -> bytes | Refused:
-    """The track that this vehicle of a neighbouring fleet signed itself, as one of that fleet.
+def verify_neighbour_track(
+    neighbour: NeighbourFleet, raw: bytes, expected_signer: str
+) -> bytes | Refused:
+    """Verify a track signed by a vehicle of a neighbouring fleet.
 
-    The key is the one that the desk named with the flight. Nothing else of theirs is believed: no
-    other kind of message comes here, and a signature is of one kind and one fleet.
+    The key is the one that the desk sent with the flight. Other message kinds of neighbours are
+    never accepted, since a signature is valid for one kind and one fleet.
     """
-    envelope = read_envelope("track", raw)
+    envelope = decode_envelope("track", raw)
     if isinstance(envelope, Refused):
         return envelope
-    if envelope.signer != speaker:
+    if envelope.signer != expected_signer:
         return Refused(f"track: signed by {envelope.signer}")
-    key = neighbour.keys.get(speaker)
+    key = neighbour.keys.get(expected_signer)
     if key is None:
-        return Refused(f"track: no vehicle of {neighbour.fleet} that the desk named")
-    signed = is_signed(
+        return Refused(f"track: no key from the desk for this vehicle of {neighbour.fleet}")
+    signed = is_signature_valid(
         key,
         envelope.signature,
         kind="track",
         fleet=neighbour.fleet,
-        signer=speaker,
+        signer=expected_signer,
         raw=envelope.message,
     )
-    return envelope.message if signed else Refused(f"track: not the signature of {speaker}")
+    return envelope.message if signed else Refused(f"track: not the signature of {expected_signer}")
 
 
-def checked_roster(
-    raw: bytes, authorities: frozenset[str]
+def verify_roster(
+    raw: bytes, authority_keys: frozenset[str]
 ) -> tuple[SignedRoster, Roster] | Refused:
-    """A roster that at least one of these authorities signed."""
-    found = decode_signed_roster(raw)
-    if isinstance(found, Refused):
-        return found
-    signed, fleet = found
-    if not any(is_roster_signed(signed, fleet, key) for key in authorities):
+    """Decode and verify a roster signed by at least one of these authorities."""
+    result = decode_signed_roster_and_fleet_name(raw)
+    if isinstance(result, Refused):
+        return result
+    signed, fleet = result
+    if not any(is_roster_signed_by_authority(signed, fleet, key) for key in authority_keys):
         return Refused("roster: not signed by an authority of this fleet")
-    roster = roster_of(signed, fleet)
+    roster = parse_verified_roster(signed, fleet)
     return roster if isinstance(roster, Refused) else (signed, roster)
 
 
-def is_roster_signed(signed: SignedRoster, fleet: str, authority: str) -> bool:
-    """Tell whether this authority signed it."""
-    signature = signed.signatures.get(authority)
+def is_roster_signed_by_authority(signed: SignedRoster, fleet: str, authority_key: str) -> bool:
+    """Return True if this authority signed the roster."""
+    signature = signed.signatures.get(authority_key)
     if signature is None:
         return False
     raw = signed.roster.encode()
-    return is_signed(
-        authority,
+    return is_signature_valid(
+        authority_key,
         bytes.fromhex(signature),
         kind=ROSTER_KIND,
         fleet=fleet,

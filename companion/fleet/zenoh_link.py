@@ -1,10 +1,11 @@
-"""A fleet member's zenoh link: requests wait in boxes, messages leave by one thread.
+"""A fleet member's zenoh link: requests are queued per sender, messages are sent by one thread.
 
-The flight never waits for zenoh. The session opens in the background, with retries. What cannot be
-sent is dropped, oldest first: states are repeated anyway, and events are kept (`event_log`) until
-somebody asks for them.
+The flight never waits for zenoh. The session opens in the background, with retries. If messages
+cannot be sent, the oldest are dropped: states are repeated, and events are stored (`event_log`)
+until they are requested.
 """
 
+import contextlib
 import math
 import os
 import queue
@@ -13,426 +14,325 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import zenoh
-from zenoh.handlers import Callback
 
 from companion.adapters.clock import wall_s
 from companion.core.base.rate_limit import RateLimit
 from companion.core.mission.flight_file import NeighbourFleet
-from companion.core.separation.track_cells import HeardCells
-from companion.fleet.network import ASKED_AGAIN_S, WIND_COV, Ask, Asked, Told
-from companion.fleet.topics import VehicleKeys, life_of, roster_key, track_of
-from companion.fleet.waiting_room import WaitingRoom
-from companion.fleet.zenoh_config import mode_of
+from companion.fleet.neighbour_tracks import MAX_TRACKED_NEIGHBOURS, TrackReceiver
+from companion.fleet.network import (
+    STATE_REQUEST_MAX_INTERVAL_S,
+    WIND_COV,
+    MemberRequest,
+    ReceivedTrack,
+    RequestKind,
+)
+from companion.fleet.request_queue import PUBLISHED_ROSTERS, RequestQueues
+from companion.fleet.topics import VehicleKeys, vehicle_and_instance_from_key
+from companion.fleet.zenoh_config import config_mode
+from companion.fleet.zenoh_session import (
+    RosterReceiver,
+    SessionThread,
+    is_connected,
+    wrap_as_direct_callback,
+)
 
-Heard = TypeVar("Heard", zenoh.Query, zenoh.Sample, zenoh.Reply)
-
-OPEN_AGAIN_S = 5.0
-LOOK_S = 5.0
-"""Where nothing is to be sent the writer looks so often whether a roster is due, whether it was
-asked, and for whom to listen here. A companion's states come each second.
+WRITER_POLL_S = 5.0
+"""Interval at which an idle writer thread checks for a due roster request, missing requests and
+changed subscriptions. A companion's states are sent each second.
 """
-UNASKED_S, MOST_UNASKED_S = 150.0, 2400.0
-"""A desk asks all once a minute. Whom nobody asks so long, though he is connected, was missed when
-he joined: he joins anew, after ever longer waits, since there may be a router and no desk.
-"""
-
-COMMANDS_WAIT = 256
-COMMANDS_EACH = 16
-"""Of them in one name: a desk sends a vehicle a few at once. What is dropped is sent again a second
-later.
-"""
-
-ASKS_WAIT, TWINS_WAIT, ROSTERS_WAIT = 8, 1, 4
-ASKS_HZ, ASKS_BURST = 10.0, 40.0
-"""Of events: each desk, map and watch asks when it begins, and for what it missed."""
-
-WAKES_HZ, WAKES_BURST = 50.0, 50.0
-"""A flood wakes the flight's loop no oftener; what comes meanwhile waits for its next turn."""
-
-ROSTER_AGAIN_S = 10.0
-"""Where rosters find no room the true one may be among them: it is asked for."""
-
-LEAVING = 4096
-TRACKS = 256
-"""Neighbours of each fleet whose newest places are kept; a flood by one takes the room of none, nor
-does a neighbouring fleet that of our own.
+REJOIN_WITHOUT_REQUEST_S, MAX_REJOIN_WITHOUT_REQUEST_S = 150.0, 2400.0
+"""A desk sends requests once a minute. A connected member without one for so long was missed: it
+joins again, with increasing intervals, since there may be a router and no desk.
 """
 
-TRACKS_EACH = 8
-"""Of one neighbour, who tells five a second: who signed them is seen only later, so a forged one
-that comes behind the true one does not hide it. A look at a signature takes 0.1 ms.
-"""
+EVENT_REQUESTS_HZ, EVENT_REQUESTS_BURST = 10.0, 40.0
+"""Limits of event requests: desks, maps and monitors send them at start and after gaps."""
 
-WINDS_KEPT = 4
-"""Words of the winds of others: one comes every 10 s, and who signed it is seen only later."""
+MAX_OUTGOING = 4096
+MAX_WINDS = 4
+"""Maximum stored wind messages: one arrives every 10 s, and signatures are verified later."""
 
-AFTER = "after"
-ABOVE = "above"
-"""A roster is asked for with the number of one's own: who has none above it does not answer."""
-NUMBER_DIGITS = 15
-TOLD_ROSTERS = "told rosters"
-ROSTER_WAIT_S = 5.0
-"""As long as a desk waits for an answer. Who misses it hears the next that the desk tells."""
+AFTER_PARAMETER = "after"
+Send = Callable[[zenoh.Session], Any]
+"""Action of the writer thread, in its session."""
+
+
+class MemberQueries:
+    """Queries to a member: commands and event requests are queued for it, state requests get the
+    newest state from here.
+
+    zenoh's threads call the handlers concurrently. `_limit_lock` guards the rate limit; the other
+    attributes are replaced in one assignment each. Replies are sent by the writer thread.
+    """
+
+    def __init__(
+        self, keys: VehicleKeys, requests: RequestQueues, enqueue_send: Callable[[Send], None]
+    ) -> None:
+        self._keys = keys
+        self._requests = requests
+        self._enqueue_send = enqueue_send
+        self._event_request_limit = RateLimit(EVENT_REQUESTS_HZ, EVENT_REQUESTS_BURST)
+        self._limit_lock = threading.Lock()
+        self._cov_reader_request_s, self._non_cov_reader_request_s = -math.inf, -math.inf
+        self.state_bytes = b""
+        self.last_request_s = 0.0
+
+    def declare_in(self, session: zenoh.Session) -> list[Any]:
+        """Declare the queryables; they end when the returned declarations are dropped."""
+        return [
+            session.declare_queryable(key, wrap_as_direct_callback(handler))
+            for key, handler in (
+                (self._keys.command_key, self._queue_command_request),
+                (self._keys.event_key, self._queue_events_request_within_limit),
+                (self._keys.state_key, self._reply_with_newest_state),
+            )
+        ]
+
+    def do_all_clients_read_wind_cov(self) -> bool:
+        """Return True if all recent state requests read the wind covariance."""
+        since_s = wall_s() - STATE_REQUEST_MAX_INTERVAL_S
+        return self._cov_reader_request_s >= since_s > self._non_cov_reader_request_s
+
+    def _queue_command_request(self, query: zenoh.Query) -> None:
+        self.last_request_s = wall_s()
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        reply = partial(self._queue_replies, query, self._keys.command_key)
+        self._requests.add_request_and_call_back(MemberRequest(RequestKind.COMMAND, reply, payload))
+
+    def _queue_events_request_within_limit(self, query: zenoh.Query) -> None:
+        self.last_request_s = wall_s()
+        with self._limit_lock:
+            is_within_limit = self._event_request_limit.try_consume_tokens(self.last_request_s)
+        reply = partial(self._queue_replies, query, self._keys.event_key)
+        if not is_within_limit:
+            reply([])
+            return
+        after = query.parameters.get(AFTER_PARAMETER) or "0"
+        after_seq = int(after) if after.isdecimal() else 0
+        self._requests.add_request_and_call_back(
+            MemberRequest(RequestKind.EVENTS, reply, after_seq=after_seq)
+        )
+
+    def _reply_with_newest_state(self, query: zenoh.Query) -> None:
+        self.last_request_s = wall_s()
+        if query.parameters.get(WIND_COV) is None:
+            self._non_cov_reader_request_s = self.last_request_s
+        else:
+            self._cov_reader_request_s = self.last_request_s
+        replies = [self.state_bytes] if self.state_bytes else []
+        self._queue_replies(query, self._keys.state_key, replies)
+
+    def _queue_replies(self, query: zenoh.Query, key: str, replies: list[bytes]) -> None:
+        def send(session: zenoh.Session) -> None:
+            for raw in replies:
+                query.reply(key, raw)
+            query.drop()
+
+        self._enqueue_send(send)
 
 
 class ZenohLink:
-    """One life of one companion. `wake` is called from zenoh's threads: something waits.
+    """The link of one companion instance. zenoh's threads call `on_request` when a request arrives.
 
-    `is_member`: whose tracks get room. `roster_number`: of the roster in force. `claimed_by`: in
-    whose name a command comes, of those who may command; empty: in nobody's.
+    `is_member`: True for senders whose tracks are stored. `roster_number`: of the roster in force.
+    `unverified_sender`: returns the claimed sender of a command if it may command, else empty.
+    The writer thread runs the session, and sends everything.
     """
 
     def __init__(
         self,
         config: zenoh.Config,
         keys: VehicleKeys,
-        life: str,
-        wake: Callable[[], None],
+        instance_id: str,
+        on_request: Callable[[], None],
         is_member: Callable[[str], bool] = lambda name: True,
-        claimed_by: Callable[[bytes], str] | None = None,
+        unverified_sender: Callable[[bytes], str] | None = None,
         roster_number: Callable[[], int] = lambda: 0,
     ) -> None:
-        self._config = config
-        self._calls_a_desk = mode_of(config) == "client"
+        self._is_client = config_mode(config) == "client"
         self._keys = keys
-        self._life = life
-        self._wake = wake
-        self._is_member = is_member
-        self._claimed_by = claimed_by
+        self._instance_id = instance_id
         self._roster_number = roster_number
-        self.waiting = WaitingRoom()
-        self._asks = RateLimit(ASKS_HZ, ASKS_BURST)
-        self._wakes = RateLimit(WAKES_HZ, WAKES_BURST)
-        self._limits_lock = threading.Lock()
-        self._roster_asked_s = 0.0
-        self._newer_told = False
-        self._tracks: dict[str, dict[str, deque[Told]]] = {}
-        self._tracks_lock = threading.Lock()
-        self._winds: deque[bytes] = deque(maxlen=WINDS_KEPT)
-        self._place: tuple[float, float] | None = None
-        self._neighbours: dict[str, NeighbourFleet] = {}
-        self._leaving: queue.Queue[Callable[[], Any] | None] = queue.Queue(LEAVING)
-        self._stop = threading.Event()
-        self._session: zenoh.Session | None = None
-        self._held: tuple[Any, ...] = ()
-        self._state = b""
-        self._reader_s, self._old_reader_s = -math.inf, -math.inf
-        self._heard_s = 0.0
-        self.trouble = "not open yet"
-        self._thread = threading.Thread(target=self._run, name="zenoh-writer", daemon=True)
-        self._thread.start()
+        self._outgoing: queue.Queue[Send] = queue.Queue(MAX_OUTGOING)
+        # the writer thread drops the last reference to a dropped request
+        self.request_queues = RequestQueues(
+            on_request,
+            unverified_sender,
+            lambda request: self._enqueue_send_dropping_oldest(lambda session, held=request: None),
+        )
+        self._queries = MemberQueries(keys, self.request_queues, self._enqueue_send_dropping_oldest)
+        self._tracks = TrackReceiver(keys, is_member)
+        self._winds: deque[bytes] = deque(maxlen=MAX_WINDS)  # its methods are thread-safe
+        self._declarations: list[Any] = []
+        self._rejoin_s = REJOIN_WITHOUT_REQUEST_S
+        self.session_thread = SessionThread(
+            "zenoh-writer", config, self._run_session_until_stop_or_rejoin
+        )
+        self.session_thread.error_text = "not open yet"
+        self.session_thread.start()
 
     # --- in ------------------------------------------------------------------------------------
 
-    def asked(self) -> list[Asked]:
-        """Everything that waits."""
-        return self.waiting.take()
+    def drain_requests(self) -> list[MemberRequest]:
+        """Return and remove all pending requests."""
+        return self.request_queues.drain_in_arrival_order()
 
-    def be_woken(self, wake: Callable[[], None]) -> None:
-        """Who waits now, and is to be woken."""
-        self._wake = wake
+    def set_request_callback(self, on_request: Callable[[], None]) -> None:
+        """Set the function that is called when a request arrives."""
+        self.request_queues.on_request = on_request
 
-    def _hear_command(self, query: zenoh.Query) -> None:
-        self._heard_s = wall_s()
-        payload = query.payload.to_bytes() if query.payload is not None else b""
-        answer = self._answer(query, self._keys.command)
-        self.put(Asked(Ask.COMMAND, answer, payload))
+    def _queue_duplicate_instance_notice(self, sample: zenoh.Sample) -> None:
+        seen = vehicle_and_instance_from_key(str(sample.key_expr))
+        if (
+            sample.kind == zenoh.SampleKind.PUT
+            and seen is not None
+            and seen[1] != self._instance_id
+        ):
+            self.request_queues.add_request_and_call_back(
+                MemberRequest(RequestKind.DUPLICATE, lambda replies: None, seen[1].encode())
+            )
 
-    def _hear_events_wanted(self, query: zenoh.Query) -> None:
-        self._heard_s = wall_s()
-        if not self._is_within(self._asks):
-            self._leave(query.drop)
-            return
-        after = query.parameters.get(AFTER) or "0"
-        answer = self._answer(query, self._keys.event)
-        self.put(Asked(Ask.EVENTS, answer, after=int(after) if after.isdecimal() else 0))
+    def drain_tracks(self) -> list[ReceivedTrack]:
+        """Return the newest tracks of each neighbour since the last call; oldest first for each."""
+        return self._tracks.drain_tracks()
 
-    def _hear_state_wanted(self, query: zenoh.Query) -> None:
-        self._heard_s = wall_s()
-        if query.parameters.get(WIND_COV) is None:
-            self._old_reader_s = self._heard_s
-        else:
-            self._reader_s = self._heard_s
-        if self._state:
-            self._answer(query, self._keys.state)([self._state])
-        else:
-            self._leave(query.drop)
+    def do_all_clients_read_wind_cov(self) -> bool:
+        """Return True if all recent state requests read the wind covariance."""
+        return self._queries.do_all_clients_read_wind_cov()
 
-    def _hear_alive(self, sample: zenoh.Sample) -> None:
-        seen = life_of(str(sample.key_expr))
-        if sample.kind == zenoh.SampleKind.PUT and seen is not None and seen[1] != self._life:
-            self.put(Asked(Ask.TWIN, lambda replies: None, seen[1].encode()))
+    def drain_wind_messages(self) -> list[bytes]:
+        """Return the newest wind messages since the last call, oldest first."""
+        return [self._winds.popleft() for _ in range(len(self._winds))]
 
-    def tracks(self) -> list[Told]:
-        """The newest few that each neighbour told since the last call, each one's oldest first."""
-        with self._tracks_lock:
-            told, self._tracks = self._tracks, {}
-        return [track for fleet in told.values() for each in fleet.values() for track in each]
-
-    def wind_cov_is_read(self) -> bool:
-        """Whether all who asked for states of late read the covariance of the wind."""
-        since_s = wall_s() - ASKED_AGAIN_S
-        return self._reader_s >= since_s > self._old_reader_s
-
-    def _hear_track(self, fleet: str, sample: zenoh.Sample) -> None:
-        key = track_of(str(sample.key_expr))
-        if key is None:
-            return
-        speaker, cell = key
-        if not self._gets_room(fleet, speaker):
-            return
-        told = Told(speaker, cell, sample.payload.to_bytes(), fleet)
-        with self._tracks_lock:
-            boxes = self._tracks.setdefault(fleet, {})
-            box = boxes.get(speaker)
-            if box is None:
-                if len(boxes) >= TRACKS:
-                    return
-                box = boxes[speaker] = deque(maxlen=TRACKS_EACH)
-            box.append(told)
-
-    def _gets_room(self, fleet: str, speaker: str) -> bool:
-        """Whether tracks in this name are kept until somebody looks who signed them."""
-        if not fleet:
-            return speaker != self._keys.vehicle and self._is_member(speaker)
-        neighbour = self._neighbours.get(fleet)
-        return neighbour is not None and (not neighbour.keys or speaker in neighbour.keys)
-
-    def winds(self) -> list[bytes]:
-        """The newest few words of the winds of others since the last call, oldest first."""
-        found: list[bytes] = []
-        while self._winds:
-            found.append(self._winds.popleft())
-        return found
-
-    def _hear_winds(self, sample: zenoh.Sample) -> None:
+    def _store_wind_message(self, sample: zenoh.Sample) -> None:
         self._winds.append(sample.payload.to_bytes())
 
-    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
-        """Listen to the cells about this place; the writer thread tells the network."""
-        self._place = lat_deg, lon_deg
+    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Subscribe to the cells around this position; the writer thread applies it."""
+        self._tracks.set_position(lat_deg, lon_deg)
 
-    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
-        """Listen to these fleets, too; nobody is a neighbour of its own fleet."""
-        self._neighbours = {one.fleet: one for one in neighbours if one.fleet != self._keys.fleet}
-
-    def _hear_roster(self, sample: zenoh.Sample) -> None:
-        raw = sample.payload.to_bytes()
-        if (number := told_number(raw)) is not None:
-            if number > self._roster_number():
-                self._newer_told = True
-            return
-        self._put(TOLD_ROSTERS, Asked(Ask.ROSTER, lambda replies: None, raw), ROSTERS_WAIT)
-
-    def _hear_roster_reply(self, reply: zenoh.Reply) -> None:
-        """What came because we asked cannot be pushed out by what is told."""
-        if reply.ok is not None:
-            asked = Asked(Ask.ROSTER, lambda replies: None, reply.ok.payload.to_bytes())
-            self._put("asked rosters", asked, ROSTERS_WAIT, keep_first=True)
-
-    def _answer(self, query: zenoh.Query, key: str) -> Callable[[list[bytes]], None]:
-        def answer(replies: list[bytes]) -> None:
-            def send() -> None:
-                for raw in replies:
-                    query.reply(key, raw)
-                query.drop()
-
-            self._leave(send)
-
-        return answer
-
-    def put(self, asked: Asked) -> None:
-        """Have it wait in its box, and wake whoever waits for it."""
-        match asked.ask:
-            case Ask.COMMAND if self._claimed_by is not None:
-                self._put(f"commands {self._claimed_by(asked.payload)}", asked, COMMANDS_EACH)
-            case Ask.COMMAND:
-                self._put("commands", asked, COMMANDS_WAIT)
-            case Ask.EVENTS:
-                self._put("events", asked, ASKS_WAIT)
-            case _:
-                self._put(asked.ask.value, asked, TWINS_WAIT)
-
-    def _put(self, box: str, asked: Asked, most: int, *, keep_first: bool = False) -> None:
-        left_out = self.waiting.put(box, asked, most, keep_first=keep_first)
-        if left_out is not None:
-            self._leave(partial(_let_go, left_out))
-        if self._is_within(self._wakes):
-            self._wake()
-
-    def _is_within(self, limit: RateLimit) -> bool:
-        """Whether one more is within a limit; zenoh's threads ask side by side."""
-        with self._limits_lock:
-            return limit.take(wall_s())
+    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        """Subscribe to these fleets' tracks; the own fleet is ignored."""
+        self._tracks.set_neighbour_fleets(neighbours)
 
     # --- out -----------------------------------------------------------------------------------
 
-    def publish_state(self, raw: bytes) -> None:
-        """Tell the newest state; who asks later gets it too."""
-        self._state = raw
-        self._leave(lambda: self._publish(self._keys.state, raw))
+    def publish_state(self, state_bytes: bytes) -> None:
+        """Publish the newest state, which later state requests also receive."""
+        self._queries.state_bytes = state_bytes
+        self._enqueue_put(self._keys.state_key, state_bytes)
 
-    def publish_event(self, raw: bytes) -> None:
-        """Tell an event, if anybody listens."""
-        self._leave(lambda: self._publish(self._keys.event, raw))
+    def publish_event(self, event_bytes: bytes) -> None:
+        """Publish an event to its subscribers."""
+        self._enqueue_put(self._keys.event_key, event_bytes)
 
-    def publish_track(self, raw: bytes, cell: str) -> None:
-        """Tell those who listen to this cell where we are; never waits behind anything that is
-        worth keeping.
+    def publish_track(self, track_bytes: bytes, cell: str) -> None:
+        """Publish the position to subscribers of this cell; dropped if the queue is long, so that
+        it never delays more important messages.
         """
-        if self._leaving.qsize() < TRACKS:
-            self._leave(lambda: self._publish(self._keys.track(cell), raw))
+        if self._outgoing.qsize() < MAX_TRACKED_NEIGHBOURS:
+            self._enqueue_put(self._keys.track_key(cell), track_bytes)
 
-    def _publish(self, key: str, raw: bytes) -> None:
-        if self._session is not None:
-            self._session.put(key, raw, express=True)
+    def _enqueue_put(self, key: str, raw: bytes) -> None:
+        self._enqueue_send_dropping_oldest(lambda session: session.put(key, raw, express=True))
 
-    def _leave(self, send: Callable[[], Any]) -> None:
+    def _enqueue_send_dropping_oldest(self, send: Send) -> None:
         while True:
             try:
-                return self._leaving.put_nowait(send)
+                return self._outgoing.put_nowait(send)
             except queue.Full:
-                try:
-                    self._leaving.get_nowait()
-                except queue.Empty:
-                    continue
+                with contextlib.suppress(queue.Empty):
+                    self._outgoing.get_nowait()
 
     def close(self) -> None:
-        """Say what is left to say, and leave; the token goes with the session."""
-        self._stop.set()
-        self._leave(lambda: None)
-        self._thread.join(timeout=5.0)
+        """Send what is queued, then leave; the token ends with the session."""
+        self.session_thread.stop.set()
+        self._enqueue_send_dropping_oldest(lambda session: None)  # ends the writer thread's wait
+        self.session_thread.close()
 
     # --- the thread ----------------------------------------------------------------------------
 
-    def _run(self) -> None:
-        unasked_s = UNASKED_S
-        while not self._stop.is_set():
+    def _run_session_until_stop_or_rejoin(self, session: zenoh.Session) -> None:
+        """Run until stopped, or until a connected session gets no request for too long."""
+        start_s = self._queries.last_request_s = wall_s()
+        rosters = self._declare_in(session)
+        self._tracks.begin_session(session)
+        self.session_thread.error_text = ""
+        while not (self.session_thread.stop.is_set() and self._outgoing.empty()):
+            if self._is_rejoin_due(session):
+                self.session_thread.error_text = (
+                    f"no request for {self._rejoin_s:.0f} s: joining again"
+                )
+                break
+            if self.request_queues.pop_dropped_count(PUBLISHED_ROSTERS) > 0:
+                rosters.is_request_needed = True  # one of them may be valid
+            rosters.request_if_due(wall_s())
             try:
-                session = zenoh.open(self._config)
-            except zenoh.ZError as error:
-                self.trouble = str(error)
-                self._stop.wait(OPEN_AGAIN_S)
-                continue
-            opened_s = self._heard_s = wall_s()
-            with session:
-                self._serve(session, unasked_s)
-            was_asked = self._heard_s > opened_s
-            unasked_s = UNASKED_S if was_asked else min(2.0 * unasked_s, MOST_UNASKED_S)
-        self._session = None
-
-    def _serve(self, session: zenoh.Session, unasked_s: float) -> None:
-        """Until we stop, or are connected and were asked nothing for so long."""
-        keys = self._keys
-        liveliness = session.liveliness()
-        held = (  # a declaration that nobody holds is undeclared
-            session.declare_queryable(keys.command, at_once(self._hear_command)),
-            session.declare_queryable(keys.event, at_once(self._hear_events_wanted)),
-            session.declare_queryable(keys.state, at_once(self._hear_state_wanted)),
-            liveliness.declare_subscriber(keys.alive(), at_once(self._hear_alive), history=True),
-            session.declare_subscriber(roster_key(keys.fleet), at_once(self._hear_roster)),
-            session.declare_subscriber(keys.wind, at_once(self._hear_winds)),
-            liveliness.declare_token(keys.alive(self._life)),
-        )
-        self._session, self._held, self.trouble = session, held, ""
-        self._ask_roster(session)
-        ears = _Ears(partial(self._listen, session))
-        while not (self._stop.is_set() and self._leaving.empty()):
-            if self._calls_a_desk and wall_s() - self._heard_s > unasked_s and has_line(session):
-                self.trouble = f"nobody has asked for {unasked_s:.0f} s: joining anew"
-                return
-            if self._is_roster_due():
-                self._ask_roster(session)
-            try:
-                send = self._leaving.get(timeout=LOOK_S)
+                send = self._outgoing.get(timeout=WRITER_POLL_S)
             except queue.Empty:
                 send = None
-            if (place := self._place) is not None:
-                self._try(partial(ears.be_at, place, ("", *self._neighbours), wall_s()))
+            self._send_or_record_error(
+                lambda session: self._tracks.update_subscriptions(wall_s()), session
+            )
             if send is not None:
-                self._try(send)
-
-    def _listen(self, session: zenoh.Session, fleet: str, cell: str) -> "zenoh.Subscriber[None]":
-        key = self._keys.tracks(cell, fleet)
-        return session.declare_subscriber(key, at_once(partial(self._hear_track, fleet)))
-
-    def _try(self, do: Callable[[], Any]) -> None:
-        try:
-            do()
-        except zenoh.ZError as error:
-            self.trouble = str(error)
-
-    def _is_roster_due(self) -> bool:
-        rested = wall_s() - self._roster_asked_s >= ROSTER_AGAIN_S
-        return rested and (self._newer_told or self.waiting.dropped(TOLD_ROSTERS) > 0)
-
-    def _ask_roster(self, session: zenoh.Session) -> None:
-        """Of everybody who has a newer one: an answer that is forged takes the place of none."""
-        self._roster_asked_s, self._newer_told = wall_s(), False
-        session.get(
-            f"{roster_key(self._keys.fleet)}?{ABOVE}={self._roster_number()}",
-            at_once(self._hear_roster_reply),
-            timeout=ROSTER_WAIT_S,
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
+                self._send_or_record_error(send, session)
+        has_requests = self._queries.last_request_s > start_s
+        self._rejoin_s = (
+            REJOIN_WITHOUT_REQUEST_S
+            if has_requests
+            else min(2.0 * self._rejoin_s, MAX_REJOIN_WITHOUT_REQUEST_S)
         )
 
+    def _declare_in(self, session: zenoh.Session) -> RosterReceiver:
+        """Declare everything, the token last: who sees it may send requests."""
+        keys, liveliness = self._keys, session.liveliness()
+        rosters = RosterReceiver(
+            session,
+            keys.fleet,
+            self._roster_number,
+            lambda raw, is_requested: self.request_queues.add_roster_and_call_back(
+                raw, is_requested=is_requested
+            ),
+            is_direct=True,
+        )
+        self._declarations = [  # zenoh undeclares a declaration that is not referenced
+            *self._queries.declare_in(session),
+            liveliness.declare_subscriber(
+                keys.alive_key(),
+                wrap_as_direct_callback(self._queue_duplicate_instance_notice),
+                history=True,
+            ),
+            session.declare_subscriber(
+                keys.wind_key, wrap_as_direct_callback(self._store_wind_message)
+            ),
+            liveliness.declare_token(keys.alive_key(self._instance_id)),
+        ]
+        return rosters
 
-class _Ears:
-    """Subscriptions of one session to tracks, one a fleet and cell; `listen` declares one."""
+    def _is_rejoin_due(self, session: zenoh.Session) -> bool:
+        return (
+            self._is_client
+            and wall_s() - self._queries.last_request_s > self._rejoin_s
+            and is_connected(session)
+        )
 
-    def __init__(self, listen: Callable[[str, str], "zenoh.Subscriber[None]"]) -> None:
-        self._listen = listen
-        self._cells = HeardCells()
-        self._fleets: Sequence[str] = ()
-        self._held: dict[tuple[str, str], zenoh.Subscriber[None]] = {}
-
-    def be_at(self, place: tuple[float, float], fleets: Sequence[str], now_s: float) -> None:
-        """Listen about this place: to the new cells first, then no more to those long left."""
-        cells = self._cells.at(*place, now_s)
-        if cells is self._cells and fleets == self._fleets:
-            return
-        self._cells, self._fleets = cells, fleets
-        wanted = [(fleet, cell) for fleet in fleets for cell in cells.near_s]
-        for new in wanted:  # our own fleet first
-            if new not in self._held:
-                self._held[new] = self._listen(*new)
-        for left in self._held.keys() - set(wanted):
-            self._held.pop(left).undeclare()
-
-
-def at_once(hear: Callable[[Heard], None]) -> "Callback[Heard]":
-    """In zenoh's own threads, side by side: a declaration has none of its own, and what it has not
-    looked at yet waits with the sender. `hear` puts things in boxes and sends nothing: the last one
-    to let go of a query ends it, which is a message, and so is the writer.
-    """
-    return Callback(hear, indirect=False)
-
-
-def _let_go(asked: Asked) -> None:
-    """Of a query that found no room, in the writer's thread."""
-
-
-def told_number(raw: bytes) -> int | None:
-    """The number of a roster, where somebody tells only that: digits. None: anything else."""
-    return int(raw) if raw.isdigit() and len(raw) <= NUMBER_DIGITS else None
-
-
-def has_line(session: zenoh.Session) -> bool:
-    """Whether it is joined to anybody."""
-    return bool(session.info.routers_zid() or session.info.peers_zid())
+    def _send_or_record_error(self, send: Send, session: zenoh.Session) -> None:
+        try:
+            send(session)
+        except zenoh.ZError as error:
+            self.session_thread.error_text = str(error)
 
 
-def leave_process(code: int) -> NoReturn:
-    """End a process that was on zenoh, once everything of ours is closed.
+def flush_and_exit_process_immediately(exit_status: int) -> NoReturn:
+    """End a process that used zenoh, after all resources are closed.
 
-    Threads of zenoh's runtime may still want Python's lock to drop a callback; one that gets there
-    while the interpreter shuts down aborts the process ("FATAL: exception not rethrown", seen once
-    in twenty exits), and a clean stop would look like a crash to systemd.
+    Threads of zenoh's runtime may still acquire Python's lock to drop a callback; during
+    interpreter shutdown this aborts the process ("FATAL: exception not rethrown", in one of twenty
+    exits), and systemd would treat a clean stop as a crash.
     """
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code)
+    os._exit(exit_status)

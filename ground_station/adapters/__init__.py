@@ -1,1 +1,1 @@
-"""The outside world: files, the store, zenoh, MAVSDK, an LLM, the clock."""
+"""I/O of the ground station: files, the store, zenoh, MAVSDK, an LLM, the clock."""

@@ -1,9 +1,8 @@
-"""The session of a desk or router that others call: it follows the roster and its own folder.
+"""zenoh session of a desk or router that listens for members: it follows the roster and its folder.
 
-zenoh reads access rules and certificates when a session opens. So what is new there is taken up by
-opening the session anew: who is joined calls again within a second, and who is revoked comes to
-nothing any more. The rules are those of the roster in force, which the authority has signed; the
-network file need not be carried here for them.
+zenoh reads access rules and certificates only when a session opens. Therefore the session is
+reopened when they change. Members reconnect within a second; revoked members are refused. The rules
+come from the signed roster in force, so the network file need not be copied here for them.
 """
 
 import json
@@ -15,89 +14,90 @@ from pathlib import Path
 import zenoh
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.identity import TLS_CERTIFICATE, ZENOH, Identity
+from companion.fleet.identity import TLS_CERTIFICATE, ZENOH, MemberIdentity
 from companion.fleet.roster import Roster
-from companion.fleet.zenoh_config import mode_of, read_config
-from ground_station.adapters.pki.access_rules import TLS_AUTHORITIES, TLS_KEY, access_control
+from companion.fleet.zenoh_config import config_mode, read_and_check_zenoh_config
+from companion.fleet.zenoh_session import open_session
+from ground_station.adapters.pki.access_rules import TLS_CA, TLS_KEY, access_control_config
 
-LOOK_S = 2.0
+POLL_INTERVAL_S = 2.0
 
-REST_S = 20.0
-"""Between two openings: a thousand members take 13 s to call again. A revocation waits no longer.
+MIN_REOPEN_INTERVAL_S = 20.0
+"""Minimum time between reopenings: a thousand members take 13 s to reconnect. It bounds the delay
+of a revocation.
 """
 
-OPENS_WITHIN_S = 20.0
-FILES = (ZENOH, TLS_CERTIFICATE, TLS_KEY, TLS_AUTHORITIES)
-RULES = "access_control"
+REOPEN_TIMEOUT_S = 20.0
+IDENTITY_FILES = (ZENOH, TLS_CERTIFICATE, TLS_KEY, TLS_CA)
+RULES_KEY = "access_control"
 
-Found = tuple[str, ...]
+SessionInputs = tuple[str, ...]
 
 
 @dataclass(slots=True)
-class CalledSession:
-    """What the session of an identity is opened with, and whether that has changed since."""
+class ServerSession:
+    """Opens the session of an identity and detects when its configuration has changed."""
 
-    identity: Identity
+    identity: MemberIdentity
     open_network: bool = False
-    _in_use: Found = ()
-    _seen: tuple[object, ...] = ()
-    _looked_s: float | None = None
-    _opened_s: float | None = None
+    _active_inputs: SessionInputs = ()
+    _last_fingerprints: tuple[object, ...] = ()
+    _last_poll_s: float | None = None
+    _last_reopen_s: float | None = None
 
-    def open(self) -> zenoh.Session:
-        """Open the session. LeewayError where a file is wrong or the address is taken."""
-        config, found = self._read()
-        try:
-            session = zenoh.open(config)
-        except zenoh.ZError as error:
-            raise LeewayError(f"{self.identity.zenoh}: {error}") from error
-        self._took(found)
+    def open_session(self) -> zenoh.Session:
+        """Open the session. Raises LeewayError if a file is invalid or the address is in use."""
+        config, found = self._read_config_and_inputs()
+        session = open_session(config, self.identity.zenoh_config_path)
+        self._record_active_inputs(found)
         return session
 
-    def is_old(self, now_s: float) -> bool:
-        """Whether to open anew: rules or own files are new, whole, and the last opening is over."""
-        if self._looked_s is not None and now_s - self._looked_s < LOOK_S:
+    def poll_and_check_if_reopen_due(self, now_s: float) -> bool:
+        """True if rules or own files have changed, are complete, and `MIN_REOPEN_INTERVAL_S` has
+        elapsed.
+        """
+        if self._last_poll_s is not None and now_s - self._last_poll_s < POLL_INTERVAL_S:
             return False
-        self._looked_s = now_s
-        rested = self._opened_s is None or now_s - self._opened_s >= REST_S
-        if not rested or (seen := self._glance()) == self._seen:
+        self._last_poll_s = now_s
+        rested = self._last_reopen_s is None or now_s - self._last_reopen_s >= MIN_REOPEN_INTERVAL_S
+        if not rested or (seen := self._input_fingerprints()) == self._last_fingerprints:
             return False
         try:
-            config, found = self._read()
-            _check_whole(self.identity.folder)
-        except (LeewayError, OSError):  # somebody is carrying it here: look again
+            config, found = self._read_config_and_inputs()
+            _require_matching_key_pair(self.identity.folder)
+        except (LeewayError, OSError):  # files are being copied: try again later
             return False
-        self._seen = seen
-        return mode_of(config) == "router" and found != self._in_use
+        self._last_fingerprints = seen
+        return config_mode(config) == "router" and found != self._active_inputs
 
-    def open_again(self, old: zenoh.Session, now_s: float) -> zenoh.Session:
-        """Close the old session and open with what is new.
+    def close_and_reopen_session(self, old_session: zenoh.Session, now_s: float) -> zenoh.Session:
+        """Close the old session and open one with the current configuration.
 
-        OSError where its address is not to be had again: the process must begin anew.
+        Raises OSError if the address cannot be bound again: the process must then restart.
         """
-        config, found = self._read()
-        old.close()
-        end_s = time.monotonic() + OPENS_WITHIN_S
+        config, found = self._read_config_and_inputs()
+        old_session.close()
+        end_s = time.monotonic() + REOPEN_TIMEOUT_S
         while True:
             try:
                 session = zenoh.open(config)
             except zenoh.ZError as error:
                 if time.monotonic() > end_s:
-                    raise OSError(f"{self.identity.zenoh}: {error}") from error
+                    raise OSError(f"{self.identity.zenoh_config_path}: {error}") from error
                 time.sleep(0.2)
             else:
-                self._opened_s = now_s
-                self._took(found)
+                self._last_reopen_s = now_s
+                self._record_active_inputs(found)
                 return session
 
-    def _took(self, found: Found) -> None:
-        self._in_use = found
-        self.identity.trust.show_certificate()
+    def _record_active_inputs(self, session_inputs: SessionInputs) -> None:
+        self._active_inputs = session_inputs
+        self.identity.trust.validity.reload_own_end_if_complete()
 
-    def _glance(self) -> tuple[object, ...]:
-        """What costs little to look at, and changes with everything that counts."""
+    def _input_fingerprints(self) -> tuple[object, ...]:
+        """Return cheap fingerprints of all inputs; they change whenever an input changes."""
         stats: list[object] = [self.identity.trust.roster.number]
-        for name in FILES:
+        for name in IDENTITY_FILES:
             try:
                 stat = (self.identity.folder / name).stat()
             except OSError:
@@ -106,28 +106,32 @@ class CalledSession:
                 stats.append((stat.st_mtime_ns, stat.st_size, stat.st_ino))
         return tuple(stats)
 
-    def _read(self) -> tuple[zenoh.Config, Found]:
-        """The configuration, and all that a session is made of."""
+    def _read_config_and_inputs(self) -> tuple[zenoh.Config, SessionInputs]:
+        """Return the zenoh configuration and the content of all files that it uses."""
         folder = self.identity.folder
-        config = read_config(self.identity.zenoh, open_network=self.open_network)
-        if json.loads(config.get_json(f"{RULES}/enabled")):
-            config.insert_json5(RULES, json.dumps(access_control(self.identity.trust.roster)))
-        files = [_text(folder / name) for name in FILES[1:]]
+        config = read_and_check_zenoh_config(
+            self.identity.zenoh_config_path, open_network=self.open_network
+        )
+        if json.loads(config.get_json(f"{RULES_KEY}/enabled")):
+            config.insert_json5(
+                RULES_KEY, json.dumps(access_control_config(self.identity.trust.roster))
+            )
+        files = [_read_optional_text(folder / name) for name in IDENTITY_FILES[1:]]
         return config, (str(config), *files)
 
 
-def anew_words(roster: Roster) -> str:
-    """What a person is told of it."""
-    return f"opened anew for roster {roster.number}: all who are joined call again"
+def session_reopened_message(roster: Roster) -> str:
+    """Return the log message for a reopened session."""
+    return f"session reopened for roster {roster.number}: members reconnect"
 
 
-def _text(file: Path) -> str:
+def _read_optional_text(file: Path) -> str:
     return file.read_text() if file.exists() else ""
 
 
-def _check_whole(folder: Path) -> None:
-    """OSError (ssl's own) where certificate and key do not belong together."""
+def _require_matching_key_pair(folder: Path) -> None:
+    """Raise OSError (also ssl.SSLError) if certificate and key do not match."""
     if (folder / TLS_KEY).exists():
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(folder / TLS_CERTIFICATE, folder / TLS_KEY)
-        context.load_verify_locations(folder / TLS_AUTHORITIES)
+        context.load_verify_locations(folder / TLS_CA)

@@ -1,36 +1,36 @@
-"""The only place where the ground station's time comes from."""
+"""The only time source of the ground station."""
 
 import time
 
 
 def monotonic_s() -> float:
-    """Seconds of a clock that never goes back, for silences and time-outs."""
+    """Return seconds of a monotonic clock, for silences and time-outs."""
     return time.monotonic()
 
 
 def epoch_us() -> int:
-    """Microseconds since 1970, for time stamps that people read."""
+    """Return microseconds since 1970, for time stamps that people read."""
     return time.time_ns() // 1000
 
 
-def cpu_s() -> float:
-    """Seconds of CPU that this process has used."""
+def process_cpu_time_s() -> float:
+    """Return the CPU time of this process in seconds."""
     return time.process_time()
 
 
 class WallClock:
     """`core.fleet.fleet_link.Clock` of a running desk.
 
-    Its time stamps do not jump where somebody sets the wall clock.
+    Its time stamps do not jump when the system's wall clock is set.
     """
 
     def __init__(self) -> None:
         self._offset_us = epoch_us() - round(1e6 * monotonic_s())
 
     def monotonic_s(self) -> float:
-        """For silences and time-outs."""
+        """Return seconds of a monotonic clock, for silences and time-outs."""
         return monotonic_s()
 
     def epoch_us(self) -> int:
-        """By the wall clock as it stood when this desk began."""
+        """Return microseconds since 1970, by the wall clock at the start of this desk."""
         return self._offset_us + round(1e6 * monotonic_s())

@@ -1,11 +1,11 @@
-"""What has come for the desk: a small box for each member, so that none can crowd out another.
+"""Received fleet messages of the desk: a bounded box per member, so that none displaces another.
 
-zenoh's threads only put bytes in; the desk's one thread takes them out and decodes them. Of a
-life's states only its newest counts; who signed them is not known before they are taken out, so a
-few are kept, and forged ones that come faster do not hide the true one. Events are held to a rate,
-a size and a number in a turn: what is left out is asked for again, since every state tells how many
-events there are. Answers to commands have a queue of their own. Who is not a member gets no box. A
-turn looks only into the boxes that something has come into.
+zenoh's threads only append bytes; the desk's thread decodes them. Only the latest state of each
+instance counts. Its signature is checked when it is decoded, so several are kept and forged
+states do not displace the genuine one. Events are limited in rate, size and number per cycle;
+dropped events are requested again, since each state contains the event count. Command responses
+have their own queue. Senders that are not members get no box. A cycle visits only boxes with new
+messages.
 """
 
 import threading
@@ -14,21 +14,20 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from companion.core.base.rate_limit import RateLimit
-from companion.core.base.safe_text import LONGEST_NAME, safe_text
-from companion.fleet.envelope import OVERHEAD_BYTES
+from companion.core.base.safe_text import MAX_NAME_LENGTH, safe_text
+from companion.fleet.envelope import MAX_OVERHEAD_BYTES
 from companion.fleet.messages import (
-    LARGEST_BYTES,
+    MAX_MESSAGE_BYTES,
     FleetEvent,
     Refused,
     Result,
     State,
-    decode_event,
-    decode_state,
+    decode_message,
 )
-from companion.fleet.topics import station_of, vehicle_of
+from companion.fleet.topics import station_from_key, vehicle_from_key
 from ground_station.adapters.clock import monotonic_s
 from ground_station.core.fleet.fleet_link import (
-    CommandAnswered,
+    CommandResponse,
     EventsReceived,
     FleetInput,
     LivelinessChanged,
@@ -36,353 +35,368 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
     StationWindReceived,
 )
-from ground_station.core.fleet.station_message import StationWind, decode_station
+from ground_station.core.fleet.station_message import StationWind, decode_station_wind
 
 EVENTS_HZ = 20.0
-"""A flight tells some 50 events in 20 minutes, and a handful at once when it ends."""
+"""A flight sends about 50 events in 20 minutes, and several at once when it ends."""
 
 EVENTS_BURST = 200
-EVENTS_A_TURN = 50
-"""Of one member: a transaction of 50 events of each of 100 members takes about a second."""
+EVENTS_PER_CYCLE = 50
+"""Per member. A transaction with 50 events of each of 100 members takes about a second."""
 
-STATES_A_TURN = 64
-"""Of one member. It sends one a second: more are somebody else's, and each costs a look at its
-signature (0.1 ms). So many at once are looked at without gathering more, 8 ms of them.
+STATES_PER_CYCLE = 64
+"""Per member. A member sends one per second; more are forged, and each costs a signature check (0.1
+ms). This number is checked without waiting for more: 8 ms of work.
 """
 
-ASKED_A_TURN = 8
-"""States of one member that came because this desk asked for them: it answers once, and who sends
-without being asked cannot push that out.
+REQUESTED_STATES_PER_CYCLE = 8
+"""States of one member that arrived as replies to this desk's query. A member replies once, and
+unsolicited states cannot displace the reply.
 """
 
-GATHER_S = 0.05
-"""States and events that come within it are taken together: of a thousand vehicles, 50 at a time.
-Answers, and who comes and goes, wait for nothing.
+BATCH_DELAY_S = 0.05
+"""States and events within this time are processed together: 50 at a time for a thousand vehicles.
+Command responses and liveliness changes are not delayed.
 """
 
-MOST_LIVES = 16
-"""Of one name at once. Two are one too many already; a flood of them is not worth more room."""
+MAX_INSTANCES = 16
+"""Maximum concurrent instances per name. Two are already a fault; a flood gets no more room."""
 
-MOST_MEMBERS = 5000
-"""Names that are kept: five times what one desk is meant for."""
+MAX_MEMBERS = 5000
+"""Maximum number of member names: five times the design size of one desk."""
 
 
-MOST_STATIONS = 64
-"""Wind stations whose newest words are kept between two turns."""
+MAX_STATIONS = 64
+"""Wind stations whose latest reports are kept between two cycles."""
 
-STATIONS_A_TURN = 8
-"""Of one station: it tells once a second at most; more are somebody else's."""
+STATION_REPORTS_PER_CYCLE = 8
+"""Per station. A station reports at most once per second; more reports are forged."""
 
-NOT_LISTED = "a name that is not on the roster"
+NOT_ON_ROSTER = "sender is not on the roster"
 
-STATION_BYTES = LARGEST_BYTES["station"] + OVERHEAD_BYTES
-STATION_BOX = "wind stations"
-"""Under this name is told what of them was rejected."""
+MAX_STATION_BYTES = MAX_MESSAGE_BYTES["station"] + MAX_OVERHEAD_BYTES
+STATION_REJECTIONS = "wind stations"
+"""Name under which rejected station messages are reported."""
 
-Opened = Callable[[str, bytes, str], bytes | Refused]
+VerifyMessage = Callable[[str, bytes, str], bytes | Refused]
 Clock = Callable[[], float]
 
-_Raw = tuple[str, bytes]
-"""A member, and the bytes that came by its key."""
+_ReceivedPayload = tuple[str, bytes]
+"""Member name, and a payload received under its key."""
 
 
-_DECODERS: dict[str, Callable[[bytes], State | FleetEvent | Refused]] = {
-    "state": decode_state,
-    "event": decode_event,
-}
+_MESSAGE_TYPES = {"state": State, "event": FleetEvent}
 
 
 @dataclass(slots=True)
 class MemberBox:
-    """What has come for one member, or in its name."""
+    """Messages received under one member's keys, from the member or in its name."""
 
     events: deque[bytes] = field(default_factory=lambda: deque(maxlen=EVENTS_BURST))
-    limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
-    states: deque[bytes] = field(default_factory=lambda: deque(maxlen=STATES_A_TURN))
-    asked_states: list[bytes] = field(default_factory=list)
-    lives: set[str] = field(default_factory=set)
-    lives_told: set[str] = field(default_factory=set)
-    lives_left: set[str] = field(default_factory=set)
-    """Since the roll call began whose answers may still come."""
+    event_limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
+    states: deque[bytes] = field(default_factory=lambda: deque(maxlen=STATES_PER_CYCLE))
+    requested_states: list[bytes] = field(default_factory=list)
+    instances: set[str] = field(default_factory=set)
+    reported_instances: set[str] = field(default_factory=set)
+    departed_instances: set[str] = field(default_factory=set)
+    """Instances that left since the last liveliness query; late replies may name them."""
     rejected: Counter[str] = field(default_factory=Counter)
 
-    def reject(self, why: str) -> None:
-        """Count it; of many reasons the first few are kept."""
-        self.rejected[why if why in self.rejected or len(self.rejected) < 8 else "other"] += 1
+    def count_rejection(self, reason: str) -> None:
+        """Count a rejected message; only the first few reasons are counted separately."""
+        self.rejected[reason if reason in self.rejected or len(self.rejected) < 8 else "other"] += 1
 
-    def take_life(self, life: str, *, up: bool) -> None:
-        """It has come or gone; a flood of lives gets no more room than a few."""
-        if up and life not in self.lives and len(self.lives) >= MOST_LIVES:
-            self.reject(f"more than {MOST_LIVES} lives of one name")
-        elif up:
-            self.lives.add(life)
-        elif life in self.lives:
-            self.lives.discard(life)
-            if len(self.lives_left) < MOST_LIVES:
-                self.lives_left.add(life)
+    def record_instance_presence(self, instance_id: str, *, has_joined: bool) -> None:
+        """Record that an instance appeared (`has_joined`) or left, for at most `MAX_INSTANCES`
+        instances.
+        """
+        if (
+            has_joined
+            and instance_id not in self.instances
+            and len(self.instances) >= MAX_INSTANCES
+        ):
+            self.count_rejection(f"more than {MAX_INSTANCES} instances of one name")
+        elif has_joined:
+            self.instances.add(instance_id)
+        elif instance_id in self.instances:
+            self.instances.discard(instance_id)
+            if len(self.departed_instances) < MAX_INSTANCES:
+                self.departed_instances.add(instance_id)
 
-    def take_state(self, raw: bytes, *, asked: bool) -> None:
-        """Of states the newest are kept, of those that were asked for the first."""
-        if not asked:
+    def add_state(self, raw: bytes, *, is_query_reply: bool) -> None:
+        """Keep the latest unsolicited states, and the first states that were requested."""
+        if not is_query_reply:
             self.states.append(raw)
-        elif len(self.asked_states) < ASKED_A_TURN:
-            self.asked_states.append(raw)
+        elif len(self.requested_states) < REQUESTED_STATES_PER_CYCLE:
+            self.requested_states.append(raw)
 
-    def taken_states(self) -> list[bytes]:
-        """All that wait."""
-        found = [*self.states, *self.asked_states]
+    def pop_states(self) -> list[bytes]:
+        """Remove and return all queued states."""
+        found = [*self.states, *self.requested_states]
         self.states.clear()
-        self.asked_states.clear()
+        self.requested_states.clear()
         return found
 
 
 _Boxes = dict[str, MemberBox]
-"""By member."""
+"""Boxes by member name."""
 
 
 class FleetInbox:
-    """Thread-safe. `hear_*` return at once; `receive` waits for the first."""
+    """Thread-safe. Only `wait_and_pop_inputs` waits, for the first message."""
 
     def __init__(
         self,
-        opened: Opened = lambda kind, raw, vehicle: raw,
+        verify: VerifyMessage = lambda kind, raw, vehicle: raw,
         clock_s: Clock = monotonic_s,
         is_member: Callable[[str], bool] = lambda vehicle: True,
     ) -> None:
-        """`opened(kind, raw, vehicle)`: the message that the vehicle itself has signed.
-        `is_member`: whose messages get room.
+        """`verify(kind, raw, vehicle)` returns the message if the vehicle itself has signed it.
+        `is_member` decides which senders get a box.
         """
-        self._opened = opened
+        self._verify = verify
         self._clock_s = clock_s
         self._is_member = is_member
-        self._news = threading.Condition()
+        self._condition = threading.Condition()
         self._boxes: _Boxes = {"": MemberBox()}
-        self._fresh: _Boxes = {}
-        self._answers: deque[CommandAnswered] = deque()
+        self._pending_boxes: _Boxes = {}
+        self._responses: deque[CommandResponse] = deque()
         self._replays: deque[tuple[str, list[bytes]]] = deque()
         self._stations: dict[str, deque[bytes]] = {}
-        self._has_news = False
+        self._has_input = False
         self._is_urgent = False
 
-    # --- in, from any thread -------------------------------------------------------------------
+    # --- input, from any thread ----------------------------------------------------------------
 
-    def hear_state(self, key: str, raw: bytes, *, asked: bool = False) -> None:
-        """A state came by this key; `asked`: as the answer to a question of ours."""
-        with self._news:
-            box = self._box_of(key, raw, "state")
+    def add_state(self, key: str, raw: bytes, *, is_query_reply: bool = False) -> None:
+        """Add a state received under this key; `is_query_reply`: as reply to this desk's query."""
+        with self._condition:
+            box = self._box_for_message_or_reject(key, raw, "state")
             if box is not None:
-                box.take_state(raw, asked=asked)
-            self._wake(urgent=box is not None and len(box.states) == STATES_A_TURN)
+                box.add_state(raw, is_query_reply=is_query_reply)
+            self._mark_input_and_wake_receiver(
+                is_urgent=box is not None and len(box.states) == STATES_PER_CYCLE
+            )
 
-    def hear_station(self, key: str, raw: bytes) -> None:
-        """A wind station told something by this key."""
-        station = station_of(key)
-        with self._news:
+    def add_station_report(self, key: str, raw: bytes) -> None:
+        """Add a wind report received under this station key."""
+        station = station_from_key(key)
+        with self._condition:
             is_one = station is not None and self._is_member(station)
-            if station is None or not is_one or len(raw) > STATION_BYTES:
-                self._fresh[""] = self._boxes[""]
-                self._boxes[""].reject("no word of a wind station")
-            elif station in self._stations or len(self._stations) < MOST_STATIONS:
-                box = self._stations.setdefault(station, deque(maxlen=STATIONS_A_TURN))
+            if station is None or not is_one or len(raw) > MAX_STATION_BYTES:
+                self._pending_boxes[""] = self._boxes[""]
+                self._boxes[""].count_rejection("not a wind station's report")
+            elif station in self._stations or len(self._stations) < MAX_STATIONS:
+                box = self._stations.setdefault(station, deque(maxlen=STATION_REPORTS_PER_CYCLE))
                 box.append(raw)
-            self._wake()
+            self._mark_input_and_wake_receiver()
 
-    def hear_event(self, key: str, raw: bytes) -> None:
-        """An event came by this key."""
-        with self._news:
-            box = self._box_of(key, raw, "event")
-            if box is not None and box.limit.take(self._clock_s()):
+    def add_event(self, key: str, raw: bytes) -> None:
+        """Add an event received under this key."""
+        with self._condition:
+            box = self._box_for_message_or_reject(key, raw, "event")
+            if box is not None and box.event_limit.try_consume_tokens(self._clock_s()):
                 box.events.append(raw)
             elif box is not None:
-                box.reject(f"more than {EVENTS_HZ:g} events a second: asked for again later")
-            self._wake()
+                box.count_rejection(
+                    f"more than {EVENTS_HZ:g} events per second: requested again later"
+                )
+            self._mark_input_and_wake_receiver()
 
-    def hear_replay(self, vehicle: str, raws: list[bytes]) -> None:
-        """All events that a member was asked for."""
-        with self._news:
-            self._replays.append((vehicle, raws))
-            self._wake()
+    def add_events_of_query_reply(self, vehicle: str, event_payloads: list[bytes]) -> None:
+        """Add all events that a member sent in reply to an event query."""
+        with self._condition:
+            self._replays.append((vehicle, event_payloads))
+            self._mark_input_and_wake_receiver()
 
-    def hear_answer(self, command_id: str, result: Result | None) -> None:
-        """The answer to a command of this desk, or `None` for none."""
-        with self._news:
-            self._answers.append(CommandAnswered(command_id, result))
-            self._wake(urgent=True)
+    def add_command_response(self, command_id: str, result: Result | None) -> None:
+        """Add the response to a command of this desk, or `None` after a time-out."""
+        with self._condition:
+            self._responses.append(CommandResponse(command_id, result))
+            self._mark_input_and_wake_receiver(is_urgent=True)
 
-    def hear_life(self, vehicle: str, life: str, *, up: bool) -> None:
-        """A life of a member has come or gone."""
-        with self._news:
-            box = self._of(vehicle)
+    def record_instance_presence(self, vehicle: str, instance_id: str, *, has_joined: bool) -> None:
+        """Record that an instance of a member appeared (`has_joined`) or left."""
+        with self._condition:
+            box = self._get_or_create_pending_member_box(vehicle)
             if box is not None:
-                box.take_life(life, up=up)
-                self._wake(urgent=True)
+                box.record_instance_presence(instance_id, has_joined=has_joined)
+                self._mark_input_and_wake_receiver(is_urgent=True)
 
-    def begin_roll_call(self) -> None:
-        """From here on who is there is told by `hear_present`."""
-        with self._news:
+    def clear_departed_before_liveliness_query(self) -> None:
+        """Start a liveliness query; its replies arrive through `add_liveliness_reply`."""
+        with self._condition:
             for box in self._boxes.values():
-                box.lives_left.clear()
+                box.departed_instances.clear()
 
-    def hear_present(self, vehicle: str, life: str) -> None:
-        """Answer to a roll call: a life is there, unless it has left meanwhile."""
-        with self._news:
+    def add_liveliness_reply(self, vehicle: str, instance_id: str) -> None:
+        """Add a liveliness reply: the instance is present, unless it has left in the meantime."""
+        with self._condition:
             box = self._boxes.get(vehicle)
-            known = box is not None and (life in box.lives or life in box.lives_left)
+            known = box is not None and (
+                instance_id in box.instances or instance_id in box.departed_instances
+            )
         if not known:
-            self.hear_life(vehicle, life, up=True)
+            self.record_instance_presence(vehicle, instance_id, has_joined=True)
 
-    def reject(self, vehicle: str | None, why: str) -> None:
-        """Something came that is no message of a member."""
-        with self._news:
-            box = self._of(vehicle or "", said_by_us=True)
+    def count_rejection(self, vehicle: str | None, reason: str) -> None:
+        """Count a received message that is not a valid message of a member."""
+        with self._condition:
+            box = self._get_or_create_pending_member_box(vehicle or "", is_local=True)
             if box is not None:
-                box.reject(why)
-            self._wake()
+                box.count_rejection(reason)
+            self._mark_input_and_wake_receiver()
 
-    def _box_of(self, key: str, raw: bytes, kind: str) -> MemberBox | None:
-        """Where a message goes that came by this key; `None`: nowhere."""
-        vehicle = vehicle_of(key)
-        box = self._of(vehicle or "")
+    def _box_for_message_or_reject(self, key: str, raw: bytes, kind: str) -> MemberBox | None:
+        """Return the box for a message received under this key; `None` if it is rejected."""
+        vehicle = vehicle_from_key(key)
+        box = self._get_or_create_pending_member_box(vehicle or "")
         if box is None:
             return None
         if vehicle is None:
-            box.reject(f"{safe_text(key)[:LONGEST_NAME]}: no key of a member")
+            box.count_rejection(f"{safe_text(key)[:MAX_NAME_LENGTH]}: key names no member")
             return None
-        if len(raw) > LARGEST_BYTES[kind] + OVERHEAD_BYTES:
-            box.reject(f"{kind}: {len(raw)} bytes, expected at most {LARGEST_BYTES[kind]}")
+        if len(raw) > MAX_MESSAGE_BYTES[kind] + MAX_OVERHEAD_BYTES:
+            box.count_rejection(
+                f"{kind}: {len(raw)} bytes, expected at most {MAX_MESSAGE_BYTES[kind]}"
+            )
             return None
         return box
 
-    def _of(self, vehicle: str, *, said_by_us: bool = False) -> MemberBox | None:
-        """The box that something comes into; `None`: there is no room for it. What comes by no
-        member's key is counted in one box.
+    def _get_or_create_pending_member_box(
+        self, vehicle: str, *, is_local: bool = False
+    ) -> MemberBox | None:
+        """Return the box of a member; `None`: there is no room for it. Messages under a key of no
+        member are counted in one common box.
         """
         if vehicle not in self._boxes:
-            if not (said_by_us or self._is_member(vehicle)):
-                self._fresh[""] = self._boxes[""]
-                self._boxes[""].reject(NOT_LISTED)
+            if not (is_local or self._is_member(vehicle)):
+                self._pending_boxes[""] = self._boxes[""]
+                self._boxes[""].count_rejection(NOT_ON_ROSTER)
                 return None
-            if len(self._boxes) > MOST_MEMBERS:
+            if len(self._boxes) > MAX_MEMBERS:
                 return None
             self._boxes[vehicle] = MemberBox()
-        box = self._fresh[vehicle] = self._boxes[vehicle]
+        box = self._pending_boxes[vehicle] = self._boxes[vehicle]
         return box
 
-    def _wake(self, *, urgent: bool = False) -> None:
-        wakes = not self._has_news or (urgent and not self._is_urgent)
-        self._has_news = True
-        self._is_urgent = self._is_urgent or urgent
+    def _mark_input_and_wake_receiver(self, *, is_urgent: bool = False) -> None:
+        wakes = not self._has_input or (is_urgent and not self._is_urgent)
+        self._has_input = True
+        self._is_urgent = self._is_urgent or is_urgent
         if wakes:
-            self._news.notify()
+            self._condition.notify()
 
-    # --- out, by the desk's thread -------------------------------------------------------------
+    # --- output, in the desk's thread ----------------------------------------------------------
 
-    @property
-    def waiting(self) -> int:
-        """Answers, replays and events that have not been received."""
-        with self._news:
-            events = sum(len(box.events) for box in self._fresh.values())
-            return len(self._answers) + len(self._replays) + events
+    def wait_and_pop_inputs(self, max_wait_s: float) -> list[FleetInput]:
+        """Return received inputs, at most one cycle's share per member; waits for the first.
 
-    def receive(self, wait_s: float) -> list[FleetInput]:
-        """What has come, of each member a turn's worth; waits this long for the first.
-
-        Who is there comes first, then events, then answers (a vehicle tells what happened before it
-        answers), then the states that count the events.
+        Order: liveliness, then events, then command responses (a vehicle sends events before it
+        responds), then the states that count the events.
         """
-        with self._news:
-            if self._news.wait_for(lambda: self._has_news, timeout=wait_s):
-                self._news.wait_for(lambda: self._is_urgent, timeout=GATHER_S)
-            self._has_news = self._is_urgent = False
-            fresh, self._fresh = self._fresh, {}
-            found = self._taken_lives(fresh)
-            answers, self._answers = self._answers, deque()
+        with self._condition:
+            if self._condition.wait_for(lambda: self._has_input, timeout=max_wait_s):
+                self._condition.wait_for(lambda: self._is_urgent, timeout=BATCH_DELAY_S)
+            self._has_input = self._is_urgent = False
+            pending, self._pending_boxes = self._pending_boxes, {}
+            found = self._pop_liveliness_changes(pending)
+            responses, self._responses = self._responses, deque()
             replays, self._replays = self._replays, deque()
-            events, states = self._taken_messages(fresh)
+            events, states = self._pop_events_and_states(pending)
             stations, self._stations = self._stations, {}
         for vehicle, raws in replays:
-            found += self._replayed(vehicle, raws)
+            found += self._event_inputs_of_query_reply(vehicle, raws)
         for vehicle, raw in events:
-            event = self._decoded(vehicle, "event", raw)
+            event = self._verify_and_decode_or_reject(vehicle, "event", raw)
             if isinstance(event, FleetEvent):
                 found.append(EventsReceived(vehicle, [event]))
-        found += answers
+        found += responses
         for vehicle, raws in states:
-            found += self._newest_states(vehicle, raws)
+            found += self._decode_newest_state_inputs(vehicle, raws)
         for station, words in stations.items():
-            found += self._station_winds(station, words)
-        return found + self._taken_rejections(fresh)
+            found += self._newest_station_wind_inputs(station, words)
+        return found + self._pop_rejection_inputs(pending)
 
-    def _newest_states(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
-        """Of each life that speaks as this member its newest, by the life's own clock."""
+    def _decode_newest_state_inputs(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
+        """Return the latest state of each instance under this name, by the instance's own clock."""
         newest: dict[str, State] = {}
         for raw in raws:
-            state = self._decoded(vehicle, "state", raw)
+            state = self._verify_and_decode_or_reject(vehicle, "state", raw)
             if not isinstance(state, State):
                 continue
-            before = newest.pop(state.life, state)
-            newest[state.life] = before if before.uptime_s > state.uptime_s else state
+            before = newest.pop(state.instance_id, state)
+            newest[state.instance_id] = before if before.uptime_s > state.uptime_s else state
         return [StateReceived(state) for state in newest.values()]
 
-    def _station_winds(self, station: str, raws: Iterable[bytes]) -> list[FleetInput]:
-        """What a wind station said and signed itself; of all that came the newest."""
+    def _newest_station_wind_inputs(self, station: str, raws: Iterable[bytes]) -> list[FleetInput]:
+        """Return the latest valid report that the station itself signed."""
         newest: StationWind | None = None
         for raw in raws:
-            told = self._opened("station", raw, station)
-            wind = told if isinstance(told, Refused) else decode_station(told)
+            verified = self._verify("station", raw, station)
+            wind = verified if isinstance(verified, Refused) else decode_station_wind(verified)
             if isinstance(wind, Refused):
-                self.reject(STATION_BOX, f"{station}: {wind.reason}")
+                self.count_rejection(STATION_REJECTIONS, f"{station}: {wind.reason}")
             elif wind.station != station:
-                self.reject(STATION_BOX, f"{station} speaks for {wind.station}")
+                self.count_rejection(
+                    STATION_REJECTIONS, f"{station} sent a report of {wind.station}"
+                )
             elif newest is None or wind.epoch_us > newest.epoch_us:
                 newest = wind
         return [] if newest is None else [StationWindReceived(newest)]
 
-    def _taken_lives(self, fresh: _Boxes) -> list[FleetInput]:
-        """Who is there now and was not at the last call, and the other way round."""
+    def _pop_liveliness_changes(self, pending_boxes: _Boxes) -> list[FleetInput]:
+        """Return the instances that appeared or left since the last call."""
         found: list[FleetInput] = []
-        for vehicle, box in fresh.items():
-            changed = box.lives ^ box.lives_told
-            found += [LivelinessChanged(vehicle, x, up=x in box.lives) for x in sorted(changed)]
-            box.lives_told = set(box.lives)
+        for vehicle, box in pending_boxes.items():
+            changed = box.instances ^ box.reported_instances
+            found += [
+                LivelinessChanged(vehicle, x, has_joined=x in box.instances)
+                for x in sorted(changed)
+            ]
+            box.reported_instances = set(box.instances)
         return found
 
-    def _taken_messages(self, fresh: _Boxes) -> tuple[list[_Raw], list[tuple[str, list[bytes]]]]:
-        """(events, states), of each member at most a turn's worth; the rest is news again."""
-        events: list[_Raw] = []
+    def _pop_events_and_states(
+        self, pending_boxes: _Boxes
+    ) -> tuple[list[_ReceivedPayload], list[tuple[str, list[bytes]]]]:
+        """Return (events, states), at most one cycle's share per member; the rest stays queued."""
+        events: list[_ReceivedPayload] = []
         states: list[tuple[str, list[bytes]]] = []
-        for vehicle, box in fresh.items():
-            count = min(len(box.events), EVENTS_A_TURN)
+        for vehicle, box in pending_boxes.items():
+            count = min(len(box.events), EVENTS_PER_CYCLE)
             events += [(vehicle, box.events.popleft()) for _ in range(count)]
             if box.events:
-                self._has_news, self._fresh[vehicle] = True, box
-            if raws := box.taken_states():
+                self._has_input, self._pending_boxes[vehicle] = True, box
+            if raws := box.pop_states():
                 states.append((vehicle, raws))
         return events, states
 
-    def _taken_rejections(self, fresh: _Boxes) -> list[FleetInput]:
-        """With those of what was decoded just now."""
+    def _pop_rejection_inputs(self, pending_boxes: _Boxes) -> list[FleetInput]:
+        """Return rejections, including those of the messages decoded in this cycle."""
         found: list[FleetInput] = []
-        with self._news:
-            for vehicle, box in (fresh | self._fresh).items():
+        with self._condition:
+            for vehicle, box in (pending_boxes | self._pending_boxes).items():
                 counted, box.rejected = box.rejected, Counter()
-                found += [MessageRejected(vehicle, why, n) for why, n in counted.items()]
+                found += [MessageRejected(vehicle, reason, n) for reason, n in counted.items()]
         return found
 
-    def _replayed(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
-        decoded = [self._decoded(vehicle, "event", raw) for raw in raws]
+    def _event_inputs_of_query_reply(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
+        decoded = [self._verify_and_decode_or_reject(vehicle, "event", raw) for raw in raws]
         events = [event for event in decoded if isinstance(event, FleetEvent)]
         events.sort(key=lambda event: event.seq)
         return [EventsReceived(vehicle, events, replayed=True)] if events else []
 
-    def _decoded(self, vehicle: str, kind: str, raw: bytes) -> State | FleetEvent | None:
-        """A message of the vehicle whose key it came by; anything else is rejected."""
-        told = self._opened(kind, raw, vehicle)
-        message = told if isinstance(told, Refused) else _DECODERS[kind](told)
+    def _verify_and_decode_or_reject(
+        self, vehicle: str, message_kind: str, raw: bytes
+    ) -> State | FleetEvent | None:
+        """Decode a message of the vehicle whose key it has; any other message is rejected."""
+        verified = self._verify(message_kind, raw, vehicle)
+        message = decode_message(_MESSAGE_TYPES[message_kind], verified)
         if isinstance(message, Refused):
-            self.reject(vehicle, message.reason)
+            self.count_rejection(vehicle, message.reason)
             return None
         if message.vehicle != vehicle:
-            self.reject(vehicle, f"speaks for {message.vehicle}")
+            self.count_rejection(vehicle, f"sent a message of {message.vehicle}")
             return None
         return message

@@ -1,28 +1,28 @@
-"""Takes a port of this machine, and tells whether others reach it."""
+"""Opens a listening TCP port and determines whether other machines can reach it."""
 
 import ipaddress
 import socket
 
 
-def listening_socket(host: str, port: int, queue: int) -> socket.socket:
-    """A TCP socket that listens; `port` 0: any that is free. Raises OSError.
+def open_server_socket(host: str, port: int, backlog: int) -> socket.socket:
+    """Open a listening TCP socket; `port` 0: any free port. Raises OSError.
 
-    A server that starts anew gets the port at once, though old connections linger.
+    A restarted server gets the port at once, even while old connections linger (SO_REUSEADDR).
     """
-    (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    made = socket.socket(family, socket.SOCK_STREAM)
+    (address_kind, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    server_socket = socket.socket(address_kind, socket.SOCK_STREAM)
     try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(address)
-        made.listen(queue)
+        server_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        server_socket.bind(address)
+        server_socket.listen(backlog)
     except OSError:
-        made.close()
+        server_socket.close()
         raise
-    return made
+    return server_socket
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches this address, or name."""
+def is_loopback_host(host: str) -> bool:
+    """Return whether only this machine can reach this address or host name."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,4 +1,4 @@
-"""An LLM behind any OpenAI-compatible server: one question, one answer, within bounds."""
+"""Client of an OpenAI-compatible LLM server: one request, one response, both bounded."""
 
 import asyncio
 import json
@@ -7,12 +7,12 @@ from typing import Any
 
 import httpx
 
-LARGEST_BYTES = 1 << 20
+MAX_RESPONSE_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class LlmParams:
-    """The server and the model. `url`: its base, for example http://127.0.0.1:8000/v1."""
+    """Server and model. `url`: base URL, for example http://127.0.0.1:8000/v1."""
 
     url: str
     model: str
@@ -21,44 +21,51 @@ class LlmParams:
 
 
 @dataclass(frozen=True, slots=True)
-class LlmAnswer:
-    """The text of the answer."""
+class LlmResponse:
+    """Text of the model's response."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class NoAnswer:
-    """Why there is no answer."""
+class NoLlmResponse:
+    """Reason for a missing response."""
 
     reason: str
 
 
-def ask(params: LlmParams, system: str, user: str, schema: dict[str, Any]) -> LlmAnswer | NoAnswer:
-    """Ask once. Takes at most `timeout_s` and 1 MiB, whatever the server does."""
+def request_completion(
+    params: LlmParams, system_prompt: str, user_prompt: str, response_schema: dict[str, Any]
+) -> LlmResponse | NoLlmResponse:
+    """Send one request. Bounded by `timeout_s` and 1 MiB, whatever the server does."""
     body = {
         "model": params.model,
         "temperature": 0,
-        "messages": [{"role": "system", "content": system}, {"role": "user", "content": user}],
+        "messages": [
+            {"role": "system", "content": system_prompt},
+            {"role": "user", "content": user_prompt},
+        ],
         "response_format": {
             "type": "json_schema",
-            "json_schema": {"name": "clusters", "strict": True, "schema": schema},
+            "json_schema": {"name": "clusters", "strict": True, "schema": response_schema},
         },
     }
     try:
-        raw = asyncio.run(_bounded(params, body))
+        raw = asyncio.run(_fetch_response_within_limits(params, body))
     except (TimeoutError, httpx.TimeoutException):
-        return NoAnswer(f"no whole answer in {params.timeout_s:g} s")
+        return NoLlmResponse(f"no complete response in {params.timeout_s:g} s")
     except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, UnicodeError) as error:
-        return NoAnswer(f"{type(error).__name__}: {error}"[:200])
-    return raw if isinstance(raw, NoAnswer) else _content(raw)
+        return NoLlmResponse(f"{type(error).__name__}: {error}"[:200])
+    return raw if isinstance(raw, NoLlmResponse) else _parse_response(raw)
 
 
-async def _bounded(params: LlmParams, body: dict[str, Any]) -> bytes | NoAnswer:
-    """The raw answer, within the bounds.
+async def _fetch_response_within_limits(
+    params: LlmParams, body: dict[str, Any]
+) -> bytes | NoLlmResponse:
+    """Return the raw response body, within the bounds.
 
-    httpx bounds each read, and a server that sends its headers byte by byte never exceeds that:
-    hence one time-out around everything. Compressed answers are neither asked for nor unpacked:
+    httpx bounds each read only, and a server that sends its headers byte by byte never exceeds
+    that: hence one time-out around everything. Compressed responses are not requested or unpacked:
     they may unpack to any size.
     """
     headers = {"Accept-Encoding": "identity"}
@@ -71,18 +78,18 @@ async def _bounded(params: LlmParams, body: dict[str, Any]) -> bytes | NoAnswer:
         client.stream("POST", url, json=body, headers=headers) as response,
     ):
         if response.status_code != httpx.codes.OK:
-            return NoAnswer(f"the server answers {response.status_code}")
+            return NoLlmResponse(f"HTTP status {response.status_code}, expected 200")
         raw = b""
         async for chunk in response.aiter_raw():
             raw += chunk
-            if len(raw) > LARGEST_BYTES:
-                return NoAnswer(f"more than {LARGEST_BYTES} bytes")
+            if len(raw) > MAX_RESPONSE_BYTES:
+                return NoLlmResponse(f"response of more than {MAX_RESPONSE_BYTES} bytes")
         return raw
 
 
-def _content(raw: bytes) -> LlmAnswer | NoAnswer:
+def _parse_response(raw: bytes) -> LlmResponse | NoLlmResponse:
     try:
         text = json.loads(raw)["choices"][0]["message"]["content"]
     except (ValueError, KeyError, IndexError, TypeError, RecursionError):
-        return NoAnswer("not an OpenAI-compatible answer")
-    return LlmAnswer(text) if isinstance(text, str) else NoAnswer("an answer without content")
+        return NoLlmResponse("not an OpenAI-compatible response")
+    return LlmResponse(text) if isinstance(text, str) else NoLlmResponse("response without content")

@@ -1,18 +1,18 @@
-"""The account that a command runs under, as the operating system knows it."""
+"""The operating system account that a command runs under."""
 
 import os
 import pwd
 import socket
 
 
-def login_name() -> str:
-    """The login name of this process. Environment variables are not asked: anybody sets them."""
+def operating_system_account_name() -> str:
+    """Return the login name of this process. Environment variables are not trusted."""
     try:
         return pwd.getpwuid(os.getuid()).pw_name
     except KeyError:
         return f"uid-{os.getuid()}"
 
 
-def login() -> str:
-    """Account and machine, for the audit."""
-    return f"{login_name()}@{socket.gethostname()}"[:64]
+def account_at_host() -> str:
+    """Return account and host name, for the audit."""
+    return f"{operating_system_account_name()}@{socket.gethostname()}"[:64]

@@ -1,10 +1,9 @@
-"""A fleet's router: members call it, and it passes on what its access rules allow them to say.
+"""Router of a fleet: members connect to it, and it forwards what its access rules allow.
 
 It is a session of zenoh's Python binding in router mode, on the network file of its own identity.
-It says nothing in anybody's name; of the roster it keeps the newest, to tell who should not call.
+It publishes nothing in a member's name. It keeps the latest roster, to refuse revoked members.
 """
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,95 +11,80 @@ from pathlib import Path
 import zenoh
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.identity import TLS_CERTIFICATE, Identity, read_identity
+from companion.fleet.identity import TLS_CERTIFICATE, MemberIdentity, read_and_verify_identity
 from companion.fleet.roles import Role
-from companion.fleet.zenoh_config import mode_of, read_config
-from ground_station.adapters.called_session import CalledSession, anew_words
+from companion.fleet.zenoh_config import config_mode, read_and_check_zenoh_config
+from ground_station.adapters.called_session import ServerSession, session_reopened_message
 from ground_station.adapters.roster_share import RosterShare
-from ground_station.adapters.zenoh_door import ZenohDoor
-from ground_station.adapters.zenoh_log import DoorLog
-from ground_station.core.fleet.router_figures import RouterFigures
 
 
 @dataclass(slots=True)
 class ZenohRouter:
-    """One router, until it is closed. `refuse` is told why a roster was not taken."""
+    """One router, until it is closed. `refuse` receives the reason for a rejected roster."""
 
-    identity: Identity
-    called: CalledSession
+    identity: MemberIdentity
+    server_session: ServerSession
     session: zenoh.Session
-    share: RosterShare
-    door: ZenohDoor
+    roster_share: RosterShare
     refuse: Callable[[str], None]
     say: Callable[[str], None]
 
     @classmethod
-    def open(
+    def open_router(
         cls,
-        folder: Path,
-        refuse: Callable[[str], None],
-        log: DoorLog | None = None,
-        say: Callable[[str], None] = lambda words: None,
+        identity_folder: Path,
+        report_roster_refusal: Callable[[str], None],
+        log_message: Callable[[str], None] = lambda words: None,
     ) -> "ZenohRouter":
-        """The router of an identity. `refuse` is told why a roster was not taken; `log`: who was
-        turned away; `say`: that it has opened anew.
+        """Open an identity's router. `report_roster_refusal` takes a rejection, `log_message`
+        receives a message when the session was reopened.
 
-        Raises LeewayError where the folder is no router's, or the address cannot be had.
+        Raises LeewayError if the folder is not a router's or the address cannot be bound.
         """
-        identity = read_identity(folder)
-        _check_role(identity)
-        if identity.trust.own_end_us is None:
-            raise LeewayError(f"{folder / TLS_CERTIFICATE}: No such file or directory")
-        _check_mode(identity.zenoh)
-        called = CalledSession(identity)
-        session = called.open()
-        share, door = (
-            RosterShare(session, identity, refuse),
-            ZenohDoor(session, identity.trust, log),
-        )
-        return cls(identity, called, session, share, door, refuse, say)
+        identity = read_and_verify_identity(identity_folder)
+        _require_active_router_role(identity)
+        if identity.trust.validity.own_end_us is None:
+            raise LeewayError(f"{identity_folder / TLS_CERTIFICATE}: No such file or directory")
+        _require_router_mode(identity.zenoh_config_path)
+        called = ServerSession(identity)
+        session = called.open_session()
+        share = RosterShare(session, identity, report_roster_refusal)
+        return cls(identity, called, session, share, report_roster_refusal, log_message)
 
     @property
     def name(self) -> str:
-        """Its name on the roster."""
+        """Name of the router on the roster."""
         return self.identity.trust.name
 
     @property
     def address(self) -> str:
-        """Where the others find it."""
-        me = self.identity.trust.me
+        """Address at which members connect."""
+        me = self.identity.trust.own_roster_entry
         return me.address if me is not None else ""
 
-    def turn(self, now_s: float) -> None:
-        """Take up a newer roster, and what else is new in the folder, when it is time to look."""
-        self.share.turn(now_s)
-        if self.called.is_old(now_s):
-            self.session = self.door.session = self.called.open_again(self.session, now_s)
-            self.share = RosterShare(self.session, self.identity, self.refuse)
-            self.say(anew_words(self.door.roster()))
-
-    def figures(self, now_s: float) -> RouterFigures:
-        """Everything, as it is now."""
-        kinds = Counter(str(one.whatami) for one in self.session.info.transports())
-        number = self.door.roster().number
-        end_us = self.identity.trust.own_end_us or 0
-        return RouterFigures(now_s, kinds, end_us, number, self.door.figures())
+    def accept_roster_and_reopen_if_stale(self, now_s: float) -> None:
+        """Accept a newer roster and changed files of the folder, when due."""
+        self.roster_share.poll_file_and_exchange_rosters(now_s)
+        if self.server_session.poll_and_check_if_reopen_due(now_s):
+            self.session = self.server_session.close_and_reopen_session(self.session, now_s)
+            self.roster_share = RosterShare(self.session, self.identity, self.refuse)
+            self.say(session_reopened_message(self.identity.trust.roster))
 
     def close(self) -> None:
-        """Leave: who was joined here calls another router."""
+        """Leave the network: connected members connect to another router."""
         self.session.close()
 
 
-def _check_role(identity: Identity) -> None:
+def _require_active_router_role(identity: MemberIdentity) -> None:
     trust = identity.trust
-    if trust.me is None or trust.me.revoked:
-        raise LeewayError(f"{identity.folder}: {trust.warning()}")
-    if trust.me.role is not Role.ROUTER:
-        role = trust.me.role.value
-        raise LeewayError(f"{identity.folder}: {trust.name} is a {role}, expected a router's")
+    if trust.own_roster_entry is None or trust.own_roster_entry.revoked:
+        raise LeewayError(f"{identity.folder}: {trust.certificate_warning_or_empty()}")
+    if trust.own_roster_entry.role is not Role.ROUTER:
+        role = trust.own_roster_entry.role.value
+        raise LeewayError(f"{identity.folder}: {trust.name} is a {role}, expected a router")
 
 
-def _check_mode(file: Path) -> None:
-    mode = mode_of(read_config(file))
+def _require_router_mode(zenoh_config_file: Path) -> None:
+    mode = config_mode(read_and_check_zenoh_config(zenoh_config_file))
     if mode != "router":
-        raise LeewayError(f"{file}: mode {mode}, expected router")
+        raise LeewayError(f"{zenoh_config_file}: mode {mode}, expected router")

@@ -1,46 +1,46 @@
-"""A wind station's end of the fleet's network: it tells its own wind, and hears nobody."""
+"""A wind station's network connection: publishes its own wind and receives nothing."""
 
 from pathlib import Path
 
-import zenoh
-
 from companion.core.base.errors import LeewayError
-from companion.fleet.membership import ON_ITS_OWN, JoinOptions
-from companion.fleet.roles import MEASURES
-from companion.fleet.topics import station_key
-from companion.fleet.zenoh_config import read_config
-from ground_station.core.fleet.station_message import StationWind, encode_station
+from companion.fleet.identity import read_identity_of_fleet_and_member
+from companion.fleet.membership import DEFAULT_JOIN_OPTIONS, JoinOptions
+from companion.fleet.roles import WIND_STATIONS
+from companion.fleet.topics import station_wind_key
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
+from companion.fleet.zenoh_session import open_session
+from ground_station.core.fleet.station_message import StationWind, encode_station_wind
 
 
 class ZenohStation:
-    """One station's session."""
+    """Session of one wind station."""
 
     def __init__(
-        self, fleet: str, station: str, config: Path | None, options: JoinOptions = ON_ITS_OWN
+        self,
+        fleet: str,
+        station: str,
+        config: Path | None,
+        options: JoinOptions = DEFAULT_JOIN_OPTIONS,
     ) -> None:
-        """Join as this station. LeewayError where a file is not valid, or the identity is not a
-        station's of this name.
+        """Join as this station. Raises LeewayError if a file is invalid or the identity is not that
+        of a station with this name.
         """
-        self._key, self._trust = station_key(fleet, station), None
+        self._key, self._trust = station_wind_key(fleet, station), None
         if options.identity is not None:
-            from companion.fleet.identity import identity_of
-
-            identity = identity_of(options.identity, fleet, station)
-            self._trust, config = identity.trust, config or identity.zenoh
-            me = identity.trust.me
-            if me is None or me.role not in MEASURES:
+            identity = read_identity_of_fleet_and_member(options.identity, fleet, station)
+            self._trust, config = identity.trust, config or identity.zenoh_config_path
+            me = identity.trust.own_roster_entry
+            if me is None or me.role not in WIND_STATIONS:
                 role = "not on the roster" if me is None else f"a {me.role.value}"
                 raise LeewayError(f"{options.identity}: {station} is {role}, expected a station")
-        try:
-            self._session = zenoh.open(read_config(config, open_network=options.open_network))
-        except zenoh.ZError as error:
-            raise LeewayError(f"{config or 'zenoh'}: {error}") from error
+        checked_config = read_and_check_zenoh_config(config, open_network=options.open_network)
+        self._session = open_session(checked_config, config)
 
-    def tell(self, wind: StationWind) -> None:
-        """Publish what was measured, signed where the station has an identity."""
-        raw = encode_station(wind)
+    def publish_wind(self, wind: StationWind) -> None:
+        """Publish a measured wind, signed if the station has an identity."""
+        raw = encode_station_wind(wind)
         self._session.put(
-            self._key, raw if self._trust is None else self._trust.seal("station", raw)
+            self._key, raw if self._trust is None else self._trust.sign_in_envelope("station", raw)
         )
 
     def close(self) -> None:

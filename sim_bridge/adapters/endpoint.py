@@ -2,12 +2,12 @@
 
 | URL | is |
 | --- | --- |
-| `udpout:host:port` | sends to host:port and receives what comes from there |
-| `udpin:host:port` | listens, and answers every peer heard in the last 30 s |
+| `udpout:host:port` | sends to host:port and receives from it |
+| `udpin:host:port` | listens, and replies to every peer of the last 30 s |
 | `tcpin:host:port` | TCP server for one client at a time, as an autopilot's serial port is |
 
-An empty host is loopback; port 0 takes a free one (see `Endpoint.url`). Nothing here raises because
-of a peer: a lost peer is a silent one.
+An empty host is loopback; port 0 selects a free port (see `Endpoint.url`). A peer
+never causes an exception: a lost peer is silent.
 """
 
 import contextlib
@@ -20,28 +20,28 @@ from typing import Protocol
 from sim_bridge.adapters.errors import EndpointError
 from sim_bridge.autopilot.mavlink.codec import Decoder
 
-_LARGEST_DATAGRAM = 65535
+_MAX_DATAGRAM_BYTES = 65535
 _BUNDLE_BYTES = 1400  # an Ethernet frame carries 1472 under IPv4 and UDP, a tunnel some less
 _RECEIVE_BUFFER_BYTES = 1 << 20
-_PEER_FORGOTTEN_AFTER_S = 30.0
-_MOST_PEERS = 16
+_PEER_TIMEOUT_S = 30.0
+_MAX_PEERS = 16
 _TCP_BACKLOG_BYTES = 1 << 18
 
 
 class Endpoint(Protocol):
-    """One link of a vehicle."""
+    """One MAVLink link of a vehicle."""
 
     @property
     def url(self) -> str:
         """The URL with the port in use."""
         ...
 
-    def attach(self, selector: selectors.BaseSelector) -> None:
+    def register_with_selector(self, selector: selectors.BaseSelector) -> None:
         """Register present and future sockets, with this endpoint as their data."""
         ...
 
     def receive(self) -> list[bytes]:
-        """What has arrived: datagrams, or whole frames of a stream. Does not wait."""
+        """Return the received datagrams, or whole frames of a stream, without waiting."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -53,8 +53,8 @@ class Endpoint(Protocol):
         ...
 
 
-def bundled(frames: Iterable[bytes]) -> list[bytes]:
-    """Whole frames in as few Ethernet-sized datagrams as possible, in order (as PX4 does).
+def bundle_frames(frames: Iterable[bytes]) -> list[bytes]:
+    """Bundle whole frames into the fewest Ethernet-sized datagrams, in order (as PX4 does).
 
     Each datagram wakes its reader, which costs more than its bytes: sending telemetry frame by
     frame was half of a lockstep flight's time.
@@ -73,11 +73,11 @@ def bundled(frames: Iterable[bytes]) -> list[bytes]:
     return datagrams
 
 
-def _udp_socket() -> socket.socket:
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.setblocking(False)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-    return made
+def _open_nonblocking_udp_socket() -> socket.socket:
+    udp_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp_socket.setblocking(False)
+    udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+    return udp_socket
 
 
 class UdpOut:
@@ -85,14 +85,14 @@ class UdpOut:
 
     def __init__(self, host: str, port: int) -> None:
         self.url = f"udpout:{host}:{port}"
-        self._socket = _udp_socket()
+        self._socket = _open_nonblocking_udp_socket()
         try:
-            self._socket.connect((host, port))  # others are not heard
+            self._socket.connect((host, port))  # only this peer's datagrams are received
         except OSError:
             self._socket.close()
             raise
 
-    def attach(self, selector: selectors.BaseSelector) -> None:
+    def register_with_selector(self, selector: selectors.BaseSelector) -> None:
         """See `Endpoint`."""
         selector.register(self._socket, selectors.EVENT_READ, self)
 
@@ -101,10 +101,10 @@ class UdpOut:
         datagrams: list[bytes] = []
         while True:
             try:
-                datagrams.append(self._socket.recv(_LARGEST_DATAGRAM))
+                datagrams.append(self._socket.recv(_MAX_DATAGRAM_BYTES))
             except BlockingIOError:
                 return datagrams
-            except ConnectionRefusedError:  # an earlier datagram found nobody listening
+            except ConnectionRefusedError:  # no process listened at the peer's port
                 continue
             except OSError:
                 return datagrams
@@ -125,19 +125,19 @@ class UdpOut:
 
 
 class UdpIn:
-    """Waits for datagrams; answers every peer heard within the last 30 s."""
+    """Wait for datagrams and reply to every peer received from within the last 30 s."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp_socket()
+        self._socket = _open_nonblocking_udp_socket()
         try:
             self._socket.bind((host, port))
         except OSError:
             self._socket.close()
             raise
         self.url = "udpin:{}:{}".format(*self._socket.getsockname())
-        self._heard_s: dict[tuple[str, int], float] = {}
+        self._received_s: dict[tuple[str, int], float] = {}
 
-    def attach(self, selector: selectors.BaseSelector) -> None:
+    def register_with_selector(self, selector: selectors.BaseSelector) -> None:
         """See `Endpoint`."""
         selector.register(self._socket, selectors.EVENT_READ, self)
 
@@ -146,19 +146,19 @@ class UdpIn:
         datagrams: list[bytes] = []
         while True:
             try:
-                data, peer = self._socket.recvfrom(_LARGEST_DATAGRAM)
+                data, peer = self._socket.recvfrom(_MAX_DATAGRAM_BYTES)
             except OSError:  # usually nothing more to read
                 return datagrams
-            if peer in self._heard_s or len(self._heard_s) < _MOST_PEERS:
-                self._heard_s[peer] = time.monotonic()
+            if peer in self._received_s or len(self._received_s) < _MAX_PEERS:
+                self._received_s[peer] = time.monotonic()
             datagrams.append(data)
 
     def send(self, data: bytes) -> None:
         """See `Endpoint`."""
-        silent_since_s = time.monotonic() - _PEER_FORGOTTEN_AFTER_S
-        for peer, heard_s in list(self._heard_s.items()):
-            if heard_s < silent_since_s:
-                del self._heard_s[peer]
+        silent_since_s = time.monotonic() - _PEER_TIMEOUT_S
+        for peer, received_s in list(self._received_s.items()):
+            if received_s < silent_since_s:
+                del self._received_s[peer]
                 continue
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, peer)
@@ -187,7 +187,7 @@ class TcpIn:
         self._framer = Decoder(stream=True, keep_unknown=True)
         self._unsent = bytearray()
 
-    def attach(self, selector: selectors.BaseSelector) -> None:
+    def register_with_selector(self, selector: selectors.BaseSelector) -> None:
         """See `Endpoint`."""
         self._selector = selector
         selector.register(self._listener, selectors.EVENT_READ, self)
@@ -195,14 +195,14 @@ class TcpIn:
     def receive(self) -> list[bytes]:
         """See `Endpoint`."""
         if self._client is None:
-            self._accept()
+            self._try_accept_client()
         if self._client is None:
             return []
-        self._flush()
+        self._send_unsent_without_waiting()
         frames: list[bytes] = []
         while self._client is not None:
             try:
-                data = self._client.recv(_LARGEST_DATAGRAM)
+                data = self._client.recv(_MAX_DATAGRAM_BYTES)
             except BlockingIOError:
                 break
             except OSError:
@@ -210,10 +210,10 @@ class TcpIn:
             if not data:
                 self._drop_client()
                 break
-            frames += [message.wire_bytes for message in self._framer.feed(data)]
+            frames += [message.wire_bytes for message in self._framer.decode_bytes(data)]
         return frames
 
-    def _accept(self) -> None:
+    def _try_accept_client(self) -> None:
         try:
             client, _ = self._listener.accept()
         except OSError:
@@ -239,12 +239,12 @@ class TcpIn:
     def send(self, data: bytes) -> None:
         """See `Endpoint`; what a client does not read in time is dropped, in whole datagrams."""
         if self._client is None or len(self._unsent) > _TCP_BACKLOG_BYTES:
-            self._flush()
+            self._send_unsent_without_waiting()
             return
         self._unsent += data
-        self._flush()
+        self._send_unsent_without_waiting()
 
-    def _flush(self) -> None:
+    def _send_unsent_without_waiting(self) -> None:
         while self._client is not None and self._unsent:
             try:
                 sent = self._client.send(self._unsent)
@@ -281,7 +281,7 @@ def open_endpoint(url: str) -> Endpoint:
 
 
 class EndpointSet:
-    """All endpoints of a process, numbered in the order given, and one wait for all of them."""
+    """All endpoints of a process, numbered in the given order, with one common wait."""
 
     def __init__(self, urls: Iterable[str]) -> None:
         self._selector = selectors.DefaultSelector()
@@ -289,15 +289,15 @@ class EndpointSet:
         self._index: dict[int, int] = {}
         try:
             for url in urls:
-                self.add(url)
+                self.open_and_add(url)
         except EndpointError:
             self.close()
             raise
 
-    def add(self, url: str) -> int:
+    def open_and_add(self, url: str) -> int:
         """Open one more; returns its number."""
         endpoint = open_endpoint(url)
-        endpoint.attach(self._selector)
+        endpoint.register_with_selector(self._selector)
         self._index[id(endpoint)] = len(self._endpoints)
         self._endpoints.append(endpoint)
         return len(self._endpoints) - 1
@@ -323,9 +323,9 @@ class EndpointSet:
         numbers = sorted({self._index[id(key.data)] for key, _ in ready})
         return [(n, data) for n in numbers for data in self._endpoints[n].receive()]
 
-    def send(self, number: int, data: bytes) -> None:
+    def send(self, endpoint_number: int, data: bytes) -> None:
         """Send on one endpoint, to all its peers."""
-        self._endpoints[number].send(data)
+        self._endpoints[endpoint_number].send(data)
 
     def close(self) -> None:
         """Close all sockets."""
@@ -340,8 +340,8 @@ class EndpointSet:
         self.close()
 
 
-def free_tcp_port() -> int:
-    """A port of this machine that nobody listens on now."""
+def find_free_tcp_port() -> int:
+    """Return a TCP port of this machine that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]

@@ -2,4 +2,4 @@
 
 
 class EndpointError(ValueError):
-    """A URL that cannot be opened: names it and says why."""
+    """The URL cannot be opened. The message contains the URL and the reason."""

@@ -1,9 +1,9 @@
-"""Lockstep: simulated time advances when every live companion has had its turn.
+"""Lockstep: simulated time advances after every live companion has handled the current step.
 
-After each step's telemetry the autopilot asks TIMESYNC(tc1=0, ts1=t); a companion handles its
-datagrams in order, so its TIMESYNC(tc1 != 0, ts1=t) means that it has handled them all, and that
-everything it had to send came before. So the same seed gives the same decisions at any speed. The
-wall clock decides only when a companion counts as dead.
+After each step's telemetry the autopilot sends TIMESYNC(tc1=0, ts1=t). A companion handles
+datagrams in order, so its response TIMESYNC(tc1 != 0, ts1=t) confirms that it has handled them all
+and has sent all its output. The same seed gives the same decisions at any speed. The wall clock
+only decides when a companion counts as dead.
 """
 
 import struct
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from sim_bridge.adapters.endpoint import EndpointSet
-from sim_bridge.autopilot.mavlink.message_table import SPECS, crc_bytes
+from sim_bridge.autopilot.mavlink.message_table import SPECS, crc16_mcrf4xx_bytes
 
 _TIMESYNC = SPECS["TIMESYNC"]
 _HEARTBEAT_ID = 0
-_ASK_AGAIN_AFTER_S = 0.25
-_LOOK_AFTER_S = 0.1
+_REQUEST_RETRY_S = 0.25
+_POLL_PERIOD_S = 0.1
 _TC1_TS1 = struct.Struct("<qq")
 
 
@@ -27,22 +27,22 @@ class Gathered:
     """Result of one exchange: datagrams by endpoint number, and which clients died or revived."""
 
     received: list[tuple[int, bytes]]
-    died: tuple[int, ...] = ()
+    timed_out: tuple[int, ...] = ()
     revived: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class _Signs:
-    """What a datagram means for lockstep: a HEARTBEAT, and the times that it answers."""
+class _SyncContent:
+    """Lockstep content of a datagram: HEARTBEAT present, and the confirmed TIMESYNC times."""
 
     heartbeat: bool
-    answers_ns: tuple[int, ...]
+    confirmed_ns: tuple[int, ...]
 
 
-def _read_signs(datagram: bytes) -> _Signs:
-    """Scan the frames of a datagram for HEARTBEATs and TIMESYNC answers only."""
+def _parse_sync_content(datagram: bytes) -> _SyncContent:
+    """Scan the frames of a datagram for HEARTBEATs and TIMESYNC responses only."""
     heartbeat = False
-    answers: list[int] = []
+    confirmed_ns: list[int] = []
     at, end = 0, len(datagram)
     while end - at >= 8:
         if datagram[at] == 0xFD and end - at >= 12:
@@ -58,23 +58,23 @@ def _read_signs(datagram: bytes) -> _Signs:
             heartbeat = True
         elif msg_id == _TIMESYNC.id and at + size <= end:
             body_end = at + header + length
-            crc = crc_bytes(datagram[at + 1 : body_end] + _TIMESYNC.crc_extra)
+            crc = crc16_mcrf4xx_bytes(datagram[at + 1 : body_end] + _TIMESYNC.crc_extra)
             if crc == datagram[body_end : body_end + 2]:
                 payload = datagram[at + header : body_end].ljust(_TC1_TS1.size, b"\0")
                 tc1, ts1 = _TC1_TS1.unpack_from(payload)
                 if tc1 != 0:
-                    answers.append(ts1)
+                    confirmed_ns.append(ts1)
         at += size
-    return _Signs(heartbeat, tuple(answers))
+    return _SyncContent(heartbeat, tuple(confirmed_ns))
 
 
 class Lockstep:
-    """Takes turns with the clients on some endpoints of a set.
+    """Steps the clients on some endpoints of a set, one exchange per step.
 
-    `request(number, t_ns)` gives the datagrams for an endpoint: what its autopilot sends, then
-    its TIMESYNC request (the autopilot numbers its frames as they leave, so both come from one
-    place). A client that does not answer within `limit_s` of wall time is dead: it is still
-    asked but no longer waited for, and live again when it answers or sends a HEARTBEAT.
+    `request(number, t_ns)` returns the datagrams for an endpoint: the autopilot's output, then its
+    TIMESYNC request (both in one call, because the autopilot numbers its frames). A client that
+    does not respond within `timeout_s` of wall time is dead: requests continue without waiting, and
+    it is live again when it responds or sends a HEARTBEAT.
     """
 
     def __init__(
@@ -87,90 +87,95 @@ class Lockstep:
         clock_s: Callable[[], float] = time.monotonic,
         is_alive: Callable[[int], bool] | None = None,
     ) -> None:
-        """`is_alive(number)` may tell that a client has ended by itself: it is not waited for."""
+        """`is_alive(number)` may report that a client's process has ended: it is not waited for."""
         self._is_alive = is_alive or (lambda _: True)
         self._endpoints = endpoints
         self._request = request
         self._limit_s = limit_s
         self._clock_s = clock_s
         self._clients = tuple(clients)
-        self._dead = set(self._clients)
+        self._unresponsive = set(self._clients)
 
     @property
-    def live(self) -> frozenset[int]:
+    def live_clients(self) -> frozenset[int]:
         """The clients that are waited for."""
-        return frozenset(self._clients) - self._dead
+        return frozenset(self._clients) - self._unresponsive
 
-    def lose(self, number: int) -> None:
+    def mark_unresponsive(self, client_number: int) -> None:
         """This client is known to be dead (its process was killed): do not wait to find out."""
-        self._dead.add(number)
+        self._unresponsive.add(client_number)
 
-    def await_clients(
-        self, t_ns: int, limit_s: float, only: Iterable[int] | None = None
+    def wait_until_clients_respond(
+        self, t_ns: int, timeout_s: float, client_numbers: Iterable[int] | None = None
     ) -> Gathered:
-        """Before the first telemetry: ask at `t_ns` until all have answered, or `limit_s` is over.
+        """Send requests at `t_ns` until all clients have responded or `timeout_s` is over.
 
-        A client may not be up yet, so it is asked again and again, and may see the same time more
-        than once. Those that did not answer are in `died`. `only`: wait for these (after a
-        restart), not for all.
+        Call it before the first telemetry. A client may still be starting, so requests repeat and
+        it may receive the same time several times. `timed_out` lists the clients without a
+        response. `client_numbers`: wait for these clients (after a restart), not for all.
         """
         received: list[tuple[int, bytes]] = []
-        missing = set(self._clients if only is None else only)
-        deadline_s = self._clock_s() + limit_s
+        missing = set(self._clients if client_numbers is None else client_numbers)
+        deadline_s = self._clock_s() + timeout_s
         while missing and (left_s := deadline_s - self._clock_s()) > 0.0:
             if not any(map(self._is_alive, missing)):
                 break
-            self._ask(missing, t_ns)
-            part = self._gather(t_ns, missing, min(left_s, _ASK_AGAIN_AFTER_S))
+            self._send_requests(missing, t_ns)
+            part = self._collect_responses(t_ns, missing, min(left_s, _REQUEST_RETRY_S))
             received += part.received
-        return Gathered(_by_number(received), died=tuple(sorted(missing)))
+        return Gathered(_sorted_by_endpoint_number(received), timed_out=tuple(sorted(missing)))
 
-    def exchange(self, t_ns: int) -> Gathered:
-        """Send the autopilots' frames, give every client its turn at `t_ns`, and gather.
+    def exchange_one_step(self, t_ns: int) -> Gathered:
+        """Send the autopilots' frames, run one step of every client at `t_ns`, and collect its
+        output.
 
-        Returns when all live clients have answered or their limit is over. `received` is in the
+        Returns when all live clients have responded or their limit is over. `received` is in the
         order of endpoint numbers and, within one, of arrival.
         """
-        self._ask(self._clients, t_ns)
-        waited_for = set(self.live)
-        gathered = self._gather(t_ns, waited_for, self._limit_s)
-        self._dead |= waited_for
+        self._send_requests(self._clients, t_ns)
+        waited_for = set(self.live_clients)
+        gathered = self._collect_responses(t_ns, waited_for, self._limit_s)
+        self._unresponsive |= waited_for
         return Gathered(gathered.received, tuple(sorted(waited_for)), gathered.revived)
 
-    def _ask(self, numbers: Iterable[int], t_ns: int) -> None:
-        for number in sorted(numbers):
+    def _send_requests(self, client_numbers: Iterable[int], t_ns: int) -> None:
+        for number in sorted(client_numbers):
             for datagram in self._request(number, t_ns):
                 self._endpoints.send(number, datagram)
 
-    def _gather(self, t_ns: int, waited_for: set[int], limit_s: float) -> Gathered:
-        """Poll until nobody who lives is left in `waited_for` (who answers leaves it), or the
+    def _collect_responses(
+        self, t_ns: int, pending_clients: set[int], timeout_s: float
+    ) -> Gathered:
+        """Poll until no live client remains in `pending_clients` (a response removes it) or the
         limit is over."""
         received: list[tuple[int, bytes]] = []
         revived: set[int] = set()
         ended: set[int] = set()
-        deadline_s = self._clock_s() + limit_s
-        left_s = limit_s if waited_for else 0.0
+        deadline_s = self._clock_s() + timeout_s
+        left_s = timeout_s if pending_clients else 0.0
         while True:
-            arrived = self._endpoints.poll(min(left_s, _LOOK_AFTER_S))
+            arrived = self._endpoints.poll(min(left_s, _POLL_PERIOD_S))
             received += arrived
             if not arrived:
-                ended = {n for n in waited_for if not self._is_alive(n)}
+                ended = {n for n in pending_clients if not self._is_alive(n)}
             for number, datagram in arrived:
                 if number not in self._clients:
                     continue
-                signs = _read_signs(datagram)
-                if t_ns in signs.answers_ns:
-                    waited_for.discard(number)
-                if number in self._dead and (signs.heartbeat or signs.answers_ns):
-                    self._dead.discard(number)
+                sync_content = _parse_sync_content(datagram)
+                if t_ns in sync_content.confirmed_ns:
+                    pending_clients.discard(number)
+                if number in self._unresponsive and (
+                    sync_content.heartbeat or sync_content.confirmed_ns
+                ):
+                    self._unresponsive.discard(number)
                     revived.add(number)
-            if not waited_for or left_s == 0.0:
+            if not pending_clients or left_s == 0.0:
                 break
-            only_ended = waited_for <= ended  # what they sent before they ended has arrived
+            only_ended = pending_clients <= ended  # what they sent before they ended has arrived
             left_s = 0.0 if only_ended else max(deadline_s - self._clock_s(), 0.0)
-        return Gathered(_by_number(received), revived=tuple(sorted(revived)))
+        return Gathered(_sorted_by_endpoint_number(received), revived=tuple(sorted(revived)))
 
 
-def _by_number(received: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+def _sorted_by_endpoint_number(received: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
     """By endpoint number; the order of arrival within one stays."""
     return sorted(received, key=itemgetter(0))

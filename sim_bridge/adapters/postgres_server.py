@@ -1,6 +1,6 @@
-"""A PostgreSQL server of one's own: this machine's programs, on loopback, in a temporary folder.
+"""A private PostgreSQL server: installed programs, on loopback, in a temporary folder.
 
-It ends with who started it, however that ends, and its folder goes with it.
+The server ends with the process that started it, however that ends, and its folder is removed.
 """
 
 import os
@@ -20,43 +20,45 @@ import psycopg
 from psycopg import sql
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.adapters.endpoint import free_tcp_port
-from sim_bridge.adapters.lifeline import hold
+from sim_bridge.adapters.endpoint import find_free_tcp_port
+from sim_bridge.adapters.lifeline import end_with_parent
 
-DEBIAN = Path("/usr/lib/postgresql")
-"""Where Debian keeps the programs of a server: they are not on the path."""
+DEBIAN_SERVER_FOLDER = Path("/usr/lib/postgresql")
+"""Folders where Debian installs the server programs, which are not on the PATH."""
 
 RUN_AS = ("postgres", "nobody")
-"""PostgreSQL refuses to run as root: whom to run it as then, the first that there is."""
+"""Accounts to run PostgreSQL as, because it refuses root: the first that exists is used."""
 
 START_S, STOP_S = 60.0, 10.0
 """A start after a SIGKILL reads its log first; a busy machine takes some seconds for it."""
 
-LOOK_AGAIN_S = 0.05
+POLL_PERIOD_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class PostgresPrograms:
+class PostgresExecutables:
     """The two programs that a server of one's own takes."""
 
     initdb: str
     postgres: str
 
     @classmethod
-    def find(cls) -> "PostgresPrograms":
+    def find(cls) -> "PostgresExecutables":
         """Those on the path, or else the newest where Debian keeps them.
 
         Raises LeewayError where there are none.
         """
-        return cls(_found("initdb"), _found("postgres"))
+        return cls(_find_executable("initdb"), _find_executable("postgres"))
 
 
-def _found(program: str) -> str:
-    kept = sorted(DEBIAN.glob(f"*/bin/{program}"), key=lambda path: float(path.parts[-3]))
+def _find_executable(program: str) -> str:
+    kept = sorted(
+        DEBIAN_SERVER_FOLDER.glob(f"*/bin/{program}"), key=lambda path: float(path.parts[-3])
+    )
     found = shutil.which(program) or (str(kept[-1]) if kept else None)
     if found is None:
         raise LeewayError(
-            f"PostgreSQL: no {program} on the path nor in {DEBIAN}/*/bin:"
+            f"PostgreSQL: no {program} on the path nor in {DEBIAN_SERVER_FOLDER}/*/bin:"
             " expected an installed server (Debian: apt install postgresql)"
         )
     return found
@@ -64,9 +66,9 @@ def _found(program: str) -> str:
 
 @dataclass(slots=True)
 class PostgresServer:
-    """One server on its data. `kill` is a real SIGKILL; `start` goes on with the same data."""
+    """One server. `kill` sends SIGKILL; `start_and_wait_until_ready` reuses the same data."""
 
-    programs: PostgresPrograms
+    executables: PostgresExecutables
     home: Path
     user: str | None
     port: int
@@ -74,12 +76,12 @@ class PostgresServer:
 
     @property
     def url(self) -> str:
-        """Its address, without the name of a database."""
+        """Server URL without a database name."""
         return f"postgresql://desk@127.0.0.1:{self.port}"
 
     @property
     def pid(self) -> int | None:
-        """The postmaster's process; None: it does not run."""
+        """Process id of the postmaster; None while it does not run."""
         return None if self._process is None else self._process.pid
 
     def create_database(self, name: str) -> str:
@@ -88,46 +90,46 @@ class PostgresServer:
             admin.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
         return f"{self.url}/{name}"
 
-    def make_data(self) -> None:
+    def initialise_cluster(self) -> None:
         """Make the empty cluster that it is to serve."""
         data = str(self.home / "data")
         options = ["-U", "desk", "-A", "trust", "--no-sync", "-E", "UTF8"]
         done = subprocess.run(
-            [self.programs.initdb, "-D", data, *options],
+            [self.executables.initdb, "-D", data, *options],
             user=self.user,
             cwd=self.home,
             capture_output=True,
             text=True,
         )
         if done.returncode != 0:
-            raise LeewayError(f"{self.programs.initdb}: {done.stderr.strip()}")
+            raise LeewayError(f"{self.executables.initdb}: {done.stderr.strip()}")
 
-    def start(self) -> None:
+    def start_and_wait_until_ready(self) -> None:
         """Start it, and wait until it takes connections. Raises LeewayError where it does not."""
         with (self.home / "log").open("ab") as log:
             self._process = subprocess.Popen(
-                self._command(),
+                self._server_command_line(),
                 user=self.user,
                 cwd=self.home,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                start_new_session=True,  # the terminal's Ctrl-C is for who started it
-                preexec_fn=partial(hold, os.getpid()),
+                start_new_session=True,  # the terminal's Ctrl-C is for the parent process
+                preexec_fn=partial(end_with_parent, os.getpid()),
             )
-        for _ in range(round(START_S / LOOK_AGAIN_S)):
-            if self._answers():
+        for _ in range(round(START_S / POLL_PERIOD_S)):
+            if self._accepts_connections():
                 return
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(LOOK_AGAIN_S)
+                self._process.wait(POLL_PERIOD_S)
                 break
-        raise LeewayError(f"PostgreSQL did not start: {self._last_words()}")
+        raise LeewayError(f"PostgreSQL did not start: {self._log_tail()}")
 
-    def _command(self) -> list[str]:
+    def _server_command_line(self) -> list[str]:
         options = {"listen_addresses": "127.0.0.1", "unix_socket_directories": str(self.home)}
         settings = [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
         return [
-            self.programs.postgres,
+            self.executables.postgres,
             "-D",
             str(self.home / "data"),
             "-p",
@@ -135,8 +137,9 @@ class PostgresServer:
             *settings,
         ]
 
-    def _answers(self) -> bool:
-        """Whether it takes connections; another server on this port does not count."""
+    def _accepts_connections(self) -> bool:
+        """Return True if this server accepts connections; another server on the port does not
+        count."""
         try:
             with psycopg.connect(f"{self.url}/postgres", connect_timeout=2) as db:
                 served = db.execute("SHOW data_directory").fetchone()
@@ -144,7 +147,7 @@ class PostgresServer:
             return False
         return served == (str(self.home / "data"),)
 
-    def _last_words(self) -> str:
+    def _log_tail(self) -> str:
         lines = (self.home / "log").read_text(errors="replace").strip().splitlines()
         return " | ".join(lines[-3:])
 
@@ -162,7 +165,7 @@ class PostgresServer:
         self._process.wait()
         self._process = None
 
-    def stop(self) -> None:
+    def stop_immediately(self) -> None:
         """End it at once; its data is thrown away."""
         if self._process is None:
             return
@@ -175,25 +178,25 @@ class PostgresServer:
 
 
 @contextmanager
-def postgres_server() -> Iterator[PostgresServer]:
+def running_postgres_server() -> Iterator[PostgresServer]:
     """A server that runs, on an empty cluster.
 
     Raises LeewayError where none is installed, or it does not start.
     """
-    programs, user = PostgresPrograms.find(), _user()
+    executables, user = PostgresExecutables.find(), _unprivileged_user_if_root()
     with tempfile.TemporaryDirectory(prefix="leeway-pg-") as home:
         if user is not None:
             shutil.chown(home, user)
-        server = PostgresServer(programs, Path(home), user, free_tcp_port())
-        server.make_data()
+        server = PostgresServer(executables, Path(home), user, find_free_tcp_port())
+        server.initialise_cluster()
         try:
-            server.start()
+            server.start_and_wait_until_ready()
             yield server
         finally:
-            server.stop()
+            server.stop_immediately()
 
 
-def _user() -> str | None:
+def _unprivileged_user_if_root() -> str | None:
     if os.geteuid() != 0:
         return None
     names = {entry.pw_name for entry in pwd.getpwall()}

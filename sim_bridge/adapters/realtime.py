@@ -5,14 +5,14 @@ from collections.abc import Callable
 
 from sim_bridge.adapters.endpoint import EndpointSet
 
-_MOST_BEHIND_S = 0.5
+_MAX_LAG_S = 0.5
 
 
 class Pacer:
-    """Waits, while listening, until a simulated time is due on the wall clock.
+    """Receives until a simulated time is due on the wall clock.
 
-    A host that cannot keep up is not asked to catch up by more than half a second of wall time:
-    `slipped_s` says how much wall time was lost so.
+    A slow host catches up at most half a second of wall time: `slipped_s` is the wall time lost in
+    excess.
     """
 
     def __init__(
@@ -25,16 +25,16 @@ class Pacer:
         self._zero_wall_s: float | None = None
         self.slipped_s = 0.0
 
-    def wait_until(self, t_s: float, endpoints: EndpointSet) -> list[tuple[int, bytes]]:
+    def receive_until_due(self, t_s: float, endpoints: EndpointSet) -> list[tuple[int, bytes]]:
         """(endpoint number, datagram) of what arrives before simulated time `t_s` is due."""
         now_s = self._clock_s()
         if self._zero_wall_s is None:
             self._zero_wall_s = now_s - t_s / self._speedup
         due_s = self._zero_wall_s + t_s / self._speedup
-        behind_s = now_s - due_s
-        if behind_s > _MOST_BEHIND_S:
-            self._zero_wall_s += behind_s
-            self.slipped_s += behind_s
+        lag_s = now_s - due_s
+        if lag_s > _MAX_LAG_S:
+            self._zero_wall_s += lag_s
+            self.slipped_s += lag_s
         received = endpoints.poll(0.0)
         while (left_s := due_s - self._clock_s()) > 0.0:
             received += endpoints.poll(left_s)

@@ -6,8 +6,8 @@
     autopilot.receive(0, datagram)
     for link_id, datagram in autopilot.take_outbox(): ...
 
-It sees readings, never the truth. This module puts the parts together and calls them in order.
-What ArduCopter and PX4 do differently is in `ardupilot/` and `px4/`, which nobody else imports.
+It sees readings, never the truth. This module constructs the parts and calls them in order.
+Differences between ArduCopter and PX4 are in `ardupilot/` and `px4/`, imported only here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from sim_bridge.autopilot.flight.guidance import Guidance
 from sim_bridge.autopilot.flight.landing import LandingDetector
 from sim_bridge.autopilot.flight.rc_input import RcInput
 from sim_bridge.autopilot.flight.wind import WindFusion
-from sim_bridge.autopilot.inbox import Inbox
+from sim_bridge.autopilot.inbox import MessageDispatcher
 from sim_bridge.autopilot.kinds import AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Signer
 from sim_bridge.autopilot.mavlink.enums import Severity, VehicleType
@@ -41,11 +41,11 @@ _SLOW_PERIOD_S = 0.1
 
 
 class Autopilot:
-    """ArduCopter or PX4, as `kind` says.
+    """ArduCopter or PX4, as selected by `kind`.
 
     `home` is latitude, longitude (deg) and altitude AMSL (m) of the origin of the readings' NED
-    frame, the depot's ground point. `parameters` come from `read_parameters`. `boot_age_s` starts
-    it as if it had been running for so long.
+    frame, the depot's ground point. `parameters` come from `read_parameters`. `boot_age_s` is
+    the initial time since boot.
     """
 
     STEP_S = STEP_S
@@ -73,7 +73,7 @@ class Autopilot:
             system_id=system_id,
             vehicle_type=int(vehicle_type),
             epoch_unix_s=epoch_unix_s,
-            rules=firmware.rules.flight_rules(params),
+            rules=firmware.rules.mission_flight_rules(params),
             boot_t_s=-boot_age_s,
         )
         self._control = control
@@ -99,65 +99,65 @@ class Autopilot:
                 reboot=self.reboot,
             )
         )
-        self.behaviour.commander.boot(self.behaviour.initial_mode())
+        self.behaviour.commander.reset_at_ground_boot(self.behaviour.initial_mode())
         self._protocol = MissionProtocol(
             self.state, self.radio, self.behaviour.mission, firmware.mission_rules, self.store
         )
-        self._inbox = Inbox(self.state, self.radio, self.behaviour, self._protocol)
+        self._inbox = MessageDispatcher(self.state, self.radio, self.behaviour, self._protocol)
         self._resume_at_s: float | None = None
         self._next_slow_s = 0.0
         self._rules_read_at: tuple[int, ...] | None = None
         self._boot_is_read = False
 
-    # --- the outside --------------------------------------------------------------------------
+    # --- inputs and outputs -------------------------------------------------------------------
 
     def add_link(
         self,
         link_id: int,
         kind: LinkKind = LinkKind.ONBOARD,
         *,
-        stream: bool = False,
-        signing: Signer | None = None,
+        is_byte_stream: bool = False,
+        signer: Signer | None = None,
     ) -> None:
-        """Bring a link up; telemetry flows from now on. `stream` for byte streams such as TCP."""
-        self.radio.add_link(link_id, kind, stream=stream, signing=signing)
+        """Start a link and its telemetry. `is_byte_stream` is True for byte streams such as TCP."""
+        self.radio.add_link(link_id, kind, stream=is_byte_stream, signing=signer)
 
     def drop_link(self, link_id: int) -> None:
         """Take a link down."""
         self.radio.drop_link(link_id)
 
-    def receive(self, link_id: int, datagram: bytes) -> None:
-        """Take bytes that arrived on a link; an unknown link comes up as an onboard one."""
+    def process_received_datagram(self, link_id: int, datagram: bytes) -> None:
+        """Process bytes received on a link; an unknown link is added as an onboard one."""
         if link_id not in self.radio.links:
             self.add_link(link_id)
-        messages = self.radio.take_in(link_id, datagram)
+        messages = self.radio.decode_and_forward_received(link_id, datagram)
         if self._resume_at_s is not None:
             return
         for message in messages:
-            self._inbox.handle(link_id, message)
+            self._inbox.handle_message_if_addressed(link_id, message)
 
-    def take_outbox(self) -> list[tuple[int, bytes]]:
+    def take_frames_to_send(self) -> list[tuple[int, bytes]]:
         """Frames to send, in order, each with its link; the outbox is then empty."""
-        return self.radio.take_outbox()
+        return self.radio.take_outgoing_frames()
 
-    def set_rc(self, channels: Sequence[int] | None) -> None:
+    def set_receiver_channels(self, channel_pulses_us: Sequence[int] | None) -> None:
         """Set the receiver's output from now on, in microseconds; None is no signal."""
-        self._rc.set_receiver(channels)
+        self._rc.set_receiver_channels(channel_pulses_us)
 
-    def request_timesync(self, link_id: int, ts1_ns: int) -> None:
+    def send_timesync_request(self, link_id: int, ts1_ns: int) -> None:
         """Send TIMESYNC(tc1=0, ts1) on a link, for lockstep.
 
-        Answers appear in `timesync_echoes`. PX4's own 10 Hz requests are not simulated: with them
-        a companion would tick at times that the bridge did not set.
+        Answers appear in `last_timesync_echo_by_sender`. PX4's own 10 Hz requests are not
+        simulated: with them a companion would tick at times that the bridge did not set.
         """
         self.radio.send(link_id, "TIMESYNC", tc1=0, ts1=ts1_ns)
 
     def reboot(self) -> None:
-        """A reboot: volatile state is lost, parameters and missions stay.
+        """Reboot: volatile state is lost, parameters and missions stay.
 
-        On the ground it comes up disarmed, as after power-on. In flight it is a watchdog reset:
-        after `WATCHDOG_S` of silence it goes on armed, in the same mode, at the same item; what it
-        counted (charge, wind, intervals, boot time) starts from zero.
+        On the ground it starts disarmed, as after power-on. In flight it is a watchdog reset: after
+        `WATCHDOG_S` of silence it continues armed, in the same mode, at the same item; accumulated
+        values (charge, wind, intervals, boot time) restart from zero.
         """
         state, behaviour = self.state, self.behaviour
         in_flight = state.is_armed and not state.is_landed
@@ -168,40 +168,34 @@ class Autopilot:
         self._rules_read_at = None
         self._boot_is_read = False
         self.battery.reset()
-        self.wind.boot(None)
-        self._protocol.reset()
-        self._rc.reboot()
-        self.radio.reboot()
-        behaviour.boot(in_flight=in_flight)
+        self.wind.recreate_estimator_at_boot(None)
+        self._protocol.discard_transfers()
+        self._rc.clear_signal_history()
+        self.radio.reset_at_reboot()
+        behaviour.reset_at_reboot(in_flight=in_flight)
         if in_flight:
-            behaviour.commander.boot_in_flight()
+            behaviour.commander.reset_at_in_flight_reboot()
             self._resume_at_s = state.t_s + self.WATCHDOG_S
             return
-        behaviour.commander.boot(behaviour.initial_mode())
+        behaviour.commander.reset_at_ground_boot(behaviour.initial_mode())
         state.actuation = AttitudeSetpoint()
-        self._guidance.restart(Controller(self._control))
-        self._publish_estimate()
+        self._guidance.reset_with_controller(Controller(self._control))
+        self._copy_estimate_to_state()
 
-    def jump_clock(self, by_s: float) -> None:
-        """Let the time that messages carry jump, ahead or (negative) back; nothing else changes."""
+    def shift_message_clock(self, by_s: float) -> None:
+        """Step the clock in messages forward or (negative) back; other state is unchanged."""
         self.state.boot_t_s -= by_s
 
-    # --- what can be asked --------------------------------------------------------------------
+    # --- queries ------------------------------------------------------------------------------
 
     @property
     def actuation(self) -> AttitudeSetpoint:
-        """What the motors shall do until the next step."""
+        """Motor command until the next step."""
         return self.state.actuation
 
     @property
-    def armed_for_s(self) -> float | None:
-        """How long the motors have been armed; `None` while they are not."""
-        since_s = self.state.armed_since_s
-        return self.state.t_s - since_s if self.state.is_armed and since_s is not None else None
-
-    @property
     def is_armed(self) -> bool:
-        """Whether the motors are armed."""
+        """Return True if the motors are armed."""
         return self.state.is_armed
 
     @property
@@ -210,8 +204,8 @@ class Autopilot:
         return self.state.mode
 
     @property
-    def is_flown_by_person(self) -> bool:
-        """Whether the mode is by radio control or by an order from another system."""
+    def is_under_external_control(self) -> bool:
+        """Return True if radio control or another system has set the mode."""
         by = self.state.mode_by
         return by is not None and by[0] != self.state.system_id
 
@@ -227,7 +221,7 @@ class Autopilot:
 
     @property
     def executor(self) -> MissionExecutor:
-        """What flies the mission."""
+        """The mission executor."""
         return self.behaviour.executor
 
     @property
@@ -236,19 +230,19 @@ class Autopilot:
         return self.state.time_boot_ms
 
     @property
-    def timesync_echoes(self) -> dict[tuple[int, int, int], int]:
+    def last_timesync_echo_by_sender(self) -> dict[tuple[int, int, int], int]:
         """The latest ts1 that was echoed, by (link, system, component)."""
         return self._inbox.timesync_echoes
 
     @property
-    def cruise_mps(self) -> float:
+    def current_cruise_speed_mps(self) -> float:
         """Ground speed to fly legs at now."""
-        return self._guidance.cruise_mps(self.state.rules.default_speed_mps)
+        return self._guidance.cruise_ground_speed_mps(self.state.rules.default_speed_mps)
 
     # --- time ---------------------------------------------------------------------------------
 
-    def step(self, readings: Readings, dt_s: float) -> AttitudeSetpoint:
-        """Take one set of readings; returns what the motors shall do until the next."""
+    def process_readings(self, readings: Readings, dt_s: float) -> AttitudeSetpoint:
+        """Process one set of readings; return the motor command until the next."""
         state = self.state
         state.t_s = readings.t_s
         state.readings = readings
@@ -256,76 +250,78 @@ class Autopilot:
             if state.t_s < self._resume_at_s:
                 return state.actuation
             self._resume_at_s = None
-            self._resume_flight()
+            self._resume_flight_after_watchdog()
         state.gnss_lost_s = 0.0 if readings.gnss_ok else state.gnss_lost_s + dt_s
-        self._landing.step(readings, state.actuation, state.goal, dt_s, is_armed=state.is_armed)
+        self._landing.update_landed_state(
+            readings, state.actuation, state.goal, dt_s, is_armed=state.is_armed
+        )
         state.is_landed = self._landing.is_landed
         if state.t_s >= self._next_slow_s:
             self._next_slow_s = state.t_s + _SLOW_PERIOD_S - 1e-6
-            self._slow_step(readings)
-        self._fly(readings, dt_s)
-        self.radio.stream(self.behaviour.streams)
+            self._run_10hz_tasks(readings)
+        self._update_goal_and_actuation(readings, dt_s)
+        self.radio.send_due_messages(self.behaviour.streams)
         return state.actuation
 
-    def _slow_step(self, readings: Readings) -> None:
-        """What is not needed a hundred times a second."""
+    def _run_10hz_tasks(self, readings: Readings) -> None:
+        """Run the tasks that do not need the 100 Hz rate."""
         state, behaviour = self.state, self.behaviour
         revisions = (state.params.revision, state.home_revision, self.store.areas_revision)
         if self._rules_read_at != revisions:
             self._rules_read_at = revisions
-            self._read_rules()
-        self.battery.step(
+            self._update_settings_from_parameters()
+        self.battery.update_from_readings(
             readings.voltage_v,
             readings.current_a,
             readings.temperature_c,
             _SLOW_PERIOD_S,
             armed=state.is_armed,
         )
-        self.battery.remaining_frac = behaviour.remaining_frac()
+        self.battery.remaining_frac = behaviour.update_remaining_battery_frac()
         if self.wind.estimator is not None and not state.is_landed:
-            self.wind.estimator.step(
+            self.wind.estimator.update_wind_estimate(
                 readings.accel_frd_mps2,
                 (readings.roll_rad, readings.pitch_rad, readings.yaw_rad),
                 state.vel_ned_mps,
                 _SLOW_PERIOD_S,
             )
-        behaviour.commander.find_home()
-        self._protocol.step()
-        self._rc.step(state.t_s)
-        behaviour.slow_step()
-        self.radio.repeat_own_commands()
+        behaviour.commander.set_home_and_origin_at_first_position()
+        self._protocol.retry_or_abort_stale_transfers()
+        self._rc.update_channels_and_signal_loss(state.t_s)
+        behaviour.run_10hz_tasks()
+        self.radio.resend_due_own_commands()
 
-    def _read_rules(self) -> None:
+    def _update_settings_from_parameters(self) -> None:
         """Derive from parameters and fence what every step needs."""
         state, rules = self.state, self.behaviour.rules
-        state.rules = rules.flight_rules(state.params)
-        self._guidance.set_limits(rules.limits(state.params))
-        self._geofence.fence = rules.fence(state, self.store)
+        state.rules = rules.mission_flight_rules(state.params)
+        self._guidance.set_limits(rules.controller_limits(state.params))
+        self._geofence.fence = rules.fence_in_force(state, self.store)
         if not self._boot_is_read:  # drag fusion is set up once, at boot
             self._boot_is_read = True
-            self.wind.boot(rules.drag_coefficients(state.params))
+            self.wind.recreate_estimator_at_boot(rules.drag_coefficients(state.params))
 
-    def _fly(self, readings: Readings, dt_s: float) -> None:
+    def _update_goal_and_actuation(self, readings: Readings, dt_s: float) -> None:
         state = self.state
         if not state.is_armed:
-            actuation = self._guidance.disarmed(readings, dt_s)
+            actuation = self._guidance.run_motors_off_step(readings, dt_s)
             state.goal = Idle()
         else:
-            state.goal = self.behaviour.goal()
-            actuation = self._guidance.fly(state.goal, readings, dt_s)
-        if actuation.release is not self.behaviour.release:
-            actuation = actuation._replace(release=self.behaviour.release)
+            state.goal = self.behaviour.advance_mode_and_return_goal()
+            actuation = self._guidance.run_step_towards_goal(state.goal, readings, dt_s)
+        if actuation.release is not self.behaviour.is_gripper_open:
+            actuation = actuation._replace(release=self.behaviour.is_gripper_open)
         state.actuation = actuation
-        self._publish_estimate()
+        self._copy_estimate_to_state()
 
-    def _publish_estimate(self) -> None:
-        """Let everybody know where the controller's navigation puts the vehicle."""
+    def _copy_estimate_to_state(self) -> None:
+        """Publish the controller's navigation estimate to all modules."""
         self.state.pos_ned_m = self._guidance.controller.pos_ned_m
         self.state.vel_ned_mps = self._guidance.controller.vel_ned_mps
 
-    def _resume_flight(self) -> None:
+    def _resume_flight_after_watchdog(self) -> None:
         """After a watchdog reset in the air."""
-        self.radio.say(Severity.CRITICAL, "WATCHDOG RESET: resuming flight")
-        self._guidance.controller.idle()
-        self.behaviour.executor.stop()
-        self.behaviour.commander.resume()
+        self.radio.send_status_text(Severity.CRITICAL, "WATCHDOG RESET: resuming flight")
+        self._guidance.controller.stop_motors()
+        self.behaviour.executor.deactivate_keeping_item()
+        self.behaviour.commander.resume_flight_after_reboot()

@@ -1,4 +1,4 @@
-"""The interface that PX4 and ArduCopter both implement, and the parts that they are built from."""
+"""The common interface of PX4 and ArduCopter, and their components."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from sim_bridge.autopilot.state import FlightRules, VehicleState
 
 @dataclass(frozen=True, slots=True)
 class AutopilotParts:
-    """What `autopilot.py` builds for either autopilot."""
+    """Components that `autopilot.py` builds for either autopilot."""
 
     state: VehicleState
     radio: Radio
@@ -41,39 +41,41 @@ class AutopilotParts:
 
 
 class ParameterRules(Protocol):
-    """What an autopilot's parameters mean for flying, in SI."""
+    """Flight rules derived from an autopilot's parameters, in SI."""
 
-    def flight_rules(self, params: ParameterStore) -> FlightRules:
-        """How mission items are flown."""
+    def mission_flight_rules(self, params: ParameterStore) -> FlightRules:
+        """Return the rules for flying mission items."""
         ...
 
-    def limits(self, params: ParameterStore) -> Limits:
+    def controller_limits(self, params: ParameterStore) -> Limits:
         """Limits of the controller."""
         ...
 
     def drag_coefficients(self, params: ParameterStore) -> DragCoefficients | None:
-        """Coefficients of drag fusion; None if it is off."""
+        """Return the coefficients of drag fusion; None if it is off."""
         ...
 
-    def sink_mps(self, params: ParameterStore, height_m: float) -> float:
+    def landing_descent_speed_mps(
+        self, params: ParameterStore, height_above_home_m: float
+    ) -> float:
         """Descent speed of a landing at a height above home."""
         ...
 
-    def faces_legs(self, params: ParameterStore) -> bool:
-        """Whether the nose points along each leg."""
+    def is_nose_pointed_along_leg(self, params: ParameterStore) -> bool:
+        """Return True if the nose points along each leg."""
         ...
 
-    def fence(self, state: VehicleState, store: MissionStore) -> Fence:
+    def fence_in_force(self, state: VehicleState, store: MissionStore) -> Fence:
         """The geofence in force."""
         ...
 
-    def return_plan(self, state: VehicleState, store: MissionStore) -> ReturnPlan:
-        """How to return to launch from here."""
+    def return_to_launch_plan(self, state: VehicleState, store: MissionStore) -> ReturnPlan:
+        """Return the plan for returning to launch from here."""
         ...
 
 
 class AutopilotBehaviour(Protocol):
-    """What `autopilot.py` and `inbox.py` ask of PX4 and of ArduCopter."""
+    """Interface that `autopilot.py` and `inbox.py` use for PX4 and ArduCopter."""
 
     commands: dict[int, Handler]
     """Handlers of commands by number."""
@@ -92,8 +94,8 @@ class AutopilotBehaviour(Protocol):
         ...
 
     @property
-    def release(self) -> bool:
-        """Whether the gripper is open."""
+    def is_gripper_open(self) -> bool:
+        """Return True if the gripper is open."""
         ...
 
     # --- flying -------------------------------------------------------------------------------
@@ -102,63 +104,63 @@ class AutopilotBehaviour(Protocol):
         """The mode after a boot on the ground."""
         ...
 
-    def goal(self) -> Goal:
-        """What the present mode asks for; only called while armed."""
+    def advance_mode_and_return_goal(self) -> Goal:
+        """Return the goal of the current mode; called only while armed."""
         ...
 
-    def slow_step(self) -> None:
+    def run_10hz_tasks(self) -> None:
         """Radio control, failsafes, automatic disarming and delayed messages, at 10 Hz."""
         ...
 
-    def boot(self, *, in_flight: bool) -> None:
-        """Forget what a reboot loses."""
+    def reset_at_reboot(self, *, in_flight: bool) -> None:
+        """Reset the volatile state at a reboot."""
         ...
 
-    def remaining_frac(self) -> float | None:
+    def update_remaining_battery_frac(self) -> float | None:
         """Remaining battery charge as a share of full; call it at 10 Hz."""
         ...
 
     # --- messages -----------------------------------------------------------------------------
 
     @property
-    def answers_ping(self) -> bool: ...
+    def responds_to_ping(self) -> bool: ...
 
-    def gcs_heard(self, system: int) -> None:
+    def on_gcs_heartbeat(self, gcs_system_id: int) -> None:
         """A ground station's HEARTBEAT has arrived."""
         ...
 
-    def take_setpoint(self, setpoint: Setpoint) -> None:
+    def on_setpoint(self, setpoint: Setpoint) -> None:
         """A set-point has arrived."""
         ...
 
-    def override_channels(self, system: int, channels: list[int]) -> None:
+    def on_rc_override(self, sender_system_id: int, channel_pulses_us: list[int]) -> None:
         """RC_CHANNELS_OVERRIDE or MANUAL_CONTROL from a system."""
         ...
 
-    def set_mode_message(self, link_id: int, message: Message) -> None:
+    def handle_set_mode_message(self, link_id: int, message: Message) -> None:
         """SET_MODE."""
         ...
 
-    def set_parameter(self, link_id: int, message: Message) -> None:
+    def handle_param_set_and_respond(self, link_id: int, message: Message) -> None:
         """PARAM_SET."""
         ...
 
-    def parameter_unknown(self, link_id: int, message: Message) -> None:
-        """A parameter was asked for that does not exist."""
+    def handle_unknown_parameter_request(self, link_id: int, message: Message) -> None:
+        """Handle a request for a parameter that does not exist."""
         ...
 
-    def answered_index(self, requested: int) -> int | None:
-        """PARAM_VALUE.param_index in an answer; None is the parameter's own index."""
+    def param_value_response_index(self, requested_index: int) -> int | None:
+        """Return PARAM_VALUE.param_index for a response; None means the parameter's own index."""
         ...
 
-    def mission_set_current(self, link_id: int, seq: int) -> None:
+    def on_mission_set_current(self, link_id: int, seq: int) -> None:
         """MISSION_SET_CURRENT."""
         ...
 
-    def guided_item(self, link_id: int, message: Message) -> bool:
-        """A mission item with current = 2; whether it was taken as a command to fly there."""
+    def try_fly_to_guided_mission_item(self, link_id: int, message: Message) -> bool:
+        """Handle a mission item with current = 2; return True if accepted as a fly-to command."""
         ...
 
-    def data_stream(self, stream_id: int) -> tuple[str, ...]:
+    def message_names_of_stream_group(self, stream_group_id: int) -> tuple[str, ...]:
         """Names of the messages in a group of REQUEST_DATA_STREAM."""
         ...

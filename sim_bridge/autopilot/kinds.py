@@ -1,4 +1,4 @@
-"""What a user chooses about a simulated autopilot: which one, its links, its battery sensing."""
+"""User options of a simulated autopilot: its type, links and battery sensing."""
 
 from enum import Enum
 
@@ -10,18 +10,22 @@ class AutopilotKind(Enum):
     PX4 = "px4"
 
 
+AUTOPILOTS = (AutopilotKind.PX4.value, AutopilotKind.ARDUPILOT.value)
+"""Names of the autopilots in options and files, in the order of a mixed fleet."""
+
+
 class LinkKind(Enum):
-    """What a MAVLink instance of PX4 was started for. It decides what is streamed by default."""
+    """Purpose of a PX4 MAVLink instance. It selects the default streams."""
 
     ONBOARD = "onboard"
     GCS = "gcs"
 
 
 class BatterySensing(Enum):
-    """Where the autopilot's battery figures come from.
+    """Source of the autopilot's battery data.
 
-    `POWER_MODULE` measures volts and amperes. `SIH_TIMER` is what PX4's SIH simulator reports: a
-    percentage from a timer, and nothing else.
+    `POWER_MODULE` measures volts and amperes. `SIH_TIMER` is the battery of PX4's SIH simulator:
+    only a percentage, from a timer.
     """
 
     POWER_MODULE = "power_module"

@@ -1,8 +1,8 @@
-"""What the modules of one autopilot share: time, measurements, the estimate, mode, arming, home.
+"""Shared state of one autopilot's modules: time, measurements, the estimate, mode, arming, home.
 
-Every field has one writer, named above it; everybody reads. `tests/sim_bridge/autopilot/
-test_state_owners.py` checks that nobody else assigns it. What only one module needs is that
-module's own and is not here.
+Every field has one writer, named above it; all modules read it. `tests/sim_bridge/autopilot/
+test_state_owners.py` checks that no other module assigns it. Data used by only one module is
+stored in that module.
 """
 
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from sim_bridge.autopilot.base.readings import AttitudeSetpoint, Readings
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 
 RADIO = (0, 0)
-"""The pilot's radio control, where who changed the mode is told as system and component."""
+"""The pilot's radio control, as the system and component that changed the mode."""
 
 STEP_S = 0.01
 """Seconds between two steps of the control loop; no message is streamed faster."""
@@ -22,11 +22,11 @@ STEP_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class FlightRules:
-    """How mission items are flown, as the autopilot's parameters and design say."""
+    """Rules for flying mission items, from the autopilot's parameters and design."""
 
     default_speed_mps: float
     spool_s: float
-    """From arming to the first thrust."""
+    """Time from arming to the first thrust."""
     accept_radius_m: float
     accept_height_m: float
     takeoff_short_m: float
@@ -34,20 +34,20 @@ class FlightRules:
     takeoff_speed_mps: float
     takeoff_min_height_m: float
     corner_accel_mps2: float
-    land_above_m: float
-    """The descent of a LAND item begins when the vehicle is this near to its place."""
-    land_from_m: float
-    """The vehicle first flies to the place of a LAND item if it is farther away than this."""
-    ramp_s: float = 0.0
-    """From spooled up, on the ground, to enough thrust to lift off (PX4)."""
-    brakes_when_redirected: bool = False
-    """Whether leaving a waypoint before it is reached costs the speed (ArduCopter)."""
+    land_descent_distance_m: float
+    """Distance to the position of a LAND item at which its descent begins."""
+    land_transit_distance_m: float
+    """Distance above which the vehicle first flies to the position of a LAND item."""
+    thrust_ramp_s: float = 0.0
+    """Time from spooled up, on the ground, to enough thrust to lift off (PX4)."""
+    is_speed_cut_on_redirect: bool = False
+    """True if leaving a waypoint before it is reached reduces the speed (ArduCopter)."""
     item_period_s: float = 0.0
     """Shortest time between two items that take no time (PX4's navigator)."""
-    height_apart: bool = False
-    """Whether a leg's height is flown apart from its way: no slope slows the vehicle (PX4)."""
-    takes_passed: bool = True
-    """Whether a waypoint that is flown through counts once it is passed (ArduCopter)."""
+    independent_height: bool = False
+    """True if height is flown independently of the path: slopes do not slow the vehicle (PX4)."""
+    accepts_passed_waypoints: bool = True
+    """True if a waypoint that is flown through counts when passed (ArduCopter)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,9 @@ class EstimatorTiming:
     """When an autopilot's estimator has a position."""
 
     ready_after_s: float
-    """From boot to the first position."""
-    gnss_patience_s: float
-    """How long the position stays valid without GNSS."""
+    """Time from boot to the first position."""
+    gnss_timeout_s: float
+    """Time for which the position stays valid without GNSS."""
 
 
 @dataclass(slots=True)
@@ -91,17 +91,17 @@ class VehicleState:
     # written by flight/commander.py
     mode: Mode = Mode.HOLD
     mode_by: tuple[int, int] | None = None
-    """Who changed to this mode: system and component, `RADIO` for radio control; None: itself."""
+    """Sender of the mode change: system and component, `RADIO` for radio control; None: itself."""
     is_armed: bool = False
     armed_since_s: float = 0.0
     has_flown: bool = False
-    """Whether it has left the ground since it was armed."""
+    """True if it has left the ground since arming."""
     landed_since_s: float = 0.0
     failsafe_reason: str | None = None
     home_ned_m: Vec3 = (0.0, 0.0, 0.0)
     home_is_set: bool = False
     home_is_locked: bool = False
-    """Whether home stays where it is when the vehicle is armed."""
+    """True if arming does not move home."""
     home_revision: int = 0
     ekf_origin_ned_m: Vec3 = (0.0, 0.0, 0.0)
 
@@ -121,27 +121,27 @@ class VehicleState:
         return round(self.t_since_boot_s * 1e6) * 1000
 
     @property
-    def is_spooled(self) -> bool:
-        """Whether the motors have been armed for long enough to take off."""
+    def are_motors_spooled_up(self) -> bool:
+        """Return True if the motors have been armed long enough to take off."""
         return self.is_armed and self.t_s - self.armed_since_s >= self.rules.spool_s
 
     @property
     def gnss_ok(self) -> bool:
-        """Whether the receiver has a fix."""
+        """Return True if the receiver has a fix."""
         return self.readings is not None and self.readings.gnss_ok
 
     @property
     def ekf_is_ready(self) -> bool:
-        """Whether the estimator has had a position since boot."""
+        """Return True if the estimator has had a position since boot."""
         return self.home_is_set or self.t_since_boot_s >= self.timing.ready_after_s
 
     @property
     def has_position(self) -> bool:
-        """Whether there is a horizontal position to fly by."""
+        """Return True if a horizontal position is available for flight."""
         return (
             self.readings is not None
             and self.t_since_boot_s >= (0.5 if self.has_flown else self.timing.ready_after_s)
-            and self.gnss_lost_s < self.timing.gnss_patience_s
+            and self.gnss_lost_s < self.timing.gnss_timeout_s
         )
 
     @property

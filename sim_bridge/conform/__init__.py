@@ -1,5 +1,5 @@
-"""A conformance suite over MAVLink: what the vehicle behind any endpoint does.
+"""A conformance suite over MAVLink that observes the behaviour of a vehicle at any endpoint.
 
-It has its own client on pymavlink and shares no code with our simulated autopilots or with our
-companion, so that it judges both, and real autopilots, in the same way.
+Its client uses pymavlink and shares no code with this project's simulated autopilots or companion,
+so it tests both, and real autopilots, in the same way.
 """

@@ -6,31 +6,32 @@ so simulators that run faster or slower than real time need no special treatment
 
 import contextlib
 import math
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.errors import CannotSee, VehicleSilent
+from sim_bridge.conform.errors import ObservationError, VehicleSilent
 from sim_bridge.conform.link import VehicleLink
 
 T = TypeVar("T")
 Message = Any
-"""A pymavlink message; `heard_s` is when it came."""
+"""A pymavlink message; `heard_s` is its reception time."""
 
-_TURN_S = 0.02
-_BEAT_S = 1.0
-_ASK_AGAIN_S = 0.3
+_POLL_PERIOD_S = 0.02
+_HEARTBEAT_PERIOD_S = 1.0
+_RETRY_S = 0.3
 _CLOCK_PERIOD_S = 0.004
-_PATIENCE_S = 20.0
+_SILENCE_TIMEOUT_S = 20.0
 _FULL = 200_000
-NO_ANSWER = "no answer"
+NO_RESPONSE = "no answer"
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who the client says that it is."""
+    """MAVLink identity that the client sends."""
 
     system: int
     component: int
@@ -38,78 +39,82 @@ class Identity:
 
 
 GROUND_STATION = Identity(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, mavlink.MAV_TYPE_GCS)
-COMPANION = Identity(1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+_NEWER_MESSAGES = {"CURRENT_MODE": 436}
+"""Messages of the common set that pymavlink's older releases do not have."""
 
 
-def name_of(enum: str, number: int) -> str:
-    """The name of a number, without the prefix that all names of the enum share."""
-    entry = mavlink.enums[enum].get(number)
-    words = {
-        "MAV_RESULT": "MAV_RESULT_",
-        "MAV_MISSION_RESULT": "MAV_MISSION_",
-        "MAV_FRAME": "MAV_FRAME_",
-    }
-    return str(number) if entry is None else entry.name.removeprefix(words.get(enum, ""))
+def message_id(message_name: str) -> int:
+    """The number of a message."""
+    return _NEWER_MESSAGES.get(message_name) or getattr(mavlink, f"MAVLINK_MSG_ID_{message_name}")
+
+
+def enum_entry_name(enum_name: str, number: int) -> str:
+    """The name of a result, without the prefix that all names of the enum share."""
+    entry = mavlink.enums[enum_name].get(number)
+    if entry is None:
+        return str(number)
+    return entry.name.removeprefix(enum_name.removesuffix("RESULT")).removeprefix("RESULT_")
 
 
 class Client:
-    """One conversation with the autopilot of one system."""
+    """One connection to the autopilot of one system."""
 
-    def __init__(self, link: VehicleLink) -> None:
-        self._link = link
+    def __init__(self, link: VehicleLink, now_s: Callable[[], float] = time.monotonic) -> None:
+        """`now_s`: monotonic clock for the timeout of a silent vehicle."""
+        self._link, self._now_s = link, now_s
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self._senders: dict[tuple[int, int], Any] = {}
         self.me = GROUND_STATION
         self.target = (0, 1)
         self.t_s = 0.0
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self.latest: dict[str, Message] = {}
         self.others: set[tuple[int, int]] = set()
-        self._beat_at_s: float | None = None
+        self._last_heartbeat_s: float | None = None
         self._sync_number = 0
-        self._sync_asked_s: float | None = None
+        self._sync_requested_s: float | None = None
         self._sync_waits = False
-        self._last_word_s = link.now_s()
+        self._last_word_s = now_s()
         self._attended = 0
         self._limit_s = math.inf
 
     @property
     def companion(self) -> Identity:
-        """A companion computer aboard this vehicle."""
+        """Identity of a companion computer onboard this vehicle."""
         kind = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
         return Identity(self.target[0], mavlink.MAV_COMP_ID_ONBOARD_COMPUTER, kind)
 
-    # --- speaking -----------------------------------------------------------------------------
+    # --- sending ------------------------------------------------------------------------------
 
-    def send(self, name: str, as_whom: Identity | None = None, /, **fields: Any) -> None:
+    def send(self, name: str, identity: Identity | None = None, /, **fields: Any) -> None:
         """Send a message by its name; `target_*` are the vehicle's unless given."""
-        self._attended = len(self.heard)
-        self._post(name, as_whom, **fields)
+        self._attended = len(self.received)
+        self._send_message(name, identity, **fields)
 
-    def _post(self, name: str, as_whom: Identity | None = None, /, **fields: Any) -> None:
-        made = getattr(mavlink, f"MAVLink_{name.lower()}_message")
-        names = made.fieldnames
+    def _send_message(self, name: str, identity: Identity | None = None, /, **fields: Any) -> None:
+        message_class = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+        names = message_class.fieldnames
         for field, value in zip(("target_system", "target_component"), self.target, strict=True):
             if field in names:
                 fields.setdefault(field, value)
-        me = as_whom or self.me
+        me = identity or self.me
         sender = self._senders.setdefault(
             (me.system, me.component),
             mavlink.MAVLink(None, srcSystem=me.system, srcComponent=me.component),
         )
-        self._link.send(made(**fields).pack(sender))
+        self._link.send(message_class(**fields).pack(sender))
         sender.seq = (sender.seq + 1) % 256
 
     def send_bytes(self, data: bytes) -> None:
-        """Send anything at all."""
-        self._attended = len(self.heard)
+        """Send raw bytes."""
+        self._attended = len(self.received)
         self._link.send(data)
 
-    def beat(self, as_whom: Identity | None = None) -> None:
+    def send_heartbeat(self, identity: Identity | None = None) -> None:
         """Send a HEARTBEAT."""
-        me = as_whom or self.me
-        self._post(
+        me = identity or self.me
+        self._send_message(
             "HEARTBEAT",
             me,
             type=me.type,
@@ -121,50 +126,51 @@ class Client:
         )
 
     @contextlib.contextmanager
-    def appearing_as(self, whom: Identity) -> Iterator[None]:
+    def use_identity(self, identity: Identity) -> Iterator[None]:
         """Use another system and component id for a while."""
-        before, self.me = self.me, whom
+        before, self.me = self.me, identity
         try:
             yield
         finally:
             self.me = before
 
-    # --- listening ----------------------------------------------------------------------------
+    # --- receiving ----------------------------------------------------------------------------
 
-    def turn(self) -> list[Message]:
-        """Send what is due and read what has come; VehicleSilent after long silence."""
+    def send_due_and_receive(self) -> list[Message]:
+        """Send due messages and process received ones; VehicleSilent after a timeout."""
         if self.t_s > self._limit_s:
-            raise CannotSee("it took too long")
-        self._keep_in_touch()
-        data = self._link.receive(_TURN_S)
-        fresh = [m for m in self._parser.parse_buffer(data) or [] if self._take(m)] if data else []
-        if fresh:
-            self._last_word_s = self._link.now_s()
-        elif self._link.now_s() - self._last_word_s > _PATIENCE_S:
-            raise VehicleSilent(f"nothing was heard for {_PATIENCE_S:.0f} s")
-        return fresh
+            raise ObservationError("time limit exceeded")
+        self._send_due_heartbeat_and_timesync()
+        data = self._link.receive(_POLL_PERIOD_S)
+        parsed = (self._parser.parse_buffer(data) if data else None) or []
+        new_messages = [m for m in parsed if self._store_if_from_autopilot(m)]
+        if new_messages:
+            self._last_word_s = self._now_s()
+        elif self._now_s() - self._last_word_s > _SILENCE_TIMEOUT_S:
+            raise VehicleSilent(f"no message received for {_SILENCE_TIMEOUT_S:.0f} s")
+        return new_messages
 
-    def _keep_in_touch(self) -> None:
-        now = self._link.now_s()
-        beat_at_s = self._beat_at_s
-        if beat_at_s is None or not 0.0 <= self.t_s - beat_at_s < _BEAT_S:
-            self._beat_at_s = self.t_s
-            self.beat()
-        wait_s = _ASK_AGAIN_S if self._sync_waits else _CLOCK_PERIOD_S
-        if self._sync_asked_s is None or now - self._sync_asked_s > wait_s:
+    def _send_due_heartbeat_and_timesync(self) -> None:
+        now = self._now_s()
+        last_heartbeat_s = self._last_heartbeat_s
+        if last_heartbeat_s is None or not 0.0 <= self.t_s - last_heartbeat_s < _HEARTBEAT_PERIOD_S:
+            self._last_heartbeat_s = self.t_s
+            self.send_heartbeat()
+        wait_s = _RETRY_S if self._sync_waits else _CLOCK_PERIOD_S
+        if self._sync_requested_s is None or now - self._sync_requested_s > wait_s:
             self._sync_number += 1
-            self._sync_asked_s, self._sync_waits = now, True
+            self._sync_requested_s, self._sync_waits = now, True
             if self.t_s == 0.0:
-                self.beat()
-            self._post("TIMESYNC", tc1=0, ts1=self._sync_number * 1000)
+                self.send_heartbeat()
+            self._send_message("TIMESYNC", tc1=0, ts1=self._sync_number * 1000)
 
-    def _take(self, message: Message) -> bool:
+    def _store_if_from_autopilot(self, message: Message) -> bool:
         """Keep a message that the autopilot itself sent."""
         source = (message.get_srcSystem(), message.get_srcComponent())
         name = message.get_type()
         if name == "BAD_DATA":
             return False
-        if source != self.target and not self._is_an_autopilot(message):
+        if source != self.target and not self._is_first_autopilot_heartbeat(message):
             self.others.add(source)
             return False
         if self.target[0] == 0:
@@ -177,11 +183,11 @@ class Client:
             self.t_s = max(self.t_s, message.time_boot_ms * 1e-3)
         message.heard_s = self.t_s
         self.latest[name] = message
-        if name != "TIMESYNC" and len(self.heard) < _FULL:
-            self.heard.append(message)
+        if name != "TIMESYNC" and len(self.received) < _FULL:
+            self.received.append(message)
         return True
 
-    def _is_an_autopilot(self, message: Message) -> bool:
+    def _is_first_autopilot_heartbeat(self, message: Message) -> bool:
         return (
             self.target[0] == 0
             and message.get_type() == "HEARTBEAT"
@@ -189,135 +195,146 @@ class Client:
             and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
         )
 
-    def find(self) -> Message:
+    def wait_first_heartbeat(self) -> Message:
         """Wait for the autopilot's first HEARTBEAT and for its clock."""
         while self.target[0] == 0 or self.t_s == 0.0 or "HEARTBEAT" not in self.latest:
-            self.turn()
+            self.send_due_and_receive()
         return self.latest["HEARTBEAT"]
 
-    def forget(self) -> None:
-        """Drop what was received so far."""
-        self.heard.clear()
+    def clear_received(self) -> None:
+        """Discard the messages received so far."""
+        self.received.clear()
         self._attended = 0
 
-    def forget_clock(self) -> None:
-        """The vehicle reboots, and its time starts again."""
+    def wait_for_clock_after_reboot(self, time_before_reboot_s: float) -> None:
+        """Listen until a time since boot arrives that is earlier than `time_before_reboot_s`."""
         self.t_s = 0.0
-        self._beat_at_s = None
-        self._last_word_s = self._link.now_s()
+        self._last_heartbeat_s = None
+        self._last_word_s = self._now_s()
         self.latest.clear()
-
-    def wait_for_new_clock(self, before_s: float) -> None:
-        """Listen until a time since boot arrives that is clearly earlier than `before_s`."""
-        self.forget_clock()
-        while not 0.0 < self.t_s < before_s or "HEARTBEAT" not in self.latest:
-            if self.t_s >= before_s:  # still from before the reboot
+        while not 0.0 < self.t_s < time_before_reboot_s or "HEARTBEAT" not in self.latest:
+            if self.t_s >= time_before_reboot_s:  # still from before the reboot
                 self.t_s = 0.0
                 self.latest.clear()
-            self.turn()
+            self.send_due_and_receive()
 
     @contextlib.contextmanager
-    def limited_to(self, for_s: float) -> Iterator[None]:
-        """CannotSee if the block takes longer on the vehicle's clock."""
-        self._limit_s = self.t_s + for_s
+    def limit_duration(self, max_duration_s: float) -> Iterator[None]:
+        """ObservationError if the block takes longer on the vehicle's clock."""
+        self._limit_s = self.t_s + max_duration_s
         try:
             yield
         finally:
             self._limit_s = math.inf
 
-    def close(self) -> None:
-        """Close the link."""
-        self._link.close()
-
     # --- waiting ------------------------------------------------------------------------------
 
-    def collect(self, for_s: float, *names: str) -> list[Message]:
-        """What arrives within a time, of some names (of all if none is given)."""
-        mark, end_s = len(self.heard), self.t_s + for_s
+    def collect_messages(self, duration_s: float, *names: str) -> list[Message]:
+        """Return messages of these names that arrive within a time (all if no name is given)."""
+        mark, end_s = len(self.received), self.t_s + duration_s
         while self.t_s < end_s:
-            self.turn()
-        self._attended = len(self.heard)
-        return [m for m in self.heard[mark:] if not names or m.get_type() in names]
+            self.send_due_and_receive()
+        self._attended = len(self.received)
+        return [m for m in self.received[mark:] if not names or m.get_type() in names]
 
-    def until(self, truth: Callable[[], T | None], within_s: float) -> T | None:
-        """Listen until `truth()` returns something; None when the time is over."""
-        end_s = self.t_s + within_s
-        while not (found := truth()) and self.t_s < end_s:
-            self.turn()
-        self._attended = len(self.heard)
+    def received_messages(self, name: str) -> list[Message]:
+        """Return the messages of this name since `clear_received`."""
+        return [m for m in self.received if m.get_type() == name]
+
+    def wait_until(self, condition: Callable[[], T | None], timeout_s: float) -> T | None:
+        """Receive until `condition()` returns a value; return None after the timeout."""
+        end_s = self.t_s + timeout_s
+        while not (found := condition()) and self.t_s < end_s:
+            self.send_due_and_receive()
+        self._attended = len(self.received)
         return found or None
 
-    def hear(
+    def wait_next_message(
         self,
         names: str | tuple[str, ...],
-        within_s: float = 3.0,
-        where: Callable[[Message], bool] | None = None,
+        timeout_s: float = 3.0,
+        predicate: Callable[[Message], bool] | None = None,
     ) -> Message | None:
         """The next matching message of a name, after the last one sent, received or waited for."""
-        wanted = (names,) if isinstance(names, str) else names
-        end_s = self.t_s + within_s
+        requested_names = (names,) if isinstance(names, str) else names
+        end_s = self.t_s + timeout_s
         while True:
-            while self._attended < len(self.heard):
-                message = self.heard[self._attended]
+            while self._attended < len(self.received):
+                message = self.received[self._attended]
                 self._attended += 1
-                if message.get_type() in wanted and (where is None or where(message)):
+                if message.get_type() in requested_names and (
+                    predicate is None or predicate(message)
+                ):
                     return message
             if self.t_s >= end_s:
                 return None
-            self.turn()
+            self.send_due_and_receive()
 
-    # --- asking -------------------------------------------------------------------------------
+    # --- requests -----------------------------------------------------------------------------
 
-    def command(self, number: int, *params: float, within_s: float = 3.0) -> str:
+    def send_command_and_wait_ack(
+        self, command_number: int, *params: float, timeout_s: float = 3.0
+    ) -> str:
         """Send a COMMAND_LONG; returns the result of its first COMMAND_ACK as text."""
-        self.say_command(number, *params)
-        return self.answer_to(number, within_s)
+        self.send_command(command_number, *params)
+        return self.wait_ack(command_number, timeout_s)
 
-    def say_command(
-        self, number: int, *params: float, as_whom: Identity | None = None, **target: int
+    def send_command(
+        self, command_number: int, *params: float, identity: Identity | None = None, **target: int
     ) -> None:
         """Send a COMMAND_LONG and do not wait; `target_system`, `target_component` if others."""
         given = (*params, *(0.0,) * (7 - len(params)))
         fields = {f"param{i + 1}": value for i, value in enumerate(given)}
-        self.send("COMMAND_LONG", as_whom, command=number, confirmation=0, **fields, **target)
+        self.send(
+            "COMMAND_LONG", identity, command=command_number, confirmation=0, **fields, **target
+        )
 
-    def command_int(
+    def send_command_int_and_wait_ack(
         self,
-        number: int,
+        command_number: int,
         *params: float,
-        place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
         frame: int = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        within_s: float = 3.0,
+        timeout_s: float = 3.0,
     ) -> str:
         """Send a COMMAND_INT for latitude and longitude (deg) and an altitude (m)."""
         given = (*params, *(0.0,) * (4 - len(params)))
         self.send(
             "COMMAND_INT",
             frame=frame,
-            command=number,
+            command=command_number,
             current=0,
             autocontinue=0,
             **{f"param{i + 1}": value for i, value in enumerate(given)},
-            x=round(place[0] * 1e7),
-            y=round(place[1] * 1e7),
-            z=place[2],
+            x=round(position[0] * 1e7),
+            y=round(position[1] * 1e7),
+            z=position[2],
         )
-        return self.answer_to(number, within_s)
+        return self.wait_ack(command_number, timeout_s)
 
-    def answer_to(self, number: int, within_s: float = 3.0) -> str:
+    def wait_ack(self, command_number: int, timeout_s: float = 3.0) -> str:
         """The result of the next COMMAND_ACK for a command, as text."""
-        ack = self.hear("COMMAND_ACK", within_s, lambda m: m.command == number)
-        return NO_ANSWER if ack is None else name_of("MAV_RESULT", ack.result)
+        ack = self.wait_next_message(
+            "COMMAND_ACK", timeout_s, lambda m: m.command == command_number
+        )
+        return NO_RESPONSE if ack is None else enum_entry_name("MAV_RESULT", ack.result)
 
-    def ask_interval(self, message_id: int, interval_us: float) -> str:
+    def request_message_interval(self, message_number: int, interval_us: float) -> str:
         """SET_MESSAGE_INTERVAL: -1 stops, 0 is the default."""
-        return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
+        return self.send_command_and_wait_ack(
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_number, interval_us
+        )
 
-    def texts(self) -> list[str]:
-        """STATUSTEXTs since `forget`; those that came in chunks are joined."""
+    def request_message(self, message_name: str) -> str:
+        """REQUEST_MESSAGE: once."""
+        return self.send_command_and_wait_ack(
+            mavlink.MAV_CMD_REQUEST_MESSAGE, message_id(message_name)
+        )
+
+    def status_texts(self) -> list[str]:
+        """Return STATUSTEXTs since `clear_received`, with chunks joined."""
         texts: dict[tuple[int, int], str] = {}
-        for number, message in enumerate(self.heard):
-            if message.get_type() == "STATUSTEXT":
-                key = (message.id, 0) if message.id else (0, number)
-                texts[key] = texts.get(key, "") + message.text
+        for number, message in enumerate(self.received_messages("STATUSTEXT")):
+            key = (message.id, 0) if message.id else (0, number)
+            texts[key] = texts.get(key, "") + message.text
         return list(texts.values())

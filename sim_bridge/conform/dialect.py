@@ -1,4 +1,4 @@
-"""What is needed to fly each autopilot at all: its modes, and how it takes off.
+"""Data needed to fly each autopilot: its modes, and its take-off procedure.
 
 Sources: ArduPilot, ArduCopter/mode.h; PX4, src/modules/commander/px4_custom_mode.h.
 """
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.errors import CannotSee
+from sim_bridge.conform.errors import ObservationError
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """One autopilot's way; modes are HEARTBEAT.custom_mode by their names."""
+    """Specifics of one autopilot; modes map names to HEARTBEAT.custom_mode."""
 
     name: str
     modes: Mapping[str, int]
@@ -32,33 +32,33 @@ class Dialect:
                 return name
         return f"mode {custom_mode}"
 
-    def mode_params(self, mode: str) -> tuple[float, float, float]:
+    def do_set_mode_params(self, mode_name: str) -> tuple[float, float, float]:
         """DO_SET_MODE's first three parameters for a mode."""
-        number = self.modes[mode]
+        number = self.modes[mode_name]
         flag = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         if self is PX4:
             return flag, float(number >> 16 & 0xFF), float(number >> 24 & 0xFF)
         return flag, float(number), 0.0
 
 
-def _px4_mode(main: int, sub: int = 0) -> int:
-    return main << 16 | sub << 24
+def _px4_custom_mode(main_mode: int, sub_mode: int = 0) -> int:
+    return main_mode << 16 | sub_mode << 24
 
 
 PX4 = Dialect(
     name="px4",
     modes={
-        "MANUAL": _px4_mode(1),
-        "ALTCTL": _px4_mode(2),
-        "POSCTL": _px4_mode(3),
-        "OFFBOARD": _px4_mode(6),
-        "STABILIZED": _px4_mode(7),
-        "READY": _px4_mode(4, 1),
-        "TAKEOFF": _px4_mode(4, 2),
-        "HOLD": _px4_mode(4, 3),
-        "MISSION": _px4_mode(4, 4),
-        "RTL": _px4_mode(4, 5),
-        "LAND": _px4_mode(4, 6),
+        "MANUAL": _px4_custom_mode(1),
+        "ALTCTL": _px4_custom_mode(2),
+        "POSCTL": _px4_custom_mode(3),
+        "OFFBOARD": _px4_custom_mode(6),
+        "STABILIZED": _px4_custom_mode(7),
+        "READY": _px4_custom_mode(4, 1),
+        "TAKEOFF": _px4_custom_mode(4, 2),
+        "HOLD": _px4_custom_mode(4, 3),
+        "MISSION": _px4_custom_mode(4, 4),
+        "RTL": _px4_custom_mode(4, 5),
+        "LAND": _px4_custom_mode(4, 6),
     },
     hold="HOLD",
     mission="MISSION",
@@ -89,11 +89,11 @@ ARDUPILOT = Dialect(
 _BY_NUMBER = {mavlink.MAV_AUTOPILOT_PX4: PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT}
 
 
-def dialect_of(autopilot: int) -> Dialect:
+def dialect_of(autopilot_id: int) -> Dialect:
     """The dialect for HEARTBEAT.autopilot."""
     try:
-        return _BY_NUMBER[autopilot]
+        return _BY_NUMBER[autopilot_id]
     except KeyError:
-        raise CannotSee(
-            f"HEARTBEAT.autopilot is {autopilot}; the suite can fly PX4 (12) and ArduPilot (3)"
+        raise ObservationError(
+            f"HEARTBEAT.autopilot is {autopilot_id}; the suite can fly PX4 (12) and ArduPilot (3)"
         ) from None

@@ -19,7 +19,7 @@ import serial
 
 from sim_bridge.conform.errors import ConformError
 
-_LARGEST = 65536
+_MAX_READ_BYTES = 65536
 _BUFFER_BYTES = 1 << 21
 _RECONNECT_S = 0.5
 _EXPECTED = "expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
@@ -29,15 +29,11 @@ class VehicleLink(Protocol):
     """A link to the vehicle."""
 
     def send(self, data: bytes) -> None:
-        """Send; a lost peer is a silent one."""
+        """Send; a lost peer causes no error."""
         ...
 
     def receive(self, timeout_s: float) -> bytes:
-        """What has arrived, waiting for at most `timeout_s`; empty when nothing has."""
-        ...
-
-    def now_s(self) -> float:
-        """A clock that only goes forward, for patience with a silent vehicle."""
+        """Return received bytes, waiting for at most `timeout_s`; empty if none arrived."""
         ...
 
     def close(self) -> None:
@@ -63,19 +59,15 @@ class UdpLink:
                 self._socket.sendto(data, self._peer)
 
     def receive(self, timeout_s: float) -> bytes:
-        """All datagrams that wait, joined."""
+        """Return all waiting datagrams, joined."""
         if not select.select([self._socket], [], [], timeout_s)[0]:
             return b""
         chunks: list[bytes] = []
         with contextlib.suppress(OSError):
             while len(chunks) < 256:
-                data, self._peer = self._socket.recvfrom(_LARGEST)
+                data, self._peer = self._socket.recvfrom(_MAX_READ_BYTES)
                 chunks.append(data)
         return b"".join(chunks)
-
-    def now_s(self) -> float:
-        """Wall-clock time."""
-        return time.monotonic()
 
     def close(self) -> None:
         """Close the socket."""
@@ -83,28 +75,23 @@ class UdpLink:
 
 
 class TcpLink:
-    """TCP client; tries again twice a second while nobody answers."""
+    """TCP client; reconnects twice a second until the server accepts."""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
         self._socket: socket.socket | None = None
-        self._tried_s = -_RECONNECT_S
-        self._connect()
+        self._last_attempt_s = -_RECONNECT_S
+        self._connect_if_due()
         if self._socket is None:
-            raise ConformError(f"tcp:{host}:{port}: nobody answers there")
+            raise ConformError(f"tcp:{host}:{port}: no server accepts the connection")
 
-    def _connect(self) -> None:
-        if self.now_s() - self._tried_s < _RECONNECT_S:
+    def _connect_if_due(self) -> None:
+        if time.monotonic() - self._last_attempt_s < _RECONNECT_S:
             return
-        self._tried_s = self.now_s()
+        self._last_attempt_s = time.monotonic()
         with contextlib.suppress(OSError):
             self._socket = socket.create_connection(self._address, timeout=2.0)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def _lose(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = None
 
     def send(self, data: bytes) -> None:
         """Send, if there is a connection."""
@@ -112,32 +99,30 @@ class TcpLink:
             try:
                 self._socket.sendall(data)
             except OSError:
-                self._lose()
+                self.close()
 
     def receive(self, timeout_s: float) -> bytes:
-        """What the stream holds."""
+        """Return the bytes available in the stream."""
         if self._socket is None:
-            self._connect()
+            self._connect_if_due()
             if self._socket is None:
                 select.select([], [], [], timeout_s)
                 return b""
         try:
             if not select.select([self._socket], [], [], timeout_s)[0]:
                 return b""
-            data = self._socket.recv(_LARGEST)
+            data = self._socket.recv(_MAX_READ_BYTES)
         except OSError:
             data = b""
         if not data:
-            self._lose()
+            self.close()
         return data
-
-    def now_s(self) -> float:
-        """Wall-clock time."""
-        return time.monotonic()
 
     def close(self) -> None:
         """Close the connection."""
-        self._lose()
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
 
 
 class SerialLink:
@@ -154,21 +139,17 @@ class SerialLink:
         self._port.write(data)
 
     def receive(self, timeout_s: float) -> bytes:
-        """What has arrived."""
+        """Return the received bytes."""
         self._port.timeout = timeout_s
         first = self._port.read(1)
         return first + self._port.read(self._port.in_waiting)
-
-    def now_s(self) -> float:
-        """Wall-clock time."""
-        return time.monotonic()
 
     def close(self) -> None:
         """Close the port."""
         self._port.close()
 
 
-def _split(url: str) -> tuple[str, str, int]:
+def _split_link_url(url: str) -> tuple[str, str, int]:
     kind, _, rest = url.partition(":")
     if kind == "serial" and rest:
         device, _, baud = rest.partition(":")
@@ -181,8 +162,8 @@ def _split(url: str) -> tuple[str, str, int]:
 
 
 def is_on_loopback(url: str) -> bool:
-    """Whether only this machine can be behind a URL."""
-    kind, host, _ = _split(url)
+    """Return True if a URL can only reach this machine."""
+    kind, host, _ = _split_link_url(url)
     if kind == "serial":
         return False
     if host == "localhost":
@@ -195,7 +176,7 @@ def is_on_loopback(url: str) -> bool:
 
 def open_link(url: str) -> VehicleLink:
     """Open a URL; a mistake in it is a ConformError."""
-    kind, where, number = _split(url)
+    kind, where, number = _split_link_url(url)
     try:
         if kind == "serial":
             return SerialLink(where, number)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.client import NO_ANSWER, Client, Message, name_of
+from sim_bridge.conform.client import NO_RESPONSE, Client, Message, enum_entry_name
 
 _REPLY_S = 4.0
 _REPLIES = ("MISSION_ACK", "MISSION_REQUEST", "MISSION_REQUEST_INT")
+_PARAMS = ("param1", "param2", "param3", "param4")
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 
 
@@ -32,114 +33,115 @@ class Item:
 
 @dataclass(slots=True)
 class Uploaded:
-    """How an upload went: its result, and the message that the vehicle requested items with."""
+    """Result of an upload, and the names of the messages that requested its items."""
 
-    ack: str = NO_ANSWER
-    asked_with: set[str] = field(default_factory=set)
-    asked_for: list[int] = field(default_factory=list)
+    ack: str = NO_RESPONSE
+    request_messages: set[str] = field(default_factory=set)
+    requested_seqs: list[int] = field(default_factory=list)
 
 
-def _send_item(client: Client, seq: int, item: Item, kind: int) -> None:
+def _send_item(client: Client, seq: int, item: Item, mission_type: int) -> None:
     client.send(
         "MISSION_ITEM_INT",
         seq=seq,
-        frame=item.frame,
-        command=item.command,
         current=0,
         autocontinue=1,
-        param1=item.param1,
-        param2=item.param2,
-        param3=item.param3,
-        param4=item.param4,
         x=round(item.lat_deg * 1e7),
         y=round(item.lon_deg * 1e7),
         z=item.alt_m,
-        mission_type=kind,
+        mission_type=mission_type,
+        **{name: getattr(item, name) for name in ("frame", "command", *_PARAMS)},
     )
 
 
-def _serve(
-    client: Client, items: Sequence[Item], first: int, kind: int, only: int | None
+def _send_requested_items(
+    client: Client, items: Sequence[Item], first_seq: int, mission_type: int, max_items: int | None
 ) -> Uploaded:
-    """Answer requests until the MISSION_ACK, or until `only` so many items were given."""
+    """Respond to requests until the MISSION_ACK, or until `max_items` items have been sent."""
     done = Uploaded()
     given: set[int] = set()
     end_s = client.t_s + _REPLY_S
     while client.t_s < end_s:
-        reply = client.hear(_REPLIES, end_s - client.t_s, lambda m: m.mission_type == kind)
+        reply = client.wait_next_message(
+            _REPLIES, end_s - client.t_s, lambda m: m.mission_type == mission_type
+        )
         if reply is None:
             return done
         if reply.get_type() == "MISSION_ACK":
-            done.ack = name_of("MAV_MISSION_RESULT", reply.type)
+            done.ack = enum_entry_name("MAV_MISSION_RESULT", reply.type)
             return done
-        done.asked_with.add(reply.get_type())
-        done.asked_for.append(reply.seq)
-        if not first <= reply.seq < first + len(items):
+        done.request_messages.add(reply.get_type())
+        done.requested_seqs.append(reply.seq)
+        if not first_seq <= reply.seq < first_seq + len(items):
             continue
-        if only is not None and reply.seq not in given and len(given) >= only:
+        if max_items is not None and reply.seq not in given and len(given) >= max_items:
             return done
         given.add(reply.seq)
         end_s = client.t_s + _REPLY_S
-        _send_item(client, reply.seq, items[reply.seq - first], kind)
+        _send_item(client, reply.seq, items[reply.seq - first_seq], mission_type)
     return done
 
 
 def upload(
-    client: Client, items: Sequence[Item], kind: int = 0, *, only: int | None = None
+    client: Client, items: Sequence[Item], mission_type: int = 0, *, max_items: int | None = None
 ) -> Uploaded:
-    """Upload a list; `only` stops, without a message, after so many items."""
-    client.send("MISSION_COUNT", count=len(items), mission_type=kind)
-    return _serve(client, items, 0, kind, only)
+    """Upload a list; `max_items` stops after that number of items, without a message."""
+    client.send("MISSION_COUNT", count=len(items), mission_type=mission_type)
+    return _send_requested_items(client, items, 0, mission_type, max_items)
 
 
-def write_partial(client: Client, first: int, items: Sequence[Item]) -> Uploaded:
+def write_partial(client: Client, first_seq: int, items: Sequence[Item]) -> Uploaded:
     """MISSION_WRITE_PARTIAL_LIST: replace some items of the mission."""
     client.send(
         "MISSION_WRITE_PARTIAL_LIST",
-        start_index=first,
-        end_index=first + len(items) - 1,
+        start_index=first_seq,
+        end_index=first_seq + len(items) - 1,
         mission_type=0,
     )
-    return _serve(client, items, first, 0, None)
+    return _send_requested_items(client, items, first_seq, 0, None)
 
 
-def count(client: Client, kind: int = 0) -> int | None:
-    """How many items the vehicle says that it has; None without an answer."""
-    number = begin_download(client, kind)
-    end_download(client, kind)
+def request_count(client: Client, mission_type: int = 0) -> int | None:
+    """Return the item count that the vehicle reports; None without a response."""
+    number = start_download_and_count(client, mission_type)
+    send_download_ack(client, mission_type)
     return number
 
 
-def begin_download(client: Client, kind: int = 0) -> int | None:
-    """MISSION_REQUEST_LIST; the number of items, None without an answer."""
-    client.send("MISSION_REQUEST_LIST", mission_type=kind)
-    reply = client.hear("MISSION_COUNT", _REPLY_S, lambda m: m.mission_type == kind)
+def start_download_and_count(client: Client, mission_type: int = 0) -> int | None:
+    """Send MISSION_REQUEST_LIST; return the number of items, None without a response."""
+    client.send("MISSION_REQUEST_LIST", mission_type=mission_type)
+    reply = client.wait_next_message(
+        "MISSION_COUNT", _REPLY_S, lambda m: m.mission_type == mission_type
+    )
     return None if reply is None else reply.count
 
 
-def end_download(client: Client, kind: int = 0) -> None:
+def send_download_ack(client: Client, mission_type: int = 0) -> None:
     """MISSION_ACK: until it comes PX4 refuses every other mission message."""
-    client.send("MISSION_ACK", type=mavlink.MAV_MISSION_ACCEPTED, mission_type=kind)
+    client.send("MISSION_ACK", type=mavlink.MAV_MISSION_ACCEPTED, mission_type=mission_type)
 
 
-def item_at(client: Client, seq: int, kind: int = 0) -> Message | None:
-    """One stored item; None without an answer."""
-    client.send("MISSION_REQUEST_INT", seq=seq, mission_type=kind)
-    return client.hear("MISSION_ITEM_INT", _REPLY_S, lambda m: m.seq == seq)
+def request_item(client: Client, seq: int) -> Message | None:
+    """Return one stored item; None without a response."""
+    client.send("MISSION_REQUEST_INT", seq=seq, mission_type=0)
+    return client.wait_next_message("MISSION_ITEM_INT", _REPLY_S, lambda m: m.seq == seq)
 
 
-def download(client: Client, kind: int = 0) -> list[Message] | None:
-    """Everything stored; None where an answer is missing."""
-    number = begin_download(client, kind)
+def download(client: Client) -> list[Message] | None:
+    """Return all stored items; None if a response is missing."""
+    number = start_download_and_count(client)
     if number is None:
         return None
-    items = [item_at(client, seq, kind) for seq in range(number)]
-    end_download(client, kind)
+    items = [request_item(client, seq) for seq in range(number)]
+    send_download_ack(client)
     return None if None in items else items
 
 
-def clear(client: Client, kind: int = 0) -> str:
+def clear_stored_list(client: Client, mission_type: int = 0) -> str:
     """MISSION_CLEAR_ALL; returns the result in its MISSION_ACK as text."""
-    client.send("MISSION_CLEAR_ALL", mission_type=kind)
-    ack = client.hear("MISSION_ACK", _REPLY_S, lambda m: m.mission_type == kind)
-    return NO_ANSWER if ack is None else name_of("MAV_MISSION_RESULT", ack.type)
+    client.send("MISSION_CLEAR_ALL", mission_type=mission_type)
+    ack = client.wait_next_message(
+        "MISSION_ACK", _REPLY_S, lambda m: m.mission_type == mission_type
+    )
+    return NO_RESPONSE if ack is None else enum_entry_name("MAV_MISSION_RESULT", ack.type)

@@ -1,8 +1,8 @@
-"""Results as JSON, the recorded answers of real autopilots, and how two results compare.
+"""Results as JSON, reference results of real autopilots, and the comparison of two results.
 
-A result is `{"format": "conformance/1", "vehicle": {...}, "behaviours": {name: {"value": ...}}}`;
-a behaviour that could not be seen has a `problem` instead of a value. The references are results
-of real autopilots; `differences.toml` beside them says where ours differ, and why.
+A result is `{"format": "conformance/1", "vehicle": {...}, "behaviours": {name: {"value": ...}}}`; a
+behaviour that could not be observed has a `problem` instead of a value. The references are results
+of real autopilots; `differences.toml` in the same folder explains known differences.
 """
 
 import json
@@ -13,21 +13,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from sim_bridge.conform.behaviour import Behaviour, Value
+from sim_bridge.conform.behaviour import Behaviour, Observation
 from sim_bridge.conform.errors import ConformError
-from sim_bridge.conform.suite import BY_NAME, CATALOGUE, BehaviourRecord, VehicleIdentity
+from sim_bridge.conform.suite import BY_NAME, CATALOGUE, VehicleIdentity
 
 _FORMAT = "conformance/1"
 _PACKAGE = Path(__file__).resolve().parent.parent
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a result holds for one behaviour."""
-
-    value: Value | None = None
-    note: str = ""
-    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,44 +26,37 @@ class ConformanceResult:
     """One run of the suite."""
 
     vehicle: VehicleIdentity
-    answers: Mapping[str, Answer]
+    results: Mapping[str, Observation]
 
 
 class Parity(Enum):
-    """How an answer compares with the reference's."""
+    """Comparison of a result with the reference."""
 
     SAME = "same"
     DIFFERENT = "different"
     EXPLAINED = "explained"
-    NOT_SEEN = "not seen"
+    NOT_OBSERVED = "not seen"
     NO_REFERENCE = "no reference"
-
-
-def as_result(vehicle: VehicleIdentity, rows: Iterable[BehaviourRecord]) -> ConformanceResult:
-    """The records of a run as a result."""
-    return ConformanceResult(
-        vehicle, {row.behaviour.name: Answer(row.value, row.note, row.problem) for row in rows}
-    )
 
 
 def write_result(path: Path, result: ConformanceResult) -> None:
     """Write a result; empty fields are left out."""
     behaviours = {
-        name: {key: value for key, value in asdict(answer).items() if value not in (None, "")}
-        for name, answer in result.answers.items()
+        name: {key: value for key, value in asdict(recorded).items() if value not in (None, "")}
+        for name, recorded in result.results.items()
     }
     table = {"format": _FORMAT, "vehicle": asdict(result.vehicle), "behaviours": behaviours}
     path.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
 
 
 def read_result(path: Path) -> ConformanceResult:
-    """Read what `write_result` wrote; anything else is a ConformError."""
+    """Read a file of `write_result`; raises ConformError for any other content."""
     try:
         table: dict[str, Any] = json.loads(path.read_text())
         if table["format"] != _FORMAT:
             raise ConformError(f"{path}: format {table['format']}, expected {_FORMAT}")
-        answers = {name: Answer(**entry) for name, entry in table["behaviours"].items()}
-        return ConformanceResult(VehicleIdentity(**table["vehicle"]), answers)
+        results = {name: Observation(**entry) for name, entry in table["behaviours"].items()}
+        return ConformanceResult(VehicleIdentity(**table["vehicle"]), results)
     except FileNotFoundError:
         raise ConformError(f"{path}: no such file") from None
     except (json.JSONDecodeError, KeyError, TypeError) as error:
@@ -80,15 +64,15 @@ def read_result(path: Path) -> ConformanceResult:
 
 
 def reference_folder() -> Path:
-    """Where the real autopilots' answers are: the repository's tests, or the package's copy."""
+    """Return the folder of the reference results: the repository's tests, or the package's copy."""
     for folder in (_PACKAGE.parent / "tests" / "reference", _PACKAGE / "_reference"):
         if folder.is_dir():
             return folder
     raise ConformError("the references are missing: name one with --reference")
 
 
-def read_differences(folder: Path, autopilot: str) -> Mapping[str, str]:
-    """Behaviours in which our simulated autopilot differs from the real one, with the reasons."""
+def read_known_difference_reasons(folder: Path, autopilot: str) -> Mapping[str, str]:
+    """Read the known differences of the simulated autopilot from the real one, with reasons."""
     path = folder / "differences.toml"
     if not path.is_file():
         return {}
@@ -99,73 +83,77 @@ def read_differences(folder: Path, autopilot: str) -> Mapping[str, str]:
     return table
 
 
-def judge(
+def compare_behaviour(
     behaviour: Behaviour,
-    answer: Answer | None,
-    reference: Answer | None,
-    reasons: Mapping[str, str],
+    recorded: Observation | None,
+    reference: Observation | None,
+    explanations: Mapping[str, str],
 ) -> Parity:
-    """Compare one answer with the reference's; a known difference counts as explained."""
+    """Compare one result with the reference; a known difference counts as explained."""
     if reference is None or reference.value is None:
         return Parity.NO_REFERENCE
-    if answer is not None and answer.value is not None:
-        if behaviour.is_same(answer.value, reference.value):
-            return Parity.SAME
-        return Parity.EXPLAINED if behaviour.name in reasons else Parity.DIFFERENT
-    return Parity.EXPLAINED if behaviour.name in reasons else Parity.NOT_SEEN
+    value = None if recorded is None else recorded.value
+    if value is not None and behaviour.is_same(value, reference.value):
+        return Parity.SAME
+    if behaviour.name in explanations:
+        return Parity.EXPLAINED
+    return Parity.NOT_OBSERVED if value is None else Parity.DIFFERENT
 
 
-def judge_all(
-    result: ConformanceResult, reference: ConformanceResult, reasons: Mapping[str, str]
+def compare_results(
+    result: ConformanceResult, reference: ConformanceResult, explanations: Mapping[str, str]
 ) -> dict[str, Parity]:
-    """All answers of a result, in the catalogue's order."""
+    """Compare all results, in the catalogue's order."""
     return {
-        b.name: judge(b, result.answers[b.name], reference.answers.get(b.name), reasons)
+        b.name: compare_behaviour(
+            b, result.results[b.name], reference.results.get(b.name), explanations
+        )
         for b in CATALOGUE
-        if b.name in result.answers
+        if b.name in result.results
     }
 
 
-def _shown(behaviour: Behaviour, answer: Answer | None) -> str:
-    if answer is None:
+def _format_recorded_value(behaviour: Behaviour, recorded: Observation | None) -> str:
+    if recorded is None:
         return "not run"
-    if answer.value is None:
+    if recorded.value is None:
         return "not seen"
-    value = ("yes" if answer.value else "no") if isinstance(answer.value, bool) else answer.value
+    is_flag = isinstance(recorded.value, bool)
+    value = ("yes" if recorded.value else "no") if is_flag else recorded.value
     return f"{value} {behaviour.unit}".strip()
 
 
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ").replace("\t", " ")
-
-
-def matrix(
-    a: ConformanceResult, b: ConformanceResult, reasons: Mapping[str, str], names: tuple[str, str]
+def format_parity_matrix(
+    first_result: ConformanceResult,
+    second_result: ConformanceResult,
+    explanations: Mapping[str, str],
+    column_names: tuple[str, str],
 ) -> str:
-    """A parity matrix in Markdown: one row for each behaviour that either was asked about."""
-    lines = [
-        f"| behaviour | {names[0]} | {names[1]} | |",
-        "| --- | --- | --- | --- |",
-    ]
+    """Format a parity matrix in Markdown: one row for each behaviour in either result."""
+    rows: list[tuple[str, ...]] = []
     notes: list[str] = []
     for behaviour in CATALOGUE:
-        left, right = a.answers.get(behaviour.name), b.answers.get(behaviour.name)
-        if left is None and right is None:
+        pair = [one.results.get(behaviour.name) for one in (first_result, second_result)]
+        if pair == [None, None]:
             continue
-        verdict = judge(behaviour, right, left, reasons)
+        verdict = compare_behaviour(behaviour, pair[1], pair[0], explanations)
         word = {Parity.SAME: "=", Parity.NO_REFERENCE: "?"}.get(verdict, verdict.value)
-        lines.append(
-            f"| {_cell(behaviour.says)} | {_cell(_shown(behaviour, left))} |"
-            f" {_cell(_shown(behaviour, right))} | {word} |"
-        )
+        values = (_format_recorded_value(behaviour, one) for one in pair)
+        rows.append((behaviour.description, *values, word))
         if verdict is Parity.EXPLAINED:
-            notes.append(f"- {behaviour.says}: {reasons[behaviour.name]}")
+            notes.append(f"- {behaviour.description}: {explanations[behaviour.name]}")
+    escaped = str.maketrans({"|": "\\|", "\n": " ", "\t": " "})
+    lines = [
+        f"| behaviour | {column_names[0]} | {column_names[1]} | |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += ["| " + " | ".join(cell.translate(escaped) for cell in row) + " |" for row in rows]
     if notes:
         lines += ["", "Known differences:", "", *notes]
     return "\n".join(lines) + "\n"
 
 
-def tally(verdicts: Iterable[Parity]) -> str:
-    """How many of each verdict, as text."""
-    listed = list(verdicts)
-    return ", ".join(f"{listed.count(v)} {v.value}" for v in Parity if v in listed)
+def format_verdict_counts(verdicts: Iterable[Parity]) -> str:
+    """Format the count of each verdict."""
+    verdict_list = list(verdicts)
+    return ", ".join(f"{verdict_list.count(v)} {v.value}" for v in Parity if v in verdict_list)

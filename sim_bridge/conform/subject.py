@@ -1,32 +1,26 @@
 """The vehicle under test: brought into a known state before each behaviour, and left as it was."""
 
-import contextlib
 import math
-import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
-from sim_bridge.conform.client import Client, Message
+from sim_bridge.conform.client import Client, message_id
 from sim_bridge.conform.dialect import PX4, Dialect, dialect_of
-from sim_bridge.conform.errors import CannotSee
+from sim_bridge.conform.errors import ObservationError
 from sim_bridge.conform.missions import Item, Uploaded
+from sim_bridge.conform.parameters import Parameters
 
+T = TypeVar("T")
 HEIGHT_M = 20.0
 _EARTH_RADIUS_M = 6_371_000.0
 _FORCE_DISARM = 21196.0
 _NEAR_M = 60.0
 _READY_S = 90.0
-_INTEGER_TYPES = {
-    mavlink.MAV_PARAM_TYPE_INT8: "<b",
-    mavlink.MAV_PARAM_TYPE_UINT8: "<B",
-    mavlink.MAV_PARAM_TYPE_INT16: "<h",
-    mavlink.MAV_PARAM_TYPE_UINT16: "<H",
-    mavlink.MAV_PARAM_TYPE_INT32: "<i",
-    mavlink.MAV_PARAM_TYPE_UINT32: "<I",
-}
 WORKING_HZ = {
     "GLOBAL_POSITION_INT": 10.0,
     "LOCAL_POSITION_NED": 10.0,
@@ -39,16 +33,7 @@ WORKING_HZ = {
     "HOME_POSITION": 1.0,
     "RC_CHANNELS": 5.0,
 }
-"""What the suite asks for to see by, once the unasked telemetry has been looked at."""
-
-
-_NEWER_MESSAGES = {"CURRENT_MODE": 436}
-"""Messages of the common set that pymavlink's older releases do not have."""
-
-
-def message_id(name: str) -> int:
-    """The number of a message."""
-    return _NEWER_MESSAGES.get(name) or getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+"""Messages that the suite requests for its observations, after the test of default telemetry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,27 +53,27 @@ class Position:
 
 
 class Subject:
-    """A vehicle, by its client: what it is, where it is, and the way back to a known state."""
+    """A vehicle under test: its identity, its state, and the return to a known state."""
 
-    def __init__(self, client: Client, *, may_force: bool) -> None:
+    def __init__(self, client: Client, *, allow_force_disarm: bool) -> None:
         self.client = client
-        beat = client.find()
-        self.dialect: Dialect = dialect_of(beat.autopilot)
+        heartbeat = client.wait_first_heartbeat()
+        self.dialect: Dialect = dialect_of(heartbeat.autopilot)
+        self.parameters = Parameters(client, self.dialect)
         self.home: Position | None = None
         self.climbed: tuple[float, Position] | None = None
-        """The altitude that the last take-off to HEIGHT_M asked for, and where it ended."""
-        self.memory: dict[str, object] = {}
-        """What one behaviour has seen and others ask about too."""
-        self._may_force = may_force
-        self._asked: set[str] = set()
+        """Altitude requested by the last take-off to HEIGHT_M, and the position where it ended."""
+        self.observed: dict[str, Any] = {}
+        """Observations shared by several behaviours (`observed_once`)."""
+        self._allow_force_disarm = allow_force_disarm
+        self._requested_streams: set[str] = set()
         self._sees = False
-        self._originals: dict[str, tuple[float, int]] = {}
 
-    # --- what it says -------------------------------------------------------------------------
+    # --- reported state -----------------------------------------------------------------------
 
     @property
     def is_px4(self) -> bool:
-        """Whether it is PX4."""
+        """Return True for PX4."""
         return self.dialect is PX4
 
     @property
@@ -98,7 +83,7 @@ class Subject:
 
     @property
     def is_armed(self) -> bool:
-        """The last HEARTBEAT's word."""
+        """Return True if the latest HEARTBEAT reports armed."""
         flag = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         return bool(self.client.latest["HEARTBEAT"].base_mode & flag)
 
@@ -110,348 +95,313 @@ class Subject:
 
     @property
     def is_on_ground(self) -> bool:
-        """The autopilot's own word for it."""
+        """Return True if the autopilot reports that it is on the ground."""
         return self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
 
-    def beat(self) -> None:
-        """Wait for a HEARTBEAT that is newer than all that was said, lag included."""
-        self.client.collect(0.2)
-        self.client.hear("HEARTBEAT", 3.0)
+    def wait_new_heartbeat(self) -> None:
+        """Wait for a HEARTBEAT that is newer than all messages sent, delay included."""
+        self.client.collect_messages(0.2)
+        self.client.wait_next_message("HEARTBEAT", 3.0)
 
-    def position(self, within_s: float = 5.0) -> Position:
-        """Where it is, by a message that is new; 0 N 0 E means that it does not know yet."""
-        message = self.client.hear("GLOBAL_POSITION_INT", within_s, _knows_where)
+    def wait_position(self, timeout_s: float = 5.0) -> Position:
+        """Return the position from a new message; 0 N 0 E means that it is still unknown."""
+        message = self.client.wait_next_message(
+            "GLOBAL_POSITION_INT", timeout_s, lambda m: m.lat != 0 or m.lon != 0
+        )
         if message is None:
-            raise CannotSee("no GLOBAL_POSITION_INT with a position")
-        return position_in(message)
+            raise ObservationError("no GLOBAL_POSITION_INT with a position")
+        return self.latest_position()
 
-    def place(self, north_m: float, east_m: float) -> tuple[float, float]:
-        """Latitude and longitude (deg) of a place relative to home."""
-        home = self._home()
+    def latest_position(self) -> Position:
+        """Return the last GLOBAL_POSITION_INT, converted."""
+        message = self.client.latest.get("GLOBAL_POSITION_INT")
+        if message is None:
+            raise ObservationError("no GLOBAL_POSITION_INT")
+        return Position(
+            message.lat * 1e-7,
+            message.lon * 1e-7,
+            message.alt * 1e-3,
+            message.relative_alt * 1e-3,
+            (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01),
+        )
+
+    def lat_lon_deg_from_home(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """Return latitude and longitude (deg) of a position relative to home."""
+        home = self._home_or_first_position()
         lat = home.lat_deg + math.degrees(north_m / _EARTH_RADIUS_M)
         across = _EARTH_RADIUS_M * math.cos(math.radians(home.lat_deg))
         return lat, home.lon_deg + math.degrees(east_m / across)
 
-    def from_home_m(self, position: Position) -> tuple[float, float]:
+    def offset_from_home_ne_m(self, position: Position) -> tuple[float, float]:
         """North and east of home."""
-        home = self._home()
+        home = self._home_or_first_position()
         across = _EARTH_RADIUS_M * math.cos(math.radians(home.lat_deg))
         return (
             math.radians(position.lat_deg - home.lat_deg) * _EARTH_RADIUS_M,
             math.radians(position.lon_deg - home.lon_deg) * across,
         )
 
-    def _home(self) -> Position:
+    def _home_or_first_position(self) -> Position:
         if self.home is None:
-            self.home = self.position(_READY_S)  # an estimator that has just been switched on
+            self.home = self.wait_position(_READY_S)  # an estimator that has just been switched on
         return self.home
 
     @property
     def home_amsl_m(self) -> float:
         """Altitude of the ground at home, as the vehicle has it now: estimates drift."""
-        self._home()
-        latest = self.client.latest.get("GLOBAL_POSITION_INT")
-        here = self.position(_READY_S) if latest is None else position_in(latest)
+        self._home_or_first_position()
+        is_known = "GLOBAL_POSITION_INT" in self.client.latest
+        here = self.latest_position() if is_known else self.wait_position(_READY_S)
         return here.amsl_m - here.rel_m
 
-    # --- seeing -------------------------------------------------------------------------------
+    # --- telemetry ----------------------------------------------------------------------------
 
-    def stream(self, name: str, rate_hz: float) -> str:
-        """Ask for a message at a rate; `clean_up` puts it back."""
-        self._asked.add(name)
-        return self.client.ask_interval(message_id(name), 1e6 / rate_hz)
+    def request_stream(self, name: str, rate_hz: float) -> str:
+        """Request a message at a rate; `restore_initial_state` restores its default."""
+        self._requested_streams.add(name)
+        return self.client.request_message_interval(message_id(name), 1e6 / rate_hz)
 
-    def unstream(self, name: str) -> str:
-        """A message's own rate again."""
-        self._asked.discard(name)
-        return self.client.ask_interval(message_id(name), 0.0)
+    def restore_stream(self, name: str) -> str:
+        """Restore a message's default rate."""
+        self._requested_streams.discard(name)
+        return self.client.request_message_interval(message_id(name), 0.0)
 
-    def see(self) -> None:
-        """Have the telemetry that the suite works with, from now on."""
+    def request_working_streams_once(self) -> None:
+        """Request the telemetry that the suite needs."""
         if not self._sees:
             self._sees = True
             for name, rate_hz in WORKING_HZ.items():
-                self.stream(name, rate_hz)
+                self.request_stream(name, rate_hz)
 
-    def see_as_found(self) -> None:
-        """Have only what comes by itself."""
+    def restore_default_telemetry(self) -> None:
+        """Restore the default telemetry only."""
         if self._sees:
-            for name in sorted(self._asked):
-                self.unstream(name)
+            for name in sorted(self._requested_streams):
+                self.restore_stream(name)
             self._sees = False
 
-    def forget_intervals(self) -> None:
-        """A reboot has put the rates back by itself."""
-        self._asked.clear()
+    def clear_requested_stream_record(self) -> None:
+        """Clear the record of requested rates, which a reboot resets."""
+        self._requested_streams.clear()
         self._sees = False
-
-    # --- parameters ---------------------------------------------------------------------------
-
-    def read_raw(self, name: str) -> Message | None:
-        """The PARAM_VALUE of a parameter; None if there is no answer."""
-        self.client.send("PARAM_REQUEST_READ", param_id=name.encode(), param_index=-1)
-        return self.client.hear("PARAM_VALUE", 3.0, lambda m: m.param_id == name)
-
-    def write_raw(self, name: str, wire_value: float, kind: int) -> Message | None:
-        """PARAM_SET as given; the PARAM_VALUE that answers, if one does."""
-        self.client.send(
-            "PARAM_SET", param_id=name.encode(), param_value=wire_value, param_type=kind
-        )
-        return self.client.hear("PARAM_VALUE", 3.0, lambda m: m.param_id == name)
-
-    def parameter(self, name: str) -> float | None:
-        """A parameter's value, as this autopilot puts it on the wire; None if there is none."""
-        message = self.read_raw(name)
-        if message is None:
-            return None
-        return self.from_wire(message.param_value, message.param_type)
-
-    def set_parameter(self, name: str, value: float) -> None:
-        """Set a parameter until `restore`; CannotSee if it does not take the value."""
-        before = self.read_raw(name)
-        if before is None:
-            raise CannotSee(f"there is no parameter {name}")
-        self.keep(before)
-        wire = self.to_wire(value, before.param_type)
-        after = self.write_raw(name, wire, before.param_type)
-        if after is None or self.from_wire(after.param_value, after.param_type) != _float32(value):
-            raise CannotSee(f"{name} does not take {value}")
-
-    def keep(self, message: Message) -> None:
-        """Note a parameter's PARAM_VALUE, for `restore`."""
-        self._originals.setdefault(message.param_id, (message.param_value, message.param_type))
-
-    def to_wire(self, value: float, kind: int) -> float:
-        """PX4 puts an integer's bytes into the float."""
-        if self.is_px4 and kind in _INTEGER_TYPES:
-            data = struct.pack(_INTEGER_TYPES[kind], int(value)).ljust(4, b"\0")
-            return struct.unpack("<f", data)[0]
-        return value
-
-    def from_wire(self, wire_value: float, kind: int) -> float:
-        """The other way round."""
-        if self.is_px4 and kind in _INTEGER_TYPES:
-            code = _INTEGER_TYPES[kind]
-            data = struct.pack("<f", wire_value)[: struct.calcsize(code)]
-            return float(struct.unpack(code, data)[0])
-        return wire_value
-
-    def restore(self) -> None:
-        """Put back every parameter that was changed."""
-        for name, (wire_value, kind) in list(self._originals.items()):
-            answer = self.write_raw(name, wire_value, kind)
-            if answer is not None:
-                del self._originals[name]
 
     # --- modes --------------------------------------------------------------------------------
 
-    def set_mode(self, mode: str) -> str:
-        """DO_SET_MODE; the word of its acknowledgement."""
-        return self.client.command(mavlink.MAV_CMD_DO_SET_MODE, *self.dialect.mode_params(mode))
+    def request_mode(self, mode: str) -> str:
+        """Send DO_SET_MODE; return the result of its acknowledgement as text."""
+        return self.client.send_command_and_wait_ack(
+            mavlink.MAV_CMD_DO_SET_MODE, *self.dialect.do_set_mode_params(mode)
+        )
 
-    def enter(self, mode: str, within_s: float = 5.0) -> None:
-        """Change the mode and see it in HEARTBEAT."""
-        answer = self.set_mode(mode)
-        if not self.client.until(lambda: self.mode == mode, within_s):
-            raise CannotSee(f"mode {mode} was asked ({answer}), HEARTBEAT says {self.mode}")
+    def set_mode_and_wait(self, mode: str, timeout_s: float = 5.0) -> None:
+        """Change the mode and wait for it in HEARTBEAT."""
+        response = self.request_mode(mode)
+        if not self.client.wait_until(lambda: self.mode == mode, timeout_s):
+            raise ObservationError(
+                f"mode {mode} requested ({response}), HEARTBEAT reports {self.mode}"
+            )
 
-    def arm(self, within_s: float = _READY_S) -> None:
-        """Arm, as often as it takes an estimator to be ready."""
-        end_s = self.client.t_s + within_s
+    def arm_with_retries(self, timeout_s: float = _READY_S) -> None:
+        """Arm; repeat until the estimator is ready."""
+        end_s = self.client.t_s + timeout_s
         while not self.is_armed:
-            answer = self.arm_once()
-            armed = answer == "ACCEPTED" and self.client.until(lambda: self.is_armed, 2.0)
+            response = self.request_arm()
+            armed = response == "ACCEPTED" and self.client.wait_until(lambda: self.is_armed, 2.0)
             if not armed and self.client.t_s > end_s:
-                raise CannotSee(f"it does not arm: {answer}; {'; '.join(self.client.texts()[-3:])}")
+                raise ObservationError(
+                    f"arming failed: {response}; {'; '.join(self.client.status_texts()[-3:])}"
+                )
             if not armed:
-                self.client.collect(2.0)
+                self.client.collect_messages(2.0)
 
-    def arm_once(self) -> str:
+    def request_arm(self) -> str:
         """COMPONENT_ARM_DISARM with 1."""
-        return self.client.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        return self.client.send_command_and_wait_ack(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 
-    def disarm_once(self, *, force: bool = False) -> str:
+    def request_disarm(self, *, force: bool = False) -> str:
         """COMPONENT_ARM_DISARM with 0."""
         extra = _FORCE_DISARM if force else 0.0
-        return self.client.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, extra)
+        return self.client.send_command_and_wait_ack(
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, extra
+        )
 
     # --- missions -----------------------------------------------------------------------------
 
-    def upload(self, items: Sequence[Item], *, only: int | None = None) -> Uploaded:
+    def upload(self, items: Sequence[Item], *, max_items: int | None = None) -> Uploaded:
         """Upload a mission, behind a home item where the autopilot has one."""
-        return missions.upload(self.client, self.with_home(items), only=only)
+        return missions.upload(self.client, self.with_home_item(items), max_items=max_items)
 
-    def with_home(self, items: Sequence[Item]) -> list[Item]:
+    def upload_accepted(self, items: Sequence[Item]) -> None:
+        """Upload a mission; ObservationError if it is not accepted."""
+        ack = self.upload(items).ack
+        if ack != "ACCEPTED":
+            raise ObservationError(f"the mission was rejected: {ack}")
+
+    def with_home_item(self, items: Sequence[Item]) -> list[Item]:
         """The items as this autopilot stores them."""
-        home = Item(mavlink.MAV_CMD_NAV_WAYPOINT, *self.place(0.0, 0.0), 0.0, frame=0)
+        home = self.item(mavlink.MAV_CMD_NAV_WAYPOINT, 0.0, 0.0, frame=0)
         return [home, *items] if self.dialect.has_home_item else list(items)
 
-    def first_seq(self) -> int:
+    def item(
+        self, command: int, north_m: float, east_m: float, height_m: float = 0.0, **fields: float
+    ) -> Item:
+        """Return an item at a position relative to home."""
+        position = self.lat_lon_deg_from_home(north_m, east_m)
+        return Item(command, *position, height_m, **fields)  # pyright: ignore[reportArgumentType]
+
+    def current_item_index(self) -> int:
+        """MISSION_CURRENT, counted from the first real item."""
+        message = self.client.latest.get("MISSION_CURRENT")
+        if message is None:
+            raise ObservationError("no MISSION_CURRENT comes")
+        return message.seq - self.first_flown_seq()
+
+    def first_flown_seq(self) -> int:
         """The number of the first real item."""
         return 1 if self.dialect.has_home_item else 0
 
     # --- known states -------------------------------------------------------------------------
 
-    def on_ground(self) -> None:
+    def prepare_on_ground(self) -> None:
         """Landed, disarmed, holding mode, nothing stored."""
-        self._sights()
+        self._request_telemetry_and_home()
         if self.is_armed:
-            self.land()
-        self._forget_missions()
-        self.restore()
+            self.land_and_wait_disarmed()
+        self._clear_stored_lists()
+        self.parameters.restore()
         if self.mode != self.dialect.hold:
-            self.enter(self.dialect.hold)
+            self.set_mode_and_wait(self.dialect.hold)
 
-    def in_air(self) -> None:
+    def prepare_in_air(self) -> None:
         """Hovering about 20 m above home, in the holding mode, nothing stored."""
-        self._sights()
+        self._request_telemetry_and_home()
         if not self.is_armed or self.is_on_ground:
-            self.on_ground()
-            self.take_off()
+            self.prepare_on_ground()
+            self.take_off_and_wait()
         if self.mode != self.dialect.hold:
-            self.enter(self.dialect.hold)
-        self._forget_missions()
-        self.restore()
+            self.set_mode_and_wait(self.dialect.hold)
+        self._clear_stored_lists()
+        self.parameters.restore()
         if self.is_px4:  # a speed that was set outlives its mission
-            self.client.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, -1.0, -1.0)
-        self._come_back()
+            self.client.send_command_and_wait_ack(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, -1.0, -1.0)
+        self._fly_above_home_and_stop()
 
-    def _sights(self) -> None:
-        self.see()
-        self.beat()
-        self._home()
+    def _request_telemetry_and_home(self) -> None:
+        self.request_working_streams_once()
+        self.wait_new_heartbeat()
+        self._home_or_first_position()
 
-    def _forget_missions(self) -> None:
-        """Nothing stored, of any kind."""
+    def _clear_stored_lists(self) -> None:
+        """Clear the stored lists of every type."""
         for kind in (0, 1, 2):
-            stored = missions.count(self.client, kind)
+            stored = missions.request_count(self.client, kind)
             if stored is not None and stored > (1 if kind == 0 and not self.is_px4 else 0):
-                missions.clear(self.client, kind)
+                missions.clear_stored_list(self.client, kind)
 
-    def take_off(self, height_m: float = HEIGHT_M) -> None:
-        """Climb as each autopilot does it."""
+    def take_off_and_wait(self, height_m: float = HEIGHT_M) -> None:
+        """Take off with the autopilot's own procedure."""
         client = self.client
         takeoff = mavlink.MAV_CMD_NAV_TAKEOFF
-        asked_m = height_m
+        requested_m, ground_m = height_m, self.home_amsl_m
         if self.is_px4:
-            asked_m = self.home_amsl_m + height_m
-            answer = client.command(takeoff, math.nan, 0, 0, math.nan, math.nan, math.nan, asked_m)
-            self.arm()
+            requested_m += ground_m
+            response = client.send_command_and_wait_ack(
+                takeoff, math.nan, 0, 0, math.nan, math.nan, math.nan, requested_m
+            )
+            self.arm_with_retries()
         else:
-            self.enter("GUIDED")
-            answer = self._take_off_armed(asked_m)
-        if not client.until(lambda: self._rel_m() > height_m - 1.5, 40.0):
-            raise CannotSee(f"it did not climb: {answer}; {'; '.join(client.texts()[-3:])}")
-        client.collect(3.0)
-        self.climbed = (asked_m, self.position())
+            self.set_mode_and_wait("GUIDED")
+            response = self._arm_and_request_takeoff(requested_m)
+        if not client.wait_until(lambda: self.latest_position().rel_m > height_m - 1.5, 40.0):
+            raise ObservationError(
+                f"the vehicle did not climb: {response}; {'; '.join(client.status_texts()[-3:])}"
+            )
+        client.collect_messages(3.0)
+        self.climbed = (requested_m, self.wait_position())
 
-    def _take_off_armed(self, asked_m: float) -> str:
+    def _arm_and_request_takeoff(self, takeoff_height_m: float) -> str:
         """Soon after a boot arming works some seconds before taking off does."""
         end_s = self.client.t_s + 15.0
         while True:
-            self.arm()
+            self.arm_with_retries()
             command = mavlink.MAV_CMD_NAV_TAKEOFF
-            answer = self.client.command(command, 0, 0, 0, 0, 0, 0, asked_m)
-            if answer == "ACCEPTED" or self.client.t_s > end_s:
-                return answer
-            self.client.collect(1.0)
-
-    def _rel_m(self) -> float:
-        message = self.client.latest.get("GLOBAL_POSITION_INT")
-        return 0.0 if message is None else message.relative_alt * 1e-3
-
-    def _come_back(self) -> None:
-        """Fly to 20 m above home, unless about there, and come to rest."""
-        here = self.position()
-        far = math.hypot(*self.from_home_m(here)) > _NEAR_M
-        if far or abs(here.rel_m - HEIGHT_M) > 4.0:
-            self.go_to(0.0, 0.0, HEIGHT_M)
-        self.client.until(lambda: self._speed_mps() < 0.5, 15.0)
-        self.client.collect(0.5)
-
-    def _speed_mps(self) -> float:
-        message = self.client.latest["GLOBAL_POSITION_INT"]
-        return math.hypot(message.vx, message.vy, message.vz) * 0.01
-
-    def go_to(self, north_m: float, east_m: float, height_m: float) -> None:
-        """DO_REPOSITION by a way that both autopilots understand: AMSL, as COMMAND_INT."""
-        lat, lon = self.place(north_m, east_m)
-        place = (lat, lon, self.home_amsl_m + height_m)
-        self.client.command_int(
-            mavlink.MAV_CMD_DO_REPOSITION, -1.0, 1.0, 0.0, math.nan, place=place, frame=0
-        )
-
-        def is_there() -> bool:
-            here = position_in(self.client.latest["GLOBAL_POSITION_INT"])
-            north, east = self.from_home_m(here)
-            return (
-                math.hypot(north - north_m, east - east_m) < 3.0
-                and abs(here.rel_m - height_m) < 2.0
+            response = self.client.send_command_and_wait_ack(
+                command, 0, 0, 0, 0, 0, 0, takeoff_height_m
             )
+            if response == "ACCEPTED" or self.client.t_s > end_s:
+                return response
+            self.client.collect_messages(1.0)
 
-        if not self.client.until(is_there, 90.0):
-            raise CannotSee("it does not come back to above home")
+    def _fly_above_home_and_stop(self) -> None:
+        """Fly to 20 m above home, unless about there, and come to rest."""
+        here = self.wait_position()
+        far = math.hypot(*self.offset_from_home_ne_m(here)) > _NEAR_M
+        if far or abs(here.rel_m - HEIGHT_M) > 4.0:
+            self.fly_to_and_wait(0.0)
+        self.client.wait_until(lambda: math.hypot(*self.latest_position().vel_ned_mps) < 0.5, 15.0)
+        self.client.collect_messages(0.5)
 
-    def land(self) -> None:
+    def request_reposition(
+        self, north_m: float, speed_mps: float = -1.0, *, change_mode: bool = True
+    ) -> str:
+        """Send DO_REPOSITION at HEIGHT_M in the form that both accept: COMMAND_INT, AMSL."""
+        position = (*self.lat_lon_deg_from_home(north_m, 0.0), self.home_amsl_m + HEIGHT_M)
+        return self.client.send_command_int_and_wait_ack(
+            mavlink.MAV_CMD_DO_REPOSITION, speed_mps, float(change_mode), 0.0, math.nan,
+            position=position, frame=0,
+        )  # fmt: skip
+
+    def fly_to_and_wait(self, north_m: float) -> None:
+        """Fly to a position north of home, HEIGHT_M above it."""
+        self.request_reposition(north_m)
+
+        def has_arrived() -> bool:
+            here = self.latest_position()
+            north, east = self.offset_from_home_ne_m(here)
+            return math.hypot(north - north_m, east) < 3.0 and abs(here.rel_m - HEIGHT_M) < 2.0
+
+        if not self.client.wait_until(has_arrived, 90.0):
+            raise ObservationError("the vehicle does not return to above home")
+
+    def land_and_wait_disarmed(self) -> None:
         """Land here and be disarmed; forced, on the ground, where landing is never noticed."""
         client = self.client
         if self.is_on_ground:
-            self.disarm_once()
-        if self.is_armed and not client.until(lambda: not self.is_armed, 2.0):
-            self.enter("LAND")
-            client.until(lambda: not self.is_armed, 120.0)
-        if self.is_armed and self._may_force and self._rests():
-            self.disarm_once(force=True)
-            client.until(lambda: not self.is_armed, 3.0)
+            self.request_disarm()
+        if self.is_armed and not client.wait_until(lambda: not self.is_armed, 2.0):
+            self.set_mode_and_wait("LAND")
+            client.wait_until(lambda: not self.is_armed, 120.0)
+        if self.is_armed and self._allow_force_disarm and self._is_still_near_ground():
+            self.request_disarm(force=True)
+            client.wait_until(lambda: not self.is_armed, 3.0)
         if self.is_armed:
-            raise CannotSee("it does not come to be landed and disarmed")
-        client.until(lambda: self.is_on_ground, 5.0)
+            raise ObservationError("the vehicle does not reach landed and disarmed")
+        client.wait_until(lambda: self.is_on_ground, 5.0)
 
-    def _rests(self) -> bool:
-        here = self.position()
+    def _is_still_near_ground(self) -> bool:
+        here = self.wait_position()
         return abs(here.vel_ned_mps[2]) < 0.2 and here.rel_m < 1.5
 
-    @contextlib.contextmanager
-    def parameter_set(self, name: str, value: float) -> Iterator[None]:
-        """A parameter at a value while the block runs."""
-        self.set_parameter(name, value)
-        try:
-            yield
-        finally:
-            self.restore()
+    def restore_initial_state(self) -> None:
+        """Restore the initial state: on the ground, disarmed, nothing stored, default rates."""
+        self.prepare_on_ground()
+        self.restore_default_telemetry()
 
-    def remember(self, key: str, see: Callable[[], object]) -> object:
-        """Look once at what several behaviours ask about; what could not be seen stays so."""
-        if key not in self.memory:
+
+def observed_once(probe: Callable[[Subject], T]) -> Callable[[Subject], T]:
+    """Observe once for several behaviours of a vehicle; a failed observation is stored too."""
+
+    @wraps(probe)
+    def stored_observation(subject: Subject) -> T:
+        key = f"{probe.__module__}.{probe.__qualname__}"
+        if key not in subject.observed:
             try:
-                self.memory[key] = see()
-            except CannotSee as error:
-                self.memory[key] = error
-        found = self.memory[key]
-        if isinstance(found, CannotSee):
+                subject.observed[key] = probe(subject)
+            except ObservationError as error:
+                subject.observed[key] = error
+        found = subject.observed[key]
+        if isinstance(found, ObservationError):
             raise found
         return found
 
-    def clean_up(self) -> None:
-        """Leave it as it was found: on the ground, disarmed, nothing stored, rates its own."""
-        self.on_ground()
-        self.see_as_found()
-
-
-def _float32(value: float) -> float:
-    return struct.unpack("<f", struct.pack("<f", value))[0]
-
-
-def _knows_where(message: Message) -> bool:
-    return message.lat != 0 or message.lon != 0
-
-
-def position_in(message: Message) -> Position:
-    """A GLOBAL_POSITION_INT, converted."""
-    return Position(
-        message.lat * 1e-7,
-        message.lon * 1e-7,
-        message.alt * 1e-3,
-        message.relative_alt * 1e-3,
-        (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01),
-    )
+    return stored_observation

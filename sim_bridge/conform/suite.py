@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from typing import Protocol
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
-from sim_bridge.conform.behaviour import Behaviour, Finding, Value, Where
+from sim_bridge.conform.behaviour import Behaviour, Observation, Where
 from sim_bridge.conform.behaviours import (
     battery,
     guided,
@@ -22,8 +20,8 @@ from sim_bridge.conform.behaviours import (
     unknown,
     wind,
 )
-from sim_bridge.conform.errors import CannotSee, ConformError, VehicleSilent
-from sim_bridge.conform.subject import Subject, message_id
+from sim_bridge.conform.errors import ConformError, ObservationError, VehicleSilent
+from sim_bridge.conform.subject import Subject
 
 CATALOGUE: tuple[Behaviour, ...] = (
     *telemetry.BEHAVIOURS,
@@ -54,47 +52,41 @@ class VehicleIdentity:
     hash: str
 
 
-@dataclass(frozen=True, slots=True)
-class BehaviourRecord:
-    """What was observed of one behaviour, or why it could not be."""
-
-    behaviour: Behaviour
-    value: Value | None
-    note: str = ""
-    problem: str = ""
-
-
 class Observer(Protocol):
     """Follows the progress of a run."""
 
-    def begins(self, behaviour: Behaviour) -> None: ...
-    def ended(self, row: BehaviourRecord) -> None: ...
+    def on_behaviour_start(self, behaviour: Behaviour) -> None: ...
+    def on_behaviour_end(self, behaviour: Behaviour, seen: Observation) -> None: ...
 
 
-def select(only: Iterable[str], *, reboots: bool) -> list[Behaviour]:
-    """The behaviours of some families, names or patterns; all without any.
+def select_behaviours(selectors: Iterable[str], *, include_reboots: bool) -> list[Behaviour]:
+    """Select behaviours by families, names or patterns; all if none is given.
 
-    Those that reboot the autopilot only if that is allowed. A word that matches none is refused.
+    Behaviours that reboot the autopilot only if that is allowed. A filter without a match is an
+    error.
     """
-    words = list(only)
-    chosen = {name for word in words for name in _named(word)} if words else set(BY_NAME)
-    found = [b for b in CATALOGUE if b.name in chosen and (reboots or b.where is not Where.REBOOT)]
+    names = {name for word in selectors for name in _matching_behaviour_names(word)} or set(BY_NAME)
+    found = [
+        b for b in CATALOGUE if b.name in names and (include_reboots or b.where is not Where.REBOOT)
+    ]
     return sorted(found, key=lambda behaviour: _ORDER.index(behaviour.where))
 
 
-def _named(word: str) -> list[str]:
-    found = [b.name for b in CATALOGUE if b.family == word or fnmatch(b.name, word)]
+def _matching_behaviour_names(selector: str) -> list[str]:
+    found = [b.name for b in CATALOGUE if b.group_name == selector or fnmatch(b.name, selector)]
     if not found:
-        families = ", ".join(dict.fromkeys(b.family for b in CATALOGUE))
-        raise ConformError(f"--only {word}: no such behaviour; the families are {families}")
+        groups = ", ".join(dict.fromkeys(b.group_name for b in CATALOGUE))
+        raise ConformError(f"--only {selector}: no such behaviour; the families are {groups}")
     return found
 
 
-def identify(subject: Subject) -> VehicleIdentity:
+def request_vehicle_identity(subject: Subject) -> VehicleIdentity:
     """Name, version and commit of the firmware, as AUTOPILOT_VERSION has them."""
     client = subject.client
-    client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, message_id("AUTOPILOT_VERSION"))
-    version = client.hear("AUTOPILOT_VERSION", 3.0) or client.latest.get("AUTOPILOT_VERSION")
+    client.request_message("AUTOPILOT_VERSION")
+    version = client.wait_next_message("AUTOPILOT_VERSION", 3.0) or client.latest.get(
+        "AUTOPILOT_VERSION"
+    )
     if version is None:
         return VehicleIdentity(subject.dialect.name, "unknown", "")
     number = version.flight_sw_version
@@ -107,42 +99,30 @@ def identify(subject: Subject) -> VehicleIdentity:
 
 def run_suite(
     subject: Subject, behaviours: Sequence[Behaviour], observer: Observer
-) -> list[BehaviourRecord]:
+) -> dict[str, Observation]:
     """Observe the behaviours one after the other; a silent vehicle ends the run."""
-    rows: list[BehaviourRecord] = []
+    found: dict[str, Observation] = {}
     silent = ""
     for behaviour in behaviours:
-        observer.begins(behaviour)
+        observer.on_behaviour_start(behaviour)
         try:
-            if silent:
-                row = BehaviourRecord(behaviour, None, problem=silent)
-            else:
-                row = _see(subject, behaviour)
+            seen = Observation(None, problem=silent) if silent else _observe(subject, behaviour)
         except VehicleSilent as error:
             silent = f"the vehicle fell silent: {error}"
-            row = BehaviourRecord(behaviour, None, problem=silent)
-        rows.append(row)
-        observer.ended(row)
-    return rows
+            seen = Observation(None, problem=silent)
+        except ObservationError as error:
+            seen = Observation(None, problem=str(error))
+        found[behaviour.name] = seen
+        observer.on_behaviour_end(behaviour, seen)
+    return found
 
 
-def _see(subject: Subject, behaviour: Behaviour) -> BehaviourRecord:
-    try:
-        _prepare(subject, behaviour.where)
-        subject.client.forget()
-        with subject.client.limited_to(_LIMIT_S):
-            seen = behaviour.see(subject)
-    except VehicleSilent:
-        raise
-    except CannotSee as error:
-        return BehaviourRecord(behaviour, None, problem=str(error))
-    if isinstance(seen, Finding):
-        return BehaviourRecord(behaviour, seen.value, seen.note)
-    return BehaviourRecord(behaviour, seen)
-
-
-def _prepare(subject: Subject, where: Where) -> None:
-    if where is Where.AIR:
-        subject.in_air()
+def _observe(subject: Subject, behaviour: Behaviour) -> Observation:
+    if behaviour.where is Where.AIR:
+        subject.prepare_in_air()
     else:
-        subject.on_ground()
+        subject.prepare_on_ground()
+    subject.client.clear_received()
+    with subject.client.limit_duration(_LIMIT_S):
+        seen = behaviour.probe(subject)
+    return seen if isinstance(seen, Observation) else Observation(seen)

@@ -9,7 +9,7 @@ in it. Level flight against wind therefore needs tilt, and limited tilt limits a
 
 import math
 
-from sim_bridge.truth.atmosphere import GRAVITY_MPS2, SEA_LEVEL_DENSITY_KGPM3
+from sim_bridge.truth.atmosphere import GRAVITY_MPS2, STANDARD_DENSITY_KGPM3
 from sim_bridge.truth.params import AirframeTruth
 
 
@@ -18,20 +18,20 @@ def wrap_pi(angle_rad: float) -> float:
     return math.remainder(angle_rad, math.tau)
 
 
-def rotor_flow(thrust_ratio: float, density_kgpm3: float) -> float:
+def rotor_drag_factor(thrust_ratio: float, density_kgpm3: float) -> float:
     """Growth of rotor drag with thrust, over that at reference, and with density.
 
     A blade's drag in the plane goes with density and tip speed (Martin and Salaun 2010, "The true
     role of accelerometer feedback in quadrotor control"), tip speed with the root of thrust over
     density: so rotor drag goes with the root of both.
     """
-    return math.sqrt(thrust_ratio * density_kgpm3 / SEA_LEVEL_DENSITY_KGPM3)
+    return math.sqrt(thrust_ratio * density_kgpm3 / STANDARD_DENSITY_KGPM3)
 
 
 class Airframe:
     """State and motion of one vehicle's body. NED, SI, radians; `thrust_n` sums all rotors.
 
-    `airspeed_mps` and `useful_w` (force of the rotors times velocity through the air, see
+    `airspeed_mps` and `propulsive_w` (force of the rotors times velocity through the air, see
     `rotor_power`) belong to the last step.
     """
 
@@ -55,10 +55,10 @@ class Airframe:
         "north_mps",
         "pitch_rad",
         "pitchspeed_rps",
+        "propulsive_w",
         "roll_rad",
         "rollspeed_rps",
         "thrust_n",
-        "useful_w",
         "yaw_rad",
         "yawspeed_rps",
     )
@@ -77,48 +77,54 @@ class Airframe:
         self.north_mps = self.east_mps = self.down_mps = 0.0
         self.roll_rad = self.pitch_rad = self.yaw_rad = 0.0
         self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
-        self.thrust_n = self.airspeed_mps = self.forward_airspeed_mps = self.useful_w = 0.0
+        self.thrust_n = self.airspeed_mps = self.forward_airspeed_mps = self.propulsive_w = 0.0
         self.drag_factor = 1.0
 
-    def lean(
+    def advance_attitude_towards_setpoint(
         self,
-        roll_sp: float,
-        pitch_sp: float,
-        yaw_sp: float,
+        roll_setpoint_rad: float,
+        pitch_setpoint_rad: float,
+        yaw_setpoint_rad: float,
         dt_s: float,
         yaw_spin_rps: float | None = None,
     ) -> None:
         """Follow an attitude set-point in rad for `dt_s`; in a spin its yaw is not followed."""
-        tilt = math.hypot(roll_sp, pitch_sp)
+        tilt = math.hypot(roll_setpoint_rad, pitch_setpoint_rad)
         if tilt > self._max_tilt:
-            roll_sp *= self._max_tilt / tilt
-            pitch_sp *= self._max_tilt / tilt
+            roll_setpoint_rad *= self._max_tilt / tilt
+            pitch_setpoint_rad *= self._max_tilt / tilt
         gain = 1.0 / self._angle_time_s
         share = dt_s / (self._rate_lag_s + dt_s)
         limit = self._max_rate
-        wanted = gain * (roll_sp - self.roll_rad)
-        wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
-        self.rollspeed_rps += share * (wanted - self.rollspeed_rps)
-        wanted = gain * (pitch_sp - self.pitch_rad)
-        wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
-        self.pitchspeed_rps += share * (wanted - self.pitchspeed_rps)
+        rate_sp_rps = gain * (roll_setpoint_rad - self.roll_rad)
+        rate_sp_rps = (
+            limit if rate_sp_rps > limit else -limit if rate_sp_rps < -limit else rate_sp_rps
+        )
+        self.rollspeed_rps += share * (rate_sp_rps - self.rollspeed_rps)
+        rate_sp_rps = gain * (pitch_setpoint_rad - self.pitch_rad)
+        rate_sp_rps = (
+            limit if rate_sp_rps > limit else -limit if rate_sp_rps < -limit else rate_sp_rps
+        )
+        self.pitchspeed_rps += share * (rate_sp_rps - self.pitchspeed_rps)
         limit = self._max_yaw_rate
         if yaw_spin_rps is not None:
-            wanted = yaw_spin_rps
+            rate_sp_rps = yaw_spin_rps
         else:
-            wanted = gain * wrap_pi(yaw_sp - self.yaw_rad)
-        wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
-        self.yawspeed_rps += share * (wanted - self.yawspeed_rps)
+            rate_sp_rps = gain * wrap_pi(yaw_setpoint_rad - self.yaw_rad)
+        rate_sp_rps = (
+            limit if rate_sp_rps > limit else -limit if rate_sp_rps < -limit else rate_sp_rps
+        )
+        self.yawspeed_rps += share * (rate_sp_rps - self.yawspeed_rps)
         self.roll_rad += self.rollspeed_rps * dt_s
         self.pitch_rad += self.pitchspeed_rps * dt_s
         self.yaw_rad = wrap_pi(self.yaw_rad + self.yawspeed_rps * dt_s)
 
-    def stand(self) -> None:
+    def level_attitude_and_stop_rotation(self) -> None:
         """Stand level on the ground."""
         self.roll_rad = self.pitch_rad = 0.0
         self.rollspeed_rps = self.pitchspeed_rps = self.yawspeed_rps = 0.0
 
-    def tumble(self, dt_s: float) -> None:
+    def advance_uncontrolled_attitude(self, dt_s: float) -> None:
         """Without control: the attitude drifts on and its rates decay."""
         self.roll_rad += self.rollspeed_rps * dt_s
         self.pitch_rad += self.pitchspeed_rps * dt_s
@@ -127,7 +133,7 @@ class Airframe:
         self.pitchspeed_rps *= keep
         self.yawspeed_rps *= keep
 
-    def move(
+    def integrate_motion(
         self,
         thrust_command_n: float,
         mass_kg: float,
@@ -155,7 +161,7 @@ class Airframe:
         w = air_n * dn + air_e * de + air_d * dd
         airspeed = math.sqrt(u * u + v * v + w * w)
         drag = self._drag
-        rotor = rotor_flow(max(thrust_n, 0.0) / self._reference_thrust_n, density_kgpm3)
+        rotor = rotor_drag_factor(max(thrust_n, 0.0) / self._reference_thrust_n, density_kgpm3)
         rotor *= self.drag_factor
         rotor_x = -rotor * drag.rotor_forward_nspm * u
         rotor_y = -rotor * drag.rotor_sideways_nspm * v
@@ -165,7 +171,7 @@ class Airframe:
         force_z = -thrust_n + pressure * drag.parasite_vertical_m2 * w
         self.airspeed_mps = airspeed
         self.forward_airspeed_mps = u
-        self.useful_w = rotor_x * u + rotor_y * v - thrust_n * w
+        self.propulsive_w = rotor_x * u + rotor_y * v - thrust_n * w
         per_mass = dt_s / mass_kg
         self.north_mps += per_mass * (force_x * fn + force_y * rn + force_z * dn)
         self.east_mps += per_mass * (force_x * fe + force_y * re + force_z * de)

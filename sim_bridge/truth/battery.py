@@ -88,7 +88,7 @@ class Battery:
         self.chemical_j = 0.0
 
     @property
-    def stored_j(self) -> float:
+    def polarisation_energy_j(self) -> float:
         """Energy held by the polarisation capacitance, C v^2 / 2 with C = time constant / R."""
         if self._polarisation_ohm == 0.0:
             return 0.0
@@ -99,7 +99,7 @@ class Battery:
         rise = _LOW_CHARGE_GAIN * math.exp(-_LOW_CHARGE_RATE * charge_frac)
         return self._resistance_ohm * (1.0 + rise)
 
-    def step(self, power_w: float, dt_s: float) -> None:
+    def discharge_at_power(self, power_w: float, dt_s: float) -> None:
         """Deliver `power_w` at the terminals for `dt_s`; after cut-off deliver nothing.
 
         Sets `voltage_v` and `current_a`. A draw beyond what the pack can give (V_oc^2 / 4 R)
@@ -110,15 +110,17 @@ class Battery:
         open_v = self._cells * open_circuit_cell_v(self.charge_frac, self._full_cell_v)
         series_ohm = self._series_ohm(self.charge_frac)
         source_v = open_v - self._polarisation_v
-        current_a = _current_a(source_v, series_ohm, power_w)
+        current_a = _current_for_power_a(source_v, series_ohm, power_w)
         self.current_a = current_a
         self.voltage_v = source_v - current_a * series_ohm
         if self.cut_off:
             return
-        self._discharge(current_a, open_v, series_ohm, dt_s)
-        self._watch(dt_s)
+        self._update_charge_and_energies(current_a, open_v, series_ohm, dt_s)
+        self._update_cutoff(dt_s)
 
-    def _discharge(self, current_a: float, open_v: float, series_ohm: float, dt_s: float) -> None:
+    def _update_charge_and_energies(
+        self, current_a: float, open_v: float, series_ohm: float, dt_s: float
+    ) -> None:
         ohm = self._polarisation_ohm
         before_v = self._polarisation_v
         settled = -math.expm1(-dt_s / self._params.polarisation_time_s)
@@ -131,18 +133,18 @@ class Battery:
         self.chemical_j += open_v * current_a * dt_s
         self.charge_frac = max(self.charge_frac - current_a * dt_s / self._capacity_c, 0.0)
 
-    def _watch(self, dt_s: float) -> None:
+    def _update_cutoff(self, dt_s: float) -> None:
         low = self.voltage_v < self._cutoff_v
         self._under_voltage_s = self._under_voltage_s + dt_s if low else 0.0
         if self.charge_frac <= 0.0 or self._under_voltage_s > self._params.cutoff_delay_s:
             self.cut_off = True
 
-    def lose_cell(self) -> None:
-        """A cell is shorted: the pack gives its voltage no more, and is cut off a cell lower."""
+    def short_one_cell(self) -> None:
+        """Short a cell: the pack loses its voltage, and its cut-off is one cell lower."""
         self._cells -= 1
         self._cutoff_v = self._cells * self._params.cutoff_cell_v
 
-    def loaded_v(self, charge_frac: float, draw_w: float) -> float:
+    def settled_loaded_voltage_v(self, charge_frac: float, draw_w: float) -> float:
         """Settled terminal voltage at a charge under a constant draw; 0 if it cannot deliver it."""
         open_v = self._cells * open_circuit_cell_v(charge_frac, self._full_cell_v)
         ohm = self._series_ohm(charge_frac) + self._polarisation_ohm
@@ -150,35 +152,38 @@ class Battery:
         return 0.0 if inside < 0.0 else 0.5 * (open_v + math.sqrt(inside))
 
     def usable_wh(self, draw_w: float) -> float:
-        """Energy in Wh that it can still deliver at this constant draw until cut-off.
+        """Compute the energy in Wh deliverable at this constant draw until cut-off.
 
-        Settled voltages, so a fresh pack gives a little more before its polarisation builds up.
+        Uses settled voltages: a charged pack at rest delivers slightly more until polarisation
+        builds up.
         """
-        if self.cut_off or self.loaded_v(self.charge_frac, draw_w) < self._cutoff_v:
+        if self.cut_off or self.settled_loaded_voltage_v(self.charge_frac, draw_w) < self._cutoff_v:
             return 0.0
-        empty = self._cutoff_charge(draw_w)
+        empty = self._charge_frac_at_cutoff(draw_w)
         width = (self.charge_frac - empty) / _SLICES
         total_v = sum(
-            self.loaded_v(empty + (index + 0.5) * width, draw_w) for index in range(_SLICES)
+            self.settled_loaded_voltage_v(empty + (index + 0.5) * width, draw_w)
+            for index in range(_SLICES)
         )
         return total_v * width * self._capacity_c / 3600.0
 
-    def _cutoff_charge(self, draw_w: float) -> float:
+    def _charge_frac_at_cutoff(self, draw_w: float) -> float:
         """Charge at which the settled voltage under `draw_w` meets the cut-off (bisection)."""
         low, high = 0.0, self.charge_frac
-        if self.loaded_v(low, draw_w) >= self._cutoff_v:
+        if self.settled_loaded_voltage_v(low, draw_w) >= self._cutoff_v:
             return 0.0
         for _ in range(24):
             middle = 0.5 * (low + high)
-            if self.loaded_v(middle, draw_w) < self._cutoff_v:
+            if self.settled_loaded_voltage_v(middle, draw_w) < self._cutoff_v:
                 low = middle
             else:
                 high = middle
         return high
 
 
-def _current_a(source_v: float, ohm: float, power_w: float) -> float:
-    """The lesser root of V I - R I^2 = P; the current of greatest power where there is none."""
+def _current_for_power_a(source_v: float, ohm: float, power_w: float) -> float:
+    """Return the lesser root of V I - R I^2 = P, or the current of maximum power if there is no
+    root."""
     if ohm == 0.0:
         return power_w / source_v
     inside = source_v * source_v - 4.0 * ohm * power_w

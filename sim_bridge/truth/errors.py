@@ -2,4 +2,4 @@
 
 
 class TruthError(Exception):
-    """A mistake in the input: says where, what, and what was expected, in one line."""
+    """An invalid input; the one-line message states where, what, and what was expected."""

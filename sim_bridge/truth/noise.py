@@ -44,7 +44,7 @@ class WanderingBias:
         self.value = std * gauss()
         self._dt_s: float | None = None
 
-    def step(self, dt_s: float) -> float:
+    def advance_and_get_value(self, dt_s: float) -> float:
         if dt_s != self._dt_s:
             self._dt_s = dt_s
             self._keep = keep = math.exp(-dt_s / self._time_s)

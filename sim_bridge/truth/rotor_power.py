@@ -22,19 +22,19 @@ _NO_THRUST_N = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class RotorPowerParts:
-    """Shaft power in W by cause, all rotors. `useful_w` is F.v of the energy method."""
+    """Shaft power in W by cause, all rotors. `propulsive_w` is F.v of the energy method."""
 
     induced_w: float
     profile_w: float
-    useful_w: float
+    propulsive_w: float
 
     @property
     def shaft_w(self) -> float:
         """Rotors that drive their motors give nothing back to the battery: never negative."""
-        return max(self.induced_w + self.profile_w + self.useful_w, 0.0)
+        return max(self.induced_w + self.profile_w + self.propulsive_w, 0.0)
 
 
-def inflow_ratio(descent_ratio: float, inplane_ratio: float) -> float:
+def induced_velocity_ratio(descent_ratio: float, inplane_ratio: float) -> float:
     """Induced velocity over its hover value v_h; both speeds are also over v_h.
 
     `descent_ratio` is the speed along the rotor axis against the thrust (positive in descent),
@@ -54,12 +54,12 @@ def inflow_ratio(descent_ratio: float, inplane_ratio: float) -> float:
     else:
         x = 0.0  # windmill-brake branch: g is concave up to its least root
     for _ in range(30):
-        through = x - d
-        flow2 = mu2 + through * through
+        axial = x - d
+        flow2 = mu2 + axial * axial
         flow = math.sqrt(flow2)
         if flow == 0.0:
             break
-        step = (x * flow - 1.0) / (flow + x * through / flow)
+        step = (x * flow - 1.0) / (flow + x * axial / flow)
         x -= step
         if -1e-9 < step < 1e-9:
             break
@@ -91,25 +91,29 @@ class RotorSet:
         self._tip_speed_unit = 1.0 / math.sqrt(self._disk_density * params.thrust_coeff)
         self._profile_unit = self._disk_density * params.solidity * params.profile_drag_coeff / 8.0
 
-    def parts(self, thrust_n: float, airspeed_mps: float, useful_w: float) -> RotorPowerParts:
+    def shaft_power_parts(
+        self, thrust_n: float, airspeed_mps: float, propulsive_w: float
+    ) -> RotorPowerParts:
         """Shaft power by cause for a thrust, the speed through the air, and F.v (signed)."""
         if thrust_n < _NO_THRUST_N:
             return RotorPowerParts(0.0, 0.0, 0.0)
         hover_mps = math.sqrt(thrust_n / (2.0 * self._disk_density))
-        axial_mps = useful_w / thrust_n
+        axial_mps = propulsive_w / thrust_n
         inplane2 = airspeed_mps * airspeed_mps - axial_mps * axial_mps
         if inplane2 < 0.0:
             inplane2 = 0.0
-        ratio = inflow_ratio(-axial_mps / hover_mps, math.sqrt(inplane2) / hover_mps)
+        ratio = induced_velocity_ratio(-axial_mps / hover_mps, math.sqrt(inplane2) / hover_mps)
         tip_mps = self._tip_speed_unit * math.sqrt(thrust_n)
         advance2 = inplane2 / (tip_mps * tip_mps)
         return RotorPowerParts(
             induced_w=self._induced_factor * thrust_n * hover_mps * ratio,
             profile_w=self._profile_unit * tip_mps**3 * (1.0 + self._profile_speed * advance2),
-            useful_w=useful_w,
+            propulsive_w=propulsive_w,
         )
 
-    def electric_w(self, thrust_n: float, airspeed_mps: float, useful_w: float) -> float:
+    def electrical_power_w(
+        self, thrust_n: float, airspeed_mps: float, propulsive_w: float
+    ) -> float:
         """Power at the battery's terminals: shaft power through motors and ESCs, and avionics."""
-        shaft_w = self.parts(thrust_n, airspeed_mps, useful_w).shaft_w
+        shaft_w = self.shaft_power_parts(thrust_n, airspeed_mps, propulsive_w).shaft_w
         return shaft_w / self._efficiency + self._avionics_w

@@ -20,7 +20,7 @@ _SLOW_PERIOD_S = 0.1
 
 
 class SensorSuite:
-    """All sensors of one vehicle. Attitude biases are public: a real inner loop flies with them."""
+    """All sensors of one vehicle. Attitude biases are public: a real inner loop uses them."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class SensorSuite:
             )
         ]
         self._baro_drift = WanderingBias(params.baro_drift_m, params.baro_drift_time_s, gauss)
-        # Of a generator of its own: what the others draw stays as it was.
+        # A separate generator keeps the draws of the other sensors unchanged.
         warmth_c = params.board_warmth_c + params.board_warmth_std_c * rng.spawn(1)[0].normal()
         self.board_temperature_c = air_temperature_c + warmth_c
         self._accel_bias = [params.accel_bias_mps2 * gauss() for _ in range(3)]
@@ -82,7 +82,7 @@ class SensorSuite:
         self.voltage_failed = False
         self.current_failed = False
 
-    def knock(self, tilt_rad: float) -> None:
+    def add_attitude_bias(self, tilt_rad: float) -> None:
         """A fault: the attitude is off by this much in pitch and roll from now on (it decays)."""
         self._roll_bias.value += tilt_rad
         self._pitch_bias.value += tilt_rad
@@ -95,7 +95,7 @@ class SensorSuite:
     def pitch_bias_rad(self) -> float:
         return self._pitch_bias.value
 
-    def read(
+    def update_and_read_sensors(
         self,
         t_s: float,
         body: Airframe,
@@ -107,12 +107,12 @@ class SensorSuite:
     ) -> SensorReadings:
         """Readings at `t_s`; call it at every step, with rising time."""
         if _is_due(self._next_slow_s, t_s):
-            self._next_slow_s = _next_due(self._next_slow_s, t_s, _SLOW_PERIOD_S)
-            self._read_slow(body, battery)
+            self._next_slow_s = _next_due_s(self._next_slow_s, t_s, _SLOW_PERIOD_S)
+            self._sample_pressure_airspeed_and_battery(body, battery)
         if _is_due(self._next_fix_s, t_s):
-            self._next_fix_s = _next_due(self._next_fix_s, t_s, self._gnss_period_s)
-            self._take_fix(t_s, body)
-        pos, vel = self._receive_fix(t_s)
+            self._next_fix_s = _next_due_s(self._next_fix_s, t_s, self._gnss_period_s)
+            self._measure_and_queue_fix(t_s, body)
+        pos, vel = self._latest_received_fix(t_s)
         p, gauss = self._p, self._gauss
         fx, fy, fz = specific_force_frd_mps2
         bx, by, bz = self._accel_bias
@@ -143,11 +143,11 @@ class SensorSuite:
             parcel_aboard,
         )
 
-    def _read_slow(self, body: Airframe, battery: Battery) -> None:
+    def _sample_pressure_airspeed_and_battery(self, body: Airframe, battery: Battery) -> None:
         """Sensors polled at 10 Hz: pressures, voltage, current; and a step of every bias."""
         p, gauss = self._p, self._gauss
         for bias in (self._roll_bias, self._pitch_bias, self._baro_drift):
-            bias.step(_SLOW_PERIOD_S)
+            bias.advance_and_get_value(_SLOW_PERIOD_S)
         height_m = self._baro_drift.value - body.down_m
         self._pressure_pa = air_pressure_pa(self._depot_alt_amsl_m + height_m)
         if self._voltage_sensor and not self.voltage_failed:
@@ -159,20 +159,20 @@ class SensorSuite:
         else:
             self._current_a = None
         if self._pitot and not self.pitot_stuck:
-            self._airspeed_mps = self._read_pitot(body.forward_airspeed_mps)
+            self._airspeed_mps = self._measure_airspeed_mps(body.forward_airspeed_mps)
 
-    def _read_pitot(self, forward_mps: float) -> float:
+    def _measure_airspeed_mps(self, forward_mps: float) -> float:
         """Airspeed from dynamic pressure on the forward axis; from behind it reads 0."""
         ram = 0.0 if self.pitot_iced else max(forward_mps, 0.0)
         pressure_pa = 0.5 * self._density * ram * ram * self._pitot_gain
         pressure_pa += self._pitot_bias_pa + self._p.pitot_noise_pa * self._gauss()
         return math.sqrt(max(2.0 * pressure_pa / self._density, 0.0))
 
-    def _take_fix(self, t_s: float, body: Airframe) -> None:
-        """Measure; the receiver outputs it after its latency. Nothing during an outage."""
+    def _measure_and_queue_fix(self, t_s: float, body: Airframe) -> None:
+        """Measure a fix; the receiver outputs it after its latency. An outage gives no fix."""
         north, east, down = self._gnss_bias
         for bias in (north, east, down):
-            bias.step(self._gnss_period_s)
+            bias.advance_and_get_value(self._gnss_period_s)
         if self.gnss_outage:
             self._in_flight.clear()
             return
@@ -193,7 +193,7 @@ class SensorSuite:
             self._fix = (pos, vel)
         self._in_flight.append((t_s + self._p.gnss_latency_s, pos, vel))
 
-    def _receive_fix(self, t_s: float) -> tuple[Vec3, Vec3]:
+    def _latest_received_fix(self, t_s: float) -> tuple[Vec3, Vec3]:
         if not self.gnss_outage:
             while self._in_flight and self._in_flight[0][0] <= t_s + 1e-9:
                 _, pos, vel = self._in_flight.popleft()
@@ -202,11 +202,11 @@ class SensorSuite:
 
 
 def _is_due(due_s: float | None, t_s: float) -> bool:
-    """Whether a periodic reading is due; the first one (None) always is."""
+    """Return True if a periodic reading is due; the first reading (None) is always due."""
     return due_s is None or t_s >= due_s - 1e-9
 
 
-def _next_due(due_s: float | None, t_s: float, period_s: float) -> float:
+def _next_due_s(due_s: float | None, t_s: float, period_s: float) -> float:
     """When the next reading is due; one that comes late shifts those that follow."""
     earliest_s = t_s - 0.5 * period_s
     return (earliest_s if due_s is None else max(due_s, earliest_s)) + period_s

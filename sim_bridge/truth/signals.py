@@ -26,14 +26,14 @@ class Actuation:
 
 
 class SensorReadings(NamedTuple):  # made 100 times a second: a fifth of a frozen dataclass's time
-    """What the vehicle's sensors say, with their noise, bias and delay.
+    """Readings of the vehicle's sensors, with noise, bias and delay.
 
-    Positions and velocities are NED about the depot's ground point, as GNSS gave them last
-    (10 Hz, late by the receiver's latency, held over an outage). `accel_frd_mps2` is the
-    specific force in body axes (forward, right, down). `airspeed_mps` is a pitot on the forward
-    axis, `None` without one; `voltage_v` and `current_a` are `None` where there is no sensor.
-    `temperature_c` is the pack's; `board_temperature_c` is what the barometer's own thermometer
-    reads, which is warmer than the air.
+    Positions and velocities are NED about the depot's ground point, from the latest GNSS fix (10
+    Hz, delayed by the receiver's latency, held during an outage). `accel_frd_mps2` is the specific
+    force in body axes (forward, right, down). `airspeed_mps` is from a pitot on the forward axis,
+    `None` without one; `voltage_v` and `current_a` are `None` without a sensor. `temperature_c` is
+    the pack's; `board_temperature_c` is from the barometer's own thermometer, which is warmer than
+    the air.
     """
 
     t_s: float
@@ -60,9 +60,9 @@ class SensorReadings(NamedTuple):  # made 100 times a second: a fifth of a froze
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The true state. For judging and drawing; never for an autopilot or a companion.
+    """The true state, for evaluation and display; never for an autopilot or a companion.
 
-    `usable_wh` is what the battery could still deliver until cut-off at the power of a hover
+    `usable_wh` is the energy that the battery can deliver until cut-off at the power of a hover
     without parcel (the reference draw). `airborne` is false while any weight is on the ground.
     """
 

@@ -18,12 +18,12 @@ from sim_bridge.truth.terrain import PlaneTerrain, Terrain
 from sim_bridge.truth.wind_field import WindField
 
 _NOMINAL_CELL_V = 3.8  # static_thrust_max_n belongs to it; see battery.py
-_TIPPED_RAD = math.radians(50.0)  # touching the ground at such a tilt breaks rotors
+_TIPPED_TILT_RAD = math.radians(50.0)  # touching the ground at such a tilt breaks rotors
 _STANDING_SHARE = 0.3  # share of weight on the gear that levels the airframe
 
 
 class AttitudeCommand(Protocol):
-    """What `signals.Actuation` has; an autopilot may bring a class of its own."""
+    """Interface of `signals.Actuation`; an autopilot may provide its own class."""
 
     @property
     def roll_rad(self) -> float: ...
@@ -40,12 +40,12 @@ class AttitudeCommand(Protocol):
 
 
 class Vehicle:
-    """A vehicle that stands on the ground until it is flown. Time starts at 0.
+    """A vehicle, initially on the ground. Time starts at 0.
 
-    Faults to set: `release_fails` (the gripper is stuck), `draw_factor` (ice, a worn motor: so many
-    times the power for the same flight), `drag_factor` (ice, a torn hood), `yaw_spin_rps` (it turns
-    whatever the autopilot asks), those of `sensors` and `battery`, and `fail_motors()`. Losing the
-    battery or hitting the ground hard stops the motors for good.
+    Faults to set: `release_fails` (gripper stuck), `draw_factor` (ice, a worn motor: ratio of
+    electric power to normal), `drag_factor` (ice, a torn hood), `yaw_spin_rps` (rotation
+    independent of the autopilot's commands), those of `sensors` and `battery`, and `fail_motors()`.
+    A lost battery or a hard impact stops the motors permanently.
     """
 
     def __init__(
@@ -67,11 +67,12 @@ class Vehicle:
         voltage_sensor: bool = True,
         current_sensor: bool = True,
     ) -> None:
-        """`start_ne_m` is about the depot; `rng` drives the sensors (the wind has its own).
+        """Start at `start_ne_m` relative to the depot; `rng` drives the sensors (the wind has its
+        own).
 
-        `temperature_c` is the pack's, and the air's unless `air_temperature_c` says otherwise.
+        `temperature_c` is that of the pack, and of the air unless `air_temperature_c` is given.
         """
-        _check_payload(payload_kg, params)
+        _raise_if_payload_invalid(payload_kg, params)
         self._params = params
         self._wind = wind
         self._terrain = terrain or PlaneTerrain()
@@ -79,7 +80,7 @@ class Vehicle:
         self._density = air_density_kgpm3(depot_alt_amsl_m, air_c)
         self._body = Airframe(params)
         self._body.north_m, self._body.east_m = start_ne_m
-        self._body.down_m = -self._terrain.up_m(*start_ne_m)
+        self._body.down_m = -self._terrain.height_above_depot_m(*start_ne_m)
         self._body.yaw_rad = start_yaw_rad
         self._rotors = RotorSet(params.rotors, self._density)
         self._battery = Battery(
@@ -112,7 +113,7 @@ class Vehicle:
 
     @property
     def drag_factor(self) -> float:
-        """So many times the drag of a clean airframe."""
+        """Ratio of drag to that of a clean airframe."""
         return self._body.drag_factor
 
     @drag_factor.setter
@@ -121,7 +122,7 @@ class Vehicle:
 
     @property
     def battery(self) -> Battery:
-        """The true pack, for judging."""
+        """The true pack, for evaluation."""
         return self._battery
 
     @property
@@ -131,11 +132,11 @@ class Vehicle:
 
     @property
     def density_kgpm3(self) -> float:
-        """Of the air that it flies in."""
+        """Air density at the vehicle's position."""
         return self._density
 
     @property
-    def reference_draw_w(self) -> float:
+    def hover_power_without_parcel_w(self) -> float:
         """Hover power without parcel in this air: the draw that `Truth.usable_wh` assumes."""
         return self._reference_draw_w
 
@@ -146,7 +147,9 @@ class Vehicle:
     @property
     def height_m(self) -> float:
         """Height above the ground below."""
-        return -self._body.down_m - self._terrain.up_m(self._body.north_m, self._body.east_m)
+        return -self._body.down_m - self._terrain.height_above_depot_m(
+            self._body.north_m, self._body.east_m
+        )
 
     @property
     def pos_ned_m(self) -> Vec3:
@@ -155,54 +158,56 @@ class Vehicle:
 
     @property
     def is_airborne(self) -> bool:
-        """As `Truth.airborne`."""
+        """Return `Truth.airborne`."""
         return not self._touching
 
     @property
     def is_crashed(self) -> bool:
-        """As `Truth.crashed`."""
+        """Return `Truth.crashed`."""
         return self._crashed
 
     @property
     def parcel_aboard(self) -> bool:
-        """As `Truth.parcel_aboard`."""
+        """Return `Truth.parcel_aboard`."""
         return self._payload_kg > 0.0
 
-    def load(self, payload_kg: float) -> None:
-        """Put another parcel on it, or none (0). Raises TruthError in the air, or if too heavy."""
+    def load_parcel(self, payload_kg: float) -> None:
+        """Load another parcel, or none (0). Raises TruthError in the air, or if too heavy."""
         if self.is_airborne:
             raise TruthError(f"load: {self._params.name} is in the air, expected on the ground")
-        _check_payload(payload_kg, self._params)
+        _raise_if_payload_invalid(payload_kg, self._params)
         self._payload_kg = payload_kg
 
     def fail_motors(self) -> None:
-        """Take the motors away, for good."""
+        """Fail the motors permanently."""
         self._motors_failed = True
 
-    def step(self, actuation: AttitudeCommand, dt_s: float) -> SensorReadings:
-        """Advance the world by `dt_s` under one command; returns what the sensors then say."""
+    def advance_and_read_sensors(self, actuation: AttitudeCommand, dt_s: float) -> SensorReadings:
+        """Advance the world by `dt_s` under one command; return the sensor readings."""
         body = self._body
         self._t_s += dt_s
-        self._wind_to_ned = self._wind.step(self._t_s, dt_s, self.height_m, body.airspeed_mps)
-        self._release(actuation)
+        self._wind_to_ned = self._wind.advance_and_get_wind_ned_mps(
+            self._t_s, dt_s, self.height_m, body.airspeed_mps
+        )
+        self._release_parcel_if_commanded(actuation)
         before = (body.north_mps, body.east_mps, body.down_mps)
-        self._fly(actuation, dt_s)
-        self._meet_ground(before, dt_s)
-        self._draw_power(dt_s)
-        return self.sensors.read(
+        self._advance_attitude_and_motion(actuation, dt_s)
+        self._apply_ground_contact_or_crash(before, dt_s)
+        self._discharge_battery(dt_s)
+        return self.sensors.update_and_read_sensors(
             self._t_s,
             body,
-            self._specific_force(before, dt_s),
+            self._specific_force_frd_mps2(before, dt_s),
             self._battery,
             touching_ground=self._touching,
             parcel_aboard=self._payload_kg > 0.0,
         )
 
-    def _release(self, actuation: AttitudeCommand) -> None:
+    def _release_parcel_if_commanded(self, actuation: AttitudeCommand) -> None:
         if actuation.release and self._payload_kg > 0.0 and not self.release_fails:
             self._payload_kg = 0.0
 
-    def _fly(self, actuation: AttitudeCommand, dt_s: float) -> None:
+    def _advance_attitude_and_motion(self, actuation: AttitudeCommand, dt_s: float) -> None:
         body = self._body
         powered = actuation.motors_on and not self._motors_failed
         thrust_n = 0.0
@@ -211,8 +216,8 @@ class Vehicle:
             rise = self._battery.voltage_v / self._nominal_v
             share = min(max(actuation.thrust_frac, 0.0), 1.0)
             thrust_n = share * self._params.rotors.static_thrust_max_n * rise * rise
-            # An autopilot flies its own idea of attitude to the set-point, bias and all.
-            body.lean(
+            # An autopilot controls its estimated attitude to the set-point, including the bias.
+            body.advance_attitude_towards_setpoint(
                 actuation.roll_rad - self.sensors.roll_bias_rad,
                 actuation.pitch_rad - self.sensors.pitch_bias_rad,
                 actuation.yaw_rad - self.sensors.heading_bias_rad,
@@ -220,26 +225,28 @@ class Vehicle:
                 self.yaw_spin_rps,
             )
         elif not self._touching:
-            body.tumble(dt_s)
+            body.advance_uncontrolled_attitude(dt_s)
         parcel_m2 = self._params.drag.parcel_area_m2 if self._payload_kg > 0.0 else 0.0
-        body.move(thrust_n, self.mass_kg, self._wind_to_ned, self._density, parcel_m2, dt_s)
+        body.integrate_motion(
+            thrust_n, self.mass_kg, self._wind_to_ned, self._density, parcel_m2, dt_s
+        )
 
-    def _meet_ground(self, before: Vec3, dt_s: float) -> None:
+    def _apply_ground_contact_or_crash(self, previous_vel_ned_mps: Vec3, dt_s: float) -> None:
         """Rest on the ground, stop by friction, or crash on it."""
         body = self._body
-        ground_down = -self._terrain.up_m(body.north_m, body.east_m)
+        ground_down = -self._terrain.height_above_depot_m(body.north_m, body.east_m)
         if body.down_m < ground_down:
             self._touching = False
             return
-        if not self._touching and self._hits_hard(before, ground_down, dt_s):
+        if not self._touching and self._is_crash_impact(previous_vel_ned_mps, ground_down, dt_s):
             self._crashed = True
             self._motors_failed = True
         self._touching = True
         body.down_m = ground_down
         body.down_mps = 0.0
         weight_n = self.mass_kg * GRAVITY_MPS2
-        carried_n = body.thrust_n * math.cos(body.roll_rad) * math.cos(body.pitch_rad)
-        borne_n = max(weight_n - carried_n, 0.0)
+        lift_n = body.thrust_n * math.cos(body.roll_rad) * math.cos(body.pitch_rad)
+        borne_n = max(weight_n - lift_n, 0.0)
         drift = math.hypot(body.north_mps, body.east_mps)
         loss = self._params.ground.friction_coeff * borne_n / self.mass_kg * dt_s
         if loss < drift:
@@ -249,32 +256,38 @@ class Vehicle:
             body.north_m -= body.north_mps * dt_s
             body.east_m -= body.east_mps * dt_s
             body.north_mps = body.east_mps = 0.0
-            body.down_m = -self._terrain.up_m(body.north_m, body.east_m)
+            body.down_m = -self._terrain.height_above_depot_m(body.north_m, body.east_m)
         if borne_n > _STANDING_SHARE * weight_n and not self._crashed:
-            body.stand()
+            body.level_attitude_and_stop_rotation()
 
-    def _hits_hard(self, before: Vec3, ground_down: float, dt_s: float) -> bool:
+    def _is_crash_impact(
+        self, previous_vel_ned_mps: Vec3, ground_down_m: float, dt_s: float
+    ) -> bool:
         body, gear = self._body, self._params.ground
-        north, east, _ = before
-        passed = -self._terrain.up_m(body.north_m - north * dt_s, body.east_m - east * dt_s)
-        sink = body.down_mps - (ground_down - passed) / dt_s
+        north, east, _ = previous_vel_ned_mps
+        passed = -self._terrain.height_above_depot_m(
+            body.north_m - north * dt_s, body.east_m - east * dt_s
+        )
+        sink = body.down_mps - (ground_down_m - passed) / dt_s
         drift = math.hypot(body.north_mps, body.east_mps)
         tilt = math.hypot(body.roll_rad, body.pitch_rad)
-        return sink > gear.crash_sink_mps or drift > gear.crash_drift_mps or tilt > _TIPPED_RAD
+        return sink > gear.crash_sink_mps or drift > gear.crash_drift_mps or tilt > _TIPPED_TILT_RAD
 
-    def _draw_power(self, dt_s: float) -> None:
+    def _discharge_battery(self, dt_s: float) -> None:
         body = self._body
-        power_w = self._rotors.electric_w(body.thrust_n, body.airspeed_mps, body.useful_w)
-        self._battery.step(self.draw_factor * power_w, dt_s)
+        power_w = self._rotors.electrical_power_w(
+            body.thrust_n, body.airspeed_mps, body.propulsive_w
+        )
+        self._battery.discharge_at_power(self.draw_factor * power_w, dt_s)
         if self._battery.cut_off:
             self._motors_failed = True
 
-    def _specific_force(self, before: Vec3, dt_s: float) -> Vec3:
-        """What accelerometers measure: acceleration without gravity, in body axes."""
+    def _specific_force_frd_mps2(self, previous_vel_ned_mps: Vec3, dt_s: float) -> Vec3:
+        """Compute the accelerometer measurement: acceleration minus gravity, in body axes."""
         body = self._body
-        north = (body.north_mps - before[0]) / dt_s
-        east = (body.east_mps - before[1]) / dt_s
-        down = (body.down_mps - before[2]) / dt_s - GRAVITY_MPS2
+        north = (body.north_mps - previous_vel_ned_mps[0]) / dt_s
+        east = (body.east_mps - previous_vel_ned_mps[1]) / dt_s
+        down = (body.down_mps - previous_vel_ned_mps[2]) / dt_s - GRAVITY_MPS2
         sr, cr = math.sin(body.roll_rad), math.cos(body.roll_rad)
         sp, cp = math.sin(body.pitch_rad), math.cos(body.pitch_rad)
         sy, cy = math.sin(body.yaw_rad), math.cos(body.yaw_rad)
@@ -306,7 +319,7 @@ class Vehicle:
         )
 
 
-def _check_payload(payload_kg: float, params: AirframeTruth) -> None:
+def _raise_if_payload_invalid(payload_kg: float, params: AirframeTruth) -> None:
     if not 0.0 <= payload_kg <= params.max_payload_kg:
         raise TruthError(
             f"payload_kg = {payload_kg:g}: expected 0 to {params.max_payload_kg:g} for"

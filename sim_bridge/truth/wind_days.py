@@ -22,33 +22,33 @@ EDDY_LENGTH_M = 180.0
 
 @dataclass(frozen=True, slots=True)
 class DayProcess:
-    """One day: the mean vector, and the parts' standard deviations (m/s) and memories (s)."""
+    """One day: mean vector; standard deviations (m/s) and correlation times (s) of the parts."""
 
     mean_ne_mps: tuple[float, float]
     std_mps: tuple[float, float, float]
-    memory_s: tuple[float, float, float]
+    correlation_s: tuple[float, float, float]
 
 
-def day_process(mean_mps: float, rng: np.random.Generator) -> DayProcess:
+def draw_day_process(mean_mps: float, rng: np.random.Generator) -> DayProcess:
     """A day's process about a site's mean wind speed."""
     speed = mean_mps * float(rng.uniform(0.75, 1.25))
-    towards = float(rng.uniform(0.0, 2.0 * math.pi))
+    direction_rad = float(rng.uniform(0.0, 2.0 * math.pi))
     return DayProcess(
-        mean_ne_mps=(speed * math.cos(towards), speed * math.sin(towards)),
+        mean_ne_mps=(speed * math.cos(direction_rad), speed * math.sin(direction_rad)),
         std_mps=(0.10 * speed, 0.09 * speed, 0.165 * speed),
-        memory_s=(1200.0, 180.0, EDDY_LENGTH_M / speed),
+        correlation_s=(1200.0, 180.0, EDDY_LENGTH_M / speed),
     )
 
 
-def day_of_wind(process: DayProcess, seconds: int, rng: np.random.Generator) -> Floats:
+def draw_day_wind_series(process: DayProcess, seconds: int, rng: np.random.Generator) -> Floats:
     """Wind vector (direction it blows TO), north and east, at every second: (seconds + 1, 2)."""
     wind = np.tile(np.array(process.mean_ne_mps), (seconds + 1, 1))
-    for std, memory in zip(process.std_mps, process.memory_s, strict=True):
-        wind += std * _unit_process(seconds, memory, rng)
+    for std, memory in zip(process.std_mps, process.correlation_s, strict=True):
+        wind += std * _draw_unit_variance_process(seconds, memory, rng)
     return wind
 
 
-def _unit_process(seconds: int, memory_s: float, rng: np.random.Generator) -> Floats:
+def _draw_unit_variance_process(seconds: int, memory_s: float, rng: np.random.Generator) -> Floats:
     """An Ornstein-Uhlenbeck process of unit variance on both axes, exact at whole seconds."""
     keep = math.exp(-1.0 / memory_s)
     noise = math.sqrt(1.0 - keep * keep) * rng.standard_normal((seconds + 1, 2))

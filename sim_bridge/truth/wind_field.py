@@ -14,14 +14,14 @@ from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.wind_log import WindLog, wind_to_ne_mps
 
 _HEIGHT_20FT_M = 6.096
-_LEAST_PROFILE_HEIGHT_M = 1.0
+_MIN_PROFILE_HEIGHT_M = 1.0
 
 
 class MeanWind(Protocol):
     """Wind at the reference height as a function of time."""
 
     def to_ne_mps(self, t_s: float) -> tuple[float, float]:
-        """Where the air moves to, north and east."""
+        """Return the direction and speed of air motion, north and east."""
         ...
 
 
@@ -38,10 +38,10 @@ class SteadyWind:
 
 
 class RampedWind:
-    """Ramps and veers: speed and direction linear in time between points, held outside them.
+    """Wind with speed and direction linear in time between points, constant outside them.
 
-    Points are (t_s, speed_mps, from_deg). Directions are interpolated as the numbers stand, so
-    350 to 370 veers by 20 degrees through north, and 350 to 10 backs by 340.
+    Points are (t_s, speed_mps, from_deg). Directions are interpolated numerically: 350 to 370 veers
+    by 20 degrees through north, and 350 to 10 backs by 340.
     """
 
     __slots__ = ("_points", "_times")
@@ -122,18 +122,18 @@ class WindField:
         self._reference_m = reference_height_m
         self._turbulence = turbulence
 
-    def _profile(self, height_m: float) -> float:
+    def _height_factor(self, height_m: float) -> float:
         if self._exponent == 0.0:
             return 1.0
-        return (max(height_m, _LEAST_PROFILE_HEIGHT_M) / self._reference_m) ** self._exponent
+        return (max(height_m, _MIN_PROFILE_HEIGHT_M) / self._reference_m) ** self._exponent
 
-    def mean_to_ne_mps(self, t_s: float, height_m: float) -> tuple[float, float]:
+    def mean_wind_to_ne_mps(self, t_s: float, height_m: float) -> tuple[float, float]:
         """Mean wind at a height above ground, without gusts (for perfect knowledge)."""
         north, east = self._mean.to_ne_mps(t_s)
-        factor = self._profile(height_m)
+        factor = self._height_factor(height_m)
         return north * factor, east * factor
 
-    def step(
+    def advance_and_get_wind_ned_mps(
         self, t_s: float, dt_s: float, height_m: float, airspeed_mps: float
     ) -> tuple[float, float, float]:
         """Wind to north, east and down at the vehicle, gusts advanced by `dt_s`.
@@ -143,19 +143,21 @@ class WindField:
         mean_north, mean_east = self._mean.to_ne_mps(t_s)
         reference_north = mean_north + self.front_to_ne_mps[0]
         reference_east = mean_east + self.front_to_ne_mps[1]
-        factor = self._profile(height_m)
+        factor = self._height_factor(height_m)
         north, east = reference_north * factor, reference_east * factor
         if self._turbulence is None:
             return north, east, 0.0
         reference_mps = math.hypot(reference_north, reference_east)
-        at_20ft_mps = reference_mps * self._profile(_HEIGHT_20FT_M)
-        along, across, down = self._turbulence.step(dt_s, height_m, at_20ft_mps, airspeed_mps)
+        at_20ft_mps = reference_mps * self._height_factor(_HEIGHT_20FT_M)
+        longitudinal, across, down = self._turbulence.advance_and_get_gust_mps(
+            dt_s, height_m, at_20ft_mps, airspeed_mps
+        )
         if reference_mps > 0.0:
             cos_to, sin_to = reference_north / reference_mps, reference_east / reference_mps
         else:
             cos_to, sin_to = 1.0, 0.0
         return (
-            north + along * cos_to - across * sin_to,
-            east + along * sin_to + across * cos_to,
+            north + longitudinal * cos_to - across * sin_to,
+            east + longitudinal * sin_to + across * cos_to,
             down,
         )

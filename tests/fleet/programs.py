@@ -1,4 +1,4 @@
-"""`ground-station` as a person starts it: a process, whose words are read as they come."""
+"""`ground-station` as a process on a terminal, whose output is read continuously."""
 
 import os
 import signal
@@ -14,15 +14,15 @@ from companion.adapters.files.params import params_dir
 from ground_station.adapters.clock import monotonic_s
 
 PATIENCE_S = 120.0
-"""A desk loads for 2 s, on a machine that nobody else uses."""
+"""A desk loads for 2 s on an idle machine."""
 
 
 MAIN = "from ground_station.app.cli.main import main; main()"
 
 
 class Program:
-    """One process at a terminal of its own. `words`: all that it has written there. `before`:
-    Python that it runs first, to take a guard out.
+    """One process on a terminal of its own. `words`: its output so far. `before`: Python code that
+    it runs first, to remove a guard.
     """
 
     def __init__(self, *arguments: str | Path, before: str = "") -> None:
@@ -33,19 +33,19 @@ class Program:
         )
         os.close(inside)
         self.words = b""
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+        self._reader_by_file_content = threading.Thread(target=self._read, daemon=True)
+        self._reader_by_file_content.start()
 
     def _read(self) -> None:
         try:
             while part := os.read(self._terminal, 65536):
                 self.words += part
-        except OSError:  # its other end is closed
+        except OSError:  # the other end is closed
             pass
         os.close(self._terminal)
 
     def said(self, words: str) -> str:
-        """The first line with these words, once it is there."""
+        """Wait for the first output line that contains this text, and return it."""
         limit_s = monotonic_s() + PATIENCE_S
         while True:
             found = [x for x in self.words.decode(errors="replace").splitlines() if words in x]
@@ -55,16 +55,16 @@ class Program:
             time.sleep(0.05)
 
     def end(self, with_signal: int = signal.SIGTERM) -> int:
-        """Its exit code, once all that it wrote is read."""
-        self.process.send_signal(with_signal)  # to one that has ended: nothing
+        """Signal the process; return its exit code after all output is read."""
+        self.process.send_signal(with_signal)  # no effect if it has already exited
         code = self.process.wait(PATIENCE_S)
-        self._reader.join(PATIENCE_S)
+        self._reader_by_file_content.join(PATIENCE_S)
         return code
 
 
 @contextmanager
 def program(*arguments: str | Path, before: str = "") -> Iterator[Program]:
-    """One that is killed at the end, if it still runs."""
+    """Run a process and kill it at the end if it still runs."""
     started = Program(*arguments, before=before)
     try:
         yield started
@@ -77,7 +77,7 @@ DAYS = params_dir() / "days"
 
 
 def short_day(folder: Path) -> Path:
-    """Harbour's, with one order: a desk looks at each before it begins."""
+    """Write Harbour's day with one order only: a desk checks each order before it starts."""
     header, first, *_ = (DAYS / "harbour_orders.csv").read_text().splitlines()
     (folder / "harbour_orders.csv").write_text(f"{header}\n{first}\n")
     text = (DAYS / "harbour.toml").read_text()

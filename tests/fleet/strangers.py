@@ -1,4 +1,4 @@
-"""What attacks share: a network whose router is the attacker's, what is heard on it, forgeries."""
+"""Shared parts of attack tests: a network with the attacker's router, receivers and forgeries."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -11,24 +11,25 @@ import msgspec
 import pytest
 import zenoh
 
-from companion.fleet.envelope import read_envelope
-from companion.fleet.messages import Command, Refused, Result, SetLimits, State, encode
+from companion.fleet.envelope import decode_envelope
+from companion.fleet.messages import Command, Refused, Result, SetLimits, encode_message
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.trust import SignedCommand, Trust
+from companion.fleet.trust import MemberTrust, SignedCommand
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
-from ground_station.core.fleet.fleet_link import CommandAnswered, FleetInput, StateReceived
+from ground_station.core.fleet.fleet_link import CommandResponse, FleetInput, StateReceived
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.zenoh_net import CELL, FLEET, Vehicle, config_file, free_port
+from tests.ground_station.desk_parts import a_state
 
 PATIENCE_S = 20.0
 KEPT_OUT_S = 1.5
-"""Who is let in is in within 0.3 s here."""
+"""An accepted member connects within 0.3 s here."""
 
 GUARD = pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: succeeds"])
 
 
-def trust_of(site: SecureSite, name: str) -> Trust:
+def trust_of(site: SecureSite, name: str) -> MemberTrust:
     return site.identity(name).trust
 
 
@@ -42,14 +43,19 @@ def hears(fleet: ZenohFleet, wanted: Callable[[FleetInput], Any], wait_s: float)
     return None
 
 
-def answered(heard: FleetInput) -> CommandAnswered | None:
-    return heard if isinstance(heard, CommandAnswered) else None
+def answered(heard: FleetInput) -> CommandResponse | None:
+    return heard if isinstance(heard, CommandResponse) else None
 
 
 def limits(vehicle: Vehicle, id_: str = "c1", **more: Any) -> Command:
     port = vehicle.port
-    told = {"id": id_, "vehicle": port.vehicle, "life": port.life, "as_of_s": port.uptime_s}
-    return Command(**{**told, "by": "desk", "deed": SetLimits(max_loss=0.1), **more})
+    told = {
+        "id": id_,
+        "vehicle": port.member.vehicle,
+        "instance_id": port.member.instance_id,
+        "as_of_s": port.member.uptime_s,
+    }
+    return Command(**{**told, "by": "desk", "action": SetLimits(max_loss=0.1), **more})
 
 
 @dataclass(slots=True)
@@ -62,18 +68,18 @@ class Plain:
     rogue: zenoh.Session
 
     def put(self, kind: str, raw: bytes, vehicle: str = "d1") -> None:
-        """None is dropped on the way: what was put last is what d1 has last."""
+        """Publish without drops: the last message published is the last that d1 receives."""
         kind = f"track/{CELL}" if kind == "track" else kind
         key = f"leeway/{FLEET}/vehicle/{vehicle}/{kind}"
         self.rogue.put(key, raw, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def ask(self, payload: bytes) -> Result:
-        """What d1 answers to these bytes as a command, once the attacker's line to it stands."""
-        key, limit_s = VehicleKeys(FLEET, "d1").command, monotonic_s() + PATIENCE_S
+        """Return d1's reply to these bytes as a command, once the attacker is connected to it."""
+        key, limit_s = VehicleKeys(FLEET, "d1").command_key, monotonic_s() + PATIENCE_S
         while monotonic_s() < limit_s:
             for reply in self.rogue.get(key, payload=payload, timeout=PATIENCE_S):
                 assert reply.ok is not None
-                envelope = read_envelope("result", reply.ok.payload.to_bytes())
+                envelope = decode_envelope("result", reply.ok.payload.to_bytes())
                 assert not isinstance(envelope, Refused)
                 return decoded(envelope.message)
         raise AssertionError("no answer")
@@ -84,9 +90,9 @@ def decoded(raw: bytes) -> Result:
 
 
 def wait_for_listener(session: zenoh.Session, cell: str) -> None:
-    """Somebody listens to the tracks of this cell."""
+    """Wait for a subscriber to the tracks of this cell."""
     limit_s = monotonic_s() + PATIENCE_S
-    publisher = session.declare_publisher(VehicleKeys(FLEET, "d2").track(cell))
+    publisher = session.declare_publisher(VehicleKeys(FLEET, "d2").track_key(cell))
     while not publisher.matching_status.matching:
         assert monotonic_s() < limit_s
     publisher.undeclare()
@@ -94,7 +100,7 @@ def wait_for_listener(session: zenoh.Session, cell: str) -> None:
 
 @contextmanager
 def plain_network(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
-    """Desk and d1 on it."""
+    """Start a desk and d1 on a network with the attacker's router."""
     port = free_port()
     router = {"mode": "router", "scouting": {"multicast": {"enabled": False}, "delay": 0}}
     router["listen"] = {"endpoints": [f"tcp/127.0.0.1:{port}"]}
@@ -113,31 +119,19 @@ def plain_network(site: SecureSite, tmp_path: Path) -> Iterator[Plain]:
 
 
 def believe_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The guard taken out: whatever lies in an envelope is believed."""
+    """Remove the guard: the content of every envelope is accepted."""
 
-    def told(self: Trust, kind: str, raw: bytes, speaker: str | None, *_: object) -> bytes:
-        envelope = read_envelope(kind, raw)
+    def told(self: MemberTrust, kind: str, raw: bytes, speaker: str | None, *_: object) -> bytes:
+        envelope = decode_envelope(kind, raw)
         assert not isinstance(envelope, Refused)
         return envelope.message
 
-    def commanded(self: Trust, raw: bytes) -> SignedCommand:
+    def commanded(self: MemberTrust, raw: bytes) -> SignedCommand:
         return SignedCommand(told(self, "command", raw, None), "somebody")
 
-    monkeypatch.setattr(Trust, "told", told)
-    monkeypatch.setattr(Trust, "commanded", commanded)
+    monkeypatch.setattr(MemberTrust, "verify_message_of_signer", told)
+    monkeypatch.setattr(MemberTrust, "verify_command", commanded)
 
 
 def forged_state() -> bytes:
-    return encode(
-        State(
-            vehicle="d1",
-            life="forged",
-            uptime_s=1.0,
-            epoch_us=0,
-            airframe="m100",
-            max_payload_kg=1.0,
-            phase="standby",
-            log="l",
-            last_seq=0,
-        )
-    )
+    return encode_message(a_state(instance_id="forged", uptime_s=1.0))

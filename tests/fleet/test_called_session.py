@@ -1,4 +1,4 @@
-"""Rosters and certificates that come while a desk or router runs, over live TLS on loopback."""
+"""Rosters and certificates that change while a desk or router runs, over live TLS on loopback."""
 
 import socket
 import ssl
@@ -11,10 +11,10 @@ import pytest
 import zenoh
 from cryptography import x509
 
-from companion.fleet.zenoh_config import read_config
-from ground_station.adapters.called_session import REST_S, CalledSession
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
+from ground_station.adapters.called_session import MIN_REOPEN_INTERVAL_S, ServerSession
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.adapters.pki.pki_folder import utc_at
+from ground_station.adapters.pki.pki_folder import utc_datetime
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.adapters.zenoh_router import ZenohRouter
 from ground_station.core.fleet.fleet_link import FleetInput, StateReceived
@@ -29,13 +29,13 @@ FOLLOWS = pytest.mark.parametrize("follows", [True, False], ids=["follows", "can
 
 
 class Running:
-    """A desk and what its vehicles call, turned together."""
+    """A desk and its router, if any, updated together."""
 
     def __init__(self, site: SecureSite, stack: ExitStack, said: list[str]) -> None:
         self.site = site
         self.router: ZenohRouter | None = None
-        if "r1" in site.pki.roster.by_name:
-            opened = ZenohRouter.open(site.home("r1"), said.append, None, said.append)
+        if "r1" in site.pki.roster.member_by_name:
+            opened = ZenohRouter.open_router(site.home("r1"), said.append, said.append)
             self.router = stack.enter_context(closing(opened))
         self.desk: ZenohFleet = stack.enter_context(closing(site.person("desk")))
 
@@ -49,17 +49,17 @@ class Running:
 
     def turn(self) -> list[FleetInput]:
         if self.router is not None:
-            self.router.turn(monotonic_s())
+            self.router.accept_roster_and_reopen_if_stale(monotonic_s())
         return self.desk.receive(0.05)
 
     def hears(self, vehicle: Vehicle, wait_s: float = PATIENCE_S) -> bool:
-        """Whether a new state of this life comes."""
-        from_s, life = vehicle.port.uptime_s, vehicle.port.life
+        """Return whether the desk receives a newer state of this life."""
+        from_s, life = vehicle.port.member.uptime_s, vehicle.port.member.instance_id
         limit_s = monotonic_s() + wait_s
         while monotonic_s() < limit_s:
             for heard in self.turn():
                 state = heard.state if isinstance(heard, StateReceived) else None
-                if state is not None and state.life == life and state.uptime_s > from_s:
+                if state is not None and state.instance_id == life and state.uptime_s > from_s:
                     return True
         return False
 
@@ -72,9 +72,10 @@ def running(called: str, folder: Path, said: list[str] | None = None) -> Iterato
 
 
 def stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(CalledSession, "is_old", lambda self, now_s: False)
+    monkeypatch.setattr(ServerSession, "poll_and_check_if_reopen_due", lambda self, now_s: False)
 
 
+@pytest.mark.sample
 @DRAWN
 @BY_WHOM
 @FOLLOWS
@@ -85,13 +86,13 @@ def test_who_is_revoked_hears_nothing_any_more(tmp_path, monkeypatch, called, fo
     with (
         running(called, tmp_path) as fleet,
         closing(fleet.site.vehicle("d1", tmp_path / "d1")) as d1,
-        zenoh.open(read_config(fleet.site.home("otto") / "zenoh.json5")) as otto,
+        zenoh.open(read_and_check_zenoh_config(fleet.site.home("otto") / "zenoh.json5")) as otto,
     ):
         spy = otto.declare_subscriber(
             f"leeway/{FLEET}/vehicle/*/state", lambda sample: seen.append(monotonic_s())
         )
         assert fleet.until(lambda: bool(seen)), "canary: a viewer hears states"
-        fleet.site.pki.revoke("otto")
+        fleet.site.pki.revoke_members("otto")
         if follows:
             assert fleet.until(lambda: seen[-1] < monotonic_s() - KEPT_OUT_S)
         assert fleet.hears(d1)
@@ -100,6 +101,7 @@ def test_who_is_revoked_hears_nothing_any_more(tmp_path, monkeypatch, called, fo
         spy.undeclare()
 
 
+@pytest.mark.sample
 @DRAWN
 @BY_WHOM
 @FOLLOWS
@@ -114,21 +116,21 @@ def test_a_member_that_is_added_joins_what_runs(tmp_path, monkeypatch, called, f
         closing(fleet.site.vehicle("d1", tmp_path / "d1")) as d1,
     ):
         assert fleet.hears(d1)
-        fleet.site.pki.add("d3", Role.VEHICLE, 365, "")
+        fleet.site.pki.add_member("d3", Role.VEHICLE, 365, "")
         with closing(fleet.site.vehicle("d3", tmp_path / "d3")) as d3:
             assert fleet.hears(d3, PATIENCE_S if follows else KEPT_OUT_S) is follows
         assert fleet.hears(d1)
     number = fleet.site.pki.roster.number
-    words = [f"opened anew for roster {number}: all who are joined call again"]
+    words = [f"session reopened for roster {number}: members reconnect"]
     assert said == (words if called == "router" and follows else [])
 
 
 def shown_end(site: SecureSite, name: str) -> float:
-    """When the certificate ends that this member shows to d1."""
+    """Return the expiry time of the certificate that this member presents to d1."""
     context = ssl.create_default_context(cafile=str(site.home("d1") / "ca.pem"))
     context.load_cert_chain(site.home("d1") / "tls.pem", site.home("d1") / "tls.key")
     context.check_hostname = False
-    host, _, port = site.pki.roster.by_name[name].address.rpartition(":")
+    host, _, port = site.pki.roster.member_by_name[name].address.rpartition(":")
     with (
         socket.create_connection((host, int(port)), PATIENCE_S) as line,
         context.wrap_socket(line) as tls,
@@ -138,6 +140,7 @@ def shown_end(site: SecureSite, name: str) -> float:
     return x509.load_der_x509_certificate(shown).not_valid_after_utc.timestamp()
 
 
+@pytest.mark.sample
 @DRAWN
 @BY_WHOM
 @FOLLOWS
@@ -147,8 +150,8 @@ def test_a_renewed_certificate_is_shown_by_what_runs(tmp_path, monkeypatch, call
     with running(called, tmp_path) as fleet:
         name = "r1" if called == "router" else "desk"
         before_s = shown_end(fleet.site, name)
-        fleet.site.pki.now = utc_at(epoch_us()) + timedelta(seconds=1)
-        fleet.site.pki.renew(name, 500)
+        fleet.site.pki.now = utc_datetime(epoch_us()) + timedelta(seconds=1)
+        fleet.site.pki.renew_member_certificate(name, 500)
 
         def is_new() -> bool:
             return shown_end(fleet.site, name) > before_s + 100 * 86400.0
@@ -159,16 +162,16 @@ def test_a_renewed_certificate_is_shown_by_what_runs(tmp_path, monkeypatch, call
 def test_a_folder_that_is_half_carried_changes_nothing(tmp_path):
     site = SecureSite(tmp_path / "pki")
     home, other = site.home("desk"), site.home("d1")
-    called = CalledSession(site.identity("desk"))
+    called = ServerSession(site.identity("desk"))
     key, config = (home / "tls.key").read_bytes(), (home / "zenoh.json5").read_bytes()
     clock_s = 0.0
 
     def is_old() -> bool:
         nonlocal clock_s
-        clock_s += REST_S + 1.0
-        return called.is_old(clock_s)
+        clock_s += MIN_REOPEN_INTERVAL_S + 1.0
+        return called.poll_and_check_if_reopen_due(clock_s)
 
-    with called.open():
+    with called.open_session():
         assert not is_old()
         (home / "tls.key").write_bytes((other / "tls.key").read_bytes())
         assert not is_old(), "a key of another certificate"
@@ -179,30 +182,31 @@ def test_a_folder_that_is_half_carried_changes_nothing(tmp_path):
         assert not is_old(), "no network file"
         (home / "zenoh.json5").write_bytes(config)
         assert not is_old(), "all as it was"
-        site.pki.renew("desk", 700)
+        site.pki.renew_member_certificate("desk", 700)
         assert is_old(), "canary: whole, and new"
 
 
 def test_a_second_change_waits_until_all_have_had_time_to_call(tmp_path):
     site = SecureSite(tmp_path / "pki")
-    called = CalledSession(site.identity("desk"))
-    session = called.open()
+    called = ServerSession(site.identity("desk"))
+    session = called.open_session()
     try:
-        site.pki.renew("desk", 500)
-        assert called.is_old(10.0), "the first at once"
-        session = called.open_again(session, 10.0)
-        site.pki.renew("desk", 600)
-        assert not called.is_old(10.0 + REST_S - 1.0)
-        assert called.is_old(10.0 + REST_S + 1.0)
+        site.pki.renew_member_certificate("desk", 500)
+        assert called.poll_and_check_if_reopen_due(10.0), "the first at once"
+        session = called.close_and_reopen_session(session, 10.0)
+        site.pki.renew_member_certificate("desk", 600)
+        assert not called.poll_and_check_if_reopen_due(10.0 + MIN_REOPEN_INTERVAL_S - 1.0)
+        assert called.poll_and_check_if_reopen_due(10.0 + MIN_REOPEN_INTERVAL_S + 1.0)
     finally:
         session.close()
 
 
+@pytest.mark.sample
 def test_the_desk_says_it(tmp_path):
     site = SecureSite(tmp_path / "pki")
     store = f"sqlite:///{tmp_path}/desk.db"
     day = short_day(tmp_path)
     with program("dispatch", day, "--identity", site.home("desk"), "--store", store) as desk:
         desk.said("Ctrl-C stops")
-        site.pki.revoke("otto")
-        desk.said(f"opened anew for roster {site.pki.roster.number}: all who are joined call again")
+        site.pki.revoke_members("otto")
+        desk.said(f"session reopened for roster {site.pki.roster.number}: members reconnect")

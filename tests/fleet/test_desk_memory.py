@@ -1,5 +1,5 @@
-"""What a member costs a desk in memory, over real zenoh on loopback: desk and members have a
-process each.
+"""Memory cost of a member for a desk, over zenoh on loopback. Desk and members run in separate
+processes.
 """
 
 import ctypes
@@ -15,24 +15,32 @@ from pathlib import Path
 import pytest
 
 from companion.fleet import zenoh_config
-from companion.fleet.messages import Answered, Command, Recall, Result, decode_command, encode
+from companion.fleet.messages import (
+    Command,
+    CommandStatus,
+    Recall,
+    Result,
+    decode_message,
+    encode_message,
+)
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
 from companion.fleet.zenoh_link import ZenohLink
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
-from ground_station.core.fleet.fleet_link import CommandAnswered
+from ground_station.core.fleet.fleet_link import CommandResponse
 from tests.fleet.zenoh_net import FLEET, config_file, free_port
 
 MEMBERS = 64
 MOST_BYTES = 100_000
-"""On the desk's heap, of a member that has joined and answered a command: 76 kB; 121 kB with
-zenoh's own receive buffers, 210 kB with its own batches too.
+"""Heap of the desk for each member that joined and replied to a command: 76 kB measured; 121 kB
+with zenoh's default receive buffers, 210 kB with its default batches too.
 """
 
 PATIENCE_S = 60.0
 
 
+@pytest.mark.sample
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="needs glibc 2.33")
 @pytest.mark.parametrize("buffers", ["ours", "zenoh's"])
 def test_a_member_that_was_commanded_costs_the_desk_little_memory(tmp_path, buffers):
@@ -53,7 +61,7 @@ def process(role: str, config: Path, buffers: str) -> Iterator["subprocess.Popen
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ | {"MALLOC_ARENA_MAX": "1"},  # else `in_use` sees one arena of many
+        env=os.environ | {"MALLOC_ARENA_MAX": "1"},  # else mallinfo2 reports one arena of many
     )
     with started:
         yield started
@@ -61,7 +69,7 @@ def process(role: str, config: Path, buffers: str) -> Iterator["subprocess.Popen
 
 
 def desk(config: Path) -> None:
-    """Command each member that joins; print what the desk has grown by."""
+    """Command each member that joins; print the growth of the desk's heap."""
     fleet, seen = ZenohFleet(FLEET, config), set[str]()
     before_bytes = in_use_bytes()
     until_s = monotonic_s() + PATIENCE_S
@@ -74,7 +82,7 @@ def desk(config: Path) -> None:
         seen |= {getattr(heard, "vehicle", "") for heard in hear()} - {""}
     for number in range(MEMBERS):
         fleet.send(recall(number), PATIENCE_S)
-        while not any(isinstance(heard, CommandAnswered) for heard in hear()):
+        while not any(isinstance(heard, CommandResponse) for heard in hear()):
             pass
     print(in_use_bytes() - before_bytes, flush=True)
 
@@ -92,7 +100,7 @@ class HeapFigures(ctypes.Structure):
 
 
 def in_use_bytes() -> int:
-    """What has been allocated and not freed: unlike resident memory it forgets what was freed."""
+    """Return allocated bytes that are not freed; unlike resident memory this falls after a free."""
     ask = ctypes.CDLL(None).mallinfo2
     ask.restype = HeapFigures
     found = ask()
@@ -101,24 +109,33 @@ def in_use_bytes() -> int:
 
 def recall(number: int) -> Command:
     return Command(
-        id=f"c{number}", vehicle=f"v{number}", life="a", as_of_s=0.0, by="desk", deed=Recall()
+        id=f"c{number}",
+        vehicle=f"v{number}",
+        instance_id="a",
+        as_of_s=0.0,
+        by="desk",
+        action=Recall(),
     )
 
 
 def members(config: Path) -> None:
-    """Links that answer every command at once."""
+    """Run links that reply to every command at once."""
     woken = threading.Event()
     links = [
-        ZenohLink(read_config(config), VehicleKeys(FLEET, f"v{number}"), "a", woken.set)
+        ZenohLink(
+            read_and_check_zenoh_config(config), VehicleKeys(FLEET, f"v{number}"), "a", woken.set
+        )
         for number in range(MEMBERS)
     ]
     while woken.wait():
         woken.clear()
-        for asked in (one for link in links for one in link.asked() if one.payload):
-            command = decode_command(asked.payload)
+        for asked in (one for link in links for one in link.drain_requests() if one.payload):
+            command = decode_message(Command, asked.payload)
             assert isinstance(command, Command)
-            done = Result(id=command.id, vehicle=command.vehicle, life="a", answer=Answered.DONE)
-            asked.answer([encode(done)])
+            done = Result(
+                id=command.id, vehicle=command.vehicle, instance_id="a", status=CommandStatus.DONE
+            )
+            asked.reply([encode_message(done)])
 
 
 if __name__ == "__main__":

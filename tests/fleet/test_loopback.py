@@ -1,4 +1,4 @@
-"""Without a configuration: the programs of one machine meet, and nothing is open to another."""
+"""Without a configuration, programs on one machine connect; no other machine can connect."""
 
 import json
 import subprocess
@@ -20,10 +20,10 @@ from companion.app.flight.run import NO_LINK
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Decision
 from companion.fleet import zenoh_config
-from companion.fleet.membership import JoinOptions, join
-from companion.fleet.network import OPEN_WORDS
+from companion.fleet.membership import JoinOptions, read_membership
+from companion.fleet.network import OPEN_WARNING
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.zenoh_fleet import ZenohFleet
@@ -36,12 +36,14 @@ PATIENCE_S = 20.0
 
 @pytest.fixture(autouse=True)
 def own_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not where other programs of this machine meet."""
-    monkeypatch.setattr(zenoh_config, "MEETING_PORT", free_port())
+    """Use another port than other programs on this machine."""
+    monkeypatch.setattr(zenoh_config, "MESH_PORT", free_port())
 
 
 def vehicle_of(name: str, tmp_path: Path) -> Vehicle:
-    return Vehicle.on(name, tmp_path / name, join(VehicleKeys(FLEET, name), None).open_link)
+    return Vehicle.on(
+        name, tmp_path / name, read_membership(VehicleKeys(FLEET, name), None).open_link
+    )
 
 
 def until(wanted: Callable[[], Any]) -> Any:
@@ -57,16 +59,17 @@ def names_heard(desk: ZenohFleet) -> set[str]:
     return {h.state.vehicle for h in desk.receive(0.1) if isinstance(h, StateReceived)}
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("first", ["desk", "vehicle"])
 def test_who_comes_first_listens_and_when_it_ends_the_others_find_one_another(tmp_path, first):
     if first == "desk":
         desk, d1 = ZenohFleet(FLEET, None), vehicle_of("d1", tmp_path)
     else:
         d1 = vehicle_of("d1", tmp_path)
-        until(lambda: not d1.port.link.trouble)
+        until(lambda: not d1.port.member.link.session_thread.error_text)
         desk = ZenohFleet(FLEET, None)
     until(lambda: "d1" in names_heard(desk))
-    if first == "desk":  # the listener ends, and comes back as one that calls
+    if first == "desk":  # the listener exits and reconnects as a client
         desk.close()
         d2 = vehicle_of("d2", tmp_path)
         desk = ZenohFleet(FLEET, None)
@@ -81,7 +84,7 @@ def test_who_comes_first_listens_and_when_it_ends_the_others_find_one_another(tm
 
 
 def open_ports() -> set[str]:
-    """Where this process can be reached from another machine."""
+    """Return the addresses at which other machines can reach this process."""
     found = psutil.Process().net_connections(kind="inet")
     open_ = [c for c in found if c.status == psutil.CONN_LISTEN or c.type.name == "SOCK_DGRAM"]
     return {str(c.laddr.ip) for c in open_ if not c.laddr.ip.startswith("127.")}
@@ -90,7 +93,7 @@ def open_ports() -> set[str]:
 @pytest.mark.parametrize("told", [False, True], ids=["closed", "canary: --open-network"])
 def test_nothing_listens_beyond_this_machine_unless_a_person_said_so(told):
     before = open_ports()
-    with zenoh.open(read_config(None, open_network=told)):
+    with zenoh.open(read_and_check_zenoh_config(None, open_network=told)):
         assert bool(open_ports() - before) is told
 
 
@@ -99,8 +102,8 @@ OPEN = {
     r"listens on tcp/\[::\]:0 without TLS": {"mode": "peer"},
     r"listens on tcp/\[::\]:7447 without TLS": {"mode": "router"},
     "listens on tcp/0.0.0.0:7447 without TLS": {"listen": {"endpoints": ["tcp/0.0.0.0:7447"]}},
-    "lets in who shows no certificate": {"listen": {"endpoints": ["tls/0.0.0.0:7447"]}},
-    "calls tcp/10.0.0.1:7447 without TLS": {
+    "without requiring a client certificate": {"listen": {"endpoints": ["tls/0.0.0.0:7447"]}},
+    "connects to tcp/10.0.0.1:7447 without TLS": {
         "mode": "client",
         "connect": {"endpoints": ["tcp/10.0.0.1:7447"]},
     },
@@ -113,17 +116,19 @@ def test_a_configuration_that_lets_strangers_in_is_refused_without_the_word(tmp_
     path = tmp_path / "zenoh.json5"
     path.write_text(json.dumps(OPEN[why] | ({} if "multicast" in why else alone)))
     with pytest.raises(LeewayError, match=f"{why}.*--open-network"):
-        read_config(path)
-    read_config(path, open_network=True)
+        read_and_check_zenoh_config(path)
+    read_and_check_zenoh_config(path, open_network=True)
 
 
 def test_loopback_and_mutual_tls_need_no_word(tmp_path):
-    read_config(config_file(tmp_path / "a.json5", listen=free_port(), connect=free_port()))
+    read_and_check_zenoh_config(
+        config_file(tmp_path / "a.json5", listen=free_port(), connect=free_port())
+    )
     tls = {"transport": {"link": {"tls": {"enable_mtls": True}}}}
     table = {"listen": {"endpoints": ["tls/0.0.0.0:7447"]}, "mode": "router"}
     away = {"scouting": {"multicast": {"enabled": False}}}
     (tmp_path / "b.json5").write_text(json.dumps(table | tls | away))
-    read_config(tmp_path / "b.json5")
+    read_and_check_zenoh_config(tmp_path / "b.json5")
 
 
 def test_an_open_desk_says_so(tmp_path):
@@ -156,30 +161,38 @@ def test_where_a_driver_stands_is_marked_on_an_open_network(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("told", [False, True], ids=["canary: closed", "open"])
 def test_each_line_of_a_companion_on_an_open_network_says_so(tmp_path, monkeypatch, capsys, told):
-    """Where it stands by and what a flight decides; the desk is told at its start."""
+    """Checks the standby line and a flight's decisions; the desk receives the warning at start."""
     zenoh_file = config_file(tmp_path / "a.json5", connect=free_port())
     said: list[str] = []
 
     def one_flight(port: FleetPort, *flight: Any) -> int:
         *_, on_action = flight
         on_action(Decision(1.0, "gate", "open: going"))
-        port.member.settle()
-        said.extend([port.member.remark, *(event.text for event in port.log.after(0))])
-        return NO_LINK  # the fleet's loop ends by it
+        port.member.wait_for_disk_and_publish_events()
+        said.extend(
+            [
+                port.member.status_text,
+                *(event.text for event in port.member.log.next_stored_events_after(0)),
+            ]
+        )
+        return NO_LINK  # ends the fleet's loop
 
-    monkeypatch.setattr(fleet_run, "_stand_by", lambda *given: True)
+    monkeypatch.setattr(fleet_run, "_wait_for_assignment", lambda *given: True)
     monkeypatch.setattr(fleet_run, "_fly_assignment", one_flight)
-    line = flying.FleetLine(FLEET, "d1", zenoh_file, None, told)
-    flying.fly_in_fleet(line, RunOptions("memory", "m100", Path(), tmp_path), one_mission=False)
+    line = flying.FleetCommandLine(FLEET, "d1", zenoh_file, None, told)
+    flying.fly_in_fleet_and_return_exit_code(
+        line, RunOptions("memory", "m100", Path(), tmp_path), one_mission=False
+    )
     printed = capsys.readouterr().out.splitlines()
     assert [one.replace("[OPEN NETWORK] ", "") for one in printed] == [
         "standing by as d1 of harbour",
         "      1.0 s  gate: open: going",
     ]
     assert all(one.startswith("[OPEN NETWORK] ") is told for one in printed)
-    assert said == ([OPEN_WORDS, OPEN_WORDS] if told else [""])
+    assert said == ([OPEN_WARNING, OPEN_WARNING] if told else [""])
 
 
+@pytest.mark.sample
 def test_a_fleet_without_identities_loads_no_cryptography():
     code = (
         "import sys; import companion.app.flight.fleet_run, ground_station.adapters.zenoh_fleet;"
@@ -192,8 +205,8 @@ def test_a_fleet_without_identities_loads_no_cryptography():
 JOIN_400 = """
 import os, sys, zenoh
 from pathlib import Path
-from companion.fleet.zenoh_config import read_config
-ours = lambda path: read_config(Path(path))
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
+ours = lambda path: read_and_check_zenoh_config(Path(path))
 opened = {"ours": ours, "zenoh's": zenoh.Config.from_file}[sys.argv[1]]
 held = [zenoh.open(opened(sys.argv[2]))]
 try:
@@ -207,7 +220,7 @@ os._exit(0)
 
 
 def test_a_desk_is_joined_by_400_members(tmp_path):
-    """The canary: with what zenoh itself does about shared memory the 352nd is refused."""
+    """Canary: with zenoh's default shared-memory settings the 352nd member is refused."""
     port = free_port()
     desk, member = config_file(tmp_path / "desk.json5", listen=port), tmp_path / "member.json5"
     calls = {"connect": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}

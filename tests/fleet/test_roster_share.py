@@ -1,12 +1,12 @@
-"""A new roster gets to everybody over TLS: to who is there, and to who was away when it joins."""
+"""A new roster reaches every member over TLS: connected ones at once, absent ones at their join."""
 
 import pytest
 import zenoh
 
 from companion.fleet.topics import roster_key
-from companion.fleet.trust import Trust
-from companion.fleet.zenoh_config import read_config
-from ground_station.adapters.called_session import CalledSession
+from companion.fleet.trust import MemberTrust
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
+from ground_station.adapters.called_session import ServerSession
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import EventsReceived, MessageRejected, StateReceived
@@ -17,7 +17,7 @@ PATIENCE_S = 20.0
 
 
 def told(desk: ZenohFleet, words: str, wait_s: float = PATIENCE_S) -> bool:
-    """Whether a vehicle tells this, or the desk does."""
+    """Return whether the desk receives or reports a text that contains these words."""
     limit_s = monotonic_s() + wait_s
     while monotonic_s() < limit_s:
         for heard in desk.receive(0.05):
@@ -31,6 +31,7 @@ def told(desk: ZenohFleet, words: str, wait_s: float = PATIENCE_S) -> bool:
     return False
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("there", [True, False], ids=["it was there", "it was away"])
 def test_a_vehicle_takes_the_roster_that_a_desk_tells_and_keeps_it(tmp_path, there):
     site = SecureSite(tmp_path / "pki")
@@ -40,7 +41,7 @@ def test_a_vehicle_takes_the_roster_that_a_desk_tells_and_keeps_it(tmp_path, the
     vehicle = site.vehicle("d1", tmp_path / "d1") if there else None
     if vehicle is not None:
         assert told(desk, "")
-    site.pki.revoke("anna")
+    site.pki.revoke_members("anna")
     site.restore_rosters()
     vehicle = vehicle or site.vehicle("d1", tmp_path / "d1")
     try:
@@ -49,14 +50,15 @@ def test_a_vehicle_takes_the_roster_that_a_desk_tells_and_keeps_it(tmp_path, the
         vehicle.close()
         desk.close()
     kept = site.identity("d1").trust.roster
-    assert (kept.number, kept.by_name["anna"].revoked) == (number, True)
+    assert (kept.number, kept.member_by_name["anna"].revoked) == (number, True)
 
 
+@pytest.mark.sample
 def test_who_joins_is_told_the_number_and_the_whole_goes_to_all_only_when_it_is_new(tmp_path):
     site = SecureSite(tmp_path / "pki")
     desk = site.person("desk")
     told_bytes: list[bytes] = []
-    with zenoh.open(read_config(site.home("otto") / "zenoh.json5")) as otto:
+    with zenoh.open(read_and_check_zenoh_config(site.home("otto") / "zenoh.json5")) as otto:
         spy = otto.declare_subscriber(
             roster_key(FLEET), lambda sample: told_bytes.append(sample.payload.to_bytes())
         )
@@ -68,26 +70,27 @@ def test_who_joins_is_told_the_number_and_the_whole_goes_to_all_only_when_it_is_
             while number not in told_bytes and monotonic_s() < limit_s:
                 desk.receive(0.05)
             assert set(told_bytes) == {number}
-            site.pki.revoke("d2")
+            site.pki.revoke_members("d2")
             assert told(desk, f"roster {site.pki.roster.number} is in force")
-            assert site.identity("desk").roster_file() in told_bytes
+            assert site.identity("desk").read_roster_file() in told_bytes
         finally:
             vehicle.close()
             desk.close()
         spy.undeclare()
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: believed"])
 def test_a_vehicle_that_is_revoked_is_not_believed_any_more(tmp_path, monkeypatch, guarded):
-    """Where the rules of the network still let it in: the desk refuses what it signs."""
-    monkeypatch.setattr(CalledSession, "is_old", lambda self, now_s: False)
+    """Even if the network's rules still admit it, the desk refuses the messages that it signs."""
+    monkeypatch.setattr(ServerSession, "poll_and_check_if_reopen_due", lambda self, now_s: False)
     if not guarded:
-        monkeypatch.setattr(Trust, "take_roster", lambda self, raw: None)
+        monkeypatch.setattr(MemberTrust, "store_roster_if_newer", lambda self, raw: None)
     site = SecureSite(tmp_path / "pki")
     desk, vehicle = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
     try:
         assert told(desk, "")
-        site.pki.revoke("d1")
+        site.pki.revoke_members("d1")
         assert told(desk, "d1 is revoked", PATIENCE_S if guarded else 2.5) is guarded
     finally:
         vehicle.close()

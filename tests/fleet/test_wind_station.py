@@ -1,4 +1,4 @@
-"""Wind stations over zenoh with identities: heard as what they are, and nothing else."""
+"""Wind stations over zenoh with identities: received as stations only."""
 
 import time
 from pathlib import Path
@@ -8,11 +8,11 @@ import pytest
 from companion.core.base.errors import LeewayError
 from companion.fleet.membership import JoinOptions
 from companion.fleet.roles import Role
-from companion.fleet.topics import VehicleKeys, station_key
-from companion.fleet.zenoh_config import read_config
+from companion.fleet.topics import VehicleKeys, station_wind_key
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
 from ground_station.adapters.zenoh_station import ZenohStation
 from ground_station.core.fleet.fleet_link import MessageRejected, StateReceived, StationWindReceived
-from ground_station.core.fleet.station_message import StationWind, encode_station
+from ground_station.core.fleet.station_message import StationWind, encode_station_wind
 from tests.fleet.secure_site import YEAR_DAYS, SecureSite
 from tests.fleet.zenoh_net import FLEET
 
@@ -26,7 +26,7 @@ def a_word(station: str, speed_mps: float = 6.0) -> StationWind:
 
 
 class Heard:
-    """All that a desk heard."""
+    """Collects everything that a desk receives."""
 
     def __init__(self, desk) -> None:
         self.desk, self.winds, self.rejected, self.states = desk, [], [], []
@@ -53,7 +53,7 @@ class Heard:
 @pytest.fixture
 def site(tmp_path: Path) -> SecureSite:
     made = SecureSite(tmp_path / "pki")
-    made.pki.add("mast", Role.STATION, YEAR_DAYS, "")
+    made.pki.add_member("mast", Role.STATION, YEAR_DAYS, "")
     return made
 
 
@@ -63,21 +63,22 @@ def test_a_station_is_heard_by_desk_and_viewer_and_only_in_its_own_name(site: Se
     station = ZenohStation(FLEET, "mast", None, JoinOptions(site.home("mast")))
     heard, seen = Heard(desk), Heard(viewer)
     try:
-        assert heard.listen(lambda: heard.winds != [], lambda: station.tell(a_word("mast")))
+        assert heard.listen(lambda: heard.winds != [], lambda: station.publish_wind(a_word("mast")))
         assert heard.winds[0].station == "mast"
         assert heard.rejected == []
-        assert seen.listen(lambda: seen.winds != [], lambda: station.tell(a_word("mast")))
-        station.tell(a_word("pier"))
+        assert seen.listen(lambda: seen.winds != [], lambda: station.publish_wind(a_word("mast")))
+        station.publish_wind(a_word("pier"))
         assert heard.listen(lambda: heard.rejected != [])
-        assert "mast speaks for pier" in heard.rejected[0]
+        assert "mast sent a report of pier" in heard.rejected[0]
     finally:
         station.close()
         desk.close()
         viewer.close()
 
 
+@pytest.mark.sample
 def test_nobody_else_tells_a_stations_wind_and_a_station_tells_no_state(site: SecureSite):
-    """By keys of their own over TLS, and by signatures where the network lets all through."""
+    """With the members' own keys over TLS, and by signatures where the network accepts all."""
     desk = site.person("desk")
     heard = Heard(desk)
     import zenoh
@@ -85,32 +86,32 @@ def test_nobody_else_tells_a_stations_wind_and_a_station_tells_no_state(site: Se
     sessions = []
     try:
         for name in ("d1", "mast"):
-            session = zenoh.open(read_config(site.identity(name).zenoh))
+            session = zenoh.open(read_and_check_zenoh_config(site.identity(name).zenoh_config_path))
             sessions.append(session)
         drone, station = sessions
-        raw = encode_station(a_word("mast", 20.0))
-        forged = site.identity("d1").trust.seal("station", raw)
-        own = site.identity("mast").trust.seal("station", raw)
-        state = VehicleKeys(FLEET, "d1").state
+        raw = encode_station_wind(a_word("mast", 20.0))
+        forged = site.identity("d1").trust.sign_in_envelope("station", raw)
+        own = site.identity("mast").trust.sign_in_envelope("station", raw)
+        state = VehicleKeys(FLEET, "d1").state_key
 
         def tell() -> None:
-            drone.put(station_key(FLEET, "mast"), forged)
-            drone.put(station_key(FLEET, "mast"), own)  # it was overheard
+            drone.put(station_wind_key(FLEET, "mast"), forged)
+            drone.put(station_wind_key(FLEET, "mast"), own)  # a replay of a recorded message
             station.put(state, own)
 
         end_s = time.monotonic() + 5.0
         heard.listen(lambda: time.monotonic() > end_s, tell)
         assert heard.winds == []
         assert heard.states == []
-        # What the network's rules would let through signatures do not.
-        desk.inbox.hear_station(station_key(FLEET, "mast"), forged)
+        # Signatures reject what the network's rules let through.
+        desk.inbox.add_station_report(station_wind_key(FLEET, "mast"), forged)
         assert heard.listen(lambda: heard.rejected != [])
         assert "signed by d1" in heard.rejected[0]
-        as_state = site.identity("mast").trust.seal("state", raw)
-        desk.inbox.hear_state(VehicleKeys(FLEET, "mast").state, as_state)
+        as_state = site.identity("mast").trust.sign_in_envelope("state", raw)
+        desk.inbox.add_state(VehicleKeys(FLEET, "mast").state_key, as_state)
         assert heard.listen(lambda: any("is a station" in why for why in heard.rejected))
-        unsigned = encode_station(a_word("mast"))
-        desk.inbox.hear_station(station_key(FLEET, "mast"), unsigned)
+        unsigned = encode_station_wind(a_word("mast"))
+        desk.inbox.add_station_report(station_wind_key(FLEET, "mast"), unsigned)
         assert heard.listen(lambda: any("not signed" in why for why in heard.rejected))
     finally:
         for session in sessions:

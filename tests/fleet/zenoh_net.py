@@ -1,4 +1,4 @@
-"""zenoh on loopback for tests: explicit endpoints, no multicast, and vehicles that only answer."""
+"""zenoh on loopback for tests: explicit endpoints, no multicast, vehicles that only reply."""
 
 import json
 import socket
@@ -11,21 +11,21 @@ from companion.adapters.files.params import read_airframe
 from companion.app.flight.fleet_port import FleetPort
 from companion.core.mission.events import Position
 from companion.core.pilot.telemetry_state import TelemetryState
-from companion.core.separation.track_cells import cell_of
-from companion.fleet.command_log import Verdict
-from companion.fleet.messages import Answered, Command
+from companion.core.separation.track_cells import cell_name_or_none
+from companion.fleet.command_log import CommandReply
+from companion.fleet.messages import Command, CommandStatus
 from companion.fleet.network import MemberLink
 from companion.fleet.topics import VehicleKeys
-from companion.fleet.zenoh_config import read_config
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
 from companion.fleet.zenoh_link import ZenohLink
 
 FLEET = "harbour"
 AT_HARBOUR = Position(0.0, 55.47, 8.45, 12.0, 0.0, 0.0, 0.0, 0.0)
-"""Where params/days/harbour.toml has its depot."""
+"""Depot of params/days/harbour.toml."""
 
-CELL = cell_of(AT_HARBOUR.lat_deg, AT_HARBOUR.lon_deg)
+CELL = cell_name_or_none(AT_HARBOUR.lat_deg, AT_HARBOUR.lon_deg)
 HERE = {"lat_deg": AT_HARBOUR.lat_deg, "lon_deg": AT_HARBOUR.lon_deg}
-"""The place of a track that all vehicles of these tests hear."""
+"""Position of a track that all vehicles of these tests receive."""
 
 
 def free_port() -> int:
@@ -37,7 +37,7 @@ def free_port() -> int:
 def config_file(
     path: Path, *, listen: int | None = None, connect: int | None = None, **more: Any
 ) -> Path:
-    """A peer that listens at, or calls, a port of loopback."""
+    """Write a configuration of a peer that listens at, or connects to, a loopback port."""
     table: dict[str, Any] = {
         "mode": "peer",
         "scouting": {"multicast": {"enabled": False}},
@@ -52,15 +52,15 @@ def config_file(
 
 
 class Vehicle:
-    """A FleetPort in a thread of its own that carries every command out, and counts."""
+    """A FleetPort in its own thread that executes and records every command."""
 
     def __init__(self, name: str, folder: Path, config: Path) -> None:
-        keys, loaded = VehicleKeys(FLEET, name), read_config(config)
+        keys, loaded = VehicleKeys(FLEET, name), read_and_check_zenoh_config(config)
         self.begin(name, folder, lambda life: ZenohLink(loaded, keys, life, lambda: None))
 
     @classmethod
     def on(cls, name: str, folder: Path, link_of: Callable[[str], MemberLink]) -> "Vehicle":
-        """A vehicle on a link of the test's own."""
+        """Create a vehicle on a link supplied by the test."""
         vehicle = cls.__new__(cls)
         vehicle.begin(name, folder, link_of)
         return vehicle
@@ -68,11 +68,11 @@ class Vehicle:
     def begin(self, name: str, folder: Path, link_of: Callable[[str], MemberLink]) -> None:
         """Start the thread on this link."""
         self.done: list[Command] = []
-        self.answer = Verdict(Answered.DONE, "done")
+        self.answer = CommandReply(CommandStatus.DONE, "done")
         self.woken = threading.Event()
         self.port = FleetPort.open(name, "m100", read_airframe("m100"), folder, link_of)
-        self.port.link.be_woken(self.woken.set)
-        self.situation = TelemetryState(position=AT_HARBOUR)
+        self.port.member.link.set_request_callback(self.woken.set)
+        self.replan_key = TelemetryState(position=AT_HARBOUR)
         self.phase = "standby"
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -80,17 +80,17 @@ class Vehicle:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self.port.turn(self.carry_out)
-            self.port.publish(self.phase, self.situation)
+            self.port.process_commands(self.carry_out)
+            self.port.publish_state_if_due(self.phase, self.replan_key)
             self.woken.wait(0.05)
             self.woken.clear()
 
-    def carry_out(self, command: Command) -> Verdict:
+    def carry_out(self, command: Command) -> CommandReply:
         self.done.append(command)
         return self.answer
 
     def stop(self) -> None:
-        """End the thread; the port stays."""
+        """Stop the thread; the port stays open."""
         self._stop.set()
         self._thread.join()
 

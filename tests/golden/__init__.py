@@ -1,1 +1,1 @@
-"""Golden decisions: the base commit and the working tree decide the same, run side by side."""
+"""Golden decisions: checks that the working tree decides as the base commit does."""

@@ -1,7 +1,7 @@
 """`python -m tests.golden --base COMMIT`: run base and working tree on this machine and compare.
 
-The base is checked out into a worktree beside its outputs and runs with the same interpreter and
-libraries. Exit code 1: something differs.
+The base is checked out into a worktree next to its outputs and runs with the same interpreter and
+libraries. Exit code 1: a difference was found.
 """
 
 import argparse
@@ -68,7 +68,7 @@ def _run(folder: Path, base: Path, cases: list[Case], jobs: int) -> int:
 
 
 def _command(folder: Path, side: str, tree: Path, case: Case) -> str:
-    """Run one command in one tree; returns what went wrong."""
+    """Run one command in one tree; return a description of the failure."""
     places = {"out": folder / side, "base": folder / "base", "shared": folder / "shared"}
     words = [word.format(**places) for word in case.arguments]
     found = [str(next(iter(sorted(Path("/").glob(w[1:]))), w)) if "*" in w else w for w in words]

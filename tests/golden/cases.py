@@ -1,4 +1,4 @@
-"""What is run by both sides, and the files that are compared."""
+"""Cases that both sides run, and the files that are compared."""
 
 import json
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ DESK = "ground_station.app.cli.main"
 class Case:
     """One command. `{out}` is the side's own folder, `{base}` the base's, `{shared}` common input.
 
-    `files`: JSON files and recordings (.tlog) that it leaves in `{out}`. `after`: a case of the
-    base that has to be finished before.
+    `files`: JSON files and recordings (.tlog) that it writes to `{out}`. `after`: a case of the
+    base that has to finish first.
     """
 
     name: str
@@ -26,7 +26,7 @@ class Case:
 
 
 def flight(autopilot: str, gate: str, seed: int) -> Case:
-    """A flight as `make fly` flies it."""
+    """Return a flight with the settings of `make fly`."""
     name = f"fly-{autopilot}-{gate}-{seed}"
     given = ("--autopilot", autopilot, "--gate", gate, "--seed", str(seed))
     written = ("--json", f"{{out}}/{name}.json", "--runs", f"{{out}}/{name}")
@@ -35,21 +35,21 @@ def flight(autopilot: str, gate: str, seed: int) -> Case:
 
 
 def replay(of: Case) -> Case:
-    """A recording of the base, through estimator and gate."""
+    """Return the replay of a recording of the base through estimator and gate."""
     name = f"replay-{of.name}"
     given = ("{base}/" + of.files[1], "--airframe", "m100", "--json", f"{{out}}/{name}.json")
     return Case(name, COMPANION, ("replay", *given), (f"{name}.json",), after=of.name)
 
 
 def day(name: str, seed: int) -> Case:
-    """A simulated day."""
+    """Return a simulated day."""
     out = f"day-{name}-{seed}"
     written = ("--json", f"{{out}}/{out}.json", "--runs", f"{{out}}/{out}")
     return Case(out, SIMULATOR, ("day", name, "--seed", str(seed), *written), (f"{out}.json",))
 
 
 def plan(name: str, policy: str, seed: int) -> Case:
-    """A plan of a day."""
+    """Return the planning of a day."""
     out = f"plan-{name}-{policy}-{seed}"
     given = ("--policy", policy, "--seed", str(seed), "--trials", "20000")
     written = ("--out", f"{{out}}/{out}.json")
@@ -61,7 +61,7 @@ SCENARIOS = 4
 
 
 def campaign() -> Case:
-    """Twenty rows: four scenarios, five planners."""
+    """Return a campaign of twenty rows: four scenarios, five planners."""
     scenarios = tuple(f"{{shared}}/scenario-{number}.json" for number in range(SCENARIOS))
     planners = tuple(word for name in PLANNERS for word in ("--planner", name))
     given = ("--missions", "200", "--seed", "1", "--jobs", "1", "--json", "{out}/campaign.json")

@@ -1,14 +1,15 @@
-"""Whether two runs decided the same: identifiers, times, numbers, messages; texts by a table."""
+"""Compares the decisions of two runs: identifiers, times, numbers, messages; texts by a table."""
 
 import json
 import math
 import re
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-TIMINGS = re.compile(r"_us_|^seconds$|_cpu|^cpu|wall|^run$|^runs$|speed_up|^took|faster")
-"""Keys of times that the machine takes, and of folders."""
+TIMINGS = re.compile(r"_us_|^seconds$|cpu|wall|^run$|^runs$|speed_up|real_time|^took|faster")
+"""Keys whose values depend on the machine: processing times and folders."""
 
 TEXTS = re.compile(r"^(reason|why|text|words|said|remedy|name)$")
 NOT_COMMANDS = ("HEARTBEAT", "TIMESYNC")
@@ -16,20 +17,20 @@ COMPANION = 191
 
 
 class TextTable:
-    """Replacements of texts of the base, regular expression by regular expression."""
+    """Replacements for texts of the base, by regular expression."""
 
     def __init__(self, pairs: list[tuple[str, str]]) -> None:
-        self._pairs = [(re.compile(old), new) for old, new in pairs]
+        self._replacements = [(re.compile(old), new) for old, new in pairs]
 
     def mapped(self, text: str) -> str:
-        """Return a text of the base as the present code words it."""
-        for old, new in self._pairs:
+        """Return a text of the base in the wording of the present code."""
+        for old, new in self._replacements:
             text = old.sub(new, text)
         return text
 
 
 def differences(base: Any, now: Any, texts: TextTable, where: str = "") -> Iterator[str]:
-    """Yield where two JSON documents differ, timings apart."""
+    """Yield the differences of two JSON documents, except for processing times."""
     if isinstance(base, dict) and isinstance(now, dict):
         for key in sorted(base.keys() | now.keys()):
             if TIMINGS.search(key):
@@ -56,24 +57,24 @@ def _same(base: Any, now: Any) -> bool:
 
 
 def sent_messages(recording: Path, texts: TextTable) -> list[tuple[str, str]]:
-    """Return the companion's messages in order: type and payload, without the frame's counter."""
+    """Return type and payload of the companion's messages in order, without the frame counter."""
     from pymavlink import mavutil
 
-    stream = mavutil.mavlink_connection(str(recording))
     found: list[tuple[str, str]] = []
-    while (message := stream.recv_match()) is not None:
-        kind = message.get_type()
-        if message.get_srcComponent() != COMPANION or kind in NOT_COMMANDS:
-            continue
-        fields = message.to_dict()
-        if kind == "STATUSTEXT":
-            fields["text"] = texts.mapped(fields["text"])
-        found.append((kind, json.dumps(fields, sort_keys=True, default=str)))
+    with closing(mavutil.mavlink_connection(str(recording))) as stream:
+        while (message := stream.recv_match()) is not None:
+            kind = message.get_type()
+            if message.get_srcComponent() != COMPANION or kind in NOT_COMMANDS:
+                continue
+            fields = message.to_dict()
+            if kind == "STATUSTEXT":
+                fields["text"] = texts.mapped(fields["text"])
+            found.append((kind, json.dumps(fields, sort_keys=True, default=str)))
     return found
 
 
 def compare_files(base: Path, now: Path, texts: TextTable) -> list[str]:
-    """Compare two files of one case by their kind."""
+    """Compare two files of one case according to their kind."""
     if base.suffix == ".tlog":
         ours, theirs = sent_messages(now, texts), sent_messages(base, texts)
         for number, (old, new) in enumerate(zip(theirs, ours, strict=False)):

@@ -1,20 +1,23 @@
-"""A PostgreSQL server of our own for the tests of the store, where one is installed."""
+"""Stores: an SQLite file, and a PostgreSQL server of the test run if PostgreSQL is installed."""
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.adapters.postgres_server import PostgresPrograms, PostgresServer
-from sim_bridge.adapters.postgres_server import postgres_server as run_server
+from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.order_store import Store
+from sim_bridge.adapters.postgres_server import PostgresExecutables, PostgresServer
+from sim_bridge.adapters.postgres_server import running_postgres_server as run_server
 
 
 @pytest.fixture(scope="session")
 def own_server() -> Iterator[PostgresServer]:
-    """A temporary cluster on loopback."""
+    """A temporary database cluster on loopback."""
     try:
-        PostgresPrograms.find()
+        PostgresExecutables.find()
     except LeewayError as error:
         pytest.skip(f"the store was not tested on PostgreSQL: {error}")
     with run_server() as server:
@@ -23,7 +26,7 @@ def own_server() -> Iterator[PostgresServer]:
 
 @pytest.fixture(scope="session")
 def postgres_server(own_server: PostgresServer) -> str:
-    """Its address without the database's name."""
+    """Server URL without a database name."""
     return own_server.url
 
 
@@ -34,8 +37,16 @@ def _databases() -> list[str]:
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store_url(request: pytest.FixtureRequest, tmp_path: Path, _databases: list[str]) -> str:
-    """An empty database of either kind."""
+    """URL of an empty database, SQLite or PostgreSQL."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path}/desk.db"
     _databases.append(f"desk{len(_databases)}")
     return request.getfixturevalue("own_server").create_database(_databases[-1])
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    """An empty SQLite store whose rows have timestamps 1, 2, 3 ..."""
+    made = Store(Database(f"sqlite:///{tmp_path}/desk.db"), itertools.count(1).__next__)
+    yield made
+    made.close()

@@ -1,6 +1,6 @@
-"""Plans and flights written by hand, for the tests of the desk and its rules."""
+"""Plans and flights written by hand, for tests of the desk and its rules."""
 
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.day_state import DayState
@@ -8,9 +8,9 @@ from ground_station.core.schema.orders import AssignmentRow, AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow
 
 
-def place(east_m: float, north_m: float) -> Place:
-    """Metres from the depot, small distances."""
-    return Place(
+def place(east_m: float, north_m: float) -> Location:
+    """Convert metres from the depot; small distances only."""
+    return Location(
         lat_deg=55.47 + north_m / 111_320.0, lon_deg=8.45 + east_m / 63_100.0, alt_amsl_m=12.0
     )
 
@@ -20,7 +20,7 @@ def stop(
 ) -> PlannedStop:
     pads = {"d1": place(east_m - 25.0, -25.0), "d2": place(east_m + 25.0, -25.0)}
     return PlannedStop(
-        id=id_, place=place(east_m, 0.0), arrive_s=arrive_s, depart_s=depart_s,
+        id=id_, location=place(east_m, 0.0), arrive_s=arrive_s, depart_s=depart_s,
         serves=list(serves), pads=pads,
     )  # fmt: skip
 
@@ -30,7 +30,7 @@ def sortie(order: str, vehicle: str, at: str, home: str, launch_s: float) -> Pla
     return PlannedSortie(
         order=order, vehicle=vehicle, launch=at, home=home, launch_s=launch_s,
         land_s=launch_s + 200.0, outbound_height_m=height, return_height_m=height,
-        energy_wh=20.0, sure_wh=30.0, usable_wh=80.0,
+        energy_wh=20.0, required_wh=30.0, usable_wh=80.0,
     )  # fmt: skip
 
 
@@ -52,23 +52,29 @@ PLAN = DayPlan(
 
 
 def by_truck(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
-    """A planner that brings all that is left by truck, from one more stop."""
+    """A planner that delivers all remaining orders by truck, from one more stop."""
     del seed, trials
     last, number = start.stops[-1], start.revision
     more = [
-        stop(f"r{number}-stop-1", 450.0, last.depart_s + 90.0, last.depart_s + 200.0, start.open),
+        stop(
+            f"r{number}-stop-1",
+            450.0,
+            last.depart_s + 90.0,
+            last.depart_s + 200.0,
+            start.open_orders,
+        ),
         stop(f"r{number}-depot-end", 0.0, last.depart_s + 290.0, last.depart_s + 290.0),
     ]
     return DayPlan(
         format="day-plan/1", day=data.day.name, policy="by hand", seed=0, trials=0,
-        makespan_s=more[-1].depart_s, stops=[*start.stops, *more], sorties=list(start.flying),
+        makespan_s=more[-1].depart_s, stops=[*start.stops, *more], sorties=list(start.airborne),
         revision=start.revision,
     )  # fmt: skip
 
 
-def place_at(east_m: float) -> Place:
-    """Metres east of the depot, small distances."""
-    return Place(lat_deg=55.47, lon_deg=8.45 + east_m / 63_100.0, alt_amsl_m=12.0)
+def place_at(east_m: float) -> Location:
+    """Convert metres east of the depot; small distances only."""
+    return Location(lat_deg=55.47, lon_deg=8.45 + east_m / 63_100.0, alt_amsl_m=12.0)
 
 
 PADS = {
@@ -76,22 +82,24 @@ PADS = {
     for name in ("depot", "stop-1")
 }
 TWO_STOPS = [
-    PlannedStop(id="depot", place=place_at(0.0), arrive_s=0.0, depart_s=330.0, pads=PADS["depot"]),
     PlannedStop(
-        id="stop-1", place=place_at(300.0), arrive_s=420.0, depart_s=540.0, pads=PADS["stop-1"]
+        id="depot", location=place_at(0.0), arrive_s=0.0, depart_s=330.0, pads=PADS["depot"]
+    ),
+    PlannedStop(
+        id="stop-1", location=place_at(300.0), arrive_s=420.0, depart_s=540.0, pads=PADS["stop-1"]
     ),
 ]
 
 
 def flight(vehicle: str, home: str, launched_s: float, planned_s: float) -> SortieRow:
-    """In the air since `launched_s`, planned to fly for 200 s from `planned_s` on."""
+    """Return a flight airborne since `launched_s`, planned for 200 s from `planned_s` on."""
     sortie = PlannedSortie(
         order=f"O-{vehicle}", vehicle=vehicle, launch="depot", home=home, launch_s=planned_s,
         land_s=planned_s + 200.0, outbound_height_m=40.0, return_height_m=40.0, energy_wh=20.0,
-        sure_wh=30.0, usable_wh=80.0,
+        required_wh=30.0, usable_wh=80.0,
     )  # fmt: skip
     row = AssignmentRow(
-        f"O-{vehicle}.1", f"O-{vehicle}", vehicle, AssignmentState.FLYING, False, ""
+        f"O-{vehicle}.1", f"O-{vehicle}", vehicle, AssignmentState.IN_FLIGHT, False, ""
     )
     pads = {stop: PADS[stop][vehicle] for stop in ("depot", "stop-1")}
-    return SortieRow(row, sortie, pads, home, placed=True, launched_us=round(launched_s * 1e6))
+    return SortieRow(row, sortie, pads, home, put_on_pad=True, launched_us=round(launched_s * 1e6))

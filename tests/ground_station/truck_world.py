@@ -1,7 +1,7 @@
-"""A truck and its drones as plain state machines on a bus in memory, for tests of the desk.
+"""A truck and its drones as plain state machines on a bus in memory, for desk tests.
 
-The world knows what is true (who is where, who lands where) and keeps the rules: `wrong` lists
-every breach. It shares the commands' book and the truck's terminal with the product, nothing else.
+The world holds the ground truth (positions, landings) and enforces the rules: `wrong` lists every
+violation. It shares only the command book and the truck's terminal with the product.
 """
 
 import math
@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from companion.fleet.command_log import CommandBook, Verdict
+from companion.fleet.command_log import CommandLog, CommandReply
 from companion.fleet.messages import (
-    Answered,
     Assign,
     Command,
+    CommandStatus,
     EventKind,
     FleetEvent,
     Launch,
@@ -24,7 +24,7 @@ from companion.fleet.messages import (
     Withdraw,
 )
 from ground_station.core.fleet.fleet_link import (
-    CommandAnswered,
+    CommandResponse,
     EventsReceived,
     FleetInput,
     LivelinessChanged,
@@ -33,9 +33,9 @@ from ground_station.core.fleet.fleet_link import (
 from ground_station.core.fleet.truck_state import (
     TaskKind,
     TruckState,
-    after_command,
-    cannot_do,
-    confirmed,
+    apply_command,
+    confirm_task,
+    reject_task,
 )
 
 FULL_V = 25.2
@@ -56,12 +56,12 @@ class WorldClock:
 
 @dataclass
 class Member:
-    """Anybody on the bus: a book of commands, a log of events."""
+    """A member on the bus: a command book and an event log."""
 
     name: str
     clock: WorldClock
     on: bool = True
-    book: CommandBook = field(default_factory=CommandBook)
+    book: CommandLog = field(default_factory=CommandLog)
     events: list[FleetEvent] = field(default_factory=list)
 
     def tell(self, kind: EventKind, text: str, **more: object) -> None:
@@ -78,17 +78,17 @@ class Member:
         )
 
     def answer(self, command: Command) -> Result:
-        verdict = self.book.look(command, self.name, self.clock.t_s)
+        verdict = self.book.reply_without_execution_or_none(command, self.name, self.clock.t_s)
         if verdict is None:
-            self.book.begin(command)
+            self.book.record_start(command)
             verdict = self.carry_out(command)
-            self.book.end(command, verdict)
+            self.book.record_final_reply_or_remove_command(command, verdict)
         return Result(
-            id=command.id, vehicle=self.name, life=self.name, answer=verdict.answer,
+            id=command.id, vehicle=self.name, instance_id=self.name, status=verdict.status,
             reason=verdict.reason,
         )  # fmt: skip
 
-    def carry_out(self, command: Command) -> Verdict:
+    def carry_out(self, command: Command) -> CommandReply:
         raise NotImplementedError
 
     def state(self) -> State:
@@ -97,7 +97,7 @@ class Member:
 
 @dataclass
 class Drone(Member):
-    """On the truck (`on` False), on a pad, or in the air; `place`: (lat, lon) where it is."""
+    """On the truck (`on` False), on a pad, or in the air; `place`: current (lat, lon)."""
 
     on: bool = False
     place: tuple[float, float] = (0.0, 0.0)
@@ -111,7 +111,7 @@ class Drone(Member):
     mood: str = "good"
     loaded: bool = False
     down_at: str | None = None
-    """The stop where it landed; None: it has not flown from where it stands."""
+    """Stop where it landed; None: no flight since it was placed."""
     wind_ne_mps: tuple[float, float] | None = None
 
     @property
@@ -120,30 +120,30 @@ class Drone(Member):
 
     @property
     def cut_off(self) -> bool:
-        """From when it has a mission until it is switched off."""
+        """Return whether the link is lost: from the mission upload until it is switched off."""
         return self.mood == "cut off" and self.flight is not None
 
-    def carry_out(self, command: Command) -> Verdict:
-        match command.deed:
+    def carry_out(self, command: Command) -> CommandReply:
+        match command.action:
             case Assign() if self.flight is None:
                 if self.mood == "refuses":
                     self.mood = "good"
-                    return Verdict(Answered.REFUSED, "the gate says stay")
-                self.flight, self.assigned_s = command.deed, self.clock.t_s
-                self.home = command.deed.flight["site"]["home"]
-            case Launch() if self.flight and self.flight.assignment == command.deed.assignment:
+                    return CommandReply(CommandStatus.REFUSED, "the gate says stay")
+                self.flight, self.assigned_s = command.action, self.clock.t_s
+                self.home = command.action.flight["site"]["home"]
+            case Launch() if self.flight and self.flight.assignment == command.action.assignment:
                 if self.clock.t_s - self.assigned_s < READY_S:
-                    return Verdict(Answered.LATER, "not ready")
+                    return CommandReply(CommandStatus.LATER, "not ready")
                 self.launched_s = self.clock.t_s
             case MoveHome() if self.in_air and self.mood == "too busy to move":
-                return Verdict(Answered.LATER, "not yet")
+                return CommandReply(CommandStatus.LATER, "not yet")
             case MoveHome() if self.in_air and self.mood != "refuses to move":
-                self.asked = (command.deed.home, self.clock.t_s + 3.0)
+                self.asked = (command.action.home, self.clock.t_s + 3.0)
             case Withdraw() if not self.in_air:
                 self.end("ABRT", False)
             case _:
-                return Verdict(Answered.REFUSED, "not now")
-        return Verdict(Answered.DONE)
+                return CommandReply(CommandStatus.REFUSED, "not now")
+        return CommandReply(CommandStatus.DONE)
 
     def end(self, outcome: str, delivered: bool, *, unproven: bool = False) -> None:
         if self.flight is not None:
@@ -152,13 +152,13 @@ class Drone(Member):
                 order=self.flight.order, outcome=outcome, delivered=delivered,
                 home=outcome not in ("FAIL", "TAKEN"), drop_unproven=unproven or None,
             )  # fmt: skip
-            self.book.close(self.flight.assignment)
+            self.book.prevent_relaunch_of_assignment(self.flight.assignment)
         self.flight = self.launched_s = self.home = self.asked = None
 
     def state(self) -> State:
         phase = "standby"
         north = east = None
-        if self.in_air and self.wind_ne_mps is not None:  # no estimate stands still
+        if self.in_air and self.wind_ne_mps is not None:  # an estimate always varies
             wobble_mps = 0.1 * math.sin(self.clock.t_s / 7.0)
             north, east = (part + wobble_mps for part in self.wind_ne_mps)
         if self.in_air:
@@ -167,7 +167,7 @@ class Drone(Member):
             ready = self.clock.t_s - self.assigned_s >= READY_S
             phase = "ready" if ready else "checks"
         return State(
-            vehicle=self.name, life=self.name, uptime_s=self.clock.t_s,
+            vehicle=self.name, instance_id=self.name, uptime_s=self.clock.t_s,
             epoch_us=self.clock.epoch_us(), airframe="m100", max_payload_kg=1.0, phase=phase,
             log=self.name, last_seq=len(self.events), armed=self.in_air, voltage_v=FULL_V,
             assignment=self.flight.assignment if self.flight else None,
@@ -179,19 +179,19 @@ class Drone(Member):
 
 @dataclass
 class Driver(Member):
-    """The truck with its driver: one thing at a time, each takes its time."""
+    """The truck with its driver: one task at a time, each with a duration."""
 
     truck: TruckState = field(default_factory=lambda: TruckState(stop="depot"))
     begun_s: float | None = None
     late_s: float = 0.0
 
-    def carry_out(self, command: Command) -> Verdict:
-        self.truck, verdict = after_command(self.truck, command.deed)
+    def carry_out(self, command: Command) -> CommandReply:
+        self.truck, verdict = apply_command(self.truck, command.action)
         return verdict
 
     def state(self) -> State:
         return State(
-            vehicle=self.name, life=self.name, uptime_s=self.clock.t_s,
+            vehicle=self.name, instance_id=self.name, uptime_s=self.clock.t_s,
             epoch_us=self.clock.epoch_us(), airframe="truck", max_payload_kg=0.0,
             phase=self.truck.phase, log=self.name, last_seq=len(self.events),
             stop=self.truck.stop,
@@ -199,7 +199,7 @@ class Driver(Member):
 
 
 class World:
-    """Everything that is true; a `Fleet` to the desk."""
+    """Ground truth; acts as the desk's `Fleet`."""
 
     def __init__(self, drones: list[str], rng: np.random.Generator, loss: float = 0.0) -> None:
         self.clock = WorldClock(1.0)
@@ -224,17 +224,17 @@ class World:
         waiting, self.waiting = self.waiting, []
         return waiting
 
-    def ask_states(self, wait_s: float) -> None:
+    def request_states(self, wait_s: float) -> None:
         del wait_s
         self.waiting += [StateReceived(member.state()) for member in self.heard()]
 
     def join(self) -> None:
-        """A desk starts: it hears who is there, and nothing of before."""
+        """Start a desk: it receives the present members and no earlier messages."""
         self.waiting = [
             LivelinessChanged(member.name, member.name, True) for member in self.heard()
         ]
 
-    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
+    def request_events(self, vehicle: str, after: int, wait_s: float) -> None:
         del wait_s
         member = next(m for m in self.everybody() if m.name == vehicle)
         if member in self.heard() and not self.lost():
@@ -244,7 +244,7 @@ class World:
         del fleet
         return {}
 
-    def tell_winds(self, winds: object) -> None:
+    def send_winds(self, winds: object) -> None:
         del winds
 
     def send(self, command: Command, wait_s: float) -> None:
@@ -252,18 +252,18 @@ class World:
         member = next(m for m in self.everybody() if m.name == command.vehicle)
         result = None
         dies = isinstance(member, Drone) and member.mood == "dies at its launch"
-        if dies and isinstance(command.deed, Launch):
+        if dies and isinstance(command.action, Launch):
             member.on, self.drones[member.name].lost = False, True
             self.waiting.append(LivelinessChanged(member.name, member.name, False))
         if member in self.heard() and not self.lost():
             before = self.driver.truck
             answer = member.answer(command)
             result = None if self.lost() else answer
-            if isinstance(command.deed, Launch) and answer.answer is Answered.DONE:
+            if isinstance(command.action, Launch) and answer.status is CommandStatus.DONE:
                 self.note_launch(command.vehicle)
-            if self.driver.truck.driving and not before.driving:
+            if self.driver.truck.is_en_route and not before.is_en_route:
                 self.check_departure(before.stop)
-        self.waiting.append(CommandAnswered(command.id, result))
+        self.waiting.append(CommandResponse(command.id, result))
 
     def close(self) -> None:
         pass
@@ -271,7 +271,7 @@ class World:
     def lost(self) -> bool:
         return bool(self.rng.random() < self.loss)
 
-    # --- rules that the world keeps ------------------------------------------------------------
+    # --- rules enforced by the world -----------------------------------------------------------
 
     def note_launch(self, name: str) -> None:
         drone = self.drones[name]
@@ -283,7 +283,7 @@ class World:
         if any(task.vehicle == name for task in self.driver.truck.tasks):
             self.wrong.append(f"{name} launched while the driver is at it")
         self.flown.append(drone.flight.assignment)
-        if self.driver.truck.driving:
+        if self.driver.truck.is_en_route:
             self.wrong.append(f"{name} launched from a truck that has gone")
 
     def check_departure(self, stop: str) -> None:
@@ -309,7 +309,7 @@ class World:
         return [m for m in self.members() if not (isinstance(m, Drone) and m.cut_off)]
 
     def step(self) -> None:
-        """A second passes."""
+        """Advance one second."""
         self.clock.t_s += 1.0
         for drone in self.drones.values():
             self.fly(drone)
@@ -342,7 +342,7 @@ class World:
             drone.launched_s = None
             self.waiting.append(LivelinessChanged(drone.name, drone.name, False))
         elif drone.mood == "landed by a pilot" and up_s > drone.flies_s / 2.0:
-            drone.launched_s, drone.lost = None, True  # to the truck: it stands in a field
+            drone.launched_s, drone.lost = None, True  # lost for the truck: it is in a field
             drone.end("TAKEN", False)
         elif up_s >= drone.flies_s:
             self.land(drone, drone.flight)
@@ -382,14 +382,14 @@ class World:
         if task.kind is TaskKind.RECOVER and drone is not None and drone.in_air:
             self.wrong.append(f"the driver is told to take {drone.name} aboard from the air")
         if task.kind is TaskKind.SERVE and task.order in self.quits:
-            self.end_task(cannot_do(driver.truck, task, "nobody at home"))
+            self.end_task(reject_task(driver.truck, task, "nobody at home"))
             return
         if task.kind is TaskKind.SERVE:
             if task.order in self.delivered:
                 self.wrong.append(f"{task.order} delivered twice")
             self.delivered.append(task.order or "")
         gone = drone is None or not drone.loaded if task.parcel else None
-        self.end_task(confirmed(driver.truck, task, gone=gone))
+        self.end_task(confirm_task(driver.truck, task, is_parcel_dropped=gone))
         if task.kind is TaskKind.PUT_OUT and drone is not None:
             self.on_truck.discard(drone.name)
             drone.down_at = None
@@ -399,7 +399,7 @@ class World:
             self.on_truck.add(drone.name)
             self.switch_on_s.pop(drone.name, None)
             if drone.cut_off:
-                drone.mood = "good"  # and holds its mission, for nobody could tell it otherwise
+                drone.mood = "good"  # it keeps its mission, which was not withdrawn
             else:
                 drone.end("ABRT", False)
             drone.on = False

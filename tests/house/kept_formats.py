@@ -1,4 +1,4 @@
-"""How each kind of file of `test_compatibility` is read and written now: the product's own ways.
+"""Readers and writers of each kind of file of `test_compatibility`, as the product has them.
 
 Names of modules and classes here follow the product's. The fixtures never change.
 """
@@ -26,20 +26,22 @@ from companion.adapters.files import (
     vehicle_settings,
 )
 from companion.adapters.files.airframe_toml import write_airframe
-from companion.adapters.logs.open_log import open_log
+from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.app.flight.fleet_port import FleetPort
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
-from companion.core.pilot.estimates import Estimates, EstimatesSnapshot
+from companion.core.pilot.estimates import EstimatesSnapshot, FlightEstimates
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.fleet import messages as fleet
-from companion.fleet.identity import read_identity
+from companion.fleet.identity import read_and_verify_identity
 from companion.fleet.member import FleetMember
-from companion.fleet.roster import roster_from_toml, roster_toml
-from ground_station.adapters.files.day_files import read_day
-from ground_station.adapters.files.plan_files import read_day_plan, write_day_plan
-from ground_station.adapters.files.token_file import read_tokens, write_tokens
-from ground_station.adapters.store.audit_store import read_audit
-from ground_station.adapters.store.check import check
+from companion.fleet.roster import roster_from_toml, roster_to_toml_text
+from ground_station.adapters.files.day_files import read_day, read_day_plan, write_day_plan
+from ground_station.adapters.files.token_file import (
+    read_owner_only_tokens,
+    write_owner_only_tokens_atomically,
+)
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
+from ground_station.adapters.store.check import find_store_faults
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
@@ -58,7 +60,7 @@ MEMBER_KEY = bytes(range(32, 64))
 
 
 def plain(value: Any) -> Any:
-    """Values as JSON has them. The attributes of a dataclass are no format: a list of values."""
+    """Return values in JSON form; a dataclass becomes a list, as its field names are no format."""
     if is_dataclass(value) and not isinstance(value, type):
         return [plain(getattr(value, one.name)) for one in fields(value)]
     if isinstance(value, list | tuple):
@@ -68,12 +70,12 @@ def plain(value: Any) -> Any:
     return json.loads(msgspec.json.encode(value))
 
 
-ADDED = {"heading_off_rad", "yaw_rate_rps"}
-"""Keys that later versions write too."""
+ADDED = {"alert", "heading_off_rad", "yaw_rate_rps"}
+"""Keys that later versions write, too."""
 
 
 def shape(value: Any, at: str = "") -> set[str]:
-    """The keys of a document, whatever its values and however many rows it has."""
+    """Return the set of keys of a document, regardless of values and number of rows."""
     if isinstance(value, dict):
         kept = ((key, one) for key, one in value.items() if key not in ADDED)
         return {at}.union(*(shape(one, f"{at}.{key}") for key, one in kept))
@@ -83,7 +85,7 @@ def shape(value: Any, at: str = "") -> set[str]:
 
 
 def content(path: Path) -> Any:
-    """A file as plain values; the body of one with a checksum."""
+    """Return a file as plain values; for a file with a checksum, its body."""
     raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     name = path.name.removesuffix(".gz")
     if name.endswith(".toml"):
@@ -99,22 +101,22 @@ def content(path: Path) -> Any:
 
 
 def no_link(life: str) -> Any:
-    """A member that only opens its folder talks to nobody."""
+    """Return no link: a member that only opens its folder does not communicate."""
     return None
 
 
 def member(path: Path) -> FleetMember:
-    found = FleetMember.open("d1", path.parent, no_link)
+    found = FleetMember.restore_and_open_link("d1", path.parent, no_link)
     found.log.close()
     return found
 
 
 def truck(path: Path) -> Any:
-    at: dict[str, Any] = {"stop": "?", "lat_deg": 0.0, "lon_deg": 0.0}
+    at: dict[str, Any] = {"initial_stop": "?", "lat_deg": 0.0, "lon_deg": 0.0}
     clocks: dict[str, Any] = {"clock_s": lambda: 0.0, "epoch_us": lambda: 0}
-    found = TruckMember.open("truck", path.parent, no_link, **at, **clocks)
+    found = TruckMember.load_or_create("truck", path.parent, no_link, **at, **clocks)
     found.member.log.close()
-    return found.truck
+    return found.state
 
 
 def assigned(path: Path) -> Any:
@@ -127,17 +129,17 @@ def assigned(path: Path) -> Any:
 def identity(path: Path) -> Any:
     (path.parent / "signing.key").write_text(MEMBER_KEY.hex())
     (path.parent / "signing.key").chmod(0o600)
-    trust = read_identity(path.parent, lambda: 0).trust
-    return [trust.name, trust.fleet, sorted(trust.authorities), trust.signed]
+    trust = read_and_verify_identity(path.parent, lambda: 0).trust
+    return [trust.name, trust.fleet, sorted(trust.authority_keys), trust.signed_roster]
 
 
 def checkpoint(path: Path) -> Checkpoint:
-    """Read it for its flight, and let the estimators take up what it keeps."""
+    """Read a checkpoint for its flight and restore the estimators from it."""
     shutil.copy(path, path.with_name("checkpoint.json"))
     kept = checkpoint_file.read_checkpoint(path.parent, content(path)["flight"])
     assert kept is not None
     m100, coast = params.read_airframe("m100"), params.read_wind_process("coast")
-    estimates = Estimates(params.read_flight(SHORT), m100, RouteEnergy(m100), coast)
+    estimates = FlightEstimates(params.read_flight(SHORT), m100, RouteEnergy(m100), coast)
     estimates.restore(msgspec.convert(kept.judgement, EstimatesSnapshot))
     assert shape(estimates.snapshot()) == shape(kept.judgement)
     return kept
@@ -150,12 +152,12 @@ def certificate(path: Path) -> Any:
 
 def tokens(path: Path) -> Any:
     path.chmod(0o600)
-    return read_tokens(path)
+    return read_owner_only_tokens(path)
 
 
 def flight(path: Path) -> Any:
-    """The companion's half, and the simulator's: wind and faults."""
-    found = params.read_grounded_flight(path)
+    """Return the companion's part and the simulator's part (wind and faults) of a flight file."""
+    found = params.read_flight_with_terrain_heights(path)
     return [found, parse_wind(found.wind), read_faults(found, path)]
 
 
@@ -172,12 +174,18 @@ def unpacked(path: Path) -> Path:
 
 def store(path: Path) -> Any:
     url = f"sqlite:///{unpacked(path)}"
-    assert check(url) == []
+    assert find_store_faults(url) == []
     database = Database(url, create=False)
     orders, days = Store(database, lambda: 0), DayStore(database, lambda: 0)
     rows = [orders.orders(), orders.assignments(), orders.commands(), orders.events()]
-    rows += [orders.holds(), days.plans(), days.sorties(), days.visits(), days.began_us()]
-    rows += [*read_audit(database)]
+    rows += [
+        orders.holds_in_force(),
+        days.plans_with_reasons(),
+        days.sorties(),
+        days.truck_stop_visits(),
+        days.day_start_us(),
+    ]
+    rows += [*read_audit_rows_and_head(database)]
     with database.read() as db:
         names = db.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'table'").scalars()
         query = 'SELECT name, type, "notnull", pk FROM pragma_table_info(?)'
@@ -187,7 +195,7 @@ def store(path: Path) -> Any:
 
 
 def recording(path: Path) -> Any:
-    events = open_log(unpacked(path)).events
+    events = read_log_of_any_format(unpacked(path)).events
     return sorted(Counter(type(event) for event in events).values())
 
 
@@ -202,20 +210,20 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "params/autopilots/*.toml": read_parameters,
     "vehicle/fitted.toml": lambda path: params.read_airframe(str(path)),
     "vehicle/fitted.certificate.json": certificate,
-    "vehicle/px4-1-unknown.json": vehicle_settings.read_settings,
-    "*/monitor.json": monitor_file.read_service,
+    "vehicle/px4-1-unknown.json": vehicle_settings.read_original_parameters,
+    "*/monitor.json": monitor_file.read_service_record,
     "*/checkpoint-*.json": checkpoint,
     "identity/roster.toml": lambda path: roster_from_toml(path.read_bytes(), path.name),
     "identity/identity.toml": identity,
     "identity/tokens.json": tokens,
-    "fleet/*/commands.json": lambda path: member(path).book.kept(),
-    "fleet/*/events.jsonl": lambda path: member(path).log.after(0),
+    "fleet/*/commands.json": lambda path: member(path).command_log.to_storage_format(),
+    "fleet/*/events.jsonl": lambda path: member(path).log.next_stored_events_after(0),
     "fleet/d1/current.json": assigned,
     "fleet/d1/flight.json": params.read_flight,
     "fleet/*/truck.json": truck,
     "scenarios/*.json": lambda path: parse_scenario(path.read_text()),
     "day-plan*.json": read_day_plan,
-    "exports/mission.plan": qgc_plan.read_plan,
+    "exports/mission.plan": qgc_plan.read_plan_home_and_items,
     "desk.db.gz": store,
     "flight/decisions.mcap.gz": recording,
     "flight/stream.tlog.gz": recording,
@@ -225,17 +233,17 @@ WRITERS: dict[str, Callable[[Path, Any], object]] = {
     "vehicle/fitted.certificate.json": lambda path, found: certificate_file.write_certificate(
         path.with_name("fitted.toml"), found
     ),
-    "vehicle/px4-1-unknown.json": vehicle_settings.write_settings,
-    "*/monitor.json": monitor_file.write_service,
+    "vehicle/px4-1-unknown.json": vehicle_settings.write_or_remove_original_parameters,
+    "*/monitor.json": monitor_file.write_service_record,
     "*/checkpoint-*.json": lambda path, found: (
-        checkpoint_file.write_checkpoint(path.parent, checkpoint_to_dict(found)),
+        checkpoint_file.checkpoint_write_job(path.parent, checkpoint_to_dict(found))(),
         path.with_name("checkpoint.json").replace(path),
     ),
-    "identity/roster.toml": lambda path, found: path.write_text(roster_toml(found)),
-    "identity/tokens.json": write_tokens,
-    "fleet/*/commands.json": lambda path, found: member(path).save_book(),
+    "identity/roster.toml": lambda path, found: path.write_text(roster_to_toml_text(found)),
+    "identity/tokens.json": write_owner_only_tokens_atomically,
+    "fleet/*/commands.json": lambda path, found: member(path).save_command_log(),
     "fleet/*/events.jsonl": lambda path, found: path.write_bytes(
-        b"\n".join(fleet.encode(event) for event in found)
+        b"\n".join(fleet.encode_message(event) for event in found)
     ),
     "scenarios/*.json": lambda path, found: path.write_bytes(scenario_json(found)),
     "day-plan*.json": write_day_plan,
@@ -243,13 +251,13 @@ WRITERS: dict[str, Callable[[Path, Any], object]] = {
 
 
 def named(patterns: Iterable[str]) -> list[tuple[str, str]]:
-    """(pattern, name) of every fixture."""
+    """Return (pattern, name) of every fixture."""
     found = [(one, path) for one in patterns for path in sorted(WRITTEN.glob(one))]
     return [(one, str(path.relative_to(WRITTEN))) for one, path in found]
 
 
 def copied(name: str, folder: Path) -> Path:
-    """A fixture among those beside it: readers may move, unpack and rewrite what they read."""
+    """Copy a fixture with its folder: readers may move, unpack and rewrite their input."""
     top = Path(name).parts[0]
     if top == name:
         return Path(shutil.copy(WRITTEN / name, folder / name))

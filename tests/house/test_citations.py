@@ -1,25 +1,20 @@
-"""What the repository cites is in the repository, or is a publication: everybody can look it up."""
+"""Every source cited in the repository is in the repository or is a publication."""
 
 import ast
 import io
 import re
 import tokenize
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import pytest
 
+from sim_bridge.research.reference import write
+
 ROOT = Path(__file__).parents[2]
-TOPS = (
-    "companion",
-    "ground_station",
-    "sim_bridge",
-    "tests",
-    "examples",
-    "params",
-    "docs",
-    "deploy",
-)
+PACKAGES = ("companion", "ground_station", "sim_bridge")
+TOPS = (*PACKAGES, "tests", "examples", "params", "docs", "deploy")
 KINDS = {".py", ".md", ".toml", ".service", ".json5", ".yml", ".yaml", ".cff"}
 ME = Path(__file__).name
 
@@ -35,7 +30,7 @@ ELSEWHERE = {
     r"(?<!PX4 )(?<!ArduPilot )\b[Ii]ssues? #?\d+\b": "a list that is not in the repository",
     r"/work/": "a path of one machine",
 }
-"""What nobody who clones the repository can look up, and what to cite in its place."""
+"""Sources that are not accessible outside the project, and the replacement to cite."""
 
 NOT_CITED = {
     "params/wind/site.toml": "an example of a file that somebody writes",
@@ -47,7 +42,7 @@ NOT_CITED = {
     "ground_station/adapters/web/assets": "fetched by `make map-assets`",
     "companion/crowd": "made up by test_structure.py",
 }
-"""Names that look like citations and are none."""
+"""Names that look like citations but are not."""
 
 PATH = re.compile(
     r"(?<![\w/.{}-])((?:docs|params|tests|deploy|examples|companion|ground_station|sim_bridge)"
@@ -55,14 +50,14 @@ PATH = re.compile(
 )
 MARKDOWN = re.compile(r"(?<![\w/.{}*:-])([\w-][\w./-]*\.md)\b")
 PLACEHOLDER = re.compile(r"\b[A-Z]{3,}\.(?!md)")
-"""As in params/airframes/NAME.toml."""
+"""A placeholder, as in params/airframes/NAME.toml."""
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 RULE = re.compile(r"\bsafety rules? (\d+)\b")
 
 
 @cache
 def texts() -> tuple[tuple[Path, str], ...]:
-    """Every text of the repository but this one, which has to name what it forbids."""
+    """Return every text of the repository except this file, which names the forbidden patterns."""
     paths = [path for top in TOPS for path in sorted((ROOT / top).rglob("*"))]
     paths += [path for path in sorted(ROOT.iterdir()) if path.is_file()]
     return tuple(
@@ -75,17 +70,13 @@ def texts() -> tuple[tuple[Path, str], ...]:
     )
 
 
-def lines_with(pattern: str, text: str) -> list[tuple[int, str]]:
-    found = re.compile(pattern)
-    return [
-        (number, line.strip())
-        for number, line in enumerate(text.splitlines(), start=1)
-        if found.search(line)
-    ]
+def lines_with(pattern: str, text: str) -> list[str]:
+    lines = enumerate(text.splitlines(), start=1)
+    return [f"{number}: {line.strip()}" for number, line in lines if re.search(pattern, line)]
 
 
 def prose(text: str) -> str:
-    """Docstrings and comments of a module."""
+    """Return docstrings and comments of a module."""
     parts = [
         node.value.value
         for node in ast.walk(ast.parse(text))
@@ -97,10 +88,21 @@ def prose(text: str) -> str:
     return "\n".join([*parts, *(t.string for t in tokens if t.type == tokenize.COMMENT)])
 
 
-def unknown_paths(path: Path, text: str) -> list[str]:
-    """Paths that a text names and that are not there: of the repository, or beside the text.
+@cache
+def generated() -> frozenset[Path]:
+    """Return the pages that `make docs` writes, whether present or not."""
+    return frozenset(write.REFERENCE / path for path in write.generate_pages())
 
-    A name such as `page.md` is a citation in prose only: elsewhere it may be a file to write.
+
+def is_there(path: Path) -> bool:
+    """Return True if a file exists or is generated."""
+    return path.exists() or path.resolve() in generated()
+
+
+def unknown_paths(path: Path, text: str) -> list[str]:
+    """Return paths cited by a text that exist neither in the repository nor next to the text.
+
+    A name such as `page.md` is a citation in prose only: elsewhere it may be an output file.
     """
     named = {match[1] for match in PATH.finditer(text)}
     if MARKDOWN.search(text):
@@ -113,66 +115,55 @@ def unknown_paths(path: Path, text: str) -> list[str]:
         if name not in NOT_CITED
         and not PLACEHOLDER.search(name)
         and not ("tests" in path.parts and name.startswith("shared/"))
-        and not any((base / name).exists() for base in bases)
+        and not any(is_there(base / name) for base in bases)
     )
 
 
-def dead_links(folder: Path, text: str) -> list[str]:
-    """Relative links of a Markdown page that lead nowhere."""
-    targets = {match[1] for match in LINK.finditer(text)}
+def dead_links(path: Path, text: str) -> list[str]:
+    """Return the relative links of a Markdown page whose target is missing."""
+    targets = {match[1] for match in LINK.finditer(text) if path.suffix == ".md"}
     relative = {one for one in targets if "://" not in one and not one.startswith("mailto:")}
-    return sorted(one for one in relative if not (folder / one).exists())
+    return sorted(one for one in relative if not is_there(path.parent / one))
+
+
+def unknown_rules(path: Path, text: str) -> list[str]:
+    """Return the numbers of safety rules that the documents do not have."""
+    named = set(RULE.findall(text))
+    page = (ROOT / "docs" / "explanation" / "safety-rules.md").read_text() if named else ""
+    numbers = re.findall(r"^#+ Rule (\d+):", page, flags=re.MULTILINE)
+    return [f"safety rule {number}" for number in sorted(named.difference(numbers))]
+
+
+def foreign_data(path: Path, text: str) -> list[str]:
+    """Return the lines outside the tests that name data of other people."""
+    is_test = path.relative_to(ROOT).parts[0] == "tests"
+    return [] if is_test else lines_with(r"\bshared/|['\"]shared['\"]", text)
+
+
+def assert_in_no_text(find: Callable[[Path, str], list[str]]) -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{words}" for path, text in texts() for words in find(path, text)
+    ]
+    assert not found, "\n".join(found)
 
 
 @pytest.mark.parametrize("pattern", ELSEWHERE)
 def test_nothing_is_cited_that_only_some_can_read(pattern: str) -> None:
-    found = [
-        f"{path.relative_to(ROOT)}:{number}: {line}"
-        for path, text in texts()
-        for number, line in lines_with(pattern, text)
-    ]
-    assert not found, "\n".join([ELSEWHERE[pattern], *found])
+    reason = ELSEWHERE[pattern]
+    assert_in_no_text(lambda _, text: [f"{line}: {reason}" for line in lines_with(pattern, text)])
 
 
-def test_other_peoples_data_is_named_by_tests_only() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}:{number}: {line}"
-        for path, text in texts()
-        if path.relative_to(ROOT).parts[0] != "tests"
-        for number, line in lines_with(r"\bshared/|['\"]shared['\"]", text)
-    ]
-    assert not found, "\n".join(found)
-
-
-def test_a_path_that_is_named_is_there() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path, text in texts()
-        for name in unknown_paths(path, text)
-    ]
-    assert not found, "\n".join(found)
-
-
-def test_a_link_of_a_page_leads_somewhere() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}: {target}"
-        for path, text in texts()
-        if path.suffix == ".md"
-        for target in dead_links(path.parent, text)
-    ]
-    assert not found, "\n".join(found)
-
-
-def test_a_safety_rule_that_is_named_is_numbered_in_the_documents() -> None:
-    page = ROOT / "docs" / "explanation" / "safety-rules.md"
-    numbers = set(re.findall(r"^#+ Rule (\d+):", page.read_text(), flags=re.MULTILINE))
-    found = [
-        f"{path.relative_to(ROOT)}: safety rule {number}"
-        for path, text in texts()
-        for number in RULE.findall(text)
-        if number not in numbers
-    ]
-    assert not found, "\n".join(found)
+@pytest.mark.parametrize(
+    "find",
+    [
+        foreign_data,
+        dead_links,
+        unknown_rules,
+        pytest.param(unknown_paths, marks=pytest.mark.sample),
+    ],
+)
+def test_what_is_cited_is_there(find: Callable[[Path, str], list[str]]) -> None:
+    assert_in_no_text(find)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +177,7 @@ def test_a_safety_rule_that_is_named_is_numbered_in_the_documents() -> None:
 )
 def test_each_forbidden_citation_is_seen(pattern: str, line: str) -> None:
     assert pattern in ELSEWHERE
-    assert lines_with(pattern, f"first\n{line}") == [(2, line)]
+    assert lines_with(pattern, f"first\n{line}") == [f"2: {line}"]
 
 
 def test_a_path_that_is_not_there_is_seen() -> None:
@@ -194,6 +185,6 @@ def test_a_path_that_is_not_there_is_seen() -> None:
     assert unknown_paths(ROOT / "x.md", words) == ["docs/nowhere.md", "nothing.md"]
     code = "# see nothing.md\nopen('made.md')\nhelp = 'docs/nowhere.md'\n"
     assert unknown_paths(ROOT / "x.py", code) == ["docs/nowhere.md", "nothing.md"]
-    assert dead_links(ROOT, "[a](README.md#x) [b](docs/none.md) [c](https://x.org/y.md)") == [
-        "docs/none.md"
-    ]
+    assert dead_links(
+        ROOT / "x.md", "[a](README.md#x) [b](docs/none.md) [c](https://x.org/y.md)"
+    ) == ["docs/none.md"]

@@ -1,9 +1,9 @@
-"""Files, stores, recordings and messages of an earlier version are still read, and written alike.
+"""Files, stores, recordings and messages of an earlier version are read and written as before.
 
 The fixtures are as commit 3d417155 wrote them (tests/reference/compatibility/generate.py), and so
-are `readings.json.gz`: what that version read in them. What a module or class is called may change;
-a key, a value, a table or a byte on the wire may not. A new optional key belongs in `ADDED`.
-"""
+are `readings.json.gz`: the values that this version read in them. Names of modules and classes may
+change; a key, a value, a table or a byte on the wire may not. A new optional key belongs in
+`ADDED`."""
 
 import gzip
 import json
@@ -17,28 +17,27 @@ from mcap.reader import make_reader
 from companion.adapters.files import (
     params,
 )
-from companion.adapters.logs.decision_log import DecisionLog, read_log
-from companion.adapters.logs.tlog_writer import Tlog
+from companion.adapters.logs.decision_log import DecisionLog, read_mcap_rows
+from companion.adapters.logs.tlog_writer import TlogFile
 from companion.app.flight.recorder import Recorder
-from companion.app.tools.export import ExportRequest, export
+from companion.app.tools.export import ExportRequest, export_mission_or_track
 from companion.core.exports.export_format import ExportFormat
-from companion.core.exports.ground_plan import plan_on_the_ground
+from companion.core.exports.ground_plan import plan_flight_without_vehicle
 from companion.core.mission.actions import (
-    Assessed,
+    AssessmentReport,
     Decision,
     EnergyReport,
     PhaseChanged,
     WindReport,
 )
 from companion.core.mission.events import AutopilotKind
-from companion.core.pilot.ground_sequence import SettingChange
+from companion.core.pilot.ground.autopilot_settings import SettingChange
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.fleet import messages as fleet
-from companion.fleet.envelope import put_in_envelope, read_envelope
-from companion.fleet.signature import sign
+from companion.fleet.envelope import decode_envelope, encode_envelope, sign_message
 from ground_station.adapters.store.database import Database
-from ground_station.core.fleet.station_message import decode_station, encode_station
-from sim_bridge.app.flight.own_record import own_row
+from ground_station.core.fleet.station_message import decode_station_wind, encode_station_wind
+from sim_bridge.app.flight.own_record import flight_row_from_companion_result
 from tests.house.kept_formats import (
     ADDED,
     MEMBER_KEY,
@@ -59,7 +58,7 @@ from tests.house.kept_formats import (
 ROUTE = "/foxglove_route"
 PACKAGES = ("companion", "ground_station", "sim_bridge")
 MOST_ROWS = 30
-"""Of each topic: enough for every key that a row may have."""
+"""Rows read of each topic: enough to cover every key that a row may have."""
 
 NO_FIXTURE = {
     "audit/1": "a domain of digests: the audit's rows are in the store",
@@ -79,13 +78,13 @@ NO_FIXTURE = {
 
 
 def differences(then: Any, now: Any, at: str = "") -> list[str]:
-    """Where two documents differ."""
+    """Return the paths at which two documents differ."""
     if isinstance(then, dict) and isinstance(now, dict):
         odd = [f"{at}.{key}: gone" for key in then.keys() - now.keys()]
         odd += [f"{at}.{key}: new" for key in now.keys() - then.keys() if key not in ADDED]
         both = [(then[key], now[key], f"{at}.{key}") for key in then.keys() & now.keys()]
         return odd + [words for one in both for words in differences(*one)]
-    if isinstance(now, list):  # a schema's list of required keys
+    if isinstance(now, list):  # list of required keys of a schema
         now = [one for one in now if not (isinstance(one, str) and one in ADDED)]
     if isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         pairs = enumerate(zip(then, now, strict=True))
@@ -132,20 +131,21 @@ WIRE = content(WRITTEN / "wire.jsonl.gz")
 def test_messages_are_the_same_bytes(row):
     raw = row["raw"].encode()
     if row["kind"] == "station":
-        assert encode_station(decode_station(raw)) == raw
+        assert encode_station_wind(decode_station_wind(raw)) == raw
     else:
-        assert fleet.encode(getattr(fleet, f"decode_{row['kind']}")(raw)) == raw
-    envelope = read_envelope(row["kind"], bytes.fromhex(row["envelope"]))
+        type_of_kind = {kind: type_ for type_, kind in fleet.KIND_OF_TYPE.items()}
+        assert fleet.encode_message(fleet.decode_message(type_of_kind[row["kind"]], raw)) == raw
+    envelope = decode_envelope(row["kind"], bytes.fromhex(row["envelope"]))
     names = {"kind": row["kind"], "fleet": "harbour", "signer": "d1", "raw": raw}
-    assert [envelope.signature, envelope.message] == [sign(MEMBER_KEY, **names), raw]
-    assert put_in_envelope("d1", envelope.signature, raw).hex() == row["envelope"]
+    assert [envelope.signature, envelope.message] == [sign_message(MEMBER_KEY, **names), raw]
+    assert encode_envelope("d1", envelope.signature, raw).hex() == row["envelope"]
 
 
 OF_FOREIGN_FLIGHTS = {"energy_predicted_wh", "wind_std_mps", "findings", "reason", "settings"}
 
 
 def channels(path: Path) -> tuple[Any, dict[str, set[str]]]:
-    """Channels with their schemas, and the keys of the rows of each."""
+    """Return the channels with their schemas, and the keys of the rows of each."""
     with path.open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
@@ -161,36 +161,41 @@ def channels(path: Path) -> tuple[Any, dict[str, set[str]]]:
 
 
 def test_a_run_folder_is_continued_and_its_files_have_the_same_keys(tmp_path):
-    """The recorder takes up the rows of a flight that was cut off, and writes what it would."""
+    """The recorder continues the rows of an interrupted flight with the same keys."""
     log, before = tmp_path / "decisions.mcap", content(WRITTEN / "flight/result.json.gz")
     log.write_bytes(gzip.decompress((WRITTEN / "flight/decisions.mcap.gz").read_bytes()))
-    rows = [(topic, row) for topic, row in read_log(log).rows if row.get("kind") != "finished"]
+    rows = [
+        (topic, row) for topic, row in read_mcap_rows(log).rows if row.get("kind") != "finished"
+    ]
     log.unlink()
     cut = DecisionLog(log, lambda: 0)
     for topic in {topic for topic, _ in rows}:
         for row in [row for other, row in rows if other == topic][:MOST_ROWS]:
             cut.write(topic, row)
     cut.close()
-    recorder = Recorder(tmp_path, continues=True, at_once=True)
+    recorder = Recorder(tmp_path, is_resumed=True, synchronous=True)
     for row in before["wind"][:1]:
         names = {"to_n_mps": "n_mps", "to_e_mps": "e_mps"}
-        recorder.take(WindReport(**{names.get(key, key): row[key] for key in row}), row["t_s"])
-    kinds = (Decision, "decisions"), (Assessed, "assessments"), (EnergyReport, "energy")
+        recorder.record_action(
+            WindReport(**{names.get(key, key): row[key] for key in row}), row["t_s"]
+        )
+    kinds = (Decision, "decisions"), (AssessmentReport, "assessments"), (EnergyReport, "energy")
     for kind, name in (*kinds, (PhaseChanged, "phases")):
-        recorder.take(kind(**before[name][-1]), before[name][-1]["t_s"])
+        recorder.record_action(kind(**before[name][-1]), before[name][-1]["t_s"])
     flight = params.read_flight(SHORT)
-    plan = plan_on_the_ground(flight, RouteEnergy(params.read_airframe("m100")), None)
-    recorder.planned(1.0, plan, AutopilotKind.PX4)
+    plan = plan_flight_without_vehicle(flight, RouteEnergy(params.read_airframe("m100")), None)
+    recorder.record_plan_if_new(1.0, plan, AutopilotKind.PX4)
     old = [
         SettingChange(s["name"], s["before"], s["set"], s["restored"]) for s in before["settings"]
     ]
-    recorder.write_result(delivered=True, flown=plan, phase="done", settings=old)
+    recorder.write_result_and_wait(delivered=True, flown=plan, phase="done", settings=old)
     recorder.close()
     now = content(tmp_path / "result.json")
     (then_row,) = content(WRITTEN / "flight/flights.json.gz")["flights"]
     assert shape(now) == shape(before)
     assert (
-        own_row(now, vehicle="", autopilot="", run="").keys() - OF_FOREIGN_FLIGHTS
+        flight_row_from_companion_result(now, vehicle="", autopilot="", run="").keys()
+        - OF_FOREIGN_FLIGHTS
         == then_row.keys()
     )
     assert shape(content(tmp_path / "mission.plan")) == shape(
@@ -206,7 +211,7 @@ def test_a_run_folder_is_continued_and_its_files_have_the_same_keys(tmp_path):
 def test_frames_are_recorded_with_the_same_framing(tmp_path):
     """Eight bytes of time, and a MAVLink 2 frame: magic, length, flags (1: signed)."""
     raw = gzip.decompress((WRITTEN / "flight/stream.tlog.gz").read_bytes())
-    at, now = 0, Tlog(tmp_path / "now.tlog")
+    at, now = 0, TlogFile(tmp_path / "now.tlog")
     for _ in range(50):
         assert raw[at + 8] == 0xFD
         size = 12 + raw[at + 9] + 13 * (raw[at + 10] & 1)
@@ -219,8 +224,8 @@ def test_frames_are_recorded_with_the_same_framing(tmp_path):
 
 @pytest.mark.parametrize("file_format", ExportFormat)
 def test_missions_are_exported_with_the_same_keys(file_format, tmp_path):
-    done = export(ExportRequest(SHORT.with_name("default.toml"), file_format))
-    texts = {file_format.suffix: done.text, **done.beside}
+    done = export_mission_or_track(ExportRequest(SHORT.with_name("default.toml"), file_format))
+    texts = {file_format.suffix: done.text, **done.companion_files}
     for ending, text in texts.items():
         now = tmp_path / f"mission{ending}"
         now.write_text(text)

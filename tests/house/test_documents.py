@@ -1,4 +1,4 @@
-"""The documents: a front page of two screens, and no page that nobody finds."""
+"""The documents: a front page of two screens, and every page reachable by links."""
 
 import re
 from pathlib import Path
@@ -16,7 +16,7 @@ def too_long(text: str) -> list[str]:
 
 
 def reached_from(starts: list[Path]) -> set[Path]:
-    """Pages that a reader comes to by links."""
+    """Return the pages that are reachable by links."""
     seen: set[Path] = set()
     ahead = [path.resolve() for path in starts]
     while ahead:

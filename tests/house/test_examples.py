@@ -1,4 +1,4 @@
-"""The examples run as they stand, say what they promise, and stay short enough to read."""
+"""The examples run unchanged, print the documented output, and stay short."""
 
 import ast
 import json
@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from sim_bridge.research.reference.programs import module_of
+from sim_bridge.research.reference.programs import main_module_of_program
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(EXAMPLES.rglob("*.py"))
-SIM_BRIDGE = f"from {module_of('sim-bridge')} import main; main()"
+SIM_BRIDGE = f"from {main_module_of_program('sim-bridge')} import main; main()"
 MOST_LINES = 80
 
 pytestmark = pytest.mark.timeout(180)
@@ -40,6 +40,7 @@ def test_every_script_is_run_here() -> None:
     assert all(f'"{path.stem}.py"' in mine for path in SCRIPTS)
 
 
+@pytest.mark.sample
 def test_the_wind_is_found_in_a_log_of_closed_form(tmp_path: Path) -> None:
     said = output_of([str(EXAMPLES / "replay_a_log.py")], tmp_path)
     blown, estimated = (re.findall(r"[+-]\d+\.\d\d", line) for line in said.splitlines()[:2])
@@ -56,6 +57,7 @@ def test_the_gate_turns_back_with_less_energy_and_more_wind(tmp_path: Path) -> N
     assert len(set(answers.values())) == 2
 
 
+@pytest.mark.sample
 @pytest.mark.third_party
 def test_mavsdk_lifts_and_lands_what_serve_stands_up(tmp_path: Path) -> None:
     said = output_of([str(EXAMPLES / "drive_serve_with_mavsdk.py")], tmp_path)
@@ -63,6 +65,7 @@ def test_mavsdk_lifts_and_lands_what_serve_stands_up(tmp_path: Path) -> None:
     assert "landed and disarmed" in said
 
 
+@pytest.mark.sample
 def test_a_scenario_of_ones_own_flies(tmp_path: Path) -> None:
     file = EXAMPLES / "own_scenario" / "flight.toml"
     (command,) = re.findall(r"# +sim-bridge (fly .*)", file.read_text())

@@ -1,4 +1,4 @@
-"""Help at 80 columns cuts no word: what is cut is often what tells two things apart."""
+"""Help at 80 columns truncates no name: truncated names may be indistinguishable."""
 
 from collections.abc import Iterator
 
@@ -45,6 +45,6 @@ def test_canary_a_word_too_long_for_its_column_is_cut() -> None:
 
     @app.command()
     def long(there: str = typer.Option("", help="x" * 90)) -> None:
-        """Say nothing."""
+        """Print nothing."""
 
     assert cut_lines(app, ())

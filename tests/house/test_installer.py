@@ -1,4 +1,4 @@
-"""deploy/install, as far as it can be tried here; `make install-check` has a clean system."""
+"""deploy/install, as far as it can be tested here; `make install-check` uses a clean system."""
 
 import os
 import shutil
@@ -28,7 +28,7 @@ def test_bash_can_read_a_script_to_its_end(script: Path):
 
 
 def test_each_unit_of_a_role_is_shipped_and_named_by_the_installer():
-    """A unit that the installer would copy and that is not there breaks only on the vehicle."""
+    """A missing unit that the installer copies would otherwise fail only on the vehicle."""
     text = (DEPLOY / "install").read_text()
     named = [
         word

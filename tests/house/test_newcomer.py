@@ -1,29 +1,19 @@
-"""What `deploy/check-newcomer` takes from README is there: it tries these commands each night."""
+"""README has the commands that `deploy/check-newcomer` extracts and runs each night."""
 
-import importlib.util
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from runpy import run_path
+from types import SimpleNamespace
 
 import pytest
 
-from tests.house.test_results import parsed
+from tests.house.parsed_command import parsed
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
+newcomer = SimpleNamespace(**run_path(str(ROOT / "deploy" / "check-newcomer")))
 
 
-@pytest.fixture(scope="module")
-def newcomer() -> ModuleType:
-    loader = SourceFileLoader("check_newcomer", str(ROOT / "deploy" / "check-newcomer"))
-    spec = importlib.util.spec_from_loader(loader.name, loader)
-    assert spec is not None
-    made = importlib.util.module_from_spec(spec)
-    loader.exec_module(made)
-    return made
-
-
-def test_readme_has_a_first_flight_a_day_and_the_map_that_shows_it(newcomer: ModuleType) -> None:
+def test_readme_has_a_first_flight_a_day_and_the_map_that_shows_it() -> None:
     assert newcomer.blocks(README, "make fly")[0] == "make fly"
     into, day, shown = newcomer.blocks(README, "sim-bridge day")
     assert into == ". .venv/bin/activate"
@@ -34,9 +24,7 @@ def test_readme_has_a_first_flight_a_day_and_the_map_that_shows_it(newcomer: Mod
         newcomer.blocks(README, "ground-station fly")
 
 
-def test_what_readme_shows_of_a_flight_is_held_against_what_was_printed(
-    newcomer: ModuleType,
-) -> None:
+def test_what_readme_shows_of_a_flight_is_held_against_what_was_printed() -> None:
     shown = "\n".join(newcomer.blocks(README, "gate on"))
     newcomer.check_printed(README, f"installing ...\n{shown}\nrun folder: logs/a")
     with pytest.raises(newcomer.NotSo, match="did not print: 1 px4"):

@@ -1,5 +1,5 @@
-"""What the systemd units start, with the settings that deploy/install writes: each program takes
-its command line, may write what it writes, and pets its watchdog if it has one.
+"""Commands of the systemd units with the settings that deploy/install writes: each program accepts
+its command line, may write its files, and notifies its watchdog if it has one.
 """
 
 import os
@@ -15,10 +15,10 @@ import pytest
 
 from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+from ground_station.adapters.pki.pki_folder import PkiFolder, utc_datetime
 from ground_station.adapters.store.database import Database
 from tests.fleet.zenoh_net import config_file, free_port
-from tests.house.test_results import parsed
+from tests.house.parsed_command import parsed
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 INSTALLER = (DEPLOY / "install").read_text()
@@ -35,7 +35,7 @@ def settings_of(lines: list[str]) -> Settings:
 
 
 def installed() -> dict[str, Settings]:
-    """By unit, what the installer writes into the file that the unit reads."""
+    """Return, by unit, the settings that the installer writes to the unit's environment file."""
     found: dict[str, Settings] = {}
     for _, body in PARTS:
         conf = re.search(r"settings [a-z-]+\.conf <<'END'\n(.*?)\nEND", body, re.DOTALL)
@@ -55,7 +55,7 @@ def values(unit: str, key: str) -> list[str]:
 
 
 def expanded(line: str, settings: Settings) -> list[str]:
-    """As systemd.service(5) has it: ${X} is (part of) one word, $X is split; unset is empty."""
+    """Expand by systemd.service(5): ${X} is (part of) one word, $X is split; unset is empty."""
     words: list[str] = []
     for word in shlex.split(line):
         if re.fullmatch(r"\$[A-Z]+", word):
@@ -66,7 +66,7 @@ def expanded(line: str, settings: Settings) -> list[str]:
 
 
 def command_of(unit: str, settings: Settings) -> list[str]:
-    """The program's name and its words."""
+    """Return the program's name and its arguments."""
     (line,) = values(unit, "ExecStart")
     program, *words = expanded(line, settings)
     return [Path(program).name, *words]
@@ -113,7 +113,7 @@ def test_a_member_of_a_fleet_has_an_identity_where_it_may_keep_newer_rosters(uni
 
 @pytest.mark.parametrize("unit", ["leeway-desk", "leeway-map", "leeway-truck"])
 def test_settings_of_before_there_were_identities_mean_the_same_place(unit: str):
-    """Settings are never written over: older ones lack the line."""
+    """Existing settings are never overwritten: older files lack the line."""
     default = settings_of(values(unit, "Environment"))
     assert default["IDENTITY"] == SETTINGS[unit]["IDENTITY"]
 
@@ -130,10 +130,10 @@ MODULES = {"companion": "companion.app.cli.main", "ground-station": "ground_stat
 
 
 def here(unit: str, folder: Path) -> list[str]:
-    """The unit's command on this machine: its folders under `folder`, its member made by `pki`."""
+    """Return the unit's command with folders under `folder` and a member made by `pki`."""
     name, role = MEMBERS[unit]
-    pki = PkiFolder.init(folder / "pki", "harbour", utc_at(epoch_us()))
-    pki.add(name, role, 365, "")
+    pki = PkiFolder.create_fleet(folder / "pki", "harbour", utc_datetime(epoch_us()))
+    pki.add_member(name, role, 365, "")
     zenoh = config_file(folder / "zenoh.json5", connect=free_port())
     mine = {"DAY": "harbour", "LINK": f"udpin:127.0.0.1:{free_port()}"}
     more = ["--zenoh", str(zenoh), *(["--port", "0"] if unit == "leeway-map" else [])]
@@ -149,6 +149,7 @@ def here(unit: str, folder: Path) -> list[str]:
     return [sys.executable, "-m", MODULES[program], *words]
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=2)
 @pytest.mark.parametrize("unit", MEMBERS)
 def test_a_service_says_that_it_is_ready_and_that_it_turns(unit: str, tmp_path: Path):
@@ -180,6 +181,6 @@ def test_a_service_says_that_it_is_ready_and_that_it_turns(unit: str, tmp_path: 
 
 
 def test_only_a_service_that_is_known_to_pet_a_watchdog_has_one():
-    """The router's own program is not ours, and has none; both companions turn in one loop."""
+    """The router is a foreign program and has no watchdog; both companions share one loop."""
     with_one = {p.stem for p in DEPLOY.glob("*.service") if values(p.stem, "WatchdogSec")}
     assert with_one - {"leeway-router"} == {*MEMBERS, "leeway-companion"}

@@ -1,4 +1,4 @@
-"""The systemd units that people install: every key stands where systemd reads it."""
+"""The shipped systemd units: every key is in the section where systemd reads it."""
 
 import configparser
 import shutil
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.fleet.service_manager import Watchdog, tell_systemd
-from companion.fleet.zenoh_config import MEETING_PORT
+from companion.fleet.service_manager import Watchdog, notify_systemd
+from companion.fleet.zenoh_config import MESH_PORT
 
 UNITS = sorted((Path(__file__).parents[2] / "deploy").glob("*.service"))
 IN_UNIT = ("StartLimitIntervalSec", "StartLimitBurst")
@@ -23,7 +23,7 @@ def keys_of(text: str) -> dict[str, set[str]]:
 
 
 def misplaced(text: str) -> list[str]:
-    """systemd ignores these outside [Unit], with a line in its journal."""
+    """Return the keys outside [Unit] that systemd ignores there with a journal entry."""
     found = keys_of(text)
     return [key for key in IN_UNIT if any(key in found[s] for s in found if s != "Unit")]
 
@@ -42,7 +42,7 @@ def test_canary_a_limit_in_the_service_section_is_found():
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.stem)
 def test_systemd_finds_nothing_wrong_with_a_unit(unit: Path, tmp_path: Path):
-    """Programs and accounts of the target machine are replaced by ones that are here."""
+    """Programs and accounts of the target machine are replaced by ones of this machine."""
     lines = [line for line in unit.read_text().splitlines() if not line.startswith("User=")]
     lines = ["ExecStart=/bin/true" if x.startswith("ExecStart=") else x for x in lines]
     copy = tmp_path / unit.name
@@ -65,7 +65,7 @@ def iptables_refuses(rules: str) -> str:
 
 
 def cannot_test_rules() -> bool:
-    """Not installed, or not for this account."""
+    """Return True if the program is missing or not permitted for this account."""
     if shutil.which("iptables-restore") is None:
         return True
     return bool(iptables_refuses("*filter\nCOMMIT\n"))
@@ -82,7 +82,7 @@ def test_the_rules_for_the_tls_port_are_ones_that_iptables_takes(spoilt: bool):
 
 def test_the_rules_for_the_tls_port_count_new_calls_only_by_address_and_in_all():
     rules = [line for line in PORT_RULES.read_text().splitlines() if line.startswith("-A")]
-    assert f"--dport {MEETING_PORT} --syn -j LEEWAY-PORT" in rules[0]
+    assert f"--dport {MESH_PORT} --syn -j LEEWAY-PORT" in rules[0]
     assert [rule.rpartition(" ")[2] for rule in rules[1:]] == ["DROP", "RETURN", "DROP"]
     assert "--hashlimit-mode srcip" in rules[1]
     assert "-m limit --limit 8/second" in rules[2]
@@ -90,7 +90,7 @@ def test_the_rules_for_the_tls_port_count_new_calls_only_by_address_and_in_all()
 
 def test_a_loop_that_turns_says_so_and_without_systemd_nothing_happens(tmp_path, monkeypatch):
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    tell_systemd("READY=1")
+    notify_systemd("READY=1")
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(path))
@@ -98,7 +98,7 @@ def test_a_loop_that_turns_says_so_and_without_systemd_nothing_happens(tmp_path,
         monkeypatch.setenv("NOTIFY_SOCKET", str(path))
         watchdog = Watchdog(5.0)
         for now_s in (0.0, 1.0, 4.9, 5.0):
-            watchdog.turn(now_s)
+            watchdog.notify_systemd_if_due(now_s)
         heard = [systemd.recv(100), systemd.recv(100)]
         systemd.setblocking(False)
         with pytest.raises(BlockingIOError):

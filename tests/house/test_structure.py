@@ -1,6 +1,6 @@
-"""How the code is laid out and named: small folders, one name for one thing, nobody's privates.
+"""Layout and naming of the code: small folders, unique names, no access to private names.
 
-Import rules are contracts of import-linter (pyproject.toml); these are what it cannot see.
+Import rules are contracts of import-linter (pyproject.toml); this file checks the rest.
 """
 
 import ast
@@ -18,13 +18,13 @@ PACKAGES = ("companion", "ground_station", "sim_bridge")
 MOST_MODULES = 20
 
 CROWDED: dict[str, str] = {}
-"""Folders that may hold more, and why."""
+"""Folders that may hold more files, with the reason."""
 
 PUBLIC_BY_DOCUMENT = {"os._exit"}
 """Names with an underscore that their library documents."""
 
 OF_LIBRARIES = {"_timestamp"}
-"""The only way to ask: when pymavlink read a message."""
+"""The only access to the time at which pymavlink received a message."""
 
 NAMED_TUPLE = {"_asdict", "_replace", "_fields", "_make"}
 
@@ -45,7 +45,7 @@ def crowded(paths: Iterable[Path]) -> list[str]:
 
 
 def classes_named_twice(sources: dict[str, str]) -> list[str]:
-    """Public classes at the top of modules that share their name."""
+    """Return public top-level classes of different modules with the same name."""
     homes: defaultdict[str, list[str]] = defaultdict(list)
     for name, source in sources.items():
         for node in ast.parse(source).body:
@@ -55,7 +55,7 @@ def classes_named_twice(sources: dict[str, str]) -> list[str]:
 
 
 def privates_touched(name: str, source: str) -> list[str]:
-    """Attributes and imports with an underscore that belong to another module."""
+    """Return attributes and imports with an underscore that belong to another module."""
     nodes = list(ast.walk(ast.parse(source)))
     own = {
         node.attr
@@ -94,7 +94,7 @@ def _is_private(name: str) -> bool:
 
 
 def stand_ins(name: str, source: str) -> list[str]:
-    """A time of minus a billion seconds where None is meant."""
+    """Return the uses of minus a billion seconds in place of None."""
     return [
         f"{name}:{node.lineno}: {ast.unparse(node)}"
         for node in ast.walk(ast.parse(source))
@@ -107,7 +107,7 @@ def stand_ins(name: str, source: str) -> list[str]:
 
 
 def other_names_of_the_distribution(name: str, text: str) -> list[str]:
-    """`leeway` is somebody else's package on the index: ours is leeway-uas."""
+    """Return uses of `leeway`, a foreign package on the index; the distribution is leeway-uas."""
     wrong = re.compile(r"\bleeway\[|pip3? install (-\S+ )*['\"]?leeway(?!-uas)\b")
     return [
         f"{name}:{number}: {line.strip()}"
@@ -129,6 +129,7 @@ def test_no_folder_holds_more_modules_than_one_can_oversee() -> None:
     assert not crowded([*many[1:], many[0].with_name("__init__.py")])
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_public_class_has_a_name_of_its_own_within_its_program(package: str) -> None:
     found = classes_named_twice(sources(package))

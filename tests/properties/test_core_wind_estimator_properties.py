@@ -1,20 +1,17 @@
-"""The wind estimator in any flight: a covariance that is one, and never surer for waiting."""
+"""The wind estimator in any flight: a valid covariance that never shrinks without data."""
 
 import math
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from companion.core.vehicle.airframe import airframe_from_dict
+from companion.adapters.files.params import read_airframe
 from companion.core.wind.estimator import WindEstimator, WindObservation
 
-ROOT = Path(__file__).parents[2]
-M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
+M100 = read_airframe("m100")
 
 angle = st.floats(-0.8, 0.8)
 speed = st.floats(-20.0, 20.0)
@@ -38,7 +35,10 @@ observation = st.builds(
 
 
 @settings(max_examples=60, deadline=None)
-@given(seen=st.lists(observation, min_size=1, max_size=40), wait_s=st.floats(0.0, 600.0))
+@given(
+    seen=st.lists(observation, min_size=1, max_size=40),
+    wait_s=st.floats(0.0, 600.0),
+)
 def test_waiting_never_makes_us_more_certain_and_the_covariance_is_one(
     seen: list[WindObservation], wait_s: float
 ) -> None:
@@ -55,6 +55,7 @@ def test_waiting_never_makes_us_more_certain_and_the_covariance_is_one(
         np.testing.assert_array_equal(later.mean_to_ne_mps, now.mean_to_ne_mps)
 
 
+@pytest.mark.sample
 @settings(max_examples=6, deadline=None)
 @given(
     seed=st.integers(0, 1000),
@@ -67,7 +68,7 @@ def test_on_one_heading_for_ever_it_does_not_diverge(seed: int, course: float, t
     estimator = WindEstimator(M100)
     wind = rng.normal(0.0, 4.0, 2)
     vel = 8.0 * np.array([math.cos(course), math.sin(course)])
-    linear, _ = M100.drag_linear_n_per_mps(M100.mass.empty_kg, 1.225)
+    linear, _ = M100.linear_drag_forward_right_n_per_mps(M100.mass.empty_kg, 1.225)
     quadratic = M100.drag.quadratic_forward_n_per_mps2
     for k in range(1500):
         air = vel - wind - 0.5 * rng.standard_normal(2)

@@ -1,4 +1,4 @@
-"""What must hold of rotors and battery for any numbers."""
+"""Invariants of rotors and battery for any numbers."""
 
 import math
 from pathlib import Path
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sim_bridge.truth.battery import Battery, open_circuit_cell_v
 from sim_bridge.truth.params import load_airframe
-from sim_bridge.truth.rotor_power import RotorSet, inflow_ratio
+from sim_bridge.truth.rotor_power import RotorSet, induced_velocity_ratio
 from sim_bridge.truth.steady_flight import SteadyFlight
 
 M100 = load_airframe(Path(__file__).parents[2] / "params" / "truth" / "m100.toml")
@@ -20,7 +20,7 @@ FLIGHT = SteadyFlight(M100)
 @given(st.floats(-8.0, 8.0), st.floats(0.0, 8.0))
 def test_inflow_solves_the_momentum_equation_outside_the_ring(descent, inplane) -> None:
     """x sqrt(mu^2 + (x - d)^2) = 1, and x between 0 and what a ring can hold."""
-    x = inflow_ratio(descent, inplane)
+    x = induced_velocity_ratio(descent, inplane)
     assert 0.0 < x < 2.3
     if 1.5 * inplane**2 + (2 * descent - 3) ** 2 >= 1.0:
         # 2.5e-2: near its double root, at axial descent of 2 v_h, the equation is flat
@@ -29,7 +29,7 @@ def test_inflow_solves_the_momentum_equation_outside_the_ring(descent, inplane) 
 
 @given(st.floats(0.0, 80.0), st.floats(0.0, 30.0), st.floats(-1.0, 1.0))
 def test_rotors_never_charge_the_battery(thrust_n, airspeed, along) -> None:
-    power_w = ROTORS.electric_w(thrust_n, airspeed, along * thrust_n * airspeed)
+    power_w = ROTORS.electrical_power_w(thrust_n, airspeed, along * thrust_n * airspeed)
     assert power_w >= M100.rotors.avionics_w
     assert math.isfinite(power_w)
 
@@ -42,7 +42,7 @@ def test_a_heavier_vehicle_needs_more_power_at_any_speed(airspeed, payload_kg, m
 
 @given(st.floats(0.0, 20.0), st.floats(0.1, 5.0))
 def test_climbing_costs_more_than_level_flight(airspeed, climb) -> None:
-    climbing = FLIGHT.state(airspeed, climb_mps=climb).power_w
+    climbing = FLIGHT.steady_state(airspeed, climb_mps=climb).power_w
     assert climbing > FLIGHT.level_flight_power_w(airspeed)
 
 
@@ -74,7 +74,7 @@ def test_charge_only_falls_and_energy_is_conserved(draws) -> None:
     for power_w, seconds in draws:
         before = battery.charge_frac
         for _ in range(20):
-            battery.step(power_w, seconds / 20)
+            battery.discharge_at_power(power_w, seconds / 20)
         assert battery.charge_frac <= before
-    parts_j = battery.delivered_j + battery.lost_j + battery.stored_j
+    parts_j = battery.delivered_j + battery.lost_j + battery.polarisation_energy_j
     assert battery.chemical_j == pytest.approx(parts_j, rel=2e-3, abs=1e-6)

@@ -12,11 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.app.cli.main import app
-from sim_bridge.app.trials.log_writers import DATAFLASH, ULOG_TOPICS
+from sim_bridge.app.trials.log_writers import DATAFLASH_FORMATS, ULOG_TOPICS
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "logs"
 SECOND = 50
-"""The subscription of the second instance."""
+"""Subscription of the second instance."""
 
 
 def replayed(path):
@@ -26,13 +26,13 @@ def replayed(path):
 
 
 def without(text, words):
-    """What a replay printed, less its file and speed and the lines with these words."""
+    """Return the output of a replay without file, speed and the lines with these words."""
     left_out = ("airframe m100", "times real time", words)
     return [line for line in text.splitlines() if not any(word in line for word in left_out)]
 
 
 def ulog_with_an_empty_monitor(raw, charge_frac):
-    """The ULog with its battery as the second instance; the first measures nothing."""
+    """Write the ULog with its battery as the second instance; the first measures nothing."""
     number = list(ULOG_TOPICS).index("battery_status")
     name = b"battery_status"
     at, parts = 16, [raw[:16]]
@@ -53,8 +53,8 @@ def ulog_with_an_empty_monitor(raw, charge_frac):
 
 
 def dataflash_with_an_empty_monitor(raw, first):
-    """The dataflash log with its BAT as instance 1; `first`: instance 0 is logged, too."""
-    number, code, _ = DATAFLASH["BAT"]
+    """Write the dataflash log with its BAT as instance 1; `first`: instance 0 is logged, too."""
+    number, code, _ = DATAFLASH_FORMATS["BAT"]
     size = 3 + struct.calcsize("<" + code)
     head, at, parts = b"\xa3\x95" + bytes([number]), 0, []
     while (found := raw.find(head, at)) >= 0:
@@ -67,22 +67,24 @@ def dataflash_with_an_empty_monitor(raw, first):
     return b"".join((*parts, raw[at:]))
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("charge_frac", [0.0, 1.0])
 def test_the_pack_of_a_ulog_is_the_instance_with_a_voltage(make, world, tmp_path, charge_frac):
     sound = make.ulog(tmp_path / "a.ulg", world)
     (tmp_path / "b.ulg").write_bytes(ulog_with_an_empty_monitor(sound.read_bytes(), charge_frac))
     told = replayed(tmp_path / "b.ulg")
-    assert "the pack is battery 1 at 90%, by its voltage" in told
-    assert without(told, "the pack is") == without(replayed(sound), "the pack is")
+    assert "monitor in use: battery 1 at 90%, by its voltage" in told
+    assert without(told, "monitor in use:") == without(replayed(sound), "monitor in use:")
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("first", [True, False])
 def test_the_pack_of_a_dataflash_log_is_the_instance_with_a_voltage(make, world, tmp_path, first):
     sound = make.dataflash(tmp_path / "a.bin", world)
     raw = dataflash_with_an_empty_monitor(sound.read_bytes(), first)
     (tmp_path / "b.bin").write_bytes(raw)
     told = replayed(tmp_path / "b.bin")
-    assert without(told, "the pack is") == without(replayed(sound), "the pack is")
+    assert without(told, "monitor in use:") == without(replayed(sound), "monitor in use:")
 
 
 def test_a_log_with_a_stated_charge_and_no_voltage_promises_nothing(make, world, tmp_path):
@@ -95,16 +97,17 @@ def test_a_log_with_a_stated_charge_and_no_voltage_promises_nothing(make, world,
         head.join([pieces[0], *(one[:8] + none + one[12:] for one in pieces[1:])])
     )
     told = replayed(tmp_path / "b.ulg")
-    assert "no battery voltage; nothing said about energy and the way home" in told
+    assert "no battery voltage; energy and return not assessed" in told
     assert "P(home)" not in told
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("battery_1_only.ulg", "+65.9 Wh above the reserve"),
-        ("battery_0_says_full.ulg", "the pack is battery 1 at 30%"),
-        ("df_bat1.bin", "+65.9 Wh above the reserve"),
+        ("battery_1_only.ulg", "65.9 Wh above the reserve"),
+        ("battery_0_says_full.ulg", "monitor in use: battery 1 at 30%"),
+        ("df_bat1.bin", "65.9 Wh above the reserve"),
     ],
 )
 def test_the_shared_cases_use_the_pack_that_is_measured(tmp_path, name, words):

@@ -1,7 +1,7 @@
-"""Damaged logs of every format to `companion replay`: one line that names the file, no traceback.
+"""Damaged logs of every format: `companion replay` prints one line that names the file.
 
-A good file is torn, cut and overwritten at random places, and at its numbers' own places with what
-makes readers stumble: not-a-number, infinities, the largest lengths.
+A valid file is torn, truncated and overwritten at random positions; numbers are overwritten with
+values that readers often mishandle: not-a-number, infinities, the largest lengths.
 """
 
 from pathlib import Path
@@ -11,13 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from companion.adapters.logs.decision_log import DecisionLog, HeardRows
-from companion.adapters.logs.open_log import open_log
+from companion.adapters.logs.decision_log import DecisionLog, TelemetryRows
+from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.app.cli.main import app
 from companion.core.pilot.telemetry_state import TelemetryState
 from sim_bridge.app.trials import damage
 
-NASTY = [*damage.NASTY, b"NaN"]
+NASTY = [*damage.INVALID_VALUES, b"NaN"]
 KINDS = {"csv": "csv", "ulog": "ulg", "dataflash": "bin", "tlog": "tlog", "mcap": "mcap"}
 
 edits = st.lists(
@@ -33,24 +33,24 @@ edits = st.lists(
 
 @pytest.fixture(scope="module")
 def good(make, world, tmp_path_factory) -> dict[str, Path]:
-    """A good file of each format: half a minute on the ground and in the air."""
+    """Return a valid file of each format: half a minute on the ground and in the air."""
     folder = tmp_path_factory.mktemp("good")
-    short = world.rows(world.t_s < 20.0)
+    short = world.select_rows(world.t_s < 20.0)
     paths = {kind: folder / f"a.{end}" for kind, end in KINDS.items()}
-    make.csv(paths["csv"], make.csv_columns(short) | make.battery_columns(short))
+    make.csv(paths["csv"], make.telemetry_csv_columns(short) | make.battery_csv_columns(short))
     for kind in ("ulog", "dataflash", "tlog"):
         getattr(make, kind)(paths[kind], short)
-    log, rows, now = DecisionLog(paths["mcap"]), HeardRows(), TelemetryState()
-    for event in open_log(paths["tlog"]).events:
-        now.update(event)
-        for topic, row in rows.new(now):
+    log, rows, now = DecisionLog(paths["mcap"]), TelemetryRows(), TelemetryState()
+    for event in read_log_of_any_format(paths["tlog"]).events:
+        now.store_event(event)
+        for topic, row in rows.take_new_rows(now):
             log.write(topic, row)
     log.close()
     return paths
 
 
 def damaged(raw: bytes, edited: list[tuple[str, float, bytes]]) -> bytes:
-    """`raw` after some edits; each at a share of the length that is left."""
+    """Return `raw` after some edits, each at a fraction of the remaining length."""
     for kind, share, piece in edited:
         at = int(share * len(raw))
         match kind:
@@ -66,18 +66,20 @@ def damaged(raw: bytes, edited: list[tuple[str, float, bytes]]) -> bytes:
 
 
 def replayed(path: Path) -> tuple[int, str]:
-    """Exit code and output; an exception that leaves the command fails the test here."""
+    """Return exit code and output; an exception that leaves the command fails the test here."""
     result = CliRunner().invoke(app, ["replay", str(path), "--every", "30"])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result.exit_code, result.output
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_a_good_file_is_replayed(good, kind):
     assert replayed(good[kind])[0] == 0
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize("kind", list(KINDS))
 @settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -98,20 +100,20 @@ def test_a_number_that_cannot_be_what_it_is_called_is_left_out_and_that_is_said(
         row = {"t_s": float(k), "roll_rad": roll_rad, "pitch_rad": 0.0, "yaw_rad": 0.0}
         log.write("heard_attitude", row)
     log.close()
-    flight = open_log(tmp_path / "a.mcap")
+    flight = read_log_of_any_format(tmp_path / "a.mcap")
     assert [event.t_s for event in flight.events] == [0.0, 2.0]
-    assert str(flight.findings[0]) == "sample 1: Attitude.roll_rad cannot be; left out"
+    assert str(flight.findings[0]) == "sample 1: Attitude.roll_rad out of range; discarded"
 
 
 @pytest.mark.parametrize("field", [b"vx", b"q"])
 def test_a_ulog_topic_whose_definition_lost_a_field_is_left_out_and_that_is_said(
     make, world, tmp_path, field
 ):
-    path = make.ulog(tmp_path / "a.ulg", world.rows(world.t_s < 20.0))
+    path = make.ulog(tmp_path / "a.ulg", world.select_rows(world.t_s < 20.0))
     name = {b"q": b"vehicle_attitude", b"vx": b"vehicle_local_position"}[field]
     raw = path.read_bytes()
     at = raw.index(b" " + field, raw.index(name + b":")) + 1
     path.write_bytes(raw[:at] + b"?" + raw[at + 1 :])
-    flight = open_log(path)
+    flight = read_log_of_any_format(path)
     assert flight.events
     assert any("no field" in found.what for found in flight.findings)

@@ -1,6 +1,6 @@
-"""A log in which the heading is reported wrong for a while: the wind stays as it was, or unknown.
+"""Logs in which the heading is temporarily wrong: the wind estimate stays correct or unknown.
 
-Truth is the wind of the made flight, or of the shared case.
+Truth is the wind of the generated flight, or of the shared case.
 """
 
 import csv
@@ -31,15 +31,16 @@ def worst_sigmas(rows, wind_to_ne_mps, from_s):
     return float(np.abs((late[:, 1:3] - np.array(wind_to_ne_mps)) / late[:, 3:5]).max())
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("kind", ["csv", "ulog", "dataflash", "tlog"])
 @pytest.mark.parametrize("deg", [160.0, -90.0])
 def test_a_heading_step_is_reported_and_the_wind_is_right_after_it(
     make, world, tmp_path, kind, deg
 ):
-    # The squares turn at their corners at once; on the leg from 65 to 80 s nothing turns.
+    # The track turns at its corners at once; from 65 to 80 s it is straight.
     wrong = (world.t_s >= 68.0) & (world.t_s < 68.0 + FOR_S)
     stepped = replace(world, yaw_rad=world.yaw_rad + np.radians(deg) * wrong)
-    columns = make.csv_columns(stepped)
+    columns = make.telemetry_csv_columns(stepped)
     columns["yaw_deg"] = (columns["yaw_deg"] + 180.0) % 360.0 - 180.0
     path = tmp_path / "f"
     written = make.csv(path, columns) if kind == "csv" else getattr(make, kind)(path, stepped)
@@ -55,6 +56,6 @@ def test_the_shared_case_is_within_three_sigma_from_five_seconds_after_the_step(
     path = tmp_path / "yaw_jump.ulg"
     path.write_bytes(gzip.decompress((CASES / "yaw_jump.ulg.gz").read_bytes()))
     told, rows = replayed(path, tmp_path / "w.csv")
-    assert "60.0 s  wind: heading stepped by 160 deg" in told
-    begin_s = 10.0  # of the log's clock
+    assert "60.0 s  wind estimate: heading stepped by 160 deg" in told
+    begin_s = 10.0  # on the log's clock
     assert worst_sigmas(rows, (-5.0, 0.0), begin_s + 60.0) < 3.0

@@ -1,29 +1,26 @@
-"""A flight's bytes, heard a second time, give the same decisions and the same bytes."""
+"""Replaying the bytes of a flight gives the same decisions and the same bytes."""
 
 import math
-from collections import deque
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
-from companion.adapters.autopilots.link import Incoming
 from companion.adapters.files.params import (
-    digest_of,
+    flight_configuration_digest,
     params_dir,
     read_airframe,
     read_flight,
     read_wind_process,
 )
-from companion.app.flight.loaded_flight import requirements
+from companion.app.flight.loaded_flight import autopilot_parameter_requirements
 from companion.app.flight.loop import Loop
-from companion.app.flight.planning import PlanAtOnce
 from companion.app.flight.recorder import Recorder
 from companion.core.mission.actions import Action, Decision
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
+from sim_bridge.app.world.memory_link import MemoryLink
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
@@ -46,37 +43,8 @@ wind_settle_s = 4.0
 """
 
 
-class Tape:
-    """A link that plays what was put on it."""
-
-    datagrams = True
-    strangers = 0
-
-    def __init__(self) -> None:
-        self.incoming: deque[bytes] = deque()
-        self.sent: list[bytes] = []
-
-    def receive(self, timeout_s: float) -> Incoming | None:
-        return Incoming(self.incoming.popleft()) if self.incoming else None
-
-    def send(self, data: bytes) -> None:
-        self.sent.append(data)
-
-    def settle(self) -> None:
-        return
-
-    def waiting(self) -> int:
-        return 0
-
-    def answer_to(self, peer: Any) -> None:
-        return
-
-    def close(self) -> None:
-        return
-
-
 class Ears:
-    """A companion on a tape: what it decides and says."""
+    """A companion on a recorded link, with its decisions and messages."""
 
     def __init__(self, folder: Path) -> None:
         path = folder / "flight.toml"
@@ -84,39 +52,40 @@ class Ears:
         path.write_text(FLIGHT_TOML)
         flight, airframe = read_flight(path), read_airframe("m100")
         wind_process = read_wind_process("coast")
-        self.tape, self.decisions, self.said = Tape(), [], []
+        self.tape, self.decisions, self.said = MemoryLink(), [], []
         self.pilot = Pilot(
-            flight, airframe, wind_process, obstacles=None, requirements=requirements,
-            digest=digest_of(path, airframe, wind_process),
+            flight, airframe, wind_process, obstacles=None,
+            requirements=autopilot_parameter_requirements,
+            flight_digest=flight_configuration_digest(path, airframe, wind_process),
             options=PilotOptions(configure=True, authorise=True, without_operator=True),
         )  # fmt: skip
-        self.recorder = Recorder(folder, at_once=True)
-        self.loop = Loop.wire(
+        self.recorder = Recorder(folder, synchronous=True, on_action=self.note)
+        self.loop = Loop(
             self.tape, MavlinkCodec(datagrams=True), self.recorder, self.pilot,
             system_id=None, silence_limit_s=1e9,
+            plan_synchronously=True,  # the recording waits for the plan, as the simulator does
         )  # fmt: skip
-        self.loop.on_action = self.note
-        self.loop.planning = PlanAtOnce()  # the tape waits for us, as the simulator does
 
     def note(self, action: Action) -> None:
         if isinstance(action, Decision):
             self.decisions.append(action)
 
     def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        self.tape.incoming += datagrams
-        while self.tape.incoming and self.loop.finished is None:
+        self.tape.received += datagrams
+        while self.tape.received and self.loop.finished is None:
             self.loop.step()
-        sent, self.tape.sent[:] = list(self.tape.sent), []
+        sent = self.tape.take_sent_datagrams()
         self.said += sent
         return sent
 
     def payloads(self) -> list[str]:
-        """What it said, but for heartbeats, which until it knows the vehicle follow the wall."""
+        """Return the sent messages without heartbeats, which follow wall time at first."""
         ear = mavlink.MAVLink(None)
         heard = [m for data in self.said for m in ear.parse_buffer(data) or []]
-        return [repr(m.to_dict()) for m in heard if m.get_type() != "HEARTBEAT"]  # NaN is NaN
+        return [repr(m.to_dict()) for m in heard if m.get_type() != "HEARTBEAT"]  # equates NaN
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("autopilot_kind", list(AutopilotKind))
 def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(autopilot_kind, tmp_path):
     vehicle = Vehicle(
@@ -134,13 +103,15 @@ def test_a_recorded_flight_heard_again_gives_the_same_decisions_and_bytes(autopi
     actuation = autopilot.actuation
     for step in range(1, 1200):
         for _ in range(5):
-            actuation = autopilot.step(vehicle.step(actuation, 0.02), 0.02)
+            actuation = autopilot.process_readings(
+                vehicle.advance_and_read_sensors(actuation, 0.02), 0.02
+            )
         sync = mavlink.MAVLink_timesync_message(0, round(step * 1e8))
-        frames = [data for _, data in autopilot.take_outbox()]
+        frames = [data for _, data in autopilot.take_frames_to_send()]
         frames.append(bytes(sync.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))))
         tape.append(frames)
         for data in ears.hear(frames):
-            autopilot.receive(0, data)
+            autopilot.process_received_datagram(0, data)
         if "onward" in {d.kind for d in ears.decisions}:
             break
     kinds = [d.kind for d in ears.decisions]

@@ -1,4 +1,4 @@
-"""The reference estimator: a plain EKF on filterpy, against closed forms and a made-up flight."""
+"""The reference estimator: a plain EKF on filterpy, against closed forms and a synthetic flight."""
 
 import json
 import math
@@ -12,27 +12,27 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.adapters.files.params import read_airframe
+from companion.analysis.replay.reference_estimator import ReferenceEstimator, ReferenceParams
 from companion.app.cli.main import app
 from companion.core.base.errors import LeewayError
-from companion.core.replay.reference_estimator import ReferenceEstimator, ReferenceParams
 from companion.core.vehicle.power import GRAVITY_MPS2
 from companion.core.wind.observation import WindObservation
 
 ROOT = Path(__file__).parents[2]
 M100 = read_airframe("m100")
-MASS_KG = M100.mass_kg(0.0)
+MASS_KG = M100.flying_mass_kg(0.0)
 ANEMOMETER = ROOT.parent / "shared/data/estimator/anemometer_uav_5hz.csv"
 
 
 def leaning(t_s, yaw_rad, ground_ne_mps, wind_ne_mps):
-    """Steady level flight: the tilt at which thrust balances the airframe's drag in this wind."""
+    """Return steady level flight, with the tilt that balances the airframe's drag in this wind."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     air_n, air_e = np.subtract(ground_ne_mps, wind_ne_mps)
     forward, right = cos * air_n + sin * air_e, cos * air_e - sin * air_n
     speed = math.hypot(forward, right)
     k, q = (
-        M100.drag_linear_n_per_mps(MASS_KG, 1.225),
-        M100.drag_quadratic_n_per_mps2(MASS_KG, 1.225),
+        M100.linear_drag_forward_right_n_per_mps(MASS_KG, 1.225),
+        M100.quadratic_drag_forward_right_n_per_mps2(MASS_KG, 1.225),
     )
     drag_f = (k[0] + q[0] * speed) * forward / MASS_KG
     drag_r = (k[1] + q[1] * speed) * right / MASS_KG
@@ -62,15 +62,15 @@ def test_a_steady_wind_is_found_from_the_tilt_that_balances_it(wind, ground):
 
 
 def test_the_variance_is_that_of_the_riccati_equation():
-    # A wind vector heard at a steady rate and a random walk: P before a correction solves
-    # P^2 / (P + R) = Q (the scalar algebraic Riccati equation; Bar-Shalom et al. 2001, 5.2.5).
+    # A wind vector received at a steady rate and a random walk: P before a correction solves P^2 /
+    # (P + R) = Q (the scalar algebraic Riccati equation; Bar-Shalom et al. 2001, 5.2.5).
     params = ReferenceParams()
     estimator = ReferenceEstimator(M100, params)
     for k in range(4000):
         estimator.update(
             WindObservation(0.5 * k, False, MASS_KG, autopilot_wind_to_ne_mps=(3.0, 4.0))
         )
-    q = params.walk_m2ps3 * 0.5
+    q = params.wind_diffusion_m2ps3 * 0.5
     r = 2.0 * params.autopilot_memory_s * params.autopilot_std_mps**2 / 0.5
     before = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))
     after = before * r / (before + r)
@@ -87,7 +87,7 @@ def test_waiting_adds_the_random_walk_and_nothing_else():
     now, later = estimator.belief(9.9), estimator.belief(19.9)
     np.testing.assert_array_equal(later.mean_to_ne_mps, now.mean_to_ne_mps)
     added = later.cov_ne_m2ps2 - now.cov_ne_m2ps2
-    np.testing.assert_allclose(added, params.walk_m2ps3 * 10.0 * np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(added, params.wind_diffusion_m2ps3 * 10.0 * np.eye(2), atol=1e-9)
     assert not estimator.belief(9.9 + params.stale_after_s + 1.0).valid
 
 
@@ -108,7 +108,7 @@ def test_an_airspeed_is_taken_as_it_reads(kind):
         without.update(seen)
         with_it.update(replace(seen, **heard))
     belief = with_it.belief(39.9)
-    # The scalar along the nose is the air's level part times the cosine of the pitch (3 deg here).
+    # The scalar along the nose is the level airspeed times the cosine of the pitch (3 deg here).
     np.testing.assert_allclose(belief.mean_to_ne_mps, wind, atol=0.1)
     assert belief.sources == ("pitot", "tilt")
     assert np.trace(belief.cov_ne_m2ps2) < np.trace(without.belief(39.9).cov_ne_m2ps2)
@@ -139,7 +139,7 @@ def run(*arguments):
 
 
 def test_replay_with_the_reference_finds_the_wind_and_keeps_the_records_keys(make, world, tmp_path):
-    path = make.csv(tmp_path / "f.csv", make.csv_columns(world))
+    path = make.csv(tmp_path / "f.csv", make.telemetry_csv_columns(world))
     records = {}
     for name, asked in (("usual", ()), ("reference", ("--estimator", "reference"))):
         out = tmp_path / f"{name}.json"
@@ -160,16 +160,17 @@ def test_replay_with_the_reference_finds_the_wind_and_keeps_the_records_keys(mak
 def test_without_filterpy_the_reference_says_what_to_install(make, world, tmp_path, monkeypatch):
     for name in [m for m in sys.modules if m.split(".")[0] == "filterpy"]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "companion.core.replay.reference_estimator")
+    monkeypatch.delitem(sys.modules, "companion.analysis.replay.reference_estimator")
     monkeypatch.setitem(sys.modules, "filterpy", None)
-    path = make.csv(tmp_path / "f.csv", make.csv_columns(world))
+    path = make.csv(tmp_path / "f.csv", make.telemetry_csv_columns(world))
     said = run(path, "--estimator", "reference")
     assert said.exit_code == 2
     assert "[replay]" in said.output
 
 
+@pytest.mark.sample
 def test_what_flies_and_a_usual_replay_import_no_filterpy(make, world, tmp_path):
-    path = make.csv(tmp_path / "f.csv", make.csv_columns(world))
+    path = make.csv(tmp_path / "f.csv", make.telemetry_csv_columns(world))
     code = (
         "import sys; import companion.app.flight.run, companion.app.flight.fleet_run\n"
         "import companion.app.flight.standby, companion.app.cli.replay\n"
@@ -181,8 +182,9 @@ def test_what_flies_and_a_usual_replay_import_no_filterpy(make, world, tmp_path)
     assert seen.stdout.strip().endswith("[]"), seen.stderr
 
 
+@pytest.mark.sample
 def test_ours_is_ahead_of_the_reference_on_a_real_flight(tmp_path):
-    # The flight with an anemometer: what our states for trim, gain and gusts add.
+    # The flight with an anemometer: the improvement from the states for trim, gain and gusts.
     if not ANEMOMETER.exists():
         pytest.skip(f"{ANEMOMETER} is not here")
     rmse = {}

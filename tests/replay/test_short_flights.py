@@ -1,4 +1,4 @@
-"""A flight of ten seconds is a flight: armed, in the air by the land detector, down again."""
+"""A flight of ten seconds counts as a flight: armed, airborne by the land detector, landed."""
 
 import re
 from dataclasses import replace
@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from companion.adapters.logs.open_log import open_log
+from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.app.cli.main import app
-from companion.core.mission.events import Ground, GroundState
+from companion.core.mission.events import GroundState, VehicleLandedState
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "sample_px4_events.ulg"
 NAME = "sample_px4_events.ulg"
 
 
 def of_pyulog() -> Path | None:
-    """PX4's own short flight, from the tests of pyulog's repository: beside the installed package
-    or under ../shared/data, where somebody has put it.
+    """Return PX4's own short flight from the tests of pyulog's repository, if present next to the
+    installed package or under ../shared/data.
     """
     found = find_spec("pyulog")
     beside = Path(found.origin).parent if found and found.origin else Path()
@@ -28,15 +28,21 @@ def of_pyulog() -> Path | None:
 
 
 def in_air_s(path: Path) -> float:
-    """Seconds between the log's own "in the air" and "on the ground", the last if it has none."""
-    changes = [event for event in open_log(path).events if isinstance(event, GroundState)]
-    up = next(event.t_s for event in changes if event.ground is Ground.IN_AIR)
-    down = [event.t_s for event in changes if event.ground is Ground.ON_GROUND and event.t_s > up]
+    """Return the seconds between the log's "in the air" and "on the ground" (else its end)."""
+    changes = [
+        event for event in read_log_of_any_format(path).events if isinstance(event, GroundState)
+    ]
+    up = next(event.t_s for event in changes if event.ground is VehicleLandedState.IN_AIR)
+    down = [
+        event.t_s
+        for event in changes
+        if event.ground is VehicleLandedState.ON_GROUND and event.t_s > up
+    ]
     return (down[0] if down else changes[-1].t_s) - up
 
 
 def replayed_air_s(path: Path) -> float:
-    """What `companion replay` says of it."""
+    """Return the flight time printed by `companion replay`."""
     done = CliRunner().invoke(app, ["replay", str(path)])
     assert done.exit_code == 0, done.output
     found = re.search(r"(\d+) s in the air", done.output)
@@ -45,8 +51,8 @@ def replayed_air_s(path: Path) -> float:
 
 
 def test_a_hop_of_ten_seconds_is_told_as_long_as_the_log_says(make, tmp_path):
-    world = make.square_flight()
-    hop = world.rows(world.t_s < 31.0)
+    world = make.build_square_flight()
+    hop = world.select_rows(world.t_s < 31.0)
     flying = (hop.t_s > 12.0) & (hop.t_s <= 22.0)
     still = replace(hop, flying=flying, vel_ned_mps=np.where(flying[:, None], hop.vel_ned_mps, 0.0))
     path = make.ulog(tmp_path / "hop.ulg", still)
@@ -55,8 +61,8 @@ def test_a_hop_of_ten_seconds_is_told_as_long_as_the_log_says(make, tmp_path):
 
 
 def test_a_log_that_never_left_the_ground_has_no_time_in_the_air(make, tmp_path):
-    world = make.square_flight()
-    rest = world.rows(world.t_s < 8.0)
+    world = make.build_square_flight()
+    rest = world.select_rows(world.t_s < 8.0)
     path = make.ulog(tmp_path / "rest.ulg", rest)
     assert replayed_air_s(path) == 0.0
 

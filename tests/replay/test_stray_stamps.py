@@ -1,4 +1,4 @@
-"""A wild time stamp costs its own row and no other; a clock that restarts costs none.
+"""A stray time stamp affects only its own row; a clock that restarts affects none.
 
 The undamaged log is the reference: the same readers have to find the same flight in both.
 """
@@ -13,10 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.adapters.logs import log_time
-from companion.adapters.logs.open_log import open_log
+from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.app.cli.main import app
 from companion.core.mission.events import Battery
-from sim_bridge.app.trials.log_writers import DATAFLASH, ULOG_TOPICS
+from sim_bridge.app.trials.log_writers import DATAFLASH_FORMATS, ULOG_TOPICS
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "logs"
 TOPICS = ("vehicle_attitude", "vehicle_local_position", "vehicle_global_position",
@@ -28,11 +28,11 @@ WILD_US = {
     "largest": lambda _: 2**64 - 1,
 }
 BEGINS_S = 100.0
-"""As of an autopilot that was switched on before: a stamp of zero is then before the log."""
+"""Start of an autopilot switched on earlier: a stamp of zero is then before the log."""
 
 
 def stamps_at(raw, topic):
-    """Where the stamps of a topic's messages stand in a ULog, by the message headers."""
+    """Return the offsets of the stamps of a topic's messages in a ULog, by the message headers."""
     number, at, found = list(ULOG_TOPICS).index(topic), 16, []
     while at + 3 <= len(raw):
         size, kind = struct.unpack_from("<HB", raw, at)
@@ -43,7 +43,7 @@ def stamps_at(raw, topic):
 
 
 def moved(raw, places, move):
-    """The log with `move` applied to the stamps at these places (microseconds)."""
+    """Return the log with `move` applied to the stamps at these offsets (microseconds)."""
     changed = bytearray(raw)
     for at in places:
         (stamp_us,) = struct.unpack_from("<Q", raw, at)
@@ -56,14 +56,14 @@ def sound_ulog(make, world, tmp_path_factory):
     path = make.ulog(tmp_path_factory.mktemp("ulog") / "sound.ulg", world)
     raw = path.read_bytes()
     later = [at for topic in ULOG_TOPICS for at in stamps_at(raw, topic)]
-    later.append(8)  # the log's start
+    later.append(8)  # start time of the log
     path.write_bytes(moved(raw, later, lambda stamp: stamp + round(BEGINS_S * 1e6)))
     return path
 
 
 @pytest.fixture(scope="module")
 def sound_log(sound_ulog):
-    return open_log(sound_ulog)
+    return read_log_of_any_format(sound_ulog)
 
 
 @pytest.mark.drawn(keep=2, of="topic")
@@ -84,13 +84,13 @@ def test_a_stray_stamp_costs_its_row_and_is_reported(
     }[rows]
     path = tmp_path / "stray.ulg"
     path.write_bytes(moved(raw, [places[row] for row in hit], WILD_US[wild]))
-    log = open_log(path)
+    log = read_log_of_any_format(path)
     (finding,) = set(map(str, log.findings)) - set(map(str, sound_log.findings))
     assert f"{topic}: row {hit[0]} has the time stamp" in finding
-    assert finding.endswith("left out")
+    assert finding.endswith("discarded")
     assert log.start_s == sound_log.start_s
     assert log.duration_s == pytest.approx(sound_log.duration_s, abs=1.5)
-    # A global position is no event of its own. A topic read at a least step may lose a neighbour.
+    # A global position is no event of its own. A decimated topic may lose a neighbouring row.
     lost = set(sound_log.events) - set(log.events)
     assert len(lost) <= 2 * len(hit) or topic == "vehicle_global_position"
     assert len(sound_log.events) - len(log.events) <= 2 * len(hit)
@@ -105,7 +105,7 @@ def test_a_clock_that_restarts_within_a_ulog_is_laid_on(sound_ulog, sound_log, t
     path.write_bytes(
         moved(raw, places, lambda stamp: stamp if stamp < at_us else stamp - at_us + begin_us)
     )
-    log = open_log(path)
+    log = read_log_of_any_format(path)
     said = "\n".join(map(str, log.findings))
     for topic in TOPICS:
         assert re.search(f"{topic}: row [0-9]+: time goes back by", said)
@@ -113,20 +113,21 @@ def test_a_clock_that_restarts_within_a_ulog_is_laid_on(sound_ulog, sound_log, t
     assert log.duration_s == pytest.approx(sound_log.duration_s, abs=1.0)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("wild_s", [0.0, 3600.0])
 def test_a_stray_stamp_in_a_dataflash_log_is_reported(make, world, tmp_path, wild_s):
     raw = bytearray(make.dataflash(tmp_path / "a.bin", world).read_bytes())
-    sound = open_log(tmp_path / "a.bin")
-    head, row = b"\xa3\x95" + bytes([DATAFLASH["BAT"][0]]), 400
+    sound = read_log_of_any_format(tmp_path / "a.bin")
+    head, row = b"\xa3\x95" + bytes([DATAFLASH_FORMATS["BAT"][0]]), 400
     at = -1
     for _ in range(row + 1):
         at = raw.index(head, at + 1)
     struct.pack_into("<Q", raw, at + 3, round(wild_s * 1e6))
     (tmp_path / "b.bin").write_bytes(raw)
-    log = open_log(tmp_path / "b.bin")
+    log = read_log_of_any_format(tmp_path / "b.bin")
     (finding,) = set(map(str, log.findings)) - set(map(str, sound.findings))
     assert f"BAT: row {row} has the time stamp {wild_s:.1f} s" in finding
-    assert finding.endswith("left out")
+    assert finding.endswith("discarded")
     (lost,) = set(sound.events) - set(log.events)
     assert isinstance(lost, Battery)
 
@@ -135,7 +136,7 @@ def test_the_longest_rising_rows_are_those_of_a_search_through_all():
     rng = np.random.default_rng(8)
     for _ in range(300):
         stamps = rng.integers(0, 8, rng.integers(1, 9)).astype(float)
-        rows = log_time.rising_rows(stamps)
+        rows = log_time.longest_non_decreasing_row_indices(stamps)
         assert (np.diff(rows) > 0).all()
         assert (np.diff(stamps[rows]) >= 0.0).all()
         longest = max(
@@ -146,6 +147,7 @@ def test_the_longest_rising_rows_are_those_of_a_search_through_all():
         assert rows.size == longest
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("name", ["zero_stamp_battery", "back_stamp_position"])
 def test_the_shared_cases_replay_as_the_clean_log(tmp_path, name):
     if not CASES.is_dir():
@@ -159,5 +161,5 @@ def test_the_shared_cases_replay_as_the_clean_log(tmp_path, name):
         said[one] = result.output
     assert "wind in flight: mean 5.0 m/s from 0 deg" in said[name]
     for text in said.values():
-        assert "+65.9 Wh above the reserve" in text
+        assert "65.9 Wh above the reserve" in text
     assert "has the time stamp" in said[name]

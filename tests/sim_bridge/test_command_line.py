@@ -1,4 +1,4 @@
-"""`sim-bridge` on the command line: what flies is in front, experiments behind `research`."""
+"""`sim-bridge` on the command line: flight commands first, experiments under `research`."""
 
 import subprocess
 import sys
@@ -7,20 +7,15 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from sim_bridge.main import app
-from sim_bridge.research.campaign.campaign import PLANNERS
-from sim_bridge.research.cli.main import OLD_SPELLINGS
+from sim_bridge.main import app, current_spelling_by_deprecated
+from sim_bridge.research.campaign.workbench import PLANNERS
 
 IN_FRONT = {
-    "faults", "trials", "fly", "series", "day", "cross", "serve", "conform", "fly-plan", "research",
+    "faults", "trials", "fly", "day", "cross", "serve", "conform", "research",
     "examples",
 }  # fmt: skip
-BEFORE = {
-    "bench", "campaign", "table1", "table2", "lambda-sweep", "energy-speed", "speed-to-fly",
-    "towns", "frontier", "paths", "promise", "avoid", "avoid-table", "avoid-curve", "export-avoid",
-    "train-avoid",
-}  # fmt: skip
-"""Commands of `sim-bridge` before `research` was."""
+PAPER = ("campaign", "promise", "avoid", "table1", "table2", "frontier")
+"""Research commands whose old spelling is in published commands."""
 
 HEAVY = (
     "numpy", "scipy", "networkx", "msgspec", "pymavlink", "mcap", "zenoh", "matplotlib", "numba",
@@ -33,18 +28,41 @@ def test_help_shows_what_flies_and_research() -> None:
     assert shown == IN_FRONT
 
 
-def test_every_old_spelling_is_still_a_command() -> None:
-    assert set(OLD_SPELLINGS) == BEFORE
+def test_every_research_command_works_without_research() -> None:
+    research = vars(get_command(app))["commands"]["research"].commands
+    names = {name for name, command in research.items() if not hasattr(command, "commands")}
+    assert names <= set(current_spelling_by_deprecated())
+    assert set(PAPER) <= names
+    assert all(now.split()[1] in research for now in current_spelling_by_deprecated().values())
 
 
-@pytest.mark.parametrize("old", sorted(BEFORE))
+@pytest.mark.parametrize("old", ["bench", "bench flight", "campaign", "real-flights"])
 def test_an_old_spelling_says_the_new_one_and_does_the_same(old: str) -> None:
-    now = list(OLD_SPELLINGS[old])
-    before = CliRunner().invoke(app, [old, "--help"])
+    now = current_spelling_by_deprecated()[old].split()
+    before = CliRunner().invoke(app, [*old.split(), "--help"])
     after = CliRunner().invoke(app, [*now, "--help"])
     assert (before.exit_code, before.stdout) == (after.exit_code, after.stdout) == (0, after.stdout)
     assert before.stderr == f"sim-bridge {old} is now sim-bridge {' '.join(now)}\n"
     assert after.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "refusal"),
+    [
+        ("trials logs --cluster local", "--cluster: `trials logs` does not use it"),
+        ("trials soak --jobs 3", "--jobs: `trials soak` does not use it"),
+        ("trials fuzz --hours 3 --depot", "--hours, --truck: `trials fuzz` does not use it"),
+        ("fly --seeds 1:2 --seed 3 --vehicles 2", "--vehicles, --seed: not with --seeds"),
+        ("fly --seeds 1:2 --autopilot mixed", "--autopilot mixed: not with --seeds"),
+        ("fly --jobs 3", "--jobs: expected with --seeds"),
+        ("serve --fly a.plan --out a.tlog --home 1,2,3", "--home: not with --fly"),
+        ("serve --nose-held --out a.tlog", "--nose-held, --out: expected with --fly"),
+        ("serve --fly a.plan", "--fly: expected --out FILE.tlog"),
+    ],
+)
+def test_an_option_without_effect_is_refused(command: str, refusal: str) -> None:
+    done = CliRunner().invoke(app, command.split())
+    assert refusal in str(done.exception)
 
 
 def test_an_unknown_command_is_refused_without_a_hint() -> None:

@@ -1,11 +1,11 @@
-"""Commands that need what the plain install lacks say which extra has it, in one line."""
+"""Commands whose dependencies are not installed name the extra that has them, in one line."""
 
 import sys
 
 import pytest
 
 from sim_bridge import main as cli
-from sim_bridge.app.flight.stopping import LEAVES_AT_ONCE
+from sim_bridge.app.flight.stopping import FORCE_EXIT
 
 
 @pytest.mark.parametrize(
@@ -26,9 +26,9 @@ def test_a_missing_library_is_named_with_its_extra(
         monkeypatch.delitem(sys.modules, loaded)
     monkeypatch.setitem(sys.modules, lacking, None)  # as if it were not installed
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "stop_by_signal", lambda number: None)  # the test's own process
+    monkeypatch.setattr(cli, "exit_on_signal", lambda number: None)  # the test's own process
     monkeypatch.setattr(sys, "argv", ["sim-bridge", *command])
-    LEAVES_AT_ONCE.set()  # as if a day had been flown in this process: no word for this command
+    FORCE_EXIT.set()  # as if a day had been flown in this process: irrelevant for this command
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2

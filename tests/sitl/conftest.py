@@ -1,16 +1,16 @@
-"""Flights for the SITL tests: one short default, changed case by case, flown over real UDP."""
+"""Flights for the SITL tests: a short default flight with changes per case, over real UDP."""
 
-import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from sim_bridge.app.flight.companion_process import suite_forks
-from sim_bridge.app.flight.faults import FaultPlan
-from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
+from sim_bridge.app.faults.runner import merge_tables_recursively
+from sim_bridge.app.flight.companion_process import suite_fork_server
+from sim_bridge.app.flight.fly import FlyOptions, fly_vehicles_and_evaluate
+from sim_bridge.app.flight.stage import Script
 from sim_bridge.app.flight.vehicle_process import Craft
 
 SHORT: dict[str, Any] = {
@@ -30,75 +30,49 @@ SHORT: dict[str, Any] = {
 
 @dataclass
 class Flown:
-    """A flight that has ended: the verdict, and all that was seen of it."""
+    """A completed flight: the verdict and all recorded data."""
 
     row: dict[str, Any]
     craft: Craft
-    faults: FaultPlan
     run_dir: Path
 
     @property
     def kinds(self) -> list[str]:
-        """The decisions, in order."""
+        """Return the kinds of the decisions, in order."""
         return [d["kind"] for d in self.row["decisions"]]
 
     def fault_s(self, kind: str) -> float:
-        """When a fault began; 0 where it never did."""
-        return next((t for t, words in self.faults.log if words.startswith(kind)), 0.0)
+        """Return the start time of a fault; 0 if it did not occur."""
+        return next((t for t, name in self.craft.started_faults if name == kind), 0.0)
 
     @property
     def said(self) -> str:
-        """What the operator's ground station was told, in one line."""
-        return "; ".join(text for _, text in self.craft.operator.said)
+        """Return the messages to the operator's ground station, in one line."""
+        return "; ".join(text for _, text in self.craft.operator.received_texts)
 
     def commands_after(self, t_s: float) -> list[tuple[float, str, int]]:
-        """What the companion commanded after a time."""
-        return [c for c in self.craft.commands if c[0] > t_s]
+        """Return the companion's commands after a time."""
+        return [c for c in self.craft.link.commands if c[0] > t_s]
 
 
-@dataclass(slots=True)
-class _Keep(Progress):
-    """Keeps what was flown; ends a flight so many seconds after the companion let go."""
+class Keep(Script):
+    """Keeps the flown craft."""
 
-    kept: list[Craft] = field(default_factory=list)
-    plan: FaultPlan | None = None
-    after_hands_off_s: float | None = None
-    _crafts: list[Craft] = field(default_factory=list)
+    craft: Craft
 
-    def update(self, crafts: list[Craft], t_s: float) -> None:
-        self._crafts = crafts
-
-    def goes_on(self, t_s: float) -> bool:
-        if self.after_hands_off_s is None or not self._crafts:
-            return True
-        said = self._crafts[0].operator.said
-        off_s = next((at_s for at_s, text in said if text.startswith("hands off")), None)
-        return off_s is None or t_s < off_s + self.after_hands_off_s
-
-    def ended(self, crafts: list[Craft], faults: FaultPlan) -> None:
-        self.kept, self.plan = crafts, faults
-
-
-def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """`base` with tables changed key by key; `wind` and `faults` are replaced whole."""
-    out = copy.deepcopy(base)
-    for key, value in changes.items():
-        if isinstance(value, dict) and isinstance(out.get(key), dict) and key != "wind":
-            out[key] = merged(out[key], value)
-        else:
-            out[key] = value
-    return out
+    def apply_step(self, crafts: list[Craft], t_s: float, lockstep: Any) -> None:
+        self.craft = crafts[0]
 
 
 @pytest.fixture
 def short_flight():
-    """`short_flight(changes)` is the short flight's table so changed."""
-    return lambda changes: merged(SHORT, changes)
+    """Return `short_flight(changes)`, which gives the short flight's table with these changes."""
+    return lambda changes: merge_tables_recursively(SHORT, changes)
 
 
 @pytest.fixture
 def short_file(tmp_path) -> Path:
-    """The short flight as a file."""
+    """Write the short flight to a file."""
     path = tmp_path / "short.toml"
     path.write_text(_toml(SHORT))
     return path
@@ -106,7 +80,7 @@ def short_file(tmp_path) -> Path:
 
 @pytest.fixture
 def fly_case(tmp_path):
-    """`fly_case(autopilot, changes, seed=, gate=)` flies the short flight so changed."""
+    """Return `fly_case(autopilot, changes, seed=, gate=)`, which flies the changed short flight."""
 
     def fly_it(
         autopilot_kind: str,
@@ -115,16 +89,15 @@ def fly_case(tmp_path):
         seed: int = 1,
         gate: bool = True,
         name: str = "case",
-        after_hands_off_s: float | None = None,
         believed: str | None = None,
         signing_key: Path | None = None,
         companion_arguments: tuple[str, ...] = (),
         settings: dict[str, float] | None = None,
     ) -> Flown:
-        table = merged(SHORT, changes or {})
+        table = merge_tables_recursively(SHORT, changes or {})
         path = tmp_path / f"{name}.toml"
         path.write_text(_toml(table))
-        keep = _Keep(after_hands_off_s=after_hands_off_s)
+        keep = Keep()
         options = FlyOptions(
             flight_file=path,
             autopilot=autopilot_kind,
@@ -133,15 +106,14 @@ def fly_case(tmp_path):
             run_root=tmp_path / "runs",
             picture=False,
             lockstep_limit_s=30.0,
-            believed=believed,
+            companion_airframe=believed,
             signing_key=signing_key,
             companion_arguments=companion_arguments,
             settings=settings or {},
-            forks=suite_forks(),
+            fork_server=suite_fork_server(),
         )
-        row = fly(options, keep)["flights"][0]
-        assert keep.plan is not None
-        return Flown(row, keep.kept[0], keep.plan, keep.kept[0].run_dir)
+        row = fly_vehicles_and_evaluate(options, keep)["flights"][0]
+        return Flown(row, keep.craft, keep.craft.run_dir)
 
     return fly_it
 

@@ -1,53 +1,65 @@
-"""The guards of the companion that the standing suite's rows rest on, and how each is taken out.
+"""Guards of the companion that rows of the fault suite depend on, and the patch that disables each.
 
-A guard is taken out by a patch in the companion's process, before its `main` runs: the companion
-has no switch for it.
+A guard is disabled by a patch in the companion's process before its `main` runs: the companion has
+no switch for it.
 """
 
+from importlib import import_module
+from operator import attrgetter
 from typing import NamedTuple
 
 
 class Guard(NamedTuple):
-    """Where a row is shown to break: its phase, the patch, and the autopilot."""
+    """Conditions in which a row fails without its guard: phase, patch and autopilot."""
 
     phase: str
     patch: str
     autopilot: str = "px4"
 
 
+GROUND = "companion.core.pilot.ground"
+
+
 def without(module: str, name: str, value: str) -> str:
-    """A patch of the companion's process: this name of this module does nothing but this."""
+    """Return a patch of the companion's process that replaces this function by a constant."""
+    attrgetter(name)(import_module(module))  # an unknown name would leave the guard in place
     return f"import {module} as guarded; guarded.{name} = lambda *given, **named: {value}"
 
 
 AUTHORITY = "companion.core.pilot.authority"
-HOLD = "companion.core.pilot.unanswered_hold"
+HOLD = "companion.core.pilot.control.unanswered_hold"
 
 NO_DISK_GUARD = """\
 import companion.adapters.files.disk as guarded
 class Unguarded:
-    def __init__(self, on_trouble, **named): pass
-    def do(self, record, deed, **named): deed()
-    def settle(self): pass
+    def __init__(self, on_error, **named): pass
+    def submit_write_job(self, record, job, **named): return job() or True
+    def wait_until_done(self): pass
     def close(self): pass
-guarded.DiskThread = guarded.DiskAtOnce = Unguarded
+guarded.ThreadedRecordWriter = guarded.ImmediateRecordWriter = Unguarded
 """
 
 BLIND = f"""\
-{without(AUTHORITY, "Authority.on_event", "None")}
+{without(AUTHORITY, "ControlAuthority.on_event", "None")}
 import dataclasses, companion.core.pilot.mission_progress as progress
-follow = progress.MissionFollower._follow
+follow = progress.MissionProgressMonitor._update_from_progress
 def unwary(self, context, event):
     return follow(self, context, dataclasses.replace(event, in_mission=None))
-progress.MissionFollower._follow = unwary
+progress.MissionProgressMonitor._update_from_progress = unwary
 """
-"""Neither the mode nor the mission's state show anybody's hand."""
+"""Neither the mode nor the mission state shows a pilot override."""
 
 BELIEVES_AT_ONCE = f"""\
-{without("companion.core.vehicle.battery_gauge", "_reach_wh", "1e9")}
-{without("companion.core.vehicle.energy_ledger", "EnergyLedger._least_possible_wh", "0.0")}
+{without("companion.core.vehicle.battery_gauge", "_max_consumption_wh", "1e9")}
+{
+    without(
+        "companion.core.vehicle.energy_ledger",
+        "EnergyLedger._update_slack_and_least_remaining_wh",
+        "0.0",
+    )
+}
 """
-"""One reading of a battery is a fact."""
+"""A single battery reading is accepted at once."""
 
 HEARS_ANY_SYSTEM = """\
 import companion.adapters.autopilots.port as guarded
@@ -61,92 +73,121 @@ guarded.AutopilotPort.on_message = unwary
 
 ONE_GAUGE = f"""\
 import dataclasses
-import companion.core.pilot.estimates as estimates
+import companion.core.pilot.estimators.flight_energy as estimates
 import companion.core.vehicle.battery_gauge as gauge
-told_by = estimates._told_by
-estimates._told_by = lambda *given: dataclasses.replace(told_by(*given), source="vehicle")
-def hear(self, t_s, now_frac, full_wh, most_w, started):
+told_by = estimates._with_battery_message
+estimates._with_battery_message = lambda *given: dataclasses.replace(
+    told_by(*given), source="vehicle")
+def hear(self, t_s, now_frac, full_wh, max_draw_w, has_started):
     if self.left_frac is None:
         self.left_frac = now_frac
     self.left_frac = max(self.left_frac - max(self.last_frac - now_frac, 0.0), 0.0)
     self.last_frac, self.t_s = now_frac, t_s
     return False
-gauge.Percentage.hear = hear
-{without("companion.core.vehicle.energy_ledger", "EnergyLedger._least_possible_wh", "0.0")}
+gauge.Percentage.update_and_report_replacement_at_start = hear
+{
+    without(
+        "companion.core.vehicle.energy_ledger",
+        "EnergyLedger._update_slack_and_least_remaining_wh",
+        "0.0",
+    )
+}
 """
-"""All packs are one, and each fall from one to the next is used energy."""
+"""All packs count as one, and each fall between them counts as used energy."""
 
 NOTHING_IS_OLD = """\
 import companion.core.pilot.telemetry_state as guarded
-guarded.TelemetryState.is_fresh = lambda self, sample, max_age_s: sample is not None
+guarded.TelemetryState.is_recent = lambda self, sample, max_age_s: sample is not None
 """
 
 READS_THE_CLOCK = """\
 import companion.adapters.autopilots.codec as guarded
 pack = guarded.MavlinkCodec.pack
 def unwary(self, message):
-    self.mav.signing.timestamp = (guarded.epoch_us() - guarded.SIGNING_EPOCH_US) // 10
+    self.mav.signing.timestamp = (guarded.unix_time_us() - guarded.SIGNING_EPOCH_US) // 10
     return pack(self, message)
 guarded.MavlinkCodec.pack = unwary
 """
-"""Each frame is signed by the wall clock as it stands."""
+"""Each frame is signed by the current wall clock."""
 
 TRUSTS_ITS_CHECKPOINT = """\
 import companion.app.flight.loaded_flight as guarded
 def unwary(self):
     return guarded.read_checkpoint(self.options.run_dir, self.digest), ""
-guarded.LoadedFlight.kept = unwary
+guarded.LoadedFlight.read_checkpoint_or_error = unwary
 """
 
 TRUSTS_ITS_LOG = """\
-import dataclasses, companion.app.flight.recorder as guarded
-read_log = guarded.read_log
-guarded.read_log = lambda path: dataclasses.replace(read_log(path), damage="")
+import dataclasses, companion.app.flight.run_files as guarded
+read_log = guarded.read_mcap_rows
+guarded.read_mcap_rows = lambda path: dataclasses.replace(read_log(path), error_text="")
 """
 
 NEEDS_A_THREAD = """\
 import threading, companion.app.flight.planning as guarded
-def begin(self, asked):
-    threading.Thread(target=self._work, args=(asked,), name="plan", daemon=True).start()
-guarded.PlanBeside.begin = begin
+def start_thread(self, find_plan):
+    run = self._compute_and_queue_result
+    threading.Thread(target=run, args=(find_plan,), name="plan", daemon=True).start()
+guarded.PlanningExecutor._start_thread = start_thread
 """
 
-GATE_OPEN = without("companion.core.pilot.return_decision", "ReturnDecision._why_closed", "''")
-LIST_TRUSTED = without("companion.core.pilot.mission_aboard", "MissionAboard._doubt", "None")
-HOME_TRUSTED = without("companion.core.pilot.home_watch", "HomeWatch._watch", "None")
-NEVER_THEIRS = without(AUTHORITY, "Authority._is_theirs", "False")
+GATE_OPEN = without(
+    "companion.core.pilot.return_decision", "ReturnDecision._gate_closing_reason", "''"
+)
+LIST_TRUSTED = without(
+    "companion.core.pilot.onboard_verification",
+    "OnboardMissionVerifier._start_verification_if_flying",
+    "None",
+)
+HOME_TRUSTED = without(
+    "companion.core.pilot.home_watch", "HomeMonitor._report_and_restore_displaced_home", "None"
+)
+NEVER_THEIRS = without(AUTHORITY, "ControlAuthority._other_has_control", "False")
 
 GUARDS: dict[str, Guard] = {
     "shorter-upload": Guard(
         "return",
-        without("companion.core.pilot.mission_progress", "MissionFollower.stands_still", "False"),
+        without(
+            "companion.core.pilot.return_course",
+            "ReturnCourseMonitor.update_and_check_stationary",
+            "False",
+        ),
         "ardupilot",
     ),
-    "arm-ack-lost": Guard("ready", without(AUTHORITY, "Authority._is_foreign_disarm", "False")),
+    "arm-ack-lost": Guard(
+        "ready", without(AUTHORITY, "DisarmMonitor._update_and_check_external_disarm", "False")
+    ),
     "kill-switch": Guard("outbound", BLIND),
     "acks-lost": Guard("outbound", BLIND),
     "taken-back-at-once": Guard("outbound", BLIND),
     "false-disarmed": Guard(
         "outbound",
-        without(AUTHORITY, "Authority._is_foreign_disarm", "False")
-        + "\nimport companion.core.pilot.landing as landing; landing.DISARMED_S = 0.0"
-        + "\nimport companion.core.pilot.telemetry_state as said; said.DISARMED_WITNESSES = 1\n"
-        + without("companion.core.pilot.context", "FlightContext.against_standing", "''"),
+        without(AUTHORITY, "DisarmMonitor._update_and_check_external_disarm", "False")
+        + "\nimport companion.core.pilot.landing as landing; landing.DISARMED_CONFIRM_S = 0.0"
+        + "\nimport companion.core.pilot.telemetry_state as said; said.MIN_DISARMED_REPORTS = 1\n"
+        + without("companion.core.pilot.context", "FlightContext.in_air_evidence_text", "''"),
     ),
     "same-length-edit": Guard("outbound", LIST_TRUSTED),
     "foreign-upload": Guard("return", LIST_TRUSTED),
-    "fence-changed": Guard("outbound", without(HOLD, "UnansweredHold._failsafe", "None")),
+    "fence-changed": Guard(
+        "outbound", without(HOLD, "UnansweredHold._record_failsafe_cause", "None")
+    ),
     "mission-cleared": Guard("return", without(HOLD, "UnansweredHold.tick", "None")),
     "home-down-20": Guard("outbound", HOME_TRUSTED),
     "height-reset": Guard("outbound", HOME_TRUSTED),
     "progress-late": Guard(
         "outbound",
         "import companion.core.mission.jump_watch as guarded\n"
-        "guarded.CONFIRM_S, guarded.TRIES = 0.3, 1",
+        "guarded.CONFIRM_TIMEOUT_S, guarded.MAX_TRIES = 0.3, 1",
     ),
     "draw-1.7-far": Guard("outbound", GATE_OPEN),
     "draw-2": Guard(
-        "outbound", without("companion.core.vehicle.draw_change", "DrawChange.observe", "None")
+        "outbound",
+        without(
+            "companion.core.vehicle.draw_change",
+            "DrawChangeDetector.update_and_detect_change",
+            "None",
+        ),
     ),
     "packs-5-apart": Guard("ready", ONE_GAUGE),
     "counter-wild": Guard("outbound", BELIEVES_AT_ONCE),
@@ -160,69 +201,82 @@ GUARDS: dict[str, Guard] = {
     "back-without-a-thread": Guard(
         "outbound",
         "import companion.adapters.autopilots.link as guarded\n"
-        "guarded._Reader.start = lambda self: self._thread.start()",
+        "guarded._Reader.start_reader_thread = lambda self: self._thread.start()",
     ),
     "clock-steps-back": Guard("outbound", READS_THE_CLOCK),
     "reboot-on-the-ground": Guard(
         "ready",
-        without("companion.core.pilot.ground_sequence", "GroundSequence._has_stopped", "False")
+        without(f"{GROUND}.ground_sequence", "GroundSequence._has_lost_streams", "False")
         + "\n"
         + "import companion.core.pilot.authority as authority\n"
-        "from companion.core.mission.events import ClockStepped\n"
-        "authority.ClockStepped = type('Never', (), {})\n"
+        "from companion.core.mission.events import ClockSteppedBack\n"
+        "authority.ClockSteppedBack = type('Never', (), {})\n"
         "import companion.adapters.clock as clock\n"
-        "clock._Source.laid = lambda self, stamp_s, core_s: stamp_s + self.offset_s",
+        "clock._TimeSource.convert_to_core_time_and_correct_offset = (\n"
+        "    lambda self, stamp_s, core_s: stamp_s + self.offset_s)",
         "ardupilot",
     ),
     "plan-worker-hangs": Guard(
         "ready",
-        "import companion.core.pilot.ground_sequence as guarded; guarded.PLAN_LIMIT_S = 1e9",
+        "import companion.core.pilot.ground.flight_planning as guarded; guarded.PLAN_TIMEOUT_S ="
+        " 1e9",
     ),
     "plan-worker-breaks": Guard(
         "ready",
         "import companion.app.flight.planning as guarded\n"
-        "guarded.worked_out = lambda asked: (asked.number, asked.work())",
+        "guarded.compute_plan_or_error = lambda find: (find.request_number, find.compute_plan())",
     ),
     "parcel-sticks": Guard(
         "drop",
-        "import companion.core.pilot.parcel_release as guarded\n"
-        "guarded.ReleaseWatch.evidence = lambda self, t_s: 'the gripper says so'",
+        without(
+            "companion.core.pilot.estimators.release_watch",
+            "ReleaseMonitor.release_evidence_text",
+            "'reported by the gripper'",
+        ),
     ),
     "second-takes-over": Guard("outbound", NEVER_THEIRS),
     "payload-computer-flies": Guard("return", NEVER_THEIRS),
     "held-again": Guard(
         "outbound",
         "import companion.adapters.autopilots.commands as guarded\n"
-        "submit = guarded.CommandQueue.submit\n"
-        "def unwary(self, lane, entry, t_s, **named):\n"
-        "    entry.most_tries, entry.answer_s = 4, 1.0\n"
-        "    submit(self, lane, entry, t_s, **named)\n"
-        "guarded.CommandQueue.submit = unwary",
+        "enqueue = guarded.CommandQueue.enqueue_and_send_if_first\n"
+        "def unwary(self, entry, t_s):\n"
+        "    entry.max_tries, entry.response_timeout_s = 4, 1.0\n"
+        "    enqueue(self, entry, t_s)\n"
+        "guarded.CommandQueue.enqueue_and_send_if_first = unwary",
     ),
     "item-selected": Guard(
         "outbound",
-        without("companion.adapters.autopilots.port", "AutopilotPort._watch_item", "None"),
+        without("companion.adapters.autopilots.order_commands", "_restrict_jump_retries", "None"),
         "ardupilot",
     ),
     "replaced-while-held": Guard(
         "outbound",
-        "import companion.core.pilot.resume as guarded\n"
-        "begin = guarded.Resume.begin\n"
+        "import companion.core.pilot.control.resume as guarded\n"
+        "begin = guarded.FlightResumption.request_state_for_resumption\n"
         "def unwary(self, context, why):\n"
         "    begin(self, context, why)\n"
         "    self._mission_matches = True\n"
-        "guarded.Resume.begin = unwary",
+        "guarded.FlightResumption.request_state_for_resumption = unwary",
     ),
     "replaced-while-dead": Guard(
         "return",
-        without(AUTHORITY, "Authority._may_take_back", "given[1].phase.name == 'SUSPENDED'"),
+        without(
+            AUTHORITY,
+            "ControlAuthority._is_resumption_possible",
+            "given[1].phase.name == 'SUSPENDED'",
+        ),
     ),
     "replaced-when-ready": Guard(
         "ready",
-        without("companion.core.pilot.ground_sequence", "GroundSequence._is_ours_aboard", "True")
-        + "\nguarded.VERIFIED_S = 1e9",
+        f"import {GROUND}.start_checks as checks; checks.VERIFICATION_VALIDITY_S = 1e9\n"
+        + without(
+            "companion.core.pilot.flight_state", "OnboardListState.is_unchanged_in_phase", "True"
+        ),
     ),
-    "last-resort-refused": Guard("outbound", without(HOLD, "LastResort.tick", "None")),
+    "last-resort-refused": Guard(
+        "outbound", without("companion.core.pilot.control.last_resort", "LastResort.tick", "None")
+    ),
     "strangers": Guard("outbound", HEARS_ANY_SYSTEM),
     "replayed-frames": Guard(
         "return",
@@ -230,10 +284,10 @@ GUARDS: dict[str, Guard] = {
         "def unwary(self, frame, system, component):\n"
         "    right = hashlib.sha256(bytes(self.signing.secret_key) + bytes(frame[:-6])).digest()\n"
         "    return right[:6] == bytes(frame[-6:])\n"
-        "guarded._Codec.check_signature = unwary",
+        "guarded._VerifyingCodec.check_signature = unwary",
     ),
 }
-"""By row. Only what matters on ArduPilot alone is shown on it."""
+"""By row. Only effects specific to ArduPilot are tested on it."""
 
 LIST_ABOARD = "the mission aboard, which leads home from each of its items without the companion"
 NO_GUARD = {
@@ -257,9 +311,9 @@ NO_GUARD = {
     55: "none: what the radio loses is as in 50",
     59: "none: a plan is made anew, which is what a desk does all day",
 }
-"""By number: rows at which no guard of ours is at work that a patch could take out."""
+"""By number: rows without a guard that a patch could disable."""
 
 SAME_GUARD = {15: 16, 17: 16, 21: 23, 24: 22, 32: 22, 39: 22, 41: 40, 62: 60}
-"""By number: whose guard it is that holds this row, too. Of 24, 32 and 39 that is the gate; the
-flight of those rows is short, so that without it they come home by luck. Of 62 it is what the store
-allows two desks; beyond that no decision of desk or vehicle reads another's wall clock."""
+"""By number: the row whose guard also protects this row. For 24, 32 and 39 it is the gate; their
+flights are short enough to end at home without it. For 62 it is the store's constraint on two
+desks; no other decision of desk or vehicle reads a foreign wall clock."""

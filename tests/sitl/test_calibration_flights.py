@@ -1,6 +1,6 @@
 """The calibration plan flown by both simulated autopilots, its .tlogs fitted, a fourth predicted.
 
-Shorter than the ten minutes that docs/how-to/calibrate.md has the figures of; the same commands.
+Shorter than the ten minutes behind the figures in docs/how-to/calibrate.md; same commands.
 """
 
 import json
@@ -12,10 +12,13 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.airframe_toml import write_airframe
 from companion.adapters.files.params import read_airframe
-from companion.adapters.logs.calibration_logs import read_calibration_log
+from companion.adapters.logs.open_log import read_multirotor_log
+from companion.analysis.calibration.airframe_fit import predict_flight_energy
+from companion.analysis.measured_energy.flight_measurements import (
+    FlightMeasurements,
+    measure_recorded_flight,
+)
 from companion.app.cli.main import app as companion
-from companion.core.calibration.airframe_fit import predict
-from companion.core.calibration.records import prepare
 from sim_bridge.main import app as bridge
 
 RUN = CliRunner()
@@ -33,7 +36,7 @@ def tell(app, *words):
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """One vehicle's four flights, each with its energy by truth."""
+    """Write the four flights of one vehicle, each with its energy by truth."""
     folder = tmp_path_factory.mktemp("logs")
     for autopilot_kind in ("px4", "ardupilot"):
         plan = ["calibrate-plan", "--home", "55.47,8.45,12", "--airframe", "m100"]
@@ -47,7 +50,13 @@ def logs(tmp_path_factory):
         ]
         assert tell(companion, *plan, *options).exit_code == 0
     for seed, (name, (autopilot_kind, load, wind, from_deg, held)) in enumerate(FLIGHTS.items()):
-        words = ["fly-plan", folder / f"{autopilot_kind}.plan", "--out", folder / f"{name}.tlog"]
+        words = [
+            "serve",
+            "--fly",
+            folder / f"{autopilot_kind}.plan",
+            "--out",
+            folder / f"{name}.tlog",
+        ]
         words += ["--autopilot", autopilot_kind, "--payload-kg", load, "--wind-speed-mps", wind]
         words += ["--wind-from-deg", from_deg, "--seed", seed, *(["--nose-held"] if held else [])]
         flown = tell(bridge, *words)
@@ -57,7 +66,7 @@ def logs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def guess(logs):
-    """An airframe file that is off by a quarter and more in what is to be fitted."""
+    """Write an airframe file whose fitted values are off by a quarter or more."""
     m100 = read_airframe("m100")
     drag = msgspec.structs.replace(
         m100.drag,
@@ -77,7 +86,7 @@ def guess(logs):
 @pytest.mark.sitl
 @pytest.mark.night
 def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, guess):
-    """Its wind and load were not seen. The canary: by the guess alone it is off by more."""
+    """Its wind and load were not used. The canary: the unfitted file predicts it worse."""
     out, figures = logs / "mine.toml", logs / "figures.json"
     done = tell(
         companion,
@@ -95,17 +104,20 @@ def test_three_flights_predict_a_fourth_within_five_per_cent_of_energy(logs, gue
     assert found["power"]["keys"][-1] == "vertical_quadratic_n_per_mps2"
     flown = read_airframe(str(out)).power_flown
     assert flown is not None
-    # The truth's rotors pay for a climb and sink for less; the model books both as level flight.
+    # The truth's rotors spend more in a climb and less in descent; the model books both as level.
     assert 0.7 < flown.descent_frac < flown.level_frac < 1.1
-    # The nose of one of the three is held: two flights that turn are too few for the trim.
+    # The heading of one of the three is held: two turning flights are too few for the trim.
     assert "trim forward: not identified" in done.output
-    record, _ = read_calibration_log(logs / "unseen.tlog", 0.6, 20.0)
-    blocks = prepare(record, 500.0, 6).blocks
-    assert abs(predict(blocks, read_airframe(str(guess))).error_frac) > 0.05
+    unfitted = read_airframe(str(guess))
+    recorded = read_multirotor_log(logs / "unseen.tlog")
+    measured = measure_recorded_flight(recorded, "unseen.tlog", 0.6, 20.0, unfitted)
+    assert isinstance(measured, FlightMeasurements)
+    predicted = predict_flight_energy(measured.prepared.blocks, unfitted)
+    assert abs(predicted.relative_energy_error) > 0.05
 
 
 @pytest.mark.sitl
-@pytest.mark.night  # for the flights, which both look at
+@pytest.mark.night  # for the flights, which both tests use
 def test_a_log_without_current_is_refused_by_its_name(logs, guess, tmp_path):
     path = tmp_path / "nocurrent.csv"
     rows = [f"{0.1 * i:.1f},0.0,0.0,0.0,0.0,0.0,0.0,23.5," for i in range(2000)]
@@ -113,4 +125,4 @@ def test_a_log_without_current_is_refused_by_its_name(logs, guess, tmp_path):
     path.write_text("\n".join([head, *rows]))
     done = tell(companion, "calibrate", path, "--airframe", guess)
     assert done.exit_code == 2
-    assert "nocurrent.csv: current_a: no row has it" in done.output
+    assert "nocurrent.csv: current_a: no value" in done.output

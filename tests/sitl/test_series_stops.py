@@ -1,4 +1,4 @@
-"""A series that is stopped: nothing of it goes on, and the same command finishes it."""
+"""A stopped series: none of its processes continues, and the same command finishes it."""
 
 import json
 import os
@@ -16,13 +16,13 @@ import pytest
 pytestmark = pytest.mark.sitl
 
 ENTRY = "from sim_bridge.main import main; main()"
-PATIENCE_S = 280.0  # of a loaded machine
+PATIENCE_S = 280.0  # for a loaded machine
 
 
-def command(flight: Path, folder: Path, last_seed: int) -> list[str]:
+def command(flight: Path, folder: Path, last_seed: int, jobs: int = 1) -> list[str]:
     return [
-        *(sys.executable, "-c", ENTRY, "series", str(flight), f"--seeds=1:{last_seed}"),
-        *("--autopilot=px4", "--gate=on", "--jobs=1"),
+        *(sys.executable, "-c", ENTRY, "fly", str(flight), f"--seeds=1:{last_seed}"),
+        *("--autopilot=px4", "--gate=on", f"--jobs={jobs}"),
         *(f"--json={folder / 'rows.json'}", f"--runs={folder / 'runs'}"),
     ]
 
@@ -63,21 +63,27 @@ def all_gone(family: list[psutil.Process]) -> bool:
 def test_sigterm_ends_every_process_and_the_same_command_flies_only_what_is_left(
     short_file, tmp_path
 ):
-    with started(command(short_file, tmp_path, 2)) as process:
-        await_(lambda: len(rows(tmp_path)) == 1, process)
-        await_(lambda: companions(process), process)
-        family = psutil.Process(process.pid).children(recursive=True)
+    with started(command(short_file, tmp_path, 3, jobs=2)) as process:
+        await_(lambda: rows(tmp_path), process)
+        family = list[psutil.Process]()
+
+        def another_flight_runs() -> bool:
+            family[:] = psutil.Process(process.pid).children(recursive=True)
+            return len(family) >= 2 and bool(companions(process))  # a worker and its companion
+
+        await_(another_flight_runs, process)
         process.terminate()
         assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
-    assert len(family) >= 2  # a worker and its companion
     assert all_gone(family)
     first = rows(tmp_path)
-    assert subprocess.run(command(short_file, tmp_path, 2), check=False).returncode == 0
-    assert [row["seed"] for row in rows(tmp_path)] == [1, 2]
-    assert rows(tmp_path)[:1] == first
-    assert len(list((tmp_path / "runs").glob("*-seed1*"))) == 1
+    assert subprocess.run(command(short_file, tmp_path, 3, jobs=2), check=False).returncode == 0
+    assert sorted(row["seed"] for row in rows(tmp_path)) == [1, 2, 3]
+    assert all(row in rows(tmp_path) for row in first)
+    for row in first:
+        assert len(list((tmp_path / "runs").glob(f"*-seed{row['seed']}*"))) == 1
 
 
+@pytest.mark.sample
 def test_ctrl_c_ends_every_process(short_file, tmp_path):
     with started(command(short_file, tmp_path, 1)) as process:
         await_(lambda: companions(process), process)

@@ -1,7 +1,7 @@
 """A small day from orders to verdict: desk, truck, driver, both autopilots, in one process.
 
-The plan is written by hand, so that nothing of the planner is needed; the desk, its store, the
-companions' loops, the truck's port and the simulated vehicles are those of every day.
+The plan is written by hand, so that the planner is not needed; the desk, its store, the companions'
+loops, the truck's port and the simulated vehicles are those of every day.
 """
 
 import math
@@ -11,18 +11,17 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.core.base.place import Place
-from companion.core.mission.flight_plan import frame_at
+from companion.core.base.location import Location
+from companion.core.mission.flight_plan import depot_frame
 from ground_station.adapters.files.day_files import read_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
-from sim_bridge.app.day.build import here
-from sim_bridge.app.day.desk import DeskHere
-from sim_bridge.app.day.faults import DayWish
-from sim_bridge.app.day.fly import finished, settings_of
-from sim_bridge.app.day.run import DayOptions, fly_day
+from sim_bridge.app.day.desk import SteppedDesk
+from sim_bridge.app.day.faults import DayWorldOptions
+from sim_bridge.app.day.fly import compute_day_inputs_digest, read_result_row_if_settings_match
+from sim_bridge.app.day.run import DayOptions, fly_day_and_write_result
 
-pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.sample, pytest.mark.sitl, pytest.mark.timeout(240)]
 
 DAY = """
 format = "day/1"
@@ -58,16 +57,16 @@ T-3,55.4700,8.4506,12.0,6.0,truck
 
 
 def planned(data: DayData) -> DayPlan:
-    """The truck serves T-3 forty metres off; both drones fly from there and land there."""
-    frame = frame_at(data.day.depot.place)
+    """Return a plan: the truck serves T-3 40 m away; both drones start and land there."""
+    frame = depot_frame(data.day.depot.location)
 
-    def place(north_m: float, east_m: float) -> Place:
+    def place(north_m: float, east_m: float) -> Location:
         lat, lon, alt = frame.to_geodetic((north_m, east_m, 0.0))
-        return Place(lat_deg=math.degrees(lat), lon_deg=math.degrees(lon), alt_amsl_m=alt)
+        return Location(lat_deg=math.degrees(lat), lon_deg=math.degrees(lon), alt_amsl_m=alt)
 
     def sortie(order: str, vehicle: str, height_m: float) -> PlannedSortie:
         heights = {"outbound_height_m": height_m, "return_height_m": height_m}
-        energy = {"energy_wh": 12.0, "sure_wh": 20.0, "usable_wh": 90.0}
+        energy = {"energy_wh": 12.0, "required_wh": 20.0, "usable_wh": 90.0}
         return PlannedSortie(
             order=order, vehicle=vehicle, launch="stop-1", home="stop-1",
             launch_s=60.0, land_s=160.0, **heights, **energy,
@@ -75,12 +74,12 @@ def planned(data: DayData) -> DayPlan:
 
     pads = {"d1": place(15.0, 40.0), "d2": place(-15.0, 40.0)}
     stops = [
-        PlannedStop(id="depot", place=place(0.0, 0.0), arrive_s=0.0, depart_s=0.0),
+        PlannedStop(id="depot", location=place(0.0, 0.0), arrive_s=0.0, depart_s=0.0),
         PlannedStop(
-            id="stop-1", place=place(0.0, 40.0), arrive_s=8.0, depart_s=170.0,
+            id="stop-1", location=place(0.0, 40.0), arrive_s=8.0, depart_s=170.0,
             serves=["T-3"], pads=pads,
         ),
-        PlannedStop(id="depot-end", place=place(0.0, 0.0), arrive_s=178.0, depart_s=178.0),
+        PlannedStop(id="depot-end", location=place(0.0, 0.0), arrive_s=178.0, depart_s=178.0),
     ]  # fmt: skip
     return DayPlan(
         format="day-plan/1", day="tiny", policy="by hand", seed=0, trials=0, makespan_s=178.0,
@@ -89,17 +88,18 @@ def planned(data: DayData) -> DayPlan:
 
 
 def flown(folder: Path, limit_s: float) -> dict[str, Any]:
-    """The day with 5 % of messages lost and the desk killed once, so far."""
+    """Fly the day with 5 % of messages lost and the desk killed once, up to a time."""
     (folder / "day.toml").write_text(DAY)
     (folder / "orders.csv").write_text(ORDERS)
     data = read_day(folder / "day.toml")
     run = folder / "run"
-    wish = DayWish(loss=0.05, ground_kills=1)
-    options = DayOptions("tiny", data, wish, 3, run, limit_s, "test", picture=False)
-    return fly_day(
+    wish = DayWorldOptions(loss=0.05, ground_kills=1)
+    options = DayOptions("tiny", data, wish, 3, run, limit_s, "test")
+    return fly_day_and_write_result(
         options,
-        here(wish.loss, run),
-        lambda built, where: DeskHere.open(built, planned(built.data), where, 0, 100),
+        lambda built, where: SteppedDesk.start_truck_desk(
+            built, planned(built.data), where, 0, 100
+        ),
         lambda world: True,
     )
 
@@ -130,7 +130,7 @@ def test_its_row_is_in_its_folder(row):
 
 
 def test_the_same_seed_is_the_same_day(row, tmp_path):
-    """Everything that the desk says, with its times, from the start until drones fly out."""
+    """All messages of the desk, with their times, from the start until drones fly out."""
     until_s = 95.0
     again = flown(tmp_path, until_s)
     assert not again["ended"]
@@ -142,23 +142,27 @@ def test_the_same_seed_is_the_same_day(row, tmp_path):
 
 def test_a_finished_day_is_known_by_what_decides_it_and_no_other_is(row):
     folder = Path(row["run"])
-    assert finished(folder, "test") == msgspec.json.decode((folder / "day.json").read_bytes())
-    assert finished(folder, "of another program") is None
-    assert finished(folder.parent, "test") is None
+    assert read_result_row_if_settings_match(folder, "test") == msgspec.json.decode(
+        (folder / "day.json").read_bytes()
+    )
+    assert read_result_row_if_settings_match(folder, "of another program") is None
+    assert read_result_row_if_settings_match(folder.parent, "test") is None
 
 
 def test_a_half_written_day_is_flown_again(row, tmp_path):
     whole = (Path(row["run"]) / "day.json").read_text()
     (tmp_path / "day.json").write_text(whole[: len(whole) // 2])
-    assert finished(tmp_path, "test") is None
+    assert read_result_row_if_settings_match(tmp_path, "test") is None
 
 
 def test_what_decides_a_day_is_its_files_and_options(tmp_path):
     (tmp_path / "day.toml").write_text(DAY)
     (tmp_path / "orders.csv").write_text(ORDERS)
-    settings = settings_of(tmp_path / "day.toml", DayWish(), None)
-    assert settings == settings_of(tmp_path / "day.toml", DayWish(), None)
-    assert settings != settings_of(tmp_path / "day.toml", DayWish(loss=0.1), None)
-    assert settings != settings_of(tmp_path / "day.toml", DayWish(), 500)
+    settings = compute_day_inputs_digest(tmp_path / "day.toml", DayWorldOptions(), None)
+    assert settings == compute_day_inputs_digest(tmp_path / "day.toml", DayWorldOptions(), None)
+    assert settings != compute_day_inputs_digest(
+        tmp_path / "day.toml", DayWorldOptions(loss=0.1), None
+    )
+    assert settings != compute_day_inputs_digest(tmp_path / "day.toml", DayWorldOptions(), 500)
     (tmp_path / "orders.csv").write_text(ORDERS.replace("0.4", "0.5"))
-    assert settings != settings_of(tmp_path / "day.toml", DayWish(), None)
+    assert settings != compute_day_inputs_digest(tmp_path / "day.toml", DayWorldOptions(), None)

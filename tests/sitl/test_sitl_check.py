@@ -1,27 +1,17 @@
-"""`companion check`, and a run that is refused, as a user starts them: over UDP, beside either
-autopilot.
-"""
+"""`companion check`, and a refused run, started as a user does: over UDP, with either autopilot."""
 
-import contextlib
-import socket
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from sim_bridge.app.serve.server import Host, stand_up
-from sim_bridge.autopilot.kinds import AutopilotKind
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
+from tests.sitl.served import COMMAND, companion_done, on_the_ground
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(120)]
 
 PARAMS = Path(__file__).parents[2] / "params"
-COMMAND = Path(sys.executable).with_name("companion")
-SPEEDUP = 6.0
 
 AS_PROMISED = {
     "px4": {
@@ -39,16 +29,14 @@ AS_PROMISED = {
         "ANGLE_MAX": 3500.0,
     },
 }
-"""What a vehicle's owner has set after reading the check's list once."""
+"""Settings of an owner who has followed the check's list once."""
 
 LOW_BATTERY = {"px4": "COM_LOW_BAT_ACT", "ardupilot": "BATT_FS_LOW_ACT"}
 
 
 @dataclass
 class Checked:
-    """What the command left behind; settings as the digest of all parameters, `aboard`: items of
-    the mission.
-    """
+    """State after the command; settings as the digest of all parameters, and the mission items."""
 
     code: int
     said: str
@@ -60,8 +48,8 @@ class Checked:
 
 @pytest.fixture
 def check(tmp_path, short_flight):
-    """`check(autopilot, settings, ...)` runs the command, or `words`, beside a vehicle on the
-    ground.
+    """Return `check(autopilot, settings, ...)`, which runs the command or `words` with a vehicle on
+    the ground.
     """
 
     def run(
@@ -73,40 +61,18 @@ def check(tmp_path, short_flight):
         words: tuple[str, ...] = ("check",),
         **changes: dict,
     ) -> Checked:
-        parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind}.toml", settings)
-        airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-        served = stand_up(
-            AutopilotKind(autopilot_kind), airframe, parameters, charge_frac=charge_frac
-        )
+        served = on_the_ground(autopilot_kind, settings, charge_frac=charge_frac)
         mission = tmp_path / "flight.toml"
         mission.write_bytes(msgspec.toml.encode(short_flight(changes)))
-        with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        before = served.autopilot.params.digest()
+        before = served.autopilot.params.checksum()
         served.autopilot.state.is_armed = armed
-        with Host(SPEEDUP) as host:
-            host.add(served, onboard=[f"udpout:127.0.0.1:{port}"])
-            with host.running():
-                done = subprocess.run(
-                    [
-                        str(COMMAND),
-                        *words,
-                        f"--link=udpin:127.0.0.1:{port}",
-                        f"--mission={mission}",
-                        f"--run-dir={tmp_path / 'run'}",
-                    ],
-                    capture_output=True,
-                    text=True,
-                    timeout=90,
-                    check=False,
-                )
-        assert done.stderr == ""
+        paths = (f"--mission={mission}", f"--run-dir={tmp_path / 'run'}")
+        done = companion_done(served, *words, *paths)
         return Checked(
             done.returncode,
             done.stdout,
             before,
-            served.autopilot.params.digest(),
+            served.autopilot.params.checksum(),
             served.autopilot.is_armed,
             len(served.autopilot.store.mission),
         )
@@ -114,6 +80,7 @@ def check(tmp_path, short_flight):
     return run
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(of="autopilot_kind")
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, autopilot_kind):
@@ -122,11 +89,12 @@ def test_a_vehicle_set_up_as_the_promise_needs_it_is_ready(check, autopilot_kind
     lines = checked.said.splitlines()
     assert lines[-1] == "READY"
     assert not any(line.startswith(("MISSING", "WAITING")) for line in lines), checked.said
-    assert any(line.startswith("off      no ground station and no desk") for line in lines)
+    assert any(line.startswith("WARNING  no ground station or desk reaches") for line in lines)
     assert any(line.startswith("ok       battery: ") for line in lines)
     assert any(line.startswith("ok       route: 5 waypoints out") for line in lines)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_safety_rule_1_a_check_sets_nothing_and_arms_nothing(check, autopilot_kind):
     checked = check(autopilot_kind, {})
@@ -134,6 +102,7 @@ def test_safety_rule_1_a_check_sets_nothing_and_arms_nothing(check, autopilot_ki
     assert not checked.armed
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(of="autopilot_kind")
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, autopilot_kind):
@@ -143,7 +112,7 @@ def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, autopilot_k
     (missing,) = [line for line in checked.said.splitlines() if line.startswith("MISSING")]
     wanted = AS_PROMISED[autopilot_kind][name]
     assert missing == (
-        f"MISSING  a low-battery action of the autopilot's own: {name} is 0, set {wanted:g}"
+        f"MISSING  a low-battery action of the autopilot: {name} is 0, set {wanted:g}"
     )
     assert checked.said.splitlines()[-1] == "NOT READY"
 
@@ -151,6 +120,7 @@ def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, autopilot_k
 STAYS_ARMED = {"px4": {"COM_DISARM_PRFLT": -1.0}, "ardupilot": {"DISARM_DELAY": 0.0}}
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_safety_rule_1_a_check_of_an_armed_vehicle_says_so_and_ends(check, autopilot_kind):
     checked = check(autopilot_kind, STAYS_ARMED[autopilot_kind], armed=True)
@@ -158,18 +128,20 @@ def test_safety_rule_1_a_check_of_an_armed_vehicle_says_so_and_ends(check, autop
     missing, verdict = checked.said.splitlines()[-2:]
     assert missing.startswith("MISSING  the vehicle is armed in ")
     assert verdict == "NOT READY"
-    assert checked.armed  # it was left as it was
+    assert checked.armed  # left unchanged
     assert checked.settings_after == checked.settings_before
 
 
+@pytest.mark.sample
 def test_an_empty_battery_is_called_empty(check):
     checked = check("px4", AS_PROMISED["px4"], charge_frac=0.03)  # 20.0 V by the world's table
     assert checked.code == 3
     assert "MISSING  the battery is empty: " in checked.said
 
 
+@pytest.mark.sample
 def test_a_pack_of_other_cells_than_the_airframes_is_named(check, tmp_path):
-    # Six cells are fitted; the airframe's file says four.
+    # Six cells are fitted; the airframe's file states four.
     airframe = tmp_path / "four_cells.toml"
     text = (PARAMS / "airframes" / "m100.toml").read_text()
     airframe.write_text(text.replace("cells = 6", "cells = 4"))
@@ -179,6 +151,7 @@ def test_a_pack_of_other_cells_than_the_airframes_is_named(check, tmp_path):
     assert checked.settings_after == checked.settings_before
 
 
+@pytest.mark.sample
 def test_nobody_on_the_link_is_said_and_has_a_code_of_its_own(tmp_path, short_flight):
     mission = tmp_path / "flight.toml"
     mission.write_bytes(msgspec.toml.encode(short_flight({})))
@@ -197,9 +170,13 @@ def test_nobody_on_the_link_is_said_and_has_a_code_of_its_own(tmp_path, short_fl
         check=False,
     )
     assert done.returncode == 4
-    assert "no answer from an autopilot on udpout:127.0.0.1:9 (it has to listen" in done.stdout
+    assert (
+        "no answer from an autopilot on udpout:127.0.0.1:9 (the autopilot must listen"
+        in done.stdout
+    )
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(of="autopilot_kind")
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_a_mission_that_is_refused_is_taken_off_the_vehicle(check, autopilot_kind):

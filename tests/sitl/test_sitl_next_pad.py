@@ -1,5 +1,5 @@
-"""One vehicle, two assignments, and a truck in between: switched off where it landed, switched on
-with a fresh pack where the next flight begins. The companion lives on and carries nothing over.
+"""One vehicle, two assignments, a truck in between: switched off where it landed, switched on with
+a full pack at the next pad. The companion keeps running and carries no state over.
 """
 
 import math
@@ -17,28 +17,25 @@ from companion.app.flight.fleet_port import FleetPort
 from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.pilot.context import PilotOptions
 from companion.fleet.messages import (
-    Answered,
     Assign,
     Command,
-    Deed,
+    CommandAction,
+    CommandStatus,
     EventKind,
     FleetEvent,
     Launch,
     MoveHome,
     Result,
     State,
-    decode_event,
-    decode_result,
-    decode_state,
-    encode,
+    decode_message,
+    encode_message,
 )
-from companion.fleet.network import Ask, Asked, Told
-from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
+from companion.fleet.network import MemberRequest, ReceivedTrack, RequestKind
+from sim_bridge.app.day.companion import SteppedCompanion
 from sim_bridge.app.day.drone import DayDrone, DroneWorld
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
-from sim_bridge.truth.wind_params import mean_wind, parse_wind
+from sim_bridge.truth.wind_params import build_mean_wind, parse_wind
 
 pytestmark = pytest.mark.sitl
 
@@ -76,67 +73,69 @@ def assignment(id_: str, start: str, home: str) -> Assign:
 
 @dataclass
 class Desk:
-    """The other end of the vehicle's link: what it told, and commands to it."""
+    """The other end of the vehicle's link: received states, and commands to it."""
 
-    waiting: list[Asked] = field(default_factory=list)
+    waiting: list[MemberRequest] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
     events: list[FleetEvent] = field(default_factory=list)
     results: list[Result] = field(default_factory=list)
     sent: int = 0
 
-    def asked(self) -> list[Asked]:
+    def drain_requests(self) -> list[MemberRequest]:
         waiting, self.waiting = self.waiting, []
         return waiting
 
-    def be_woken(self, wake: Callable[[], None]) -> None:
+    def set_request_callback(self, interrupt_receive: Callable[[], None]) -> None:
         return
 
     def publish_state(self, raw: bytes) -> None:
-        state = decode_state(raw)
+        state = decode_message(State, raw)
         assert isinstance(state, State), state
         self.states.append(state)
 
     def publish_event(self, raw: bytes) -> None:
-        event = decode_event(raw)
+        event = decode_message(FleetEvent, raw)
         assert isinstance(event, FleetEvent)
         self.events.append(event)
 
     def publish_track(self, raw: bytes, cell: str) -> None:
         del raw, cell
 
-    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
         del lat_deg, lon_deg
 
-    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
         del neighbours
 
-    def tracks(self) -> list[Told]:
+    def drain_tracks(self) -> list[ReceivedTrack]:
         return []
 
-    def winds(self) -> list[bytes]:
+    def drain_wind_messages(self) -> list[bytes]:
         return []
 
-    def wind_cov_is_read(self) -> bool:
+    def do_all_clients_read_wind_cov(self) -> bool:
         return True
 
     def close(self) -> None:
         return
 
-    def order(self, deed: Deed) -> None:
+    def order(self, deed: CommandAction) -> None:
         now = self.states[-1]
         self.sent += 1
         command = Command(
             id=f"c{self.sent}",
             vehicle="d1",
-            life=now.life,
+            instance_id=now.instance_id,
             as_of_s=now.uptime_s,
             by="desk",
-            deed=deed,
+            action=deed,
         )
-        self.waiting.append(Asked(Ask.COMMAND, self._answered, encode(command)))
+        self.waiting.append(
+            MemberRequest(RequestKind.COMMAND, self._on_command_answered, encode_message(command))
+        )
 
-    def _answered(self, replies: list[bytes]) -> None:
-        result = decode_result(replies[0])
+    def _on_command_answered(self, replies: list[bytes]) -> None:
+        result = decode_message(Result, replies[0])
         assert isinstance(result, Result)
         self.results.append(result)
 
@@ -146,7 +145,7 @@ class Desk:
 
 
 class Scene:
-    """A drone, its companion that lives on while the drone is off, and the desk."""
+    """A drone, the desk, and a companion that keeps running while the drone is off."""
 
     def __init__(self, folder: Path, autopilot_kind: str) -> None:
         self.t_s = 0.0
@@ -158,16 +157,11 @@ class Scene:
         self.companion = SteppedCompanion(
             port=port,
             airframe="m100",
-            link=MemoryLink(),
             clock_s=lambda: self.t_s,
             pilot=PilotOptions(configure=True),
         )
         wind = parse_wind({"kind": "steady", "speed_mps": 3.0, "from_deg": 250.0})
-        autopilots = params_dir() / "autopilots"
-        world = DroneWorld(
-            SITE, PlaneTerrain(), wind, mean_wind(wind, folder),
-            {autopilot_kind: read_parameters(autopilots / f"{autopilot_kind}.toml")},
-        )  # fmt: skip
+        world = DroneWorld(SITE, PlaneTerrain(), wind, build_mean_wind(wind, folder))
         self.drone = DayDrone(
             "d1", 1, autopilot_kind, load_airframe(params_dir() / "truth" / "m100.toml"), 20.0, 1.0,
             (0.9, 0.9), world, folder, np.random.SeedSequence(3), lambda drone: self.companion,
@@ -175,23 +169,23 @@ class Scene:
 
     @property
     def lies_at(self) -> tuple[float, float]:
-        """Where it truly is."""
-        assert self.drone.up is not None
-        north, east, _ = self.drone.up.vehicle.truth.pos_ned_m
+        """Return its true position."""
+        assert self.drone.power_cycle is not None
+        north, east, _ = self.drone.power_cycle.vehicle.truth.pos_ned_m
         return north, east
 
-    def switch_off(self) -> None:
-        self.drone.companion = None  # it has a supply of its own
-        self.drone.switch_off()
+    def switch_off_and_end_power_cycle(self) -> None:
+        self.drone.companion = None  # it has a separate supply
+        self.drone.switch_off_and_end_power_cycle()
 
     def run(self, until: Callable[[], object], limit_s: float) -> None:
         end_s = self.t_s + limit_s
         while not until():
             assert self.t_s < end_s, (self.desk.states[-1], self.desk.events[-3:])
             self.t_s = round(self.t_s + STEP_S, 3)
-            self.drone.advance(self.t_s, STEPS)
-            if self.drone.up is None:
-                self.companion.hear([])
+            self.drone.advance_and_exchange_messages(self.t_s, STEPS)
+            if self.drone.power_cycle is None:
+                self.companion.process_datagrams([])
 
     def fly(self, start: str, home: str, id_: str, also: Callable[[], None] = lambda: None) -> None:
         desk = self.desk
@@ -207,15 +201,16 @@ class Scene:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Iterator[Scene]:
-    """ArduCopter: switched on anew it tells nothing but heartbeats until it is asked again."""
+    """ArduCopter: after a restart it sends only heartbeats until telemetry is requested again."""
     made = Scene(tmp_path, "ardupilot")
     yield made
     made.companion.stop()
 
 
+@pytest.mark.sample
 def test_safety_rule_3_from_stop_to_stop_and_on_from_there_with_a_fresh_pack(scene):
     desk = scene.desk
-    scene.drone.switch_on(0.0, PADS["stop-1"], 0.5, None)
+    scene.drone.switch_on_at_pad(0.0, PADS["stop-1"], 0.5, None)
     scene.fly("stop-1", "stop-2", "a1")
     first, at_first = desk.outcome("a1"), scene.lies_at
     assert first is not None
@@ -224,15 +219,15 @@ def test_safety_rule_3_from_stop_to_stop_and_on_from_there_with_a_fresh_pack(sce
     assert {s.home for s in desk.states if s.assignment == "a1"} == {"stop-2"}
     left_wh = [s.energy_left_wh for s in desk.states if s.energy_left_wh is not None][-1]
 
-    scene.switch_off()
+    scene.switch_off_and_end_power_cycle()
     scene.run(lambda: desk.states[-1].armed is None, 20.0)
     gone = desk.states[-1]
     assert (gone.lat_deg, gone.voltage_v, gone.phase) == (None, None, "standby")
 
-    scene.drone.switch_on(scene.t_s, PADS["stop-2"], 0.5, None)
+    scene.drone.switch_on_at_pad(scene.t_s, PADS["stop-2"], 0.5, None)
 
     def move() -> None:
-        desk.order(MoveHome(assignment="a1", home="stop-2"))  # of the flight that is over
+        desk.order(MoveHome(assignment="a1", home="stop-2"))  # of the previous flight
         desk.order(MoveHome(assignment="a2", home="stop-2"))
         scene.run(lambda: desk.states[-1].home == "stop-2", 100.0)
         desk.order(MoveHome(assignment="a2", home="stop-1"))  # and back again
@@ -242,13 +237,13 @@ def test_safety_rule_3_from_stop_to_stop_and_on_from_there_with_a_fresh_pack(sce
     assert told.energy_left_wh is not None
     assert told.energy_left_wh > left_wh + 5.0
     assert told.lat_deg == pytest.approx(SITE[0] + PADS["stop-2"][0] / M_PER_DEG, abs=1e-4)
-    answers = [result.answer for result in desk.results[-3:]]
-    assert answers == [Answered.REFUSED, Answered.DONE, Answered.DONE]
+    answers = [result.status for result in desk.results[-3:]]
+    assert answers == [CommandStatus.REFUSED, CommandStatus.DONE, CommandStatus.DONE]
     second, at_second = desk.outcome("a2"), scene.lies_at
     assert second is not None
     assert (second.outcome, second.home) == ("SUC", True)
     assert math.dist(at_second, PADS["stop-1"]) < 5.0
-    # The truck stays bound to a stop until the vehicle says that it ends elsewhere.
+    # The truck stays bound to a stop until the vehicle reports another end.
     homes = [s.home for s in desk.states if s.assignment == "a2"]
     assert [home for home, _ in groupby(homes)] == ["stop-1", "stop-2", "stop-1"]
     outward = {s.home for s in desk.states if s.assignment == "a2" and s.phase == "outbound"}

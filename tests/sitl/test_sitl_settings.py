@@ -1,26 +1,22 @@
-"""What a flight that was cut off leaves changed on its vehicle, and how that is put back."""
+"""Settings that an interrupted flight leaves changed on its vehicle, and their restoration."""
 
-import contextlib
-import socket
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from companion.adapters.files.vehicle_settings import read_settings, write_settings
-from sim_bridge.app.serve.server import Host, stand_up
-from sim_bridge.autopilot.kinds import AutopilotKind
+from companion.adapters.files.vehicle_settings import (
+    read_original_parameters,
+    write_or_remove_original_parameters,
+)
+from sim_bridge.app.world.vehicle_host import VehicleHost
 from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
+from tests.sitl.served import companion_done, on_the_ground
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(120)]
 
 PARAMS = Path(__file__).parents[2] / "params"
-COMMAND = Path(sys.executable).with_name("companion")
-SPEEDUP = 6.0
 BOTH = ["px4", "ardupilot"]
 BOARD = "01" + "00" * 17
 """The simulated board's number: its system id, and zeros."""
@@ -29,15 +25,9 @@ CHANGED = {"px4": "COM_LOW_BAT_ACT", "ardupilot": "BATT_FS_LOW_ACT"}
 STAYS_ARMED = {"px4": {"COM_DISARM_PRFLT": -1.0}, "ardupilot": {"DISARM_DELAY": 0.0}}
 
 
-def free_port() -> int:
-    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @dataclass
 class Restored:
-    """What `companion restore` left behind."""
+    """State after `companion restore`."""
 
     code: int
     said: str
@@ -46,34 +36,20 @@ class Restored:
 
 @pytest.fixture
 def restore(tmp_path):
-    """`restore(autopilot, own=, now=)` runs the command beside a vehicle on the ground."""
+    """Return `restore(autopilot, own=, now=)`: the command with a vehicle on the ground."""
 
     def run(autopilot_kind: str, *, now: float, armed: bool = False) -> Restored:
         name = CHANGED[autopilot_kind]
         settings = {name: now} | STAYS_ARMED[autopilot_kind]
-        parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind}.toml", settings)
-        airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-        served = stand_up(AutopilotKind(autopilot_kind), airframe, parameters)
-        port = free_port()
-        with Host(SPEEDUP) as host:
-            host.add(served, onboard=[f"udpout:127.0.0.1:{port}"])
-            with host.running():
-                while not served.autopilot.state.home_is_set:
-                    time.sleep(0.01)
-                served.autopilot.state.is_armed = armed
-                done = subprocess.run(
-                    [
-                        str(COMMAND),
-                        "restore",
-                        f"--link=udpin:127.0.0.1:{port}",
-                        f"--vehicle-settings={tmp_path}",
-                    ],
-                    capture_output=True,
-                    text=True,
-                    timeout=90,
-                    check=False,
-                )
-        assert done.stderr == ""
+        served = on_the_ground(autopilot_kind, settings)
+
+        def arm_once_home_is_set(served: VehicleHost) -> None:
+            while not served.autopilot.state.home_is_set:
+                time.sleep(0.01)
+            served.autopilot.state.is_armed = armed
+
+        words = ("restore", f"--vehicle-settings={tmp_path}")
+        done = companion_done(served, *words, prepare=arm_once_home_is_set)
         return Restored(done.returncode, done.stdout, served.autopilot.params[name])
 
     return run
@@ -83,6 +59,7 @@ def kept(tmp_path: Path, autopilot_kind: str) -> Path:
     return tmp_path / f"{autopilot_kind}-1-{BOARD}.json"
 
 
+@pytest.mark.sample
 @pytest.mark.drawn
 @pytest.mark.parametrize("autopilot_kind", BOTH)
 def test_a_companion_killed_for_good_leaves_on_record_what_the_vehicle_had(
@@ -92,12 +69,13 @@ def test_a_companion_killed_for_good_leaves_on_record_what_the_vehicle_had(
     flown = fly_case(autopilot_kind, {"faults": [dies]})
     own = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind}.toml", {})
     now = flown.craft.autopilot.params
-    left = read_settings(kept(flown.craft.run_dir / "vehicle_settings", autopilot_kind))
+    left = read_original_parameters(kept(flown.craft.run_dir / "vehicle_settings", autopilot_kind))
     assert left == {name: pytest.approx(own[name].value) for name in left}
     assert CHANGED[autopilot_kind] in left
     assert all(now[name] != value for name, value in left.items())
 
 
+@pytest.mark.sample
 @pytest.mark.drawn
 @pytest.mark.parametrize("autopilot_kind", BOTH)
 def test_after_a_whole_flight_nothing_is_left(fly_case, autopilot_kind):
@@ -109,10 +87,13 @@ def test_after_a_whole_flight_nothing_is_left(fly_case, autopilot_kind):
     assert not kept(flown.craft.run_dir / "vehicle_settings", autopilot_kind).exists()
 
 
+@pytest.mark.sample
 @pytest.mark.drawn
 @pytest.mark.parametrize("autopilot_kind", BOTH)
 def test_restore_puts_them_back_and_forgets_them(restore, tmp_path, autopilot_kind):
-    write_settings(kept(tmp_path, autopilot_kind), {CHANGED[autopilot_kind]: 1.0})
+    write_or_remove_original_parameters(
+        kept(tmp_path, autopilot_kind), {CHANGED[autopilot_kind]: 1.0}
+    )
     restored = restore(autopilot_kind, now=2.0)
     assert restored.code == 0, restored.said
     assert restored.value == 1.0
@@ -120,10 +101,13 @@ def test_restore_puts_them_back_and_forgets_them(restore, tmp_path, autopilot_ki
     assert not kept(tmp_path, autopilot_kind).exists()
 
 
+@pytest.mark.sample
 @pytest.mark.drawn
 @pytest.mark.parametrize("autopilot_kind", BOTH)
 def test_safety_rule_1_restore_sets_nothing_on_an_armed_vehicle(restore, tmp_path, autopilot_kind):
-    write_settings(kept(tmp_path, autopilot_kind), {CHANGED[autopilot_kind]: 1.0})
+    write_or_remove_original_parameters(
+        kept(tmp_path, autopilot_kind), {CHANGED[autopilot_kind]: 1.0}
+    )
     restored = restore(autopilot_kind, now=2.0, armed=True)
     assert restored.code == 3, restored.said
     assert restored.value == 2.0
@@ -131,8 +115,9 @@ def test_safety_rule_1_restore_sets_nothing_on_an_armed_vehicle(restore, tmp_pat
     assert kept(tmp_path, autopilot_kind).exists()
 
 
+@pytest.mark.sample
 def test_restore_without_anything_left_says_so(restore):
     restored = restore("px4", now=2.0)
     assert restored.code == 0
     assert restored.value == 2.0
-    assert "nothing to put back" in restored.said
+    assert "nothing to restore" in restored.said

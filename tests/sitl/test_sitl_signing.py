@@ -1,6 +1,6 @@
-"""Signing on, in both autopilots: a signed flight beside a forger who lacks the key.
+"""Signing on, in both autopilots: a signed flight with a forger who lacks the key.
 
-In flight the forger (sim_bridge/app/flight/forger.py) tells both ends, ten times a second, to go
+In flight the forger (sim_bridge/app/link/forger.py) commands both ends, ten times a second, to fly
 elsewhere.
 """
 
@@ -20,10 +20,11 @@ def key(tmp_path):
 
 
 def undisturbed(flown) -> bool:
-    forger = flown.craft.forger
-    return flown.row["outcome"] == "SUC" and forger is not None and forger.told > 500
+    forger = flown.craft.link.forger
+    return flown.row["outcome"] == "SUC" and forger is not None and forger.sent_count > 500
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(of="autopilot_kind")
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_signed_it_delivers_whatever_a_forger_without_the_key_says(fly_case, autopilot_kind, key):
@@ -31,6 +32,7 @@ def test_signed_it_delivers_whatever_a_forger_without_the_key_says(fly_case, aut
     assert undisturbed(flown), flown.row
 
 
+@pytest.mark.sample
 def test_the_check_fails_where_nothing_is_signed(fly_case):
     flown = fly_case("px4", FORGED)
     assert not undisturbed(flown), flown.row

@@ -1,7 +1,7 @@
 """A truck's promised stop is home: flights between stops, and a home that moves, both autopilots.
 
-What the vehicle did is judged by truth and by the frames on the link; each check fails in the world
-of another test here, where the vehicle ends elsewhere.
+The result is judged by truth and by the frames on the link; each check fails in the world of
+another test here, where the vehicle ends elsewhere.
 """
 
 import math
@@ -28,7 +28,7 @@ WORLD: dict[str, Any] = {
 
 
 def landed_at(flown) -> str | None:
-    """The stop on whose pad it truly stands."""
+    """Return the stop on whose pad it is by truth."""
     truth = flown.craft.record
     _, north, east, *_ = truth.rows[-1]
     near = {name: math.dist((east, north), pad) for name, pad in PADS.items()}
@@ -47,11 +47,12 @@ def test_safety_rule_3_home_moves_on_the_way_out_and_again_on_the_way_home(fly_c
     assert (flown.row["outcome"], landed_at(flown)) == ("SUC", "stop-1")
     rows = flown.craft.record.rows
     dropped_s = next(row[0] for row in rows if row[-1] == 0.0)
-    told = [(t_s, text) for t_s, text in flown.craft.operator.said if "home is now" in text]
-    # Outward the old promise stays; it is void only once the autopilot flies elsewhere.
-    assert [text for _, text in told] == ["home is now stop-3", "home is now stop-1"]
+    received = flown.craft.operator.received_texts
+    told = [(t_s, text) for t_s, text in received if "landing site is now" in text]
+    # On the outbound leg the old promise stays; it is void once the autopilot flies elsewhere.
+    assert [text for _, text in told] == [f"landing site is now stop-{n}" for n in (3, 1)]
     assert told[0][0] > dropped_s
-    # Each way at its height, in truth; barometer and gusts move it by about a metre.
+    # Each leg at its own true height; barometer and gusts change it by about a metre.
     out_m, back_m = (max(-r[3] for r in rows if (r[-1] > 0.0) == loaded) for loaded in (1, 0))
     assert (out_m, back_m) == (pytest.approx(20.0, abs=1.5), pytest.approx(26.0, abs=1.5))
 
@@ -62,7 +63,7 @@ def test_safety_rule_3_killed_on_the_way_out_it_comes_down_at_the_promised_stop(
     fly_case, autopilot_kind
 ):
     killed = {"kind": "companion_kill", "phase": "outbound", "at_s": 4.0, "restart": False}
-    wish = moved("outbound", 0.5, "stop-3")  # taken, and void with the companion that took it
+    wish = moved("outbound", 0.5, "stop-3")  # accepted, and void after the companion's end
     flown = fly_case(autopilot_kind, WORLD | {"faults": [wish, killed]})
     assert "will land at stop-3" in flown.said
     assert (flown.row["outcome"], landed_at(flown)) == ("ABRT", "stop-2")

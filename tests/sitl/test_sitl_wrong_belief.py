@@ -1,8 +1,8 @@
-"""An airframe that is believed lighter on power and drag than it is must still come home.
+"""A vehicle whose airframe file states too little power and drag must still come home.
 
-The shipped belief was fitted to the simulator's own vehicle; a stranger's will not be. Here drag
-and power are both believed 10 % too low, which is the dangerous side, more than twice the spread
-that the file states for either (0.05 and 0.04), on a charge that leaves little beside the reserve.
+The shipped file was fitted to the simulator's vehicle; a user's may be worse. Here drag and power
+are both stated 10 % too low, the dangerous direction, more than twice the spread that the file
+states for either (0.05 and 0.04), on a charge with little margin over the reserve.
 """
 
 import re
@@ -37,7 +37,7 @@ def scaled(text: str, key: str, factor: float) -> str:
 
 @pytest.fixture
 def optimist(tmp_path):
-    """A file that believes the m100's drag and power 10 % too low."""
+    """Write a file that states the m100's drag and power 10 % too low."""
     text = M100.read_text()
     for key in DRAG:
         text = scaled(text, key, TOO_LOW)
@@ -48,10 +48,11 @@ def optimist(tmp_path):
 
 
 def flew_and_came_home(flown) -> bool:
-    away = flown.craft.record.took_off_s is not None
+    away = flown.craft.record.takeoff_s is not None
     return away and flown.row["home"] and flown.row["margin_wh"] >= 0.0
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(of="autopilot_kind")
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_believed_a_tenth_too_good_it_still_comes_home_with_its_reserve(
@@ -61,6 +62,7 @@ def test_believed_a_tenth_too_good_it_still_comes_home_with_its_reserve(
     assert flew_and_came_home(flown), flown.row
 
 
+@pytest.mark.sample
 def test_the_check_fails_where_nothing_minds_the_budget(fly_case, optimist):
     flown = fly_case("px4", THIN, believed=optimist, gate=False)
     assert not flew_and_came_home(flown), flown.row

@@ -1,8 +1,8 @@
-"""Bytes to MAVLink messages and back by pymavlink; garbage and forgeries stop here."""
+"""Convert bytes to MAVLink messages and back with pymavlink; reject invalid and forged frames."""
 
 import os
 
-os.environ.setdefault("MAVLINK20", "1")  # before pymavlink is imported: it chooses the wire version
+os.environ.setdefault("MAVLINK20", "1")  # before pymavlink is imported: selects the wire version
 
 import hashlib
 import hmac
@@ -11,27 +11,27 @@ from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.clock import epoch_us
+from companion.adapters.clock import unix_time_us
 
 COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
-"""191: who we are on the vehicle's system."""
+"""191: the companion's component ID on the vehicle's system."""
 
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 LINK_ID = 191
 Stream = tuple[int, int, int]
-"""Link, system, component: who signs counts time stamps up for each of these."""
+"""Link, system, component: a sender of signed frames counts time stamps up for each stream."""
 
 SIGNING_EPOCH_US = 1_420_070_400_000_000
-"""2015-01-01, where MAVLink's signing clock starts."""
+"""2015-01-01, the start of MAVLink's signing clock."""
 
 
 _Message: Any = mavlink.MAVLink_message
 
 
 class CurrentMode(_Message):
-    """CURRENT_MODE: PX4's mode by its own stream, at any rate, where HEARTBEAT is held to 1 Hz.
+    """CURRENT_MODE: PX4's mode as a stream of any rate; PX4 limits HEARTBEAT to 1 Hz.
 
-    Standard MAVLink (common.xml, 436) that pymavlink has in its development dialect only.
+    Standard MAVLink (common.xml, 436); pymavlink has it in its development dialect only.
     """
 
     id = 436
@@ -61,7 +61,7 @@ class CurrentMode(_Message):
         self.intended_custom_mode = intended_custom_mode
 
     def pack(self, mav: Any, force_mavlink1: bool = False) -> Any:
-        """Its frame."""
+        """Return the frame."""
         payload = self.unpacker.pack(
             self.custom_mode, self.intended_custom_mode, self.standard_mode
         )
@@ -71,19 +71,19 @@ class CurrentMode(_Message):
 mavlink.mavlink_map.setdefault(CurrentMode.id, CurrentMode)
 
 
-class _Codec(mavlink.MAVLink):
-    """pymavlink's codec, with its replay memory fed only by signatures that were right.
+class _VerifyingCodec(mavlink.MAVLink):
+    """pymavlink's codec; only frames with a valid signature update its replay memory.
 
-    `refused_stamp`: the newest time of rightly signed frames that were refused as too old, while
-    none is accepted.
+    `refused_stamp`: the newest time stamp of validly signed frames that were refused as too old,
+    until a frame is accepted.
     """
 
     refused_stamp: int | None = None
 
     def check_signature(self, msgbuf: Any, srcSystem: int, srcComponent: int) -> bool:
         key = self.signing.secret_key or b""
-        right = hashlib.sha256(bytes(key) + bytes(msgbuf[:-6])).digest()[:6]
-        if not hmac.compare_digest(right, bytes(msgbuf[-6:])):
+        expected_signature = hashlib.sha256(bytes(key) + bytes(msgbuf[:-6])).digest()[:6]
+        if not hmac.compare_digest(expected_signature, bytes(msgbuf[-6:])):
             return False
         if super().check_signature(msgbuf, srcSystem, srcComponent):
             self.refused_stamp = None
@@ -95,11 +95,11 @@ class _Codec(mavlink.MAVLink):
 
 
 class MavlinkCodec:
-    """Parses what a link brought and packs what goes out, signed when there is a key."""
+    """Parses received bytes and packs outgoing messages, signed if there is a key."""
 
     def __init__(self, *, datagrams: bool, signing_key: bytes | None = None) -> None:
         self._datagrams = datagrams
-        self.mav = _Codec(None, srcSystem=1, srcComponent=COMPONENT)
+        self.mav = _VerifyingCodec(None, srcSystem=1, srcComponent=COMPONENT)
         self.mav.robust_parsing = True
         self.bad_frames = 0
         if signing_key is not None:
@@ -107,56 +107,56 @@ class MavlinkCodec:
             signing.secret_key = bytes(signing_key)
             signing.sign_outgoing = True
             signing.link_id = LINK_ID
-            signing.timestamp = (epoch_us() - SIGNING_EPOCH_US) // 10
+            signing.timestamp = (unix_time_us() - SIGNING_EPOCH_US) // 10
 
     @property
-    def signed(self) -> bool:
+    def is_signing(self) -> bool:
         """True when a key is in use."""
         return self.mav.signing.secret_key is not None
 
-    def remember(self, streams: dict[Stream, int]) -> None:
-        """Take up the newest time stamps that an earlier process heard: older frames are replays.
+    def restore_signing_timestamps(self, newest_timestamp_by_stream: dict[Stream, int]) -> None:
+        """Restore an earlier process's newest time stamps; older frames are refused as replays.
 
-        Our own stamps go on after the newest of all, also where this computer's clock stood still.
+        Own stamps continue after the newest of all, also if the computer's clock did not advance.
         """
-        self.mav.signing.stream_timestamps.update(streams)
-        newest = max(streams.values(), default=0)
+        self.mav.signing.stream_timestamps.update(newest_timestamp_by_stream)
+        newest = max(newest_timestamp_by_stream.values(), default=0)
         self.mav.signing.timestamp = max(self.mav.signing.timestamp, newest)
 
     @property
-    def streams(self) -> dict[Stream, int]:
-        """The newest time stamp heard of each stream, and of our own."""
+    def newest_signing_timestamp_by_stream(self) -> dict[Stream, int]:
+        """The newest time stamp received of each stream, and of the companion's own stream."""
         own = (LINK_ID, self.mav.srcSystem, COMPONENT)
         return {**self.mav.signing.stream_timestamps, own: self.mav.signing.timestamp}
 
     @property
-    def clocks_apart_us(self) -> tuple[int, int] | None:
-        """Two times since 1970, too far apart: of signed frames that we must refuse, and ours.
+    def refused_and_own_signing_time_us(self) -> tuple[int, int] | None:
+        """Times since 1970: of refused signed frames, and of this companion; `None`: none refused.
 
-        A frame of a new stream is refused when it is over a minute older than our signing clock.
+        A frame of a new stream is refused when it is over a minute older than the signing clock.
         """
         if self.mav.refused_stamp is None:
             return None
         theirs, ours = self.mav.refused_stamp, self.mav.signing.timestamp
         return theirs * 10 + SIGNING_EPOCH_US, ours * 10 + SIGNING_EPOCH_US
 
-    def be_system(self, system_id: int) -> None:
-        """Speak as a component of this system."""
+    def set_source_system_id(self, system_id: int) -> None:
+        """Send as a component of this system."""
         self.mav.srcSystem = system_id
 
-    def parse(self, data: bytes) -> list[Any]:
-        """Return the good messages in order; whatever is broken is counted and left out.
+    def parse_valid_messages(self, data: bytes) -> list[Any]:
+        """Return the valid messages in order; invalid frames are counted and discarded.
 
-        A datagram holds whole frames, so a torn one never swallows the next datagram.
+        A datagram holds whole frames, so an incomplete one never consumes the next datagram.
         """
         messages: list[Any] = []
         try:
-            found = self.mav.parse_buffer(data) or []
+            parsed = self.mav.parse_buffer(data) or []
         except (mavlink.MAVError, ValueError, IndexError, UnicodeDecodeError):
             self.bad_frames += 1
-            self._forget()
+            self._reset_receive_buffer()
             return messages
-        for message in found:
+        for message in parsed:
             kind = message.get_type()
             if kind == "BAD_DATA":
                 self.bad_frames += 1
@@ -164,10 +164,10 @@ class MavlinkCodec:
                 messages.append(message)
         if self._datagrams and self.mav.buf_len() > 0:
             self.bad_frames += 1
-            self._forget()
+            self._reset_receive_buffer()
         return messages
 
-    def _forget(self) -> None:
+    def _reset_receive_buffer(self) -> None:
         self.mav.buf = bytearray()
         self.mav.buf_index = 0
         self.mav.expected_length = mavlink.HEADER_LEN_V1 + 2
@@ -178,3 +178,14 @@ class MavlinkCodec:
         frame = bytes(message.pack(self.mav))
         self.mav.seq = (self.mav.seq + 1) % 256
         return frame
+
+
+def heartbeat_message(system_status: int, base_mode: int = 0, custom_mode: int = 0) -> Any:
+    """Return the companion's heartbeat."""
+    kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+    return mavlink.MAVLink_heartbeat_message(kind, none, base_mode, custom_mode, system_status, 3)
+
+
+def timesync_response_message(t_s: float, request_ns: int) -> Any:
+    """Return the response to a TIMESYNC request; the time is never 0, which marks a request."""
+    return mavlink.MAVLink_timesync_message(max(1, round(t_s * 1e9)), request_ns)

@@ -1,4 +1,4 @@
-"""MAVLink commands to the autopilot: sent until acknowledged or seen to be obeyed, or given up.
+"""MAVLink commands to the autopilot: sent until acknowledged, confirmed by telemetry or abandoned.
 
 Times are on the autopilot's clock.
 """
@@ -8,223 +8,254 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from companion.adapters.autopilots.codec import mavlink
-from companion.core.mission.events import Event, OrderAccepted, OrderRefused
+from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.core.mission.events import (
+    Event,
+    MessageRequestRefused,
+    Mode,
+    OrderAccepted,
+    OrderRefused,
+)
 
 RETRY_S = 1.0
-BUSY_S = 1.0
-TRIES = 4
+REJECTED_RETRY_S = 1.0
+MAX_TRIES = 4
 
-ANSWER_S = 1.0
-"""How long the last repetition waits for its answer before the order is given up."""
+RESPONSE_TIMEOUT_S = 1.0
+"""Timeout of the last repetition; the command is abandoned after it."""
 
-EVIDENCE_S = 0.3
-"""A report of the unchanged state permits a repetition for so long. An older one permits none: a
-person may have decided otherwise since (a person needs 0.2 s and more to select a mode or item).
+UNCHANGED_MAX_AGE_S = 0.3
+"""Maximum age of a report of the unchanged state that permits a repetition. After that, a pilot may
+have changed the state (selecting a mode or item takes a person 0.2 s and more).
 """
 
-SILENT_S = 3.0
-"""An order that may not be repeated for want of a report ends after so long."""
+NO_REPORT_TIMEOUT_S = 3.0
+"""Timeout of a command that may not be repeated because no report confirms the unchanged state."""
 
-STALE_S = 1.0
-"""How long the answers to repetitions may trail the first answer. A busy autopilot works off a
-doubled order in one go, so both COMMAND_ACKs come together (seen on PX4 1.18 at first contact).
+LATE_ACK_S = 1.0
+"""How late acknowledgements of repetitions may follow the first one. A busy autopilot processes a
+doubled command at once, so both COMMAND_ACKs come together (PX4 1.18 at first contact).
 """
 
-NO_ANSWER = "no answer"
+NO_RESPONSE = "no answer"
 
-RESULT = {
+RESULT_TEXT = {
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",
     mavlink.MAV_RESULT_DENIED: "denied",
     mavlink.MAV_RESULT_UNSUPPORTED: "unsupported",
     mavlink.MAV_RESULT_FAILED: "failed",
-    6: "cancelled",  # MAV_RESULT_CANCELLED, younger than the dialect
+    6: "cancelled",  # MAV_RESULT_CANCELLED, newer than the dialect
 }
 
 
 @dataclass(slots=True)
 class PendingCommand:
-    """One order on its way. `make(attempt)` builds the message.
+    """A command in progress in a lane. `build_message(attempt)` builds the message.
 
-    It ends with COMMAND_ACK of `command`, or with telemetry that `shows` its effect: an answer may
-    be lost, and PX4 acknowledges no jump. `again_s` is how long it waits before it is sent again,
-    `most_tries` how often it is sent, `answer_s` how long the last one waits.
+    It ends with the COMMAND_ACK of `command`, or with telemetry for which `confirms` is true: a
+    COMMAND_ACK may be lost, and PX4 acknowledges no jump. `retry_interval_s` is the retry interval,
+    `max_tries` the number of transmissions, `response_timeout_s` the timeout of the last one.
 
-    `unchanged`: a report that shows the state as it was at the order. With it, only a recent one
-    permits a repetition. `superseded`: a report that shows a newer decision; the order ends.
+    `reports_unchanged` is true for a report of the state before the command: only a recent one
+    permits a repetition. `reports_superseded` is true for a report of a newer decision, which ends
+    the command. `supersedes`: it discards earlier commands in its lane. `requests_message`: only a
+    refusal is an event. `mode`: the mode that it sets.
     """
 
+    lane: str
     name: str
-    make: Callable[[int], Any]
+    build_message: Callable[[int], Any]
     command: int | None = None
-    shows: Callable[[Event], bool] | None = None
-    unchanged: Callable[[Event], bool] | None = None
-    superseded: Callable[[Event], bool] | None = None
-    quiet: bool = False
-    again_s: float = RETRY_S
-    most_tries: int = TRIES
-    answer_s: float = ANSWER_S
-    tries: int = 0
-    answers: int = 0
+    confirms: Callable[[Event], bool] | None = None
+    reports_unchanged: Callable[[Event], bool] | None = None
+    reports_superseded: Callable[[Event], bool] | None = None
+    supersedes: bool = False
+    requests_message: bool = False
+    mode: Mode | None = None
+    retry_interval_s: float = RETRY_S
+    max_tries: int = MAX_TRIES
+    response_timeout_s: float = RESPONSE_TIMEOUT_S
+    attempt_count: int = 0
+    ack_count: int = 0
     next_try_s: float = 0.0
     unchanged_s: float = -math.inf
-    """Time of the newest report that shows the state unchanged."""
+    """Time of the newest report of the unchanged state."""
 
-    def may_repeat(self, t_s: float) -> bool:
-        """Tell whether the state is known to be unchanged now."""
-        return self.unchanged is None or t_s - self.unchanged_s <= EVIDENCE_S
-
-    @property
-    def waits_s(self) -> float:
-        """How long to wait after the newest try."""
-        return self.again_s if self.tries < self.most_tries else max(self.again_s, self.answer_s)
+    def can_repeat(self, t_s: float) -> bool:
+        """Return True if a repetition is permitted: the state is known to be unchanged."""
+        return self.reports_unchanged is None or t_s - self.unchanged_s <= UNCHANGED_MAX_AGE_S
 
     @property
-    def unanswered(self) -> int:
-        """How many COMMAND_ACKs of it may still come."""
-        return self.tries - self.answers if self.command is not None else 0
+    def retry_delay_s(self) -> float:
+        """The time to wait after the newest transmission."""
+        return (
+            self.retry_interval_s
+            if self.attempt_count < self.max_tries
+            else max(self.retry_interval_s, self.response_timeout_s)
+        )
+
+    @property
+    def outstanding_acks(self) -> int:
+        """The number of COMMAND_ACKs for this command that may still arrive."""
+        return self.attempt_count - self.ack_count if self.command is not None else 0
+
+
+def command_long(
+    system_id: int, lane: str, name: str, command: int, params: tuple[float, ...], **options: Any
+) -> PendingCommand:
+    """Return a COMMAND_LONG in progress; `options` are further fields of `PendingCommand`."""
+    full = (*params, *([0.0] * (7 - len(params))))
+
+    def build_message(attempt: int) -> Any:
+        return mavlink.MAVLink_command_long_message(system_id, AUTOPILOT, command, attempt, *full)
+
+    return PendingCommand(lane, name, build_message, command, **options)
 
 
 @dataclass(slots=True)
-class _LateAnswers:
-    """Answers that belong to orders which are over; they must not be booked to the next one."""
+class _LateAcks:
+    """Acknowledgements due to ended commands; they must not be counted for the next command."""
 
-    answers: int
+    ack_count: int
     until_s: float
 
 
 @dataclass(slots=True)
 class CommandQueue:
-    """Orders in lanes: within a lane one after the other, lanes beside each other.
+    """Commands in lanes: sequential within a lane, lanes in parallel.
 
-    A COMMAND_ACK names the command and not the order: two orders with the same command in a row
-    (one stream and the next) are told apart by counting what was sent and what was answered.
+    A COMMAND_ACK names the command only: two requests with the same command in succession (for two
+    streams) are distinguished by counting transmissions and acknowledgements.
     """
 
     send: Callable[[Any], None]
     _lanes: dict[str, list[PendingCommand]] = field(default_factory=dict)
-    _late_answers: dict[int, _LateAnswers] = field(default_factory=dict)
+    _late_acks: dict[int, _LateAcks] = field(default_factory=dict)
 
-    def submit(
-        self, lane: str, entry: PendingCommand, t_s: float, *, replace: bool = False
-    ) -> None:
-        """Queue an order; `replace` forgets what the lane still holds (a newer wish)."""
-        queued = self._lanes.setdefault(lane, [])
-        if replace:
-            self.drop(lane, t_s)
+    def enqueue_and_send_if_first(self, entry: PendingCommand, t_s: float) -> None:
+        """Queue a command in its lane."""
+        queued = self._lanes.setdefault(entry.lane, [])
+        if entry.supersedes:
+            self.discard_lane(entry.lane, t_s)
         queued.append(entry)
         if len(queued) == 1:
-            self._try(entry, t_s)
+            self._send_attempt(entry, t_s)
 
-    def clear(self, t_s: float) -> None:
-        """Forget everything: nothing more is sent or retried."""
+    def discard_all(self, t_s: float) -> None:
+        """Discard all commands: nothing more is sent or retried."""
         for lane in self._lanes:
-            self.drop(lane, t_s)
+            self.discard_lane(lane, t_s)
 
-    def drop(self, lane: str, t_s: float) -> None:
-        """Forget what a lane holds."""
+    def discard_lane(self, lane: str, t_s: float) -> None:
+        """Discard the commands of a lane."""
         queued = self._lanes.get(lane)
         if queued:
-            self._expect_late_answers(queued[0], t_s)
+            self._record_expected_late_acks(queued[0], t_s)
             queued.clear()
 
-    def pending(self, lane: str) -> bool:
-        """Tell whether a lane still works on something."""
+    def has_pending(self, lane: str) -> bool:
+        """Return True while a lane holds a command."""
         return bool(self._lanes.get(lane))
 
-    def on_ack(self, message: Any, t_s: float) -> list[Event]:
-        """Take a COMMAND_ACK that is addressed to us (or to everybody)."""
-        if message.result != mavlink.MAV_RESULT_IN_PROGRESS and self._is_late_answer(
+    def process_command_ack(self, message: Any, t_s: float) -> list[Event]:
+        """Process a COMMAND_ACK that is addressed to the companion (or broadcast)."""
+        if message.result != mavlink.MAV_RESULT_IN_PROGRESS and self._record_if_late_ack(
             message.command, t_s
         ):
             return []
         for lane, queued in self._lanes.items():
-            if not queued or queued[0].command != message.command or queued[0].tries == 0:
+            if not queued or queued[0].command != message.command or queued[0].attempt_count == 0:
                 continue
             entry = queued[0]
             if message.result == mavlink.MAV_RESULT_IN_PROGRESS:
                 entry.next_try_s = t_s + 5.0 * RETRY_S
                 return []
-            entry.answers += 1
+            entry.ack_count += 1
             match message.result:
                 case mavlink.MAV_RESULT_ACCEPTED:
-                    return self._finish(lane, t_s, None)
-                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if entry.tries < entry.most_tries:
-                    entry.next_try_s = t_s + BUSY_S
+                    return self._end_command_and_send_next(lane, t_s, None)
+                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if (
+                    entry.attempt_count < entry.max_tries
+                ):
+                    entry.next_try_s = t_s + REJECTED_RETRY_S
                     return []
                 case _:
-                    reason = RESULT.get(message.result, f"result {message.result}")
-                    return self._finish(lane, t_s, reason)
+                    reason = RESULT_TEXT.get(message.result, f"result {message.result}")
+                    return self._end_command_and_send_next(lane, t_s, reason)
         return []
 
-    def on_telemetry(self, event: Event, t_s: float) -> list[Event]:
-        """Take a telemetry event: ends the order whose effect, or whose successor, it shows."""
+    def end_commands_confirmed_by_telemetry(self, event: Event, t_s: float) -> list[Event]:
+        """Process a telemetry event; end the command that it confirms or supersedes."""
         for lane, queued in self._lanes.items():
-            if queued and queued[0].shows is not None and queued[0].shows(event):
-                return self._finish(lane, t_s, None)
-            if queued and queued[0].superseded is not None and queued[0].superseded(event):
-                self.drop(lane, t_s)
-            elif queued and queued[0].unchanged is not None and queued[0].unchanged(event):
-                queued[0].unchanged_s = t_s
+            if not queued:
+                continue
+            entry = queued[0]
+            if entry.confirms is not None and entry.confirms(event):
+                return self._end_command_and_send_next(lane, t_s, None)
+            if entry.reports_superseded is not None and entry.reports_superseded(event):
+                self.discard_lane(lane, t_s)
+            elif entry.reports_unchanged is not None and entry.reports_unchanged(event):
+                entry.unchanged_s = t_s
         return []
 
     def tick(self, t_s: float) -> list[Event]:
-        """Retry what is due; give up what was tried often enough."""
+        """Retry commands that are due; abandon those without a retry left."""
         events: list[Event] = []
         for lane, queued in list(self._lanes.items()):
             entry = queued[0] if queued else None
             if entry is None or t_s < entry.next_try_s:
                 continue
-            last = entry.tries >= entry.most_tries
-            if not last and entry.may_repeat(t_s):
-                self._try(entry, t_s)
-            elif last or t_s >= entry.next_try_s + SILENT_S:
-                events += self._finish(lane, t_s, NO_ANSWER)
+            last = entry.attempt_count >= entry.max_tries
+            if not last and entry.can_repeat(t_s):
+                self._send_attempt(entry, t_s)
+            elif last or t_s >= entry.next_try_s + NO_REPORT_TIMEOUT_S:
+                events += self._end_command_and_send_next(lane, t_s, NO_RESPONSE)
         return events
 
-    def _try(self, entry: PendingCommand, t_s: float) -> None:
-        self.send(entry.make(entry.tries))
-        entry.tries += 1
-        entry.next_try_s = t_s + entry.waits_s
+    def _send_attempt(self, entry: PendingCommand, t_s: float) -> None:
+        self.send(entry.build_message(entry.attempt_count))
+        entry.attempt_count += 1
+        entry.next_try_s = t_s + entry.retry_delay_s
 
-    def _expect_late_answers(self, entry: PendingCommand, t_s: float) -> None:
-        """Expect the answers that a finished or forgotten order may still get."""
-        if entry.command is None or entry.unanswered <= 0:
+    def _record_expected_late_acks(self, entry: PendingCommand, t_s: float) -> None:
+        """Expect the acknowledgements that an ended or discarded command may still get."""
+        if entry.command is None or entry.outstanding_acks <= 0:
             return
-        late = self._late_answers.setdefault(entry.command, _LateAnswers(0, t_s))
-        late.answers += entry.unanswered
-        late.until_s = t_s + STALE_S
+        late = self._late_acks.setdefault(entry.command, _LateAcks(0, t_s))
+        late.ack_count += entry.outstanding_acks
+        late.until_s = t_s + LATE_ACK_S
 
-    def _is_late_answer(self, command: int, t_s: float) -> bool:
-        """Book an answer to an order that is over; the order that waited for it may go then."""
-        late = self._late_answers.get(command)
+    def _record_if_late_ack(self, command: int, t_s: float) -> bool:
+        """Count an acknowledgement of an ended command; after the last, send the next command."""
+        late = self._late_acks.get(command)
         if late is None:
             return False
         if t_s > late.until_s:
-            del self._late_answers[command]
+            del self._late_acks[command]
             return False
-        late.answers -= 1
-        if late.answers <= 0:
-            del self._late_answers[command]
+        late.ack_count -= 1
+        if late.ack_count <= 0:
+            del self._late_acks[command]
             for queued in self._lanes.values():
-                if queued and queued[0].command == command and queued[0].tries == 0:
-                    self._try(queued[0], t_s)
+                if queued and queued[0].command == command and queued[0].attempt_count == 0:
+                    self._send_attempt(queued[0], t_s)
         return True
 
-    def _finish(self, lane: str, t_s: float, reason: str | None) -> list[Event]:
+    def _end_command_and_send_next(
+        self, lane: str, t_s: float, failure_reason: str | None
+    ) -> list[Event]:
         queued = self._lanes[lane]
         entry = queued.pop(0)
-        self._expect_late_answers(entry, t_s)
+        self._record_expected_late_acks(entry, t_s)
         if queued:
-            late = (
-                self._late_answers.get(queued[0].command) if queued[0].command is not None else None
-            )
+            late = self._late_acks.get(queued[0].command) if queued[0].command is not None else None
             if late is None or t_s > late.until_s:
-                self._try(queued[0], t_s)
-            else:  # sent beside late answers to the last one it could not be told from that
+                self._send_attempt(queued[0], t_s)
+            else:  # sent now, its acknowledgement could be mistaken for a late one
                 queued[0].next_try_s = late.until_s
-        if entry.quiet and reason is None:
-            return []
-        if reason is None:
+        if entry.requests_message:
+            return [] if failure_reason is None else [MessageRequestRefused(t_s, entry.name)]
+        if failure_reason is None:
             return [OrderAccepted(t_s, entry.name)]
-        return [OrderRefused(t_s, entry.name, reason, answered=reason != NO_ANSWER)]
+        is_response = failure_reason != NO_RESPONSE
+        return [OrderRefused(t_s, entry.name, failure_reason, is_response, entry.mode)]

@@ -1,8 +1,8 @@
-"""Ways to an autopilot by URL, each with one reader thread that feeds one queue.
+"""Links to an autopilot by URL; each has one reader thread that fills one queue.
 
-`udpin:HOST:PORT` listens, `udpout:HOST:PORT` and `tcp:HOST:PORT` call, `serial:DEVICE:BAUD` opens.
-Whole datagrams (UDP) or whatever arrived (TCP, serial) enter the queue. TCP and serial come back
-by themselves after a break.
+`udpin:HOST:PORT` listens, `udpout:HOST:PORT` and `tcp:HOST:PORT` connect, `serial:DEVICE:BAUD`
+opens. Whole datagrams (UDP) or the bytes received (TCP, serial) enter the queue. TCP and serial
+links reconnect after an interruption.
 """
 
 import contextlib
@@ -14,145 +14,150 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from companion.adapters.autopilots.strangers import StrangerLimit
+from companion.adapters.autopilots.unknown_hosts import UnknownHostLimit
 from companion.adapters.clock import wall_s
 from companion.core.base.errors import LeewayError, LinkClosedError
 
 POLL_S = 0.2
 RETRY_S = 1.0
-FIRST_CALL_S = 3.0
-"""How long the first call of a TCP server is tried: one that starts beside us is up by then, and
-with the last try the operator hears within 5 s.
+CONNECT_TIMEOUT_S = 3.0
+"""Timeout of the first TCP connection: long enough for a server that starts at the same time, and
+the operator gets the error within 5 s.
 """
 
-LARGEST_DATAGRAM = 65536
+MAX_DATAGRAM_BYTES = 65536
 QUEUE_LIMIT = 20_000
-SETTLE_LIMIT_S = 0.4
-"""Two waits of a reader: the end of the one that it is in, and one on a link that never pauses."""
+DRAIN_TIMEOUT_S = 0.4
+"""Two waits of a reader: the rest of the current one, and one on a link that never pauses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Incoming:
-    """Bytes and where they came from (UDP's address; `None` on a wire)."""
+    """Received bytes and their source (UDP's address; `None` for TCP and serial)."""
 
     data: bytes
     peer: Any = None
 
 
 class Link(Protocol):
-    """Bytes in by `receive`, bytes out by `send`; `datagrams` tells whether frames come whole.
+    """Receives and sends bytes; `datagrams`: True if frames arrive whole.
 
-    `waiting` counts what was read and not received yet; after `settle` that is all that arrived.
-    `strangers`: packets from elsewhere that were not taken, since they were too many.
+    `queued_chunk_count` counts chunks that were read and not yet received; after
+    `wait_until_arrived_data_queued` these are all that arrived. `rejected_packets`: number of
+    packets from other hosts that were rejected by the rate limit.
     """
 
     datagrams: bool
 
     @property
-    def strangers(self) -> int: ...
+    def rejected_packets(self) -> int: ...
 
     def receive(self, timeout_s: float) -> Incoming | None: ...
     def send(self, data: bytes) -> None: ...
-    def waiting(self) -> int: ...
-    def settle(self) -> None: ...
-    def wake(self) -> None: ...
-    def answer_to(self, peer: Any) -> None: ...
+    def queued_chunk_count(self) -> int: ...
+    def wait_until_arrived_data_queued(self) -> None: ...
+    def interrupt_receive(self) -> None: ...
+    def set_reply_peer(self, peer: Any) -> None: ...
     def close(self) -> None: ...
 
 
 class _Reader:
-    """A thread that reads until told to stop; what it read waits in a bounded queue."""
+    """Reads on a thread until it is stopped, into a bounded queue."""
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[Incoming] = queue.SimpleQueue()
         self._stop = threading.Event()
-        self._settled = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="mavlink-reader", daemon=True)
+        self._drained = threading.Event()
+        self._thread = threading.Thread(target=self._run_thread, name="mavlink-reader", daemon=True)
 
     @property
-    def strangers(self) -> int:
-        """A wire has one other end."""
+    def rejected_packets(self) -> int:
+        """Zero: a wire has one other end."""
         return 0
 
-    def start(self) -> None:
+    def start_reader_thread(self) -> None:
         try:
             self._thread.start()
         except RuntimeError as error:  # no memory, or too many processes
             self.close()
             raise LinkClosedError(
-                f"link: no thread can be had to read it ({error}): too many processes, or no memory"
+                f"link: cannot start the reader thread ({error}): too many processes or no memory"
             ) from error
 
     def close(self) -> None:
-        """Stop reading and give the line back."""
-        raise NotImplementedError
-
-    def _stop_reading(self) -> None:
+        """Stop reading and close the connection."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
+        self._disconnect()
 
-    def _run(self) -> None:
+    def set_reply_peer(self, peer: Any) -> None:
+        """No effect: a wire has one other end."""
+
+    def _disconnect(self) -> None:
+        raise NotImplementedError
+
+    def _run_thread(self) -> None:
         while not self._stop.is_set():
-            if not self._settled.is_set() and not self._has_more():
-                self._settled.set()
-            self._read_once()
+            if not self._drained.is_set() and not self._has_unread_bytes():
+                self._drained.set()
+            self._read_chunk()
 
-    def _has_more(self) -> bool:
-        """Tell whether bytes have arrived that were not read."""
+    def _has_unread_bytes(self) -> bool:
+        """Return True if bytes have arrived that were not read."""
         raise NotImplementedError
 
-    def _read_once(self) -> None:
+    def _read_chunk(self) -> None:
         raise NotImplementedError
 
-    def _put(self, item: Incoming) -> None:
-        if self._queue.qsize() >= QUEUE_LIMIT:  # the newest matter: drop the oldest
+    def _enqueue(self, item: Incoming) -> None:
+        if self._queue.qsize() >= QUEUE_LIMIT:  # the newest data matter: drop the oldest
             with contextlib.suppress(queue.Empty):
                 self._queue.get_nowait()
         self._queue.put(item)
 
     def receive(self, timeout_s: float) -> Incoming | None:
-        """Return the next bytes, or `None` after `timeout_s` of silence."""
+        """Return the next bytes, or `None` after `timeout_s` without data."""
         try:
             return self._queue.get(timeout=timeout_s)
         except queue.Empty:
             return None
 
-    def wake(self) -> None:
-        """Let whoever receives look up at once: something else waits for it."""
-        self._put(Incoming(b""))
+    def interrupt_receive(self) -> None:
+        """End a `receive` that waits, because the receiver has other work."""
+        self._enqueue(Incoming(b""))
 
-    def waiting(self) -> int:
-        """How many arrivals have not been received yet."""
+    def queued_chunk_count(self) -> int:
+        """Return the number of chunks that have not been received yet."""
         return self._queue.qsize()
 
-    def settle(self) -> None:
-        """Return once the reader has read all that had arrived (or the link never pauses)."""
-        self._settled.clear()
-        self._settled.wait(SETTLE_LIMIT_S)
+    def wait_until_arrived_data_queued(self) -> None:
+        """Return once the reader has read all arrived data (with a limit, if data never pause)."""
+        self._drained.clear()
+        self._drained.wait(DRAIN_TIMEOUT_S)
 
 
-def _is_readable(line: socket.socket | None) -> bool:
+def _has_unread_socket_data(connection: socket.socket | None) -> bool:
     try:
-        return line is not None and bool(select.select([line], [], [], 0.0)[0])
-    except (OSError, ValueError):  # closed meanwhile
+        return connection is not None and bool(select.select([connection], [], [], 0.0)[0])
+    except (OSError, ValueError):  # closed by another thread
         return False
 
 
-def _udp_trouble(host: str, port: int, error: OSError) -> str:
-    """What is wrong with a UDP port, and what to do where another client holds it."""
-    words = f"link udp {host}:{port}: {error.strerror or error}"
+def _udp_error_text(host: str, port: int, error: OSError) -> str:
+    """Describe the error of a UDP port, and the remedy if another client uses it."""
+    message = f"link udp {host}:{port}: {error.strerror or error}"
     if error.errno != errno.EADDRINUSE:
-        return words
+        return message
     return (
-        f"{words}: another client listens there (a ground station?). Give us a port of our own,"
-        f" such as udpin:{host}:14551, and send to it as well (MAVProxy: --out 127.0.0.1:14551)"
+        f"{message}: another client uses this port (a ground station?). Give the companion its own,"
+        f" such as udpin:{host}:14551, and forward to it (MAVProxy: --out 127.0.0.1:14551)"
     )
 
 
 class UdpLink(_Reader):
-    """UDP, listening or calling. A listener answers to the peer that it was told to answer; others
-    than that peer's host are heard as far as `StrangerLimit` allows.
+    """A UDP link that listens or connects. A listener sends to the peer set by `set_reply_peer`;
+    packets from other hosts are received within `UnknownHostLimit`.
     """
 
     datagrams = True
@@ -161,7 +166,7 @@ class UdpLink(_Reader):
         super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._peer: Any = None
-        self._limit = StrangerLimit()
+        self._limit = UnknownHostLimit()
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
             if listen:
@@ -171,48 +176,50 @@ class UdpLink(_Reader):
                 self._peer = (socket.gethostbyname(host), port)
         except OSError as error:
             self._socket.close()
-            raise LinkClosedError(_udp_trouble(host, port, error)) from error
+            raise LinkClosedError(_udp_error_text(host, port, error)) from error
         self._socket.settimeout(POLL_S)
         self._fixed_peer = not listen
-        self.start()
+        self.start_reader_thread()
 
-    def _read_once(self) -> None:
+    def _read_chunk(self) -> None:
         try:
-            data, peer = self._socket.recvfrom(LARGEST_DATAGRAM)
+            data, peer = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
         except TimeoutError:
             return
-        except OSError:  # a refused datagram (nobody listens yet), or the socket was closed
+        except OSError:  # a datagram was refused (no listener yet), or the socket was closed
             self._stop.wait(0.02)
             return
-        if data and self._takes(data, peer):
-            self._put(Incoming(data, peer))
+        if data and self._accepts_after_rate_limit(data, peer):
+            self._enqueue(Incoming(data, peer))
 
-    def _takes(self, data: bytes, peer: Any) -> bool:
+    def _accepts_after_rate_limit(self, data: bytes, peer: Any) -> bool:
         known = self._peer
         if known is not None and peer[0] == known[0]:
             return True
-        return self._limit.takes(len(data), wall_s(), is_limited=known is not None)
+        return self._limit.accepts_after_counting_packet(
+            len(data), wall_s(), is_rate_limited=known is not None
+        )
 
     @property
-    def strangers(self) -> int:
-        """Packets of others than our peer's host that were not taken."""
+    def rejected_packets(self) -> int:
+        """Number of rejected packets from other hosts than the peer's."""
         return self._limit.refused
 
-    def _has_more(self) -> bool:
-        return _is_readable(self._socket)
+    def _has_unread_bytes(self) -> bool:
+        return _has_unread_socket_data(self._socket)
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port of our own end."""
+        """Local host and port."""
         return self._socket.getsockname()
 
-    def answer_to(self, peer: Any) -> None:
-        """Send to this address from now on (a caller keeps to whom it called)."""
+    def set_reply_peer(self, peer: Any) -> None:
+        """Send to this address from now on (no effect on `udpout`, whose peer is fixed)."""
         if not self._fixed_peer:
             self._peer = peer
 
     def send(self, data: bytes) -> None:
-        """Send, or lose it: UDP promises nothing and orders are retried."""
+        """Send; losses are ignored, since commands are retried."""
         if self._peer is None:
             return
         try:
@@ -220,14 +227,12 @@ class UdpLink(_Reader):
         except OSError:
             return
 
-    def close(self) -> None:
-        """Stop reading and free the port."""
-        self._stop_reading()
+    def _disconnect(self) -> None:
         self._socket.close()
 
 
 class TcpLink(_Reader):
-    """A TCP client that calls again when the line breaks."""
+    """A TCP client that reconnects when the connection breaks."""
 
     datagrams = False
 
@@ -236,43 +241,43 @@ class TcpLink(_Reader):
         self._address = (host, port)
         self._socket: socket.socket | None = None
         self._lock = threading.Lock()
-        self._call_first()
-        self.start()
+        self._connect_within_timeout()
+        self.start_reader_thread()
 
-    def _call_first(self) -> None:
-        """The first call must be answered; a line that breaks later is called again for ever.
+    def _connect_within_timeout(self) -> None:
+        """Connect within CONNECT_TIMEOUT_S. A connection that breaks later is retried forever.
 
-        Raises: LinkClosedError with what to do.
+        Raises: LinkClosedError with the remedy.
         """
-        until_s = wall_s() + FIRST_CALL_S
+        until_s = wall_s() + CONNECT_TIMEOUT_S
         while self._socket is None:
             self._connect()
             if self._socket is None and wall_s() > until_s:
                 host, port = self._address
                 raise LinkClosedError(
-                    f"link tcp {host}:{port}: nobody answers, or another client holds the port."
-                    " One port serves one client: take a free one (ArduPilot's simulator: 5762),"
-                    " or let that client pass it on (MAVProxy: --out 127.0.0.1:14551)"
+                    f"link tcp {host}:{port}: no response, or another client uses the port."
+                    " One port serves one client: use a free one (ArduPilot's simulator: 5762),"
+                    " or let that client forward it (MAVProxy: --out 127.0.0.1:14551)"
                 )
 
-    def _read_once(self) -> None:
+    def _read_chunk(self) -> None:
         line = self._socket
         if line is None:
             self._connect()
             return
         try:
-            data = line.recv(LARGEST_DATAGRAM)
+            data = line.recv(MAX_DATAGRAM_BYTES)
         except TimeoutError:
             return
         except OSError:
             data = b""
         if data:
-            self._put(Incoming(data))
+            self._enqueue(Incoming(data))
         else:
-            self._drop()
+            self._disconnect()
 
-    def _has_more(self) -> bool:
-        return _is_readable(self._socket)
+    def _has_unread_bytes(self) -> bool:
+        return _has_unread_socket_data(self._socket)
 
     def _connect(self) -> None:
         try:
@@ -285,17 +290,14 @@ class TcpLink(_Reader):
         with self._lock:
             self._socket = line
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
         with self._lock:
             if self._socket is not None:
                 self._socket.close()
                 self._socket = None
 
-    def answer_to(self, peer: Any) -> None:
-        """A line has one other end."""
-
     def send(self, data: bytes) -> None:
-        """Send, or lose it while the line is down."""
+        """Send; data are lost while disconnected."""
         with self._lock:
             line = self._socket
         if line is None:
@@ -303,16 +305,11 @@ class TcpLink(_Reader):
         try:
             line.sendall(data)
         except OSError:
-            self._drop()
-
-    def close(self) -> None:
-        """Stop reading and hang up."""
-        self._stop_reading()
-        self._drop()
+            self._disconnect()
 
 
 class SerialLink(_Reader):
-    """A serial port that is opened again when it vanishes (USB re-enumerates)."""
+    """A serial port that is reopened after it disappears (USB re-enumeration)."""
 
     datagrams = False
 
@@ -324,10 +321,10 @@ class SerialLink(_Reader):
         self._open()
         if self._port is None:
             raise LinkClosedError(
-                f"link serial:{device}:{baud}: cannot open the device, or another program holds it"
-                " (close that, or let it pass the link on: MAVProxy --out 127.0.0.1:14551)"
+                f"link serial:{device}:{baud}: cannot open the device, or another program uses it"
+                " (close it, or let it forward the link: MAVProxy --out 127.0.0.1:14551)"
             )
-        self.start()
+        self.start_reader_thread()
 
     def _open(self) -> None:
         import serial  # pyserial: only a serial link needs it
@@ -339,7 +336,7 @@ class SerialLink(_Reader):
         except (OSError, ValueError):  # SerialException is an OSError
             self._port = None
 
-    def _read_once(self) -> None:
+    def _read_chunk(self) -> None:
         if self._port is None:
             self._stop.wait(RETRY_S)
             self._open()
@@ -347,45 +344,37 @@ class SerialLink(_Reader):
         try:
             data = self._port.read(max(1, self._port.in_waiting))
         except (OSError, TypeError):
-            self._drop()
+            self._disconnect()
             return
         if data:
-            self._put(Incoming(bytes(data)))
+            self._enqueue(Incoming(bytes(data)))
 
-    def _has_more(self) -> bool:
+    def _has_unread_bytes(self) -> bool:
         try:
             return self._port is not None and self._port.in_waiting > 0
         except (OSError, TypeError):
             return False
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
         port, self._port = self._port, None
         if port is not None:
             port.close()
 
-    def answer_to(self, peer: Any) -> None:
-        """A wire has one other end."""
-
     def send(self, data: bytes) -> None:
-        """Send, or lose it while the port is gone."""
+        """Send; data are lost while the port is absent."""
         port = self._port
         if port is None:
             return
         try:
             port.write(data)
         except OSError:
-            self._drop()
-
-    def close(self) -> None:
-        """Stop reading and close the port."""
-        self._stop_reading()
-        self._drop()
+            self._disconnect()
 
 
 def open_link(url: str) -> Link:
     """Open a link by its URL.
 
-    Raises: LeewayError says what a URL looks like; LinkClosedError what to do where it stays shut.
+    Raises: LeewayError with the expected form of a URL; LinkClosedError with the remedy.
     """
     kind, _, rest = url.partition(":")
     target, _, number = rest.rpartition(":")

@@ -1,19 +1,30 @@
 """Mission upload and download (MAVLink mission protocol) with retries.
 
-The upload sends items in the order in which the autopilot asks for them.
+The upload sends items in the order of the autopilot's requests.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from companion.adapters.autopilots.codec import mavlink
-from companion.adapters.autopilots.mission_wire import WireItem, item_from_wire
-from companion.core.mission.mission_items import MissionItem
+from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.adapters.autopilots.mission_wire import (
+    WireItem,
+    decode_mission_item,
+    encode_mission_items,
+)
+from companion.adapters.autopilots.telemetry import AutopilotProfile
+from companion.core.mission.actions import ClearMission, UploadMission, VerifyMission
+from companion.core.mission.events import Event, MissionUploaded, MissionVerified, Position
+from companion.core.mission.mission_items import MissionItem, MissionPosition, mission_differences
 
 RETRY_S = 1.5
-TRIES = 6
-LARGEST_MISSION = 700
+MAX_TRIES = 6
+MAX_MISSION_ITEMS = 700
+MISSION_MESSAGES = (
+    *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_COUNT", "MISSION_ITEM_INT"),
+    "MISSION_ACK",
+)
 
 MISSION_RESULT = {
     getattr(mavlink, name): name.removeprefix("MAV_MISSION_").lower().replace("_", " ")
@@ -29,253 +40,349 @@ OTHER_TRANSFER = (
     mavlink.MAV_MISSION_INVALID_SEQUENCE,
     mavlink.MAV_MISSION_OPERATION_CANCELLED,
 )
-"""Results that may belong to a repeated item, to an earlier transfer or to another station's."""
+"""Results that may belong to a repeated item, an earlier transfer or another station's transfer."""
 
 PAUSE_S = 2.0
-"""Silence after an error, at least: requests and results of the old transfer arrive meanwhile."""
+"""Minimum pause after an error, in which requests and results of the old transfer arrive."""
 
 RESTARTS = 3
 
 
 class ResponseTime:
-    """The time from a message to its answer, as a limit for repetitions."""
+    """Round-trip time from a message to its response; a limit for repetitions."""
 
     def __init__(self) -> None:
         self._measured_s = 0.0
 
     @property
-    def limit_s(self) -> float:
-        """Earlier, an answer may still be on its way."""
+    def response_timeout_s(self) -> float:
+        """Before this time a response may still be in transit."""
         return 1.1 * self._measured_s + 0.2 if self._measured_s > 0.0 else 0.0
 
-    def measure(self, sent_s: float, t_s: float) -> None:
-        """Keep the newest answer's time."""
-        self._measured_s = max(0.0, t_s - sent_s)
+    def store_response_time(self, sent_s: float, received_s: float) -> None:
+        """Store the newest response time."""
+        self._measured_s = max(0.0, received_s - sent_s)
 
 
 class MissionUpload:
-    """Answers the autopilot's requests until it acknowledges; `done` is then a reason or `""`.
+    """Uploads a mission on the autopilot's requests until it ends; `result_text` is then `""` or
+    an error.
 
-    A round trip longer than the autopilot's patience brings repeated requests: each is answered
-    once per round trip. A result in `OTHER_TRANSFER` counts only if no request follows: then the
-    upload starts again after a pause, in which what belongs to the old transfer is discarded.
-    Without items: clears the mission. Starts at `start_s`.
+    A round trip longer than the autopilot's retry interval causes repeated requests: each gets one
+    response per round trip. A result in `OTHER_TRANSFER` counts only if no request follows: the
+    upload then restarts after a pause, in which messages of the old transfer are discarded. Without
+    items it clears the mission. Starts at `earliest_start_s`.
     """
 
     def __init__(
         self,
         send: Callable[[Any], None],
-        target: int,
+        target_system_id: int,
         items: Sequence[WireItem],
         t_s: float,
-        start_s: float = 0.0,
+        earliest_start_s: float = 0.0,
     ) -> None:
         self._send = send
-        self._target = target
+        self._target = target_system_id
         self._items = list(items)
         self._tries = 0
         self._restarts = 0
         self._response = ResponseTime()
         self._error: str | None = None
-        self._asked: int | None = None
-        self._highest = -1
+        self._requested_seq: int | None = None
+        self._highest_requested_seq = -1
         self._sent_s: dict[int, float] = {}
         self._announced_s: float | None = None
-        self._next_try_s = max(start_s, t_s)
-        self.done: str | None = None
+        self._next_try_s = max(earliest_start_s, t_s)
+        self.result_text: str | None = None
         self.tick(t_s)
 
-    def _announce(self, t_s: float) -> None:
+    def _send_count_or_clear_all(self, t_s: float) -> None:
         self._tries += 1
-        self._next_try_s = t_s + max(RETRY_S, self._response.limit_s)
+        self._next_try_s = t_s + max(RETRY_S, self._response.response_timeout_s)
         self._announced_s = t_s if self._announced_s is None else self._announced_s
-        target, autopilot = self._target, mavlink.MAV_COMP_ID_AUTOPILOT1
         if self._items:
             count = len(self._items)
-            self._send(mavlink.MAVLink_mission_count_message(target, autopilot, count, 0))
+            self._send(mavlink.MAVLink_mission_count_message(self._target, AUTOPILOT, count, 0))
         else:
-            self._send(mavlink.MAVLink_mission_clear_all_message(target, autopilot, 0))
+            self._send(mavlink.MAVLink_mission_clear_all_message(self._target, AUTOPILOT, 0))
 
     def _send_item(self, seq: int, t_s: float) -> None:
         item = self._items[seq]
         self._sent_s[seq] = t_s
-        self._next_try_s = t_s + max(RETRY_S, self._response.limit_s)
-        self._send(
-            mavlink.MAVLink_mission_item_int_message(
-                self._target,
-                mavlink.MAV_COMP_ID_AUTOPILOT1,
-                seq,
-                item.frame,
-                item.command,
-                0,
-                1,
-                *item.params,
-                item.x,
-                item.y,
-                item.z,
-                0,
-            )
-        )
+        self._next_try_s = t_s + max(RETRY_S, self._response.response_timeout_s)
+        content = item.frame, item.command, 0, 1, *item.params, item.x, item.y, item.z, 0
+        message = mavlink.MAVLink_mission_item_int_message(self._target, AUTOPILOT, seq, *content)
+        self._send(message)
 
     def on_message(self, message: Any, t_s: float) -> None:
-        """Take MISSION_REQUEST, MISSION_REQUEST_INT or MISSION_ACK."""
+        """Process MISSION_REQUEST, MISSION_REQUEST_INT or MISSION_ACK."""
         is_other_type = getattr(message, "mission_type", 0) != 0
-        if self.done is not None or is_other_type or self._announced_s is None:
+        if self.result_text is not None or is_other_type or self._announced_s is None:
             return
-        if message.get_type() == "MISSION_ACK":
-            self._on_result(message.type, t_s)
-        elif 0 <= message.seq < len(self._items) and message.seq <= self._highest + 1:
-            self._on_request(message.seq, t_s)
+        last = min(len(self._items) - 1, self._highest_requested_seq + 1)
+        match message.get_type():
+            case "MISSION_ACK":
+                self._process_mission_ack_result(message.type, t_s)
+            case "MISSION_REQUEST" | "MISSION_REQUEST_INT" if 0 <= message.seq <= last:
+                self._answer_item_request(message.seq, t_s)
+            case _:
+                return
 
-    def _on_result(self, result: int, t_s: float) -> None:
+    def _process_mission_ack_result(self, result: int, t_s: float) -> None:
         if result == mavlink.MAV_MISSION_ACCEPTED:
-            # An accepted ACK before the last item was asked for belongs to somebody else's
-            # transfer, or to a mission of that length which was already there.
-            if self._highest == len(self._items) - 1:
-                self.done = ""
+            # An accepted ACK before the request for the last item belongs to another station's
+            # transfer, or to a mission of that length that was already loaded.
+            if self._highest_requested_seq == len(self._items) - 1:
+                self.result_text = ""
         elif result in OTHER_TRANSFER and self._items:
             self._error = MISSION_RESULT[result]
-            self._next_try_s = t_s + max(PAUSE_S, 1.5 * self._response.limit_s)
+            self._next_try_s = t_s + max(PAUSE_S, 1.5 * self._response.response_timeout_s)
         else:
-            self.done = MISSION_RESULT.get(result, f"result {result}")
+            self.result_text = MISSION_RESULT.get(result, f"result {result}")
 
-    def _on_request(self, seq: int, t_s: float) -> None:
-        if seq > self._highest:
-            self._highest = seq
+    def _answer_item_request(self, seq: int, t_s: float) -> None:
+        if seq > self._highest_requested_seq:
+            self._highest_requested_seq = seq
             before_s = self._sent_s.get(seq - 1, self._announced_s)
             assert before_s is not None
-            self._response.measure(before_s, t_s)
-        elif t_s - self._sent_s.get(seq, -math.inf) < self._response.limit_s:
+            self._response.store_response_time(before_s, t_s)
+        elif t_s - self._sent_s.get(seq, -math.inf) < self._response.response_timeout_s:
             return
-        if seq != self._asked:
+        if seq != self._requested_seq:
             self._tries = 0
-        self._asked, self._error = seq, None
+        self._requested_seq, self._error = seq, None
         self._send_item(seq, t_s)
 
     def tick(self, t_s: float) -> None:
-        """Repeat the announcement or the last item after a silence; start again after an error."""
-        if self.done is not None or t_s < self._next_try_s:
+        """Repeat the count or the last item after a timeout; restart after an error."""
+        if self.result_text is not None or t_s < self._next_try_s:
             return
         if self._error is not None:
-            self._restart(t_s)
-        elif self._tries >= TRIES:
-            at = "the mission's count" if self._asked is None else f"item {self._asked}"
-            self.done = f"no answer to {at}"
-        elif self._asked is None:
-            self._announce(t_s)
+            self._restart_or_fail(t_s)
+        elif self._tries >= MAX_TRIES:
+            at = (
+                "the mission's count"
+                if self._requested_seq is None
+                else f"item {self._requested_seq}"
+            )
+            self.result_text = f"no response to {at}"
+        elif self._requested_seq is None:
+            self._send_count_or_clear_all(t_s)
         else:
             self._tries += 1
-            self._send_item(self._asked, t_s)
+            self._send_item(self._requested_seq, t_s)
 
-    def _restart(self, t_s: float) -> None:
+    def _restart_or_fail(self, t_s: float) -> None:
         self._restarts += 1
         if self._restarts > RESTARTS:
-            self.done = self._error
+            self.result_text = self._error
             return
-        self._error, self._asked, self._announced_s = None, None, None
-        self._highest, self._tries = -1, 0
+        self._error, self._requested_seq, self._announced_s = None, None, None
+        self._highest_requested_seq, self._tries = -1, 0
         self._sent_s.clear()
-        self._announce(t_s)
+        self._send_count_or_clear_all(t_s)
 
 
 class MissionDownload:
-    """Asks for every item; `items` is the mission as we number it once `done` is `""`.
+    """Requests every item; `result_text` `""`: `received_items_without_home` is the mission.
 
-    `pace_s`: the next item is asked for so long after the last one.
+    `item_interval_s`: interval between an item and the request for the next one.
     """
 
     def __init__(
         self,
         send: Callable[[Any], None],
-        target: int,
-        home_items: int,
+        target_system_id: int,
+        home_item_count: int,
         t_s: float,
-        pace_s: float = 0.0,
-        window: int = 1,
+        item_interval_s: float = 0.0,
+        max_pending_requests: int = 1,
     ) -> None:
-        self._pace_s = pace_s
-        self._window = window
-        self._requested = 0
+        self._pace_s = item_interval_s
+        self._window = max_pending_requests
+        self._requested_count = 0
         self._send = send
-        self._target = target
-        self._home_items = home_items
+        self._target = target_system_id
+        self._home_items = home_item_count
         self._count: int | None = None
-        self._found: dict[int, MissionItem] = {}
+        self._received: dict[int, MissionItem] = {}
         self._tries = 0
         self._response = ResponseTime()
-        self._first_asked_s = t_s
+        self._first_request_s = t_s
         self._error: str | None = None
-        self.done: str | None = None
-        self._ask(t_s)
+        self.result_text: str | None = None
+        self._send_list_or_item_requests(t_s)
 
     @property
-    def items(self) -> tuple[MissionItem, ...]:
-        """The items so far, without the autopilot's own home."""
-        return tuple(self._found[seq] for seq in sorted(self._found) if seq >= self._home_items)
+    def received_items_without_home(self) -> tuple[MissionItem, ...]:
+        """The items received so far, without the autopilot's home item."""
+        return tuple(
+            self._received[seq] for seq in sorted(self._received) if seq >= self._home_items
+        )
 
-    def _ask(self, t_s: float) -> None:
-        self._first_asked_s = self._first_asked_s if self._tries else t_s
+    def _send_list_or_item_requests(self, t_s: float) -> None:
+        self._first_request_s = self._first_request_s if self._tries else t_s
         self._tries += 1
-        self._next_try_s = t_s + max(RETRY_S, self._response.limit_s)
-        autopilot = mavlink.MAV_COMP_ID_AUTOPILOT1
+        self._next_try_s = t_s + max(RETRY_S, self._response.response_timeout_s)
         if self._count is None:
-            self._send(mavlink.MAVLink_mission_request_list_message(self._target, autopilot, 0))
+            self._send(mavlink.MAVLink_mission_request_list_message(self._target, AUTOPILOT, 0))
             return
-        first = len(self._found) if self._tries > 1 else max(self._requested, len(self._found))
-        self._requested = min(len(self._found) + self._window, self._count)
-        for seq in range(first, self._requested):
-            self._send(mavlink.MAVLink_mission_request_int_message(self._target, autopilot, seq, 0))
+        first = max(len(self._received), self._requested_count if self._tries == 1 else 0)
+        self._requested_count = min(len(self._received) + self._window, self._count)
+        for seq in range(first, self._requested_count):
+            self._send(mavlink.MAVLink_mission_request_int_message(self._target, AUTOPILOT, seq, 0))
 
     def on_message(self, message: Any, t_s: float) -> None:
-        """Take MISSION_COUNT, MISSION_ITEM_INT or MISSION_ACK."""
-        if self.done is not None or getattr(message, "mission_type", 0) != 0:
+        """Process MISSION_COUNT, MISSION_ITEM_INT or MISSION_ACK."""
+        if self.result_text is not None or getattr(message, "mission_type", 0) != 0:
             return
         match message.get_type():
             case "MISSION_COUNT" if self._count is None:
                 self._count = int(message.count)
-                if self._count > LARGEST_MISSION:
-                    self.done = f"{self._count} items aboard: more than {LARGEST_MISSION}"
-            case "MISSION_ITEM_INT" if self._count is not None and message.seq == len(self._found):
-                self._found[message.seq] = item_from_wire(message, home_items=self._home_items)
+                if self._count > MAX_MISSION_ITEMS:
+                    self.result_text = f"{self._count} items onboard: more than {MAX_MISSION_ITEMS}"
+            case "MISSION_ITEM_INT" if self._count is not None and message.seq == len(
+                self._received
+            ):
+                self._received[message.seq] = decode_mission_item(
+                    message, home_item_count=self._home_items
+                )
             case "MISSION_ACK" if message.type in OTHER_TRANSFER:
                 self._error = MISSION_RESULT[message.type]
                 self._next_try_s = t_s + PAUSE_S
                 return
             case "MISSION_ACK" if message.type != mavlink.MAV_MISSION_ACCEPTED:
-                self.done = MISSION_RESULT.get(message.type, f"result {message.type}")
+                self.result_text = MISSION_RESULT.get(message.type, f"result {message.type}")
             case _:
                 return
-        if self.done is not None:
+        if self.result_text is not None:
             return
         self._tries, self._error = 0, None
-        self._response.measure(self._first_asked_s, t_s)
-        if len(self._found) == self._count:
-            self.done = ""
-            self._acknowledge(mavlink.MAV_MISSION_ACCEPTED)
+        self._response.store_response_time(self._first_request_s, t_s)
+        if len(self._received) == self._count:
+            self.result_text = ""
+            self._send_mission_ack(mavlink.MAV_MISSION_ACCEPTED)
         elif self._pace_s > 0.0:
             self._next_try_s = t_s + self._pace_s
         else:
-            self._ask(t_s)
+            self._send_list_or_item_requests(t_s)
 
     def cancel(self) -> None:
-        """End it early: PX4 takes no other transfer before that."""
-        self._acknowledge(mavlink.MAV_MISSION_OPERATION_CANCELLED)
+        """Cancel the download: PX4 accepts no other transfer before that."""
+        self._send_mission_ack(mavlink.MAV_MISSION_OPERATION_CANCELLED)
 
-    def _acknowledge(self, result: int) -> None:
-        self._send(
-            mavlink.MAVLink_mission_ack_message(
-                self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, result, 0
-            )
-        )
+    def _send_mission_ack(self, result: int) -> None:
+        self._send(mavlink.MAVLink_mission_ack_message(self._target, AUTOPILOT, result, 0))
 
     def tick(self, t_s: float) -> None:
-        """Ask for the next item when it is due, or again after a silence."""
-        if self.done is not None or t_s < self._next_try_s:
+        """Request the next item when it is due, or repeat the request after a timeout."""
+        if self.result_text is not None or t_s < self._next_try_s:
             return
-        if self._tries >= TRIES:
-            self.done = self._error or "no answer to the download"
+        if self._tries >= MAX_TRIES:
+            self.result_text = self._error or "no response to the download"
             return
-        if self._error is not None:  # PX4 has ended the transfer, another autopilot goes on
-            self._count, self._requested = None, 0
-            self._found.clear()
-        self._ask(t_s)
+        if self._error is not None:  # PX4 has ended the transfer, ArduPilot continues it
+            self._count, self._requested_count = None, 0
+            self._received.clear()
+        self._send_list_or_item_requests(t_s)
+
+
+class MissionClient:
+    """Runs one transfer at a time: a new order replaces the present one, which reports nothing.
+    After a failed upload, the next one starts after a pause.
+
+    The first position of the vehicle is the home item of uploaded missions.
+    """
+
+    def __init__(
+        self, send: Callable[[Any], None], system_id: int, profile: AutopilotProfile
+    ) -> None:
+        self._send = send
+        self._system_id = system_id
+        self._profile = profile
+        self._transfer: MissionUpload | MissionDownload | None = None
+        self._upload_not_before_s = 0.0
+        self._verified = VerifyMission(())
+        self._home: MissionPosition | None = None
+
+    def record_first_position(self, position: Position) -> None:
+        """Record the vehicle's first position."""
+        if self._home is None:
+            self._home = MissionPosition(position.lat_deg, position.lon_deg, position.alt_amsl_m)
+
+    def start_transfer(
+        self, order: UploadMission | ClearMission | VerifyMission, t_s: float
+    ) -> None:
+        """Start the transfer of an order."""
+        send, system_id, profile = self._send, self._system_id, self._profile
+        match order:
+            case UploadMission():
+                wire = encode_mission_items(
+                    order.items,
+                    home_item_count=profile.home_item_count,
+                    home=self._home or MissionPosition(0.0, 0.0, 0.0),
+                    autopilot_chosen_yaw_value=profile.free_yaw,
+                )
+                self._transfer = MissionUpload(
+                    send, system_id, wire, t_s, self._upload_not_before_s
+                )
+            case ClearMission():
+                self._transfer = MissionUpload(send, system_id, (), t_s)
+            case VerifyMission():
+                self._verified = order
+                window = order.pending_requests if profile.supports_parallel_reads else 1
+                self._transfer = MissionDownload(
+                    send, system_id, profile.home_item_count, t_s, order.item_interval_s, window
+                )
+
+    def cancel(self) -> None:
+        """Stop the transfer without a report."""
+        self._transfer = None
+
+    def on_message(self, message: Any, t_s: float) -> list[Event]:
+        """Process one of `MISSION_MESSAGES`; return the event of a transfer that it ends."""
+        if self._transfer is not None:
+            self._transfer.on_message(message, t_s)
+        return self._take_ended_events(t_s)
+
+    def tick(self, t_s: float) -> list[Event]:
+        """Repeat what is due; return the event of a transfer that ended."""
+        if self._transfer is not None:
+            self._transfer.tick(t_s)
+        return self._take_ended_events(t_s)
+
+    def _take_ended_events(self, t_s: float) -> list[Event]:
+        transfer = self._transfer
+        if transfer is None:
+            return []
+        result_text = transfer.result_text
+        if isinstance(transfer, MissionUpload):
+            if result_text is None:
+                return []
+            self._transfer = None
+            if result_text:
+                self._upload_not_before_s = t_s + PAUSE_S
+            return [MissionUploaded(t_s, result_text or None)]
+        if result_text is None:
+            return self._cancel_download_at_first_difference(transfer, t_s)
+        self._transfer = None
+        if result_text:
+            return [MissionVerified(t_s, (result_text,), complete=False)]
+        received_items = transfer.received_items_without_home
+        return [MissionVerified(t_s, mission_differences(self._verified.items, received_items))]
+
+    def _cancel_download_at_first_difference(
+        self, download: MissionDownload, t_s: float
+    ) -> list[Event]:
+        """End a download whose newest item already differs from the expected mission."""
+        so_far = download.received_items_without_home
+        if not self._verified.stop_at_first_difference or not so_far:
+            return []
+        at = len(so_far) - 1
+        found = mission_differences(self._verified.items[at : at + 1], so_far[at:])
+        if not found:
+            return []
+        download.cancel()
+        self._transfer = None
+        return [MissionVerified(t_s, found)]

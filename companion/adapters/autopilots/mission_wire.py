@@ -1,7 +1,7 @@
-"""Mission items on the wire: our items to MISSION_ITEM_INT and back.
+"""Conversion of mission items to MISSION_ITEM_INT and back.
 
-What an autopilot is known to rewrite on the way (measured: frame 6 to 3 and NaN to 0 on ArduPilot,
-whose item 0 is its own home; frames kept on PX4) is undone here.
+Undoes known changes by the autopilot (measured: ArduPilot changes frame 6 to 3 and NaN to 0, and
+its item 0 is its home; PX4 keeps frames).
 """
 
 import math
@@ -10,19 +10,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.adapters.autopilots.codec import mavlink
-from companion.core.mission.mission_commands import COMMAND, GROUND_SPEED, params_of
-from companion.core.mission.mission_items import ItemKind, MissionItem, Part, Spot
+from companion.core.mission.mission_commands import (
+    MAV_COMMANDS,
+    SPEED_TYPE_GROUND,
+    mavlink_params_1_to_4,
+)
+from companion.core.mission.mission_items import ItemKind, MissionItem, MissionPosition, Part
 
-RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, RELATIVE)
-NO_PLACE = mavlink.MAV_FRAME_MISSION
+RELATIVE_FRAME = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, RELATIVE_FRAME)
+NO_POSITION_FRAME = mavlink.MAV_FRAME_MISSION
 
-KIND = {command: kind for kind, command in COMMAND.items()}
+KIND_OF_COMMAND = {command: kind for kind, command in MAV_COMMANDS.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class WireItem:
-    """The payload of one MISSION_ITEM_INT, addresses aside."""
+    """The payload of one MISSION_ITEM_INT without addresses."""
 
     frame: int
     command: int
@@ -32,15 +36,20 @@ class WireItem:
     z: float
 
 
-def wire_items(
-    items: Sequence[MissionItem], *, home_items: int, home: Spot, free_yaw: float
+def encode_mission_items(
+    items: Sequence[MissionItem],
+    *,
+    home_item_count: int,
+    home: MissionPosition,
+    autopilot_chosen_yaw_value: float,
 ) -> list[WireItem]:
-    """Encode a mission; `home_items` (0 or 1) placeholders for the autopilot's home go first.
+    """Encode a mission; `home_item_count` (0 or 1) placeholders for the autopilot's home come
+    first.
 
-    The home's height is written as it is in `home`; ArduPilot replaces the item anyway.
-    `free_yaw` is how the autopilot is told to choose its own heading.
+    The home's height is copied from `home`; ArduPilot replaces the item.
+    `autopilot_chosen_yaw_value` is the yaw value that lets the autopilot choose its heading.
     """
-    found = [
+    encoded = [
         WireItem(
             mavlink.MAV_FRAME_GLOBAL,
             mavlink.MAV_CMD_NAV_WAYPOINT,
@@ -49,39 +58,43 @@ def wire_items(
             round(home.lon_deg * 1e7),
             home.height_rel_m,
         )
-    ] * home_items
-    return found + [_wire_item(item, home_items, free_yaw) for item in items]
+    ] * home_item_count
+    return encoded + [
+        _encode_mission_item(item, home_item_count, autopilot_chosen_yaw_value) for item in items
+    ]
 
 
-def _wire_item(item: MissionItem, shift: int, free_yaw: float) -> WireItem:
-    params = params_of(item, shift, free_yaw)
+def _encode_mission_item(
+    item: MissionItem, home_item_count: int, autopilot_chosen_yaw_value: float
+) -> WireItem:
+    params = mavlink_params_1_to_4(item, home_item_count, autopilot_chosen_yaw_value)
     spot = item.spot
     if spot is None:
-        return WireItem(NO_PLACE, COMMAND[item.kind], params, 0, 0, 0.0)
+        return WireItem(NO_POSITION_FRAME, MAV_COMMANDS[item.kind], params, 0, 0, 0.0)
     x, y = round(spot.lat_deg * 1e7), round(spot.lon_deg * 1e7)
-    return WireItem(RELATIVE, COMMAND[item.kind], params, x, y, spot.height_rel_m)
+    return WireItem(RELATIVE_FRAME, MAV_COMMANDS[item.kind], params, x, y, spot.height_rel_m)
 
 
-def item_from_wire(message: Any, *, home_items: int) -> MissionItem:
-    """Decode a MISSION_ITEM_INT; what we would not have sent comes out as OTHER, in words."""
-    kind = KIND.get(message.command, ItemKind.OTHER)
+def decode_mission_item(message: Any, *, home_item_count: int) -> MissionItem:
+    """Decode a MISSION_ITEM_INT; an item that the companion never sends becomes OTHER."""
+    kind = KIND_OF_COMMAND.get(message.command, ItemKind.OTHER)
     values = (message.param1, message.param2, message.param3, message.param4)
-    spot: Spot | None = None
+    spot: MissionPosition | None = None
     value = 0.0
     match kind:
         case ItemKind.TAKEOFF | ItemKind.WAYPOINT | ItemKind.LAND | ItemKind.LOITER_TIME:
             if message.frame not in RELATIVE_FRAMES:
                 kind = ItemKind.OTHER
-            spot = Spot(message.x * 1e-7, message.y * 1e-7, float(message.z))
+            spot = MissionPosition(message.x * 1e-7, message.y * 1e-7, float(message.z))
             value = values[0]
         case ItemKind.SPEED:
-            if values[0] != GROUND_SPEED:
+            if values[0] != SPEED_TYPE_GROUND:
                 kind = ItemKind.OTHER
             value = values[1]
         case ItemKind.JUMP:
             if values[1] < 1.0:
                 kind = ItemKind.OTHER
-            value = values[0] - home_items
+            value = values[0] - home_item_count
         case ItemKind.RELEASE:
             if values[1] != mavlink.GRIPPER_ACTION_RELEASE:
                 kind = ItemKind.OTHER

@@ -1,116 +1,125 @@
-"""What is addressed to us: commands and parameters of an operator, answered as a component does.
+"""Commands and parameters from operators, addressed to the companion and acknowledged by it.
 
-An operator names our system and component 191, is neither an autopilot nor an onboard computer, and
-is trusted (`OperatorTrust`). PX4 itself sends 1000, 1001 and 2003: those are answered UNSUPPORTED.
+An operator addresses the vehicle's system and component 191, is neither an autopilot nor an onboard
+computer, and is trusted (`OperatorTrust`). PX4 sends 1000, 1001 and 2003: UNSUPPORTED.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, mavlink
-from companion.core.mission.actions import Reply
+from companion.core.mission.actions import OperatorResponse, ResponseStatus
+from companion.core.mission.alerts import Alert, AlertSink
 from companion.core.mission.events import (
     AbortOrdered,
-    Authorised,
     ControlHandedBack,
-    ControlTaken,
+    ControlReleaseOrdered,
     Event,
-    HomeMoved,
+    HomeStopRequested,
     LimitsChanged,
+    MissionAuthorised,
 )
-from companion.core.pilot.estimates import Limits
+from companion.core.pilot.estimators.flight_gate import AcceptedLimits
 
 PARAMETERS = ("MAX_LOSS", "RESERVE_FRAC")
-RANGES = {"MAX_LOSS": (1e-6, 0.5), "RESERVE_FRAC": (0.0, 0.6)}
-NOT_OPERATORS = (
+PARAMETER_RANGES = {"MAX_LOSS": (1e-6, 0.5), "RESERVE_FRAC": (0.0, 0.6)}
+NON_OPERATOR_COMPONENTS = (
     AUTOPILOT,
     COMPONENT,
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2,
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER3,
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER4,
 )
-ACK = {
-    Reply.ACCEPTED: mavlink.MAV_RESULT_ACCEPTED,
-    Reply.LATER: mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
-    Reply.DENIED: mavlink.MAV_RESULT_DENIED,
+MAV_RESULT_BY_RESPONSE = {
+    ResponseStatus.ACCEPTED: mavlink.MAV_RESULT_ACCEPTED,
+    ResponseStatus.LATER: mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
+    ResponseStatus.DENIED: mavlink.MAV_RESULT_DENIED,
 }
 NAME_LENGTH = 16
 GROUND_STATION = 255
-"""The system that ground stations speak as unless told otherwise."""
+"""The default system ID of ground stations."""
 
-MOST_TOLD = 16
-"""Strangers that the operator hears of: a flood of made-up sources is told no further."""
+MAX_REPORTED_SOURCES = 16
+"""Maximum number of untrusted sources that are reported to the operator, against floods."""
 
 
 class OperatorTrust:
-    """Whose orders count: anybody's that are signed with our key, since others are not heard then;
-    without a key those of declared systems, and of the vehicle's own, by the way that the autopilot
-    was found on. A stranger who sends to our port comes from another address.
+    """Decides which commands are accepted. Signed with the vehicle's key: from any source, and
+    unsigned frames are not received. Without a key: from declared systems and the vehicle's own,
+    via the host on which the autopilot was found; other senders have another address.
     """
 
-    def __init__(self, operators: frozenset[int] = frozenset({GROUND_STATION})) -> None:
-        self._operators = operators
+    def __init__(self, operator_system_ids: frozenset[int] = frozenset({GROUND_STATION})) -> None:
+        self._operators = operator_system_ids
         self._host: Any = None
-        self._is_found = False
-        self._told: set[tuple[int, int]] = set()
+        self._is_peer_known = False
+        self._reported_sources: set[tuple[int, int]] = set()
 
-    def found(self, peer: Any) -> None:
-        """The autopilot was identified by frames from this peer: its host stays the one."""
-        if not self._is_found:
-            self._host, self._is_found = _host_of(peer), True
+    def record_first_autopilot_peer(self, peer: Any) -> None:
+        """Record the peer by which the autopilot was identified; the first one stays."""
+        if not self._is_peer_known:
+            self._host, self._is_peer_known = _host_without_port(peer), True
 
-    def trusts(self, message: Any, system_id: int, peer: Any, *, signed: bool) -> bool:
-        """Whether an order that came by this peer counts."""
+    def trusts(self, message: Any, vehicle_system_id: int, peer: Any, *, signed: bool) -> bool:
+        """Return True if a command received from this peer is accepted."""
         if signed:
             return True
-        declared = message.get_srcSystem() in (*self._operators, system_id)
-        return declared and self._is_found and _host_of(peer) == self._host
+        declared = message.get_srcSystem() in (*self._operators, vehicle_system_id)
+        return declared and self._is_peer_known and _host_without_port(peer) == self._host
 
-    def is_new_stranger(self, message: Any) -> bool:
-        """Whether to tell of this source, which is not trusted: once, and not of a flood."""
+    def record_untrusted_source_if_new(self, message: Any) -> bool:
+        """Return True if this untrusted source is to be reported: once each, up to a maximum."""
         source = (message.get_srcSystem(), message.get_srcComponent())
-        if source in self._told or len(self._told) >= MOST_TOLD:
+        if source in self._reported_sources or len(self._reported_sources) >= MAX_REPORTED_SOURCES:
             return False
-        self._told.add(source)
+        self._reported_sources.add(source)
         return True
 
 
-def _host_of(peer: Any) -> Any:
-    """UDP's address without its port, which a router's restart changes; `None` on a wire."""
+def _host_without_port(peer: Any) -> Any:
+    """Return UDP's address without its port, which a router restart changes; `None` for a wire."""
     return peer[0] if isinstance(peer, tuple) else peer
 
 
 class OperatorPort:
-    """Turns what is addressed to us into events and answers it.
+    """Converts messages addressed to the companion into events and responds to them.
 
-    `ask(event)` hands an order to the pilot and returns its reply.
+    `submit_event(event)` passes a command to the pilot and returns its reply.
     """
 
     def __init__(
         self,
         send: Callable[[Any], None],
-        ask: Callable[[Event], Reply],
-        limits: Callable[[], Limits],
-        say: Callable[[str], None],
+        submit_event: Callable[[Event], OperatorResponse],
+        read_limits: Callable[[], AcceptedLimits],
+        report_alert: AlertSink,
         trust: OperatorTrust | None = None,
     ) -> None:
         self._send = send
-        self._ask = ask
-        self._limits = limits
-        self._say = say
+        self._submit_event = submit_event
+        self._limits = read_limits
+        self._report = report_alert
         self.trust = trust or OperatorTrust()
 
-    def is_station(self, message: Any, system_id: int, peer: Any, *, signed: bool) -> bool:
-        """Whether this is the heartbeat of a ground station whose commands count."""
+    def is_trusted_ground_station_heartbeat(
+        self, message: Any, vehicle_system_id: int, peer: Any, *, signed: bool
+    ) -> bool:
+        """Return True for the heartbeat of a trusted ground station."""
         if message.get_type() != "HEARTBEAT" or message.type != mavlink.MAV_TYPE_GCS:
             return False
-        return self.trust.trusts(message, system_id, peer, signed=signed)
+        return self.trust.trusts(message, vehicle_system_id, peer, signed=signed)
 
-    def on_message(
-        self, message: Any, system_id: int, t_s: float, peer: Any = None, *, signed: bool = False
+    def process_if_addressed_to_companion(
+        self,
+        message: Any,
+        vehicle_system_id: int,
+        t_s: float,
+        peer: Any = None,
+        *,
+        signed: bool = False,
     ) -> bool:
-        """Take a message that came by `peer` (`signed`: its signature was checked); tells whether
-        it was addressed to us and is dealt with.
+        """Process a message from `peer` (`signed`: its signature was verified); return True if it
+        was addressed to the companion.
         """
         kind = message.get_type()
         if kind not in (
@@ -121,26 +130,26 @@ class OperatorPort:
             "PARAM_SET",
         ):
             return False
-        if message.target_system != system_id or message.target_component != COMPONENT:
+        if message.target_system != vehicle_system_id or message.target_component != COMPONENT:
             return False
-        trusted = self.trust.trusts(message, system_id, peer, signed=signed)
+        trusted = self.trust.trusts(message, vehicle_system_id, peer, signed=signed)
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
-            self._command(message, t_s, trusted=trusted)
+            self._process_command_and_send_ack(message, t_s, trusted=trusted)
         elif trusted or kind != "PARAM_SET":
-            self._parameter(message, kind, t_s)
-        if not trusted and self.trust.is_new_stranger(message):
+            self._answer_parameter_message(message, kind, t_s)
+        if not trusted and self.trust.record_untrusted_source_if_new(message):
             source = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
-            self._say(f"{source} is no operator here (--operator)")
+            self._report(Alert.STRANGER_REFUSED, source=source)
         return True
 
-    def _command(self, message: Any, t_s: float, *, trusted: bool) -> None:
-        event = self._order(message, t_s)
+    def _process_command_and_send_ack(self, message: Any, t_s: float, *, trusted: bool) -> None:
+        event = self._event_from_command(message, t_s)
         if event is None:
             result = mavlink.MAV_RESULT_UNSUPPORTED
-        elif not trusted or message.get_srcComponent() in NOT_OPERATORS:
+        elif not trusted or message.get_srcComponent() in NON_OPERATOR_COMPONENTS:
             result = mavlink.MAV_RESULT_DENIED
         else:
-            result = ACK[self._ask(event)]
+            result = MAV_RESULT_BY_RESPONSE[self._submit_event(event).status]
         self._send(
             mavlink.MAVLink_command_ack_message(
                 message.command,
@@ -152,54 +161,58 @@ class OperatorPort:
             )
         )
 
-    def _order(self, message: Any, t_s: float) -> Event | None:
+    def _event_from_command(self, message: Any, t_s: float) -> Event | None:
         by = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
         match message.command:
             case mavlink.MAV_CMD_MISSION_START:
-                return Authorised(t_s, by)
+                return MissionAuthorised(t_s, by)
             case mavlink.MAV_CMD_DO_PAUSE_CONTINUE if message.param1 == 1.0:
                 return ControlHandedBack(t_s, by)
             case mavlink.MAV_CMD_DO_PAUSE_CONTINUE if message.param1 == 0.0:
-                return ControlTaken(t_s, by)
+                return ControlReleaseOrdered(t_s, by)
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 return AbortOrdered(t_s, by)
             case mavlink.MAV_CMD_DO_SET_HOME if message.param1 != 1.0:
-                # Not the autopilot's home, where its RTL goes: the truck's stop at this place.
-                lat_deg, lon_deg = _place_of(message)
-                return HomeMoved(t_s, by, lat_deg=lat_deg, lon_deg=lon_deg)
+                # Not the autopilot's home, the target of its RTL: the truck's stop at this
+                # position.
+                lat_deg, lon_deg = _lat_lon_deg(message)
+                return HomeStopRequested(t_s, by, lat_deg=lat_deg, lon_deg=lon_deg)
             case _:
                 return None
 
-    def _parameter(self, message: Any, kind: str, t_s: float) -> None:
-        if kind == "PARAM_REQUEST_LIST":
+    def _answer_parameter_message(self, message: Any, message_type: str, t_s: float) -> None:
+        if message_type == "PARAM_REQUEST_LIST":
             for name in PARAMETERS:
-                self._tell(name)
+                self._send_parameter_value(name)
             return
-        name = self._named(message, kind)
+        name = self._requested_parameter_name(message, message_type)
         if name is None:
             return
-        if kind == "PARAM_SET":
-            self._set(name, float(message.param_value), message, t_s)
-        self._tell(name)
+        if message_type == "PARAM_SET":
+            self._submit_or_refuse_parameter_change(name, float(message.param_value), message, t_s)
+        self._send_parameter_value(name)
 
-    def _named(self, message: Any, kind: str) -> str | None:
-        index = getattr(message, "param_index", -1) if kind == "PARAM_REQUEST_READ" else -1
+    def _requested_parameter_name(self, message: Any, message_type: str) -> str | None:
+        index = getattr(message, "param_index", -1) if message_type == "PARAM_REQUEST_READ" else -1
         if 0 <= index < len(PARAMETERS):
             return PARAMETERS[index]
         return message.param_id if message.param_id in PARAMETERS else None
 
-    def _set(self, name: str, value: float, message: Any, t_s: float) -> None:
-        low, high = RANGES[name]
+    def _submit_or_refuse_parameter_change(
+        self, name: str, value: float, message: Any, t_s: float
+    ) -> None:
+        low, high = PARAMETER_RANGES[name]
         by = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
-        if message.get_srcComponent() in NOT_OPERATORS or not low <= value <= high:
-            self._say(f"{name} {value:g} from {by} refused: {low:g} to {high:g}")
+        if message.get_srcComponent() in NON_OPERATOR_COMPONENTS or not low <= value <= high:
+            limits = {"low": low, "high": high}
+            self._report(Alert.PARAMETER_REFUSED, name=name, value=value, source=by, **limits)
             return
         if name == "MAX_LOSS":
-            self._ask(LimitsChanged(t_s, max_loss=value))
+            self._submit_event(LimitsChanged(t_s, max_loss=value))
         else:
-            self._ask(LimitsChanged(t_s, reserve_frac=value))
+            self._submit_event(LimitsChanged(t_s, reserve_frac=value))
 
-    def _tell(self, name: str) -> None:
+    def _send_parameter_value(self, name: str) -> None:
         limits = self._limits()
         value = limits.max_loss if name == "MAX_LOSS" else limits.reserve_frac
         self._send(
@@ -213,8 +226,8 @@ class OperatorPort:
         )
 
 
-def _place_of(message: Any) -> tuple[float, float]:
-    """Latitude and longitude of a command, degrees."""
+def _lat_lon_deg(message: Any) -> tuple[float, float]:
+    """Return latitude and longitude of a command in degrees."""
     if message.get_type() == "COMMAND_INT":
         return message.x / 1e7, message.y / 1e7
     return float(message.param5), float(message.param6)

@@ -1,17 +1,18 @@
-"""The autopilot's parameters: read by name, set and read back, encoded as the autopilot does."""
+"""The autopilot's parameters: read by name, set and verified, encoded as the autopilot requires."""
 
 import math
 import struct
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from companion.adapters.autopilots.codec import mavlink
+from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.core.mission.events import AutopilotParameters, Event, ParametersSet
 
 RETRY_S = 1.0
-TRIES = 8
-"""With a fifth of all frames lost, both ways, 4 tries leave one name in sixty unanswered, and a
-launch was refused for that (flown); 8 leave one in 3,500."""
-AT_ONCE = 6
+MAX_TRIES = 8
+"""If a fifth of all frames is lost in each direction, 4 tries leave one name in sixty without a
+value, which refused a launch in flight; 8 leave one in 3,500."""
+MAX_PARALLEL_REQUESTS = 6
 
 INTEGER_TYPES = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B",
@@ -23,18 +24,18 @@ INTEGER_TYPES = {
 }
 
 
-def decode_bytewise(value: float, kind: int) -> float:
-    """PX4: the integer's bits lie in the float's bytes."""
-    layout = INTEGER_TYPES.get(kind)
+def decode_bytewise(value: float, mav_param_type: int) -> float:
+    """Decode a PX4 value: the float's bytes hold an integer."""
+    layout = INTEGER_TYPES.get(mav_param_type)
     if layout is None:
         return value
     raw = struct.pack("<f", value)
     return float(struct.unpack_from(layout, raw)[0])
 
 
-def encode_bytewise(value: float, kind: int) -> float:
-    """PX4: put the integer's bits into the float's bytes."""
-    layout = INTEGER_TYPES.get(kind)
+def encode_bytewise(value: float, mav_param_type: int) -> float:
+    """Encode a PX4 value: store an integer in the float's bytes."""
+    layout = INTEGER_TYPES.get(mav_param_type)
     if layout is None:
         return value
     raw = struct.pack(layout, round(value)).ljust(4, b"\0")
@@ -42,47 +43,60 @@ def encode_bytewise(value: float, kind: int) -> float:
 
 
 class ParameterClient:
-    """Reads and sets parameters, a few at a time, each until it is answered or given up."""
+    """Reads and sets parameters, a few at a time, with retries; known `values` persist."""
 
-    def __init__(self, send: Callable[[Any], None], *, bytewise: bool) -> None:
+    def __init__(
+        self, send: Callable[[Any], None], target_system_id: int, *, bytewise: bool
+    ) -> None:
         self._send = send
+        self._target = target_system_id
         self._bytewise = bytewise
-        self._target = 1
-        self._reading: dict[str, tuple[int, float]] = {}
-        self._setting: dict[str, tuple[float, int, float]] = {}
-        self._kinds: dict[str, int] = {}
+        self._is_requesting = False
+        self._is_setting = False
+        self._pending_reads: dict[str, tuple[int, float]] = {}
+        self._pending_writes: dict[str, tuple[float, int, float]] = {}
+        self._types: dict[str, int] = {}
         self.values: dict[str, float | None] = {}
         self.failed: list[str] = []
 
-    def aim(self, system_id: int) -> None:
-        """Address this system."""
-        self._target = system_id
-
-    def read(self, names: Iterable[str], t_s: float) -> None:
-        """Ask for parameters; `values` fills with numbers, or `None` for those never answered."""
+    def request_values(self, names: Iterable[str], t_s: float) -> None:
+        """Request parameters; `values` receives numbers, or `None` for those without a response."""
+        self._is_requesting = True
         for name in names:
-            self._reading[name] = (0, t_s)
+            self._pending_reads[name] = (0, t_s)
         self.tick(t_s)
 
-    def set(self, wanted: dict[str, float], t_s: float) -> None:
-        """Set parameters and read them back; `failed` names those that do not come out so."""
+    def start_setting_values(self, target_values: dict[str, float], t_s: float) -> None:
+        """Set parameters and read them back; `failed` lists the names whose value differs."""
+        self._is_setting = True
         self.failed.clear()
-        for name, value in wanted.items():
-            self._setting[name] = (value, 0, t_s)
+        for name, value in target_values.items():
+            self._pending_writes[name] = (value, 0, t_s)
         self.tick(t_s)
 
-    def clear(self) -> None:
-        """Forget what is being asked or set."""
-        self._reading.clear()
-        self._setting.clear()
+    def cancel_all(self) -> None:
+        """Cancel all pending reads and writes."""
+        self._pending_reads.clear()
+        self._pending_writes.clear()
+        self._is_requesting = self._is_setting = False
 
-    @property
-    def busy(self) -> bool:
-        """True while something is being asked or set."""
-        return bool(self._reading or self._setting)
+    def take_ended_events(self, t_s: float) -> list[Event]:
+        """Return the result of the requests once they have all ended."""
+        if self._pending_reads or self._pending_writes:
+            return []
+        if self._is_setting:
+            self._is_setting = False
+            return [
+                ParametersSet(t_s, tuple(self.failed)),
+                AutopilotParameters(t_s, dict(self.values)),
+            ]
+        if self._is_requesting:
+            self._is_requesting = False
+            return [AutopilotParameters(t_s, dict(self.values))]
+        return []
 
-    def on_value(self, message: Any) -> None:
-        """Take a PARAM_VALUE of the autopilot."""
+    def process_param_value(self, message: Any) -> None:
+        """Process a PARAM_VALUE of the autopilot."""
         name = message.param_id
         kind = message.param_type
         value = float(message.param_value)
@@ -90,60 +104,60 @@ class ParameterClient:
             value = decode_bytewise(value, kind)
         if not math.isfinite(value):
             return
-        learnt = name not in self._kinds
-        self._kinds[name] = kind
+        is_new_type = name not in self._types
+        self._types[name] = kind
         self.values[name] = value
-        self._reading.pop(name, None)
-        wish = self._setting.get(name)
-        if wish is not None and learnt:
-            self._setting[name] = (wish[0], 0, 0.0)  # its type is known now: set it at once
-        if wish is not None and abs(wish[0] - value) <= 1e-4 * max(1.0, abs(wish[0])):
-            del self._setting[name]
+        self._pending_reads.pop(name, None)
+        pending_write = self._pending_writes.get(name)
+        if pending_write is None:
+            return
+        target_value = pending_write[0]
+        if is_new_type:  # set it immediately
+            self._pending_writes[name] = (target_value, 0, 0.0)
+        if abs(target_value - value) <= 1e-4 * max(1.0, abs(target_value)):
+            del self._pending_writes[name]
 
-    def on_error(self, message: Any) -> None:
-        """Take a PARAM_ERROR (PX4 1.18): there is no such parameter, or it cannot be set so."""
+    def process_param_error(self, message: Any) -> None:
+        """Process a PARAM_ERROR (PX4 1.18): no such parameter, or the value cannot be set."""
         name = message.param_id
-        if self._reading.pop(name, None) is not None:
+        if self._pending_reads.pop(name, None) is not None:
             self.values.setdefault(name, None)
-        if self._setting.pop(name, None) is not None:
+        if self._pending_writes.pop(name, None) is not None:
             self.failed.append(name)
 
     def tick(self, t_s: float) -> None:
-        """Ask (again) for what is due."""
-        for name in list(self._reading)[:AT_ONCE]:
-            tries, due_s = self._reading[name]
+        """Send requests that are due, first or repeated."""
+        for name in list(self._pending_reads)[:MAX_PARALLEL_REQUESTS]:
+            tries, due_s = self._pending_reads[name]
             if t_s < due_s:
                 continue
-            if tries >= TRIES:
-                del self._reading[name]
+            if tries >= MAX_TRIES:
+                del self._pending_reads[name]
                 self.values.setdefault(name, None)
                 continue
-            self._reading[name] = (tries + 1, t_s + RETRY_S)
-            self._request(name)
-        for name in list(self._setting)[:AT_ONCE]:
-            value, tries, due_s = self._setting[name]
+            self._pending_reads[name] = (tries + 1, t_s + RETRY_S)
+            self._send_read_request(name)
+        for name in list(self._pending_writes)[:MAX_PARALLEL_REQUESTS]:
+            value, tries, due_s = self._pending_writes[name]
             if t_s < due_s:
                 continue
-            if tries >= TRIES:
-                del self._setting[name]
+            if tries >= MAX_TRIES:
+                del self._pending_writes[name]
                 self.failed.append(name)
                 continue
-            kind = self._kinds.get(name)
-            if kind is None:  # its type comes with its value: read it first
-                self._setting[name] = (value, tries + 1, t_s + RETRY_S)
-                self._request(name)
+            self._pending_writes[name] = (value, tries + 1, t_s + RETRY_S)
+            kind = self._types.get(name)
+            if kind is None:  # the type is known from the value: read it first
+                self._send_read_request(name)
                 continue
-            self._setting[name] = (value, tries + 1, t_s + RETRY_S)
             wire = encode_bytewise(value, kind) if self._bytewise else value
             self._send(
                 mavlink.MAVLink_param_set_message(
-                    self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), wire, kind
+                    self._target, AUTOPILOT, name.encode(), wire, kind
                 )
             )
 
-    def _request(self, name: str) -> None:
+    def _send_read_request(self, name: str) -> None:
         self._send(
-            mavlink.MAVLink_param_request_read_message(
-                self._target, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
-            )
+            mavlink.MAVLink_param_request_read_message(self._target, AUTOPILOT, name.encode(), -1)
         )

@@ -1,16 +1,23 @@
-"""PX4: its modes, streams, commands and parameters, and which of its values to distrust.
+"""PX4: modes, streams, commands and parameters, and its unreliable values.
 
 Measured on PX4 1.18 (docs/reference/autopilots.md): VFR_HUD.airspeed is NaN without a sensor.
-WIND_COV comes only with drag fusion and points where the wind blows TO. Integer parameters lie
-bitwise in the float. Mission items count from 0. It jumps by MISSION_SET_CURRENT only.
+WIND_COV is sent only with drag fusion and points where the wind blows TO. Integer parameters are
+stored bitwise in the float. Mission items count from 0. Jumps use MISSION_SET_CURRENT only.
 """
 
 import math
 from typing import Any
 
-from companion.adapters.autopilots.codec import CurrentMode, mavlink
+from companion.adapters.autopilots.codec import AUTOPILOT, CurrentMode, mavlink
 from companion.core.mission.events import AutopilotKind, AutopilotWind, Event, Mode
-from companion.core.mission.preflight_checks import Requirement, RouteFacts, Values, known
+from companion.core.mission.preflight_checks import (
+    ParameterRequirement,
+    ParameterValues,
+    RouteProperties,
+    battery_capacity_requirement,
+    evaluate_parameter,
+    single_parameter_requirement,
+)
 
 MAIN_NAMES = {
     1: "MANUAL",
@@ -20,7 +27,7 @@ MAIN_NAMES = {
     6: "OFFBOARD",
     7: "STABILIZED",
 }
-AUTO = 4
+AUTO_MODE = 4
 AUTO_NAMES = {
     1: "AUTO.READY",
     2: "AUTO.TAKEOFF",
@@ -33,11 +40,11 @@ AUTO_NAMES = {
 }
 AUTO_MODE_OF = {2: Mode.TAKEOFF, 3: Mode.HOLD, 4: Mode.MISSION, 5: Mode.RTL, 6: Mode.LAND}
 AUTO_NUMBER_OF = {mode: number for number, mode in AUTO_MODE_OF.items()}
-OFFBOARD = 6
+OFFBOARD_MODE = 6
 
 STREAMS = (
-    # HEARTBEAT stays at 1 Hz whatever is asked (MavlinkReceiver::set_message_interval refuses it):
-    # a pilot's take-over would show up to a second late. CURRENT_MODE comes with every change.
+    # HEARTBEAT stays at 1 Hz (MavlinkReceiver::set_message_interval refuses other rates), so a
+    # pilot override would appear up to a second late. CURRENT_MODE is sent at every change.
     ("CURRENT_MODE", CurrentMode.id, 10.0, False),
     ("ATTITUDE", mavlink.MAVLINK_MSG_ID_ATTITUDE, 20.0, True),
     ("GLOBAL_POSITION_INT", mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10.0, True),
@@ -65,50 +72,47 @@ UNWANTED_STREAMS = (
 TRUST_PARAMETERS = ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO")
 
 
-LINKS = tuple((f"MAV_{n}_CONFIG", f"MAV_{n}_FORWARD") for n in range(3))
-"""PX4's MAVLink instances: whether one runs, and whether it passes messages on to the others."""
+MAVLINK_INSTANCES = tuple((f"MAV_{n}_CONFIG", f"MAV_{n}_FORWARD") for n in range(3))
+"""PX4's MAVLink instances: the parameters that enable each and that enable its forwarding."""
 
 
 class Px4:
-    """What is special about PX4 multirotors."""
+    """The profile of PX4 multirotors."""
 
     autopilot_kind = AutopilotKind.PX4
-    home_items = 0
+    home_item_count = 0
     free_yaw: float = math.nan  # 0 would be a heading: north
     bytewise_parameters = True
-    reads_any_item = False
+    supports_parallel_reads = False
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
     unwanted_streams: tuple[int, ...] = UNWANTED_STREAMS
 
-    def mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
-        """Return what a heartbeat's mode means, and its name."""
+    def decode_mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
+        """Return the meaning and the name of a heartbeat's mode."""
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-        if main == AUTO:
+        if main == AUTO_MODE:
             return AUTO_MODE_OF.get(sub, Mode.OTHER), AUTO_NAMES.get(sub, f"AUTO.{sub}")
         name = MAIN_NAMES.get(main, f"mode {main}.{sub}")
-        return (Mode.GUIDED if main == OFFBOARD else Mode.OTHER), name
+        return (Mode.GUIDED if main == OFFBOARD_MODE else Mode.OTHER), name
 
-    def mode_params(self, mode: Mode) -> tuple[float, float, float]:
+    def set_mode_command_params(self, mode: Mode) -> tuple[float, float, float]:
         """Return DO_SET_MODE's parameters."""
         custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         if mode is Mode.GUIDED:
-            return (custom, float(OFFBOARD), 0.0)
-        return (custom, float(AUTO), float(AUTO_NUMBER_OF[mode]))
+            return (custom, float(OFFBOARD_MODE), 0.0)
+        return (custom, float(AUTO_MODE), float(AUTO_NUMBER_OF[mode]))
 
-    def jump(self, system_id: int, seq: int) -> tuple[Any, int | None]:
-        """Return the message that jumps to an item; nothing acknowledges it but MISSION_CURRENT."""
-        message = mavlink.MAVLink_mission_set_current_message(
-            system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, seq
-        )
-        return message, None
+    def jump_message_and_ack_command(self, system_id: int, seq: int) -> tuple[Any, int | None]:
+        """Return the message that jumps to an item; only MISSION_CURRENT confirms it."""
+        return mavlink.MAVLink_mission_set_current_message(system_id, AUTOPILOT, seq), None
 
-    def has_pitot(self, values: Values) -> bool:
-        """Tell whether VFR_HUD.airspeed comes from a sensor (it is NaN otherwise)."""
+    def has_pitot(self, values: ParameterValues) -> bool:
+        """Return True if VFR_HUD.airspeed comes from a sensor (it is NaN otherwise)."""
         return bool(values.get("SYS_HAS_NUM_ASPD") or values.get("SENS_EN_MS4525DO"))
 
-    def wind(self, message: Any, values: Values, t_s: float) -> list[Event]:
-        """Take WIND_COV: it is sent only with drag fusion; accuracies of 0 are unknown."""
+    def trusted_wind_events(self, message: Any, values: ParameterValues, t_s: float) -> list[Event]:
+        """Use WIND_COV: it is sent only with drag fusion; accuracies of 0 are unknown."""
         if message.get_type() != "WIND_COV":
             return []
         if not (math.isfinite(message.wind_x) and math.isfinite(message.wind_y)):
@@ -117,191 +121,194 @@ class Px4:
         std_mps = math.sqrt(spread) if spread > 0.0 else None
         return [AutopilotWind(t_s, float(message.wind_x), float(message.wind_y), std_mps)]
 
-    def position_ok(self, flags: int) -> bool:
-        """Judge ESTIMATOR_STATUS flags."""
+    def is_position_estimate_ok(self, estimator_flags: int) -> bool:
+        """Check ESTIMATOR_STATUS flags."""
         need = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_VELOCITY_HORIZ
-        return (flags & need) == need
+        return (estimator_flags & need) == need
 
-    def requirements(self, facts: RouteFacts) -> tuple[Requirement, ...]:
-        """Return what the promise asks of PX4's parameters."""
-        fence_m = math.ceil(facts.farthest_m + 200.0)
+    def parameter_requirements(
+        self, route_data: RouteProperties
+    ) -> tuple[ParameterRequirement, ...]:
+        """Return the requirements of the return guarantee on PX4's parameters."""
+        fence_m = math.ceil(route_data.farthest_m + 200.0)
+        sloped_or_all_items = "sloping legs' waypoints" if route_data.is_sloped else "items"
         return (
-            _at_least(
-                "COM_LOW_BAT_ACT", 2.0, 3.0, "a low-battery action of the autopilot's own", True
+            _require_at_least("COM_LOW_BAT_ACT", 2.0, 3.0, "a low-battery action of the autopilot"),
+            battery_capacity_requirement("BAT1_CAPACITY", route_data),
+            _require_within_two_percent(
+                "BAT1_N_CELLS", float(route_data.battery_cells), "number of cells"
             ),
-            Requirement(
-                ("BAT1_CAPACITY",),
-                f"a percentage that counts from the pack's {facts.battery_capacity_mah:.0f} mAh",
-                lambda v: known(
-                    v, "BAT1_CAPACITY", lambda x: abs(x / facts.battery_capacity_mah - 1.0) < 0.1
-                ),
-                lambda v: {"BAT1_CAPACITY": facts.battery_capacity_mah},
-                False,
-            ),
-            _near("BAT1_N_CELLS", float(facts.battery_cells), "number of cells"),
-            Requirement(
+            ParameterRequirement(
                 ("NAV_RCL_ACT", "COM_RCL_EXCEPT"),
-                "a mission that goes on when the remote control is lost",
+                "a mission that continues after a loss of remote control",
                 lambda v: (
                     True
                     if v.get("NAV_RCL_ACT") == 0.0
-                    else known(v, "COM_RCL_EXCEPT", lambda x: bool(int(x) & 1))
+                    else evaluate_parameter(v, "COM_RCL_EXCEPT", lambda x: bool(int(x) & 1))
                 ),
                 lambda v: {"COM_RCL_EXCEPT": float(int(v.get("COM_RCL_EXCEPT") or 0) | 1)},
                 True,
             ),
-            Requirement(
+            ParameterRequirement(
                 ("NAV_DLL_ACT", "COM_DLL_EXCEPT"),
-                "a mission that goes on when the ground station is lost",
+                "a mission that continues after a loss of the ground station",
                 lambda v: (
                     True
                     if int(v.get("COM_DLL_EXCEPT") or 0) & 1
-                    else known(v, "NAV_DLL_ACT", lambda x: x == 0.0)
+                    else evaluate_parameter(v, "NAV_DLL_ACT", lambda x: x == 0.0)
                 ),
                 lambda v: {"NAV_DLL_ACT": 0.0},
                 True,
             ),
-            Requirement(
-                ("RTL_RETURN_ALT",),
-                facts.rtl_words,
-                lambda v: known(v, "RTL_RETURN_ALT", lambda x: facts.is_rtl_height(x + 1e-6)),
-                lambda v: {"RTL_RETURN_ALT": math.ceil(facts.rtl_height_m)},
-                True,
+            single_parameter_requirement(
+                "RTL_RETURN_ALT",
+                route_data.rtl_requirement_text,
+                lambda x: route_data.is_clear_rtl_height(x + 1e-6),
+                math.ceil(route_data.min_clear_rtl_height_m),
             ),
-            Requirement(
+            ParameterRequirement(
                 ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),
-                "a fence that holds the whole mission",
-                lambda v: _inside_fence(v, facts),
+                "a geofence around the whole mission",
+                lambda v: _is_route_inside_fence(v, route_data),
                 lambda v: {
                     "GF_MAX_HOR_DIST": float(fence_m) if v.get("GF_MAX_HOR_DIST") else 0.0,
                     "GF_MAX_VER_DIST": math.ceil(
-                        max(facts.cruise_height_m, facts.rtl_height_m) + 30.0
+                        max(route_data.cruise_height_m, route_data.min_clear_rtl_height_m) + 30.0
                     )
                     if v.get("GF_MAX_VER_DIST")
                     else 0.0,
                 },
                 True,
             ),
-            Requirement(
+            ParameterRequirement(
                 ("MIS_DIST_1WP",),
-                "a first waypoint that the autopilot does not call too far",
+                "a first waypoint within the autopilot's distance limit",
                 lambda v: (
-                    v.get("MIS_DIST_1WP") is None
-                    or (v.get("MIS_DIST_1WP") or 0.0) <= 0.0
-                    or (v.get("MIS_DIST_1WP") or 0.0) > facts.first_waypoint_m
+                    (x := v.get("MIS_DIST_1WP") or 0.0) <= 0.0 or x > route_data.first_waypoint_m
                 ),
-                lambda v: {"MIS_DIST_1WP": math.ceil(facts.first_waypoint_m + 100.0)},
+                lambda v: {"MIS_DIST_1WP": math.ceil(route_data.first_waypoint_m + 100.0)},
                 True,
             ),
-            Requirement(
+            ParameterRequirement(
                 ("NAV_MC_ALT_RAD",),
-                _height_words(facts),
-                lambda v: _takes_in_height(v, facts),
-                lambda v: {"NAV_MC_ALT_RAD": facts.taken_within_m},
+                f"{sloped_or_all_items} reached within"
+                f" {route_data.waypoint_height_tolerance_m:g} m of their height",
+                lambda v: _is_altitude_radius_ok(v, route_data),
+                lambda v: {"NAV_MC_ALT_RAD": route_data.waypoint_height_tolerance_m},
                 True,
             ),
-            Requirement(
+            ParameterRequirement(
                 ("PD_GRIPPER_EN", "PD_GRIPPER_TYPE"),
-                "a gripper that lets the parcel go",
-                lambda v: not facts.carries_parcel or _has_gripper(v),
-                _switch_gripper_on,
+                "an enabled gripper",
+                lambda v: not route_data.carries_parcel or _is_gripper_enabled(v),
+                _gripper_enable_values,
                 True,
             ),
-            _at_least(
+            _require_at_least(
                 "MPC_XY_VEL_MAX",
-                facts.max_ground_mps,
-                facts.max_ground_mps,
-                f"leave to fly as fast as the energy model thinks ({facts.max_ground_mps:g} m/s)",
-                True,
+                route_data.max_ground_mps,
+                route_data.max_ground_mps,
+                f"a speed limit no lower than the energy model's ({route_data.max_ground_mps:g}"
+                " m/s)",
             ),
-            _near("MPC_TILTMAX_AIR", facts.max_tilt_deg, "tilt limit", True),
-            _near("MPC_TKO_SPEED", facts.climb_mps, "take-off speed"),
-            _near("MPC_Z_V_AUTO_UP", facts.climb_mps, "climb speed"),
-            _near("MPC_Z_V_AUTO_DN", facts.descent_mps, "descent speed"),
-            _near("MPC_LAND_SPEED", facts.landing_mps, "landing speed"),
-            Requirement(
+            _require_within_two_percent(
+                "MPC_TILTMAX_AIR", route_data.max_tilt_deg, "tilt limit", required=True
+            ),
+            _require_within_two_percent("MPC_TKO_SPEED", route_data.climb_mps, "take-off speed"),
+            _require_within_two_percent("MPC_Z_V_AUTO_UP", route_data.climb_mps, "climb speed"),
+            _require_within_two_percent("MPC_Z_V_AUTO_DN", route_data.descent_mps, "descent speed"),
+            _require_within_two_percent("MPC_LAND_SPEED", route_data.landing_mps, "landing speed"),
+            ParameterRequirement(
                 ("COM_OBL_RC_ACT", "COM_OF_LOSS_T"),
-                "a return to launch when set-points stop",
-                lambda v: not facts.set_points or _offboard_loss_returns(v),
+                "a return to launch when set-points end",
+                lambda v: not route_data.uses_setpoints or _does_offboard_loss_trigger_return(v),
                 lambda v: {"COM_OBL_RC_ACT": 3.0, "COM_OF_LOSS_T": 1.0},
                 True,
             ),
-            _at_least("COM_DISARM_LAND", 0.1, 2.0, "disarming by itself after a landing", False),
-            Requirement(
-                tuple(name for pair in LINKS for name in pair),
+            _require_at_least(
+                "COM_DISARM_LAND", 0.1, 2.0, "automatic disarming after a landing", required=False
+            ),
+            ParameterRequirement(
+                tuple(name for pair in MAVLINK_INSTANCES for name in pair),
                 "messages forwarded between ground station and companion: MAV_n_FORWARD = 1 on"
                 " both links, then reboot",
-                lambda v: not any(v.get(config) and v.get(on) == 0.0 for config, on in LINKS),
+                lambda v: (
+                    not any(v.get(config) and v.get(on) == 0.0 for config, on in MAVLINK_INSTANCES)
+                ),
                 lambda _: {},
                 False,
             ),
         )
 
 
-def _at_least(name: str, least: float, wanted: float, words: str, required: bool) -> Requirement:
-    return Requirement(
-        (name,),
-        words,
-        lambda v: known(v, name, lambda x: x >= least - 1e-6),
-        lambda v: {name: wanted},
-        required,
+def _require_at_least(
+    parameter_name: str,
+    lowest_accepted_value: float,
+    target_value: float,
+    description: str,
+    *,
+    required: bool = True,
+) -> ParameterRequirement:
+    return single_parameter_requirement(
+        parameter_name,
+        description,
+        lambda x: x >= lowest_accepted_value - 1e-6,
+        target_value,
+        is_blocking=required,
     )
 
 
-def _near(name: str, wanted: float, words: str, required: bool = False) -> Requirement:
-    return Requirement(
-        (name,),
-        f"the {words} that the energy model knows ({wanted:g})",
-        lambda v: known(v, name, lambda x: abs(x - wanted) <= 0.02 * wanted),
-        lambda v: {name: wanted},
-        required,
+def _require_within_two_percent(
+    parameter_name: str, target_value: float, description: str, *, required: bool = False
+) -> ParameterRequirement:
+    description = f"the {description} of the energy model ({target_value:g})"
+    return single_parameter_requirement(
+        parameter_name,
+        description,
+        lambda x: abs(x - target_value) <= 0.02 * target_value,
+        target_value,
+        is_blocking=required,
     )
 
 
-def _takes_in_height(values: Values, facts: RouteFacts) -> bool | None:
-    """Not from so far above that a release after its hold would be too high; on slopes as much.
+def _is_altitude_radius_ok(values: ParameterValues, route_data: RouteProperties) -> bool | None:
+    """Check NAV_MC_ALT_RAD: small enough for a low release, on slopes also large enough.
 
-    PX4 takes an item within NAV_MC_ALT_RAD of its height only. Past one that it does not take it
-    flies on (1.18 before pull request 28409; seen on SIH).
+    PX4 accepts an item only within NAV_MC_ALT_RAD of its height. It flies past an item that it does
+    not accept (1.18 before pull request 28409; observed on SIH).
     """
     height_m = values.get("NAV_MC_ALT_RAD")
     if height_m is None:
-        return None if facts.slopes else True
-    least_m = facts.taken_within_m if facts.slopes else 0.0
-    return least_m - 1e-3 <= height_m <= facts.taken_within_m + 1e-3
+        return None if route_data.is_sloped else True
+    least_m = route_data.waypoint_height_tolerance_m if route_data.is_sloped else 0.0
+    return least_m - 1e-3 <= height_m <= route_data.waypoint_height_tolerance_m + 1e-3
 
 
-def _height_words(facts: RouteFacts) -> str:
-    if facts.slopes:
-        return f"waypoints of sloping legs taken within {facts.taken_within_m:g} m of their height"
-    return f"items taken within {facts.taken_within_m:g} m of their height"
-
-
-def _inside_fence(values: Values, facts: RouteFacts) -> bool | None:
-    """0 switches a limit off; GF_ACTION 0 switches the fence off."""
+def _is_route_inside_fence(values: ParameterValues, route_data: RouteProperties) -> bool | None:
+    """A limit of 0 is disabled; GF_ACTION 0 disables the fence."""
     if values.get("GF_ACTION") == 0.0:
         return True
     radius_m, top_m = values.get("GF_MAX_HOR_DIST"), values.get("GF_MAX_VER_DIST")
-    if radius_m and radius_m < facts.farthest_m + 20.0:
+    if radius_m and radius_m < route_data.farthest_m + 20.0:
         return False
-    return not (top_m and top_m < facts.cruise_height_m + 10.0)
+    return not (top_m and top_m < route_data.cruise_height_m + 10.0)
 
 
-def _offboard_loss_returns(values: Values) -> bool | None:
-    """COM_OBL_RC_ACT 3: return; without a pilot's radio PX4 returns anyway (measured)."""
+def _does_offboard_loss_trigger_return(values: ParameterValues) -> bool | None:
+    """Check for COM_OBL_RC_ACT 3: return; without RC PX4 returns in any case (measured)."""
     action, loss_s = values.get("COM_OBL_RC_ACT"), values.get("COM_OF_LOSS_T")
     return None if action is None or loss_s is None else action == 3.0 and loss_s <= 1.0
 
 
-def _has_gripper(values: Values) -> bool | None:
-    """PX4 up to 1.15 switches it on by PD_GRIPPER_EN; 1.18 has only the type (-1: none; flown)."""
+def _is_gripper_enabled(values: ParameterValues) -> bool | None:
+    """Check the gripper: up to 1.15 PD_GRIPPER_EN enables it; 1.18 has only the type (-1: none)."""
     enabled = values.get("PD_GRIPPER_EN")
     if enabled is not None:
         return enabled > 0.0
-    return known(values, "PD_GRIPPER_TYPE", lambda x: x >= 0.0)
+    return evaluate_parameter(values, "PD_GRIPPER_TYPE", lambda x: x >= 0.0)
 
 
-def _switch_gripper_on(values: Values) -> dict[str, float]:
+def _gripper_enable_values(values: ParameterValues) -> dict[str, float]:
     if values.get("PD_GRIPPER_EN") is not None:
         return {"PD_GRIPPER_EN": 1.0}
     return {"PD_GRIPPER_TYPE": 0.0}

@@ -1,6 +1,6 @@
-"""Texts for ground stations. A STATUSTEXT carries 50 bytes; a longer text goes in several.
+"""STATUSTEXT messages for ground stations: 50 bytes each; a longer text uses several.
 
-QGroundControl, Mission Planner and MAVProxy join them again (MAVLink 2).
+QGroundControl, Mission Planner and MAVProxy join them (MAVLink 2).
 """
 
 from dataclasses import dataclass
@@ -8,28 +8,28 @@ from dataclasses import dataclass
 from companion.adapters.autopilots.codec import mavlink
 
 CHUNK_BYTES = 50
-MOST_CHUNKS = 5
-"""250 bytes are 20 ms more of a radio at 57,600 baud; the log has the whole text."""
+MAX_CHUNKS = 5
+"""250 bytes take 20 ms on a radio at 57,600 baud; the log contains the whole text."""
 
-LARGEST_ID = 65535
+MAX_TEXT_ID = 65535
 
 
 @dataclass(slots=True)
 class StatusTexts:
-    """Numbers the texts that need several messages; 0 is for those that need one."""
+    """Assigns IDs to texts of several messages; ID 0 marks a text in one message."""
 
-    _id: int = 0
+    _text_id: int = 0
 
-    def messages(self, severity: int, text: str) -> list[mavlink.MAVLink_message]:
-        """A text as it is sent. Each chunk but the last is full: a shorter one ends the text."""
+    def split_into_messages(self, severity: int, text: str) -> list[mavlink.MAVLink_message]:
+        """Return a text's messages. Each chunk except the last is full: a shorter one ends it."""
         raw = text.encode("ascii", "replace")
         if len(raw) <= CHUNK_BYTES:
             return [mavlink.MAVLink_statustext_message(severity, raw)]
-        self._id = self._id % LARGEST_ID + 1
-        raw = raw[: CHUNK_BYTES * MOST_CHUNKS - 1]
+        self._text_id = self._text_id % MAX_TEXT_ID + 1
+        raw = raw[: CHUNK_BYTES * MAX_CHUNKS - 1]
         return [
             mavlink.MAVLink_statustext_message(
-                severity, raw[at : at + CHUNK_BYTES], self._id, at // CHUNK_BYTES
+                severity, raw[at : at + CHUNK_BYTES], self._text_id, at // CHUNK_BYTES
             )
             for at in range(0, len(raw) + 1, CHUNK_BYTES)
         ]

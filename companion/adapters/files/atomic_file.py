@@ -1,4 +1,4 @@
-"""JSON files that are written whole or not at all, and read with suspicion."""
+"""JSON files that are replaced atomically and verified by a checksum when read."""
 
 import json
 import os
@@ -9,35 +9,35 @@ from typing import Any
 from companion.core.base.errors import LeewayError
 
 
-def write_whole(path: Path, content: Any, *, settle: bool = True) -> None:
-    """Replace a file: a torn write leaves the one before.
+def write_json_atomically(path: Path, content: Any, *, sync_folder: bool = True) -> None:
+    """Replace a file; an interrupted write leaves the previous file.
 
-    `settle` also waits until the folder is on the disk, so that even a power cut right afterwards
-    finds the new one; without it that may find the one before.
+    `sync_folder` also waits until the folder is on the disk, so that the new file survives a power
+    cut; without it a power cut may restore the previous file.
     """
-    write_text_whole(path, sealed(content), settle=settle)
+    write_text_atomically(path, json_text_with_checksum(content), sync_folder=sync_folder)
 
 
-def sealed(content: Any) -> str:
-    """The content as text with its checksum."""
+def json_text_with_checksum(content: Any) -> str:
+    """Return the content as text with its checksum."""
     body = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return json.dumps({"crc32": zlib.crc32(body.encode()), "content": body})
 
 
-def write_text_whole(path: Path, text: str, *, settle: bool = True) -> None:
-    """Replace a file by a text; `settle` as in `write_whole`."""
-    fresh = path.with_name(f"{path.name}.new")
-    with fresh.open("w") as file:
+def write_text_atomically(path: Path, text: str, *, sync_folder: bool = True) -> None:
+    """Replace a file by a text; `sync_folder` as in `write_json_atomically`."""
+    temporary_file = path.with_name(f"{path.name}.new")
+    with temporary_file.open("w") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
-    fresh.replace(path)
-    if settle:
-        settle_folder(path.parent)
+    temporary_file.replace(path)
+    if sync_folder:
+        fsync_folder(path.parent)
 
 
-def settle_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk."""
+def fsync_folder(folder: Path) -> None:
+    """Wait until a folder's directory entries are on the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -45,8 +45,8 @@ def settle_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read_whole(path: Path, what: str) -> Any | None:
-    """What was written, `None` where there is no such file; LeewayError where it is torn."""
+def read_checked_json(path: Path, content_name: str) -> Any | None:
+    """Return the content, `None` without a file; raise LeewayError if it is incomplete."""
     try:
         text = path.read_text()
     except FileNotFoundError:
@@ -56,10 +56,10 @@ def read_whole(path: Path, what: str) -> Any | None:
     try:
         outer = json.loads(text)
         body = outer["content"]
-        whole = zlib.crc32(body.encode()) == outer["crc32"]
+        is_intact = zlib.crc32(body.encode()) == outer["crc32"]
         content = json.loads(body)
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise LeewayError(f"{path}: not a whole {what}") from error
-    if not whole:
-        raise LeewayError(f"{path}: not a whole {what} (checksum)")
+        raise LeewayError(f"{path}: incomplete or damaged {content_name}") from error
+    if not is_intact:
+        raise LeewayError(f"{path}: incomplete or damaged {content_name} (checksum)")
     return content

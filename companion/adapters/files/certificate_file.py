@@ -1,11 +1,11 @@
-"""The certificate beside an airframe file: `my.toml` has `my.certificate.json`."""
+"""The certificate file of an airframe file: `my.toml` has `my.certificate.json`."""
 
 from pathlib import Path
 
 import msgspec
 
-from companion.adapters.files.atomic_file import write_text_whole
-from companion.core.base.documents import json_object
+from companion.adapters.files.atomic_file import write_text_atomically
+from companion.core.base.documents import parse_json_object
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import (
     Certificate,
@@ -18,22 +18,22 @@ SUFFIX = ".certificate.json"
 
 
 def certificate_path(airframe_file: Path) -> Path:
-    """Where the certificate of this airframe file lies."""
+    """Return the path of this airframe file's certificate."""
     return airframe_file.with_suffix(SUFFIX)
 
 
 def write_certificate(airframe_file: Path, certificate: Certificate) -> Path:
-    """Write it beside the airframe file, whole or not at all; returns where."""
+    """Write the certificate atomically next to the airframe file; return its path."""
     path = certificate_path(airframe_file)
     text = msgspec.json.format(msgspec.json.encode(certificate), indent=1).decode()
-    write_text_whole(path, text + "\n")
+    write_text_atomically(path, text + "\n")
     return path
 
 
 def read_certificate(airframe_file: Path, airframe: Airframe) -> Certificate | None:
-    """The certificate beside an airframe file; `None` where there is none.
+    """Read the certificate of an airframe file; `None` without one.
 
-    LeewayError where it cannot be read, or is of other numbers than the airframe file's.
+    Raises LeewayError if it is unreadable or was issued for other parameters than the airframe's.
     """
     path = certificate_path(airframe_file)
     try:
@@ -42,10 +42,10 @@ def read_certificate(airframe_file: Path, airframe: Airframe) -> Certificate | N
         return None
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
-    certificate = certificate_from_dict(json_object(raw, str(path)), str(path))
+    certificate = certificate_from_dict(parse_json_object(raw, str(path)), str(path))
     if certificate.airframe_digest != airframe_digest(airframe):
         raise LeewayError(
-            f"{path}: of other numbers than {airframe_file.name} has: companion certify again, or"
-            " remove it"
+            f"{path}: issued for other parameters than {airframe_file.name}'s: run companion"
+            " certify, or remove the certificate"
         )
     return certificate

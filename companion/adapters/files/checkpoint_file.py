@@ -1,30 +1,38 @@
-"""The checkpoint on disk: written whole or not at all, checked when read."""
+"""The checkpoint on disk: replaced atomically, verified when read."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.files.atomic_file import read_whole, write_whole
+from companion.adapters.files.atomic_file import (
+    json_text_with_checksum,
+    read_checked_json,
+    write_text_atomically,
+)
 from companion.core.base.errors import LeewayError
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict
 
-NAME = "checkpoint.json"
+CHECKPOINT_NAME = "checkpoint.json"
 
 
-def write_checkpoint(run_dir: Path, content: dict[str, Any], *, settle: bool = True) -> None:
-    """Replace the checkpoint; `settle` as in `write_whole`."""
-    write_whole(run_dir / NAME, content, settle=settle)
+def checkpoint_write_job(
+    run_dir: Path, content: dict[str, Any], *, sync_folder: bool = True
+) -> Callable[[], None]:
+    """Encode now; return the job that replaces the file, `sync_folder` as in `atomic_file`."""
+    path, text = run_dir / CHECKPOINT_NAME, json_text_with_checksum(content)
+    return lambda: write_text_atomically(path, text, sync_folder=sync_folder)
 
 
-def read_checkpoint(run_dir: Path, flight: str) -> Checkpoint | None:
-    """Read the checkpoint of this flight; `None` where there is none.
+def read_checkpoint(run_dir: Path, flight_digest: str) -> Checkpoint | None:
+    """Read the checkpoint of this flight; `None` without one.
 
-    Raises LeewayError where it is torn or belongs to another flight or airframe.
+    Raises LeewayError if it is incomplete or belongs to another flight or airframe.
     """
-    path = run_dir / NAME
-    table = read_whole(path, "checkpoint")
+    path = run_dir / CHECKPOINT_NAME
+    table = read_checked_json(path, "checkpoint")
     if table is None:
         return None
-    kept = checkpoint_from_dict(table, str(path))
-    if kept.flight != flight:
+    checkpoint = checkpoint_from_dict(table, str(path))
+    if checkpoint.flight != flight_digest:
         raise LeewayError(f"{path}: belongs to another flight or airframe")
-    return kept
+    return checkpoint

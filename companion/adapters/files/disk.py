@@ -1,8 +1,8 @@
-"""Work for the disk that no flight waits for, and that no full or broken disk stops.
+"""Disk writes that never delay a flight and whose errors never stop one.
 
-A card that is busy holds a writer for seconds (fsync of 0.5 to 10 s were seen). In flight the work
-is done in order by one thread; in a world that waits for us it is done at once, so that what a
-killed companion leaves is the same in every run.
+A busy SD card blocks a writer for seconds (fsync took 0.5 to 10 s). In flight one thread executes
+the writes in order; in a simulated world they are executed immediately, so that a killed companion
+leaves the same files in every run.
 """
 
 import contextlib
@@ -12,169 +12,205 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-WAITING_LIMIT = 20_000
-"""Deeds that wait: minutes of a flight's record, at some 100 rows and turns' frames a second."""
+MAX_QUEUED_JOBS = 20_000
+"""Maximum of queued jobs: minutes of a flight's record at some 100 rows and frames a second."""
 
-CLOSE_LIMIT_S = 30.0
-"""How long the end of a flight waits for the disk: three times the slowest fsync that was seen."""
+CLOSE_TIMEOUT_S = 30.0
+"""Timeout for the disk at the end of a flight: three times the slowest fsync observed."""
 
-Deed = Callable[[], None]
+WriteJob = Callable[[], None]
 
 
-class Disk(Protocol):
-    """Takes deeds, each for a named record, and does them in order.
+class RecordWriter(Protocol):
+    """Executes write jobs, each for a named record, in order.
 
-    A record is given up at its first fault, since what follows a torn row cannot be read; a `whole`
-    one, replaced at every write, is tried again. `on_trouble` hears of each record's fault once.
+    A record is abandoned at its first error, since rows after an incomplete one are unreadable; a
+    `is_replaced_at_each_write` one, replaced at each write, is retried. `on_error` gets a record's
+    first error.
     """
 
-    def do(
-        self, record: str, deed: Deed, *, whole: bool = False, newest_only: bool = False
+    def submit_write_job(
+        self,
+        record_name: str,
+        job: WriteJob,
+        *,
+        is_replaced_at_each_write: bool = False,
+        replace_queued_job: bool = False,
     ) -> bool:
-        """Do it, now or later. `newest_only`: in place of the last such deed that still waits.
+        """Execute the job, now or later. `replace_queued_job`: replace this record's last queued
+        such job.
 
-        False: it was not taken, and will not be done.
+        Returns False if the job is rejected and will not be executed.
         """
         ...
 
-    def settle(self) -> None:
-        """Return once all that was asked for is done."""
+    def wait_until_done(self) -> None:
+        """Return once all submitted jobs are done."""
         ...
 
     def close(self) -> None:
-        """Settle, and take no more."""
+        """Wait for all jobs, then accept no more."""
         ...
 
 
-class _Faults:
-    """Does deeds, and gives up the records that fail."""
+class _RecordErrors:
+    """Executes jobs and abandons the records that fail."""
 
-    def __init__(self, on_trouble: Callable[[str], None]) -> None:
-        self._on_trouble = on_trouble
-        self._given_up: set[str] = set()
-        self._told: set[str] = set()
+    def __init__(self, on_error: Callable[[str], None]) -> None:
+        self._on_error = on_error
+        self._abandoned_records: set[str] = set()
+        self._reported_records: set[str] = set()
 
-    def attempt(self, record: str, deed: Deed, *, whole: bool) -> None:
-        if record in self._given_up:
+    def run_job_unless_record_abandoned(
+        self, record_name: str, job: WriteJob, *, is_replaced_at_each_write: bool
+    ) -> None:
+        if record_name in self._abandoned_records:
             return
         try:
-            deed()
-        except Exception as error:  # noqa: BLE001 - whatever a record breaks on, the flight goes on
-            if not whole:
-                self._given_up.add(record)
-            words = getattr(error, "strerror", None) or repr(error)
-            self.tell(record, f"{record}: {words}")
+            job()
+        except Exception as error:  # noqa: BLE001 - the flight continues after any record error
+            if not is_replaced_at_each_write:
+                self._abandoned_records.add(record_name)
+            message = getattr(error, "strerror", None) or repr(error)
+            self.report_first_error_of_record(record_name, f"{record_name}: {message}")
 
-    def tell(self, record: str, words: str) -> None:
-        if record not in self._told:
-            self._told.add(record)
+    def report_first_error_of_record(self, record_name: str, message: str) -> None:
+        if record_name not in self._reported_records:
+            self._reported_records.add(record_name)
             with contextlib.suppress(Exception):
-                self._on_trouble(words)
+                self._on_error(message)
 
 
-class DiskAtOnce:
-    """Does every deed before it returns."""
+class ImmediateRecordWriter:
+    """Executes every job before it returns."""
 
-    def __init__(self, on_trouble: Callable[[str], None]) -> None:
-        self._faults = _Faults(on_trouble)
+    def __init__(self, on_error: Callable[[str], None]) -> None:
+        self._record_errors = _RecordErrors(on_error)
 
-    def do(
-        self, record: str, deed: Deed, *, whole: bool = False, newest_only: bool = False
+    def submit_write_job(
+        self,
+        record_name: str,
+        job: WriteJob,
+        *,
+        is_replaced_at_each_write: bool = False,
+        replace_queued_job: bool = False,
     ) -> bool:
-        """See `Disk`."""
-        self._faults.attempt(record, deed, whole=whole)
+        """See `RecordWriter`."""
+        self._record_errors.run_job_unless_record_abandoned(
+            record_name, job, is_replaced_at_each_write=is_replaced_at_each_write
+        )
         return True
 
-    def settle(self) -> None:
-        """Nothing ever waits."""
+    def wait_until_done(self) -> None:
+        """No effect: no job is ever queued."""
 
     def close(self) -> None:
-        """Nothing ever waits."""
+        """No effect: no job is ever queued."""
 
 
 @dataclass(slots=True)
-class _Waiting:
+class _QueuedJob:
     record: str
-    deed: Deed
+    job: WriteJob
     whole: bool
 
 
-class DiskThread:
-    """Does deeds on a thread of its own. Where too many wait, new ones are lost, and that is told.
+class ThreadedRecordWriter:
+    """Executes jobs on its own thread. If the queue is full, new jobs are lost (reported once).
 
-    Where no thread can be had, every record is given up.
+    If no thread can be started, every record is abandoned.
     """
 
     def __init__(
-        self, on_trouble: Callable[[str], None], *, waiting_limit: int = WAITING_LIMIT
+        self, on_error: Callable[[str], None], *, max_queued: int = MAX_QUEUED_JOBS
     ) -> None:
-        self._faults = _Faults(on_trouble)
-        self._limit = waiting_limit
-        self._waiting: deque[_Waiting] = deque()
-        self._newest: dict[str, _Waiting] = {}
-        self._busy = False
+        self._record_errors = _RecordErrors(on_error)
+        self._limit = max_queued
+        self._job_queue: deque[_QueuedJob] = deque()
+        self._newest_by_record: dict[str, _QueuedJob] = {}
+        self._is_active = False
         self._closed = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="disk", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run_jobs_until_closed, name="disk", daemon=True
+        )
         try:
             self._thread.start()
         except RuntimeError as error:  # no memory, or too many processes
             self._closed = True
-            self._faults.tell("records", f"records: {error}")
+            self._record_errors.report_first_error_of_record("records", f"records: {error}")
 
-    def do(
-        self, record: str, deed: Deed, *, whole: bool = False, newest_only: bool = False
+    def submit_write_job(
+        self,
+        record_name: str,
+        job: WriteJob,
+        *,
+        is_replaced_at_each_write: bool = False,
+        replace_queued_job: bool = False,
     ) -> bool:
-        """See `Disk`."""
+        """See `RecordWriter`."""
         with self._changed:
             if self._closed:
                 return False
-            older = self._newest.get(record) if newest_only else self._newest.pop(record, None)
-            if newest_only and older is not None:
-                older.deed = deed
-            elif len(self._waiting) >= self._limit:
-                self._faults.tell("speed", "records: the disk is too slow, rows are lost")
+            queued_job = (
+                self._newest_by_record.get(record_name)
+                if replace_queued_job
+                else self._newest_by_record.pop(record_name, None)
+            )
+            if replace_queued_job and queued_job is not None:
+                queued_job.job = job
+            elif len(self._job_queue) >= self._limit:
+                self._record_errors.report_first_error_of_record(
+                    "speed", "records: disk too slow, rows are lost"
+                )
                 return False
             else:
-                self._queue(_Waiting(record, deed, whole), newest_only=newest_only)
+                self._enqueue(
+                    _QueuedJob(record_name, job, is_replaced_at_each_write),
+                    newest_only=replace_queued_job,
+                )
             return True
 
-    def _queue(self, entry: _Waiting, *, newest_only: bool) -> None:
-        self._waiting.append(entry)
+    def _enqueue(self, entry: _QueuedJob, *, newest_only: bool) -> None:
+        self._job_queue.append(entry)
         if newest_only:
-            self._newest[entry.record] = entry
+            self._newest_by_record[entry.record] = entry
         self._changed.notify_all()
 
-    def settle(self) -> None:
-        """See `Disk`; a disk that hangs is not waited for without end."""
+    def wait_until_done(self) -> None:
+        """See `RecordWriter`; gives up after CLOSE_TIMEOUT_S on a disk that does not respond."""
         with self._changed:
-            self._changed.wait_for(self._is_idle, CLOSE_LIMIT_S)
+            self._changed.wait_for(self._is_idle, CLOSE_TIMEOUT_S)
 
     def _is_idle(self) -> bool:
-        return self._closed or (not self._waiting and not self._busy)
+        return self._closed or (not self._job_queue and not self._is_active)
 
     def close(self) -> None:
-        """See `Disk`."""
-        self.settle()
+        """See `RecordWriter`."""
+        self.wait_until_done()
         with self._changed:
             if not self._is_idle():
-                self._faults.tell("speed", "records: the disk hangs, the end of the record is lost")
+                self._record_errors.report_first_error_of_record(
+                    "speed", "records: disk does not respond, end of record lost"
+                )
             self._closed = True
             self._changed.notify_all()
 
-    def _run(self) -> None:
-        while (entry := self._next()) is not None:
-            self._faults.attempt(entry.record, entry.deed, whole=entry.whole)
+    def _run_jobs_until_closed(self) -> None:
+        while (entry := self._wait_for_next_job()) is not None:
+            self._record_errors.run_job_unless_record_abandoned(
+                entry.record, entry.job, is_replaced_at_each_write=entry.whole
+            )
 
-    def _next(self) -> _Waiting | None:
+    def _wait_for_next_job(self) -> _QueuedJob | None:
         with self._changed:
-            self._busy = False
+            self._is_active = False
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._waiting or self._closed)
-            if not self._waiting:
+            self._changed.wait_for(lambda: self._job_queue or self._closed)
+            if not self._job_queue:
                 return None
-            self._busy = True
-            entry = self._waiting.popleft()
-            if self._newest.get(entry.record) is entry:
-                del self._newest[entry.record]
+            self._is_active = True
+            entry = self._job_queue.popleft()
+            if self._newest_by_record.get(entry.record) is entry:
+                del self._newest_by_record[entry.record]
             return entry

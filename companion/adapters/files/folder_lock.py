@@ -1,4 +1,4 @@
-"""One companion flies from a run folder: a second one would tear its checkpoint."""
+"""A lock for a run folder: a second companion would corrupt its checkpoint."""
 
 import fcntl
 import os
@@ -7,52 +7,52 @@ from typing import IO
 
 from companion.core.base.errors import LeewayError
 
-NAME = "lock"
+LOCK_NAME = "lock"
 
 
 class FolderLock:
-    """Held from `take` to `release`, or to the end of the process, however that comes.
+    """Held from `acquire` to `release`, or to the end of the process.
 
-    A folder that cannot be written to stops no flight: it is flown from without a lock.
+    A read-only folder does not prevent a flight: the companion flies without a lock.
     """
 
     def __init__(self, file: IO[str] | None) -> None:
         self._file = file
 
     @classmethod
-    def take(cls, folder: Path) -> "FolderLock":
-        """Take it; LeewayError names the process that flies from this folder."""
+    def acquire(cls, folder: Path) -> "FolderLock":
+        """Lock the folder; LeewayError names the process that holds it."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            file = (folder / NAME).open("a+")
+            file = (folder / LOCK_NAME).open("a+")
         except OSError:
             return cls(None)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            holder = _holder(file)
+            holder = _read_holder_process_id(file)
             file.close()
             if holder == str(os.getpid()):
-                return cls(None)  # one process that simulates many, and starts one of them again
-            words = f"another companion flies from this folder (process {holder})"
-            raise LeewayError(f"{folder}: {words}") from error
-        _sign(file)
+                return cls(None)  # one process simulates many companions and restarts one of them
+            message = f"another companion uses this run folder (process {holder})"
+            raise LeewayError(f"{folder}: {message}") from error
+        _try_write_process_id(file)
         return cls(file)
 
     def release(self) -> None:
-        """Let others fly from the folder."""
+        """Release the folder for other companions."""
         if self._file is not None:
             self._file.close()
             self._file = None
 
 
-def _holder(file: IO[str]) -> str:
+def _read_holder_process_id(file: IO[str]) -> str:
     file.seek(0)
     return file.read().strip() or "unknown"
 
 
-def _sign(file: IO[str]) -> None:
-    """Say who holds it; a full disk keeps nobody from flying."""
+def _try_write_process_id(file: IO[str]) -> None:
+    """Write the holder's process ID; a full disk does not prevent the flight."""
     try:
         file.truncate(0)
         file.write(str(os.getpid()))

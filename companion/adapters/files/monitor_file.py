@@ -1,6 +1,6 @@
-"""The monitor's record of a vehicle's service: one file, written whole or not at all.
+"""The monitor's record of a vehicle's service: one file, replaced atomically.
 
-It lies outside the run folders, since it outlives every flight.
+It is outside the run folders, since it outlives every flight.
 """
 
 import os
@@ -9,35 +9,35 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adapters.files.atomic_file import read_whole, write_whole
-from companion.core.monitor.record import Service, service_from_dict
+from companion.adapters.files.atomic_file import read_checked_json, write_json_atomically
+from companion.core.monitor.record import ServiceRecord, service_record_from_dict
 
 
-def default_monitor_folder() -> Path | None:
-    """In a service's state folder; None: no service. Whoever tries things at a terminal flies now
-    this vehicle and now that one: no record of theirs is to tighten anybody's gate.
+def service_monitor_folder() -> Path | None:
+    """Return the service's state folder; None outside a service: a terminal user flies various
+    vehicles, and tests must not tighten another vehicle's gate.
     """
     given = os.environ.get("STATE_DIRECTORY")
     return Path(given.split(":")[0]) / "monitor" if given else None
 
 
-def service_file(folder: Path, vehicle: str) -> Path:
-    """The file of a vehicle, by its name in the fleet or its airframe's."""
-    return folder / f"{vehicle}.json"
+def service_record_path(folder: Path, vehicle_name: str) -> Path:
+    """Return the file of a vehicle, by its name in the fleet or its airframe's."""
+    return folder / f"{vehicle_name}.json"
 
 
-def read_service(path: Path) -> Service | None:
-    """The record; None where there is none yet. LeewayError where it is torn or not one."""
-    table = read_whole(path, "record of the monitor")
-    return None if table is None else service_from_dict(table, str(path))
+def read_service_record(path: Path) -> ServiceRecord | None:
+    """Read the record; None without a file. Raises LeewayError if it is damaged or invalid."""
+    table = read_checked_json(path, "record of the monitor")
+    return None if table is None else service_record_from_dict(table, str(path))
 
 
-def write_service(path: Path, service: Service) -> None:
+def write_service_record(path: Path, service: ServiceRecord) -> None:
     """Replace the record; it is on the disk when this returns."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, msgspec.to_builtins(service))
+    write_json_atomically(path, msgspec.to_builtins(service))
 
 
-def set_aside(path: Path) -> None:
-    """Keep what cannot be read, for a person; the file stays until it is replaced as a whole."""
+def copy_damaged_record(path: Path) -> None:
+    """Copy an unreadable record for inspection; the original stays until it is replaced."""
     shutil.copyfile(path, path.with_suffix(".broken"))

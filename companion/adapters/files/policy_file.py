@@ -1,4 +1,4 @@
-"""Learned policies on disk: weights (.npz) and the card (.toml) that says what they are."""
+"""Learned policies on disk: weights (.npz) and the card (.toml) that describes them."""
 
 import hashlib
 import tomllib
@@ -13,7 +13,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.separation.learned_policy import AvoidancePolicy
 
 FORMAT = "policy/1"
-KEYS = {
+CARD_KEYS = {
     "format", "weights", "sha256", "frame", "reward", "behind_filter", "seed", "steps",
     "agent_steps", "commit", "command", "curve",
 }  # fmt: skip
@@ -21,7 +21,7 @@ KEYS = {
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """Where the weights come from; `frame` says what is up in the view that they were shown."""
+    """Origin of the weights; `frame` is the up direction of the observations in training."""
 
     frame: str
     reward: str
@@ -32,9 +32,9 @@ class PolicyCard:
 
 
 def read_policy(name: str) -> tuple[AvoidancePolicy, PolicyCard]:
-    """A policy by name (params/policies) or by its card's path; hash and shapes are checked."""
+    """Read a policy by name (params/policies) or its card's path; verify hash and shapes."""
     card_path = Path(name) if name.endswith(".toml") else params_dir() / "policies" / f"{name}.toml"
-    card = _card(card_path)
+    card = _read_card(card_path)
     weights_path = card_path.parent / str(card["weights"])
     try:
         content = weights_path.read_bytes()
@@ -62,7 +62,7 @@ def read_policy(name: str) -> tuple[AvoidancePolicy, PolicyCard]:
     )
 
 
-def _card(path: Path) -> dict:
+def _read_card(path: Path) -> dict:
     try:
         card = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -71,7 +71,7 @@ def _card(path: Path) -> dict:
         raise LeewayError(f"{path}: {error}") from error
     if card.get("format") != FORMAT:
         raise LeewayError(f"{path}: format is {card.get('format')!r}, expected {FORMAT!r}")
-    if set(card) != KEYS:
-        wrong = ", ".join(sorted(set(card) ^ KEYS))
+    if set(card) != CARD_KEYS:
+        wrong = ", ".join(sorted(set(card) ^ CARD_KEYS))
         raise LeewayError(f"{path}: keys missing or unknown: {wrong}")
     return card

@@ -12,13 +12,13 @@ from companion.core.exports.qgc_plan import PlanItem, plan_document
 def write_plan(
     path: Path, items: list[PlanItem], home: LocalFrame, autopilot: str, speed_mps: float
 ) -> None:
-    """Write a mission about `home` for one autopilot ("px4" or "ardupilot")."""
+    """Write a mission relative to `home` for one autopilot ("px4" or "ardupilot")."""
     document = plan_document(items, home, autopilot, speed_mps)
     path.write_text(json.dumps(document, indent=1) + "\n")
 
 
-def read_plan(path: Path) -> tuple[tuple[float, float, float], list[dict[str, Any]]]:
-    """Home (degrees, degrees, m AMSL) and simple items of a `.plan`; LeewayError names the item."""
+def read_plan_home_and_items(path: Path) -> tuple[tuple[float, float, float], list[dict[str, Any]]]:
+    """Return home (degrees, degrees, m AMSL) and simple items; LeewayError names the item."""
     try:
         mission = json.loads(path.read_text())["mission"]
         items, home = mission["items"], mission["plannedHomePosition"]

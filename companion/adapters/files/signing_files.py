@@ -1,4 +1,4 @@
-"""What signing keeps on the disk: the key, and the newest time stamp of every stream heard."""
+"""Signing data on disk: the key, and the newest time stamp of every stream received."""
 
 import os
 import re
@@ -7,29 +7,28 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from companion.adapters.files.atomic_file import read_whole, write_whole
+from companion.adapters.files.atomic_file import read_checked_json, write_json_atomically
 from companion.core.base.errors import LeewayError
 
 KEY_BYTES = 32
 CREDENTIALS = "${CREDENTIALS_DIRECTORY}"
-"""In a key's path: systemd's folder of credentials, which only the service can read."""
+"""In a key's path: systemd's credentials folder, which only the service can read."""
 
-STAMPS = "signing.json"
-SAVE_S = 1.0
-"""Time stamps are on the disk so soon: what was signed in that second before a power cut is all
-that may be heard twice, and a restart takes longer.
+STAMPS_NAME = "signing.json"
+SAVE_INTERVAL_S = 1.0
+"""Save interval of the time stamps: after a power cut, only frames signed in the last second could
+be accepted twice, and a restart takes longer.
 """
 
-TICKS_A_SECOND = 100_000
 Streams = dict[tuple[int, int, int], int]
 
 
 def read_signing_key(path: Path) -> bytes:
     """Read a 32-byte key: raw bytes, or 64 hexadecimal digits.
 
-    Raises LeewayError where others than its owner may read it: then it is no secret.
+    Raises LeewayError if group or others may read the file.
     """
-    path = credential(path)
+    path = resolve_credentials_path(path)
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
         raw = path.read_bytes()
@@ -48,19 +47,19 @@ def read_signing_key(path: Path) -> bytes:
     return key
 
 
-def credential(path: Path) -> Path:
-    """The path, with systemd's folder of credentials in the place of its name."""
+def resolve_credentials_path(path: Path) -> Path:
+    """Return the path with the variable of systemd's credentials folder replaced."""
     text = str(path)
     if not text.startswith(CREDENTIALS):
         return path
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
     if folder is None:
-        raise LeewayError(f"{text}: this is no service of systemd with LoadCredential=")
+        raise LeewayError(f"{text}: not a systemd service with LoadCredential=")
     return Path(text.replace(CREDENTIALS, folder, 1))
 
 
 def write_signing_key(path: Path, key: bytes) -> None:
-    """A new key file that only its owner can read; LeewayError where there is one already."""
+    """Write a new key file that only its owner can read; LeewayError if the file exists."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
@@ -71,43 +70,48 @@ def write_signing_key(path: Path, key: bytes) -> None:
         os.fsync(file.fileno())
 
 
-class _Heard(Protocol):
+class _StampedCodec(Protocol):
     @property
-    def streams(self) -> Streams: ...
-    def remember(self, streams: Streams) -> None: ...
+    def newest_signing_timestamp_by_stream(self) -> Streams: ...
+    def restore_signing_timestamps(self, newest_timestamp_by_stream: Streams) -> None: ...
 
 
-class StampKeeper:
-    """Keeps the time stamps of one vehicle's key through restarts.
+class SigningStampStore:
+    """Preserves the time stamps of one vehicle's key through restarts.
 
-    Without it a frame of the last minute, heard before a restart, would be heard again after it.
+    Without it, a frame of the last minute before a restart would be accepted again after it.
     """
 
-    def __init__(self, folder: Path, codec: _Heard) -> None:
-        """Take up what an earlier process heard; a broken file is moved aside (`trouble`)."""
-        self._path = folder / STAMPS
+    def __init__(self, folder: Path, codec: _StampedCodec) -> None:
+        """Restore an earlier process's stamps; an unreadable file is renamed (`error_text`)."""
+        self._path = folder / STAMPS_NAME
         self._codec = codec
         self._saved_s: float | None = None
         folder.mkdir(parents=True, exist_ok=True)
-        self.trouble = ""
+        self.error_text = ""
         try:
-            kept = _streams_of(read_whole(self._path, "record of time stamps"), self._path)
+            restored = _parse_newest_timestamp_by_stream(
+                read_checked_json(self._path, "record of time stamps"), self._path
+            )
         except LeewayError as error:
-            self.trouble, kept = f"moved aside: {error}", {}
+            self.error_text, restored = f"renamed to .broken: {error}", {}
             self._path.replace(self._path.with_suffix(".broken"))
-        codec.remember(kept)
+        codec.restore_signing_timestamps(restored)
 
-    def due(self, t_s: float) -> Callable[[], None] | None:
-        """What is to be written now, by whoever may wait for the disk; `None`: nothing yet."""
-        if self._saved_s is not None and t_s - self._saved_s < SAVE_S:
+    def take_due_write(self, t_s: float) -> Callable[[], None] | None:
+        """Return the write that is due now, for the disk thread; `None` if nothing is due."""
+        if self._saved_s is not None and t_s - self._saved_s < SAVE_INTERVAL_S:
             return None
         self._saved_s = t_s
-        table = {f"{a}/{b}/{c}": stamp for (a, b, c), stamp in self._codec.streams.items()}
-        return lambda: write_whole(self._path, table, settle=False)
+        table = {
+            f"{a}/{b}/{c}": stamp
+            for (a, b, c), stamp in self._codec.newest_signing_timestamp_by_stream.items()
+        }
+        return lambda: write_json_atomically(self._path, table, sync_folder=False)
 
 
-def _streams_of(table: object, path: Path) -> Streams:
-    """Link, system and component of each stream, and its newest time stamp."""
+def _parse_newest_timestamp_by_stream(table: object, path: Path) -> Streams:
+    """Parse the newest time stamp of each stream (link, system, component)."""
     if table is None:
         return {}
     if not isinstance(table, dict):

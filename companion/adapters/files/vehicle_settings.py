@@ -1,7 +1,7 @@
-"""What a flight changed on a vehicle, kept outside its run folder until it is put back.
+"""Original values of parameters that a flight changed, kept until they are restored.
 
-A companion that dies in the air leaves the autopilot with the settings of that flight. The next
-one, in whatever folder, must not take those for the autopilot's own.
+A companion that crashes in flight leaves the autopilot with that flight's parameters. The next
+companion, in any run folder, must not mistake these for the original ones.
 """
 
 import os
@@ -9,14 +9,14 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adapters.files.atomic_file import read_whole, write_whole
+from companion.adapters.files.atomic_file import read_checked_json, write_json_atomically
 from companion.core.base.errors import LeewayError
 
-UNKNOWN = "unknown"
+UNKNOWN_BOARD = "unknown"
 
 
-def default_folder() -> Path:
-    """systemd's state folder where there is one, else the user's."""
+def default_settings_folder() -> Path:
+    """Return systemd's state folder if there is one, else the user's."""
     given = os.environ.get("STATE_DIRECTORY")
     if given:
         return Path(given.split(":")[0]) / "settings"
@@ -24,29 +24,26 @@ def default_folder() -> Path:
     return Path(base).expanduser() / "leeway" / "settings"
 
 
-def settings_file(folder: Path, autopilot: str, system_id: int, board: str) -> Path:
-    """The file of one vehicle: its autopilot, MAVLink system id and board's number."""
-    return folder / f"{autopilot}-{system_id}-{board or UNKNOWN}.json"
+def original_parameters_file_path(
+    folder: Path, autopilot: str, system_id: int, board_serial_number: str
+) -> Path:
+    """Return the file of one vehicle: autopilot, MAVLink system ID and board serial number."""
+    return folder / f"{autopilot}-{system_id}-{board_serial_number or UNKNOWN_BOARD}.json"
 
 
-def read_settings(path: Path) -> dict[str, float]:
-    """The vehicle's own values by name; empty where nothing is left. LeewayError names the file."""
-    kept = read_whole(path, "record of settings")
+def read_original_parameters(path: Path) -> dict[str, float]:
+    """Return the original values by name; empty if none is stored. LeewayError names the file."""
+    kept = read_checked_json(path, "record of settings")
     try:
         return msgspec.convert(kept or {}, dict[str, float])
     except msgspec.ValidationError as error:
         raise LeewayError(f"{path}: not a record of settings: {error}") from error
 
 
-def write_settings(path: Path, values: dict[str, float]) -> None:
-    """Keep them; with none left the file goes."""
+def write_or_remove_original_parameters(path: Path, values: dict[str, float]) -> None:
+    """Store the original values; without values the file is removed."""
     if not values:
         path.unlink(missing_ok=True)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, values)
-
-
-def settings_in_words(values: dict[str, float]) -> str:
-    """Names and the vehicle's own values."""
-    return ", ".join(f"{name} (its own: {value:g})" for name, value in sorted(values.items()))
+    write_json_atomically(path, values)

@@ -1,1 +1,3 @@
-"""Flight logs: one reader for each format (`open_log` picks it), and the writers of a run."""
+"""Flight logs: one reader for each format (`read_log_of_any_format` picks it), and the writers of a
+run.
+"""

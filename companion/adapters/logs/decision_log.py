@@ -1,17 +1,17 @@
 """Write the decision log: telemetry, estimates and decisions as MCAP with JSON schemas.
 
-Foxglove and PlotJuggler open it. Messages are stamped in UTC by the computer's clock as it was at
-the first of them; `t_s` in each is the autopilot's. Beside our rows stand Foxglove's own messages
-for its Map and Log panels (`foxglove_rows`); our readers skip them.
+Foxglove and PlotJuggler open it. Messages are stamped in UTC from the computer's clock at the first
+of them; `t_s` in each is the autopilot's time. The file also holds Foxglove messages for the Map
+and Log panels (`foxglove_rows`); the readers here skip them.
 
-Chunks are off and every message is handed to the system at once, so that after `kill -9` the file
-lacks only its index: readers that stream it, and `mcap recover`, get every message.
+Chunks are disabled and every message is flushed immediately, so that after `kill -9` the file lacks
+only its index: streaming readers, and `mcap recover`, get every message.
 """
 
 import json
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,19 +24,20 @@ from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
-from companion.adapters.clock import epoch_us
+from companion.adapters.clock import unix_time_us
 from companion.adapters.logs.foxglove_rows import FOXGLOVE, ROUTE, foxglove_row
+from companion.core.mission.actions import AssessmentReport, Decision, EnergyReport, PhaseChanged
 from companion.core.mission.events import (
     AirPressure,
     Airspeed,
     Attitude,
+    AutopilotDetected,
     AutopilotWind,
     Battery,
     Event,
     GnssFix,
     GroundState,
     Home,
-    Identified,
     MissionProgress,
     Position,
     Throttle,
@@ -45,15 +46,15 @@ from companion.core.mission.events import (
 from companion.core.pilot.telemetry_state import TelemetryState
 
 MAGIC = b"\x89MCAP0\r\n"
-RECORD = struct.Struct("<BQ")
-"""What every record begins with: its kind, and the length of what follows."""
+RECORD_HEADER = struct.Struct("<BQ")
+"""Header of a record: its opcode, and the length of its body."""
 
 CHUNK_LIMIT_BYTES = 1 << 28
-"""Writers make chunks of some megabytes; a damaged size would ask for any memory."""
+"""Writers create chunks of a few megabytes; a damaged size could request any amount of memory."""
 
 UNDECODABLE = (McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError)
-"""What damaged bytes raise in `mcap` and under it: UnicodeDecodeError and msgspec's are
-ValueErrors, lz4 raises RuntimeError."""
+"""Exceptions raised for damaged bytes by `mcap` and its dependencies: UnicodeDecodeError and
+msgspec's are ValueErrors, lz4 raises RuntimeError."""
 
 FORMAT = "decision-log/2"
 METADATA = "leeway"
@@ -62,99 +63,18 @@ UTC_AT_ZERO = "utc_at_t_s_0_ns"
 
 NUMBER = {"type": "number"}
 TEXT = {"type": "string"}
-MAYBE = {"type": ["number", "null"]}
-COUNT = {"type": ["integer", "null"]}
-FLAG = {"type": "boolean"}
 
-SCHEMAS: dict[str, dict[str, Any]] = {
-    "decision": {
-        "t_s": NUMBER,
-        "kind": TEXT,
-        "reason": TEXT,
-        "p_home": MAYBE,
-        "p_home_now": MAYBE,
-        "p_success": MAYBE,
-        "margin_wh": MAYBE,
-    },
-    "wind": {
-        "t_s": NUMBER,
-        "to_n_mps": NUMBER,
-        "to_e_mps": NUMBER,
-        "nn_m2ps2": NUMBER,
-        "ne_m2ps2": NUMBER,
-        "ee_m2ps2": NUMBER,
-    },
-    "energy": {
-        "t_s": NUMBER,
-        "left_wh": NUMBER,
-        "std_wh": NUMBER,
-        "source": TEXT,
-        "used_wh": NUMBER,
-    },
-    "assessment": {
-        "t_s": NUMBER,
-        "p_home": NUMBER,
-        "p_home_now": NUMBER,
-        "p_success": NUMBER,
-        "margin_wh": NUMBER,
-        "energy_left_wh": NUMBER,
-        "energy_need_wh": NUMBER,
-        "p_home_unattended": MAYBE,
-    },
-    "phase": {"t_s": NUMBER, "before": TEXT, "now": TEXT, "why": TEXT},
-    "said": {"t_s": NUMBER, "severity": NUMBER, "text": TEXT},
-    "heard_autopilot": {"t_s": NUMBER, "flavour": TEXT, "system_id": NUMBER},
-    "heard_state": {
-        "t_s": NUMBER,
-        "mode": TEXT,
-        "mode_name": TEXT,
-        "armed": FLAG,
-        "failsafe": FLAG,
-        "ready_state": FLAG,
-    },
-    "heard_ground": {"t_s": NUMBER, "ground": TEXT},
-    "heard_attitude": {
-        "t_s": NUMBER,
-        "roll_rad": NUMBER,
-        "pitch_rad": NUMBER,
-        "yaw_rad": NUMBER,
-        "yaw_rate_rps": MAYBE,
-    },
-    "heard_position": {
-        "t_s": NUMBER,
-        "lat_deg": NUMBER,
-        "lon_deg": NUMBER,
-        "alt_amsl_m": NUMBER,
-        "height_rel_m": NUMBER,
-        "vel_n_mps": NUMBER,
-        "vel_e_mps": NUMBER,
-        "vel_d_mps": NUMBER,
-    },
-    "heard_gnss": {"t_s": NUMBER, "usable": FLAG, "satellites": COUNT},
-    "heard_home": {"t_s": NUMBER, "lat_deg": NUMBER, "lon_deg": NUMBER, "alt_amsl_m": NUMBER},
-    "heard_battery": {
-        "t_s": NUMBER,
-        "voltage_v": MAYBE,
-        "current_a": MAYBE,
-        "consumed_ah": MAYBE,
-        "consumed_j": MAYBE,
-        "remaining_frac": MAYBE,
-        "temperature_c": MAYBE,
-        "pack": {"type": ["integer", "null"]},
-    },
-    "heard_throttle": {"t_s": NUMBER, "throttle_frac": NUMBER},
-    "heard_airspeed": {"t_s": NUMBER, "forward_mps": NUMBER, "is_magnitude": FLAG},
-    "heard_pressure": {"t_s": NUMBER, "pressure_pa": NUMBER, "board_temperature_c": MAYBE},
-    "heard_wind": {"t_s": NUMBER, "to_n_mps": NUMBER, "to_e_mps": NUMBER, "std_mps": MAYBE},
-    "heard_progress": {
-        "t_s": NUMBER,
-        "index": COUNT,
-        "total": COUNT,
-        "in_mission": {"type": ["boolean", "null"]},
-    },
+JSON_TYPES: dict[Any, dict[str, Any]] = {
+    float: NUMBER,
+    int: NUMBER,
+    bool: {"type": "boolean"},
+    float | None: {"type": ["number", "null"]},
+    int | None: {"type": ["integer", "null"]},
+    bool | None: {"type": ["boolean", "null"]},
 }
+"""JSON type of a field; texts and enumerations are strings."""
 
-HEARD: dict[str, tuple[str, type[Event]]] = {
+TELEMETRY_TOPICS: dict[str, tuple[str, type[Event]]] = {
     "state": ("heard_state", VehicleState),
     "ground": ("heard_ground", GroundState),
     "attitude": ("heard_attitude", Attitude),
@@ -168,30 +88,53 @@ HEARD: dict[str, tuple[str, type[Event]]] = {
     "wind": ("heard_wind", AutopilotWind),
     "progress": ("heard_progress", MissionProgress),
 }
-"""Part of the situation: the topic that it is recorded on, and its event."""
+"""Attribute of the telemetry state: its topic and its event class."""
 
-IDENTIFIED = "heard_autopilot"
-KINDS = dict(HEARD.values()) | {IDENTIFIED: Identified}
+AUTOPILOT_TOPIC = "heard_autopilot"
+
+
+def _required_schema_fields(kind: type[Any], *unlisted: str) -> dict[str, dict[str, Any]]:
+    """Return the fields of a dataclass; `unlisted` ones are allowed in a row, but not required."""
+    required_fields = (field for field in fields(kind) if field.name not in unlisted)
+    return {field.name: JSON_TYPES.get(field.type, TEXT) for field in required_fields}
+
+
+SCHEMAS: dict[str, dict[str, Any]] = {
+    "decision": _required_schema_fields(Decision),
+    "wind": dict.fromkeys(
+        ("t_s", "to_n_mps", "to_e_mps", "nn_m2ps2", "ne_m2ps2", "ee_m2ps2"), NUMBER
+    ),
+    "energy": _required_schema_fields(EnergyReport),
+    "assessment": _required_schema_fields(AssessmentReport, "by_table"),
+    "phase": _required_schema_fields(PhaseChanged),
+    "said": {"t_s": NUMBER, "severity": NUMBER, "text": TEXT},
+    AUTOPILOT_TOPIC: {"t_s": NUMBER, "flavour": TEXT, "system_id": NUMBER},
+} | {
+    topic: _required_schema_fields(event, "mission_id")
+    for topic, event in TELEMETRY_TOPICS.values()
+}
+
+EVENT_OF_TOPIC = dict(TELEMETRY_TOPICS.values()) | {AUTOPILOT_TOPIC: AutopilotDetected}
 
 
 def as_event_fields(topic: str, row: dict[str, Any]) -> dict[str, Any]:
-    """A row by the names of its event's fields: on disk an autopilot's kind is its `flavour`."""
-    if topic != IDENTIFIED or "flavour" not in row:
+    """Rename a row's keys to its event's fields: on disk an autopilot's kind is its `flavour`."""
+    if topic != AUTOPILOT_TOPIC or "flavour" not in row:
         return row
     return {**row, "autopilot_kind": row["flavour"]}
 
 
-class HeardRows:
-    """Tells what is new in the situation since the last time, as rows for the decision log."""
+class TelemetryRows:
+    """Finds new samples in the telemetry state, as rows for the decision log."""
 
     def __init__(self) -> None:
         self._last: dict[tuple[str, int | None], Event] = {}
 
-    def new(self, now: TelemetryState) -> list[tuple[str, dict[str, Any]]]:
-        """Return (topic, row) of every sample that came since the last call."""
+    def take_new_rows(self, telemetry: TelemetryState) -> list[tuple[str, dict[str, Any]]]:
+        """Return (topic, row) of every sample since the last call."""
         rows: list[tuple[str, dict[str, Any]]] = []
-        for name, (topic, _) in HEARD.items():
-            for sample in _samples(now, name):
+        for name, (topic, _) in TELEMETRY_TOPICS.items():
+            for sample in _newest_samples(telemetry, name):
                 key = name, sample.pack if isinstance(sample, Battery) else None
                 if sample is not self._last.get(key):
                     self._last[key] = sample
@@ -199,61 +142,61 @@ class HeardRows:
         return rows
 
 
-def _samples(now: TelemetryState, name: str) -> list[Event]:
-    """The newest of this part of the situation: of batteries, one message of each source."""
-    if name == "battery":
-        return list(now.batteries.values())
-    sample: Event | None = getattr(now, name)
+def _newest_samples(telemetry: TelemetryState, attribute_name: str) -> list[Event]:
+    """Return the newest samples of this attribute: for batteries, one of each pack."""
+    if attribute_name == "battery":
+        return list(telemetry.pack.messages.values())
+    sample: Event | None = getattr(telemetry, attribute_name)
     return [] if sample is None else [sample]
 
 
 class DecisionLog:
-    """One MCAP file; a run that goes on in the same folder gets a file of its own."""
+    """One MCAP file; a restarted run in the same folder writes a new file."""
 
-    def __init__(self, path: Path, wall_clock_us: Callable[[], int] = epoch_us) -> None:
-        """`wall_clock_us`: microseconds since 1970, read once, with the first message."""
+    def __init__(self, path: Path, unix_clock_us: Callable[[], int] = unix_time_us) -> None:
+        """`unix_clock_us`: microseconds since 1970, read once, with the first message."""
         self._file = path.open("wb")
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE, use_statistics=True
         )
         self._writer.start(profile="", library="leeway")
-        self._wall_clock_us = wall_clock_us
+        self._wall_clock_us = unix_clock_us
         self._utc_at_zero_ns: int | None = None
         self._sequence = 0
         self._channels: dict[str, int] = {}
-        for name, fields in SCHEMAS.items():
-            self._add_channel(name, f"leeway.{name}", fields)
-        for name, (schema, fields) in FOXGLOVE.items():
-            self._add_channel(name, schema, fields)
+        for name, keys in SCHEMAS.items():
+            self._add_channel(name, f"leeway.{name}", keys)
+        for name, (schema, keys) in FOXGLOVE.items():
+            self._add_channel(name, schema, keys)
 
-    def _add_channel(self, name: str, title: str, fields: dict[str, Any]) -> None:
-        schema = {"title": title, "type": "object", "properties": fields, "required": list(fields)}
+    def _add_channel(self, name: str, title: str, keys: dict[str, Any]) -> None:
+        schema = {"title": title, "type": "object", "properties": keys, "required": list(keys)}
         schema_id = self._writer.register_schema(title, "jsonschema", json.dumps(schema).encode())
         self._channels[name] = self._writer.register_channel(f"/{name}", "json", schema_id)
 
-    def write(self, kind: str, row: dict[str, Any]) -> None:
-        """Append one message of ours, and what it is for Foxglove."""
+    def write(self, topic_name: str, row: dict[str, Any]) -> None:
+        """Append one row, and its Foxglove message."""
         stamp_ns = self._stamp_ns(row["t_s"])
-        self._add(kind, row, stamp_ns)
-        topic, message = foxglove_row(kind, row, stamp_ns)
+        self._add_message(topic_name, row, stamp_ns)
+        topic, message = foxglove_row(topic_name, row, stamp_ns)
         if topic:
-            self._add(topic, message, stamp_ns)
+            self._add_message(topic, message, stamp_ns)
         self._file.flush()
 
-    def write_route(self, t_s: float, document: dict[str, Any]) -> None:
+    def write_route_geojson(self, t_s: float, document: dict[str, Any]) -> None:
         """Append a GeoJSON document for Foxglove's map."""
         text = json.dumps(document, allow_nan=False)
-        self._add(ROUTE, {"geojson": text}, self._stamp_ns(t_s))
+        self._add_message(ROUTE, {"geojson": text}, self._stamp_ns(t_s))
         self._file.flush()
 
     def _stamp_ns(self, t_s: float) -> int:
         t_ns = round(float(t_s) * 1e9)
         if self._utc_at_zero_ns is None:
             self._utc_at_zero_ns = self._wall_clock_us() * 1000 - t_ns
-            self._describe(self._utc_at_zero_ns)
+            self._write_metadata(self._utc_at_zero_ns)
         return max(0, self._utc_at_zero_ns + t_ns)
 
-    def _describe(self, utc_at_zero_ns: int) -> None:
+    def _write_metadata(self, utc_at_zero_ns: int) -> None:
         self._writer.add_metadata(
             METADATA,
             {
@@ -266,7 +209,7 @@ class DecisionLog:
             },
         )
 
-    def _add(self, topic: str, row: dict[str, Any], stamp_ns: int) -> None:
+    def _add_message(self, topic: str, row: dict[str, Any], stamp_ns: int) -> None:
         self._sequence += 1
         self._writer.add_message(
             self._channels[topic],
@@ -282,8 +225,8 @@ class DecisionLog:
         self._file.close()
 
 
-def free_name(path: Path) -> Path:
-    """Return the path, or the next free one beside it (`decisions-2.mcap`)."""
+def next_free_path(path: Path) -> Path:
+    """Return the path, or the next free one in the folder (`decisions-2.mcap`)."""
     number, candidate = 1, path
     while candidate.exists():
         number += 1
@@ -291,8 +234,8 @@ def free_name(path: Path) -> Path:
     return candidate
 
 
-def aside_name(path: Path) -> Path:
-    """Return a free name beside a damaged file (`decisions.mcap.torn-1`)."""
+def free_path_for_damaged_file(path: Path) -> Path:
+    """Return a free name for a damaged file (`decisions.mcap.torn-1`)."""
     number = 1
     while (candidate := path.with_name(f"{path.name}.torn-{number}")).exists():
         number += 1
@@ -301,68 +244,68 @@ def aside_name(path: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class LogRows:
-    """(topic, row) of every whole message; `damage` is the first place that is none, in words.
+    """(topic, row) of every whole message; `error_text` describes the first damaged position.
 
-    A file that was merely cut off (a killed companion's) is not damaged. `utc_at_zero_s`: seconds
-    since 1970 when `t_s` was 0, where the file tells.
+    A truncated file (of a killed companion) is not damaged. `utc_at_zero_s`: seconds since 1970
+    when `t_s` was 0, if the file records it.
     """
 
     rows: list[tuple[str, dict[str, Any]]]
-    damage: str | None = None
+    error_text: str | None = None
     utc_at_zero_s: float | None = None
 
 
-def read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield (topic, row) of every whole message, of a file that may have been cut off anywhere."""
-    yield from read_log(path).rows
+def iterate_mcap_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (topic, row) of every whole message, from a file that may be truncated."""
+    yield from read_mcap_rows(path).rows
 
 
-def read_log(path: Path) -> LogRows:
-    """Read an MCAP of JSON messages as far as it goes; a damaged message is left out."""
+def read_mcap_rows(path: Path) -> LogRows:
+    """Read an MCAP of JSON messages to its end; a damaged message is skipped."""
     raw = path.read_bytes()
     if not raw.startswith(MAGIC):
-        return LogRows([], "byte 0: not the beginning of an MCAP")
-    rows = _Rows()
+        return LogRows([], "byte 0: not an MCAP header")
+    rows = _RecordDecoder()
     at = len(MAGIC)
-    while at + RECORD.size <= len(raw):
-        opcode, length = RECORD.unpack_from(raw, at)
+    while at + RECORD_HEADER.size <= len(raw):
+        opcode, length = RECORD_HEADER.unpack_from(raw, at)
         if not 0 < opcode <= Opcode.DATA_END:
-            rows.damaged(at, "no record begins here")
+            rows.record_first_error(at, "no valid record")
             break
-        body = at + RECORD.size
-        if length > CHUNK_LIMIT_BYTES:  # no record that was cut off ever had so much to say
-            rows.damaged(at, f"a record of {length} bytes")
+        body = at + RECORD_HEADER.size
+        if length > CHUNK_LIMIT_BYTES:  # no record is that long
+            rows.record_first_error(at, f"a record of {length} bytes")
             break
         if length > len(raw) - body:
-            break  # cut off
-        rows.take(at, opcode, raw[body : body + length])
+            break  # truncated
+        rows.decode_record(at, opcode, raw[body : body + length])
         at = body + length
         if opcode == Opcode.FOOTER:
             break
-    return LogRows(rows.found, rows.damage, rows.utc_at_zero_s)
+    return LogRows(rows.found, rows.error_text, rows.utc_at_zero_s)
 
 
-class _Rows:
-    """Takes the records of an MCAP in order. A record that cannot be decoded costs only itself."""
+class _RecordDecoder:
+    """Decodes the records of an MCAP in order. A damaged record does not affect others."""
 
     def __init__(self) -> None:
         self.found: list[tuple[str, dict[str, Any]]] = []
-        self.damage: str | None = None
+        self.error_text: str | None = None
         self.utc_at_zero_s: float | None = None
         self._topics: dict[int, str] = {}
 
-    def damaged(self, at: int, what: str) -> None:
-        self.damage = self.damage or f"byte {at}: {what}"
+    def record_first_error(self, byte_offset: int, description: str) -> None:
+        self.error_text = self.error_text or f"byte {byte_offset}: {description}"
 
-    def take(self, at: int, opcode: int, body: bytes) -> None:
-        """Take the record of `body` that begins at byte `at`."""
+    def decode_record(self, byte_offset: int, opcode: int, body: bytes) -> None:
+        """Decode the record of `body` that begins at byte `byte_offset`."""
         try:
-            for record in _decoded(opcode, body):
-                self._keep(record)
+            for record in _decode_record_body(opcode, body):
+                self._store_record(record)
         except UNDECODABLE as error:
-            self.damaged(at, f"damaged record ({error})")
+            self.record_first_error(byte_offset, f"damaged record ({error})")
 
-    def _keep(self, record: McapRecord) -> None:
+    def _store_record(self, record: McapRecord) -> None:
         if isinstance(record, Metadata):
             if record.name == METADATA and UTC_AT_ZERO in record.metadata:
                 self.utc_at_zero_s = int(record.metadata[UTC_AT_ZERO]) / 1e9
@@ -375,8 +318,8 @@ class _Rows:
             self.found.append((self._topics[record.channel_id], row))
 
 
-def _decoded(opcode: int, body: bytes) -> list[McapRecord]:
-    """Channels, messages and metadata of one record's bytes: itself, or a chunk's."""
+def _decode_record_body(opcode: int, body: bytes) -> list[McapRecord]:
+    """Decode channels, messages and metadata of one record: itself, or a chunk's content."""
     stream = ReadDataStream(BytesIO(body))
     match opcode:
         case Opcode.CHANNEL:

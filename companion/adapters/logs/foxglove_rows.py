@@ -1,12 +1,12 @@
-"""Rows of the decision log as Foxglove's own messages: what its Map and Log panels draw.
+"""Rows of the decision log as Foxglove messages, for its Map and Log panels.
 
-Field names, types and enumerations are those of Foxglove's schemas in JSON
-(docs.foxglove.dev, "Message schemas"); a time is {sec, nsec} since 1970.
+Field names, types and enumerations are those of Foxglove's JSON schemas (docs.foxglove.dev,
+"Message schemas"); a time is {sec, nsec} since 1970.
 """
 
 from typing import Any
 
-from companion.core.mission.actions import Severity
+from companion.core.mission.alerts import Severity
 
 POSITION, ROUTE, LOG = "foxglove_position", "foxglove_route", "foxglove_log"
 
@@ -61,11 +61,11 @@ FOXGLOVE: dict[str, tuple[str, dict[str, Any]]] = {
         },
     ),
 }
-"""Topic: the name of its Foxglove schema, and its fields."""
+"""Topic: its Foxglove schema name and fields."""
 
 
 def foxglove_row(topic: str, row: dict[str, Any], stamp_ns: int) -> tuple[str, dict[str, Any]]:
-    """(topic, message) that one of our rows is for Foxglove; ("", {}) where it is none.
+    """Return the Foxglove (topic, message) of a decision log row; ("", {}) if it has none.
 
     `stamp_ns`: nanoseconds since 1970.
     """
@@ -74,12 +74,14 @@ def foxglove_row(topic: str, row: dict[str, Any], stamp_ns: int) -> tuple[str, d
         case "heard_position":
             return POSITION, stamp | _location_fix(row)
         case "said":
-            return LOG, stamp | _log(LEVEL[Severity(row["severity"])], row["text"], "operator")
+            return LOG, stamp | _log_message(
+                LEVEL[Severity(row["severity"])], row["text"], "operator"
+            )
         case "decision":
-            return LOG, stamp | _log(INFO, f"{row['kind']}: {row['reason']}", "decision")
+            return LOG, stamp | _log_message(INFO, f"{row['kind']}: {row['reason']}", "decision")
         case "phase":
             words = f"{row['before']} -> {row['now']} ({row['why']})"
-            return LOG, stamp | _log(DEBUG, words, "phase")
+            return LOG, stamp | _log_message(DEBUG, words, "phase")
     return "", {}
 
 
@@ -94,5 +96,5 @@ def _location_fix(row: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _log(level: int, message: str, name: str) -> dict[str, Any]:
+def _log_message(level: int, message: str, name: str) -> dict[str, Any]:
     return {"level": level, "message": message, "name": name, "file": "", "line": 0}

@@ -1,67 +1,77 @@
-"""Open a flight log of any known format, recognised by its content and not by its name."""
+"""Open a flight log of any known format, recognised by its content, not by its name."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from companion.adapters.logs.csv_log import read_csv_log
-from companion.adapters.logs.csv_table import GZIP, plain_bytes
+from companion.adapters.logs.csv_table import GZIP, read_file_decompressing_gzip
 from companion.adapters.logs.dataflash_log import read_dataflash_log
 from companion.adapters.logs.mcap_log import read_mcap_log
-from companion.adapters.logs.sound_events import sound
-from companion.adapters.logs.tlog_log import looks_like_tlog, read_tlog
+from companion.adapters.logs.plausibility import drop_implausible_events
+from companion.adapters.logs.tlog_log import is_tlog, read_tlog
 from companion.adapters.logs.ulog_log import read_ulog
+from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.core.base.errors import LeewayError
-from companion.core.replay.recorded_flight import RecordedFlight
 
 ULOG = b"ULog\x01\x12\x35"
 MCAP = b"\x89MCAP0\r\n"
 DATAFLASH = b"\xa3\x95"
 HEAD_BYTES = 4096
-KINDS = "PX4 ULog (.ulg), ArduPilot dataflash (.bin), .tlog, our .mcap or CSV (also .csv.gz)"
-PACKED = {b"PK": "zip", b"7z": "7-Zip", b"\xfd7zXZ": "xz"}
+KNOWN_FORMATS = (
+    "PX4 ULog (.ulg), ArduPilot dataflash (.bin), .tlog, companion .mcap or CSV (also .csv.gz)"
+)
+ARCHIVE_MAGIC = {b"PK": "zip", b"7z": "7-Zip", b"\xfd7zXZ": "xz"}
 
 
-def open_log(path: Path) -> RecordedFlight:
-    """Read a recorded flight; LeewayError says what is wrong with a file that is none."""
+def read_log_of_any_format(path: Path) -> RecordedFlight:
+    """Read a recorded flight; LeewayError describes the error of any other file."""
     try:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
     if not head:
-        raise LeewayError(f"{path}: the file is empty; expected {KINDS}")
-    return sound(_reader(path, head)(path), str(path))
+        raise LeewayError(f"{path}: the file is empty; expected {KNOWN_FORMATS}")
+    return drop_implausible_events(_reader_by_file_content(path, head)(path), str(path))
 
 
-def _reader(path: Path, head: bytes) -> Callable[[Path], RecordedFlight]:
-    if head.startswith(ULOG):
+def read_multirotor_log(path: Path) -> RecordedFlight:
+    """Read a recorded flight of a multirotor; LeewayError for another vehicle."""
+    flight = read_log_of_any_format(path)
+    if not flight.is_multirotor_or_unknown:
+        raise LeewayError(f"{path}: a {flight.vehicle}; a multirotor expected")
+    return flight
+
+
+def _reader_by_file_content(path: Path, first_bytes: bytes) -> Callable[[Path], RecordedFlight]:
+    if first_bytes.startswith(ULOG):
         return read_ulog
-    if head.startswith(MCAP):
+    if first_bytes.startswith(MCAP):
         return read_mcap_log
-    if head.startswith(GZIP):  # before dataflash, whose two bytes turn up in what is packed
-        return _packed_csv(path)
-    if DATAFLASH in head[:512]:
+    if first_bytes.startswith(GZIP):  # before dataflash: compressed data may contain its two bytes
+        return _compressed_csv_reader(path)
+    if DATAFLASH in first_bytes[:512]:
         return read_dataflash_log
-    for magic, name in PACKED.items():
-        if head.startswith(magic):
-            raise LeewayError(f"{path}: this is packed ({name}): unpack it first")
-    if head.startswith(b"FMT,"):
-        raise LeewayError(f"{path}: a dataflash log as text: use the .bin that it was made from")
-    if _is_text(head):
+    for magic, name in ARCHIVE_MAGIC.items():
+        if first_bytes.startswith(magic):
+            raise LeewayError(f"{path}: compressed file ({name}): unpack it first")
+    if first_bytes.startswith(b"FMT,"):
+        raise LeewayError(f"{path}: dataflash log in text form: use the original .bin")
+    if _is_text(first_bytes):
         return read_csv_log
-    if looks_like_tlog(head):
+    if is_tlog(first_bytes):
         return read_tlog
-    raise LeewayError(f"{path}: none of the logs that are known: expected {KINDS}")
+    raise LeewayError(f"{path}: unknown log format: expected {KNOWN_FORMATS}")
 
 
-def _packed_csv(path: Path) -> Callable[[Path], RecordedFlight]:
-    """CSV may be packed; other logs are read from the file itself, piece by piece."""
-    if _is_text(plain_bytes(path)[:HEAD_BYTES]):
+def _compressed_csv_reader(path: Path) -> Callable[[Path], RecordedFlight]:
+    """Return the reader for compressed CSV; other formats must be decompressed first."""
+    if _is_text(read_file_decompressing_gzip(path)[:HEAD_BYTES]):
         return read_csv_log
-    raise LeewayError(f"{path}: this is packed (gzip), and no CSV: unpack it first")
+    raise LeewayError(f"{path}: compressed file (gzip), not CSV: unpack it first")
 
 
 def _is_text(head: bytes) -> bool:
-    """Tell whether it begins with a line of printable characters."""
+    """Return True if the first line is printable text."""
     line = (head.removeprefix(b"\xef\xbb\xbf").splitlines() or [b""])[0][:200]
     return len(line) > 3 and all(32 <= byte < 127 or byte == 9 for byte in line)

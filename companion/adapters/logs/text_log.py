@@ -1,13 +1,13 @@
-"""Write the run's log for people: a line an event, with local time and the autopilot's."""
+"""Write the run's text log: one line per event, with local time and the autopilot's time."""
 
 from pathlib import Path
 
-from companion.adapters.clock import local_time
-from companion.core.base.safe_text import log_text
+from companion.adapters.clock import local_time_text
+from companion.core.base.safe_text import to_indented_log_lines
 
 
 class TextLog:
-    """Appends lines; each is handed to the system at once."""
+    """Appends lines; each is flushed immediately."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("a", encoding="utf-8")
@@ -22,6 +22,6 @@ class TextLog:
         self._file.close()
 
 
-def dated(t_s: float, text: str) -> str:
-    """An entry: local time, the autopilot's seconds, the words (its further lines indented)."""
-    return f"{local_time()} {t_s:9.2f}  {log_text(text)}"
+def format_log_entry(t_s: float, text: str) -> str:
+    """Format an entry: local time, autopilot seconds, text (continuation lines indented)."""
+    return f"{local_time_text()} {t_s:9.2f}  {to_indented_log_lines(text)}"

@@ -1,7 +1,7 @@
-"""Read a .tlog (MAVLink telemetry log) with the same decoding that the companion uses in flight.
+"""Read a .tlog (MAVLink telemetry log) with the decoder that the companion uses in flight.
 
-Frames are sorted by their headers before they are decoded: most messages of a ground station's log
-are not used here, and the others come faster than the estimators need them.
+Frames are selected by their headers before decoding: most messages of a ground station's log are
+not used, and the others come faster than the estimators need.
 """
 
 from collections import Counter
@@ -15,14 +15,14 @@ from companion.adapters.autopilots.parameters import decode_bytewise
 from companion.adapters.autopilots.port import PROFILES
 from companion.adapters.autopilots.telemetry import (
     AutopilotProfile,
-    boot_s,
-    translate,
+    events_from_message,
+    message_time_since_boot_s,
     vehicle_kind,
 )
-from companion.adapters.logs.log_time import LogClock, told
+from companion.adapters.logs.log_time import LogClock, summarise_rows_as_issue
+from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event
-from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
 
 STAMP_BYTES = 8
 V1, V2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
@@ -31,7 +31,7 @@ SIGNED = 0x01
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 PARAM_VALUE = mavlink.MAVLINK_MSG_ID_PARAM_VALUE
 AUTOPILOT_VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-LEAST_STEP_S = {
+MIN_INTERVAL_S = {
     HEARTBEAT: 0.0,
     436: 0.0,  # CURRENT_MODE
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.045,
@@ -50,13 +50,13 @@ LEAST_STEP_S = {
     PARAM_VALUE: 0.0,
     AUTOPILOT_VERSION: 0.0,
 }
-"""What is listened to, and the least time between two of a kind: about what we ask for in
-flight."""
+"""The message types used, and their minimum interval: about the stream rates requested in flight.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame by its header. `at` is the byte in the file where its stamp stands."""
+    """One frame by its header. `at` is the byte position of its stamp in the file."""
 
     at: int
     wall_s: float
@@ -66,40 +66,44 @@ class Frame:
     data: bytes
 
 
-def looks_like_tlog(head: bytes) -> bool:
-    """Tell whether bytes begin with a stamp and a frame's marker."""
-    return len(head) > STAMP_BYTES and head[STAMP_BYTES] in (V1, V2) and _plausible(head, 0)
+def is_tlog(head: bytes) -> bool:
+    """Return True if the bytes begin with a stamp and a frame marker."""
+    return len(head) > STAMP_BYTES and head[STAMP_BYTES] in (V1, V2) and _is_whole_frame_at(head, 0)
 
 
 def read_tlog(path: Path) -> RecordedFlight:
-    """Read the first autopilot's telemetry; LeewayError where there is none."""
-    torn: list[int] = []
-    frames = [f for f in _frames(path.read_bytes(), torn) if f.kind in LEAST_STEP_S]
+    """Read the first autopilot's telemetry; LeewayError if there is none."""
+    damaged_at: list[int] = []
+    frames = [f for f in _iterate_frames(path.read_bytes(), damaged_at) if f.kind in MIN_INTERVAL_S]
     codec = MavlinkCodec(datagrams=True)
-    system, beat = _autopilot(path, frames, codec)
-    reader = _Reader(PROFILES[beat.autopilot](), codec)
+    system, heartbeat = _find_autopilot(path, frames, codec)
+    reader = _TlogReader(PROFILES[heartbeat.autopilot](), codec)
     for frame in frames:
         if frame.system == system and frame.component == AUTOPILOT:
-            reader.take(frame)
-    findings = reader.clock.findings()
-    if torn:
-        findings.append(told(torn, _byte, "bytes that are no whole frame (cut off?)", "left out"))
+            reader.decode_frame_unless_too_frequent(frame)
+    findings = reader.clock.clock_issues()
+    if damaged_at:
+        findings.append(
+            summarise_rows_as_issue(
+                damaged_at, _byte_text, "bytes of no whole frame (truncated?)", "discarded"
+            )
+        )
     others = sorted({f.system for f in frames if f.component == AUTOPILOT} - {system})
     if others:
-        what = f"other systems speak too: {', '.join(map(str, others))}"
-        findings.append(LogFinding("log", what, f"only system {system} is read"))
+        description = f"other systems in the log: {', '.join(map(str, others))}"
+        findings.append(LogIssue("log", description, f"only system {system} is read"))
     return RecordedFlight(
         source="tlog",
         events=tuple(reader.events),
         findings=tuple(findings),
         autopilot_kind=reader.profile.autopilot_kind,
-        vehicle=vehicle_kind(beat.type),
+        vehicle=vehicle_kind(heartbeat.type),
         firmware=reader.firmware,
     )
 
 
-class _Reader:
-    """Decodes what passes, on the autopilot's clock."""
+class _TlogReader:
+    """Decodes frames of one autopilot, on the autopilot's clock."""
 
     def __init__(self, profile: AutopilotProfile, codec: MavlinkCodec) -> None:
         self.profile = profile
@@ -108,18 +112,18 @@ class _Reader:
         self._codec = codec
         self.clock = LogClock()
         self._values: dict[str, float | None] = {}
-        self._heard_s: dict[int, float] = {}
+        self._last_used_s: dict[int, float] = {}
 
-    def take(self, frame: Frame) -> None:
-        """Decode one frame, unless one of its kind was just heard."""
-        last_s = self._heard_s.get(frame.kind)
-        if last_s is not None and 0.0 <= frame.wall_s - last_s < LEAST_STEP_S[frame.kind]:
+    def decode_frame_unless_too_frequent(self, frame: Frame) -> None:
+        """Decode one frame, unless one of its type was used within its minimum interval."""
+        last_s = self._last_used_s.get(frame.kind)
+        if last_s is not None and 0.0 <= frame.wall_s - last_s < MIN_INTERVAL_S[frame.kind]:
             return
-        self._heard_s[frame.kind] = frame.wall_s
-        for message in self._codec.parse(frame.data):
-            self._hear(message)
+        self._last_used_s[frame.kind] = frame.wall_s
+        for message in self._codec.parse_valid_messages(frame.data):
+            self._append_events_or_store_value(message)
 
-    def _hear(self, message: Any) -> None:
+    def _append_events_or_store_value(self, message: Any) -> None:
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             value = float(message.param_value)
@@ -131,52 +135,52 @@ class _Reader:
             raw = message.flight_sw_version
             self.firmware = f"{raw >> 24 & 255}.{raw >> 16 & 255}.{raw >> 8 & 255}"
             return
-        t_s = self._time(message)
+        t_s = self._advance_clock_and_get_time_s(message)
         if t_s is not None:
-            self.events += translate(message, self.profile, self._values, t_s)
+            self.events += events_from_message(message, self.profile, self._values, t_s)
 
-    def _time(self, message: Any) -> float | None:
-        stamp_s = boot_s(message)
+    def _advance_clock_and_get_time_s(self, message: Any) -> float | None:
+        stamp_s = message_time_since_boot_s(message)
         if stamp_s is None:
             return self.clock.t_s
-        return self.clock.stamp(message.get_type(), stamp_s)
+        return self.clock.update_from_stamp(message.get_type(), stamp_s)
 
 
-def _autopilot(path: Path, frames: list[Frame], codec: MavlinkCodec) -> tuple[int, Any]:
-    """Return the system that beats most among autopilots that we know, and its heartbeat."""
-    beats: Counter[int] = Counter()
+def _find_autopilot(path: Path, frames: list[Frame], codec: MavlinkCodec) -> tuple[int, Any]:
+    """Return the known autopilot's system with most heartbeats, and one of these."""
+    heartbeats: Counter[int] = Counter()
     found: dict[int, Any] = {}
     for frame in frames:
         if frame.kind != HEARTBEAT or frame.component != AUTOPILOT:
             continue
-        beats[frame.system] += 1
+        heartbeats[frame.system] += 1
         if frame.system not in found:
-            for message in codec.parse(frame.data):
+            for message in codec.parse_valid_messages(frame.data):
                 if message.get_type() == "HEARTBEAT" and message.autopilot in PROFILES:
                     found[frame.system] = message
     if not found:
         raise LeewayError(f"{path}: no heartbeat of a PX4 or ArduPilot autopilot in this .tlog")
-    system = max(found, key=lambda s: beats[s])
+    system = max(found, key=lambda s: heartbeats[s])
     return system, found[system]
 
 
-def _frames(raw: bytes, torn: list[int]) -> Iterator[Frame]:
-    """Yield whole frames by their headers; where bytes are no frame, look for the next."""
+def _iterate_frames(raw: bytes, damaged_byte_offsets: list[int]) -> Iterator[Frame]:
+    """Yield whole frames by their headers; at invalid bytes, search for the next frame."""
     at = 0
     while at + STAMP_BYTES + 8 <= len(raw):
-        length = _length(raw, at + STAMP_BYTES)
+        length = _frame_length(raw, at + STAMP_BYTES)
         end = at + STAMP_BYTES + length
-        if not length or end > len(raw) or not _followed(raw, end):
-            torn.append(at)
-            at = _next(raw, at + 1)
+        if not length or end > len(raw) or not _is_frame_next(raw, end):
+            damaged_byte_offsets.append(at)
+            at = _next_frame_start(raw, at + 1)
             continue
-        yield _frame(raw, at, end)
+        yield _parse_frame(raw, at, end)
         at = end
     if at < len(raw):
-        torn.append(at)
+        damaged_byte_offsets.append(at)
 
 
-def _frame(raw: bytes, at: int, end: int) -> Frame:
+def _parse_frame(raw: bytes, at: int, end: int) -> Frame:
     start = at + STAMP_BYTES
     wall_s = int.from_bytes(raw[at:start], "big") / 1e6
     if raw[start] == V2:
@@ -185,8 +189,8 @@ def _frame(raw: bytes, at: int, end: int) -> Frame:
     return Frame(at, wall_s, raw[start + 3], raw[start + 4], raw[start + 5], raw[start:end])
 
 
-def _length(raw: bytes, start: int) -> int:
-    """Length of the frame that begins here; 0 where none does."""
+def _frame_length(raw: bytes, start: int) -> int:
+    """Return the length of the frame that begins here; 0 if none does."""
     if raw[start] == V1:
         return 8 + raw[start + 1]
     if raw[start] == V2:
@@ -194,24 +198,28 @@ def _length(raw: bytes, start: int) -> int:
     return 0
 
 
-def _followed(raw: bytes, end: int) -> bool:
-    """Tell whether a frame that ends here is followed by another, or by the end."""
+def _is_frame_next(raw: bytes, end: int) -> bool:
+    """Return True if a frame that ends here is followed by another, or by the end."""
     return end + STAMP_BYTES >= len(raw) or raw[end + STAMP_BYTES] in (V1, V2)
 
 
-def _plausible(raw: bytes, at: int) -> bool:
-    length = _length(raw, at + STAMP_BYTES) if at + STAMP_BYTES + 3 <= len(raw) else 0
-    return length > 0 and _followed(raw, at + STAMP_BYTES + length)
+def _is_whole_frame_at(raw: bytes, stamp_offset: int) -> bool:
+    length = (
+        _frame_length(raw, stamp_offset + STAMP_BYTES)
+        if stamp_offset + STAMP_BYTES + 3 <= len(raw)
+        else 0
+    )
+    return length > 0 and _is_frame_next(raw, stamp_offset + STAMP_BYTES + length)
 
 
-def _next(raw: bytes, at: int) -> int:
-    """Return where the next frame's stamp stands, or the end."""
+def _next_frame_start(raw: bytes, at: int) -> int:
+    """Return the position of the next frame's stamp, or the end."""
     while at + STAMP_BYTES + 8 <= len(raw):
-        if raw[at + STAMP_BYTES] in (V1, V2) and _plausible(raw, at):
+        if raw[at + STAMP_BYTES] in (V1, V2) and _is_whole_frame_at(raw, at):
             return at
         at += 1
     return len(raw)
 
 
-def _byte(at: int) -> str:
+def _byte_text(at: int) -> str:
     return f"byte {at}"

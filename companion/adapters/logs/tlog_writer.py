@@ -1,22 +1,22 @@
-"""Write the MAVLink stream, both ways, as a .tlog: microseconds since 1970 (big-endian), frame.
+"""Write the MAVLink stream, both directions, as .tlog: microseconds since 1970 (big-endian), frame.
 
-MAVExplorer, MAVProxy and QGroundControl open it. `tlog_log` reads it back; what flies writes only.
+MAVExplorer, MAVProxy and QGroundControl open it. `tlog_log` reads it; the flight only writes.
 """
 
 import struct
 from pathlib import Path
 
-from companion.adapters.clock import epoch_us
+from companion.adapters.clock import unix_time_us
 
 FLUSH_BYTES = 16 * 1024
 
 
-class Tlog:
-    """Appends frames; stamps run on the autopilot's clock from the run's start."""
+class TlogFile:
+    """Appends frames, stamped with the autopilot's clock offset to the run's start."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("ab", buffering=1 << 16)
-        self._start_us = epoch_us()
+        self._start_us = unix_time_us()
         self._start_s: float | None = None
         self._unflushed = 0
 
@@ -31,7 +31,7 @@ class Tlog:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what was written to the system: a killed process then loses nothing of it."""
+        """Pass written bytes to the operating system: a killed process then loses none of them."""
         self._unflushed = 0
         self._file.flush()
 

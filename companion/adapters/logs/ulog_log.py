@@ -1,4 +1,4 @@
-"""Read a PX4 ULog (.ulg) by pyulog: topics become the events that PX4's telemetry gives."""
+"""Read a PX4 ULog (.ulg) with pyulog: topics become the events of PX4's telemetry."""
 
 import contextlib
 import io
@@ -12,11 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.adapters.autopilots.telemetry import vehicle_kind
-from companion.adapters.logs.log_time import LEAP_S, rising_rows, running_time, stray_stamps
-from companion.adapters.logs.ulog_filter import wanted_part
+from companion.adapters.logs.log_time import (
+    GAP_S,
+    longest_non_decreasing_row_indices,
+    make_time_monotonic,
+    stamp_outlier_issue,
+)
+from companion.adapters.logs.ulog_filter import extract_topics_at_min_interval
+from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import moved_deg
+from companion.core.base.geo import offset_position_deg
 from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import (
     Airspeed,
@@ -26,18 +32,17 @@ from companion.core.mission.events import (
     Battery,
     Event,
     GnssFix,
-    Ground,
     GroundState,
     Home,
     MissionProgress,
     Mode,
     Position,
+    VehicleLandedState,
     VehicleState,
 )
-from companion.core.replay.recorded_flight import LogFinding, RecordedFlight
 from companion.core.vehicle.airframe import MULTIROTOR
 
-Rows = dict[str, NDArray[Any]]
+TopicRows = dict[str, NDArray[Any]]
 
 TOPICS = (
     "vehicle_attitude",
@@ -53,10 +58,10 @@ TOPICS = (
     "wind",
     "wind_estimate",
 )
-SELDOM = ("home_position", "mission_result")
-"""Logged as last published, which may be long before the log's start."""
+INFREQUENT_TOPICS = ("home_position", "mission_result")
+"""Logged as last published, possibly long before the log's start."""
 
-LEAST_STEP_S = {
+MIN_INTERVAL_S = {
     "vehicle_attitude": 0.045,
     "vehicle_local_position": 0.09,
     "vehicle_global_position": 0.09,
@@ -66,7 +71,7 @@ LEAST_STEP_S = {
     "wind": 0.4,
     "wind_estimate": 0.4,
 }
-"""Least time between two of a kind: about what we ask for in flight."""
+"""Minimum interval between messages of a topic: about the stream rates requested in flight."""
 
 MODES = {
     3: (Mode.MISSION, "AUTO.MISSION"),
@@ -76,11 +81,11 @@ MODES = {
     17: (Mode.TAKEOFF, "AUTO.TAKEOFF"),
     18: (Mode.LAND, "AUTO.LAND"),
 }
-"""vehicle_status.nav_state."""
+"""Mode by vehicle_status.nav_state."""
 
 ARMED = 2
 SENSORS = (1, 2, 3)
-"""airspeed_validated: 0 is ground speed less wind, 4 is synthetic, -1 switched off: no sensor."""
+"""airspeed_validated from a sensor: 0 is ground speed less wind, 4 synthetic, -1 disabled."""
 
 AIRFRAMES = {
     0: MULTIROTOR,
@@ -91,36 +96,36 @@ AIRFRAMES = {
     5: "rover",
     6: "rover",
 }
-"""CA_AIRFRAME, where MAV_TYPE is not in the log."""
+"""Vehicle by CA_AIRFRAME, used if MAV_TYPE is not in the log."""
 
 
-DATA = struct.Struct("<HBHQ")
-"""A data message: size, kind, subscription, and the time stamp that every topic begins with."""
+DATA_HEADER = struct.Struct("<HBHQ")
+"""A data message: size, kind, subscription, and the time stamp that begins every topic."""
 
-MOST_STRAY_FRAC, MOST_STRAY = 0.05, 3.0
-"""Of a topic's stamps; where more are out of order, its clock was set back."""
+MAX_OUTLIER_FRAC, MAX_OUTLIERS = 0.05, 3.0
+"""Limits for outliers in a topic's stamps; if more are out of order, its clock stepped back."""
 
-TAIL_BYTES, LOST_S, DAY_S = 4096, 2.0, 86_400.0
-ROUNDS = 8
+TAIL_BYTES, MIN_LOST_TAIL_S, DAY_S = 4096, 2.0, 86_400.0
+MAX_READS_PER_BYTE = 8
 
 
 def read_ulog(path: Path) -> RecordedFlight:
-    """Read a .ulg; LeewayError where it is none, or pyulog is not installed."""
-    log, findings = _opened(path)
-    topics = _topics(log, path, findings)
+    """Read a .ulg; LeewayError for another format, or if pyulog is not installed."""
+    log, findings = _read_ulog_and_issues(path)
+    topics = _rows_by_topic(log, path, findings)
     values: dict[str, Any] = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         values[name] = value
     vehicle = vehicle_kind(values.get("MAV_TYPE", -1)) or AIRFRAMES.get(
         values.get("CA_AIRFRAME", -1)
     )
-    takers = dict(_TAKERS)
+    converters = dict(_CONVERTERS)
     if values.get("EKF2_DRAG_CTRL") or vehicle not in (MULTIROTOR, None):
-        takers |= {"wind": _winds, "wind_estimate": _winds}
-    events = _first(topics, "vehicle_attitude", _attitudes, findings)
-    events += _taken("position", lambda: _positions(topics, findings), findings)
-    for name, take in takers.items():
-        events += _first(topics, name, take, findings)
+        converters |= {"wind": _wind_events, "wind_estimate": _wind_events}
+    events = _events_of_topic(topics, "vehicle_attitude", _attitude_events, findings)
+    events += _convert_or_report("position", lambda: _position_events(topics, findings), findings)
+    for name, convert in converters.items():
+        events += _events_of_topic(topics, name, convert, findings)
     events.sort(key=lambda event: event.t_s)
     if not events:
         raise LeewayError(f"{path}: none of {', '.join(TOPICS[:5])} in this ULog")
@@ -130,88 +135,94 @@ def read_ulog(path: Path) -> RecordedFlight:
         findings=tuple(findings),
         autopilot_kind=AutopilotKind.PX4,
         vehicle=vehicle,
-        firmware=_firmware(log),
+        firmware=_firmware_version(log),
     )
 
 
-def _first(
-    topics: dict[str, list[Rows]],
+def _events_of_topic(
+    topics: dict[str, list[TopicRows]],
     name: str,
-    take: Callable[[Rows], list[Event]],
-    findings: list[LogFinding],
+    convert: Callable[[TopicRows], list[Event]],
+    findings: list[LogIssue],
 ) -> list[Event]:
-    """What a topic's first instance tells; of batteries, what each does."""
+    """Return the events of a topic's first instance; for batteries, of each instance."""
     used = topics.get(name, [])[: None if name == "battery_status" else 1]
-    return [e for rows in used for e in _taken(name, lambda rows=rows: take(rows), findings)]
+    return [
+        e
+        for rows in used
+        for e in _convert_or_report(name, lambda rows=rows: convert(rows), findings)
+    ]
 
 
-def _taken(name: str, take: Callable[[], list[Event]], findings: list[LogFinding]) -> list[Event]:
-    """What a topic tells: nothing where its definition is damaged, so that it lacks a field."""
+def _convert_or_report(
+    name: str, convert: Callable[[], list[Event]], findings: list[LogIssue]
+) -> list[Event]:
+    """Return a topic's events; none if its damaged definition lacks a field."""
     try:
-        return take()
+        return convert()
     except KeyError as missing:
-        findings.append(LogFinding("log", f"{name}: no field {missing}", "left out"))
+        findings.append(LogIssue("log", f"{name}: no field {missing}", "discarded"))
         return []
 
 
-class _Bounded(io.BytesIO):
-    """Bytes that end a reader which goes round in circles, as pyulog does on some damage."""
+class _BoundedReader(io.BytesIO):
+    """Bytes that stop a reader in an endless loop, which pyulog enters on some damaged files."""
 
     def __init__(self, raw: bytes) -> None:
         super().__init__(raw)
-        self._left = ROUNDS * (len(raw) + 4096)
+        self._left = MAX_READS_PER_BYTE * (len(raw) + 4096)
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read, unless as much as several files were read already."""
+        """Read, unless several times the file's size was read already."""
         self._left -= 1 + (size or 0)
         if self._left < 0:
-            raise RuntimeError("its definitions are damaged")
+            raise RuntimeError("damaged definitions")
         return super().read(size)
 
 
-def _opened(path: Path) -> tuple[Any, list[LogFinding]]:
+def _read_ulog_and_issues(path: Path) -> tuple[Any, list[LogIssue]]:
     try:
         from pyulog import ULog
     except ImportError as error:
         raise LeewayError(
             f"{path}: reading ULog needs pyulog: pip install 'leeway-uas[replay]'"
         ) from error
-    said = io.StringIO()
+    captured_output = io.StringIO()
     try:
-        steps_s = {name: LEAST_STEP_S.get(name, 0.0) for name in TOPICS}
-        wanted = wanted_part(path.read_bytes(), steps_s)
-        with contextlib.redirect_stdout(said), _Bounded(wanted) as file:
+        steps_s = {name: MIN_INTERVAL_S.get(name, 0.0) for name in TOPICS}
+        filtered = extract_topics_at_min_interval(path.read_bytes(), steps_s)
+        with contextlib.redirect_stdout(captured_output), _BoundedReader(filtered) as file:
             log = ULog(file, list(TOPICS))
     except Exception as error:
         raise LeewayError(f"{path}: pyulog cannot read this file: {error!r}") from error
-    findings: list[LogFinding] = []
-    for line in dict.fromkeys(said.getvalue().splitlines()):
-        findings.append(LogFinding("file", line.strip(), "whole messages are used"))
+    findings: list[LogIssue] = []
+    for line in dict.fromkeys(captured_output.getvalue().splitlines()):
+        findings.append(LogIssue("file", line.strip(), "whole messages are used"))
     if log.file_corruption and not findings:
-        findings.append(LogFinding("file", "damaged bytes", "whole messages are used"))
-    end_s, tail_s = log.last_timestamp / 1e6, _tail_s(path, log.start_timestamp / 1e6)
-    if tail_s is not None and tail_s > end_s + LOST_S:
-        what = f"damaged from here on; the file goes on for {tail_s - end_s:.1f} s"
-        findings.append(LogFinding.at(end_s, what, "what came before is used"))
+        findings.append(LogIssue("file", "damaged bytes", "whole messages are used"))
+    end_s, tail_s = log.last_timestamp / 1e6, _last_message_time_s(path, log.start_timestamp / 1e6)
+    if tail_s is not None and tail_s > end_s + MIN_LOST_TAIL_S:
+        description = f"damaged after this; the file continues for {tail_s - end_s:.1f} s"
+        findings.append(LogIssue.at_time(end_s, description, "data before this are used"))
     if log.dropouts:
         lost_s = sum(drop.duration for drop in log.dropouts) / 1000.0
         first_s = log.dropouts[0].timestamp / 1e6
-        what = f"{len(log.dropouts)} dropouts, {lost_s:.1f} s in all"
-        findings.append(LogFinding.at(first_s, what, "what was believed ages meanwhile"))
+        description = f"{len(log.dropouts)} dropouts, {lost_s:.1f} s in total"
+        findings.append(LogIssue.at_time(first_s, description, "estimates age during the gap"))
     return log, findings
 
 
-def _tail_s(path: Path, start_s: float) -> float | None:
-    """Time of the last data messages in the file, by their headers; `None` where none is whole.
+def _last_message_time_s(path: Path, start_s: float) -> float | None:
+    """Return the time of the last data messages by their headers; `None` if none is whole.
 
-    pyulog ends without a word at a header whose size was damaged.
+    pyulog ends without an error at a header with a damaged size.
     """
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - TAIL_BYTES))
         raw = file.read()
     times: list[float] = []
-    for at in range(len(raw) - DATA.size):
-        size, kind, number, stamp_us = DATA.unpack_from(raw, at)
+    for at in range(len(raw) - DATA_HEADER.size):
+        size, kind, number, stamp_us = DATA_HEADER.unpack_from(raw, at)
         t_s = stamp_us / 1e6
         if (
             kind == ord("D")
@@ -224,39 +235,41 @@ def _tail_s(path: Path, start_s: float) -> float | None:
     return middle if len(times) >= 3 else None
 
 
-def _topics(log: Any, path: Path, findings: list[LogFinding]) -> dict[str, list[Rows]]:
-    """Return the rows of each topic, one entry an instance, with times in seconds that rise."""
-    found: dict[str, list[Rows]] = {}
+def _rows_by_topic(log: Any, path: Path, findings: list[LogIssue]) -> dict[str, list[TopicRows]]:
+    """Return the rows of each topic, one entry per instance, with increasing times in seconds."""
+    found: dict[str, list[TopicRows]] = {}
     stamped: list[tuple[Any, Floats, NDArray[np.intp]]] = []
     for data in log.data_list:
         if "timestamp" in data.data:
-            stamped.append((data, *_in_order(data, findings)))
+            stamped.append((data, *_ordered_times_and_rows(data, findings)))
         else:
-            findings.append(LogFinding("log", f"{data.name}: no field 'timestamp'", "left out"))
+            findings.append(LogIssue("log", f"{data.name}: no field 'timestamp'", "discarded"))
     start_s = log.start_timestamp / 1e6 - 1.0
-    end_s = _end_s([t_s[rows] for _, t_s, rows in stamped])
+    end_s = _log_end_s([t_s[rows] for _, t_s, rows in stamped])
     for data, t_s, rows in stamped:
-        least_s = LEAST_STEP_S.get(data.name, 0.0)
-        sound = rows[(t_s[rows] >= start_s) & (t_s[rows] <= end_s)]
+        least_s = MIN_INTERVAL_S.get(data.name, 0.0)
+        valid_rows = rows[(t_s[rows] >= start_s) & (t_s[rows] <= end_s)]
         reported = np.isfinite(t_s)
-        if data.name in SELDOM:
+        if data.name in INFREQUENT_TOPICS:
             reported[rows[t_s[rows] < start_s]] = False
-        reported[sound] = False
+        reported[valid_rows] = False
         if reported.any():
-            findings.append(_strays(data, path, t_s, sound, np.flatnonzero(reported)))
-        kept = sound[_apart(t_s[sound], least_s)]
-        columns = {name: _numbers(values[kept]) for name, values in data.data.items()}
+            findings.append(
+                _topic_outlier_issue(data, path, t_s, valid_rows, np.flatnonzero(reported))
+            )
+        kept = valid_rows[_row_indices_at_min_step(t_s[valid_rows], least_s)]
+        columns = {name: _as_doubles(values[kept]) for name, values in data.data.items()}
         columns["instance"] = np.full(kept.size, data.multi_id)
         found.setdefault(data.name, []).append(columns | {"t_s": t_s[kept]})
     return found
 
 
-def _in_order(data: Any, findings: list[LogFinding]) -> tuple[Floats, NDArray[np.intp]]:
-    """Times (s) of a topic's rows, and which rows rise; a clock that was set back is laid on."""
+def _ordered_times_and_rows(data: Any, findings: list[LogIssue]) -> tuple[Floats, NDArray[np.intp]]:
+    """Return a topic's times (s) and its increasing rows; a step back is compensated."""
     t_s = data.data["timestamp"].astype(float) / 1e6
-    rows = rising_rows(t_s)
-    if t_s.size - rows.size > max(MOST_STRAY, MOST_STRAY_FRAC * t_s.size):
-        time = running_time(t_s, lambda row: f"{data.name}: row {row}")
+    rows = longest_non_decreasing_row_indices(t_s)
+    if t_s.size - rows.size > max(MAX_OUTLIERS, MAX_OUTLIER_FRAC * t_s.size):
+        time = make_time_monotonic(t_s, lambda row: f"{data.name}: row {row}")
         findings += time.findings
         rows = time.kept
         t_s = np.full(t_s.size, math.nan)
@@ -264,39 +277,39 @@ def _in_order(data: Any, findings: list[LogFinding]) -> tuple[Floats, NDArray[np
     return t_s, rows
 
 
-def _end_s(times: list[Floats]) -> float:
-    """When the log ends; a stamp or so of each topic, alone behind a gap, is no part of it."""
-    merged = np.sort(np.concatenate([*times, [-math.inf]]))
-    for last in np.flatnonzero(np.diff(merged) > LEAP_S)[::-1]:
-        if merged.size - 1 - last > len(times):
+def _log_end_s(times_by_topic_s: list[Floats]) -> float:
+    """Return the log's end; isolated stamps after a gap (about one per topic) are excluded."""
+    merged = np.sort(np.concatenate([*times_by_topic_s, [-math.inf]]))
+    for last in np.flatnonzero(np.diff(merged) > GAP_S)[::-1]:
+        if merged.size - 1 - last > len(times_by_topic_s):
             break
         merged = merged[: last + 1]
     return float(merged[-1])
 
 
-def _strays(
-    data: Any, path: Path, t_s: Floats, sound: NDArray[np.intp], strays: NDArray[np.intp]
-) -> LogFinding:
-    """One finding for a topic's stray stamps. The row is counted in the file, without thinning."""
-    first = int(strays[0])
-    before = sound[sound < first][-1:]
+def _topic_outlier_issue(
+    data: Any, path: Path, t_s: Floats, valid_rows: NDArray[np.intp], outlier_rows: NDArray[np.intp]
+) -> LogIssue:
+    """Return one finding for a topic's outliers. The row is counted in the unfiltered file."""
+    first = int(outlier_rows[0])
+    before = valid_rows[valid_rows < first][-1:]
     raw, row, at = path.read_bytes(), -1, 0
     for near in (*before.tolist(), first):
         stamp_us = int(data.data["timestamp"][near])
-        at = max(raw.find(DATA.pack(0, ord("D"), data.msg_id, stamp_us)[2:], at) - 2, 0)
+        at = max(raw.find(DATA_HEADER.pack(0, ord("D"), data.msg_id, stamp_us)[2:], at) - 2, 0)
         row = raw.count(raw[at : at + 5], 0, at)
-    when_s = float(t_s[before[0] if before.size else sound[0]]) if sound.size else 0.0
-    return stray_stamps(when_s, data.name, row, float(t_s[first]), strays.size)
+    when_s = float(t_s[before[0] if before.size else valid_rows[0]]) if valid_rows.size else 0.0
+    return stamp_outlier_issue(when_s, data.name, row, float(t_s[first]), outlier_rows.size)
 
 
-def _numbers(values: NDArray[Any]) -> NDArray[Any]:
-    """The column with its floats as doubles; damaged bytes make signalling NaN, which is NaN."""
+def _as_doubles(values: NDArray[Any]) -> NDArray[Any]:
+    """Convert floats to doubles; signalling NaN from damaged bytes become NaN."""
     with np.errstate(invalid="ignore"):
         return values.astype(float) if values.dtype.kind == "f" else values
 
 
-def _apart(t_s: Floats, least_step_s: float) -> list[int]:
-    """Of rows in order, those to use: none repeated, and no nearer than `least_step_s`."""
+def _row_indices_at_min_step(t_s: Floats, least_step_s: float) -> list[int]:
+    """Return the rows to use: no repeated time, and `least_step_s` or more between them."""
     kept: list[int] = []
     last_s = -math.inf
     for row, now_s in enumerate(t_s.tolist()):
@@ -306,7 +319,7 @@ def _apart(t_s: Floats, least_step_s: float) -> list[int]:
     return kept
 
 
-def _attitudes(rows: Rows) -> list[Event]:
+def _attitude_events(rows: TopicRows) -> list[Event]:
     w, x, y, z = (rows[f"q[{k}]"].astype(float) for k in range(4))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
@@ -314,40 +327,44 @@ def _attitudes(rows: Rows) -> list[Event]:
     unit = np.abs(w * w + x * x + y * y + z * z - 1.0) < 0.01
     return [
         Attitude(*values)
-        for values, good in zip(_lists(rows["t_s"], roll, pitch, yaw), unit.tolist(), strict=True)
+        for values, good in zip(
+            _rows_of_python_floats(rows["t_s"], roll, pitch, yaw), unit.tolist(), strict=True
+        )
         if good
     ]
 
 
-def _positions(topics: dict[str, list[Rows]], findings: list[LogFinding]) -> list[Event]:
-    """Velocities of the local position with the place of the global one (or the local frame's)."""
+def _position_events(topics: dict[str, list[TopicRows]], findings: list[LogIssue]) -> list[Event]:
+    """Return velocities of the local position with the global position (or the local frame's)."""
     local = topics.get("vehicle_local_position", [])
     if not local:
-        findings.append(LogFinding("log", "no vehicle_local_position", "no velocity, so no wind"))
+        findings.append(LogIssue("log", "no vehicle_local_position", "no velocity, so no wind"))
         return []
     rows = local[0]
-    place = _places(rows, topics.get("vehicle_global_position", []))
-    if place is None:
-        what = "no vehicle_global_position and no reference of the local one"
-        findings.append(LogFinding("log", what, "no position, so no wind"))
+    position = _global_positions(rows, topics.get("vehicle_global_position", []))
+    if position is None:
+        description = "no vehicle_global_position and no reference of the local one"
+        findings.append(LogIssue("log", description, "no position, so no wind"))
         return []
-    lat, lon, alt = place
-    rel = alt - _home_m(topics, alt)
+    lat, lon, alt = position
+    rel = alt - _home_alt_amsl_m(topics, alt)
     good = np.isfinite(lat + lon + alt)
     for name in ("v_xy_valid", "v_z_valid"):
         good &= rows.get(name, np.ones(good.size)) > 0
     velocity = [rows[name].astype(float) for name in ("vx", "vy", "vz")]
     good &= np.isfinite(velocity).all(axis=0)
-    columns = _lists(rows["t_s"], lat, lon, alt, rel, *velocity)
+    columns = _rows_of_python_floats(rows["t_s"], lat, lon, alt, rel, *velocity)
     return [Position(*row) for row, use in zip(columns, good.tolist(), strict=True) if use]
 
 
-def _places(local: Rows, fused: list[Rows]) -> tuple[Floats, Floats, Floats] | None:
-    """Latitude, longitude (degrees) and height AMSL (m) at the local position's times."""
-    if fused and fused[0]["t_s"].size > 1:
-        rows = fused[0]
+def _global_positions(
+    local: TopicRows, global_position_topics: list[TopicRows]
+) -> tuple[Floats, Floats, Floats] | None:
+    """Return latitude, longitude (degrees) and height AMSL (m) at the local position's times."""
+    if global_position_topics and global_position_topics[0]["t_s"].size > 1:
+        rows = global_position_topics[0]
         lat, lon = rows["lat"].astype(float), rows["lon"].astype(float)
-        if np.nanmax(np.abs(lat)) > 90.0:  # before 1.9 they were 1e-7 degrees
+        if np.nanmax(np.abs(lat)) > 90.0:  # before PX4 1.9 the unit was 1e-7 degrees
             lat, lon = 1e-7 * lat, 1e-7 * lon
         t_s = local["t_s"]
         columns = (lat, lon, rows["alt"].astype(float))
@@ -359,12 +376,12 @@ def _places(local: Rows, fused: list[Rows]) -> tuple[Floats, Floats, Floats] | N
     if not known.any():
         return None
     lat_0, lon_0, alt_0 = reference
-    lat, lon = moved_deg(lat_0, lon_0, local["x"].astype(float), local["y"].astype(float))
+    lat, lon = offset_position_deg(lat_0, lon_0, local["x"].astype(float), local["y"].astype(float))
     return np.where(known, lat, np.nan), lon, alt_0 - local["z"]
 
 
-def _home_m(topics: dict[str, list[Rows]], alt_m: Floats) -> float:
-    """Height AMSL of home: as set, else where the log's position begins."""
+def _home_alt_amsl_m(topics: dict[str, list[TopicRows]], alt_m: Floats) -> float:
+    """Return the height AMSL of home: as set, else the first position in the log."""
     for rows in topics.get("home_position", [])[:1]:
         if rows["alt"].size and np.isfinite(rows["alt"][-1]):
             return float(rows["alt"][-1])
@@ -372,10 +389,10 @@ def _home_m(topics: dict[str, list[Rows]], alt_m: Floats) -> float:
     return float(known[0]) if known.size else 0.0
 
 
-def _states(rows: Rows) -> list[Event]:
+def _state_events(rows: TopicRows) -> list[Event]:
     failsafe = rows.get("failsafe", np.zeros(rows["t_s"].size))
     events: list[Event] = []
-    columns = _lists(rows["t_s"], rows["arming_state"], rows["nav_state"], failsafe)
+    columns = _rows_of_python_floats(rows["t_s"], rows["arming_state"], rows["nav_state"], failsafe)
     for t_s, arming, nav, failing in columns:
         mode, name = MODES.get(int(nav), (Mode.OTHER, f"nav_state {int(nav)}"))
         armed = int(arming) == ARMED
@@ -383,27 +400,27 @@ def _states(rows: Rows) -> list[Event]:
     return events
 
 
-def _grounds(rows: Rows) -> list[Event]:
+def _ground_events(rows: TopicRows) -> list[Event]:
     return [
-        GroundState(t_s, Ground.ON_GROUND if landed else Ground.IN_AIR)
-        for t_s, landed in _lists(rows["t_s"], rows["landed"])
+        GroundState(t_s, VehicleLandedState.ON_GROUND if landed else VehicleLandedState.IN_AIR)
+        for t_s, landed in _rows_of_python_floats(rows["t_s"], rows["landed"])
     ]
 
 
-def _fixes(rows: Rows) -> list[Event]:
+def _gnss_events(rows: TopicRows) -> list[Event]:
     used = rows.get("satellites_used", np.full(rows["t_s"].size, 255))
     return [
         GnssFix(t_s, fix >= 3, None if count >= 255 else int(count))
-        for t_s, fix, count in _lists(rows["t_s"], rows["fix_type"], used)
+        for t_s, fix, count in _rows_of_python_floats(rows["t_s"], rows["fix_type"], used)
     ]
 
 
-def _batteries(rows: Rows) -> list[Event]:
-    """0 V, -1 A, -1 mAh, -1 and NaN are unknown; without a current a count of 0 says nothing."""
+def _battery_events(rows: TopicRows) -> list[Event]:
+    """Read batteries: 0 V, -1 A, -1 mAh, -1 and NaN are unknown, as are counts without current."""
     unknown = np.full(rows["t_s"].size, np.nan)
     names = ("instance", "voltage_v", "current_a", "discharged_mah", "remaining", "temperature")
     events: list[Event] = []
-    for t_s, instance, voltage, current, used, remaining, warm in _lists(
+    for t_s, instance, voltage, current, used, remaining, temperature_c in _rows_of_python_floats(
         rows["t_s"], *(rows.get(name, unknown) for name in names)
     ):
         measured = math.isfinite(current) and current >= 0.0
@@ -414,64 +431,72 @@ def _batteries(rows: Rows) -> list[Event]:
                 current_a=current if measured else None,
                 consumed_ah=used / 1000.0 if measured and used >= 0.0 else None,
                 remaining_frac=remaining if 0.0 <= remaining <= 1.0 else None,
-                temperature_c=warm if math.isfinite(warm) and warm != 0.0 else None,
+                temperature_c=temperature_c
+                if math.isfinite(temperature_c) and temperature_c != 0.0
+                else None,
                 pack=int(instance),
             )
         )
     return events
 
 
-def _airspeeds(rows: Rows) -> list[Event]:
+def _airspeed_events(rows: TopicRows) -> list[Event]:
     source = rows.get("airspeed_source", rows.get("selected_airspeed_index"))
     if source is None:
         return []
     return [
         Airspeed(t_s, speed)
-        for t_s, speed, index in _lists(rows["t_s"], rows["true_airspeed_m_s"], source)
+        for t_s, speed, index in _rows_of_python_floats(
+            rows["t_s"], rows["true_airspeed_m_s"], source
+        )
         if int(index) in SENSORS and math.isfinite(speed) and speed >= 0.0
     ]
 
 
-def _winds(rows: Rows) -> list[Event]:
-    """EKF2's own wind, where it moves to; it is estimated while its variance is above 0."""
+def _wind_events(rows: TopicRows) -> list[Event]:
+    """Read EKF2's wind (direction TO); it is valid while its variance is above 0."""
     events: list[Event] = []
     names = ("windspeed_north", "windspeed_east", "variance_north", "variance_east")
-    for t_s, north, east, var_n, var_e in _lists(rows["t_s"], *(rows[name] for name in names)):
+    for t_s, north, east, var_n, var_e in _rows_of_python_floats(
+        rows["t_s"], *(rows[name] for name in names)
+    ):
         if math.isfinite(north + east) and var_n > 0.0 and var_e > 0.0:
             events.append(AutopilotWind(t_s, north, east, math.sqrt(0.5 * (var_n + var_e))))
     return events
 
 
-def _homes(rows: Rows) -> list[Event]:
-    columns = _lists(rows["t_s"], rows["lat"], rows["lon"], rows["alt"])
+def _home_events(rows: TopicRows) -> list[Event]:
+    columns = _rows_of_python_floats(rows["t_s"], rows["lat"], rows["lon"], rows["alt"])
     return [Home(*row) for row in columns if all(map(math.isfinite, row))]
 
 
-def _progress(rows: Rows) -> list[Event]:
+def _progress_events(rows: TopicRows) -> list[Event]:
     return [
         MissionProgress(t_s, int(index), int(total))
-        for t_s, index, total in _lists(rows["t_s"], rows["seq_current"], rows["seq_total"])
+        for t_s, index, total in _rows_of_python_floats(
+            rows["t_s"], rows["seq_current"], rows["seq_total"]
+        )
         if total > 0
     ]
 
 
-_TAKERS: dict[str, Callable[[Rows], list[Event]]] = {
-    "vehicle_status": _states,
-    "vehicle_land_detected": _grounds,
-    "vehicle_gps_position": _fixes,
-    "battery_status": _batteries,
-    "airspeed_validated": _airspeeds,
-    "home_position": _homes,
-    "mission_result": _progress,
+_CONVERTERS: dict[str, Callable[[TopicRows], list[Event]]] = {
+    "vehicle_status": _state_events,
+    "vehicle_land_detected": _ground_events,
+    "vehicle_gps_position": _gnss_events,
+    "battery_status": _battery_events,
+    "airspeed_validated": _airspeed_events,
+    "home_position": _home_events,
+    "mission_result": _progress_events,
 }
 
 
-def _lists(*columns: NDArray[Any]) -> list[tuple[float, ...]]:
-    """Rows of plain floats."""
+def _rows_of_python_floats(*columns: NDArray[Any]) -> list[tuple[float, ...]]:
+    """Return rows of plain floats."""
     return list(zip(*(column.astype(float).tolist() for column in columns), strict=True))
 
 
-def _firmware(log: Any) -> str | None:
+def _firmware_version(log: Any) -> str | None:
     raw = log.msg_info_dict.get("ver_sw_release")
     if isinstance(raw, int):
         return f"{raw >> 24 & 255}.{raw >> 16 & 255}.{raw >> 8 & 255}"

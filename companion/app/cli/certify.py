@@ -1,4 +1,4 @@
-"""The command line of `companion certify`. What it does is imported when it runs."""
+"""Command line of `companion certify`. The implementation is imported when it runs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,49 +7,51 @@ import typer
 
 app = typer.Typer()
 
-EPILOG = """Exit codes: 0 written; 2 a day or an option cannot be used, and nothing is written. Logs
-that cannot be used, end in the air, or are of a day that the airframe was fitted to are left out by
-name."""
+EPILOG = """Exit codes: 0 certificate written; 2 a day or option is invalid and nothing is written.
+Logs are excluded, with a message, if they are unreadable, end in flight, or were recorded on a day
+that the airframe was fitted to."""
 
 
 @app.command(name="certify", epilog=EPILOG)
 def certify_command(
     logs: Annotated[
         list[Path],
-        typer.Argument(help="Flight logs of three days or more: .ulg, .bin, .tlog, .mcap or CSV."),
+        typer.Argument(help="Flight logs of at least three days: .ulg, .bin, .tlog, .mcap or CSV."),
     ],
     airframe: Annotated[
-        Path, typer.Option(help="The airframe file (.toml); the certificate is written beside it.")
+        Path, typer.Option(help="Airframe file (.toml); the certificate goes to its folder.")
     ],
     payload_kg: Annotated[
         str,
         typer.Option(
-            help="Parcel aboard in each log, in their order: 0,0.8,0.4. Default: by parameters.csv"
-            " beside the log, else 0."
+            help="Payload mass of each log in kg, in order, for example 0,0.8,0.4. Default: from"
+            " parameters.csv in the log's folder, else 0."
         ),
     ] = "",
     dates: Annotated[
         str,
         typer.Option(
-            help="Day of each log, in their order: 2026-05-01,2026-05-01,2026-05-02. Default: by"
-            " parameters.csv beside the log."
+            help="Date of each log, in order: 2026-05-01,2026-05-01,2026-05-02. Default: from"
+            " parameters.csv in the log's folder."
         ),
     ] = "",
     temperature_c: Annotated[
         float | None,
         typer.Option(
-            help="Of the air, where no table states it. Absent: density as at 20 C, and the"
-            " certificate names no temperature."
+            help="Air temperature in °C if no table states it. Default: air density at 20 °C, and"
+            " the certificate states no temperature."
         ),
     ] = None,
     max_loss: Annotated[
-        float, typer.Option(help="The loss that you would accept: what it would need is said.")
+        float, typer.Option(help="Accepted loss per mission; the evidence it needs is printed.")
     ] = 0.01,
 ) -> None:
-    """Say what days of flights support of an airframe's draw, and write its certificate.
+    """Write an airframe's certificate: the bound on its power draw that its flight logs support.
 
     Example: companion certify logs/*.csv.gz --airframe my_airframe.toml
     """
-    from companion.app.tools.certify import CertifyOptions, run_certify
+    from companion.app.tools.certify import CertifyOptions, evaluate_logs_and_write_certificate
 
-    run_certify(CertifyOptions(tuple(logs), airframe, payload_kg, dates, temperature_c, max_loss))
+    evaluate_logs_and_write_certificate(
+        CertifyOptions(tuple(logs), airframe, payload_kg, dates, temperature_c, max_loss)
+    )

@@ -1,65 +1,72 @@
-"""`companion check` as its user reads it: what is missing, what to set, what is well."""
+"""Text report of `companion check`: missing conditions, settings to change, passed checks."""
 
-from companion.core.base.geo import horizontal_m
-from companion.core.mission.preflight_checks import Finding
+from companion.core.base.geo import horizontal_distance_m
+from companion.core.mission.preflight_checks import PreflightIssue
 from companion.core.pilot.pilot import Pilot
 
 
-def report(pilot: Pilot) -> tuple[list[str], bool]:
-    """The lines of the finished check, worst first, and whether the vehicle is ready."""
-    preflight = pilot.preflight()
-    if preflight.gave_up:
-        return [f"MISSING  {preflight.gave_up}", "NOT READY"], False
+def check_report_lines_and_is_ready(pilot: Pilot) -> tuple[list[str], bool]:
+    """Return the report lines, most severe first, and whether the vehicle is ready."""
+    preflight = pilot.preflight_report()
+    if preflight.abort_reason:
+        return [f"MISSING  {preflight.abort_reason}", "NOT READY"], False
     findings = preflight.findings
-    lines = [f"{_word(finding)}  {finding.words}" for finding in sorted(findings, key=_rank)]
+    lines = [
+        f"{_issue_label(issue)}  {issue.words}" for issue in sorted(findings, key=_severity_rank)
+    ]
     met = preflight.settings_met
     if met > 0:
-        lines.append(f"ok       {met} settings of the autopilot are as the promise needs them")
+        lines.append(f"ok       {met} autopilot parameters are as required")
     lines += [
-        f"note     an earlier flight changed {name}: the vehicle's own is {value:g}, put back by"
+        f"note     an earlier flight changed {name}: original value {value:g}, restore with"
         " `companion restore`"
-        for name, value in sorted(preflight.settings_left.items())
+        for name, value in sorted(preflight.unrestored_settings.items())
     ]
-    lines += [f"DOUBT    {words}" for words in pilot.doubts.words]
-    lines += _certificate(pilot)
-    lines += _battery(pilot) + _air(pilot) + _route(pilot) + _home(pilot)
-    blocked = any(finding.blocks for finding in findings)
-    if any(finding.blocks and finding.name[0].isupper() for finding in findings):
-        lines.append("set them yourself, or fly with --configure: it sets them for the flight only")
+    lines += [f"DOUBT    {words}" for words in pilot.monitor_corrections.prefixed_findings]
+    lines += _certificate_and_envelope_exit_lines(pilot)
+    lines += (
+        _battery_lines(pilot)
+        + _air_lines(pilot)
+        + _route_lines(pilot)
+        + _truck_stop_and_rtl_lines(pilot)
+    )
+    blocked = any(issue.blocks for issue in findings)
+    if any(issue.blocks and issue.name[0].isupper() for issue in findings):
+        lines.append("set the MISSING parameters, or fly with --configure (for that flight only)")
     lines.append("NOT READY" if blocked else "READY")
     return lines, not blocked
 
 
-def why_not_checked(pilot: Pilot) -> str:
-    """Why a check has ended before its first finding."""
-    state = pilot.telemetry.state
+def reason_no_check_ran(pilot: Pilot) -> str:
+    """Return the reason that no check ran."""
+    state = pilot.context.telemetry.state
     mode = "" if state is None else f" in {state.mode_name}"
-    if pilot.telemetry.armed:
-        return f"the vehicle is armed{mode}: it is checked disarmed, on the ground"
-    return f"somebody else has the vehicle{mode}: nothing was checked"
+    if pilot.context.telemetry.armed:
+        return f"the vehicle is armed{mode}: disarm it on the ground, then check again"
+    return f"another controller has the vehicle{mode}: end its control, then check again"
 
 
-def _word(finding: Finding) -> str:
-    return "WAITING" if finding.waits else "MISSING" if finding.blocks else "off    "
+def _issue_label(issue: PreflightIssue) -> str:
+    return "WAITING" if issue.waits else "MISSING" if issue.blocks else "WARNING"
 
 
-def _rank(finding: Finding) -> int:
-    return ("MISSING", "WAITING", "off    ").index(_word(finding))
+def _severity_rank(issue: PreflightIssue) -> int:
+    return ("MISSING", "WAITING", "WARNING").index(_issue_label(issue))
 
 
-def _certificate(pilot: Pilot) -> list[str]:
-    """What recorded days support of the draw, and where this flight is not among them."""
+def _certificate_and_envelope_exit_lines(pilot: Pilot) -> list[str]:
+    """Return the certificate's statement and where this flight is outside its envelope."""
     certificate = pilot.certificate
     if certificate is None:
         return []
-    lines = [f"ok       certificate: {certificate.statement}"]
-    if words := certificate.support_of(pilot.estimates.limits.max_loss):
+    lines = [f"ok       certificate: {certificate.summary_text}"]
+    if words := certificate.missing_support_text(pilot.context.estimates.limits.max_loss):
         lines.append(f"note     certificate: {words}")
-    return lines + [f"DOUBT    {words}" for words in pilot.estimates.outside_envelope]
+    return lines + [f"DOUBT    {words}" for words in pilot.context.estimates.envelope_exit_texts]
 
 
-def _battery(pilot: Pilot) -> list[str]:
-    energy = pilot.estimates.energy
+def _battery_lines(pilot: Pilot) -> list[str]:
+    energy = pilot.context.estimates.energy
     if energy is None:
         return []
     return [
@@ -68,37 +75,38 @@ def _battery(pilot: Pilot) -> list[str]:
     ]
 
 
-def _air(pilot: Pilot) -> list[str]:
-    air = pilot.estimates.air
+def _air_lines(pilot: Pilot) -> list[str]:
+    air = pilot.context.estimates.air
     return [] if air is None else [f"ok       {air}"]
 
 
-def _route(pilot: Pilot) -> list[str]:
+def _route_lines(pilot: Pilot) -> list[str]:
     if pilot.flight_plan is None:
         return []
-    plan, energy = pilot.flight_plan.plan, pilot.estimates.energy
+    plan, energy = pilot.flight_plan.plan, pilot.context.estimates.energy
     line = (
         f"ok       route: {len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
-        f" {plan.energy_wh:.0f} Wh in calm air as believed"
+        f" {plan.energy_wh:.0f} Wh estimated for calm air"
     )
-    if pilot.preflight().plan_refused or energy is None:
+    if pilot.preflight_report().plan_refused or energy is None:
         return [line.replace("ok ", "   ", 1)]
-    reserve_wh = pilot.estimates.limits.reserve_frac * energy.usable_full_wh
+    reserve_wh = pilot.context.estimates.limits.reserve_frac * energy.usable_full_wh
     spare_wh = energy.mean_wh - reserve_wh - plan.energy_wh
     return [f"{line}: {spare_wh:.0f} Wh to spare above the reserve of {reserve_wh:.0f} Wh"]
 
 
-def _home(pilot: Pilot) -> list[str]:
-    """Where a flight to a promised stop ends, and what is no promise."""
-    if pilot.flight_plan is None or pilot.flight_plan.plan.home is None:
+def _truck_stop_and_rtl_lines(pilot: Pilot) -> list[str]:
+    """Return the landing site of a flight to a truck stop, and notes on RTL."""
+    flown = pilot.flight_plan
+    if flown is None or flown.plan.home is None:
         return []
-    plan = pilot.flight_plan.plan
-    away_m = horizontal_m(plan.landing_ned_m, plan.depot_ned_m)
+    plan = flown.plan
+    distance_m = horizontal_distance_m(plan.return_route_end_ground_ned_m, plan.depot_ned_m)
     others = ", ".join(stop.name for stop in plan.stops) or "none"
     lines = [
-        f"ok       home: {plan.home}, {away_m:.0f} m from here;"
-        f" other stops aboard, to be promised in flight: {others}"
+        f"ok       home: {plan.home}, {distance_m:.0f} m from here;"
+        f" other stops where it may land if the desk says so in flight: {others}"
     ]
     if plan.away_ned_m:
-        lines.append("note     a failsafe's RTL comes back here, where nobody promises to be")
+        lines.append("note     RTL by a failsafe lands here, without truck: keep this pad clear")
     return lines

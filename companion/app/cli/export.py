@@ -1,4 +1,4 @@
-"""The command line of `companion export`; what it does is imported when it runs."""
+"""Command line of `companion export`. The implementation is imported when it runs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,8 +19,8 @@ def export_command(
         Path,
         typer.Argument(
             metavar="FLIGHT|LOG|RUN",
-            help="A flight/1 TOML file or a name in params/flights: its mission. A log (.ulg, .bin,"
-            " .tlog, .mcap, CSV) or a run folder: the track that was flown.",
+            help="A flight/1 TOML file or a name in params/flights: exports its mission. A log"
+            " (.ulg, .bin, .tlog, .mcap, CSV) or a run folder: exports the flown track.",
         ),
     ],
     file_format: Annotated[
@@ -28,14 +28,14 @@ def export_command(
         typer.Option(
             "--format",
             help="plan (QGroundControl, with geofence and rally points), wpl (Mission Planner,"
-            " MAVProxy; fence and rally points in files beside it), kml (Google Earth), gpx,"
-            " geojson (QGIS). A log is kml, gpx or geojson.",
+            " MAVProxy; fence and rally points in separate files), kml (Google Earth), gpx,"
+            " geojson (QGIS). For a log: kml, gpx or geojson.",
         ),
     ] = ExportFormat.PLAN,
     out: Annotated[
-        Path | None, typer.Option(help="The file to write; default: its name, here. -: print it.")
+        Path | None, typer.Option(help="Output file; default: derived from the input. -: stdout.")
     ] = None,
-    autopilot: Annotated[str, typer.Option(help="px4 or ardupilot: whom a .plan is for.")] = "px4",
+    autopilot: Annotated[str, typer.Option(help="Autopilot of a .plan: px4 or ardupilot.")] = "px4",
     airframe: Annotated[
         str | None,
         typer.Option(
@@ -43,30 +43,33 @@ def export_command(
         ),
     ] = None,
     every: Annotated[
-        float, typer.Option(min=0.0, help="Least seconds between two points of a track.")
+        float, typer.Option(min=0.0, help="Minimum time between two track points, s.")
     ] = 1.0,
     params: Annotated[
         Path | None, typer.Option(help="Params folder; default: the repository's or the package's.")
     ] = None,
 ) -> None:
-    """Write a mission or a flown track as a file that other tools open.
+    """Export a mission or a flown track for other tools.
 
-    A mission is the one that the companion would plan on the ground and put aboard, with a full
-    pack and no wind known. In flight it may be planned anew: a run folder's mission.plan is the one
-    that was aboard.
+    A flight file gives the mission that the companion would upload before take-off with a full
+    pack and unknown wind. A flight may replan it: mission.plan of a run folder is the mission that
+    was uploaded.
     """
-    from companion.app.tools.export import ExportRequest, export
+    from companion.app.tools.export import ExportRequest, export_mission_or_track
 
-    asked = ExportRequest(what, file_format, autopilot, airframe, every, params)
-    made = export(asked)
+    request = ExportRequest(what, file_format, autopilot, airframe, every, params)
+    exported = export_mission_or_track(request)
     if out == Path("-"):
-        typer.echo(made.text, nl=False)
+        typer.echo(exported.text, nl=False)
         return
-    from companion.adapters.files.atomic_file import write_text_whole
+    from companion.adapters.files.atomic_file import write_text_atomically
 
-    path = out or made.path
-    texts = {path: made.text}
-    texts |= {path.with_name(path.stem + ending): text for ending, text in made.beside.items()}
-    for written, text in texts.items():
-        write_text_whole(written, text, settle=False)
-        typer.echo(f"wrote {written}")
+    path = out or exported.path
+    texts = {path: exported.text}
+    texts |= {
+        path.with_name(path.stem + ending): text
+        for ending, text in exported.companion_files.items()
+    }
+    for output_path, text in texts.items():
+        write_text_atomically(output_path, text, sync_folder=False)
+        typer.echo(f"wrote {output_path}")

@@ -1,5 +1,6 @@
-"""What `companion run` and `companion check` do; imported when they run, not for `--help`."""
+"""Implementation of `companion run`, `check` and `restore`; not imported for `--help`."""
 
+import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,23 +9,20 @@ import typer
 
 from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.link import open_link
-from companion.adapters.files.params import flight_path, read_flight
+from companion.adapters.files.params import flight_file_path, read_flight
 from companion.adapters.files.signing_files import read_signing_key
-from companion.app.cli.check_report import report, why_not_checked
+from companion.app.cli.check_report import check_report_lines_and_is_ready, reason_no_check_ran
 from companion.app.flight.loaded_flight import RunOptions
-from companion.app.flight.run import DONE, GROUNDED, NO_LINK, NOT_TO_BE_CHECKED, run
-from companion.core.mission.actions import Action, Decision, Note, PhaseChanged, Say
+from companion.app.flight.run import DONE, GROUNDED, NO_LINK, UNCHECKABLE_PHASES, fly_mission
+from companion.core.mission.actions import Action, AlertReport, Decision, LogNote, PhaseChanged
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.fleet.network import OPEN_MARK
 
-SHOWN_NOTES = ("pre-flight", "not granted", "setting ", "settings ")
-"""How the notes begin that `run` prints: what is missing, refused, or changed on the vehicle."""
-
 
 @dataclass(frozen=True, slots=True)
 class CommandLine:
-    """The options that `run` and `check` share: which vehicle, which flight, which folders."""
+    """Options that `run` and `check` share: vehicle, flight, folders."""
 
     link: str
     mission: Path | None
@@ -36,9 +34,11 @@ class CommandLine:
     system: int | None
     silence_limit_s: float
 
-    def options(self, pilot: PilotOptions, *, policy: str | None = None) -> RunOptions:
-        """The run's options; the airframe comes from the flight file where none is named."""
-        mission = None if self.mission is None else flight_path(self.mission, self.params)
+    def to_run_options(
+        self, pilot_options: PilotOptions, *, policy: str | None = None
+    ) -> RunOptions:
+        """Return the run's options. The default airframe is that of the flight file."""
+        mission = None if self.mission is None else flight_file_path(self.mission, self.params)
         airframe = self.airframe
         if airframe is None and mission is not None:
             airframe = read_flight(mission).vehicle.airframe
@@ -53,36 +53,42 @@ class CommandLine:
             system_id=self.system,
             silence_limit_s=self.silence_limit_s,
             policy=policy,
-            pilot=pilot,
+            pilot=pilot_options,
         )
 
 
-def fly(options: RunOptions) -> int:
-    """Fly the mission; the exit code."""
-    code, _ = run(options, on_action=show_action)
+def fly_and_return_exit_code(options: RunOptions) -> int:
+    """Fly the mission. Returns the exit code."""
+    code, pilot = fly_mission(options, on_action=print_action)
     if code == NO_LINK:
-        typer.echo(nobody_there(options.link))
+        typer.echo(no_autopilot_message(options.link))
+    if pilot.settings.original_values_to_restore:
+        words = ["companion", "restore", "--link", options.link]
+        words += ["--vehicle-settings", str(options.settings_folder)]
+        words += [] if options.signing_key is None else ["--signing-key", str(options.signing_key)]
+        words += [] if options.system_id is None else ["--system", str(options.system_id)]
+        typer.echo(f"settings NOT restored: disarm, then run `{shlex.join(words)}`")
     return code
 
 
-HINTS = {
-    "udpin": "it has to send there by itself: PX4's onboard link to 14540, MAVProxy --out",
-    "udpout": "it has to listen there, and answers who speaks first",
-    "tcp": "it has to listen there: ArduPilot's SITL at tcp:127.0.0.1:5760",
-    "serial": "baud rate, TX and RX, and its port's protocol: ArduPilot SERIALn_PROTOCOL 2, PX4"
+CONNECTION_HINTS = {
+    "udpin": "the autopilot must send to this port: PX4's onboard link to 14540, MAVProxy --out",
+    "udpout": "the autopilot must listen there and reply to the sender",
+    "tcp": "the autopilot must listen there: ArduPilot's SITL at tcp:127.0.0.1:5760",
+    "serial": "check baud rate, TX/RX and the port's protocol: ArduPilot SERIALn_PROTOCOL 2, PX4"
     " MAV_n_CONFIG",
 }
 
 
-def nobody_there(link: str) -> str:
-    """What to say, and what to look at, where no autopilot is heard on a link."""
-    hint = HINTS.get(link.partition(":")[0])
+def no_autopilot_message(link: str) -> str:
+    """Return the message for a link without an autopilot, with a hint."""
+    hint = CONNECTION_HINTS.get(link.partition(":")[0])
     return f"no answer from an autopilot on {link}" + (f" ({hint})" if hint else "")
 
 
 @dataclass(frozen=True, slots=True)
-class FleetLine:
-    """The options of `run` about the fleet."""
+class FleetCommandLine:
+    """Fleet options of `run`."""
 
     fleet: str
     vehicle: str
@@ -91,101 +97,115 @@ class FleetLine:
     open_network: bool
 
 
-def fly_in_fleet(said: FleetLine, options: RunOptions, *, one_mission: bool) -> int:
-    """Fly one mission that the desk watches, or serve the desk until the process ends.
+def fly_in_fleet_and_return_exit_code(
+    command_line: FleetCommandLine, options: RunOptions, *, one_mission: bool
+) -> int:
+    """Fly one mission that the desk monitors, or fly the desk's missions until the process ends.
 
-    Zenoh is loaded only here. Its threads can keep an interpreter from ending: leave the process
-    with `companion.fleet.zenoh_link.leave_process`.
+    Zenoh is loaded only here. Its threads can block interpreter exit: end the process with
+    `companion.fleet.zenoh_link.flush_and_exit_process_immediately`.
     """
-    from companion.app.flight.fleet_run import FleetOptions, fly_one, serve
+    from companion.app.flight.fleet_run import (
+        FleetOptions,
+        fly_fleet_assignments_until_stopped,
+        fly_local_mission_in_fleet,
+    )
     from companion.fleet.membership import JoinOptions
 
-    join = JoinOptions(said.identity, said.open_network)
-    fleet = FleetOptions(said.fleet, said.vehicle, said.zenoh, join)
-    show = show_open if said.open_network else show_action
+    join = JoinOptions(command_line.identity, command_line.open_network)
+    fleet = FleetOptions(command_line.fleet, command_line.vehicle, command_line.zenoh, join)
+    show = print_action_with_open_network_mark if command_line.open_network else print_action
     if one_mission:
-        return fly_one(fleet, options, show)
-    return serve(fleet, options, say=_say_open if said.open_network else _say, on_action=show)
+        return fly_local_mission_in_fleet(fleet, options, show)
+    return fly_fleet_assignments_until_stopped(
+        fleet,
+        options,
+        print_line=_print_line_prefixed_open_network
+        if command_line.open_network
+        else _print_nonempty_line,
+        on_action=show,
+    )
 
 
-def put_settings_back(
+def restore_settings_and_return_exit_code(
     link: str, folder: Path, signing_key: Path | None, system: int | None, silence_limit_s: float
 ) -> int:
-    """Put back what a flight left changed on the vehicle; the exit code."""
-    from companion.app.tools.restore import Caller, restore
+    """Restore the settings that a flight left changed on the vehicle. Returns the exit code."""
+    from companion.app.flight.autopilot_client import AutopilotClient
+    from companion.app.tools.restore import restore_stored_vehicle_settings
 
     key = read_signing_key(signing_key) if signing_key is not None else None
-    opened = open_link(link)
+    connection = open_link(link)
     try:
-        codec = MavlinkCodec(datagrams=opened.datagrams, signing_key=key)
-        caller = Caller(opened, codec, system)
-        done = restore(caller, folder, silence_limit_s, typer.echo)
+        codec = MavlinkCodec(datagrams=connection.datagrams, signing_key=key)
+        caller = AutopilotClient(connection, codec, system)
+        done = restore_stored_vehicle_settings(caller, folder, silence_limit_s, typer.echo)
     finally:
-        opened.close()
+        connection.close()
     if done is None:
-        typer.echo(nobody_there(link))
+        typer.echo(no_autopilot_message(link))
         return NO_LINK
     return DONE if done else GROUNDED
 
 
-def check(options: RunOptions) -> int:
-    """Ask the vehicle, print what is missing for this mission; the exit code."""
-    code, pilot = run(options, on_action=_show_check)
-    if pilot.phase in NOT_TO_BE_CHECKED:
-        typer.echo(f"MISSING  {why_not_checked(pilot)}\nNOT READY")
+def check_vehicle_and_return_exit_code(options: RunOptions) -> int:
+    """Check the vehicle and print what this mission lacks. Returns the exit code."""
+    code, pilot = fly_mission(options, on_action=_print_check_action)
+    if pilot.phase in UNCHECKABLE_PHASES:
+        typer.echo(f"MISSING  {reason_no_check_ran(pilot)}\nNOT READY")
         return code
     if pilot.phase is not Phase.GROUNDED:
         silent = code == NO_LINK
-        typer.echo(nobody_there(options.link) if silent else "the check was cut short")
+        typer.echo(no_autopilot_message(options.link) if silent else "the check was interrupted")
         return code
-    lines, ready = report(pilot)
+    lines, ready = check_report_lines_and_is_ready(pilot)
     typer.echo("\n".join(lines))
     return DONE if ready else GROUNDED
 
 
-def show_action(action: Action) -> None:
-    """Print what it says, if anything."""
-    _say(_line_of(action))
+def print_action(action: Action) -> None:
+    """Print the action's text, if it has one."""
+    _print_nonempty_line(_action_text(action))
 
 
-def show_open(action: Action) -> None:
-    """The same on an open network."""
-    _say_open(_line_of(action))
+def print_action_with_open_network_mark(action: Action) -> None:
+    """Print the action's text with the mark of an open network."""
+    _print_line_prefixed_open_network(_action_text(action))
 
 
-def _say(line: str) -> None:
-    """Nothing for an empty line."""
+def _print_nonempty_line(line: str) -> None:
+    """Print and flush a line, unless it is empty."""
     if line:
         typer.echo(line)
         sys.stdout.flush()
 
 
-def _say_open(line: str) -> None:
-    _say(f"{OPEN_MARK} {line}" if line else "")
+def _print_line_prefixed_open_network(line: str) -> None:
+    _print_nonempty_line(f"{OPEN_MARK} {line}" if line else "")
 
 
-def _line_of(action: Action) -> str:
-    """What is printed of it; empty: nothing."""
+def _action_text(action: Action) -> str:
+    """Return the line to print for the action, or an empty string."""
     match action:
-        case Say():
+        case AlertReport():
             return f"  {action.text}"
         case PhaseChanged():
             return f"{action.t_s:9.1f} s  {action.before} -> {action.now}"
         case Decision():
             promise = f"  p_home {action.p_home:.3f}" if action.p_home is not None else ""
             return f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}"
-        case Note() if action.text.startswith(SHOWN_NOTES):
+        case LogNote(in_run=True):
             return f"  {action.text}"
         case _:
             return ""
 
 
-def _show_check(action: Action) -> None:
-    """Only what the check waits for: its findings come as one list at the end."""
+def _print_check_action(action: Action) -> None:
+    """Print only what the check waits for; the report follows at its end."""
     match action:
-        case Say():
-            typer.echo(f"waiting: {action.text}")
-        case Note() if action.text.startswith(("autopilot: ", "not granted")):
+        case AlertReport():
+            typer.echo(f"{action.severity.name}: {action.text}")
+        case LogNote(in_check=True):
             typer.echo(action.text)
         case _:
             return

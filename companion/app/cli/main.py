@@ -1,4 +1,4 @@
-"""`companion`: flies a delivery beside an autopilot, checks beforehand that it can, and replays."""
+"""`companion`: flies deliveries through an autopilot, checks the vehicle, replays logs."""
 
 from dataclasses import replace
 from enum import StrEnum
@@ -10,19 +10,23 @@ from typer.core import TyperGroup
 
 from companion.app.cli import calibrate, certify, export, fit_wind, monitor, replay, signing
 from companion.core.base.errors import LeewayError, LinkClosedError
-from companion.core.base.help_text import flow_help
+from companion.core.base.help_text import reflow_command_help_in_place
 
-EXIT_CODES = """Exit codes: 0 the mission ended (see result.json for how); 1 an error inside, the
-mission aboard goes home; 2 a mistake in the input; 3 no take-off was possible, or the check found
-something missing; 4 no autopilot on the link, or lost for good; 5 stopped by a signal; 6 the
-link did not open (another program holds it, or its other end is not up yet): try again."""
+EXIT_CODES = """Exit codes: 0 the mission ended (result.json states how); 1 internal error, the
+vehicle goes on without it; 2 invalid input; 3 take-off not possible; 4 no autopilot on
+the link, or link lost; 5 stopped by a signal; 6 the link did not open (in use by another program,
+or the other end is not running): retry."""
+
+CHECK_EXIT_CODES = """Exit codes: 0 ready; 1 internal error; 2 invalid input; 3 not ready, or not
+checked because the vehicle is armed or another controller has it; 4 no autopilot on the link, or
+link lost; 5 stopped by a signal; 6 the link did not open: retry."""
 
 
 class Commands(TyperGroup):
-    """The companion's commands.
+    """Command group of the companion.
 
-    A mistake in the input is one line on stderr and exit code 2; so is a link that does not open,
-    with a code of its own: a service tries that again.
+    Invalid input is reported as one line on stderr with exit code 2. A link that does not open
+    has exit code 6, so that a service can retry.
     """
 
     def invoke(self, ctx: Any) -> Any:
@@ -44,15 +48,15 @@ app = typer.Typer(
 )
 
 
-def _print_version(asked: bool) -> None:
-    if not asked:
+def _print_version(requested: bool) -> None:
+    if not requested:
         return
     from importlib.metadata import PackageNotFoundError, version
 
     try:
         typer.echo(f"companion {version('leeway-uas')}")
     except PackageNotFoundError:
-        typer.echo("companion, from a checkout that is not installed")
+        typer.echo("companion: running from a checkout, not installed")
     raise typer.Exit
 
 
@@ -65,29 +69,32 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """Leeway's companion: brings a delivery drone home by its own return budget."""
-    del version  # its callback has printed it
+    """Leeway's onboard companion: returns delivery drones within their energy budget.
+
+    P(home): probability of landing at home with the reserve. Gate: turns back at a low P(home).
+    """
+    del version  # handled by its callback
 
 
 LinkUrl = Annotated[
     str,
     typer.Option(
-        help="The autopilot: udpin:HOST:PORT (listen), udpout:HOST:PORT or tcp:HOST:PORT (call),"
-        " serial:DEVICE:BAUD."
+        help="Link to the autopilot: udpin:HOST:PORT (listen), udpout:HOST:PORT or tcp:HOST:PORT"
+        " (connect), serial:DEVICE:BAUD."
     ),
 ]
 Mission = Annotated[
     Path,
-    typer.Option(help="The flight: a flight/1 TOML file, or a name in params/flights (default)."),
+    typer.Option(help="A flight/1 TOML file, or a name in params/flights, such as `default`."),
 ]
 AirframeName = Annotated[
     str | None,
-    typer.Option(help="An airframe in params/airframes, or a .toml file; default: the flight's."),
+    typer.Option(help="A name in params/airframes, or a .toml file; default: the flight's."),
 ]
 WindProcess = Annotated[
     str | None,
     typer.Option(
-        help="How wind changes at the site: a name in params/wind, or a .toml file from"
+        help="Wind process of the site: a name in params/wind, or a .toml file from"
         " `companion fit-wind`; default: the flight's mission.wind_process."
     ),
 ]
@@ -98,24 +105,21 @@ Key = Annotated[
     Path | None, typer.Option(help="MAVLink signing key: 32 bytes or 64 hex digits in a file.")
 ]
 System = Annotated[
-    int | None, typer.Option(help="MAVLink system id of the vehicle; default: the first heard.")
+    int | None, typer.Option(help="MAVLink system id of the vehicle; default: the first received.")
 ]
 Here = Annotated[
     bool,
     typer.Option(
-        "--here",
-        help="Lay the flight's site about where the vehicle stands, instead of its depot.",
+        "--here", help="Move the flight's site so that its depot is at the vehicle's position."
     ),
 ]
-RunDir = Annotated[Path, typer.Option(help="Where log, checkpoint and result go.")]
-SilenceLimit = Annotated[
-    float, typer.Option(help="Give up after so many seconds without an autopilot.")
-]
+RunDir = Annotated[Path, typer.Option(help="Folder for log, checkpoint and result.")]
+SilenceLimit = Annotated[float, typer.Option(help="Exit after this time without an autopilot, s.")]
 VehicleSettings = Annotated[
     Path | None,
     typer.Option(
-        help="Folder that remembers, by vehicle, which settings a flight changed until they are"
-        " put back; default: `settings` in a service's state directory, else in"
+        help="Folder for the original values of settings that a flight changed, until they are"
+        " restored; default: `settings` in a service's state directory, else in"
         " ~/.local/state/leeway."
     ),
 ]
@@ -123,15 +127,13 @@ MonitorFolder = Annotated[
     Path | None,
     typer.Option(
         "--monitor",
-        help="Keep a monitor of the vehicle's service, in this folder; default:"
-        " `monitor` in a service's state directory, else none is kept.",
+        help="Folder for the vehicle's service record (docs: monitor); default:"
+        " `monitor` in a service's state directory, else no record.",
     ),
 ]
 Pack = Annotated[
     str,
-    typer.Option(
-        help="Name of the pack that is aboard: the monitor follows each by itself.",
-    ),
+    typer.Option(help="Installed battery pack, by name; each has its own record in the monitor."),
 ]
 
 
@@ -140,8 +142,8 @@ MaxLossPerHour = Annotated[
     typer.Option(
         min=1e-6,
         max=1.0,
-        help="Losses per flight hour that you accept (docs: return-budget); default: those of the"
-        " flight's mission, else its max_loss alone.",
+        help="Accepted probability of losing the vehicle per flight hour (docs: return-budget);"
+        " default: that of the flight's mission, else only its max_loss, which is per mission.",
     ),
 ]
 
@@ -154,7 +156,7 @@ class GateSwitch(StrEnum):
 
 
 class HoldChoice(StrEnum):
-    """What becomes of a HOLD that nobody asked for and nobody answers."""
+    """Response to an unrequested HOLD that the operator does not acknowledge."""
 
     ALARM = "alarm"
     RETURN = "return"
@@ -167,8 +169,8 @@ def run_command(
     mission: Annotated[
         Path | None,
         typer.Option(
-            help="The flight: a flight/1 TOML file, or a name in params/flights (default); with"
-            " --fleet the desk assigns one."
+            help="Flight: a flight/1 TOML file, or a name in params/flights, such as `default`."
+            " Required, unless the desk assigns missions (--fleet, --vehicle, --airframe)."
         ),
     ] = None,
     airframe: AirframeName = None,
@@ -182,46 +184,48 @@ def run_command(
         typer.Option(
             min=1,
             max=255,
-            help="MAVLink system whose orders count where nothing is signed, and only by the way"
-            " that the autopilot was found on; may be repeated. Default: 255 (ground stations); the"
-            " vehicle's own always counts.",
+            help="MAVLink system id whose commands are accepted without signing, on the"
+            " autopilot's channel only; repeatable. Default: 255 (ground stations); the vehicle's"
+            " own id is always accepted.",
         ),
     ] = None,
     authorise: Annotated[
         bool,
         typer.Option(
-            "--authorise", help="Authorise this mission: used once, never after a restart."
+            "--authorise",
+            help="Authorise this mission once; not valid after a restart. Default: an operator"
+            " authorises it (MAVLink MISSION_START), or the desk.",
         ),
     ] = False,
     no_operator: Annotated[
         bool,
         typer.Option(
             "--no-operator",
-            help="Take off although neither a ground station nor a desk reaches the companion.",
+            help="Permit take-off without contact to a ground station or desk; does not authorise.",
         ),
     ] = False,
     configure: Annotated[
         bool,
         typer.Option(
             "--configure",
-            help="Set the autopilot parameters that the promise rests on, read them back, and put"
-            " the old ones back after landing.",
+            help="Set the autopilot parameters that P(home) depends on, verify them, and restore"
+            " the original values after landing.",
         ),
     ] = False,
     here: Here = False,
     gate: Annotated[
-        GateSwitch, typer.Option(help="off: never turns back; for comparison only.")
+        GateSwitch, typer.Option(help="off: the gate never turns back; for comparison only.")
     ] = GateSwitch.ON,
     unanswered_hold: Annotated[
         HoldChoice,
         typer.Option(
-            help="Where the autopilot holds because its mission was cleared or by a failsafe, and"
-            " nobody answers the alarms: only go on with them, return to launch, or land"
+            help="Action if the autopilot holds after a failsafe or a cleared mission and the"
+            " operator does not respond: repeat the alarm, return to launch, or land"
             " (docs: safety-rules, rule 1)."
         ),
     ] = HoldChoice.ALARM,
     unanswered_after: Annotated[
-        float, typer.Option(min=10.0, help="So many seconds after the first alarm.")
+        float, typer.Option(min=10.0, help="Delay of that action after the first alarm, s.")
     ] = 30.0,
     silence_limit: SilenceLimit = 300.0,
     vehicle_settings: VehicleSettings = None,
@@ -232,8 +236,8 @@ def run_command(
         typer.Option(
             "--lockstep",
             hidden=True,
-            help="For a simulated world that waits for the companion: the way is planned at once,"
-            " so that every run decides the same.",
+            help="For a simulator that waits for the companion: plans synchronously, so that"
+            " decisions are reproducible.",
         ),
     ] = False,
     record_at_once: Annotated[
@@ -241,30 +245,30 @@ def run_command(
         typer.Option(
             "--record-at-once",
             hidden=True,
-            help="For a world that kills the companion: the flight waits for the disk, so that"
-            " what is left of the record is the same in every run.",
+            help="For a simulator that kills the companion: writes the record synchronously, so"
+            " that its remainder is reproducible.",
         ),
     ] = False,
     fleet: Annotated[
         str | None,
         typer.Option(
-            help="Serve the dispatcher's desk of this fleet over zenoh: without --mission fly what"
-            " it assigns, one after another (docs: dispatch)."
+            help="Connect to this fleet's desk (`ground-station dispatch`) over zenoh; without"
+            " --mission, fly the missions that it assigns (docs: dispatch)."
         ),
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="This vehicle's name in the fleet, for example d1.")
+        str | None, typer.Option(help="Name of this vehicle in the fleet, for example d1.")
     ] = None,
     zenoh: Annotated[
         Path | None,
         typer.Option(
-            help="zenoh's configuration (JSON5); default: the identity's, else loopback only."
+            help="zenoh configuration (JSON5); default: the identity's, else loopback only."
         ),
     ] = None,
     identity: Annotated[
         Path | None,
         typer.Option(
-            help="This vehicle's folder of `ground-station pki`: then all messages are signed"
+            help="Folder of this vehicle from `ground-station pki`; signs all messages"
             " (docs: secure-a-fleet)."
         ),
     ] = None,
@@ -272,79 +276,87 @@ def run_command(
         bool,
         typer.Option(
             "--open-network",
-            help="Allow a network that lets strangers in: without TLS, or found by multicast.",
+            help="Permit a network without TLS or with multicast discovery, which anyone can join.",
         ),
     ] = False,
     keep_apart: Annotated[
         bool,
         typer.Option(
             "--keep-apart",
-            help="In a fleet: fly set-points near neighbours to keep separation, then go on with"
-            " the mission (docs: avoidance). All vehicles of the fleet, and of its neighbours',"
-            " should.",
+            help="Keep separation from other vehicles by set-points, then resume the mission"
+            " (docs: avoidance). Use it on all vehicles of the fleet and of neighbouring fleets.",
         ),
     ] = False,
     policy: Annotated[
         str | None,
         typer.Option(
-            help="With --keep-apart: the learned actor that wishes where to (params/policies, such"
-            " as avoid, or a card's path); default: straight to the next item."
+            help="With --keep-apart: learned policy that proposes velocities (a name in"
+            " params/policies, or a card's path); default: straight to the next mission item."
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(help="Accepted for scripts; the companion draws no random numbers.")
-    ] = 0,
+    seed: Annotated[int, typer.Option(help="No effect: no random numbers are drawn.")] = 0,
     max_loss_per_hour: MaxLossPerHour = None,
 ) -> None:
-    """Fly the mission: plan, upload, wait for authorisation, deliver, come home.
+    """Fly a mission: plan, upload, wait for authorisation, deliver, return.
 
     In a fleet: companion run --link serial:/dev/serial0:921600 --airframe m100 --fleet harbour
     --vehicle d1
     """
     del seed
     if keep_apart and fleet is None:
-        raise LeewayError("--keep-apart: expected with --fleet and --vehicle: who is near?")
+        raise LeewayError("--keep-apart: expected --fleet and --vehicle, which provide traffic")
     if (fleet is None) != (vehicle is None):
         raise LeewayError("--fleet and --vehicle: expected both or neither")
     if mission is None and (fleet is None or airframe is None):
         raise LeewayError("--mission: expected a file, or --fleet, --vehicle and --airframe")
     if mission is None and authorise:
-        raise LeewayError("--authorise: expected with --mission; the desk launches what it assigns")
+        raise LeewayError(
+            "--authorise: expected --mission; the desk authorises missions that it assigns"
+        )
 
-    from companion.app.cli.flying import CommandLine, FleetLine, fly, fly_in_fleet
-    from companion.core.pilot.context import PilotOptions, Unanswered
+    from companion.app.cli.flying import (
+        CommandLine,
+        FleetCommandLine,
+        fly_and_return_exit_code,
+        fly_in_fleet_and_return_exit_code,
+    )
+    from companion.core.pilot.context import PilotOptions, UnansweredHoldAction
 
     pilot = PilotOptions(
-        gate_on=gate is GateSwitch.ON,
-        unanswered_hold=Unanswered(unanswered_hold.value),
+        gate_enabled=gate is GateSwitch.ON,
+        unanswered_hold_action=UnansweredHoldAction(unanswered_hold.value),
         unanswered_hold_s=unanswered_after,
         configure=configure,
         authorise=authorise,
-        here=here,
-        keep_apart=keep_apart,
+        centre_on_vehicle=here,
+        separation_enabled=keep_apart,
         name=vehicle or "",
         fleet=fleet or "",
         max_loss_per_hour=max_loss_per_hour,
         without_operator=no_operator,
     )
-    asked = CommandLine(
+    requested = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
-    ).options(pilot, policy=policy)
-    asked = replace(asked, plan_at_once=lockstep, record_at_once=record_at_once)
-    asked = replace(asked, settings_folder=settings_folder(vehicle_settings))
-    asked = replace(asked, monitor_folder=folder_of_monitor(monitor_folder), pack=pack)
+    ).to_run_options(pilot, policy=policy)
+    requested = replace(requested, plan_synchronously=lockstep, record_synchronously=record_at_once)
+    requested = replace(requested, settings_folder=resolve_settings_folder(vehicle_settings))
+    requested = replace(requested, monitor_folder=resolve_monitor_folder(monitor_folder), pack=pack)
     if operator:
-        asked = replace(asked, operators=tuple(operator))
+        requested = replace(requested, operators=tuple(operator))
     if fleet is None or vehicle is None:
-        raise typer.Exit(fly(asked))
+        raise typer.Exit(fly_and_return_exit_code(requested))
 
-    from companion.fleet.zenoh_link import leave_process
+    from companion.fleet.zenoh_link import flush_and_exit_process_immediately
 
-    said = FleetLine(fleet, vehicle, zenoh, identity, open_network)
-    leave_process(fly_in_fleet(said, asked, one_mission=mission is not None))
+    fleet_command_line = FleetCommandLine(fleet, vehicle, zenoh, identity, open_network)
+    flush_and_exit_process_immediately(
+        fly_in_fleet_and_return_exit_code(
+            fleet_command_line, requested, one_mission=mission is not None
+        )
+    )
 
 
-@app.command(epilog=EXIT_CODES)
+@app.command(epilog=CHECK_EXIT_CODES)
 def check(
     link: LinkUrl,
     mission: Mission,
@@ -360,20 +372,20 @@ def check(
     monitor_folder: MonitorFolder = None,
     pack: Pack = "unnamed",
 ) -> None:
-    """Say in words what is missing or off for this mission; changes nothing on the autopilot."""
+    """Check the vehicle for a mission without changing the autopilot."""
     from companion.app.cli.flying import CommandLine
-    from companion.app.cli.flying import check as check_now
+    from companion.app.cli.flying import check_vehicle_and_return_exit_code as check_now
     from companion.core.pilot.context import PilotOptions
 
-    asked = CommandLine(
+    requested = CommandLine(
         link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
-    ).options(PilotOptions(check_only=True, here=here))
-    asked = replace(asked, settings_folder=settings_folder(vehicle_settings))
-    asked = replace(asked, monitor_folder=folder_of_monitor(monitor_folder), pack=pack)
-    raise typer.Exit(check_now(asked))
+    ).to_run_options(PilotOptions(check_only=True, centre_on_vehicle=here))
+    requested = replace(requested, settings_folder=resolve_settings_folder(vehicle_settings))
+    requested = replace(requested, monitor_folder=resolve_monitor_folder(monitor_folder), pack=pack)
+    raise typer.Exit(check_now(requested))
 
 
-@app.command(epilog="Exit codes: 0 it has its own settings; 3 it has not; 4 no autopilot; 2, 6.")
+@app.command(epilog="Exit codes: 0 restored; 3 not restored; 4 no autopilot; 2, 6 as for run.")
 def restore(
     link: LinkUrl,
     vehicle_settings: VehicleSettings = None,
@@ -381,47 +393,38 @@ def restore(
     system: System = None,
     silence_limit: SilenceLimit = 20.0,
 ) -> None:
-    """Give the vehicle the settings back that a flight which was cut off had changed.
+    """Restore autopilot settings that an interrupted flight left changed.
 
-    Example: companion restore --link serial:/dev/serial0:921600. Nothing is set while it is armed.
+    The vehicle must be disarmed. Example: companion restore --link serial:/dev/serial0:921600
     """
-    from companion.app.cli.flying import put_settings_back
+    from companion.app.cli.flying import restore_settings_and_return_exit_code
 
-    folder = settings_folder(vehicle_settings)
-    raise typer.Exit(put_settings_back(link, folder, signing_key, system, silence_limit))
-
-
-def settings_folder(named: Path | None) -> Path:
-    """Where changed settings are remembered."""
-    from companion.adapters.files.vehicle_settings import default_folder
-
-    return named or default_folder()
+    folder = resolve_settings_folder(vehicle_settings)
+    raise typer.Exit(
+        restore_settings_and_return_exit_code(link, folder, signing_key, system, silence_limit)
+    )
 
 
-def folder_of_monitor(named: Path | None) -> Path | None:
-    """Where the monitor keeps its records; None: there is none."""
-    from companion.adapters.files.monitor_file import default_monitor_folder
+def resolve_settings_folder(folder_option: Path | None) -> Path:
+    """Return the folder for the original values of changed settings."""
+    from companion.adapters.files.vehicle_settings import default_settings_folder
 
-    return named or default_monitor_folder()
+    return folder_option or default_settings_folder()
 
 
-for part in (replay.app, export.app, fit_wind.app, calibrate.app, certify.app):
+def resolve_monitor_folder(folder_option: Path | None) -> Path | None:
+    """Return the folder of the monitor's records, or None without a monitor."""
+    from companion.adapters.files.monitor_file import service_monitor_folder
+
+    return folder_option or service_monitor_folder()
+
+
+for part in (replay.app, export.app, fit_wind.app, calibrate.app, certify.app, monitor.app):
     app.registered_commands += part.registered_commands
 app.add_typer(signing.app, name="signing")
-app.add_typer(monitor.app, name="monitor")
 
 
-@app.command()
-def transitions(
-    mermaid: Annotated[bool, typer.Option("--mermaid", help="Draw instead of list.")] = False,
-) -> None:
-    """Print the mission's transition table."""
-    from companion.core.pilot.transitions import as_markdown, as_mermaid
-
-    typer.echo(as_mermaid() if mermaid else as_markdown())
-
-
-flow_help(app)
+reflow_command_help_in_place(app)
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
-"""`companion monitor`: what the monitor has found over a vehicle's service, and resetting it."""
+"""`companion monitor`: show a vehicle's service record, or reset part of it."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -7,76 +8,80 @@ import typer
 
 from companion.core.base.errors import LeewayError
 
-app = typer.Typer(
-    no_args_is_help=True,
-    help="What the monitor has found over a vehicle's service, and resetting it.",
-)
+app = typer.Typer()
 
-Vehicle = Annotated[
-    str | None,
-    typer.Option(
-        help="Its name in the fleet, or its airframe's; default: the only one with a record."
-    ),
-]
-Folder = Annotated[
-    Path | None,
-    typer.Option(
-        "--monitor", help="Folder of the records (of our services: /var/lib/leeway/monitor)."
-    ),
-]
+
+class RecordAction(StrEnum):
+    """What to do with the record."""
+
+    STATUS = "status"
+    RESET = "reset"
 
 
 @app.command()
-def status(vehicle: Vehicle = None, folder: Folder = None) -> None:
-    """Show the evidence against each promise, what is in doubt, and who reset what."""
-    from companion.adapters.files.monitor_file import read_service
-    from companion.app.cli.monitor_report import report
-
-    path = _record(folder, vehicle)
-    service = read_service(path)
-    if service is None:
-        raise LeewayError(f"{path}: no such record")
-    typer.echo("\n".join(report(path.stem, service)))
-
-
-@app.command()
-def reset(
+def monitor(
+    action: Annotated[RecordAction, typer.Argument(help="Show the record, or reset SUBJECT.")],
     subject: Annotated[
-        str, typer.Argument(help="draw, wind, lost, or a pack's name (`unnamed` without one).")
-    ],
-    by: Annotated[str, typer.Option(help="Who resets it: goes on record.")],
-    why: Annotated[str, typer.Option(help="Why: goes on record.")],
-    vehicle: Vehicle = None,
-    folder: Folder = None,
+        str | None,
+        typer.Argument(
+            help="reset: draw (power draw), wind, lost (conservative assumptions after lost"
+            " evidence), or a pack's name (`unnamed` without --pack)."
+        ),
+    ] = None,
+    by: Annotated[str, typer.Option(help="reset: your name, recorded.")] = "",
+    why: Annotated[str, typer.Option(help="reset: the reason, recorded.")] = "",
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Name in the fleet or of the airframe; default: the only one with a record."
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--monitor", help="Folder of the records (systemd services: /var/lib/leeway/monitor)."
+        ),
+    ] = None,
 ) -> None:
-    """Begin the evidence on one promise anew, on record: the next flight is as without the alarm.
+    """Show the evidence and alarms of a vehicle's service, or reset one.
 
-    Not while the vehicle flies: a flight that ends writes what it knew when it began.
-    Example: companion monitor reset A7 --by Kim --why "new cells"
+    A reset discards the evidence on one quantity: the next flight flies without its alarm. Do not
+    reset while the vehicle flies: the flight overwrites the record when it ends.
+
+    companion monitor status
+    companion monitor reset A7 --by Kim --why "new cells"
     """
-    from companion.adapters.clock import epoch_us
-    from companion.adapters.files.monitor_file import read_service, write_service
-    from companion.core.monitor.service import reset as reset_in
+    from companion.adapters.clock import unix_time_us
+    from companion.adapters.files.monitor_file import read_service_record, write_service_record
+    from companion.app.cli.monitor_report import service_report_lines
+    from companion.core.monitor.service import reset_evidence_of_subject
 
-    path = _record(folder, vehicle)
-    service = read_service(path)
+    if action is RecordAction.STATUS and (subject or by or why):
+        raise LeewayError("monitor status: expected no SUBJECT, --by or --why")
+    if action is RecordAction.RESET and not (subject and by.strip() and why.strip()):
+        raise LeewayError("monitor reset: expected SUBJECT, --by NAME and --why REASON")
+    path = _find_record_file_path(folder, vehicle)
+    service = read_service_record(path)
     if service is None:
         raise LeewayError(f"{path}: no such record")
-    if not by.strip() or not why.strip():
-        raise LeewayError("--by and --why: expected a name and a reason")
-    write_service(path, reset_in(service, subject, by, why, epoch_us() / 1e6))
-    typer.echo(f"{path.stem}: {subject} begins anew, by {by}: {why}")
+    if subject is None:
+        typer.echo("\n".join(service_report_lines(path.stem, service)))
+        return
+    write_service_record(
+        path, reset_evidence_of_subject(service, subject, by, why, unix_time_us() / 1e6)
+    )
+    typer.echo(f"{path.stem}: {subject} reset by {by}: {why}")
 
 
-def _record(folder: Path | None, vehicle: str | None) -> Path:
-    """The record that is meant. Raises LeewayError where that is open."""
-    from companion.adapters.files.monitor_file import default_monitor_folder, service_file
+def _find_record_file_path(folder: Path | None, vehicle: str | None) -> Path:
+    """Return the file of the record. Raises LeewayError if the vehicle is ambiguous."""
+    from companion.adapters.files.monitor_file import service_monitor_folder, service_record_path
 
-    folder = folder or default_monitor_folder()
+    folder = folder or service_monitor_folder()
     if folder is None:
         raise LeewayError("--monitor: expected the folder of the records")
     if vehicle is not None:
-        return service_file(folder, vehicle)
+        return service_record_path(folder, vehicle)
     found = sorted(folder.glob("*.json"))
     if len(found) != 1:
         names = ", ".join(path.stem for path in found) or "none"

@@ -1,4 +1,4 @@
-"""What `companion replay` does: estimators, energy ledger and gate over a recorded flight."""
+"""Implementation of `companion replay`: estimators, energy ledger and gate over a log."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,36 +10,40 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from companion.adapters.clock import cpu_s, wall_s
+from companion.adapters.clock import process_cpu_time_s, wall_s
 from companion.adapters.files.params import (
-    flight_path,
+    flight_file_path,
     read_airframe,
-    read_grounded_flight,
+    read_flight_with_terrain_heights,
     read_obstacle_document,
     read_wind_process,
 )
-from companion.adapters.files.replay_files import replay_record, write_record, write_wind
-from companion.adapters.logs.flight_table import payload_in_table_kg
-from companion.adapters.logs.open_log import open_log
-from companion.app.tools.replay_picture import draw, require_matplotlib
-from companion.app.tools.replay_report import report
+from companion.adapters.files.replay_files import (
+    build_replay_record,
+    write_replay_json,
+    write_wind_csv,
+)
+from companion.adapters.logs.flight_table import read_payload_kg_from_flight_table
+from companion.adapters.logs.open_log import read_log_of_any_format
+from companion.analysis.replay.flight_replay import ReplayConfig, replay_flight
+from companion.analysis.replay.recorded_flight import RecordedFlight
+from companion.analysis.replay.summary import score_wind_against_reference, summarise_wind_in_flight
+from companion.app.tools.replay_picture import require_matplotlib, save_replay_picture
+from companion.app.tools.replay_report import replay_report_lines
 from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from companion.core.mission.events import Airspeed
 from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle
-from companion.core.replay.flight_replay import ReplayTerms, replay
-from companion.core.replay.recorded_flight import RecordedFlight
-from companion.core.replay.summary import wind_score, wind_summary
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 
-UNKNOWN_AIRFRAME = "generic"
-SHOW_AFTER_S = 1.0
+GENERIC_AIRFRAME = "generic"
+PROGRESS_DELAY_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """Which log, whose flight, and by which terms; unknown is `None`."""
+    """Options of a replay; `None` is unknown."""
 
     log: Path
     airframe: str | None
@@ -47,110 +51,118 @@ class ReplayRequest:
     payload_kg: float | None
     max_loss: float | None
     reserve_frac: float | None
-    every_s: float
+    gate_interval_s: float
     wind_process: str | None
     params: Path | None
     estimator: str | None
-    """`leeway`, `reference`, or unsaid: leeway."""
+    """`leeway`, `reference`, or None for leeway."""
 
 
-def replay_log(
-    asked: ReplayRequest, out: Path | None, json_out: Path | None, picture: Path | None
+def replay_log_and_write_outputs(
+    request: ReplayRequest, out: Path | None, json_out: Path | None, picture: Path | None
 ) -> None:
-    """Replay, print the report, write what is asked for; LeewayError for a mistake."""
+    """Replay, print the report and write the output files. Raises LeewayError."""
     if picture is not None:
-        require_matplotlib()  # before the work, not after it
-    begun_s = cpu_s()
-    log = open_log(asked.log)
-    terms = _with_estimator(asked, _terms(asked, log))
-    with _progress(asked.log.name) as progress:
-        result = replay(log, terms, progress)
-    used_s = cpu_s() - begun_s
-    wind = wind_summary(result)
-    score = None if log.reference is None else wind_score(result, log.reference)
-    name = terms.airframe.name
-    if asked.estimator == "reference":
-        typer.echo("wind by the reference estimator, not by the one that flies")
-    typer.echo("\n".join(report(asked.log, log, name, result, wind, score, used_s)))
+        require_matplotlib()  # fail before the replay, not after it
+    start_s = process_cpu_time_s()
+    log = read_log_of_any_format(request.log)
+    config = _with_requested_estimator(request, _replay_config(request, log))
+    with _delayed_progress_bar(request.log.name) as progress:
+        result = replay_flight(log, config, progress)
+    cpu_time_s = process_cpu_time_s() - start_s
+    wind = summarise_wind_in_flight(result)
+    score = None if log.reference is None else score_wind_against_reference(result, log.reference)
+    name = config.airframe.name
+    if request.estimator == "reference":
+        typer.echo("wind of the reference estimator, not of the flight estimator")
+    typer.echo(
+        "\n".join(replay_report_lines(request.log, log, name, result, wind, score, cpu_time_s))
+    )
     if out is not None:
-        write_wind(out, result)
+        write_wind_csv(out, result)
         typer.echo(f"wind: {out} ({result.wind_t_s.size} rows)")
     if json_out is not None:
-        record = replay_record(asked.log, log, name, result, wind, score, used_s)
-        if asked.estimator is not None:
-            record["estimator"] = asked.estimator
-        write_record(json_out, record)
+        record = build_replay_record(request.log, log, name, result, wind, score, cpu_time_s)
+        if request.estimator is not None:
+            record["estimator"] = request.estimator
+        write_replay_json(json_out, record)
         typer.echo(f"record: {json_out}")
     if picture is not None:
-        draw(picture, asked.log.name, log, result)
+        save_replay_picture(picture, request.log.name, log, result)
         typer.echo(f"picture: {picture}")
 
 
-def _terms(asked: ReplayRequest, log: RecordedFlight) -> ReplayTerms:
-    if asked.flight is not None:
-        path = flight_path(asked.flight, asked.params)
-        flight = read_grounded_flight(path)
-        airframe = read_airframe(asked.airframe or flight.vehicle.airframe, asked.params)
+def _replay_config(request: ReplayRequest, log: RecordedFlight) -> ReplayConfig:
+    if request.flight is not None:
+        path = flight_file_path(request.flight, request.params)
+        flight = read_flight_with_terrain_heights(path)
+        airframe = read_airframe(request.airframe or flight.vehicle.airframe, request.params)
         obstacles = read_obstacle_document(flight, path)
-        flight = _with_limits(asked, flight)
-        return ReplayTerms(
-            airframe, flight, _process(asked, flight), True, True, obstacles, asked.every_s
+        flight = _with_requested_limits(request, flight)
+        return ReplayConfig(
+            airframe,
+            flight,
+            _read_requested_wind_process(request, flight),
+            True,
+            True,
+            obstacles,
+            request.gate_interval_s,
         )
-    airframe = read_airframe(asked.airframe or UNKNOWN_AIRFRAME, asked.params)
-    flight = _with_limits(asked, _unplanned(asked, airframe, log))
-    known = asked.airframe is not None
-    process = _process(asked, flight)
-    return ReplayTerms(airframe, flight, process, False, known, None, asked.every_s)
+    airframe = read_airframe(request.airframe or GENERIC_AIRFRAME, request.params)
+    flight = _with_requested_limits(request, _flight_from_log(request, airframe, log))
+    known = request.airframe is not None
+    process = _read_requested_wind_process(request, flight)
+    return ReplayConfig(airframe, flight, process, False, known, None, request.gate_interval_s)
 
 
-def _with_estimator(asked: ReplayRequest, terms: ReplayTerms) -> ReplayTerms:
-    if asked.estimator != "reference":
-        return terms
+def _with_requested_estimator(request: ReplayRequest, config: ReplayConfig) -> ReplayConfig:
+    if request.estimator != "reference":
+        return config
     try:
-        from companion.core.replay.reference_estimator import ReferenceEstimator
+        from companion.analysis.replay.reference_estimator import ReferenceEstimator
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] != "filterpy":
             raise
         raise LeewayError(
             "--estimator reference needs filterpy: pip install 'leeway-uas[replay]'"
         ) from error
-    return replace(terms, wind_filter=ReferenceEstimator(terms.airframe))
+    return replace(config, wind_filter=ReferenceEstimator(config.airframe))
 
 
-def _process(asked: ReplayRequest, flight: Flight) -> WindProcessParams:
-    return read_wind_process(asked.wind_process or flight.mission.wind_process, asked.params)
+def _read_requested_wind_process(request: ReplayRequest, flight: Flight) -> WindProcessParams:
+    return read_wind_process(request.wind_process or flight.mission.wind_process, request.params)
 
 
-def _unplanned(asked: ReplayRequest, airframe: Airframe, log: RecordedFlight) -> Flight:
-    """A flight of which only the log is known: any charge, whatever sensors the log has."""
+def _flight_from_log(request: ReplayRequest, airframe: Airframe, log: RecordedFlight) -> Flight:
+    """Return a flight for a log without flight file: any charge, the log's sensors."""
     vehicle = Vehicle(
         airframe=airframe.name,
-        payload_kg=_payload_kg(asked),
+        payload_kg=_payload_kg(request),
         charge_frac=[0.05, 1.0],
-        pitot=log.has(Airspeed),
-        autopilot_wind=True,  # readers pass on only winds that are real estimates
+        pitot=log.has_event(Airspeed),
+        autopilot_wind=True,  # log readers drop winds that are not estimates
     )
-    nowhere = Site(customer=Place(east_m=0.0, north_m=0.0))
-    return Flight(format="flight/1", site=nowhere, vehicle=vehicle, mission=Mission())
+    placeholder_site = Site(customer=Location(east_m=0.0, north_m=0.0))
+    return Flight(format="flight/1", site=placeholder_site, vehicle=vehicle, mission=Mission())
 
 
-def _payload_kg(asked: ReplayRequest) -> float:
-    """As asked for; else of the table beside the log; else none."""
-    if asked.payload_kg is not None:
-        return asked.payload_kg
-    return payload_in_table_kg(asked.log) or 0.0
+def _payload_kg(request: ReplayRequest) -> float:
+    """Return the requested payload, else that of parameters.csv, else 0."""
+    if request.payload_kg is not None:
+        return request.payload_kg
+    return read_payload_kg_from_flight_table(request.log) or 0.0
 
 
-def _with_limits(asked: ReplayRequest, flight: Flight) -> Flight:
-    changed = {"max_loss": asked.max_loss, "reserve_frac": asked.reserve_frac}
-    told = {name: value for name, value in changed.items() if value is not None}
-    mission = Mission(**{**msgspec.structs.asdict(flight.mission), **told})
+def _with_requested_limits(request: ReplayRequest, flight: Flight) -> Flight:
+    changed = {"max_loss": request.max_loss, "reserve_frac": request.reserve_frac}
+    overrides = {name: value for name, value in changed.items() if value is not None}
+    mission = Mission(**{**msgspec.structs.asdict(flight.mission), **overrides})
     return msgspec.structs.replace(flight, mission=mission)
 
 
 @contextmanager
-def _progress(name: str) -> Iterator[Callable[[float], None]]:
-    """A bar on the terminal once the work takes longer than a moment."""
+def _delayed_progress_bar(name: str) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar after `PROGRESS_DELAY_S`; yields its update function."""
     console = Console(stderr=True)
     bar = Progress(
         TextColumn("replaying {task.description}"),
@@ -161,19 +173,19 @@ def _progress(name: str) -> Iterator[Callable[[float], None]]:
         transient=True,
     )
     task = bar.add_task(name, total=1.0)
-    begun_s = wall_s()
-    shown = 0.0
+    start_s = wall_s()
+    shown_frac = 0.0
 
-    def heard(share: float) -> None:
-        nonlocal shown
-        if share - shown < 0.01:
+    def update_bar(completed_share: float) -> None:
+        nonlocal shown_frac
+        if completed_share - shown_frac < 0.01:
             return
-        shown = share
-        bar.update(task, completed=share)
-        if not bar.live.is_started and wall_s() - begun_s > SHOW_AFTER_S:
+        shown_frac = completed_share
+        bar.update(task, completed=completed_share)
+        if not bar.live.is_started and wall_s() - start_s > PROGRESS_DELAY_S:
             bar.start()
 
     try:
-        yield heard
+        yield update_bar
     finally:
         bar.stop()

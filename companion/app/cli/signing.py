@@ -1,4 +1,4 @@
-"""`companion signing provision`: a key for autopilot and companion."""
+"""`companion signing provision`: shared signing key of autopilot and companion."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,7 @@ app = typer.Typer(no_args_is_help=True, help="MAVLink message signing.")
 
 @app.callback()
 def signing() -> None:
-    """MAVLink message signing: who does not have the key is not heard."""
+    """MAVLink message signing: messages without the key are rejected."""
 
 
 @app.command()
@@ -18,29 +18,30 @@ def provision(
     link: Annotated[
         str,
         typer.Option(
-            help="The autopilot, by a wire or a network that nobody else hears: the key goes in the"
-            " clear."
+            help="Link to the autopilot. Use a cable or a private network: the key is sent"
+            " unencrypted."
         ),
     ],
     key: Annotated[
-        Path, typer.Option(help="The key's file; made at random, for its owner only, if missing.")
+        Path, typer.Option(help="Key file (mode 0600); created with a random key if missing.")
     ] = Path("signing.key"),
     system: Annotated[
-        int | None, typer.Option(help="MAVLink system id of the vehicle; default: the first heard.")
+        int | None,
+        typer.Option(help="MAVLink system id of the vehicle; default: the first received."),
     ] = None,
 ) -> None:
-    """Give a disarmed autopilot a signing key, and see that it signs with it.
+    """Write a signing key to a disarmed autopilot and verify it.
 
     companion signing provision --link serial:/dev/serial0:921600 --key /etc/leeway/signing.key
     """
     from companion.adapters.autopilots.link import open_link
-    from companion.app.tools.provision_signing import Provisioning, key_of
+    from companion.app.tools.provision_signing import Provisioning, read_or_create_key
 
-    secret, is_new = key_of(key)
-    typer.echo(f"{key}: {'made at random' if is_new else 'used as it is'}, mode 0600")
-    opened = open_link(link)
+    secret, is_new = read_or_create_key(key)
+    typer.echo(f"{key}: {'created with a random key' if is_new else 'existing key'}, mode 0600")
+    connection = open_link(link)
     try:
-        found = Provisioning(opened).provision(secret, system)
+        system_id = Provisioning(connection).send_signing_key_and_verify(secret, system)
     finally:
-        opened.close()
-    typer.echo(f"system {found} signs with it; fly with --signing-key {key}")
+        connection.close()
+    typer.echo(f"system {system_id} signs with this key; fly with --signing-key {key}")

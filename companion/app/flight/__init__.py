@@ -1,1 +1,1 @@
-"""What runs on the vehicle: loop, standby, recorder. Imports no replay, calibration or wind_fit."""
+"""Flight programs on the vehicle: loop, standby, recorder. No import of `companion.analysis`."""

@@ -1,17 +1,15 @@
-"""A dispatcher's assignment on this vehicle's disk: written, loaded whole, taken up or given back.
+"""A dispatcher's assignment on the vehicle's disk: write, load, resume or reject.
 
-It is loaded before the desk hears `done`, and again by whoever flies it. One that cannot be loaded
-is refused with its reason; it never ends the companion, which stands by for the next.
+It is loaded before the desk receives `done`, and again before the flight. An assignment that cannot
+be loaded is refused with a reason; the companion continues and waits for the next.
 """
 
 import json
-import os
-from pathlib import Path
 
 import msgspec
 
-from companion.adapters.files.atomic_file import settle_folder
-from companion.adapters.files.checkpoint_file import NAME as CHECKPOINT
+from companion.adapters.files.atomic_file import fsync_folder, write_text_atomically
+from companion.adapters.files.checkpoint_file import CHECKPOINT_NAME as CHECKPOINT
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
 from companion.core.base.errors import LeewayError
@@ -22,62 +20,69 @@ MISSION, OBSTACLES = "flight.json", "obstacles.geojson"
 
 
 def write_assignment(
-    deed: Assign, port: FleetPort, options: RunOptions, settings: Settings
+    assign_command: Assign, port: FleetPort, options: RunOptions, settings: Settings
 ) -> LoadedFlight:
-    """Put an assigned flight into its folder; the flight, once this vehicle can begin it.
+    """Write an assigned flight to its folder, load it and return it.
 
-    Raises LeewayError with what is wrong with it, OSError where the disk does not take it.
+    Raises LeewayError if it is invalid for this vehicle, OSError if it cannot be written.
     """
-    folder = port.folder_of(deed.assignment)
+    folder = port.assignment_folder(assign_command.assignment)
     folder.mkdir(parents=True, exist_ok=True)
-    flight = dict(deed.flight)
+    flight = dict(assign_command.flight)
     site = flight.get("site")
     if not isinstance(site, dict):
         raise LeewayError("site: expected a table")
     if site.get("obstacles") is not None:
-        raise LeewayError("site.obstacles: expected none, the command carries them itself")
+        raise LeewayError("site.obstacles: expected none, the command contains them")
     terrain = site.get("terrain")
     if isinstance(terrain, dict) and terrain.get("grid") is not None:
-        raise LeewayError("site.terrain.grid: expected none, the command carries heights itself")
-    if deed.obstacles is not None:
-        _settled(folder / OBSTACLES, json.dumps(deed.obstacles).encode())
+        raise LeewayError("site.terrain.grid: expected none, the command contains heights")
+    if assign_command.obstacles is not None:
+        obstacles_text = json.dumps(assign_command.obstacles)
+        write_text_atomically(folder / OBSTACLES, obstacles_text, sync_folder=False)
         flight["site"] = site | {"obstacles": OBSTACLES}
-    _settled(folder / MISSION, msgspec.json.encode(flight))
-    settle_folder(folder)
-    settle_folder(folder.parent)
-    loaded = load_assignment(deed.assignment, port, options, settings)
-    _check_vehicle(loaded.flight, port)
+    # Synced, so that they survive a power cut once `current.json` refers to them.
+    write_text_atomically(folder / MISSION, msgspec.json.encode(flight).decode())
+    fsync_folder(folder.parent)
+    loaded = load_assignment(assign_command.assignment, port, options, settings)
+    _raise_if_unfit_for_vehicle(loaded.flight, port)
     return loaded
 
 
 def load_assignment(
-    assignment: str, port: FleetPort, options: RunOptions, settings: Settings
+    assignment_id: str, port: FleetPort, options: RunOptions, settings: Settings
 ) -> LoadedFlight:
-    """The flight that lies in an assignment's folder. Raises LeewayError."""
-    folder = port.folder_of(assignment)
-    return LoadedFlight.read(options.of_flight(folder / MISSION, folder), settings)
+    """Load the flight in an assignment's folder. Raises LeewayError."""
+    folder = port.assignment_folder(assignment_id)
+    return LoadedFlight.read_and_validate(
+        options.with_mission_and_run_dir(folder / MISSION, folder), settings
+    )
 
 
-def take_up(port: FleetPort, options: RunOptions, settings: Settings) -> LoadedFlight | None:
-    """The flight of the assignment aboard; `None`: it is over, or refused, and none is aboard.
+def load_current_assignment(
+    port: FleetPort, options: RunOptions, settings: Settings
+) -> LoadedFlight | None:
+    """Return the flight of the loaded assignment; `None`: it ended or is rejected, and unloaded.
 
-    After a restart this is the first that is known of it: whoever took it may have been another
-    version of this program.
+    It is validated again after a restart: another version of this program may have accepted it.
     """
     assert port.current is not None
     assignment = port.current.assignment
-    if port.log.has_outcome(assignment):
-        port.put_ashore()
+    if port.member.log.has_stored_outcome(assignment):
+        port.unload_assignment()
         return None
     try:
         return load_assignment(assignment, port, options, settings)
     except LeewayError as error:
-        port.give_back(str(error), flew=(port.folder_of(assignment) / CHECKPOINT).exists())
+        port.reject_and_unload_assignment(
+            str(error),
+            was_flight_started=(port.assignment_folder(assignment) / CHECKPOINT).exists(),
+        )
         return None
 
 
-def _check_vehicle(flight: Flight, port: FleetPort) -> None:
-    """It is for a vehicle of this kind, and says where it starts."""
+def _raise_if_unfit_for_vehicle(flight: Flight, port: FleetPort) -> None:
+    """Check airframe, payload and depot. Raises LeewayError."""
     vehicle = flight.vehicle
     if vehicle.airframe != port.airframe_name:
         raise LeewayError(f"vehicle.airframe {vehicle.airframe}: this is {port.airframe_name}")
@@ -87,11 +92,3 @@ def _check_vehicle(flight: Flight, port: FleetPort) -> None:
         )
     if flight.site.depot is None:
         raise LeewayError("site.depot: expected lat_deg, lon_deg and alt_amsl_m")
-
-
-def _settled(path: Path, content: bytes) -> None:
-    """On the disk before `current.json` says that it is there, even after a power cut."""
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())

@@ -1,4 +1,4 @@
-"""A companion that serves a fleet: assignment after assignment, through restarts, until stopped."""
+"""A companion in a fleet: flies assignments in sequence, across restarts, until stopped."""
 
 import gc
 import re
@@ -7,36 +7,43 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.adapters.autopilots.link import open_link
-from companion.adapters.files.disk import DiskThread
-from companion.app.flight.assignment import take_up
+from companion.adapters.files.disk import ThreadedRecordWriter
+from companion.app.flight.assignment import load_current_assignment
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
-from companion.app.flight.run import DONE, GROUNDED, STOPPED, Run, fly_to_the_end
-from companion.app.flight.standby import Standby, StopSignals
+from companion.app.flight.run import (
+    DONE,
+    GROUNDED,
+    INTERRUPTED,
+    Run,
+    run_until_exit_and_return_code,
+)
+from companion.app.flight.standby import Standby
 from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action
-from companion.fleet.membership import ON_ITS_OWN, JoinOptions, join
+from companion.fleet.membership import DEFAULT_JOIN_OPTIONS, JoinOptions, read_membership
 from companion.fleet.messages import AIRFRAME, EventKind
-from companion.fleet.network import OPEN_WORDS
+from companion.fleet.network import OPEN_WARNING
+from companion.fleet.service_manager import record_stop_signals
 from companion.fleet.topics import VehicleKeys
 
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """Which fleet, as which vehicle, and how it joins; without a zenoh file as `join` says."""
+    """Fleet, vehicle name and network; without a zenoh file, `join` defines the network."""
 
     fleet: str
     vehicle: str
     zenoh: Path | None = None
-    join: JoinOptions = ON_ITS_OWN
+    join: JoinOptions = DEFAULT_JOIN_OPTIONS
 
 
-def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> FleetPort:
-    """Join the fleet. Raises LeewayError for a mistake in names, files or configuration."""
-    membership = join(VehicleKeys(fleet.fleet, fleet.vehicle), fleet.zenoh, fleet.join)
+def open_fleet_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> FleetPort:
+    """Join the fleet. Raises LeewayError for an error in names, files or configuration."""
+    membership = read_membership(VehicleKeys(fleet.fleet, fleet.vehicle), fleet.zenoh, fleet.join)
     airframe = Path(options.airframe).stem
     if re.match(AIRFRAME, airframe) is None:
-        raise LeewayError(f"airframe {airframe!r}: no name that a fleet's messages may carry")
+        raise LeewayError(f"airframe {airframe!r}: expected a name allowed in fleet messages")
     try:
         port = FleetPort.open(
             fleet.vehicle,
@@ -44,53 +51,57 @@ def open_port(fleet: FleetOptions, options: RunOptions, settings: Settings) -> F
             settings.airframe,
             options.run_dir,
             membership.open_link,
-            trouble_until=membership.trouble_until,
-            disk=None if options.record_at_once else DiskThread(lambda words: None),
+            refusal_reason_within=membership.certificate_error_within,
+            disk=None if options.record_synchronously else ThreadedRecordWriter(lambda words: None),
         )
     except OSError as error:
         raise LeewayError(f"{options.run_dir}: {error.strerror}") from error
     if fleet.join.open_network:
-        port.member.remark = OPEN_WORDS
-        port.tell(EventKind.SAID, OPEN_WORDS)
+        port.member.status_text = OPEN_WARNING
+        port.record_event(EventKind.TEXT, OPEN_WARNING)
     return port
 
 
-def serve(
+def fly_fleet_assignments_until_stopped(
     fleet: FleetOptions,
     options: RunOptions,
     *,
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
     on_action: Callable[[Action], None] | None = None,
 ) -> int:
-    """Fly what the desk assigns; returns when stopped by a signal, or when a run broke off.
+    """Fly the desk's assignments; return when a signal or a failed run ends the service.
 
-    An assignment that is aboard after a restart is gone on with before anything else: the flight's
-    own checkpoint decides what is left of it.
+    An assignment that is loaded after a restart is resumed first: the flight's checkpoint defines
+    what remains.
     """
-    settings = Settings.read(options)
-    port = open_port(fleet, options, settings)
+    settings = Settings.read_settings_files(options)
+    port = open_fleet_port(fleet, options, settings)
     try:
         while True:
             if port.current is None:
-                say(f"standing by as {fleet.vehicle} of {fleet.fleet}")
-                if not _stand_by(port, options, settings):
-                    return STOPPED
-            code = _fly_assignment(port, options, settings, say, on_action)
+                print_line(f"standing by as {fleet.vehicle} of {fleet.fleet}")
+                if not _wait_for_assignment(port, options, settings):
+                    return INTERRUPTED
+            code = _fly_assignment(port, options, settings, print_line, on_action)
             if code not in (DONE, GROUNDED):
                 return code
-            _let_go()
+            # On the ground: the flight's objects form cycles that only the collector frees. It
+            # would start by itself at a quarter more objects: after a dozen flights, 2 MB each.
+            gc.collect()
     finally:
         port.close()
 
 
-def fly_one(
+def fly_local_mission_in_fleet(
     fleet: FleetOptions, options: RunOptions, on_action: Callable[[Action], None] | None = None
 ) -> int:
-    """Fly a mission of one's own, seen and recalled by the fleet's desk."""
-    loaded = LoadedFlight.read(options)
-    port = open_port(fleet, options, loaded.settings)
+    """Fly a local mission that the fleet's desk can monitor and recall."""
+    loaded = LoadedFlight.read_and_validate(options)
+    port = open_fleet_port(fleet, options, loaded.settings)
     try:
-        return fly_to_the_end(Run.begin(loaded, open_link, on_action=on_action, port=port))
+        return run_until_exit_and_return_code(
+            Run.begin(loaded, open_link, on_action=on_action, port=port)
+        )
     finally:
         port.close()
 
@@ -99,40 +110,32 @@ def _fly_assignment(
     port: FleetPort,
     options: RunOptions,
     settings: Settings,
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
     on_action: Callable[[Action], None] | None,
 ) -> int:
-    """Fly what is aboard to its end; the exit code. What cannot be loaded is GROUNDED."""
+    """Fly the loaded assignment; return the exit code, GROUNDED if it cannot be loaded."""
     assert port.current is not None
     assignment = port.current.assignment
-    loaded = take_up(port, options, settings)
+    loaded = load_current_assignment(port, options, settings)
     if loaded is None:
-        say(f"assignment {assignment}: over, or refused: see its outcome")
+        print_line(f"assignment {assignment}: ended or refused: see its outcome")
         return GROUNDED
-    say(f"assignment {assignment}")
-    code = fly_to_the_end(Run.begin(loaded, open_link, on_action=on_action, port=port))
+    print_line(f"assignment {assignment}")
+    code = run_until_exit_and_return_code(
+        Run.begin(loaded, open_link, on_action=on_action, port=port)
+    )
     if code in (DONE, GROUNDED):
-        port.put_ashore()
+        port.unload_assignment()
     return code
 
 
-def _let_go() -> None:
-    """Free the flight that is over, on the ground, before the next.
-
-    Its parts call each other back, so that only the collector frees them. By itself that looks at
-    all objects once a quarter more of them live: after a dozen flights, 2 MB each.
-    """
-    gc.collect()
-
-
-def _stand_by(port: FleetPort, options: RunOptions, settings: Settings) -> bool:
-    """Wait for work; False when a signal came first."""
+def _wait_for_assignment(port: FleetPort, options: RunOptions, settings: Settings) -> bool:
+    """Wait for an assignment; return False if a signal arrives first."""
     link = open_link(options.link)
     try:
-        codec, stamps = settings.codec(datagrams=link.datagrams)
-        with StopSignals() as signals:
-            standby = Standby(port, link, codec, options, settings)
-            standby.stamps = stamps
-            return standby.wait(lambda: bool(signals.seen)) is not None
+        codec, stamps = settings.build_codec(datagrams=link.datagrams)
+        with record_stop_signals() as received_signals:
+            standby = Standby(port, link, codec, options, settings, stamps=stamps)
+            return standby.wait_for_assignment(lambda: bool(received_signals)) is not None
     finally:
         link.close()

@@ -1,8 +1,7 @@
-"""What a flight needs, read and built before anything is opened, promised or answered.
+"""Inputs of a flight, read and validated before a link opens or a command is acknowledged.
 
-Settings are the same for every flight of this companion: a mistake in them is its operator's. The
-flight file, its obstacles and its wind process belong to one flight: a mistake in them ends that
-flight only.
+Settings apply to every flight of this companion: an error in them ends the program. Flight file,
+obstacles and wind process belong to one flight: an error in them ends that flight only.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,23 +15,23 @@ from companion.adapters.autopilots.px4 import Px4
 from companion.adapters.files.certificate_file import read_certificate
 from companion.adapters.files.checkpoint_file import read_checkpoint
 from companion.adapters.files.params import (
-    airframe_path,
-    digest_of,
+    airframe_file_path,
+    flight_configuration_digest,
     read_airframe,
-    read_grounded_flight,
+    read_flight_with_terrain_heights,
     read_obstacle_document,
     read_wind_process,
 )
 from companion.adapters.files.policy_file import read_policy
-from companion.adapters.files.signing_files import StampKeeper, read_signing_key
+from companion.adapters.files.signing_files import SigningStampStore, read_signing_key
 from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import Certificate
 from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_file import Flight
-from companion.core.mission.flight_plan import frame_at, site_map
-from companion.core.mission.preflight_checks import Requirement, RouteFacts
-from companion.core.monitor.doubts import NO_DOUBTS, Doubts
+from companion.core.mission.flight_plan import build_site_map, depot_frame
+from companion.core.mission.preflight_checks import ParameterRequirement, RouteProperties
+from companion.core.monitor.corrections import NO_CORRECTIONS, MonitorCorrections
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
@@ -43,7 +42,7 @@ from companion.core.wind.process import WindProcessParams
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the command line asks."""
+    """Options of the command line."""
 
     link: str
     airframe: str
@@ -56,60 +55,60 @@ class RunOptions:
     silence_limit_s: float = 300.0
     policy: str | None = None
     settings_folder: Path | None = None
-    """Where it stands what was changed on a vehicle and not put back; None: nowhere."""
+    """Folder of changed vehicle settings that are not restored yet; None: not stored."""
     monitor_folder: Path | None = None
-    """Where the record of the vehicle's service is kept; None: nowhere."""
+    """Folder of the vehicle's service record; None: not stored."""
     pack: str = ""
-    """The pack that is aboard; empty: nobody named it."""
+    """Name of the installed pack; empty: unnamed."""
     operators: tuple[int, ...] = (GROUND_STATION,)
-    """MAVLink systems whose orders count where nothing is signed."""
-    plan_at_once: bool = False
-    """The loop plans, in a world that waits for it: what is decided is the same in every run."""
-    record_at_once: bool = False
-    """The flight waits for the disk: what a killed companion leaves is the same in every run."""
+    """MAVLink systems whose commands are accepted without signing."""
+    plan_synchronously: bool = False
+    """Plan in the loop (simulation only), so that each run takes the same decisions."""
+    record_synchronously: bool = False
+    """Write synchronously, so that a killed companion leaves the same files in each run."""
     pilot: PilotOptions = field(default_factory=PilotOptions)
 
-    def of_flight(self, mission: Path, run_dir: Path) -> "RunOptions":
-        """The same settings for one flight of several."""
+    def with_mission_and_run_dir(self, mission: Path, run_dir: Path) -> "RunOptions":
+        """Return these options for one of several flights."""
         return replace(self, mission=mission, run_dir=run_dir)
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What stays the same from flight to flight. `wind_process` None: the flight file's own."""
+    """Inputs common to all flights. `wind_process` None: use the flight file's."""
 
     airframe: Airframe
     certificate: Certificate | None
-    """What lies beside the airframe file."""
+    """The certificate file next to the airframe file, if any."""
     wind_process: WindProcessParams | None
     policy: AvoidancePolicy | None
     signing_key: bytes | None
     folder: Path
-    """Where the vehicle's time stamps are kept: the same for all its flights."""
+    """Folder of the signing time stamps, shared by all flights."""
 
     @classmethod
-    def read(cls, options: RunOptions) -> "Settings":
-        """Raises LeewayError for a mistake in the command line, or a file that it names."""
+    def read_settings_files(cls, options: RunOptions) -> "Settings":
+        """Read all files. Raises LeewayError for an error in the options or in a file."""
         process, key = options.wind_process, options.signing_key
         airframe = read_airframe(options.airframe, options.params)
         return cls(
             airframe,
-            read_certificate(airframe_path(options.airframe, options.params), airframe),
+            read_certificate(airframe_file_path(options.airframe, options.params), airframe),
             read_wind_process(process, options.params) if process is not None else None,
-            flying_policy(options.policy) if options.policy is not None else None,
+            read_policy_in_goal_frame(options.policy) if options.policy is not None else None,
             read_signing_key(key) if key is not None else None,
             options.run_dir,
         )
 
-    def codec(self, *, datagrams: bool) -> tuple[MavlinkCodec, StampKeeper | None]:
-        """A codec for the vehicle's link; with a key, who keeps the time stamps heard."""
+    def build_codec(self, *, datagrams: bool) -> tuple[MavlinkCodec, SigningStampStore | None]:
+        """Return a codec for the vehicle's link and, with a key, the keeper of its time stamps."""
         codec = MavlinkCodec(datagrams=datagrams, signing_key=self.signing_key)
-        return codec, None if self.signing_key is None else StampKeeper(self.folder, codec)
+        return codec, None if self.signing_key is None else SigningStampStore(self.folder, codec)
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedFlight:
-    """A flight that this companion can begin: every file is read, and the pilot was built."""
+    """A flight that this companion can start: files are read and the pilot can be built."""
 
     options: RunOptions
     settings: Settings
@@ -119,55 +118,63 @@ class LoadedFlight:
     digest: str
 
     @classmethod
-    def read(cls, options: RunOptions, settings: Settings | None = None) -> "LoadedFlight":
-        """Raises LeewayError for whatever would end the flight before it begins."""
-        settings = settings or Settings.read(options)
-        flight = read_grounded_flight(options.mission)
+    def read_and_validate(
+        cls, options: RunOptions, settings: Settings | None = None
+    ) -> "LoadedFlight":
+        """Read and validate. Raises LeewayError for each error that would prevent the start."""
+        settings = settings or Settings.read_settings_files(options)
+        flight = read_flight_with_terrain_heights(options.mission)
         process = settings.wind_process or read_wind_process(
             flight.mission.wind_process, options.params
         )
         obstacles = read_obstacle_document(flight, options.mission)
-        digest = digest_of(options.mission, settings.airframe, process, flight.site.terrain.heights)
+        digest = flight_configuration_digest(
+            options.mission, settings.airframe, process, flight.site.terrain.heights
+        )
         loaded = cls(options, settings, flight, process, obstacles, digest)
-        loaded.pilot(None)
+        loaded.build_pilot(None)
         if flight.site.depot is not None:
-            site_map(flight, frame_at(flight.site.depot), obstacles)
+            build_site_map(flight, depot_frame(flight.site.depot), obstacles)
         return loaded
 
     @property
-    def names(self) -> str:
-        """What is flown, with what, in what wind."""
+    def summary_text(self) -> str:
+        """Mission, airframe and wind process, as text."""
         of = f"mission {self.flight.name}, airframe {self.settings.airframe.name}"
         return f"{of}, wind process {self.wind_process.name}"
 
-    def pilot(self, checkpoint: Checkpoint | None, doubts: Doubts = NO_DOUBTS) -> Pilot:
-        """A pilot for this flight, going on from what an earlier process kept."""
+    def build_pilot(
+        self,
+        checkpoint: Checkpoint | None,
+        monitor_corrections: MonitorCorrections = NO_CORRECTIONS,
+    ) -> Pilot:
+        """Build the pilot; with a checkpoint it resumes the flight of an earlier process."""
         return Pilot(
             self.flight,
             self.settings.airframe,
             self.wind_process,
             obstacles=self.obstacles,
-            requirements=requirements,
-            digest=self.digest,
+            requirements=autopilot_parameter_requirements,
+            flight_digest=self.digest,
             options=self.options.pilot,
             checkpoint=checkpoint,
             policy=self.settings.policy,
-            doubts=doubts,
+            monitor_corrections=monitor_corrections,
             certificate=self.settings.certificate,
         )
 
-    def monitor(self) -> MonitorKeeper | None:
-        """The monitor of the vehicle's service; None: nothing is kept."""
+    def read_service_monitor(self) -> MonitorKeeper | None:
+        """Open the service monitor; None: not stored."""
         options = self.options
         if options.monitor_folder is None:
             return None
         airframe = self.settings.airframe
-        return MonitorKeeper.open(
+        return MonitorKeeper.read_or_create(
             options.monitor_folder, options.pilot.name, airframe, options.pack, self.digest
         )
 
-    def kept(self) -> tuple[Checkpoint | None, str]:
-        """The checkpoint, and what is wrong with it: a broken one stops no flight from home."""
+    def read_checkpoint_or_error(self) -> tuple[Checkpoint | None, str]:
+        """Return the checkpoint and an error text; a corrupt one does not prevent a new flight."""
         if self.options.pilot.check_only:
             return None, ""
         try:
@@ -176,14 +183,16 @@ class LoadedFlight:
             return None, f"checkpoint not used: {error}"
 
 
-def requirements(autopilot_kind: AutopilotKind, facts: RouteFacts) -> tuple[Requirement, ...]:
-    """What the promise asks of this autopilot's parameters."""
+def autopilot_parameter_requirements(
+    autopilot_kind: AutopilotKind, route_properties: RouteProperties
+) -> tuple[ParameterRequirement, ...]:
+    """Return the required parameters of this autopilot."""
     profile = ArduPilot() if autopilot_kind is AutopilotKind.ARDUPILOT else Px4()
-    return profile.requirements(facts)
+    return profile.parameter_requirements(route_properties)
 
 
-def flying_policy(name: str) -> AvoidancePolicy:
-    """A learned actor, by name or by its card; only one whose view this companion draws."""
+def read_policy_in_goal_frame(name: str) -> AvoidancePolicy:
+    """Read a learned policy by name or card. Raises LeewayError unless its frame is `goal`."""
     policy, card = read_policy(name)
     if card.frame != "goal":
         raise LeewayError(f"policy {name}: its frame is {card.frame!r}, expected 'goal'")

@@ -1,136 +1,73 @@
 """The flight loop: bytes to events, the pilot, actions to bytes; one thread, the autopilot's clock.
 
-Where the autopilot sends TIMESYNC requests (the simulator's lockstep, and real PX4), each request
-is a tick: everything before it has been received, the outputs leave, and it is answered last.
-Without them, telemetry ticks about ten times a second.
+If the autopilot sends TIMESYNC requests (the simulator's lockstep, and real PX4), each request is
+a tick: earlier messages are processed, outputs are sent, and the response is sent last. Without
+them, received telemetry triggers about ten ticks a second.
 """
 
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion.adapters.autopilots.codec import AUTOPILOT, COMPONENT, MavlinkCodec, mavlink
+from companion.adapters.autopilots.codec import (
+    AUTOPILOT,
+    COMPONENT,
+    MavlinkCodec,
+    timesync_response_message,
+)
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort, OperatorTrust
 from companion.adapters.autopilots.port import AutopilotPort
-from companion.adapters.autopilots.status_text import StatusTexts
-from companion.adapters.clock import AutopilotClock, is_due, utc_words, wall_s
-from companion.adapters.files.signing_files import STAMPS, StampKeeper
-from companion.app.flight.hearing import STALL_S, Hearing
+from companion.adapters.clock import AutopilotClock, TickTimer, wall_s
 from companion.app.flight.monitor_keeper import MonitorKeeper
-from companion.app.flight.planning import PlanBeside, Planning
+from companion.app.flight.planning import PlanningExecutor
+from companion.app.flight.receive_backlog import ReceiveBacklog
 from companion.app.flight.recorder import Recorder
+from companion.app.flight.send_queue import SendQueue
 from companion.app.flight.settings_keeper import SettingsKeeper
+from companion.app.flight.signing_monitor import SigningMonitor
+from companion.app.flight.status_sender import StatusSender
 from companion.core.mission.actions import (
     Action,
-    Answer,
-    DropOrders,
+    AlertReport,
+    CancelOrders,
     Finished,
+    OperatorResponse,
     Order,
     PhaseChanged,
-    Publish,
-    Reply,
+    PublishValues,
+    ResponseStatus,
     SaveCheckpoint,
-    Say,
-    Severity,
 )
+from companion.core.mission.alerts import Alert, AlertParameter
 from companion.core.mission.events import (
-    BoardKnown,
+    BoardIdReceived,
     Event,
-    LinkBack,
+    LinkRecovered,
     LinkSilent,
-    OperatorReached,
-    SettingsLeft,
+    OperatorMessageReceived,
     Tick,
+    UnrestoredSettings,
 )
 from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 from companion.fleet.service_manager import Watchdog
 
 if TYPE_CHECKING:
     from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
 
 WAIT_S = 0.1
-TICK_S = 0.1
-LOCKSTEP_LAPSE_S = 0.25
-"""Without a TIMESYNC request for this long (autopilot time) telemetry ticks instead."""
-
-SILENT_S = 3.0
-"""Wall-clock silence that counts as a lost link."""
-
-HEARTBEAT_S = 1.0
-BUNDLE_BYTES = 1400
-"""An Ethernet frame carries 1472 bytes under IPv4 and UDP, a tunnel some less."""
-
-CLOCKS_APART_S = 3.0
-"""All signed frames are refused for so long (three heartbeats): no late one among good ones."""
-
-ECHO_FRAMES = 200
-"""Frames of ours that are known again when they come back: some seconds of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Outgoing:
-    """A frame that was packed at core time `t_s`; an order must leave while it is fresh."""
-
-    frame: bytes
-    is_order: bool
-    t_s: float
-
-
-@dataclass(slots=True)
 class Loop:
-    """Everything wired; `step` handles what one wait brings."""
+    """Connects link, codec, autopilot, pilot and recorder; `step` runs one receive cycle.
 
-    link: Link
-    codec: MavlinkCodec
-    recorder: Recorder
-    pilot: Pilot
-    clock: AutopilotClock
-    silence_limit_s: float
-    autopilot: AutopilotPort
-    operator: OperatorPort
-    hearing: Hearing
-    settings: SettingsKeeper
-    planning: Planning = field(default_factory=PlanBeside)
-    finished: Finished | None = None
-    lost: bool = False
-    on_action: Callable[[Action], None] | None = None
-    port: "FleetPort | None" = None
-    """None: no dispatcher's desk; operators still speak MAVLink."""
-    monitor: MonitorKeeper | None = None
-    """Of the vehicle's service; None: nothing is kept."""
-    stamps: StampKeeper | None = None
-    """Of signed frames; None: nothing is signed."""
-    wall_clock_s: Callable[[], float] = wall_s
-    """For silences; a world that simulates many companions at once brings its own."""
-    _system_known: bool = False
-    _ticked_s: float | None = None
-    _synced_s: float | None = None
-    _synced_ns: int | None = None
-    _beat_s: float | None = None
-    _beat_wall_s: float | None = None
-    _to_publish: dict[str, float] = field(default_factory=dict)
-    _heard_wall_s: float = 0.0
-    _heard_s: float = 0.0
-    _silent: bool = False
-    _record_lost: bool = False
-    _strangers_told: bool = False
-    _texts: StatusTexts = field(default_factory=StatusTexts)
-    _refused_wall_s: float | None = None
-    _clocks_told: bool = False
-    _answer: Answer = field(default_factory=lambda: Answer(Reply.DENIED))
-    _said: deque[bytes] = field(default_factory=lambda: deque(maxlen=ECHO_FRAMES))
-    _outgoing: list[_Outgoing] = field(default_factory=list)
-    _outgoing_bytes: int = 0
-    _watchdog: Watchdog = field(default_factory=Watchdog)
+    Each event is processed, and its actions executed, before the next one. `finished` is set once
+    and ends the processing of events. A lost record and a flooded port are reported once.
+    """
 
-    @classmethod
-    def wire(
-        cls,
+    def __init__(
+        self,
         link: Link,
         codec: MavlinkCodec,
         recorder: Recorder,
@@ -141,373 +78,232 @@ class Loop:
         wall_clock_s: Callable[[], float] = wall_s,
         settings_folder: Path | None = None,
         trust: OperatorTrust | None = None,
-    ) -> "Loop":
-        """Connect the parts."""
-        clock = AutopilotClock()
-        clock.resume(pilot.telemetry.t_s)
-        made: list[Loop] = []
-
-        def send(message: Any) -> None:
-            made[0].send(message)
-
-        def order(message: Any) -> None:
-            made[0].send_order(message)
-
-        def ask(event: Event) -> Reply:
-            return made[0].ask(event)
-
-        def say(text: str) -> None:
-            made[0].carry_out([Say(Severity.WARNING, text)])
-
-        loop = cls(
-            link=link,
-            codec=codec,
-            recorder=recorder,
-            pilot=pilot,
-            clock=clock,
-            silence_limit_s=silence_limit_s,
-            autopilot=AutopilotPort(order, clock, system_id),
-            operator=OperatorPort(send, ask, lambda: pilot.estimates.limits, say, trust),
-            hearing=Hearing(link, lambda: made[0].wall_clock_s()),
-            settings=SettingsKeeper(
-                settings_folder,
-                recorder.keep_settings,
-                lambda words: recorder.note(made[0].clock.t_s, words),
-            ),
-            wall_clock_s=wall_clock_s,
+        signing: SigningMonitor | None = None,
+        plan_synchronously: bool = False,
+        monitor: MonitorKeeper | None = None,
+        port: "FleetPort | None" = None,
+    ) -> None:
+        """`wall_clock_s` measures stalls and link silence. `port`: None without a desk."""
+        self.link = link
+        self.pilot = pilot
+        self.silence_limit_exceeded = False
+        self.finished: Finished | None = None
+        self.clock = AutopilotClock()
+        self.clock.set_minimum_start_time(pilot.context.telemetry.t_s)
+        self.backlog = ReceiveBacklog(link, wall_clock_s)
+        self.send_queue = SendQueue(link, codec, recorder.buffer_frame, self.backlog, self.clock)
+        queue_message = self.send_queue.queue_message
+        self.autopilot = AutopilotPort(
+            self.send_queue.queue_order_unless_backlog, self.clock, system_id
         )
-        made.append(loop)
-        loop._heard_wall_s = wall_clock_s()
-        loop._heard_s = clock.t_s
-        return loop
+        self._codec = codec
+        self._recorder = recorder
+        self._silence_limit_s = silence_limit_s
+        self._wall_clock_s = wall_clock_s
+        self._status = StatusSender(queue_message, self.clock, wall_clock_s, pilot)
+        self._operator = OperatorPort(
+            queue_message,
+            self.submit_event,
+            lambda: pilot.context.estimates.limits,
+            self.report_alert,
+            trust,
+        )
+        self._settings = SettingsKeeper(
+            settings_folder,
+            self.autopilot,
+            recorder.submit_settings_write,
+            lambda error_text: recorder.submit_text_log_line(self.clock.t_s, error_text),
+        )
+        self._signing = signing
+        self._planning = PlanningExecutor(synchronous=plan_synchronously)
+        self._monitor = monitor
+        self._port = port
+        self._ticks = TickTimer(self.clock)
+        self._reported_alerts: set[Alert] = set()
+        self._response = OperatorResponse(ResponseStatus.DENIED)
+        self._watchdog = Watchdog()
 
     # --- in ------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Wait a moment for bytes and handle them."""
-        self._watchdog.turn(self.wall_clock_s())
-        alone = self._silent or not self._system_known
-        if alone and is_due(self._beat_wall_s, HEARTBEAT_S, self.wall_clock_s()):
-            self._heartbeat()  # a caller must speak first, or nobody knows that it is there
+        """Receive one datagram or time out, then process it."""
+        self._watchdog.notify_systemd_if_due(self._wall_clock_s())
+        if self.backlog.is_link_lost or self.autopilot.system_id is None:
+            self._status.queue_heartbeat_if_due_unconnected()
         incoming = self.link.receive(WAIT_S)
         if incoming is not None:
-            self.hearing.heard_one()
-        self._mind_stall()
-        self._mind_silence()
-        self._mind_signing()
-        self._mind_strangers()
+            self.backlog.record_received_datagram()
+        self.backlog.register_cycle()
+        if self.autopilot.system_id is not None and self.backlog.detect_link_loss():
+            self._pass_events_to_pilot([LinkSilent(self.clock.t_s)])
+        if self.backlog.link_silence_s > self._silence_limit_s:
+            self.silence_limit_exceeded = True
+        if self._signing is not None:
+            self.execute_actions([*self._signing.update(self._wall_clock_s())])
+        if self.link.rejected_packets:  # foreign senders flood the port; the vehicle's link works
+            self._report_alert_once(Alert.STRANGERS_FLOOD)
         if incoming is not None:
-            for message in self.codec.parse(incoming.data):
-                self._message(message, incoming.peer)
+            for message in self._codec.parse_valid_messages(incoming.data):
+                self._on_message(message, incoming.peer)
                 if self.finished is not None:
                     break
-        if self.port is not None:
-            self._talk_to_desk(self.port)
-        self.flush()
-        self.recorder.hand_over()
+        if self._port is not None:
+            self._exchange_with_desk(self._port)
+        self.send_queue.send_queued_frames()
+        self._recorder.submit_buffered_frames()
 
-    def _talk_to_desk(self, port: "FleetPort") -> None:
+    def _exchange_with_desk(self, port: "FleetPort") -> None:
         if self.finished is None:
-            port.turn(port.in_mission(self.pilot, self.clock.t_s, self.ask_why))
-            if port.link.wind_cov_is_read():  # a desk asked for states lately
-                self._give([OperatorReached(self.clock.t_s)])
-        port.publish(self.pilot.phase.value, self.pilot.telemetry, self.pilot)
+            port.process_mission_commands(self.pilot, self.clock.t_s, self.submit_event)
+            if port.member.link.do_all_clients_read_wind_cov():  # a desk requested states recently
+                self._pass_events_to_pilot([OperatorMessageReceived(self.clock.t_s)])
+        port.publish_state_if_due(self.pilot.phase.value, self.pilot.context.telemetry, self.pilot)
 
-    def _message(self, message: Any, peer: Any) -> None:
-        system = self.autopilot.system_id
-        known = system is not None
+    def _on_message(self, message: Any, peer: Any) -> None:
+        system, frame = self.autopilot.system_id, bytes(message.get_msgbuf())
         source = (message.get_srcSystem(), message.get_srcComponent())
-        if source[1] == COMPONENT and bytes(message.get_msgbuf()) in self._said:
-            return  # the wiring echoes: it is nobody else
-        if not known or source[0] == system:
-            self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
-        if known and self.operator.is_station(message, system, peer, signed=self.codec.signed):
-            self._give([OperatorReached(self.clock.t_s)])
-        if known and self._to_operator_port(message, system, peer):
-            self.recorder.stream(bytes(message.get_msgbuf()), self.clock.t_s)
+        if source[1] == COMPONENT and self.send_queue.is_echo(frame):
+            return
+        if system is None or source[0] == system:
+            self._recorder.buffer_frame(frame, self.clock.t_s)
+        if system is not None and self._process_operator_message(message, system, peer):
+            self._recorder.buffer_frame(frame, self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
         if from_autopilot:
-            self._heard(peer)
-            if message.get_type() == "HEARTBEAT" and self.hearing.heartbeat():
-                text = f"companion stood still for {self.hearing.stood_s:.1f} s"
-                self.carry_out([Say(Severity.WARNING, text)])
+            self._record_autopilot_contact(peer)
+            if message.get_type() == "HEARTBEAT" and self.backlog.record_heartbeat_ends_delay():
+                self.report_alert(Alert.PROCESS_STALLED, duration_s=self.backlog.stall_duration_s)
         if message.get_type() == "TIMESYNC":
-            if from_autopilot and message.tc1 == 0:
-                self._timesync(message)
-            elif not known and source[1] == AUTOPILOT and message.tc1 == 0:
-                self.link.answer_to(peer)
-                self._answer_timesync(message.ts1)
-            elif message.tc1 != 0:
-                self.autopilot.on_time_answer(message)
-                self._tick_between()
+            if message.tc1 != 0:
+                self.autopilot.update_clock_from_timesync_response(message)
+                if self._ticks.is_tick_due_by_telemetry():
+                    self._record_telemetry_and_run_decision_tick()
+            elif from_autopilot or (system is None and source[1] == AUTOPILOT):
+                self.link.set_reply_peer(peer)
+                if from_autopilot and self._ticks.register_request_and_is_tick_due(message.ts1):
+                    self._record_telemetry_and_run_decision_tick()
+                response = timesync_response_message(self.clock.t_s, message.ts1)
+                self.send_queue.queue_message(response)  # after all other outputs
             return
-        if not known and self.autopilot.may_be_ours(message):
-            self.link.answer_to(peer)  # a listener can ask it nothing (the time) otherwise
+        if system is None and self.autopilot.is_candidate_vehicle(message):
+            self.link.set_reply_peer(peer)  # without a peer a listening link cannot send requests
         events = self.autopilot.on_message(message)
-        if not self._system_known and self.autopilot.system_id is not None:
-            self._system_known = True
-            self.operator.trust.found(peer)
-            self.codec.be_system(self.autopilot.system_id)
-            self._heard(peer)
-        self._give(events)
-        self._tick_between()
+        if system is None and self.autopilot.system_id is not None:
+            self._operator.trust.record_first_autopilot_peer(peer)
+            self._codec.set_source_system_id(self.autopilot.system_id)
+            self._record_autopilot_contact(peer)
+        self._pass_events_to_pilot(events)
+        if self._ticks.is_tick_due_by_telemetry():
+            self._record_telemetry_and_run_decision_tick()
 
-    def _to_operator_port(self, message: Any, system: int, peer: Any) -> bool:
-        signed, t_s = self.codec.signed, self.clock.t_s
-        return self.operator.on_message(message, system, t_s, peer, signed=signed)
+    def _record_autopilot_contact(self, peer: Any) -> None:
+        self.link.set_reply_peer(peer)
+        if self.backlog.record_autopilot_contact():
+            self._recorder.submit_text_log_line(self.clock.t_s, "autopilot link restored")
+            # The gap is known after the clock synchronises; a short silence shows none.
+            self._pass_events_to_pilot([LinkRecovered(self.clock.t_s, 0.0)])
 
-    def _timesync(self, message: Any) -> None:
-        """Tick, let everything out, answer last. A repeated request is only answered."""
-        if message.ts1 != self._synced_ns:
-            self._synced_ns = message.ts1
-            self.clock.synchronise(message.ts1 / 1e9)
-            self._synced_s = self.clock.t_s
-            if not self.clock.doubtful:
-                self._tick()
-        self._answer_timesync(message.ts1)
+    def _process_operator_message(self, message: Any, system: int, peer: Any) -> bool:
+        """Process a ground station's message; return True if it was for the companion only."""
+        operator, is_signed = self._operator, self._codec.is_signing
+        if operator.is_trusted_ground_station_heartbeat(message, system, peer, signed=is_signed):
+            self._pass_events_to_pilot([OperatorMessageReceived(self.clock.t_s)])
+        return operator.process_if_addressed_to_companion(
+            message, system, self.clock.t_s, peer, signed=is_signed
+        )
 
-    def _answer_timesync(self, asked_ns: int) -> None:
-        now_ns = max(1, round(self.clock.t_s * 1e9))
-        self.send(mavlink.MAVLink_timesync_message(now_ns, asked_ns))
-
-    def _tick_between(self) -> None:
-        """Tick about ten times a second where no TIMESYNC request does."""
-        if self._synced_s is not None and self.clock.t_s - self._synced_s <= LOCKSTEP_LAPSE_S:
-            return
-        if self.clock.doubtful or not self.clock.known:
-            return
-        if is_due(self._ticked_s, TICK_S - 0.005, self.clock.t_s):
-            self._tick()
-
-    def _tick(self) -> None:
-        t_s = self.clock.t_s
-        self._ticked_s = t_s
-        self.recorder.heard(self.pilot.telemetry, self.pilot.autopilot, self.autopilot.system_id)
-        if self.pilot.flight_plan is not None and self.pilot.autopilot is not None:
-            self.recorder.planned(t_s, self.pilot.flight_plan, self.pilot.autopilot)
-        self._mind_records()
-        if not self.hearing.may_decide():
-            self._give([Tick(t_s, late=True)])
+    def _record_telemetry_and_run_decision_tick(self) -> None:
+        t_s, pilot, recorder = self.clock.t_s, self.pilot, self._recorder
+        telemetry = pilot.context.telemetry
+        recorder.record_new_telemetry(telemetry, self.autopilot.system_id)
+        recorder.record_plan_if_new(t_s, pilot.flight_plan, telemetry.autopilot_kind)
+        record_error_text = recorder.take_next_error_text()
+        if record_error_text is not None:  # the flight continues
+            self._report_alert_once(Alert.RECORD_LOST, reason=record_error_text)
+        if not self.backlog.update_backlog_and_permits_decision():
+            self._pass_events_to_pilot([Tick(t_s, is_backlog=True)])
         else:
-            self._publish_next()
-            self._give(self.autopilot.tick(t_s))
-            if self.port is not None:
-                self._give(self.port.neighbours(t_s))
-                self._give(self.port.winds(t_s))
-            self._give([Tick(t_s)])
-        if is_due(self._beat_s, HEARTBEAT_S - 1e-6, t_s):
-            self._beat_s = t_s
-            self._heartbeat()
+            self._status.queue_next_named_value()
+            self._pass_events_to_pilot(self.autopilot.tick(t_s))
+            if self._port is not None:
+                self._pass_events_to_pilot(self._port.take_received_tracks(t_s))
+                self._pass_events_to_pilot(self._port.take_received_winds(t_s))
+            self._pass_events_to_pilot([Tick(t_s)])
+        self._status.queue_heartbeat_if_due_at_tick()
 
-    def _give(self, events: list[Event]) -> None:
+    def _pass_events_to_pilot(self, events: list[Event]) -> None:
         for event in events:
             if self.finished is None:
-                self.carry_out(self.pilot.handle(event))
-                if isinstance(event, BoardKnown):
-                    self._meet(event)
-        found = self.planning.found()
+                self.execute_actions(self.pilot.process_event(event))
+                if isinstance(event, BoardIdReceived):
+                    left = self._settings.read_unrestored_settings(event.board_id)
+                    if left:
+                        self._pass_events_to_pilot([UnrestoredSettings(event.t_s, left)])
+        found = self._planning.take_next_result()
         if found is not None and self.finished is None:
-            self.carry_out(self.pilot.handle(PlanFound(self.clock.t_s, *found)))
+            self.execute_actions(self.pilot.process_event(PlanFound(self.clock.t_s, *found)))
 
-    @property
-    def _vehicle(self) -> tuple[str, int]:
-        """Which autopilot it is, and its system id."""
-        kind = self.pilot.autopilot
-        return "" if kind is None else kind.value, self.autopilot.system_id or 0
-
-    def _meet(self, board: BoardKnown) -> None:
-        left = self.settings.meet(*self._vehicle, board.board)
-        if left:
-            self._give([SettingsLeft(board.t_s, left)])
-
-    def ask(self, event: Event) -> Reply:
-        """Give the mission an operator's order and return its reply."""
-        return self.ask_why(event).reply
-
-    def ask_why(self, event: Event) -> Answer:
-        """The reply with its reason."""
-        self._answer = Answer(Reply.ACCEPTED)
-        self._give([event])
-        return self._answer
-
-    # --- silence -------------------------------------------------------------------------------
-
-    def _heard(self, peer: Any) -> None:
-        self.link.answer_to(peer)
-        self._heard_wall_s = self.wall_clock_s()
-        if self._silent:
-            self._silent = False
-            self.recorder.note(self.clock.t_s, "heard again")
-            # The gap is known once the clock has been stamped; a lull shows none.
-            self._give([LinkBack(self.clock.t_s, 0.0)])
-
-    def _mind_stall(self) -> None:
-        """What we could not hear while we stood still is no silence of the link."""
-        self._heard_wall_s += self.hearing.turned()
-
-    def _mind_records(self) -> None:
-        """The operator hears once that the flight goes on without its record."""
-        words = self.recorder.new_trouble()
-        if words is not None and not self._record_lost:
-            self._record_lost = True
-            self.carry_out([Say(Severity.WARNING, f"record given up, {words}")])
-
-    def _mind_silence(self) -> None:
-        silent_s = self.wall_clock_s() - self._heard_wall_s
-        if silent_s > SILENT_S and not self._silent and self._system_known:
-            self._silent = True
-            self._give([LinkSilent(self.clock.t_s)])
-        if silent_s > self.silence_limit_s:
-            self.lost = True
-
-    def _mind_strangers(self) -> None:
-        """The operator hears once that somebody floods our port; the vehicle is heard as before."""
-        if self.link.strangers and not self._strangers_told:
-            self._strangers_told = True
-            self.carry_out([Say(Severity.WARNING, "strangers flood the link: not heard")])
-
-    def _mind_signing(self) -> None:
-        """Nothing that is rightly signed is accepted: the operator hears which clock says what."""
-        apart_us = self.codec.clocks_apart_us
-        write = self.stamps.due(self.wall_clock_s()) if self.stamps is not None else None
-        if write is not None:
-            self.recorder.keep(STAMPS, write)
-        if apart_us is None:
-            self._refused_wall_s = None
-            return
-        now_s = self.wall_clock_s()
-        self._refused_wall_s = now_s if self._refused_wall_s is None else self._refused_wall_s
-        if self._clocks_told or now_s - self._refused_wall_s < CLOCKS_APART_S:
-            return
-        self._clocks_told = True
-        behind_s = (apart_us[1] - apart_us[0]) / 1e6
-        words = (
-            f"signing: autopilot's clock {behind_s:.0f} s behind ours",
-            f"autopilot: {utc_words(apart_us[0])}",
-            f"this computer: {utc_words(apart_us[1])}",
-            "set the clock that is wrong, then start again",
-        )
-        self.carry_out([Say(Severity.CRITICAL, text) for text in words])
+    def submit_event(self, event: Event) -> OperatorResponse:
+        """Pass an operator's command to the pilot and return the reply."""
+        self._response = OperatorResponse(ResponseStatus.ACCEPTED)
+        self._pass_events_to_pilot([event])
+        return self._response
 
     # --- out -----------------------------------------------------------------------------------
 
-    def carry_out(self, actions: list[Action]) -> None:
-        """Do what the mission asks."""
+    def report_alert(self, alert: Alert, **parameters: AlertParameter) -> None:
+        """Report an alert to the operator, the log and the desk."""
+        self.execute_actions([AlertReport.create(alert, **parameters)])
+
+    def _report_alert_once(self, alert: Alert, **parameters: AlertParameter) -> None:
+        if alert not in self._reported_alerts:
+            self._reported_alerts.add(alert)
+            self.report_alert(alert, **parameters)
+
+    def execute_actions(self, actions: list[Action]) -> None:
+        """Execute the actions of the pilot."""
         t_s = self.clock.t_s
         for action in actions:
             if isinstance(action, Finished):
-                action = self._counted(action)
-            self.recorder.take(action, t_s)
-            if self.port is not None:
-                self.port.take(action)
+                action = self._record_flight_in_monitor(action)
+            self._recorder.record_action(action, t_s)
+            if self._port is not None:
+                self._port.report_action_to_desk(action)
             match action:
                 case Order():
-                    self.autopilot.order(action, t_s)
-                case DropOrders():
-                    self.autopilot.drop_orders()
-                    self._outgoing = [kept for kept in self._outgoing if not kept.is_order]
-                    self._outgoing_bytes = sum(len(kept.frame) for kept in self._outgoing)
-                case Say():
-                    for message in self._texts.messages(action.severity, action.text):
-                        self.send(message)
-                case Publish():
-                    self._to_publish.update(action.values)
-                case Answer():
-                    self._answer = action
+                    self.autopilot.execute(action, t_s)
+                case CancelOrders():
+                    self.autopilot.discard_all_pending_requests()
+                    self.send_queue.discard_orders()
+                case AlertReport():
+                    self._status.queue_text(action)
+                case PublishValues():
+                    self._status.add_values(action.values)
+                case OperatorResponse():
+                    self._response = action
                 case PhaseChanged():
-                    self._heartbeat()
+                    self._status.queue_heartbeat()
                 case SaveCheckpoint():
-                    self.settings.take(*self._vehicle, self.pilot.settings_before)
+                    self._settings.store_original_values_if_changed(
+                        self.pilot.settings.original_values_to_restore
+                    )
                 case FindPlan():
-                    self.planning.begin(action)
+                    self._planning.start_planning(action)
                 case Finished():
                     self.finished = action
-                case _:
-                    pass
-            if self.on_action is not None:
-                self.recorder.show(self.on_action, action)
 
-    def _counted(self, finished: Finished) -> Finished:
-        """The flight joins the vehicle's service; the operator hears what came into doubt by it."""
-        if self.monitor is None:
+    def _record_flight_in_monitor(self, finished: Finished) -> Finished:
+        """Count the flight in the service monitor and alert the operator to new findings."""
+        monitor, recorder = self._monitor, self._recorder
+        if monitor is None:
             return finished
-        finished, new = self.monitor.take(finished, self.recorder.keep_monitor)
-        self.recorder.note(self.clock.t_s, self.monitor.line(finished))
-        self.carry_out([Say(Severity.WARNING, words) for words in new])
-        if self.port is not None:
-            self.port.doubt = "; ".join(self.monitor.doubts.words)
+        finished, new_findings = monitor.record_flight_and_get_new_findings(
+            finished, recorder.submit_monitor_write
+        )
+        recorder.submit_text_log_line(self.clock.t_s, monitor.format_log_line(finished))
+        for finding in new_findings:
+            self.report_alert(Alert.MONITOR_DOUBT, finding=finding)
+        if self._port is not None:
+            self._port.monitor_text = "; ".join(monitor.corrections.prefixed_findings)
         return finished
-
-    def _publish_next(self) -> None:
-        """One named value a tick: of several at once PX4's log keeps the last (flown)."""
-        if not self._to_publish:
-            return
-        name = next(iter(self._to_publish))
-        value = self._to_publish.pop(name)
-        self.send(
-            mavlink.MAVLink_named_value_float_message(self.clock.boot_ms, name.encode()[:10], value)
-        )
-
-    def _heartbeat(self) -> None:
-        self._beat_wall_s = self.wall_clock_s()
-        phase = self.pilot.phase
-        if phase is Phase.IDENTIFY:
-            state = mavlink.MAV_STATE_BOOT
-        elif phase is Phase.PASSIVE:
-            state = mavlink.MAV_STATE_STANDBY
-        else:
-            state = mavlink.MAV_STATE_ACTIVE
-        flags = mavlink.MAV_MODE_FLAG_AUTO_ENABLED if phase in FLIGHT_PHASES else 0
-        self.send(
-            mavlink.MAVLink_heartbeat_message(
-                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-                mavlink.MAV_AUTOPILOT_INVALID,
-                flags,
-                (self.pilot.flies_since_ms or 0) & 0xFFFFFFFF,
-                state,
-                3,
-            )
-        )
-
-    def send(self, message: Any) -> None:
-        """Pack and keep one message; it leaves at the next `flush`."""
-        self._pack(message, is_order=False)
-
-    def send_order(self, message: Any) -> None:
-        """The same for what the autopilot shall do or tell; while we are late it is lost, as on a
-        link, and sent again when that is due and still wanted."""
-        if not self.hearing.is_late:
-            self._pack(message, is_order=True)
-
-    def _pack(self, message: Any, *, is_order: bool) -> None:
-        frame = self.codec.pack(message)
-        self._said.append(frame)
-        if self._outgoing_bytes + len(frame) > BUNDLE_BYTES:
-            self.flush()
-        self._outgoing.append(_Outgoing(frame, is_order, self.clock.t_s))
-        self._outgoing_bytes += len(frame)
-
-    def flush(self) -> None:
-        """Let out what was said since the last time, whole frames together: a datagram costs its
-        sender and its reader more than its bytes do. Orders stay until it is known that they are
-        fresh, and those that are not are lost."""
-        if not self._outgoing:
-            return
-        self._mind_stall()
-        going = [kept for kept in self._outgoing if not kept.is_order or self._is_fresh(kept)]
-        staying = [kept for kept in self._outgoing if kept.is_order and self._must_wait]
-        if going:
-            for kept in going:
-                self.recorder.stream(kept.frame, kept.t_s)
-            self.link.send(b"".join(kept.frame for kept in going))
-        self._outgoing = staying
-        self._outgoing_bytes = sum(len(kept.frame) for kept in staying)
-
-    @property
-    def _must_wait(self) -> bool:
-        """Orders neither leave nor are lost yet: the next tick shows whether they are stale."""
-        return not self.hearing.may_order and not self.hearing.is_late
-
-    def _is_fresh(self, kept: _Outgoing) -> bool:
-        return self.hearing.may_order and self.clock.t_s - kept.t_s <= STALL_S

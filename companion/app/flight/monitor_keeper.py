@@ -1,6 +1,5 @@
-"""Keeps the monitor of a vehicle's service: read before a flight, gone on with at its end."""
+"""Service monitor of a vehicle: read before a flight, updated after it."""
 
-import hashlib
 import math
 import re
 from collections.abc import Callable
@@ -9,19 +8,25 @@ from pathlib import Path
 
 import msgspec
 
-from companion.adapters.clock import epoch_us
+from companion.adapters.clock import unix_time_us
 from companion.adapters.files.monitor_file import (
-    read_service,
-    service_file,
-    set_aside,
-    write_service,
+    copy_damaged_record,
+    read_service_record,
+    service_record_path,
+    write_service_record,
 )
 from companion.core.base.errors import LeewayError
+from companion.core.certificate.certificate import airframe_digest
 from companion.core.mission.actions import Finished
-from companion.core.monitor.doubts import Doubts, doubts_of
+from companion.core.monitor.corrections import MonitorCorrections, monitor_corrections_for_pack
 from companion.core.monitor.promises import DRAW
-from companion.core.monitor.record import UNNAMED, Service
-from companion.core.monitor.service import after_flight, begun_anew, log_e, reset
+from companion.core.monitor.record import UNNAMED, ServiceRecord
+from companion.core.monitor.service import (
+    log_e_value,
+    new_service_record,
+    reset_evidence_of_subject,
+    service_record_with_flight,
+)
 from companion.core.vehicle.airframe import Airframe
 
 Write = Callable[[Callable[[], None]], None]
@@ -29,90 +34,105 @@ Write = Callable[[Callable[[], None]], None]
 
 @dataclass(slots=True)
 class MonitorKeeper:
-    """The record of one vehicle in memory, for one flight with one pack.
+    """The service record of one vehicle in memory, for one flight with one pack.
 
-    `trouble` is what was wrong with the file, in words. A record that could not be read begins
-    anew, with the careful belief of one that was lost.
+    `error_text` describes an error in the file. A record that cannot be read is replaced by a new
+    one with the conservative prior of a lost record.
     """
 
     path: Path
     pack: str
     flight: str
-    service: Service
-    trouble: str = ""
-    epoch_s: Callable[[], float] = lambda: epoch_us() / 1e6
+    service: ServiceRecord
+    error_text: str = ""
+    epoch_s: Callable[[], float] = lambda: unix_time_us() / 1e6
 
     @classmethod
-    def open(
-        cls, folder: Path, vehicle: str, airframe: Airframe, pack: str, flight: str
+    def read_or_create(
+        cls, folder: Path, vehicle: str, airframe: Airframe, pack_name: str, flight_digest: str
     ) -> "MonitorKeeper":
-        """Read what earlier flights found. `flight` tells this mission from others (a digest)."""
-        path = service_file(folder, _file_name(vehicle or airframe.name))
-        digest = hashlib.sha256(msgspec.json.encode(airframe)).hexdigest()[:16]
+        """Read the record of earlier flights. `flight_digest` identifies this mission."""
+        path = service_record_path(folder, _valid_file_name(vehicle or airframe.name))
+        digest = airframe_digest(airframe)
         try:
-            found = read_service(path)
+            found = read_service_record(path)
         except LeewayError as error:
-            lost = begun_anew(digest, lost=True)
-            return cls(path, pack or UNNAMED, flight, lost, f"monitor begins anew: {error}")
-        service = found or begun_anew(digest, lost=False)
-        keeper = cls(path, pack or UNNAMED, flight, service)
+            lost = new_service_record(digest, earlier_evidence_lost=True)
+            return cls(
+                path, pack_name or UNNAMED, flight_digest, lost, f"monitor record reset: {error}"
+            )
+        service = found or new_service_record(digest, earlier_evidence_lost=False)
+        keeper = cls(path, pack_name or UNNAMED, flight_digest, service)
         if service.airframe != digest:
-            keeper._promise_anew(digest)
+            keeper._reset_draw_evidence(digest)
         return keeper
 
     @property
-    def doubts(self) -> Doubts:
-        """What this flight is to believe."""
-        return doubts_of(self.service, self.pack)
+    def corrections(self) -> MonitorCorrections:
+        """Findings that this flight must consider."""
+        return monitor_corrections_for_pack(self.service, self.pack)
 
-    def begin(self, write: Write) -> None:
-        """The flight begins: a file that could not be read is put aside, and the lost record begun,
-        so that the next companion is as careful. `write` runs a deed off the flight's thread.
+    def replace_damaged_record(self, run_write_job: Write) -> None:
+        """Start the flight: move an unreadable file aside and write the new record, so that the
+        next companion is equally conservative. `run_write_job` runs a function off the flight
+        thread.
         """
-        if not self.trouble:
+        if not self.error_text:
             return
         path, service = self.path, self.service
 
-        def begin_anew() -> None:
+        def copy_and_replace_record() -> None:
             if path.exists():
-                set_aside(path)
-            write_service(path, service)
+                copy_damaged_record(path)
+            write_service_record(path, service)
 
-        write(begin_anew)
+        run_write_job(copy_and_replace_record)
 
-    def take(self, finished: Finished, write: Write) -> tuple[Finished, tuple[str, ...]]:
-        """The flight is over: count it; its end with the evidence, and new doubts in words."""
-        if finished.figures is None:
+    def record_flight_and_get_new_findings(
+        self, finished: Finished, run_write_job: Write
+    ) -> tuple[Finished, tuple[str, ...]]:
+        """Count the finished flight; return it with the evidence, and new findings as text."""
+        if finished.flight_statistics is None:
             return finished, ()
-        before, name = self.service, f"{self.flight} {finished.took_off_s}"
-        after = after_flight(before, finished.figures, self.pack, name, self.epoch_s())
+        before, name = self.service, f"{self.flight} {finished.takeoff_s}"
+        after = service_record_with_flight(
+            before, finished.flight_statistics, self.pack, name, self.epoch_s()
+        )
         self.service, path = after, self.path
-        write(lambda: write_service(path, after))
-        new = () if _alarms(after) == _alarms(before) else doubts_of(after, self.pack).words
-        return replace(finished, evidence_nats=log_e(after.draw, DRAW)), new
+        run_write_job(lambda: write_service_record(path, after))
+        new_findings = (
+            ()
+            if _alarm_flight_by_quantity(after) == _alarm_flight_by_quantity(before)
+            else monitor_corrections_for_pack(after, self.pack).findings
+        )
+        return replace(finished, evidence_nats=log_e_value(after.draw, DRAW)), new_findings
 
-    def line(self, finished: Finished) -> str:
-        """The flight as it was counted, for its log."""
-        seen = finished.figures
+    def format_log_line(self, finished: Finished) -> str:
+        """Return the log line of the counted flight."""
+        seen = finished.flight_statistics
         if seen is None:
-            return "monitor: not counted, it never flew"
+            return "monitor: flight not counted, no take-off"
         draw = "unknown" if seen.draw is None else f"{math.exp(seen.draw.value):.3f} of the model's"
-        fall = "unknown" if seen.pack is None else f"{math.exp(seen.pack.value):.3f} of the stated"
+        charge_text = (
+            "unknown" if seen.pack is None else f"{math.exp(seen.pack.value):.3f} of the stated"
+        )
         wind = f"{seen.wind_misses} of {seen.wind_checks} forecasts missed"
-        return f"monitor: draw {draw}, charge per Wh of pack {self.pack} {fall}, {wind}"
+        return f"monitor: draw {draw}, charge per Wh of pack {self.pack} {charge_text}, {wind}"
 
-    def _promise_anew(self, digest: str) -> None:
-        """Another airframe file promises another draw: the evidence was against the one before."""
-        why = "the airframe file has changed"
-        anew = reset(self.service, DRAW, "companion", why, self.epoch_s())
-        self.service = msgspec.structs.replace(anew, airframe=digest)
+    def _reset_draw_evidence(self, digest: str) -> None:
+        """Reset the draw evidence: it refers to another airframe file."""
+        reset_reason = "the airframe file has changed"
+        reset_service = reset_evidence_of_subject(
+            self.service, DRAW, "companion", reset_reason, self.epoch_s()
+        )
+        self.service = msgspec.structs.replace(reset_service, airframe=digest)
 
 
-def _alarms(service: Service) -> list[object]:
+def _alarm_flight_by_quantity(service: ServiceRecord) -> list[object]:
     packs = [(name, kept.alarm_flight) for name, kept in service.packs.items()]
     return [service.draw.alarm_flight, service.wind.alarm_flight, *packs]
 
 
-def _file_name(vehicle: str) -> str:
-    """A name as files allow it."""
+def _valid_file_name(vehicle: str) -> str:
+    """Replace characters that a file name does not allow."""
     return re.sub(r"[^A-Za-z0-9._-]", "-", vehicle)[:64].lstrip(".") or "vehicle"

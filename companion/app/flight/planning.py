@@ -1,80 +1,63 @@
-"""Who works on a plan: a thread of its own, while the loop goes on hearing, or the loop itself.
+"""Execution of planning work: in a separate thread while the loop receives, or in the loop.
 
-Whatever breaks in the work, memory that is not to be had too, is no plan: the vehicle stays on the
-ground, and the operator is told why.
+Each error in the work, also lack of memory, yields `NoRoute`: the vehicle stays on the ground, and
+the operator receives the reason.
 """
 
 import queue
 import threading
 import traceback
 from pathlib import Path
-from typing import Protocol
 
 from companion.core.mission.find_plan import FindPlan
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.routing.route_planner import NoRoute
 
-Found = tuple[int, FlightPlan | NoRoute]
-"""The number of a `FindPlan`, and what came of it."""
+PlanningResult = tuple[int, FlightPlan | NoRoute]
+"""Number of a `FindPlan`, and its result."""
 
 
-def worked_out(asked: FindPlan) -> Found:
-    """What came of the work."""
+def compute_plan_or_error(find_plan: FindPlan) -> PlanningResult:
+    """Run the work and return its result; an exception becomes `NoRoute`."""
     try:
-        return asked.number, asked.work()
+        return find_plan.request_number, find_plan.compute_plan()
     except Exception as error:  # noqa: BLE001 - see above
         last = traceback.extract_tb(error.__traceback__)[-1]
-        what = f"{type(error).__name__} {error}".strip()
+        error_text = f"{type(error).__name__} {error}".strip()
         at = f"{Path(last.filename).name}:{last.lineno}"
-        return asked.number, NoRoute(f"planning failed: {what} ({at})")
+        return find_plan.request_number, NoRoute(f"planning failed: {error_text} ({at})")
 
 
-class Planning(Protocol):
-    """Takes work, and hands out what came of it."""
+class PlanningExecutor:
+    """Runs each work item in a thread, or synchronously for a simulated world that waits; the pilot
+    ignores the result of an obsolete one.
+    """
 
-    def begin(self, asked: FindPlan) -> None:
-        """Work on it, at once or beside the loop."""
-        ...
+    def __init__(self, *, synchronous: bool) -> None:
+        self._is_synchronous = synchronous
+        self._results: queue.SimpleQueue[PlanningResult] = queue.SimpleQueue()
 
-    def found(self) -> Found | None:
-        """One result that was not handed out yet."""
-        ...
+    def start_planning(self, find_plan: FindPlan) -> None:
+        """Start the work. Runs synchronously if no thread can be started."""
+        if self._is_synchronous:
+            self._compute_and_queue_result(find_plan)
+        else:
+            self._start_thread(find_plan)
 
-
-class PlanAtOnce:
-    """Does the work where it is asked for, in a world that waits for us."""
-
-    def __init__(self) -> None:
-        self._done: list[Found] = []
-
-    def begin(self, asked: FindPlan) -> None:
-        """See `Planning`."""
-        self._done.append(worked_out(asked))
-
-    def found(self) -> Found | None:
-        """See `Planning`."""
-        return self._done.pop(0) if self._done else None
-
-
-class PlanBeside:
-    """Does the work on a thread of its own; one that is not wanted any more ends unheard."""
-
-    def __init__(self) -> None:
-        self._done: queue.SimpleQueue[Found] = queue.SimpleQueue()
-
-    def begin(self, asked: FindPlan) -> None:
-        """See `Planning`. Where no thread can be had, the loop does the work."""
+    def _start_thread(self, find_plan: FindPlan) -> None:
         try:
-            threading.Thread(target=self._work, args=(asked,), name="plan", daemon=True).start()
+            threading.Thread(
+                target=self._compute_and_queue_result, args=(find_plan,), name="plan", daemon=True
+            ).start()
         except RuntimeError:  # no memory, or too many processes
-            self._work(asked)
+            self._compute_and_queue_result(find_plan)
 
-    def _work(self, asked: FindPlan) -> None:
-        self._done.put(worked_out(asked))
+    def _compute_and_queue_result(self, find_plan: FindPlan) -> None:
+        self._results.put(compute_plan_or_error(find_plan))
 
-    def found(self) -> Found | None:
-        """See `Planning`."""
+    def take_next_result(self) -> PlanningResult | None:
+        """Return the next result, if any."""
         try:
-            return self._done.get_nowait()
+            return self._results.get_nowait()
         except queue.Empty:
             return None

@@ -1,9 +1,7 @@
-"""One companion from its arguments to its exit code."""
+"""Run one companion, from its options to its exit code."""
 
-import signal
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from companion.adapters.autopilots.codec import mavlink
@@ -13,48 +11,52 @@ from companion.adapters.clock import wall_s
 from companion.adapters.files.folder_lock import FolderLock
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
 from companion.app.flight.loop import Loop
-from companion.app.flight.planning import PlanAtOnce
 from companion.app.flight.recorder import Recorder
+from companion.app.flight.signing_monitor import SigningMonitor
 from companion.core.base.errors import LeewayError
-from companion.core.mission.actions import Action, Say, Severity
+from companion.core.mission.actions import Action
+from companion.core.mission.alerts import Alert, AlertSink
 from companion.core.pilot.pilot import Pilot
-from companion.core.pilot.transitions import Phase
+from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
+from companion.core.pilot.transitions import GROUND_PHASES, Phase
+from companion.fleet.service_manager import record_stop_signals
 
 if TYPE_CHECKING:
     from companion.app.flight.fleet_port import FleetPort  # zenoh's: loaded for a fleet only
 
-DONE, BROKEN, USAGE, GROUNDED, NO_LINK, STOPPED, LINK_CLOSED = 0, 1, 2, 3, 4, 5, 6
-"""Exit codes: the mission ended; an error inside; a mistake in the input; no take-off was possible
-(for `check`: something is missing); no autopilot, or lost for good; stopped by a signal; the link
-did not open, and may later."""
+DONE, INTERNAL_ERROR, USAGE, GROUNDED, NO_LINK, INTERRUPTED, LINK_CLOSED = 0, 1, 2, 3, 4, 5, 6
+"""Exit codes: mission ended; internal error; invalid input; no take-off possible (for `check`: a
+requirement is not met); no autopilot, or link lost permanently; stopped by a signal; link could not
+be opened (temporary)."""
 
 
-def run(
+def fly_mission(
     options: RunOptions,
     *,
     on_action: Callable[[Action], None] | None = None,
     port: "FleetPort | None" = None,
 ) -> tuple[int, Pilot]:
-    """Fly (or check) until the mission, a signal or an error ends it; returns the exit code.
+    """Fly (or check) until the mission, a signal or an error ends it; return the exit code.
 
-    `port`: a dispatcher's desk that sees it, and may command what an operator may.
+    `port`: connection to a dispatcher's desk, which has the command rights of an operator.
 
-    Raises LeewayError for a mistake in the input, before anything is opened.
+    Raises LeewayError for invalid input, before the link is opened.
     """
-    loaded = LoadedFlight.read(options)
+    loaded = LoadedFlight.read_and_validate(options)
     flown = Run.begin(loaded, open_link, on_action=on_action, port=port)
-    return fly_to_the_end(flown), flown.pilot
+    return run_until_exit_and_return_code(flown), flown.pilot
 
 
-NOT_TO_BE_CHECKED = (Phase.RECOGNISE, Phase.SUSPENDED, Phase.PASSIVE)
-"""Phases out of which a check never comes by itself: it flies, or another hand has it."""
+UNCHECKABLE_PHASES = (Phase.RECOGNISE, Phase.SUSPENDED, Phase.PASSIVE)
+"""Phases that a check cannot leave: the vehicle flies, or another controller commands it."""
 
 
 @dataclass(slots=True)
 class Run:
-    """One flight: `step` until that returns an exit code, then `end` with it.
+    """One flight: call `run_cycle_and_get_exit_code` until it returns an exit code, then
+    `write_result_and_close` with it.
 
-    `check_only`: it ends also where there is nothing to be checked.
+    `check_only`: end also in phases in which no check is possible.
     """
 
     loop: Loop
@@ -73,31 +75,40 @@ class Run:
         port: "FleetPort | None" = None,
         wall_clock_s: Callable[[], float] = wall_s,
     ) -> "Run":
-        """Take up what an earlier run kept, open link and record.
+        """Resume from the checkpoint, if any; open link and record.
 
-        Raises LeewayError where another companion flies it, or the link stays shut.
+        Raises LeewayError if another companion uses the folder, or the link cannot be opened.
         """
         options, settings = loaded.options, loaded.settings
-        kept, trouble = loaded.kept()
-        monitor = loaded.monitor()
-        pilot = loaded.pilot(kept) if monitor is None else loaded.pilot(kept, monitor.doubts)
-        lock = FolderLock.take(options.run_dir)
+        kept, checkpoint_error = loaded.read_checkpoint_or_error()
+        monitor = loaded.read_service_monitor()
+        pilot = (
+            loaded.build_pilot(kept)
+            if monitor is None
+            else loaded.build_pilot(kept, monitor.corrections)
+        )
+        lock = FolderLock.acquire(options.run_dir)
         try:
             link = open_link(options.link)
         except LeewayError:
             lock.release()
             raise
-        continues = kept is not None and not kept.finished
+        is_resumed = kept is not None and not kept.finished
         recorder = Recorder(
             options.run_dir,
-            continues=continues,
+            is_resumed=is_resumed,
             keep_checkpoints=not options.pilot.check_only,
-            at_once=options.record_at_once,
+            synchronous=options.record_synchronously,
+            on_action=on_action,
         )
-        codec, stamps = settings.codec(datagrams=link.datagrams)
+        codec, stamps = settings.build_codec(datagrams=link.datagrams)
         if options.system_id is not None:
-            codec.be_system(options.system_id)
-        loop = Loop.wire(
+            codec.set_source_system_id(options.system_id)
+        signing = None
+        if stamps is not None:
+            signing = SigningMonitor(codec, recorder.submit_latest_write, stamps)
+        recorded_monitor = None if options.pilot.check_only else monitor
+        loop = Loop(
             link,
             codec,
             recorder,
@@ -107,92 +118,101 @@ class Run:
             wall_clock_s=wall_clock_s,
             settings_folder=options.settings_folder,
             trust=OperatorTrust(frozenset(options.operators)),
+            signing=signing,
+            plan_synchronously=options.plan_synchronously,
+            monitor=recorded_monitor,
+            port=port,
         )
-        if options.plan_at_once:
-            loop.planning = PlanAtOnce()
-        loop.stamps = stamps
-        loop.monitor = None if options.pilot.check_only else monitor
-        loop.on_action = on_action
-        loop.port = port
         if port is not None:
-            port.link.be_woken(link.wake)
-            port.link.hear_fleets(loaded.flight.neighbours)
-            port.doubt = "; ".join(pilot.doubts.words)
-        recorder.note(pilot.telemetry.t_s, loaded.names)
-        if stamps is not None and stamps.trouble:
-            recorder.note(pilot.telemetry.t_s, stamps.trouble)
-        if trouble:
-            recorder.note(pilot.telemetry.t_s, trouble)
-        if monitor is not None and monitor.trouble:
-            recorder.note(pilot.telemetry.t_s, monitor.trouble)
-        if loop.monitor is not None:
-            loop.monitor.begin(recorder.keep_monitor)
-        if not options.pilot.gate_on:
-            recorder.note(pilot.telemetry.t_s, "GATE OFF: never turns back, for comparison only")
-        if kept is not None and continues:
-            recorder.note(pilot.telemetry.t_s, f"going on from a checkpoint in phase {kept.phase}")
+            port.member.link.set_request_callback(link.interrupt_receive)
+            port.member.link.subscribe_fleets(loaded.flight.neighbours)
+            port.monitor_text = "; ".join(pilot.monitor_corrections.prefixed_findings)
+        for text in (
+            loaded.summary_text,
+            stamps.error_text if stamps is not None else "",
+            checkpoint_error,
+            monitor.error_text if monitor is not None else "",
+            "" if options.pilot.gate_enabled else "GATE OFF: never turns back; for comparison only",
+            f"resumed from checkpoint in phase {kept.phase}"
+            if kept is not None and is_resumed
+            else "",
+        ):
+            if text:
+                recorder.submit_text_log_line(pilot.context.telemetry.t_s, text)
+        if recorded_monitor is not None:
+            recorded_monitor.replace_damaged_record(recorder.submit_monitor_write)
         return cls(loop, recorder, pilot, lock, options.pilot.check_only)
 
-    def step(self) -> int | None:
-        """Handle what one wait brings; the exit code once the mission is over or the link lost."""
+    def run_cycle_and_get_exit_code(self) -> int | None:
+        """Run one loop step; return the exit code once the mission ends or the link is lost."""
         self.loop.step()
         if self.loop.finished is not None:
             return DONE if self.pilot.phase is Phase.DONE else GROUNDED
-        if self.loop.lost:
-            self.recorder.note(self.loop.clock.t_s, "no autopilot heard: giving up the link")
+        if self.loop.silence_limit_exceeded:
+            self.recorder.submit_text_log_line(
+                self.loop.clock.t_s, "no autopilot message: link closed"
+            )
             return NO_LINK
-        if self.check_only and self.pilot.phase in NOT_TO_BE_CHECKED:
+        if self.check_only and self.pilot.phase in UNCHECKABLE_PHASES:
             return GROUNDED
         return None
 
-    def end(self, code: int) -> None:
-        """Let out what is left to say, write the result, close everything."""
+    def write_result_and_close(self, exit_code: int) -> None:
+        """Send pending messages, write the result, close all files and the link."""
         loop, recorder, pilot = self.loop, self.recorder, self.pilot
-        loop.flush()
-        recorder.note(loop.clock.t_s, f"exit {code} in phase {pilot.phase.value}")
-        recorder.write_result(
-            delivered=pilot.delivered,
+        loop.send_queue.send_queued_frames()
+        recorder.submit_text_log_line(
+            loop.clock.t_s, f"exit {exit_code} in phase {pilot.phase.value}"
+        )
+        recorder.write_result_and_wait(
+            delivered=pilot.is_delivered,
             flown=pilot.flight_plan,
             phase=pilot.phase.value,
-            findings=pilot.findings,
-            settings=pilot.setting_changes,
+            findings=pilot.settings.unmet_setting_issues,
+            settings=pilot.settings.setting_changes,
         )
         loop.link.close()
         recorder.close()
         self.lock.release()
 
 
-def fly_to_the_end(flown: Run) -> int:
-    """Run the loop until the flight ends, a signal comes or something breaks; the exit code."""
-    stopped: list[int] = []
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        stopped.append(number)
-
+def run_until_exit_and_return_code(flown: Run) -> int:
+    """Run the loop until the flight ends, a signal arrives or an error occurs; return the code."""
     loop, recorder = flown.loop, flown.recorder
-    before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        code = _until_the_end(flown, stopped)
-    except Exception as error:  # noqa: BLE001 - the one broad except: nothing is commanded after it
-        # The safe action is none: the autopilot holds a mission that ends at home.
-        recorder.trouble(loop.clock.t_s, error)
-        text = b"companion broken: mission aboard goes home"
-        loop.send(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))
-        code = BROKEN
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    flown.end(code)
+    with record_stop_signals() as received_signals:
+        try:
+            code = _step_until_exit_code(flown, received_signals)
+        except Exception as error:  # noqa: BLE001 - the one broad except: nothing is commanded after it
+            # Send no command: the autopilot holds a mission that ends at home.
+            recorder.record_exception(loop.clock.t_s, error)
+            text = b"companion failed: it sends no more commands"
+            severity = mavlink.MAV_SEVERITY_CRITICAL
+            loop.send_queue.queue_message(mavlink.MAVLink_statustext_message(severity, text))
+            code = INTERNAL_ERROR
+    flown.write_result_and_close(code)
     return code
 
 
-def _until_the_end(flown: Run, stopped: list[int]) -> int:
-    loop, recorder = flown.loop, flown.recorder
-    while True:
-        code = flown.step()
-        if code is not None:
-            return code
-        if stopped:
-            recorder.note(loop.clock.t_s, f"signal {stopped[0]}: leaving; the mission stays aboard")
-            loop.carry_out([Say(Severity.WARNING, "companion stopped: mission goes home")])
-            return STOPPED
+def _step_until_exit_code(flown: Run, received_signals: list[int]) -> int:
+    while (code := flown.run_cycle_and_get_exit_code()) is None:
+        if received_signals:
+            text = f"signal {received_signals[0]}: exiting; mission stays uploaded"
+            flown.recorder.submit_text_log_line(flown.loop.clock.t_s, text)
+            report_vehicle_state_at_stop(flown.pilot, flown.loop.report_alert)
+            return INTERRUPTED
+    return code
+
+
+def report_vehicle_state_at_stop(pilot: Pilot, report_alert: AlertSink) -> None:
+    """Report what the vehicle does without the companion; nothing about a vehicle never seen."""
+    context, telemetry = pilot.context, pilot.context.telemetry
+    state = telemetry.state
+    not_started = pilot.phase in GROUND_PHASES and not telemetry.armed
+    is_on_ground = not_started or not context.in_air_evidence_text()
+    if state is not None and is_on_ground and telemetry.is_recent(state, STATE_MAX_AGE_S):
+        armed_state = "STILL ARMED" if telemetry.armed else "disarmed"
+        report_alert(Alert.COMPANION_STOPPED_ON_GROUND, armed_state=armed_state)
+    elif state is not None and not not_started:
+        report_alert(Alert.COMPANION_STOPPED, mode=state.mode_name)
+    if pilot.settings.original_values_to_restore:
+        report_alert(Alert.SETTINGS_NOT_RESTORED, reason="companion stopped")

@@ -1,49 +1,56 @@
-"""Keeps what a flight changes on its vehicle until that is put back, whichever run does it."""
+"""Stores changed vehicle settings until this or a later run restores them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.files.vehicle_settings import (
-    read_settings,
-    settings_file,
-    write_settings,
+    original_parameters_file_path,
+    read_original_parameters,
+    write_or_remove_original_parameters,
 )
 from companion.core.base.errors import LeewayError
 
 
 @dataclass(slots=True)
 class SettingsKeeper:
-    """One vehicle's file in `folder`; None: nothing is kept. `write` runs a deed off the flight's
-    thread, `note` writes a line for people.
+    """Settings file of one vehicle in `folder`; None: nothing is stored. `write` runs a function
+    off the flight thread, `note` adds a line to the log.
     """
 
     folder: Path | None
+    autopilot: AutopilotPort
     write: Callable[[Callable[[], None]], None]
     note: Callable[[str], None]
     _path: Path | None = None
-    _kept: dict[str, float] = field(default_factory=dict)
-    _ours: bool = False
-    """This flight has taken over what was left, or has changed something itself."""
+    _stored: dict[str, float] = field(default_factory=dict)
+    _has_changes: bool = False
+    """This flight adopted the stored settings or changed a setting."""
 
-    def meet(self, autopilot: str, system_id: int, board: str) -> dict[str, float]:
-        """The vehicle is known: what an earlier flight left changed on it."""
+    def read_unrestored_settings(self, board_serial_number: str) -> dict[str, float]:
+        """Return settings that an earlier flight changed on this vehicle and did not restore."""
         if self.folder is None or self._path is not None:
             return {}
-        self._path = settings_file(self.folder, autopilot, system_id, board)
+        profile = self.autopilot.profile
+        kind = "" if profile is None else profile.autopilot_kind.value
+        self._path = original_parameters_file_path(
+            self.folder, kind, self.autopilot.system_id or 0, board_serial_number
+        )
         try:
-            self._kept = read_settings(self._path)
+            self._stored = read_original_parameters(self._path)
         except LeewayError as error:
-            self.note(f"settings of an earlier flight are not known: {error}")
-        return dict(self._kept)
+            self.note(f"cannot read the settings of an earlier flight: {error}")
+        return dict(self._stored)
 
-    def take(self, autopilot: str, system_id: int, before: dict[str, float]) -> None:
-        """Keep what is to be put back now; a vehicle that never told its board is kept too."""
-        self._ours = self._ours or bool(before)
-        if before == self._kept or not self._ours:
+    def store_original_values_if_changed(self, original_values: dict[str, float]) -> None:
+        """Store the values to restore, also for a vehicle that did not report its board."""
+        self._has_changes = self._has_changes or bool(original_values)
+        if original_values == self._stored or not self._has_changes:
             return
         if self._path is None:
-            self.meet(autopilot, system_id, "")
-        path, self._kept = self._path, dict(before)
+            self.read_unrestored_settings("")
+        path, stored = self._path, dict(original_values)
+        self._stored = stored
         if path is not None:
-            self.write(lambda: write_settings(path, before))
+            self.write(lambda: write_or_remove_original_parameters(path, stored))

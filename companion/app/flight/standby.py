@@ -1,45 +1,38 @@
-"""A vehicle between missions: it watches its autopilot, reports to the dispatcher and waits.
+"""A vehicle between missions: monitors its autopilot, reports to the dispatcher and waits.
 
-The autopilot gets our heartbeats, answers to its TIMESYNC, and requests for telemetry: ArduPilot
-sends no position unless asked, and a dispatcher gives no mission to a drone that is not seen on its
-pad. No other command is sent here.
+The autopilot receives heartbeats, TIMESYNC responses and telemetry requests: ArduPilot sends no
+position unless requested, and a dispatcher assigns no mission to a drone without a known position
+on its pad. No other command is sent here.
 """
 
 import contextlib
-import signal
 from collections.abc import Callable
-from types import FrameType
-from typing import Any
 
-from companion.adapters.autopilots.codec import AUTOPILOT, MavlinkCodec, mavlink
+from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.link import Link
-from companion.adapters.autopilots.port import AutopilotPort
-from companion.adapters.clock import AutopilotClock, is_due, wall_s
-from companion.adapters.files.signing_files import StampKeeper
+from companion.adapters.clock import is_due, wall_s
+from companion.adapters.files.signing_files import SigningStampStore
 from companion.app.flight.assignment import write_assignment
-from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
+from companion.app.flight.autopilot_client import AutopilotClient
+from companion.app.flight.fleet_port import STANDBY, FleetPort, StoredAssignment
 from companion.app.flight.loaded_flight import RunOptions, Settings
 from companion.core.base.errors import LeewayError
-from companion.core.mission.actions import AskTelemetry
-from companion.core.mission.events import ClockStepped
-from companion.core.pilot.telemetry_state import TelemetryState
-from companion.fleet.command_log import Verdict
-from companion.fleet.messages import Answered, Assign, Command, Launch, Recall, Withdraw
+from companion.core.mission.actions import RequestTelemetry
+from companion.fleet.command_log import CommandReply
+from companion.fleet.messages import Assign, Command, CommandStatus, Launch, Recall, Withdraw
 from companion.fleet.service_manager import Watchdog
 
-WAIT_S = 0.1
-HEARTBEAT_S = 1.0
-SILENT_S = 5.0
-"""After so long nothing that was heard of the vehicle is told any more."""
+TELEMETRY_TIMEOUT_S = 5.0
+"""Age at which telemetry of a silent vehicle is discarded."""
 
 TICK_S = 0.1
-POSITION_SILENT_S = 5.0
-ASK_AGAIN_S = 10.0
-"""Of the autopilot's time: longer than a dozen requests take, each sent again twice."""
+POSITION_TIMEOUT_S = 5.0
+TELEMETRY_REQUEST_INTERVAL_S = 10.0
+"""Autopilot time between requests: a dozen requests with two retries each take less."""
 
 
 class Standby:
-    """Waits on a link for an assignment; `wait` returns it, or `None` when told to stop."""
+    """Waits on a link; `wait_for_assignment` returns an assignment, or `None` on a stop request."""
 
     def __init__(
         self,
@@ -49,150 +42,95 @@ class Standby:
         options: RunOptions,
         settings: Settings,
         clock_s: Callable[[], float] = wall_s,
+        stamps: SigningStampStore | None = None,
     ) -> None:
         self._port = port
         self._options, self._settings = options, settings
-        self._link = link
-        self._codec = codec
-        self._clock = AutopilotClock()
-        self._autopilot = AutopilotPort(self._send, self._clock, options.system_id)
-        self._now = TelemetryState()
-        self._beat_s: float | None = None
-        self._taken: Assigned | None = None
+        self._client = AutopilotClient(link, codec, options.system_id, clock_s)
+        self._assignment: StoredAssignment | None = None
         self._clock_s = clock_s
-        self._heard_s = clock_s()
         self._ticked_s: float | None = None
-        self._asked_s: float | None = None
+        self._requested_s: float | None = None
         self._watchdog = Watchdog()
-        self.stamps: StampKeeper | None = None
+        self._stamps = stamps
 
-    def wait(self, stopped: Callable[[], bool]) -> Assigned | None:
-        """Until an assignment is aboard."""
-        self._port.link.be_woken(self._link.wake)
-        while self._taken is None and not stopped():
-            self.turn()
-        return self._taken
+    def wait_for_assignment(self, stop_requested: Callable[[], bool]) -> StoredAssignment | None:
+        """Run until an assignment is loaded or `stop_requested()` is true."""
+        self._port.member.link.set_request_callback(self._client.link.interrupt_receive)
+        while self._assignment is None and not stop_requested():
+            self.run_receive_cycle()
+        return self._assignment
 
-    def turn(self) -> Assigned | None:
-        """Wait a moment for bytes, handle them, talk to the desk; the assignment once it is aboard.
+    def run_receive_cycle(self) -> StoredAssignment | None:
+        """Run one cycle: receive and handle bytes, exchange messages with the desk.
 
-        No more turns after that.
+        Return the assignment once it is loaded; the cycle must not run again after that.
         """
         now_s = self._clock_s()
-        self._watchdog.turn(now_s)
-        if is_due(self._beat_s, HEARTBEAT_S, now_s):
-            self._beat_s = now_s
-            self._send(_heartbeat())
-        if now_s - self._heard_s > SILENT_S:
-            self._now.forget()  # switched off: it may be carried elsewhere, and get another pack
-        incoming = self._link.receive(WAIT_S)
-        for message in self._codec.parse(incoming.data) if incoming is not None else []:
-            self._hear(message, incoming.peer if incoming is not None else None)
-        self._mind_telemetry()
-        self._keep_stamps(now_s)
-        self._port.turn(self._carry_out)
-        self._port.publish(STANDBY, self._now)
-        return self._taken
+        self._watchdog.notify_systemd_if_due(now_s)
+        if now_s - self._client.received_s > TELEMETRY_TIMEOUT_S:
+            # after power off the vehicle may get another site and another pack
+            self._client.telemetry.clear_samples()
+        self._client.receive_events()
+        self._request_telemetry_if_missing()
+        self._write_signing_stamps_if_due(now_s)
+        self._port.process_commands(self._execute_command)
+        self._port.publish_state_if_due(STANDBY, self._client.telemetry)
+        return self._assignment
 
-    def _keep_stamps(self, now_s: float) -> None:
-        """On the ground nothing is lost by waiting for the disk, nor by one that is full."""
-        write = self.stamps.due(now_s) if self.stamps is not None else None
+    def _write_signing_stamps_if_due(self, now_s: float) -> None:
+        """Write synchronously and ignore disk errors: on the ground both are harmless."""
+        write = self._stamps.take_due_write(now_s) if self._stamps is not None else None
         if write is not None:
             with contextlib.suppress(OSError):
                 write()
 
-    def _mind_telemetry(self) -> None:
-        """Ask for what tells where it stands, and again while it does not come (a reboot)."""
-        if self._autopilot.system_id is None or not self._clock.known:
+    def _request_telemetry_if_missing(self) -> None:
+        """Request position telemetry, and repeat while none arrives (after a reboot)."""
+        autopilot, clock = self._client.port, self._client.clock
+        if autopilot.system_id is None or not clock.is_known:
             return
-        t_s, position = self._clock.t_s, self._now.position
+        t_s, position = clock.t_s, self._client.telemetry.position
         if not is_due(self._ticked_s, TICK_S, t_s):
             return
         self._ticked_s = t_s
-        silent = position is None or t_s - position.t_s > POSITION_SILENT_S
-        if silent and is_due(self._asked_s, ASK_AGAIN_S, t_s):
-            self._asked_s = t_s
-            self._autopilot.order(AskTelemetry(), t_s)
-        self._autopilot.tick(t_s)
+        silent = position is None or t_s - position.t_s > POSITION_TIMEOUT_S
+        if silent and is_due(self._requested_s, TELEMETRY_REQUEST_INTERVAL_S, t_s):
+            self._requested_s = t_s
+            autopilot.execute(RequestTelemetry(), t_s)
+        autopilot.tick(t_s)
 
-    def _hear(self, message: Any, peer: Any) -> None:
-        if message.get_srcComponent() == AUTOPILOT:
-            self._link.answer_to(peer)
-            self._heard_s = self._clock_s()
-            if message.get_type() == "TIMESYNC" and message.tc1 == 0:
-                self._clock.synchronise(message.ts1 / 1e9)
-                now_ns = max(1, round(self._clock.t_s * 1e9))
-                self._send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
-                return
-        if message.get_type() == "TIMESYNC":
-            self._autopilot.on_time_answer(message)
-            return
-        for event in self._autopilot.on_message(message):
-            if isinstance(event, ClockStepped):
-                self._now.forget()
-            self._now.update(event)
-        if self._autopilot.system_id is not None:
-            self._codec.be_system(self._autopilot.system_id)
-
-    def _send(self, message: Any) -> None:
-        self._link.send(self._codec.pack(message))
-
-    def _carry_out(self, command: Command) -> Verdict:
-        deed = command.deed
-        match deed:
+    def _execute_command(self, command: Command) -> CommandReply:
+        command_content = command.action
+        match command_content:
             case Assign():
-                return self._assign(deed)
+                return self._write_and_store_assignment(command_content)
             case Withdraw():
-                self._port.book.close(deed.assignment)  # should it still be under way to us
-                return Verdict(Answered.DONE, "not aboard")
-            case Recall() if not self._now.armed:
-                return Verdict(Answered.DONE, "standing by on the ground")
+                self._port.member.command_log.prevent_relaunch_of_assignment(
+                    command_content.assignment
+                )  # a delayed Assign may arrive later
+                return CommandReply(CommandStatus.DONE, "assignment not loaded")
+            case Recall() if not self._client.telemetry.armed:
+                return CommandReply(CommandStatus.DONE, "standby on the ground")
             case Launch():
-                return Verdict(Answered.REFUSED, "no such assignment aboard")
+                return CommandReply(CommandStatus.REFUSED, "assignment not loaded")
             case _:
-                return Verdict(Answered.REFUSED, "standing by: no mission of ours")
+                return CommandReply(CommandStatus.REFUSED, "standby: no mission loaded")
 
-    def _assign(self, deed: Assign) -> Verdict:
-        if self._taken is not None:
-            return Verdict(Answered.LATER, f"taking {self._taken.assignment} aboard")
-        taken = Assigned(assignment=deed.assignment, order=deed.order)
+    def _write_and_store_assignment(self, command_content: Assign) -> CommandReply:
+        if self._assignment is not None:
+            return CommandReply(CommandStatus.LATER, f"loading {self._assignment.assignment}")
+        stored_assignment = StoredAssignment(
+            assignment=command_content.assignment, order=command_content.order
+        )
         try:
-            write_assignment(deed, self._port, self._options, self._settings)
-            self._port.take_aboard(taken)
+            write_assignment(command_content, self._port, self._options, self._settings)
+            self._port.store_assignment(stored_assignment)
         except LeewayError as error:
-            return Verdict(Answered.REFUSED, str(error))
+            return CommandReply(CommandStatus.REFUSED, str(error))
         except OSError as error:
-            return Verdict(Answered.LATER, f"cannot write the mission down: {error.strerror}")
-        self._taken = taken
-        return Verdict(Answered.DONE, "aboard, to be planned")
-
-
-def _heartbeat() -> Any:
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-        mavlink.MAV_AUTOPILOT_INVALID,
-        0,
-        0,
-        mavlink.MAV_STATE_STANDBY,
-        3,
-    )
-
-
-class StopSignals:
-    """While in use, SIGINT and SIGTERM are noted instead of killing."""
-
-    def __init__(self) -> None:
-        self.seen: list[int] = []
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> "StopSignals":
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.seen.append(number)
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+            return CommandReply(
+                CommandStatus.LATER, f"cannot write the mission file: {error.strerror}"
+            )
+        self._assignment = stored_assignment
+        return CommandReply(CommandStatus.DONE, "loaded, not planned yet")

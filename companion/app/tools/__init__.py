@@ -1,1 +1,1 @@
-"""What runs at a desk: replay, calibrate, fit-wind, and their pictures and reports."""
+"""Offline tools: replay, calibrate, fit-wind, with their pictures and reports."""

@@ -1,4 +1,4 @@
-"""`companion fit-wind`: recordings in, a wind process out, judged on wind that it did not see."""
+"""`companion fit-wind`: fit a wind process to recordings and score it on held-out wind."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -10,88 +10,104 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from companion.adapters.logs.wind_logs import read_wind_log
-from companion.core.base.errors import LeewayError
-from companion.core.wind.process import WindProcessParams
-from companion.core.wind_fit.fit import MEAN_S, WindFit, WindMeans, ten_second_means
-from companion.core.wind_fit.holdout import (
+from companion.analysis.wind_fit.fit import MEAN_S, AveragedWind, WindFit, average_wind_over_10_s
+from companion.analysis.wind_fit.holdout import (
     FITTED,
     GAUSSIAN,
     LONG_MEAN,
     PERSISTENCE,
     Holdout,
-    changes_mps,
-    fit_with_tail,
-    judge_held_out,
-    stated_change_std_mps,
+    cross_validate_wind_process,
+    fit_wind_process_with_tail,
+    headwind_change_quantile_by_horizon,
+    process_headwind_change_std_mps,
 )
-from companion.core.wind_fit.score import COVERAGES
+from companion.analysis.wind_fit.score import COVERAGES
+from companion.core.base.errors import LeewayError
+from companion.core.wind.process import WindProcessParams
 
-_SAYS = {0.95: 1.645, 0.99: 2.326}  # normal quantiles of a one-sided probability
+_NORMAL_QUANTILES = {0.95: 1.645, 0.99: 2.326}  # normal quantiles of a one-sided probability
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
-    """What the command found."""
+class WindFitResult:
+    """Result of the command."""
 
     fit: WindFit
     holdout: Holdout | None
-    recordings: tuple[WindMeans, ...]
+    recordings: tuple[AveragedWind, ...]
 
 
-def read_recordings(paths: Sequence[Path], say: Callable[[str], None]) -> tuple[WindMeans, ...]:
-    """The 10 s means of all logs; what was left out is said, by file and line."""
-    recordings: list[WindMeans] = []
-    for path in paths:
+def read_averaged_wind_recordings(
+    log_paths: Sequence[Path], print_line: Callable[[str], None]
+) -> tuple[AveragedWind, ...]:
+    """Return the 10 s means of all logs; `print_line` reports excluded rows by file and line."""
+    recordings: list[AveragedWind] = []
+    for path in log_paths:
         found = read_wind_log(path)
         for words in found.findings:
-            say(f"{path}: {words}")
-        means = [m for r in found.runs for m in ten_second_means(r.t_s, r.wind_to_ne_mps)]
-        used_s = sum(m.t_s.size for m in means) * MEAN_S
-        say(f"{path}: {used_s:.0f} s of wind used, in {len(means)} stretches without a gap")
-        recordings += means
+            print_line(f"{path}: {words}")
+        averaged_segments = [
+            m for r in found.segments for m in average_wind_over_10_s(r.t_s, r.wind_to_ne_mps)
+        ]
+        used_s = sum(m.t_s.size for m in averaged_segments) * MEAN_S
+        print_line(
+            f"{path}: {used_s:.0f} s of wind used, in {len(averaged_segments)} stretches without"
+            " a gap"
+        )
+        recordings += averaged_segments
     return tuple(recordings)
 
 
-def fit_wind(
-    recordings: tuple[WindMeans, ...],
-    name: str,
-    parts: int,
-    others: Sequence[WindProcessParams],
+def fit_and_cross_validate_wind(
+    recordings: tuple[AveragedWind, ...],
+    process_name: str,
+    component_count: int,
+    compared_processes: Sequence[WindProcessParams],
     console: Console,
-) -> Fitted:
-    """Fit on everything, and judge fits on parts of it, showing progress."""
+) -> WindFitResult:
+    """Fit on all recordings, and score held-out fits; show progress."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("fitting", total=None)
 
-        def step() -> None:
+        def advance_progress_bar() -> None:
             bar.advance(task)
 
-        fit = fit_with_tail(recordings, name, parts, step)
-        bar.update(task, description="judging on wind that was held out")
-        holdout = judge_held_out(recordings, parts, others, step)
-    return Fitted(fit, holdout, recordings)
+        fit = fit_wind_process_with_tail(
+            recordings, process_name, component_count, advance_progress_bar
+        )
+        bar.update(task, description="scoring on held-out wind")
+        holdout = cross_validate_wind_process(
+            recordings, component_count, compared_processes, advance_progress_bar
+        )
+    return WindFitResult(fit, holdout, recordings)
 
 
-def show(found: Fitted, console: Console) -> None:
+def print_fit_and_scores(fit_result: WindFitResult, console: Console) -> None:
     """Print parameters, held-out scores and the changes of headwind."""
-    console.print(_parameters(found.fit))
-    if found.holdout is None:
-        console.print("no held-out score: the recordings are too short to be divided")
+    console.print(_fitted_parameter_table(fit_result.fit))
+    if fit_result.holdout is None:
+        console.print("no held-out score: the recordings are too short to divide")
     else:
-        console.print(_scores(found.holdout))
-    console.print(_changes(found))
+        console.print(_holdout_score_table(fit_result.holdout))
+    console.print(_headwind_change_table(fit_result))
 
 
-def write_process(found: Fitted, sources: Sequence[Path], command: str, out: Path) -> None:
-    """The params file, with where its numbers come from and how they fared."""
+def write_wind_process_file(
+    fit_result: WindFitResult, recording_paths: Sequence[Path], command_line: str, out_path: Path
+) -> None:
+    """Write the params file with sources and held-out scores as comments."""
     try:
-        out.write_text(_toml(found, [p.name for p in sources], command), encoding="utf-8")
+        out_path.write_text(
+            _wind_process_toml(fit_result, [p.name for p in recording_paths], command_line),
+            encoding="utf-8",
+        )
     except OSError as error:
-        raise LeewayError(f"{out}: {error.strerror}") from error
+        raise LeewayError(f"{out_path}: {error.strerror}") from error
 
 
-def _parameters(fit: WindFit) -> Table:
+def _fitted_parameter_table(fit: WindFit) -> Table:
     process = fit.process
     table = Table(title=f"wind process {process.name}, at {process.reference_wind_mps:.1f} m/s")
     for head in ("part", "memory s", "one sigma", "variance m2/s2", "one sigma"):
@@ -102,24 +118,24 @@ def _parameters(fit: WindFit) -> Table:
         table.add_row(
             str(i + 1),
             f"{memory:.0f}",
-            _span(memory, float(fit.log_std[i]), 0),
+            _one_sigma_range_text(memory, float(fit.log_std[i]), 0),
             f"{variance:.2f}",
-            _span(variance, float(fit.log_std[parts + i]), 2),
+            _one_sigma_range_text(variance, float(fit.log_std[parts + i]), 2),
         )
     dof = process.tail_dof
     tails = "normal" if dof is None else f"Student's t, {dof:g} degrees"
     table.caption = (
-        f"tails: {tails}; log likelihood {fit.log_likelihood:.1f} nats of {fit.means} means"
+        f"tails: {tails}; log likelihood {fit.log_likelihood:.1f} nats of {fit.mean_count} means"
     )
     return table
 
 
-def _span(value: float, log_std: float, digits: int) -> str:
+def _one_sigma_range_text(value: float, log_std: float, decimal_places: int) -> str:
     factor = 2.718281828**log_std
-    return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
+    return f"{value / factor:.{decimal_places}f} to {value * factor:.{decimal_places}f}"
 
 
-def _scores(holdout: Holdout) -> Table:
+def _holdout_score_table(holdout: Holdout) -> Table:
     title = f"held out: mean headwind over the next H s, {len(holdout.folds)} folds"
     table = Table(title=title)
     for head in ("H s", "forecast by", "moments", "error m/s", "stated", "kurtosis", "NLL nats"):
@@ -133,7 +149,7 @@ def _scores(holdout: Holdout) -> Table:
             s.method,
             str(s.count),
             f"{s.error_rms_mps:.2f}",
-            f"{s.stated_std_mps:.2f}",
+            f"{s.forecast_std_mps:.2f}",
             f"{s.kurtosis:.1f}",
             f"{s.nll:.3f}",
             *(f"{100 * c:.1f}" for c in s.coverage),
@@ -142,39 +158,49 @@ def _scores(holdout: Holdout) -> Table:
     return table
 
 
-def _changes(found: Fitted) -> Table:
+def _headwind_change_table(fit_result: WindFitResult) -> Table:
     table = Table(title="headwind over the next H s less the last 30 s, m/s, worst of 8 directions")
     for head in ("H s", "95 %", "process", "99 %", "process"):
         table.add_column(head, justify="right")
-    process = found.fit.process
-    seen = {p: dict(changes_mps(found.recordings, p)) for p in _SAYS}
+    process = fit_result.fit.process
+    seen = {
+        p: dict(headwind_change_quantile_by_horizon(fit_result.recordings, p))
+        for p in _NORMAL_QUANTILES
+    }
     for horizon_s in seen[0.95]:
-        std = stated_change_std_mps(process, horizon_s, process.reference_wind_mps)
+        std = process_headwind_change_std_mps(process, horizon_s, process.reference_wind_mps)
         cells = [
-            f"+{value:.2f}" for p, z in _SAYS.items() for value in (seen[p][horizon_s], z * std)
+            f"+{value:.2f}"
+            for p, z in _NORMAL_QUANTILES.items()
+            for value in (seen[p][horizon_s], z * std)
         ]
         table.add_row(f"{horizon_s:.0f}", *cells)
-    table.caption = "the process's are of one direction, not of the worst of eight"
+    table.caption = "process columns: one direction, not the worst of eight"
     return table
 
 
-def _toml(found: Fitted, sources: Sequence[str], command: str) -> str:
-    process, fit = found.fit.process, found.fit
+def _wind_process_toml(
+    fit_result: WindFitResult, recording_names: Sequence[str], command_line: str
+) -> str:
+    process, fit = fit_result.fit.process, fit_result.fit
     parts = len(process.memory_s)
-    spans = [_span(m, float(s), 0) for m, s in zip(process.memory_s, fit.log_std, strict=False)]
+    spans = [
+        _one_sigma_range_text(m, float(s), 0)
+        for m, s in zip(process.memory_s, fit.log_std, strict=False)
+    ]
     widths = [
-        _span(v, float(s), 2)
+        _one_sigma_range_text(v, float(s), 2)
         for v, s in zip(process.variance_m2ps2, fit.log_std[parts:], strict=True)
     ]
     lines = [
-        f"# How wind changes, fitted to {', '.join(map(_one_line, sources))} by",
-        f"#   {_one_line(command)}",
-        f"# {fit.means} means of 10 s, by their likelihood. One sigma of each:",
+        f"# How wind changes, fitted to {', '.join(map(_escape_for_comment, recording_names))} by",
+        f"#   {_escape_for_comment(command_line)}",
+        f"# {fit.mean_count} means of 10 s, by their likelihood. One sigma of each:",
         f"#   memories {'; '.join(spans)} s",
         f"#   variances {'; '.join(widths)} m2/s2",
-        *_holdout_comment(found.holdout),
+        *_holdout_comment_lines(fit_result.holdout),
         'format = "wind-process/1"',
-        f"name = {_toml_string(process.name)}",
+        f"name = {_quote_toml_string(process.name)}",
         f"memory_s = [{', '.join(f'{m:.4g}' for m in process.memory_s)}] # [fit]",
         f"variance_m2ps2 = [{', '.join(f'{v:.4g}' for v in process.variance_m2ps2)}] # [fit]",
         f"reference_wind_mps = {process.reference_wind_mps:.4g} # mean wind of the recordings",
@@ -188,19 +214,19 @@ def _toml(found: Fitted, sources: Sequence[str], command: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _one_line(words: str) -> str:
-    """As it may stand in a comment: a name with a control character in it is spelt out."""
-    return words if words.isprintable() else ascii(words)
+def _escape_for_comment(text: str) -> str:
+    """Escape a text with control characters, so that it fits in a comment line."""
+    return text if text.isprintable() else ascii(text)
 
 
-def _toml_string(words: str) -> str:
-    """A basic string; its escapes are JSON's, but for DEL (TOML 1.0)."""
-    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _quote_toml_string(text: str) -> str:
+    """Return a TOML basic string; its escapes equal JSON's except for DEL (TOML 1.0)."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _holdout_comment(holdout: Holdout | None) -> list[str]:
+def _holdout_comment_lines(holdout: Holdout | None) -> list[str]:
     if holdout is None:
-        return ["# Not judged on held-out wind: the recordings are too short to be divided."]
+        return ["# Not scored on held-out wind: the recordings are too short to divide."]
     lines = [
         f"# Held out ({len(holdout.folds)} folds of 40-minute stretches): error of the forecast",
         "# headwind, m/s (mean of the last 30 s, of the last 300 s); errors within 90/98/99 %:",
@@ -208,10 +234,10 @@ def _holdout_comment(holdout: Holdout | None) -> list[str]:
     for horizon_s in sorted({s.horizon_s for s in holdout.scores}):
         by = {s.method: s for s in holdout.scores if s.horizon_s == horizon_s}
         if FITTED in by and PERSISTENCE in by and LONG_MEAN in by:
-            ours = by[FITTED]
-            inside = " / ".join(f"{100 * c:.1f}" for c in ours.coverage)
+            fitted_score = by[FITTED]
+            inside = " / ".join(f"{100 * c:.1f}" for c in fitted_score.coverage)
             lines.append(
-                f"#   {horizon_s:4.0f} s: {ours.error_rms_mps:.2f}"
+                f"#   {horizon_s:4.0f} s: {fitted_score.error_rms_mps:.2f}"
                 f" ({by[PERSISTENCE].error_rms_mps:.2f}, {by[LONG_MEAN].error_rms_mps:.2f});"
                 f" {inside}"
             )

@@ -1,24 +1,24 @@
-"""A replay in words, for a terminal."""
+"""Text report of a replay, for a terminal."""
 
 from pathlib import Path
 
-from companion.core.replay.flight_replay import ReplayResult
-from companion.core.replay.recorded_flight import RecordedFlight
-from companion.core.replay.summary import SETTLED_S, WindScore, WindSummary
+from companion.analysis.replay.flight_replay import ReplayResult
+from companion.analysis.replay.recorded_flight import RecordedFlight
+from companion.analysis.replay.summary import MIN_FLIGHT_TIME_S, WindScore, WindSummary
 
-QUIET = ("looked_again",)
-"""Decisions that only the JSON record has."""
+OMITTED_KINDS = ("looked_again",)
+"""Decisions that only the JSON record contains."""
 
-MOST_NOTES = 8
+MAX_NOTES = 8
 
 
-def report(
-    path: Path,
+def replay_report_lines(
+    log_path: Path,
     log: RecordedFlight,
-    airframe: str,
+    airframe_name: str,
     result: ReplayResult,
-    wind: WindSummary | None,
-    score: WindScore | None,
+    wind_summary: WindSummary | None,
+    wind_score: WindScore | None,
     cpu_s: float,
 ) -> list[str]:
     """Return the lines that `companion replay` prints; times are since the log's start."""
@@ -33,41 +33,46 @@ def report(
         if word
     )
     lines = [
-        f"{path.name}: {kind}; {log.duration_s:.0f} s, {result.air_time_s:.0f} s in the air;"
-        f" airframe {airframe}"
+        f"{log_path.name}: {kind}; {log.duration_s:.0f} s, {result.air_time_s:.0f} s in the air;"
+        f" airframe {airframe_name}"
     ]
-    lines += [f"  ! {finding.since(log.start_s)}" for finding in result.findings]
+    lines += [
+        f"  ! {log_issue.format_with_time_since(log.start_s)}" for log_issue in result.findings
+    ]
     notes = result.notes
-    lines += [f"  {t_s - log.start_s:9.1f} s  {text}" for t_s, text in notes[:MOST_NOTES]]
-    if len(notes) > MOST_NOTES:
-        lines.append(f"  and {len(notes) - MOST_NOTES} more such notes (--json has them)")
-    lines += _wind(wind, score)
-    lines += _decisions(result, log.start_s)
+    lines += [f"  {t_s - log.start_s:9.1f} s  {text}" for t_s, text in notes[:MAX_NOTES]]
+    if len(notes) > MAX_NOTES:
+        lines.append(f"  and {len(notes) - MAX_NOTES} more such notes (--json has them)")
+    lines += _wind_lines(wind_summary, wind_score)
+    lines += _decision_lines(result, log.start_s)
     lines.append(f"{log.duration_s / max(cpu_s, 1e-9):.0f} times real time ({cpu_s:.2f} s of CPU)")
     return lines
 
 
-def _wind(wind: WindSummary | None, score: WindScore | None) -> list[str]:
-    if wind is None:
-        return ["wind: nothing in this log tells it"]
+def _wind_lines(wind_summary: WindSummary | None, wind_score: WindScore | None) -> list[str]:
+    if wind_summary is None:
+        return ["wind: not observable from this log"]
     lines = [
-        f"wind in flight: mean {wind.mean_speed_mps:.1f} m/s from {wind.mean_from_deg:.0f} deg,"
-        f" at most {wind.most_mps:.1f} m/s, known to {wind.mean_std_mps:.1f} m/s (1 sigma)"
+        f"wind in flight: mean {wind_summary.mean_speed_mps:.1f} m/s from"
+        f" {wind_summary.mean_from_deg:.0f} deg,"
+        f" at most {wind_summary.most_mps:.1f} m/s, known to {wind_summary.mean_std_mps:.1f} m/s"
+        " (1 sigma)"
     ]
-    if score is not None:
+    if wind_score is not None:
         lines.append(
-            f"against the reference, from {SETTLED_S:.0f} s in the air on ({score.rows} rows):"
-            f" RMSE {score.rmse_mps:.2f} m/s, NEES {score.nees:.1f} (2 is ideal);"
-            f" the best constant wind has {score.constant_rmse_mps:.2f} m/s"
+            f"against the reference, from {MIN_FLIGHT_TIME_S:.0f} s in the air on"
+            f" ({wind_score.rows} rows): RMSE {wind_score.rmse_mps:.2f} m/s, NEES"
+            f" {wind_score.nees:.1f} (2 is ideal); the best constant wind has"
+            f" {wind_score.constant_rmse_mps:.2f} m/s"
         )
     return lines
 
 
-def _decisions(result: ReplayResult, start_s: float) -> list[str]:
-    shown = [d for d in result.decisions if d.kind not in QUIET]
+def _decision_lines(result: ReplayResult, start_s: float) -> list[str]:
+    shown = [d for d in result.decisions if d.kind not in OMITTED_KINDS]
     if not shown:
         return []
-    lines = ["what Leeway would have said:"]
+    lines = ["decisions of Leeway:"]
     for decision in shown:
         promise = "" if decision.p_home is None else f"  P(home) {decision.p_home:.3f}"
         if decision.margin_wh is not None and decision.p_home is not None:
@@ -75,7 +80,9 @@ def _decisions(result: ReplayResult, start_s: float) -> list[str]:
         lines.append(
             f"  {decision.t_s - start_s:9.1f} s  {decision.kind}: {decision.reason}{promise}"
         )
-    quiet = len(result.decisions) - len(shown)
-    if quiet:
-        lines.append(f"  and {quiet} looks again as wind or margin moved (--json has them)")
+    omitted_count = len(result.decisions) - len(shown)
+    if omitted_count:
+        lines.append(
+            f"  and {omitted_count} re-evaluations on changed wind or margin (--json has them)"
+        )
     return lines

@@ -1,1 +1,1 @@
-"""What every room uses: errors, geodesy, documents, array types. Imports nothing of ours."""
+"""Common base: errors, geodesy, documents, array types. Imports no other project package."""

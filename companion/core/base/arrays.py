@@ -1,4 +1,4 @@
-"""Array types for annotations, one name for each element type; docstrings tell the shape."""
+"""Array types for annotations, one name for each element type; docstrings give the shape."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,6 +1,6 @@
-"""Documents that people write, from the bytes of a file to a table; and where params may lie.
+"""Parsing of user documents, from the bytes of a file to a table; and the params folders.
 
-Companion and dispatcher read the same files; only the reading itself belongs to their adapters.
+Companion and dispatcher parse the same files; their adapters only read them.
 """
 
 import difflib
@@ -13,56 +13,62 @@ from typing import Any
 from companion.core.base.errors import LeewayError
 
 
-def toml_table(raw: bytes, where: str) -> dict[str, Any]:
-    """A TOML file's table; LeewayError names the file."""
+def parse_toml(raw: bytes, document_name: str) -> dict[str, Any]:
+    """Parse a TOML file to a table; LeewayError names the file."""
     try:
         return tomllib.loads(raw.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{document_name}: {error}") from error
 
 
-def json_object(raw: bytes, where: str, expected: str = "a JSON object") -> dict[str, Any]:
-    """A JSON file's object; LeewayError names the file."""
+def parse_json_object(
+    raw: bytes, document_name: str, expected_text: str = "a JSON object"
+) -> dict[str, Any]:
+    """Parse a JSON file to an object; LeewayError names the file."""
     try:
         document = json.loads(raw)
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{where}: not JSON: {error}") from error
+        raise LeewayError(f"{document_name}: not JSON: {error}") from error
     except RecursionError as error:
-        raise LeewayError(f"{where}: nested too deeply") from error
+        raise LeewayError(f"{document_name}: nested too deeply") from error
     if not isinstance(document, dict):
-        raise LeewayError(f"{where}: expected {expected}")
+        raise LeewayError(f"{document_name}: expected {expected_text}")
     return document
 
 
-KINDS = {
+DOCUMENT_KINDS = {
     "flight": "a flight, for `sim-bridge fly` and `companion run`",
     "day": "a day, for `sim-bridge day` and `ground-station plan`",
     "day-plan": "the plan of a day, as `ground-station plan --out` writes it",
     "airframe": "an airframe, for `--airframe`",
     "wind-process": "a wind process, for `--wind-process`",
 }
-"""What a `format` is, and for which commands."""
+"""Description of each `format`, and the commands that read it."""
 
 
-def expect_kind(table: dict[str, Any], kind: str, where: str) -> None:
-    """LeewayError where a document says that it is of another kind, in words of what it is."""
+def check_not_other_document_kind(
+    table: dict[str, Any], expected_kind: str, document_name: str
+) -> None:
+    """Raise LeewayError if a document's `format` is another kind; the text describes both."""
     found = table.get("format")
-    name = found.partition("/")[0] if isinstance(found, str) else kind
-    if name != kind and name in KINDS:
-        raise LeewayError(f"{where}: this is {KINDS[name]}; expected {KINDS[kind]}")
+    name = found.partition("/")[0] if isinstance(found, str) else expected_kind
+    if name != expected_kind and name in DOCUMENT_KINDS:
+        raise LeewayError(
+            f"{document_name}: this is {DOCUMENT_KINDS[name]}; expected"
+            f" {DOCUMENT_KINDS[expected_kind]}"
+        )
 
 
-def unknown_name(name: str, noun: str, names: Iterable[str]) -> str:
-    """What to say of a name that nothing has: the nearest one, and all."""
-    known = sorted(names)
+def unknown_name_message(name: str, noun: str, valid_names: Iterable[str]) -> str:
+    """Return the message for an unknown name: the closest name, and all names."""
+    known = sorted(valid_names)
     near = difflib.get_close_matches(name, known, n=1)
-    meant = f", did you mean {near[0]}?" if near else ";"
-    listed = ", ".join(known) or "none"
-    return f"{name}: no such {noun}{meant} names: {listed}; or give a file's path"
+    suggestion = f", did you mean {near[0]}?" if near else ";"
+    known_names = ", ".join(known) or "none"
+    return f"{name}: no such {noun}{suggestion} names: {known_names}; or give a file's path"
 
 
-def params_folders(root: PurePath) -> tuple[PurePath, ...]:
-    """Where the params folder may be, best first, for packages that are installed under `root`:
-    the repository's, or the copy that the companion's package carries.
-    """
-    return (root / "params", root / "companion" / "_params")
+def candidate_params_folders(install_root: PurePath) -> tuple[PurePath, ...]:
+    """Return the possible params folders, best first, for packages installed under `install_root`:
+    the repository's, or the copy in the companion's package."""
+    return (install_root / "params", install_root / "companion" / "_params")

@@ -1,21 +1,21 @@
-"""The one error that Leeway raises for a mistake in its input."""
+"""The exceptions for mistakes in Leeway's input."""
 
 import math
 
 
 class LeewayError(Exception):
-    """A mistake that a person can mend: says where, what, and what was expected, in one line."""
+    """A mistake that a person can correct. States where, what and what was expected."""
 
 
 class LinkClosedError(LeewayError):
-    """A way to the autopilot that does not open now, and may open later: no mistake in the input.
+    """A link to the autopilot that does not open now, and may open later: no mistake in the input.
 
-    Another program holds the port, or its other end is not up yet.
+    Another program holds the port, or the other end is not up yet.
     """
 
 
 class RangeError(LeewayError):
-    """A number out of its range: of which `key`, and the least that is allowed."""
+    """A number out of its range, with its `key` and the minimum."""
 
     def __init__(self, key: str, value: float, low: float, high: float) -> None:
         self.key, self.low = key, low
@@ -23,6 +23,6 @@ class RangeError(LeewayError):
 
 
 def check_range(key: str, value: float, low: float, high: float) -> None:
-    """Raise RangeError naming `key` when `value` is not a finite number in [low, high]."""
+    """Raise RangeError with `key` unless `value` is a finite number in [low, high]."""
     if not (math.isfinite(value) and low <= value <= high):
         raise RangeError(key, value, low, high)

@@ -1,4 +1,4 @@
-"""Geodesy (WGS 84, by pymap3d), the local frame about the depot, and what stands in it.
+"""Geodesy (WGS 84, by pymap3d), the local frame about the depot, and the obstacles in it.
 
 Horizontal positions are pymap3d's local tangent NED about the depot; `down` is minus the height
 above the depot's ground (AMSL difference), not above the tangent plane, because autopilots fly
@@ -15,43 +15,43 @@ import shapely
 
 from companion.core.base.arrays import Bools, Floats, Ints
 from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 
 Ned = tuple[float, float, float]
 Angle = TypeVar("Angle", float, Floats)
 
 EARTH_RADIUS_M = 6_371_008.8
-"""Mean radius (IUGG), for what needs a sphere only: curvature, a tolerance in degrees."""
+"""Mean radius (IUGG), where a sphere is sufficient: curvature, a tolerance in degrees."""
 
 
-TANGENT_MOST_M = 1_000_000.0
-"""Farther away a tangent plane shortens by over 0.4 %, and shows the antipode at its origin."""
+MAX_TANGENT_M = 1_000_000.0
+"""Beyond this distance a tangent plane shortens by over 0.4 %; the antipode maps to its origin."""
 
 
-def offset_m(
-    lat_deg: float, lon_deg: float, to_lat_deg: float, to_lon_deg: float
+def ne_offset_m(
+    from_lat_deg: float, from_lon_deg: float, to_lat_deg: float, to_lon_deg: float
 ) -> tuple[float, float]:
-    """Metres (north, east) from one place to another, on the tangent plane of the first."""
+    """Return metres (north, east) from one point to another, on the first one's tangent plane."""
     north, east, _ = pymap3d.geodetic2ned(
-        to_lat_deg, to_lon_deg, 0.0, lat_deg, lon_deg, 0.0, ell=None, deg=True
+        to_lat_deg, to_lon_deg, 0.0, from_lat_deg, from_lon_deg, 0.0, ell=None, deg=True
     )
     return float(north), float(east)
 
 
-def offsets_m(
-    lat_deg: float, lon_deg: float, to_lat_deg: Floats, to_lon_deg: Floats
+def ne_offset_arrays_m(
+    from_lat_deg: float, from_lon_deg: float, to_lat_deg: Floats, to_lon_deg: Floats
 ) -> tuple[Floats, Floats]:
-    """The same from one place to many, (n,) each."""
+    """Return the offsets from one point to many, (n,) each."""
     north, east, _ = pymap3d.geodetic2ned(
-        to_lat_deg, to_lon_deg, 0.0, lat_deg, lon_deg, 0.0, ell=None, deg=True
+        to_lat_deg, to_lon_deg, 0.0, from_lat_deg, from_lon_deg, 0.0, ell=None, deg=True
     )
     return np.asarray(north, np.float64), np.asarray(east, np.float64)
 
 
-def moved_deg(
+def offset_position_deg(
     lat_deg: Floats | float, lon_deg: Floats | float, north_m: Angle, east_m: Angle
 ) -> tuple[Angle, Angle]:
-    """Latitude and longitude so many metres north and east of a place; scalars or arrays."""
+    """Return latitude and longitude of a point offset to north and east; scalars or arrays."""
     down = _sagitta_m(north_m, east_m)
     lat, lon, _ = pymap3d.ned2geodetic(
         north_m, east_m, down, lat_deg, lon_deg, 0.0, ell=None, deg=True
@@ -60,7 +60,7 @@ def moved_deg(
 
 
 def _sagitta_m(north_m: Angle, east_m: Angle) -> Angle:
-    """How far the tangent plane lies above a point at the origin's height: s^2 / 2R."""
+    """Return the height of the tangent plane over a point at the origin's height: s^2 / 2R."""
     return (north_m**2 + east_m**2) / (2.0 * EARTH_RADIUS_M)
 
 
@@ -73,7 +73,7 @@ class LocalFrame:
     alt_amsl_m: float
 
     def to_ned(self, lat_rad: float, lon_rad: float, alt_amsl_m: float) -> Ned:
-        """Position about the origin, metres."""
+        """Return a position relative to the origin, metres."""
         origin = (self.lat_rad, self.lon_rad, self.alt_amsl_m)
         north, east, _ = pymap3d.geodetic2ned(
             lat_rad, lon_rad, self.alt_amsl_m, *origin, ell=None, deg=False
@@ -81,7 +81,7 @@ class LocalFrame:
         return float(north), float(east), self.alt_amsl_m - alt_amsl_m
 
     def to_geodetic(self, ned_m: Ned) -> tuple[float, float, float]:
-        """(latitude rad, longitude rad, height AMSL m) of a local position."""
+        """Return (latitude rad, longitude rad, height AMSL m) of a local position."""
         north, east, down = ned_m
         origin = (self.lat_rad, self.lon_rad, self.alt_amsl_m)
         sagitta = _sagitta_m(north, east)  # the point at the origin's own height
@@ -93,16 +93,16 @@ class LocalFrame:
 class Obstacle:
     """A prism from the ground to `height_m` above the depot; ring as (north, east) metres.
 
-    Infinitely high: a no-fly area. `floor_m`: where a geo-zone begins, above the depot.
+    Infinite height: a no-fly area. `bottom_m`: lower limit of a geo-zone, above the depot.
     """
 
     name: str
     ring_ne_m: tuple[tuple[float, float], ...]
     height_m: float
-    floor_m: float = -math.inf
+    bottom_m: float = -math.inf
 
 
-def distance_m(frame: LocalFrame, lat_deg: float, lon_deg: float) -> float:
+def distance_from_depot_m(frame: LocalFrame, lat_deg: float, lon_deg: float) -> float:
     """Return the great-circle distance from the depot, on a sphere."""
     lat_rad, lon_rad = math.radians(lat_deg), math.radians(lon_deg)
     half = math.sin((lat_rad - frame.lat_rad) / 2.0) ** 2
@@ -112,30 +112,35 @@ def distance_m(frame: LocalFrame, lat_deg: float, lon_deg: float) -> float:
     return 2.0 * EARTH_RADIUS_M * math.asin(min(1.0, math.sqrt(half)))
 
 
-def place_ned(frame: LocalFrame, place: Place) -> Ned:
-    """Return the GROUND point of a place (down: minus its height above the depot).
+def location_to_ground_ned_m(frame: LocalFrame, location: Location) -> Ned:
+    """Return the GROUND point of a location (down: minus its height above the depot).
 
-    A place beyond `TANGENT_MOST_M` is as far away as on the sphere.
+    Beyond `MAX_TANGENT_M` the distance is the one on the sphere.
     """
-    if place.lat_deg is not None and place.lon_deg is not None and place.alt_amsl_m is not None:
-        lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
-        ned = frame.to_ned(lat, lon, place.alt_amsl_m)
-        away_m = distance_m(frame, place.lat_deg, place.lon_deg)
-        if away_m < TANGENT_MOST_M:
+    if (
+        location.lat_deg is not None
+        and location.lon_deg is not None
+        and location.alt_amsl_m is not None
+    ):
+        lat, lon = math.radians(location.lat_deg), math.radians(location.lon_deg)
+        ned = frame.to_ned(lat, lon, location.alt_amsl_m)
+        away_m = distance_from_depot_m(frame, location.lat_deg, location.lon_deg)
+        if away_m < MAX_TANGENT_M:
             return ned
         stretch = away_m / max(1.0, math.hypot(ned[0], ned[1]))
         return stretch * ned[0], stretch * ned[1], ned[2]
-    if place.north_m is None or place.east_m is None:
-        raise LeewayError(f"{place.name or 'place'}: expected east_m and north_m")
-    return place.north_m, place.east_m, -place.up_m
+    if location.north_m is None or location.east_m is None:
+        raise LeewayError(f"{location.name or 'place'}: expected east_m and north_m")
+    return location.north_m, location.east_m, -location.up_m
 
 
 class ObstacleMap:
-    """Answers whether a straight line at a height keeps clear of every obstacle.
+    """Checks straight lines for clearance from every obstacle.
 
-    Clearance is `clearance_m` sideways and `clearance_up_m` above, and below what begins higher
-    than that over `flown_up_to_m`, the greatest height of the flight. What begins lower counts from
-    the ground up: a flight climbs and descends at many places.
+    Clearance is `clearance_m` horizontally, `clearance_up_m` above an obstacle, and the same below
+    zones with a lower limit more than that above `max_flight_height_m`, the maximum height of the
+    flight. Lower zones extend to the ground, because a flight climbs and descends at many
+    positions.
     """
 
     def __init__(
@@ -143,7 +148,7 @@ class ObstacleMap:
         obstacles: tuple[Obstacle, ...],
         clearance_m: float,
         clearance_up_m: float,
-        flown_up_to_m: float = math.inf,
+        max_flight_height_m: float = math.inf,
     ) -> None:
         self.obstacles = obstacles
         self.clearance_m = clearance_m
@@ -153,146 +158,129 @@ class ObstacleMap:
             if not outline.is_valid:
                 raise LeewayError(f"{obstacle.name}: the polygon crosses itself")
         self._outlines = outlines
-        self._grown = [outline.buffer(clearance_m) for outline in outlines]
-        for grown in self._grown:
-            shapely.prepare(grown)
-        self._tree = shapely.STRtree(self._grown)
+        self._buffered = [outline.buffer(clearance_m) for outline in outlines]
+        for buffered in self._buffered:
+            shapely.prepare(buffered)
+        self._tree = shapely.STRtree(self._buffered)
         self._tops_m = np.array([o.height_m for o in obstacles])
-        least_m = flown_up_to_m + clearance_up_m
-        self._floors_m = np.array(
-            [o.floor_m if o.floor_m >= least_m else -np.inf for o in obstacles]
+        least_m = max_flight_height_m + clearance_up_m
+        self._bottoms_m = np.array(
+            [o.bottom_m if o.bottom_m >= least_m else -np.inf for o in obstacles]
         )
 
-    def blocking(self, a_ned_m: Ned, b_ned_m: Ned) -> Obstacle | None:
-        """The first obstacle within clearance of the segment a-b, or None.
+    def first_blocking_obstacle(self, a_ned_m: Ned, b_ned_m: Ned) -> Obstacle | None:
+        """Return the first obstacle within clearance of the segment a-b, or None.
 
-        A sloping segment is judged where it is within the obstacle's grown outline.
+        A sloping segment is checked at its heights within the obstacle's outline plus clearance.
         """
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
         length = line.length
         top_m = max(-a_ned_m[2], -b_ned_m[2])
         for index in np.sort(self._tree.query(line, predicate="intersects")):
-            obstacle, grown = self.obstacles[index], self._grown[index]
-            if self._is_under(index, top_m):
+            obstacle, buffered = self.obstacles[index], self._buffered[index]
+            if self._passes_below_obstacle(index, top_m):
                 continue
-            lowest = _lowest_up_m(a_ned_m, b_ned_m, line, length, grown)
+            lowest = _lowest_line_height_within_outline_m(a_ned_m, b_ned_m, line, length, buffered)
             if lowest < obstacle.height_m + self.clearance_up_m:
                 return obstacle
         return None
 
-    def _is_under(self, index: int, height_m: float) -> bool:
-        return height_m <= self._floors_m[index] - self.clearance_up_m
+    def _passes_below_obstacle(self, obstacle_index: int, height_m: float) -> bool:
+        return height_m <= self._bottoms_m[obstacle_index] - self.clearance_up_m
 
-    def flown_under(self, obstacle: Obstacle) -> bool:
-        """Tell whether the whole flight stays below this one."""
-        return bool(np.isfinite(self._floors_m[self.obstacles.index(obstacle)]))
+    def is_flown_under(self, obstacle: Obstacle) -> bool:
+        """Return whether the whole flight stays below this obstacle."""
+        return bool(np.isfinite(self._bottoms_m[self.obstacles.index(obstacle)]))
 
-    def first_hits(self, points_ned_m: Floats) -> Ints:
-        """Of n lines through k points each, (n, k, 3), the first obstacle that each comes near.
+    def max_obstacle_height_near_line_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
+        """Return the height above the depot of the tallest obstacle within clearance of a-b (0 if
+        none), without those that are flown under."""
+        near = self._obstacle_indices_near_line(a_ned_m, b_ned_m)
+        return float(self._tops_m[near[np.isneginf(self._bottoms_m[near])]].max(initial=0.0))
 
-        Indices into `obstacles`, in the order of the way; -1: clear. Between two points a line
-        counts as low as the lower of them, so steps should be short where it slopes.
-        """
-        lines, points = points_ned_m.shape[:2]
-        hit = np.full(lines, -1, dtype=np.int64)
-        if not self.obstacles or points < 2:
-            return hit
-        steps = np.stack([points_ned_m[:, :-1, :2], points_ned_m[:, 1:, :2]], axis=2)
-        segments = shapely.linestrings(steps.reshape(-1, 2, 2))
-        at, obstacle = self._tree.query(segments, predicate="intersects")
-        lowest_m = -np.maximum(points_ned_m[:, :-1, 2], points_ned_m[:, 1:, 2]).reshape(-1)
-        highest_m = -np.minimum(points_ned_m[:, :-1, 2], points_ned_m[:, 1:, 2]).reshape(-1)
-        low = lowest_m[at] < self._tops_m[obstacle] + self.clearance_up_m
-        low &= highest_m[at] > self._floors_m[obstacle] - self.clearance_up_m
-        at, obstacle = at[low], obstacle[low]
-        order = np.lexsort((obstacle, at))[::-1]  # the earliest is written last
-        hit[at[order] // (points - 1)] = obstacle[order]
-        return hit
-
-    def highest_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
-        """Height above the depot of the tallest obstacle within clearance of a-b (0 if none), of
-        those that are not flown under.
-        """
-        near = self._near(a_ned_m, b_ned_m)
-        return float(self._tops_m[near[np.isneginf(self._floors_m[near])]].max(initial=0.0))
-
-    def room_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
-        """The greatest height above the depot at which a-b is below what is flown under."""
-        floors_m = self._floors_m[self._near(a_ned_m, b_ned_m)]
-        least_m = floors_m[np.isfinite(floors_m)].min(initial=np.inf)
+    def max_height_under_zones_m(self, a_ned_m: Ned, b_ned_m: Ned) -> float:
+        """Return the maximum height above the depot of a-b below the zones flown under."""
+        bottoms_m = self._bottoms_m[self._obstacle_indices_near_line(a_ned_m, b_ned_m)]
+        least_m = bottoms_m[np.isfinite(bottoms_m)].min(initial=np.inf)
         return float(least_m) - self.clearance_up_m
 
-    def _near(self, a_ned_m: Ned, b_ned_m: Ned) -> Ints:
+    def _obstacle_indices_near_line(self, a_ned_m: Ned, b_ned_m: Ned) -> Ints:
         line = shapely.LineString([a_ned_m[:2], b_ned_m[:2]])
         return self._tree.query(line, predicate="intersects")
 
-    def clearance_at(self, points_ned_m: Floats) -> Floats:
-        """Metres from points (..., 3) to the nearest outline that is as high as they are; (...)."""
+    def distance_to_nearest_outline_m(self, points_ned_m: Floats) -> Floats:
+        """Return distances from points (..., 3) to the nearest outline at their height; (...)."""
         points = points_ned_m.reshape(-1, 3)
         found = np.full(len(points), np.inf)
-        places = np.asarray(shapely.points(points[:, :2]))
-        spans_m = zip(self._outlines, self._tops_m, self._floors_m, strict=True)
-        for outline, top_m, floor_m in spans_m:
+        positions = np.asarray(shapely.points(points[:, :2]))
+        spans_m = zip(self._outlines, self._tops_m, self._bottoms_m, strict=True)
+        for outline, top_m, bottom_m in spans_m:
             low = -points[:, 2] < top_m + self.clearance_up_m
-            low &= -points[:, 2] > floor_m - self.clearance_up_m
-            away = shapely.distance(places[low], outline)
+            low &= -points[:, 2] > bottom_m - self.clearance_up_m
+            away = shapely.distance(positions[low], outline)
             found[low] = np.minimum(found[low], away)
         return found.reshape(points_ned_m.shape[:-1])
 
-    def level_at(self, height_m: float) -> "LevelObstacles":
-        """What blocks level flight at this height, for many lines at once."""
-        return LevelObstacles(self.grown_at(height_m))
+    def level_obstacles_at(self, height_m: float) -> "LevelObstacles":
+        """Return the obstacles to level flight at this height, for checks of many lines."""
+        return LevelObstacles(self.buffered_outlines_at(height_m))
 
-    def grown_at(self, height_m: float) -> list[shapely.Polygon]:
-        """Outlines with clearance, north and east, of what blocks level flight at this height."""
-        return [self._grown[index] for index in self._at(height_m)]
+    def buffered_outlines_at(self, height_m: float) -> list[shapely.Polygon]:
+        """Return outlines plus clearance, north and east, of obstacles to level flight here."""
+        return [self._buffered[index] for index in self._obstacle_indices_at_height(height_m)]
 
-    def _at(self, height_m: float) -> list[int]:
-        """Which block level flight at this height."""
+    def _obstacle_indices_at_height(self, height_m: float) -> list[int]:
+        """Return the indices of the obstacles to level flight at this height."""
         return [
             index
             for index, obstacle in enumerate(self.obstacles)
             if obstacle.height_m + self.clearance_up_m > height_m
-            and not self._is_under(index, height_m)
+            and not self._passes_below_obstacle(index, height_m)
         ]
 
-    def outlines_ne_m(self, height_m: float, beyond_m: float) -> list[list[tuple[float, float]]]:
-        """Corner rings to fly around at this height: outlines grown by clearance + `beyond_m`."""
+    def corner_rings_around_obstacles_ne_m(
+        self, height_m: float, margin_m: float
+    ) -> list[list[tuple[float, float]]]:
+        """Return corner rings to fly around at a height: outlines, clearance and `margin_m`."""
         rings: list[list[tuple[float, float]]] = []
-        for index in self._at(height_m):
+        for index in self._obstacle_indices_at_height(height_m):
             outline = shapely.Polygon(self.obstacles[index].ring_ne_m).convex_hull.buffer(
-                self.clearance_m + beyond_m, join_style="mitre", mitre_limit=1.5
+                self.clearance_m + margin_m, join_style="mitre", mitre_limit=1.5
             )
             rings.append([(float(n), float(e)) for n, e in outline.exterior.coords[:-1]])
         return rings
 
 
 class LevelObstacles:
-    """Outlines, grown by the clearance, that stand as high as a level flight."""
+    """Outlines, extended by the clearance, of the obstacles to a level flight."""
 
-    def __init__(self, grown: list[shapely.Polygon]) -> None:
-        self._tree = shapely.STRtree(grown)
-        # A circle inside each outline: whatever comes into it needs no closer look.
-        middles = shapely.centroid(np.array(grown, dtype=object)) if grown else np.empty(0)
+    def __init__(self, buffered_outlines: list[shapely.Polygon]) -> None:
+        self._tree = shapely.STRtree(buffered_outlines)
+        # A circle inside each outline: a line that enters it needs no exact check.
+        middles = (
+            shapely.centroid(np.array(buffered_outlines, dtype=object))
+            if buffered_outlines
+            else np.empty(0)
+        )
         inside_m = [
             outline.exterior.distance(middle) if outline.contains(middle) else 0.0
-            for outline, middle in zip(grown, middles, strict=True)
+            for outline, middle in zip(buffered_outlines, middles, strict=True)
         ]
         self._middles_ne_m = shapely.get_coordinates(middles).reshape(-1, 2)
         self._inside_m = np.array(inside_m) * (1.0 - 1e-6)
 
-    def hits(self, from_ne_m: Floats, to_ne_m: Floats) -> Bools:
-        """Tell of each straight line from (n, 2) to (n, 2) whether it meets one of the outlines."""
+    def which_lines_intersect(self, from_ne_m: Floats, to_ne_m: Floats) -> Bools:
+        """Return for each straight line from (n, 2) to (n, 2) whether it meets an outline."""
         hit = np.zeros(len(from_ne_m), np.bool_)
         if not len(self._inside_m) or not len(hit):
             return hit
-        way = to_ne_m - from_ne_m
-        square = np.sum(way**2, axis=1)[:, None]
+        delta_ne_m = to_ne_m - from_ne_m
+        square = np.sum(delta_ne_m**2, axis=1)[:, None]
         offset_n = self._middles_ne_m[:, 0] - from_ne_m[:, :1]
         offset_e = self._middles_ne_m[:, 1] - from_ne_m[:, 1:]
-        ahead = way[:, :1] * offset_n + way[:, 1:] * offset_e
-        along = np.clip(ahead / np.maximum(square, 1e-12), 0.0, 1.0)
-        away = offset_n**2 + offset_e**2 + along * (along * square - 2.0 * ahead)
+        dot_m2 = delta_ne_m[:, :1] * offset_n + delta_ne_m[:, 1:] * offset_e
+        fraction = np.clip(dot_m2 / np.maximum(square, 1e-12), 0.0, 1.0)
+        away = offset_n**2 + offset_e**2 + fraction * (fraction * square - 2.0 * dot_m2)
         hit |= np.any(away < self._inside_m**2, axis=1)
         left = np.flatnonzero(~hit)
         lines = shapely.linestrings(np.stack([from_ne_m[left], to_ne_m[left]], axis=1))
@@ -301,32 +289,36 @@ class LevelObstacles:
         return hit
 
 
-def _lowest_up_m(
-    a: Ned, b: Ned, line: shapely.LineString, length: float, grown: shapely.Geometry
+def _lowest_line_height_within_outline_m(
+    a_ned_m: Ned,
+    b_ned_m: Ned,
+    line: shapely.LineString,
+    length_m: float,
+    buffered_outline: shapely.Geometry,
 ) -> float:
-    inside = shapely.intersection(line, grown)
-    if length <= 0.0 or inside.is_empty:
-        return min(-a[2], -b[2])
+    inside = shapely.intersection(line, buffered_outline)
+    if length_m <= 0.0 or inside.is_empty:
+        return min(-a_ned_m[2], -b_ned_m[2])
     ends = shapely.get_coordinates(inside)
-    fractions = [line.project(shapely.Point(p)) / length for p in ends]
-    return min(-(a[2] + (b[2] - a[2]) * f) for f in fractions)
+    fractions = [line.project(shapely.Point(p)) / length_m for p in ends]
+    return min(-(a_ned_m[2] + (b_ned_m[2] - a_ned_m[2]) * f) for f in fractions)
 
 
 def wrap_pi(angle_rad: Angle) -> Angle:
-    """The same angle in [-pi, pi)."""
+    """Return the angle in [-pi, pi)."""
     return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def course_rad(a_ned_m: Ned, b_ned_m: Ned) -> float:
-    """Course from a to b, clockwise from north."""
+    """Return the course from a to b, clockwise from north."""
     return math.atan2(b_ned_m[1] - a_ned_m[1], b_ned_m[0] - a_ned_m[0])
 
 
-def over(ground_ned_m: Ned, level: Ned) -> Ned:
-    """The point above a ground point, as high as another point."""
-    return ground_ned_m[0], ground_ned_m[1], level[2]
+def point_above(ground_ned_m: Ned, height_reference_ned_m: Ned) -> Ned:
+    """Return the point above a ground point, at another point's height."""
+    return ground_ned_m[0], ground_ned_m[1], height_reference_ned_m[2]
 
 
-def horizontal_m(a_ned_m: Ned, b_ned_m: Ned) -> float:
-    """Horizontal distance, by C's hypot as numpy's is: `math.hypot` rounds otherwise."""
+def horizontal_distance_m(a_ned_m: Ned, b_ned_m: Ned) -> float:
+    """Return the horizontal distance by C's hypot, as in numpy: `math.hypot` rounds differently."""
     return abs(complex(b_ned_m[0] - a_ned_m[0], b_ned_m[1] - a_ned_m[1]))

@@ -1,16 +1,18 @@
-"""Names that a package offers, loaded at their first use: importing the package stays cheap."""
+"""Exports of a package, loaded at first use: importing the package stays fast."""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
 
-def lazy_exports(package: str, module_of: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package that finds each name in the module of that package."""
+def lazy_import_getattr(
+    package_name: str, module_by_exported_name: Mapping[str, str]
+) -> Callable[[str], Any]:
+    """Return a package's `__getattr__` that imports each name from its module."""
 
-    def get(name: str) -> Any:
-        if name not in module_of:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{module_of[name]}"), name)
+    def import_exported_name(name: str) -> Any:
+        if name not in module_by_exported_name:
+            raise AttributeError(f"module {package_name!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package_name}.{module_by_exported_name[name]}"), name)
 
-    return get
+    return import_exported_name

@@ -1,34 +1,36 @@
-"""How much one speaker may say, or cost: what is above that costs nobody else anything."""
+"""Rate limit for the messages or the cost of one sender, so that it does not affect the others."""
 
 from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
 class RateLimit:
-    """`burst` at once, and `rate_hz` from then on. Time is a passed `t_s`."""
+    """Token bucket: `burst` at once, then `rate_hz`. Time is a passed `t_s`."""
 
     rate_hz: float
     burst: float
-    _left: float = field(init=False)
-    _at_s: float | None = None
+    _tokens: float = field(init=False)
+    _refilled_at_s: float | None = None
 
     def __post_init__(self) -> None:
-        self._left = self.burst
+        self._tokens = self.burst
 
-    def take(self, t_s: float, count: float = 1.0) -> bool:
-        """Whether so many may pass now; they are counted if so."""
-        self._refill(t_s)
-        if count > self._left:
+    def try_consume_tokens(self, t_s: float, count: float = 1.0) -> bool:
+        """Return whether this many may pass now, and count them if so."""
+        self._refill_tokens(t_s)
+        if count > self._tokens:
             return False
-        self._left -= count
+        self._tokens -= count
         return True
 
-    def spend(self, t_s: float, count: float) -> None:
-        """Count what has passed already, into debt where it was too much."""
-        self._refill(t_s)
-        self._left -= count
+    def consume_tokens_beyond_limit(self, t_s: float, count: float) -> None:
+        """Count what has already passed, even beyond the limit."""
+        self._refill_tokens(t_s)
+        self._tokens -= count
 
-    def _refill(self, t_s: float) -> None:
-        if self._at_s is not None:
-            self._left = min(self.burst, self._left + self.rate_hz * (t_s - self._at_s))
-        self._at_s = t_s
+    def _refill_tokens(self, t_s: float) -> None:
+        if self._refilled_at_s is not None:
+            self._tokens = min(
+                self.burst, self._tokens + self.rate_hz * (t_s - self._refilled_at_s)
+            )
+        self._refilled_at_s = t_s

@@ -1,7 +1,7 @@
-"""Words from outside as text that can only be read: no terminal, log, markup or table obeys them.
+"""External text made harmless for terminals, logs, markup and tables.
 
-Applied once, where words come in: at the decoding of a message, of an autopilot's text, of an
-order's note. Names never need it: they have patterns, and what breaks a pattern is refused.
+Applied once, at the input: when a message, an autopilot's text or an order's note is decoded. Names
+do not need it: they have patterns, and a name that does not match is rejected.
 """
 
 import re
@@ -9,38 +9,37 @@ import unicodedata
 
 from companion.core.base.errors import LeewayError
 
-LONGEST_WORD = 120
-"""Characters without a space: paths and digests of ours are shorter; more would push a table's
-other columns off the screen.
-"""
+MAX_WORD_LENGTH = 120
+"""Characters without a space: paths and digests are shorter; longer words would push a table's
+other columns off the screen."""
 
-LONGEST_NAME = 100
-"""Characters of what a flight, a place or an obstacle may be called."""
+MAX_NAME_LENGTH = 100
+"""Maximum length of the name of a flight, a location or an obstacle."""
 
-MOST_MARKS = 2
-"""Accents on one letter: languages in use need two; towers of them cover the lines above."""
+MAX_MARKS = 2
+"""Accents per letter: languages in use need two; more of them cover the lines above."""
 
-UNSEEN = frozenset(("Cc", "Cf", "Cs", "Co", "Cn"))
+HIDDEN_CATEGORIES = frozenset(("Cc", "Cf", "Cs", "Co", "Cn"))
 """Unicode's controls (escape sequences), formats (bidi overrides, zero widths), surrogates, private
 and unassigned characters."""
 
 _TAG = re.compile(r"\[([a-z#/@][^\[\]]*)\]")
-_TAG_OPENS = re.compile(r"\[(?=[a-z#/@])")
-"""What a rich console takes for markup: `[/x]`, `[red]`, `[@click=...]`; not `features[0]`."""
+_TAG_START = re.compile(r"\[(?=[a-z#/@])")
+"""Markup of a rich console: `[/x]`, `[red]`, `[@click=...]`; not `features[0]`."""
 
-_LONG = re.compile(rf"[^ ]{{{LONGEST_WORD + 1},}}")
+_OVERLONG_WORD = re.compile(rf"[^ ]{{{MAX_WORD_LENGTH + 1},}}")
 
 
 def safe_text(text: str) -> str:
-    """One line without controls, markup or overlong words; never longer than the text."""
-    text = one_line(text)
+    """Return one line without controls, markup or overlong words; never longer than the input."""
+    text = flatten_to_one_line(text)
     if "[" in text:
-        text = _TAG_OPENS.sub("(", _TAG.sub(r"(\1)", text))
-    return _LONG.sub(lambda word: word[0][: LONGEST_WORD - 1] + "…", text)
+        text = _TAG_START.sub("(", _TAG.sub(r"(\1)", text))
+    return _OVERLONG_WORD.sub(lambda word: word[0][: MAX_WORD_LENGTH - 1] + "…", text)
 
 
-def one_line(text: str) -> str:
-    """The text on one line; what moves a cursor or turns the direction of reading is replaced."""
+def flatten_to_one_line(text: str) -> str:
+    """Return the text on one line, without cursor movement and changes of the reading direction."""
     if text.isascii() and text.isprintable():
         return text
     shown: list[str] = []
@@ -48,35 +47,35 @@ def one_line(text: str) -> str:
     for char in text:
         kind = unicodedata.category(char)
         marks = marks + 1 if kind in ("Mn", "Me") else 0
-        if marks > MOST_MARKS:
+        if marks > MAX_MARKS:
             continue
-        shown.append(_seen(char, kind))
+        shown.append(_visible_char(char, kind))
     return "".join(shown)
 
 
-def _seen(char: str, kind: str) -> str:
+def _visible_char(char: str, unicode_category: str) -> str:
     if char.isspace():
         return " "
-    return "\N{REPLACEMENT CHARACTER}" if kind in UNSEEN else char
+    return "\N{REPLACEMENT CHARACTER}" if unicode_category in HIDDEN_CATEGORIES else char
 
 
-def log_text(text: str) -> str:
-    """Lines for a log: all but the first are indented, so that none passes for an entry."""
-    return "\n    ".join(one_line(line) for line in text.splitlines())
+def to_indented_log_lines(text: str) -> str:
+    """Return lines for a log; all but the first are indented, so that none looks like an entry."""
+    return "\n    ".join(flatten_to_one_line(line) for line in text.splitlines())
 
 
-def csv_cell(text: str) -> str:
-    """A cell that no spreadsheet calculates: a number stays, a formula gets an apostrophe."""
+def escape_csv_formula(text: str) -> str:
+    """Return a cell that no spreadsheet evaluates: numbers stay, formulas get an apostrophe."""
     if text[:1] not in ("=", "+", "-", "@", "\t", "\r") or len(text) == 1 or _is_number(text):
         return text
     return f"'{text}"
 
 
 def check_name(key: str, name: str) -> None:
-    """Raise LeewayError naming `key` where a name is more than one line that can only be read."""
-    if len(name) > LONGEST_NAME or safe_text(name) != name:
-        shown = safe_text(name[:LONGEST_NAME])
-        expected = f"at most {LONGEST_NAME} characters of one line, no controls, no markup"
+    """Raise LeewayError with `key` unless a name is a single harmless line."""
+    if len(name) > MAX_NAME_LENGTH or safe_text(name) != name:
+        shown = safe_text(name[:MAX_NAME_LENGTH])
+        expected = f"at most {MAX_NAME_LENGTH} characters of one line, no controls, no markup"
         raise LeewayError(f"{key} = {shown!r}: expected {expected}")
 
 

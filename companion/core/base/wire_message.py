@@ -1,4 +1,4 @@
-"""The base of every message of the fleet: versioned, no unknown field, no NaN or infinity."""
+"""Base of all fleet messages: versioned, without unknown fields, NaN or infinity."""
 
 import math
 from typing import Annotated
@@ -16,7 +16,7 @@ Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 
 
 class WireMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A message with its version `v`; every number in it is finite, or LeewayError."""
+    """A message with its version `v`; raises LeewayError for a number that is not finite."""
 
     v: int = VERSION
     """Version of the messages."""

@@ -1,2 +1,2 @@
-"""What days of flights support of an airframe's draw, inside which envelope, and a flight's watch
-over that envelope."""
+"""Energy draw of an airframe as supported by days of flights, its envelope, and the monitor of that
+envelope in flight."""

@@ -1,4 +1,4 @@
-"""The `certificate/2` file: what flights of an airframe support, in words that can be falsified."""
+"""The `certificate/2` file: the loss that recorded flights of an airframe support."""
 
 import hashlib
 import math
@@ -8,16 +8,16 @@ import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.certificate.support import (
-    CONFIDENCE,
-    confident_loss,
-    days_needed,
-    days_needed_confidently,
-    supported_loss,
+    COVERAGE,
+    days_needed_for_loss,
+    loss_free_days_needed,
+    loss_upper_confidence_limit,
+    supported_loss_probability,
 )
 from companion.core.vehicle.airframe import Airframe
 
-LEAST_DAYS = 3
-"""Fewer tell no scatter between days."""
+MIN_DAYS = 3
+"""Minimum number of days to estimate the scatter between days."""
 
 
 class CertifiedDay(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -28,9 +28,9 @@ class CertifiedDay(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     flights: int
     """Flights of that day."""
     decision_points: int
-    """Instants of these flights at which the energy home was judged."""
+    """Instants of these flights at which the energy to home was evaluated."""
     worst_ratio: float
-    """Largest measured over predicted energy home, over all decision points of all its flights."""
+    """Largest measured over predicted energy to home, over all decision points of all flights."""
 
     def __post_init__(self) -> None:
         check_range("days.flights", self.flights, 1, 100_000)
@@ -39,7 +39,7 @@ class CertifiedDay(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class FlownEnvelope(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What two days or more have flown in; nothing is certified outside."""
+    """Conditions reached on at least two days; nothing is certified outside."""
 
     wind_mps: float
     """Strongest 10 s mean wind."""
@@ -48,7 +48,7 @@ class FlownEnvelope(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     payload_kg: float
     """Heaviest parcel."""
     air_temperature_c: tuple[float, float] | None = None
-    """Coldest and warmest air; `null` where a log's temperature is not known: not watched."""
+    """Coldest and warmest air; `null` if a log's temperature is unknown: not monitored."""
 
     def __post_init__(self) -> None:
         check_range("envelope.wind_mps", self.wind_mps, 0.0, 100.0)
@@ -63,102 +63,105 @@ class FlownEnvelope(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `certificate/2` file: it lies beside the airframe file whose draw it certifies."""
+    """A `certificate/2` file, stored next to the airframe file whose draw it certifies."""
 
     format: Literal["certificate/2"]
-    """The kind of file and its version."""
+    """File type and version."""
     airframe: str
     """The airframe's name."""
     airframe_digest: str
-    """Tells the airframe's numbers from others (`airframe_digest`)."""
+    """Digest of the airframe's parameters (`airframe_digest`)."""
     pack: str
-    """The pack's class, in words."""
+    """Battery class, as text."""
     days: list[CertifiedDay]
-    """Every day, in the order of dates."""
+    """All days in order of date."""
     draw_factor: float
     """Measured over predicted energy, geometric mean over days."""
     draw_std_frac: float
-    """Standard deviation of that of a flight on a new day."""
+    """Standard deviation of that ratio for a flight on a new day."""
     envelope: FlownEnvelope
-    """What was flown in."""
+    """Conditions of the flights."""
     left_out: list[str]
-    """Logs that do not count, by name, and why."""
+    """Excluded logs by name, with the reason."""
 
     def __post_init__(self) -> None:
-        if len(self.days) < LEAST_DAYS:
-            raise LeewayError(f"days: {len(self.days)}, at least {LEAST_DAYS} expected")
+        if len(self.days) < MIN_DAYS:
+            raise LeewayError(f"days: {len(self.days)}, at least {MIN_DAYS} expected")
         dates = [day.date for day in self.days]
         if len(set(dates)) < len(dates):
-            raise LeewayError("days: a date stands there twice; expected each once")
+            raise LeewayError("days: duplicate date; expected each once")
         check_range("draw_factor", self.draw_factor, 0.2, 5.0)
         check_range("draw_std_frac", self.draw_std_frac, 0.0, 2.0)
 
     @property
-    def bound_ratio(self) -> float:
-        """Measured over predicted energy home that no flight of these days was over, at any of its
-        decision points."""
+    def max_measured_to_predicted_ratio(self) -> float:
+        """Measured over predicted energy to home that no flight of these days exceeded at any
+        decision point."""
         return max(day.worst_ratio for day in self.days)
 
     @property
-    def supported_loss(self) -> float:
-        """Chance that a new day holds a flight that is over `bound_ratio` at a decision point."""
-        return supported_loss(len(self.days))
+    def supported_loss_probability(self) -> float:
+        """Probability that a new day has a flight over `max_measured_to_predicted_ratio` at a
+        decision point.
+        """
+        return supported_loss_probability(len(self.days))
 
     @property
-    def draw_log(self) -> float:
+    def log_draw_factor(self) -> float:
         """Logarithm of `draw_factor`."""
         return math.log(self.draw_factor)
 
     @property
-    def statement(self) -> str:
-        """What is promised, and for what."""
+    def summary_text(self) -> str:
+        """The certified probability and its conditions, as text."""
         days, flights = len(self.days), sum(day.flights for day in self.days)
         points = sum(day.decision_points for day in self.days)
         return (
             f"on a new day, exchangeable with these {days} ({flights} flights, {points:,} decision"
-            f" points), the way home takes over {self.bound_ratio:.3f} of what {self.airframe}"
-            " predicts, from any decision point of any flight, with at most"
-            f" {percent(self.supported_loss)} (with {percent(CONFIDENCE)} confidence at most"
-            f" {percent(confident_loss(days))})"
+            f" points), the energy to home exceeds {self.max_measured_to_predicted_ratio:.3f} of"
+            f" what {self.airframe} predicts, from any decision point of any flight, with at most"
+            f" {percent_text(self.supported_loss_probability)} (with {percent_text(COVERAGE)}"
+            f" confidence at most {percent_text(loss_upper_confidence_limit(days))})"
         )
 
-    def support_of(self, max_loss: float) -> str:
-        """What is missing for this loss, in words; "" where the days support it."""
-        if self.supported_loss <= max_loss:
+    def missing_support_text(self, max_loss: float) -> str:
+        """Return what is missing to support this loss, as text; "" if the days support it."""
+        if self.supported_loss_probability <= max_loss:
             return ""
         return (
-            f"{percent(max_loss)} accepted is less than {len(self.days)} days can support:"
-            f" {days_needed(max_loss)} would, and {days_needed_confidently(max_loss)} without a"
-            f" loss with {percent(CONFIDENCE)} confidence; until then it rests on the models"
+            f"{percent_text(max_loss)} accepted is less than {len(self.days)} days can support:"
+            f" {days_needed_for_loss(max_loss)} would, and {loss_free_days_needed(max_loss)}"
+            f" without a loss with {percent_text(COVERAGE)} confidence; until then it rests on the"
+            " models"
         )
 
 
-def percent(share: float) -> str:
-    """Two digits, as people read it."""
-    return f"{100.0 * share:.2g} %"
+def percent_text(fraction: float) -> str:
+    """Return a share as a percentage with two digits."""
+    return f"{100.0 * fraction:.2g} %"
 
 
 def airframe_digest(airframe: Airframe) -> str:
-    """The same for the same numbers, whatever the file's comments."""
+    """Return a digest of the parameters, independent of the file's comments."""
     return hashlib.sha256(msgspec.json.encode(airframe)).hexdigest()[:16]
 
 
-def pack_class(airframe: Airframe) -> str:
-    """The pack as the airframe states it."""
+def battery_class_text(airframe: Airframe) -> str:
+    """Return the battery class of the airframe."""
     return f"{airframe.battery.cells} cells, {airframe.battery.nominal_wh:g} Wh"
 
 
-_OF_WHOLE_FLIGHTS = "certificate/1"
+_OLD_FORMAT = "certificate/1"
 
 
-def certificate_from_dict(table: object, where: str) -> Certificate:
-    """A certificate as parsed from JSON; LeewayError names file and key."""
-    if isinstance(table, dict) and table.get("format") == _OF_WHOLE_FLIGHTS:
+def certificate_from_dict(table: object, document_name: str) -> Certificate:
+    """Convert parsed JSON to a certificate; LeewayError names file and key."""
+    if isinstance(table, dict) and table.get("format") == _OLD_FORMAT:
         raise LeewayError(
-            f"{where}: {_OF_WHOLE_FLIGHTS} judged whole flights, certificate/2 every decision"
+            f"{document_name}: {_OLD_FORMAT} judged whole flights, certificate/2 every decision"
             " point: companion certify again, or remove it"
         )
     try:
         return msgspec.convert(table, Certificate)
     except (msgspec.ValidationError, LeewayError) as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{document_name}: {error}") from error

@@ -1,4 +1,4 @@
-"""A certificate from the days of flights that an airframe was not fitted to."""
+"""Calculation of a certificate from days of flights that the airframe was not fitted to."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -7,24 +7,24 @@ from itertools import groupby
 
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import (
-    LEAST_DAYS,
+    MIN_DAYS,
     Certificate,
     CertifiedDay,
     FlownEnvelope,
     airframe_digest,
-    pack_class,
+    battery_class_text,
 )
 from companion.core.vehicle.airframe import Airframe
 
-_ODD_LOG = math.log(2.0)
-"""Twice the prediction, or half of it: another vehicle's log or a wrong current sensor."""
+_IMPLAUSIBLE_LOG_RATIO = math.log(2.0)
+"""Twice or half the prediction: a log of another vehicle, or a wrong current sensor."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredFlight:
     """One whole flight. Wind and airspeed are its largest means over 10 s.
 
-    `worst_ratio`: the largest measured over predicted energy home, of all its decision points.
+    `worst_ratio`: the largest measured over predicted energy to home, over its decision points.
     """
 
     name: str
@@ -39,7 +39,7 @@ class MeasuredFlight:
     air_temperature_c: float | None
 
     @property
-    def log_ratio(self) -> float:
+    def log_measured_to_predicted_ratio(self) -> float:
         """Logarithm of measured over predicted energy."""
         return math.log(self.measured_wh / self.predicted_wh)
 
@@ -52,12 +52,15 @@ class Scatter:
     std_log: float
 
 
-def certify(
-    airframe: Airframe, flights: Sequence[MeasuredFlight], scatter: Scatter, left_out: list[str]
+def create_certificate(
+    airframe: Airframe,
+    flights: Sequence[MeasuredFlight],
+    log_ratio_scatter: Scatter,
+    excluded_log_reasons: list[str],
 ) -> Certificate:
-    """What these flights support; LeewayError for too few days or a log of another vehicle."""
+    """Create the certificate; LeewayError for too few days or a log of another vehicle."""
     for flight in flights:
-        if abs(flight.log_ratio) > _ODD_LOG:
+        if abs(flight.log_measured_to_predicted_ratio) > _IMPLAUSIBLE_LOG_RATIO:
             raise LeewayError(
                 f"{flight.name}: {flight.measured_wh:.1f} Wh measured, {flight.predicted_wh:.1f}"
                 f" predicted by {airframe.name}: another vehicle, or a wrong current sensor"
@@ -66,13 +69,13 @@ def certify(
         date: list(rows)
         for date, rows in groupby(sorted(flights, key=lambda f: f.date), key=lambda f: f.date)
     }
-    if len(by_day) < LEAST_DAYS:
-        raise LeewayError(f"flights on {len(by_day)} days, at least {LEAST_DAYS} expected")
+    if len(by_day) < MIN_DAYS:
+        raise LeewayError(f"flights on {len(by_day)} days, at least {MIN_DAYS} expected")
     return Certificate(
         format="certificate/2",
         airframe=airframe.name,
         airframe_digest=airframe_digest(airframe),
-        pack=pack_class(airframe),
+        pack=battery_class_text(airframe),
         days=[
             CertifiedDay(
                 date=date,
@@ -82,26 +85,30 @@ def certify(
             )
             for date, rows in by_day.items()
         ],
-        draw_factor=math.exp(scatter.mean_log),
-        draw_std_frac=scatter.std_log,
-        envelope=_envelope(list(by_day.values())),
-        left_out=left_out,
+        draw_factor=math.exp(log_ratio_scatter.mean_log),
+        draw_std_frac=log_ratio_scatter.std_log,
+        envelope=_envelope_reached_on_two_days(list(by_day.values())),
+        left_out=excluded_log_reasons,
     )
 
 
-def _envelope(days: list[list[MeasuredFlight]]) -> FlownEnvelope:
-    """The largest that two days have reached, each by itself."""
-    temperatures = [[f.air_temperature_c for f in rows] for rows in days]
+def _envelope_reached_on_two_days(flights_by_day: list[list[MeasuredFlight]]) -> FlownEnvelope:
+    """Return the second largest daily value of each quantity, so that two days reached it."""
+    temperatures = [[f.air_temperature_c for f in rows] for rows in flights_by_day]
     known = [[t for t in rows if t is not None] for rows in temperatures]
     whole = all(len(a) == len(b) for a, b in zip(temperatures, known, strict=True))
-    span = (-_second(-min(t) for t in known), _second(max(t) for t in known)) if whole else None
+    span = (
+        (-_second_highest(-min(t) for t in known), _second_highest(max(t) for t in known))
+        if whole
+        else None
+    )
     return FlownEnvelope(
-        wind_mps=_second(max(f.wind_mps for f in rows) for rows in days),
-        airspeed_mps=_second(max(f.airspeed_mps for f in rows) for rows in days),
-        payload_kg=_second(max(f.payload_kg for f in rows) for rows in days),
+        wind_mps=_second_highest(max(f.wind_mps for f in rows) for rows in flights_by_day),
+        airspeed_mps=_second_highest(max(f.airspeed_mps for f in rows) for rows in flights_by_day),
+        payload_kg=_second_highest(max(f.payload_kg for f in rows) for rows in flights_by_day),
         air_temperature_c=span,
     )
 
 
-def _second(largest_of_days: Iterable[float]) -> float:
-    return sorted(largest_of_days)[-2]
+def _second_highest(daily_maxima: Iterable[float]) -> float:
+    return sorted(daily_maxima)[-2]

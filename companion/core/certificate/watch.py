@@ -1,21 +1,21 @@
-"""A flight's watch over its certificate: outside the envelope it says so and counts carefully."""
+"""Monitor of the certificate's envelope in flight: reports an exit and assumes a higher draw."""
 
 import math
 
 from companion.core.certificate.certificate import Certificate
-from companion.core.monitor.doubts import LOST_DRAW_LOG
+from companion.core.monitor.corrections import ASSUMED_DRAW_LOG
 from companion.core.vehicle.power_bias import ModelError
 
-CAREFUL_SCALE, CAREFUL_STD_FRAC = math.exp(LOST_DRAW_LOG), 0.05
-"""The draw assumed where no flight has been: as after lost evidence of the monitor, [est] half of
-that either way."""
+OUTSIDE_SCALE, OUTSIDE_STD_FRAC = math.exp(ASSUMED_DRAW_LOG), 0.05
+"""Assumed draw outside the envelope: as after lost evidence of the monitor, [est] with half of that
+as its error."""
 
-HOLD_S = 10.0
-"""Wind and airspeed have to be outside for so long: both are means over 10 s already."""
+MIN_OUTSIDE_S = 10.0
+"""Minimum time of wind and airspeed outside: both are means over 10 s already."""
 
 
-class EnvelopeWatch:
-    """One per flight. What was outside once stays outside: no flight is certified by halves."""
+class EnvelopeMonitor:
+    """Monitor of one flight. An exit is final: the flight is then not certified."""
 
     def __init__(self, certificate: Certificate | None) -> None:
         self._certificate = certificate
@@ -23,70 +23,77 @@ class EnvelopeWatch:
         self._since_s: dict[str, float] = {}
 
     @property
-    def outside(self) -> tuple[str, ...]:
-        """What is outside, in words."""
+    def envelope_exit_texts(self) -> tuple[str, ...]:
+        """The exits of the envelope, as text."""
         return tuple(self._outside.values())
 
-    def settle(self, payload_kg: float, air_temperature_c: float | None) -> tuple[str, ...]:
-        """Judge what is known on the ground; returns what is newly outside, in words."""
+    def record_exits_on_ground(
+        self, payload_kg: float, air_temperature_c: float | None
+    ) -> tuple[str, ...]:
+        """Check the values known on the ground; returns new exits."""
         if self._certificate is None:
             return ()
         envelope = self._certificate.envelope
         found = []
         if payload_kg > envelope.payload_kg + 1e-6:
-            found += self._leave(
+            found += self._record_first_exit(
                 "payload", f"parcel of {payload_kg:g} kg", f"{envelope.payload_kg:g}"
             )
         if envelope.air_temperature_c is not None and air_temperature_c is not None:
             low, high = envelope.air_temperature_c
             if not low <= air_temperature_c <= high:
                 span = f"{low:.0f} to {high:.0f}"
-                found += self._leave("temperature", f"air of {air_temperature_c:.0f} C", span)
+                found += self._record_first_exit(
+                    "temperature", f"air of {air_temperature_c:.0f} C", span
+                )
         return tuple(found)
 
-    def observe(
+    def record_exits_in_flight(
         self, t_s: float, wind_mps: float | None, airspeed_mps: float | None
     ) -> tuple[str, ...]:
-        """Judge one instant in the air, `None` is unknown; returns what is newly outside."""
+        """Check one instant in the air, `None` is unknown; returns new exits."""
         if self._certificate is None:
             return ()
         envelope = self._certificate.envelope
         return (
-            *self._hold("wind", t_s, wind_mps, envelope.wind_mps),
-            *self._hold("airspeed", t_s, airspeed_mps, envelope.airspeed_mps),
+            *self._record_exit_if_sustained("wind", t_s, wind_mps, envelope.wind_mps),
+            *self._record_exit_if_sustained("airspeed", t_s, airspeed_mps, envelope.airspeed_mps),
         )
 
-    def _hold(self, what: str, t_s: float, value: float | None, limit: float) -> tuple[str, ...]:
+    def _record_exit_if_sustained(
+        self, quantity: str, t_s: float, value: float | None, limit: float
+    ) -> tuple[str, ...]:
         if value is None or value <= limit:
-            self._since_s.pop(what, None)
+            self._since_s.pop(quantity, None)
             return ()
-        since_s = self._since_s.setdefault(what, t_s)
-        if t_s - since_s < HOLD_S:
+        since_s = self._since_s.setdefault(quantity, t_s)
+        if t_s - since_s < MIN_OUTSIDE_S:
             return ()
-        return self._leave(what, f"{what} of {value:.1f} m/s", f"{limit:.1f}")
+        return self._record_first_exit(quantity, f"{quantity} of {value:.1f} m/s", f"{limit:.1f}")
 
-    def _leave(self, what: str, seen: str, certified: str) -> tuple[str, ...]:
-        if what in self._outside:
+    def _record_first_exit(
+        self, quantity: str, observed_text: str, certified_range_text: str
+    ) -> tuple[str, ...]:
+        if quantity in self._outside:
             return ()
-        words = (
-            f"certificate: {seen} is outside what was flown ({certified}): draw"
-            f" {CAREFUL_SCALE:.2f} +- {CAREFUL_STD_FRAC:.2f} of the model's is assumed"
+        message = (
+            f"{observed_text} (certified: {certified_range_text}): assuming draw"
+            f" {OUTSIDE_SCALE:.2f} +- {OUTSIDE_STD_FRAC:.2f} of the model's"
         )
-        self._outside[what] = words
-        return (words,)
+        self._outside[quantity] = f"certificate: {message}"
+        return (message,)
 
-    def careful(self, learned: ModelError) -> ModelError:
-        """What the gate counts with: as learned inside, never less than the careful default
-        outside."""
+    def model_error_widened_outside(self, learned_model_error: ModelError) -> ModelError:
+        """Return the gate's model error: the learned one, outside at least the assumed one."""
         if not self._outside:
-            return learned
-        scale = max(learned.scale, CAREFUL_SCALE)
-        return ModelError(scale, math.hypot(learned.std_frac, CAREFUL_STD_FRAC))
+            return learned_model_error
+        scale = max(learned_model_error.scale, OUTSIDE_SCALE)
+        return ModelError(scale, math.hypot(learned_model_error.std_frac, OUTSIDE_STD_FRAC))
 
     def snapshot(self) -> dict[str, str]:
-        """What a checkpoint keeps."""
+        """Return the contents of a checkpoint."""
         return dict(self._outside)
 
-    def restore(self, outside: dict[str, str]) -> None:
-        """Go on from a checkpoint."""
-        self._outside = dict(outside) if self._certificate is not None else {}
+    def restore(self, exit_text_by_quantity: dict[str, str]) -> None:
+        """Restore a checkpoint."""
+        self._outside = dict(exit_text_by_quantity) if self._certificate is not None else {}

@@ -1,1 +1,1 @@
-"""Missions and flown tracks as documents of other tools: text and plain values, no files."""
+"""Missions and recorded tracks as documents of other tools: text and plain values, no files."""

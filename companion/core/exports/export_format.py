@@ -1,10 +1,10 @@
-"""Formats by their names: a module of its own, since command lines load it for their help."""
+"""File formats by name: a separate module, since command lines load it for their help."""
 
 from enum import StrEnum
 
 
 class ExportFormat(StrEnum):
-    """A file format; its value is the file's ending too, but for WPL's."""
+    """A file format; its value is also the file's extension, except for WPL."""
 
     PLAN = "plan"
     WPL = "wpl"
@@ -14,5 +14,5 @@ class ExportFormat(StrEnum):
 
     @property
     def suffix(self) -> str:
-        """How its files end: Mission Planner looks for .waypoints."""
+        """File extension: Mission Planner expects .waypoints."""
         return ".waypoints" if self is ExportFormat.WPL else f".{self.value}"

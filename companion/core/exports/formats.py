@@ -1,4 +1,4 @@
-"""What may be exported, in each format."""
+"""Exports of missions and tracks in each format."""
 
 import json
 
@@ -8,15 +8,15 @@ from companion.core.exports.exported import MissionExport, TrackExport
 from companion.core.exports.geojson import mission_geojson, track_geojson
 from companion.core.exports.gpx import mission_gpx, track_gpx
 from companion.core.exports.kml import mission_kml, track_kml
-from companion.core.exports.qgc_plan import mission_plan
+from companion.core.exports.qgc_plan import mission_plan_document
 from companion.core.exports.wpl import fence_document, rally_document, wpl_document
 
 
-def mission_text(mission: MissionExport, file_format: ExportFormat, autopilot: str) -> str:
-    """A mission as a document; `autopilot` ("px4", "ardupilot") is the one that a .plan is for."""
+def mission_document_text(mission: MissionExport, file_format: ExportFormat, autopilot: str) -> str:
+    """Return a mission as a document; `autopilot` ("px4", "ardupilot") is the target of a .plan."""
     match file_format:
         case ExportFormat.PLAN:
-            return _json(mission_plan(mission, autopilot))
+            return _to_json_text(mission_plan_document(mission, autopilot))
         case ExportFormat.WPL:
             return wpl_document(mission)
         case ExportFormat.KML:
@@ -24,13 +24,13 @@ def mission_text(mission: MissionExport, file_format: ExportFormat, autopilot: s
         case ExportFormat.GPX:
             return mission_gpx(mission)
         case ExportFormat.GEOJSON:
-            return _json(mission_geojson(mission))
+            return _to_json_text(mission_geojson(mission))
 
 
-def texts_beside(mission: MissionExport, file_format: ExportFormat) -> dict[str, str]:
-    """Documents that belong beside a mission's, by their files' endings: of formats that hold
-    neither fence nor rally points.
-    """
+def auxiliary_document_by_suffix(
+    mission: MissionExport, file_format: ExportFormat
+) -> dict[str, str]:
+    """Return additional documents by file extension, for formats without fence and rally points."""
     if file_format is not ExportFormat.WPL:
         return {}
     found = {
@@ -40,20 +40,20 @@ def texts_beside(mission: MissionExport, file_format: ExportFormat) -> dict[str,
     return {ending: text for ending, text in found.items() if text is not None}
 
 
-def track_text(track: TrackExport, file_format: ExportFormat) -> str:
-    """A flown track as a document; LeewayError for a format that holds missions only."""
+def track_document_text(track: TrackExport, file_format: ExportFormat) -> str:
+    """Return a recorded track as a document; LeewayError for a format that holds missions only."""
     match file_format:
         case ExportFormat.KML:
             return track_kml(track)
         case ExportFormat.GPX:
             return track_gpx(track)
         case ExportFormat.GEOJSON:
-            return _json(track_geojson(track))
+            return _to_json_text(track_geojson(track))
     raise LeewayError(
         f"{file_format.value} holds a mission, not a track: expected kml, gpx or geojson for a log"
-        " (a run folder's mission.plan is the mission that was aboard)"
+        " (a run folder's mission.plan is the mission that was uploaded)"
     )
 
 
-def _json(document: dict[str, object]) -> str:
+def _to_json_text(document: dict[str, object]) -> str:
     return json.dumps(document, indent=1, allow_nan=False) + "\n"

@@ -3,56 +3,56 @@
 from xml.etree import ElementTree as ET
 
 from companion.core.exports.exported import GeoPoint, MissionExport, TrackExport
-from companion.core.exports.utc import utc_text
+from companion.core.exports.utc import iso8601_utc_text
 
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 
 
 def mission_gpx(mission: MissionExport) -> str:
-    """Places as waypoints, the way out and the way home as routes."""
-    root = _root(mission.name)
-    for place in mission.places:
-        waypoint = _point(root, "wpt", place.point)
-        _text(waypoint, "name", place.name)
-        _text(waypoint, "type", place.kind)
-    for name, way in (("outbound", mission.outbound), ("homeward", mission.homeward)):
+    """Return locations as waypoints, both routes as routes."""
+    root = _create_gpx_root(mission.name)
+    for location in mission.locations:
+        waypoint = _append_point_element(root, "wpt", location.point)
+        _append_text_element(waypoint, "name", location.name)
+        _append_text_element(waypoint, "type", location.kind)
+    for name, route_points in (("outbound", mission.outbound), ("homeward", mission.homeward)):
         route = ET.SubElement(root, "rte")
-        _text(route, "name", name)
-        for point in way:
-            _point(route, "rtept", point)
-    return _document(root)
+        _append_text_element(route, "name", name)
+        for point in route_points:
+            _append_point_element(route, "rtept", point)
+    return _to_xml_document(root)
 
 
 def track_gpx(track: TrackExport) -> str:
-    """The track, with UTC times where they are known."""
-    root = _root(track.name)
+    """Return the track, with UTC times where they are known."""
+    root = _create_gpx_root(track.name)
     line = ET.SubElement(root, "trk")
-    _text(line, "name", track.name)
+    _append_text_element(line, "name", track.name)
     segment = ET.SubElement(line, "trkseg")
     for point, utc_s in track.points:
-        element = _point(segment, "trkpt", point)
+        element = _append_point_element(segment, "trkpt", point)
         if utc_s is not None:
-            _text(element, "time", utc_text(utc_s))
-    return _document(root)
+            _append_text_element(element, "time", iso8601_utc_text(utc_s))
+    return _to_xml_document(root)
 
 
-def _root(name: str) -> ET.Element:
+def _create_gpx_root(name: str) -> ET.Element:
     root = ET.Element("gpx", {"version": "1.1", "creator": "Leeway", "xmlns": NAMESPACE})
-    _text(ET.SubElement(root, "metadata"), "name", name)
+    _append_text_element(ET.SubElement(root, "metadata"), "name", name)
     return root
 
 
-def _point(parent: ET.Element, tag: str, point: GeoPoint) -> ET.Element:
-    place = {"lat": f"{point.lat_deg:.7f}", "lon": f"{point.lon_deg:.7f}"}
-    element = ET.SubElement(parent, tag, place)
-    _text(element, "ele", f"{point.alt_amsl_m:.2f}")
+def _append_point_element(parent: ET.Element, tag: str, point: GeoPoint) -> ET.Element:
+    location = {"lat": f"{point.lat_deg:.7f}", "lon": f"{point.lon_deg:.7f}"}
+    element = ET.SubElement(parent, tag, location)
+    _append_text_element(element, "ele", f"{point.alt_amsl_m:.2f}")
     return element
 
 
-def _text(parent: ET.Element, tag: str, text: str) -> None:
+def _append_text_element(parent: ET.Element, tag: str, text: str) -> None:
     ET.SubElement(parent, tag).text = text
 
 
-def _document(root: ET.Element) -> str:
+def _to_xml_document(root: ET.Element) -> str:
     ET.indent(root, " ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"

@@ -15,33 +15,36 @@ _QUADROTOR = 2
 
 @dataclass(frozen=True, slots=True)
 class PlanItem:
-    """A MAVLink mission item about home: metres north, east and up, or None without a place."""
+    """A MAVLink mission item about home: metres north, east and up, or None without a position."""
 
     command: int
-    place_neu_m: tuple[float, float, float] | None = None
+    position_neu_m: tuple[float, float, float] | None = None
     params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 def plan_document(
     items: list[PlanItem], home: LocalFrame, autopilot: str, speed_mps: float
 ) -> dict[str, Any]:
-    """A mission about `home` for one autopilot ("px4" or "ardupilot")."""
-    return _document(
-        [_item(number, item, home) for number, item in enumerate(items, 1)],
-        _degrees(home, (0.0, 0.0, 0.0)),
+    """Return a mission about `home` for one autopilot ("px4" or "ardupilot")."""
+    return _qgc_plan_document(
+        [_simple_item_of_plan_item(number, item, home) for number, item in enumerate(items, 1)],
+        _lat_lon_deg_alt_amsl_m(home, (0.0, 0.0, 0.0)),
         autopilot,
         speed_mps,
     )
 
 
-def mission_plan(mission: MissionExport, autopilot: str) -> dict[str, Any]:
-    """A mission for one autopilot, with a geofence and the rally points of its site.
+def mission_plan_document(mission: MissionExport, autopilot: str) -> dict[str, Any]:
+    """Return a mission for one autopilot, with a geofence and the rally points of its site.
 
     The fence excludes the areas that the mission may not fly over. Lower obstacles, and geo-zones
-    that it flies under, are left out of it: a fence has neither upper nor lower end.
+    that it flies under, are not in it: a fence has neither an upper nor a lower limit.
     """
-    return _document(
-        [_command_item(number, item) for number, item in enumerate(mission.items, 1)],
+    return _qgc_plan_document(
+        [
+            _simple_item_of_command_item(number, item)
+            for number, item in enumerate(mission.items, 1)
+        ],
         mission.home,
         autopilot,
         mission.speed_mps,
@@ -50,7 +53,7 @@ def mission_plan(mission: MissionExport, autopilot: str) -> dict[str, Any]:
     )
 
 
-def _document(
+def _qgc_plan_document(
     items: list[dict[str, Any]],
     home: tuple[float, float, float],
     autopilot: str,
@@ -89,38 +92,40 @@ def _document(
     }
 
 
-def _item(number: int, item: PlanItem, home: LocalFrame) -> dict[str, Any]:
-    place: tuple[float, float, float] | None = None
-    if item.place_neu_m is not None:
-        north, east, up = item.place_neu_m
-        lat_deg, lon_deg, _ = _degrees(home, (north, east, -up))
-        place = lat_deg, lon_deg, up
-    return _simple_item(number, item.command, item.params, place)
+def _simple_item_of_plan_item(item_number: int, item: PlanItem, home: LocalFrame) -> dict[str, Any]:
+    position: tuple[float, float, float] | None = None
+    if item.position_neu_m is not None:
+        north, east, up = item.position_neu_m
+        lat_deg, lon_deg, _ = _lat_lon_deg_alt_amsl_m(home, (north, east, -up))
+        position = lat_deg, lon_deg, up
+    return _simple_item(item_number, item.command, item.params, position)
 
 
-def _command_item(number: int, item: CommandItem) -> dict[str, Any]:
+def _simple_item_of_command_item(item_number: int, item: CommandItem) -> dict[str, Any]:
     spot = item.spot
-    place = None if spot is None else (spot.lat_deg, spot.lon_deg, spot.height_rel_m)
-    return _simple_item(number, item.command, item.params, place)
+    position = None if spot is None else (spot.lat_deg, spot.lon_deg, spot.height_rel_m)
+    return _simple_item(item_number, item.command, item.params, position)
 
 
 def _simple_item(
-    number: int,
+    item_number: int,
     command: int,
     params: tuple[float, float, float, float],
-    place: tuple[float, float, float] | None,
+    position: tuple[float, float, float] | None,
 ) -> dict[str, Any]:
     known: list[float | None] = [None if math.isnan(p) else p for p in params]
     return {
         "type": "SimpleItem",
         "autoContinue": True,
         "command": command,
-        "doJumpId": number,
-        "frame": _MISSION if place is None else _RELATIVE,
-        "params": [*known, *(place or (0.0, 0.0, 0.0))],
+        "doJumpId": item_number,
+        "frame": _MISSION if position is None else _RELATIVE,
+        "params": [*known, *(position or (0.0, 0.0, 0.0))],
     }
 
 
-def _degrees(home: LocalFrame, ned_m: tuple[float, float, float]) -> tuple[float, float, float]:
+def _lat_lon_deg_alt_amsl_m(
+    home: LocalFrame, ned_m: tuple[float, float, float]
+) -> tuple[float, float, float]:
     lat_rad, lon_rad, alt_amsl_m = home.to_geodetic(ned_m)
     return math.degrees(lat_rad), math.degrees(lon_rad), alt_amsl_m

@@ -1,1 +1,1 @@
-"""Heights of the ground, and how flights keep clear of it. Imports base only."""
+"""Ground heights and the clearance of flights from the ground. Imports base only."""

@@ -1,16 +1,17 @@
-"""Actions: what the pilot asks for. Adapters turn them into what the autopilot understands."""
+"""Actions: outputs of the pilot. Adapters translate them into autopilot messages."""
 
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
+from enum import Enum
 
+from companion.core.mission.alerts import Alert, AlertParameter, Severity
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
-from companion.core.monitor.figures import FlightFigures
+from companion.core.monitor.flight_evidence import FlightEvidence
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """Something to do."""
+    """An output of the pilot."""
 
 
 # --- orders to the autopilot: only in COMMANDING_PHASES (safety rule 1) ---------------------------
@@ -18,57 +19,58 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class Order(Action):
-    """Goes to the autopilot."""
+    """An action addressed to the autopilot."""
 
 
 @dataclass(frozen=True, slots=True)
-class AskTelemetry(Order):
-    """Ask for every stream that the mission needs."""
+class RequestTelemetry(Order):
+    """Request every telemetry stream that the mission needs."""
 
 
 @dataclass(frozen=True, slots=True)
-class AskBoard(Order):
-    """Ask for the flight controller's own number."""
+class RequestBoardId(Order):
+    """Request the identifier of the flight controller board."""
 
 
 @dataclass(frozen=True, slots=True)
-class AskParameters(Order):
-    """Read the autopilot parameters that the promise rests on."""
+class RequestParameters(Order):
+    """Read the autopilot parameters on which the pre-flight checks depend."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Configure(Order):
-    """Set autopilot parameters and read them back (`--configure`, and the old ones at the end)."""
+class SetParameters(Order):
+    """Set autopilot parameters and verify them (`--configure`, and the restore afterwards)."""
 
     values: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class UploadMission(Order):
-    """Put this mission aboard."""
+    """Upload this mission to the autopilot."""
 
     items: tuple[MissionItem, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class ClearMission(Order):
-    """Take the mission off the vehicle; a `MissionUploaded` tells how that ended."""
+    """Clear the mission on the autopilot. A `MissionUploaded` event reports the result."""
 
 
 @dataclass(frozen=True, slots=True)
-class ReadMissionBack(Order):
-    """Download the mission aboard and compare it with this one.
+class VerifyMission(Order):
+    """Download the onboard mission and compare it with `items`.
 
-    `pace_s`: so long between two items; 0: as fast as the link is. `first_only`: end at the first
-    item that differs. `window`: requests sent at a time, where the autopilot answers several.
+    `item_interval_s`: interval of item requests; 0: as fast as possible.
+    `stop_at_first_difference`: stop at the first item that differs. `pending_requests`: number of
+    pending requests, for autopilots that answer several.
     """
 
     items: tuple[MissionItem, ...]
-    pace_s: float = 0.0
-    first_only: bool = False
-    window: int = 1
+    item_interval_s: float = 0.0
+    stop_at_first_difference: bool = False
+    pending_requests: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ class SetMode(Order):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Order):
-    """Arm, with the autopilot's own checks on."""
+    """Arm with the autopilot's own checks enabled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,26 +92,26 @@ class Disarm(Order):
 
 @dataclass(frozen=True, slots=True)
 class JumpTo(Order):
-    """Go on with the mission at this item.
+    """Continue the mission at this item.
 
-    `passes`: items that show, too, that it was obeyed: the autopilot comes to them by itself, and
-    may be there before it tells of this one.
+    `confirming_items`: further items that confirm the jump: the autopilot reaches them on its own
+    and may be there before it reports this one.
     """
 
     index: int
-    passes: frozenset[int] = field(default=frozenset(), compare=False)
+    confirming_items: frozenset[int] = field(default=frozenset(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class SetGroundSpeed(Order):
-    """Fly legs at this ground speed."""
+    """Fly route segments at this ground speed."""
 
     ground_speed_mps: float
 
 
 @dataclass(frozen=True, slots=True)
 class SetHome(Order):
-    """Make this place the autopilot's home again."""
+    """Set the autopilot's home back to this position."""
 
     lat_deg: float
     lon_deg: float
@@ -117,75 +119,82 @@ class SetHome(Order):
 
 
 @dataclass(frozen=True, slots=True)
-class Release(Order):
-    """Let the parcel go."""
+class ReleaseParcel(Order):
+    """Release the parcel."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlyVelocity(Order):
-    """A set-point: a velocity over ground, NED, and how it is changing."""
+    """A set-point: ground velocity (NED) and its rate of change."""
 
     vel_ned_mps: tuple[float, float, float]
     accel_ned_mps2: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class DropOrders(Action):
-    """Forget every order that is still being sent, retried or waited for."""
+class CancelOrders(Action):
+    """Discard every order that is being sent, retried or awaits its response."""
 
 
-# --- to everybody else ----------------------------------------------------------------------------
-
-
-class Severity(IntEnum):
-    """As MAV_SEVERITY numbers them."""
-
-    CRITICAL = 2
-    ERROR = 3
-    WARNING = 4
-    NOTICE = 5
-    INFO = 6
+# --- other outputs --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Say(Action):
-    """One sentence for the operator (STATUSTEXT, 249 bytes of it) and the log."""
+class AlertReport(Action):
+    """An alert with its parameters, for the operator (STATUSTEXT, up to 249 bytes) and the log."""
 
-    severity: Severity
+    alert: Alert
+    parameters: dict[str, AlertParameter] = field(default_factory=dict)
+
+    @classmethod
+    def create(cls, alert: Alert, **parameters: AlertParameter) -> "AlertReport":
+        """Report an alert with its parameters."""
+        return cls(alert, parameters)
+
+    @property
+    def severity(self) -> Severity:
+        """Severity of the alert."""
+        return self.alert.severity
+
+    @property
+    def text(self) -> str:
+        """Text for operators; raises KeyError for a missing parameter."""
+        return self.alert.text_template.format(**self.parameters)
+
+
+@dataclass(frozen=True, slots=True)
+class LogNote(Action):
+    """One line for the log. `in_run`, `in_check`: that command prints it too."""
+
     text: str
+    in_run: bool = False
+    in_check: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Note(Action):
-    """One line for the log only."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class TellPlace(Action):
-    """Where we are and where to, for the neighbours; the fleet's port adds our name."""
+class PublishTrack(Action):
+    """Position, velocity and goal of this vehicle; the fleet port adds its name."""
 
     gnss_s: float
     lat_deg: float
     lon_deg: float
     alt_amsl_m: float
     vel_ned_mps: tuple[float, float, float]
-    aside: bool
-    to_lat_deg: float | None = None
-    to_lon_deg: float | None = None
+    on_setpoints: bool
+    goal_lat_deg: float | None = None
+    goal_lon_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Publish(Action):
-    """Named numbers for any ground station (NAMED_VALUE_FLOAT); unknown ones are left out."""
+class PublishValues(Action):
+    """Named values for any ground station (NAMED_VALUE_FLOAT). Unknown values are omitted."""
 
     values: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Decision(Action):
-    """A decision with the probabilities that it rests on (docs/reference/outcomes.md)."""
+    """A decision with the probabilities on which it is based (docs/reference/outcomes.md)."""
 
     t_s: float
     kind: str
@@ -197,8 +206,8 @@ class Decision(Action):
 
 
 @dataclass(frozen=True, slots=True)
-class Assessed(Action):
-    """The gate's answer at one instant, for the record and the picture."""
+class AssessmentReport(Action):
+    """Result of the gate at one instant, for the record and the display."""
 
     t_s: float
     p_home: float
@@ -212,8 +221,8 @@ class Assessed(Action):
     """Always False: readers of result.json expect the key."""
 
 
-class Reply(Enum):
-    """How an operator's order was taken."""
+class ResponseStatus(Enum):
+    """Result of an operator's command."""
 
     ACCEPTED = "accepted"
     LATER = "not now"
@@ -221,16 +230,16 @@ class Reply(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer(Action):
-    """The reply to the operator's order that was just heard, with its reason where one is told."""
+class OperatorResponse(Action):
+    """Response to the operator's last command, with an optional reason."""
 
-    reply: Reply
+    status: ResponseStatus
     reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class WindReport(Action):
-    """The wind estimate for the record: where the air moves to, with its covariance."""
+    """Wind estimate for the record: direction of flow (to) and its covariance."""
 
     t_s: float
     n_mps: float
@@ -242,7 +251,7 @@ class WindReport(Action):
 
 @dataclass(frozen=True, slots=True)
 class EnergyReport(Action):
-    """The energy left, and that used since the start, for the record."""
+    """Energy left, and energy used since the start, for the record."""
 
     t_s: float
     left_wh: float
@@ -253,7 +262,7 @@ class EnergyReport(Action):
 
 @dataclass(frozen=True, slots=True)
 class SaveCheckpoint(Action):
-    """Put everything that a restart needs on disk; `routine` ones come every few seconds."""
+    """Write the state for a restart to disk. `routine` checkpoints come every few seconds."""
 
     content: dict[str, object]
     routine: bool = False
@@ -261,7 +270,7 @@ class SaveCheckpoint(Action):
 
 @dataclass(frozen=True, slots=True)
 class PhaseChanged(Action):
-    """For the log, the heartbeat's state and the progress display."""
+    """A phase transition, for the log, the heartbeat state and the progress display."""
 
     t_s: float
     before: str
@@ -271,13 +280,13 @@ class PhaseChanged(Action):
 
 @dataclass(frozen=True, slots=True)
 class Finished(Action):
-    """The mission is over: nothing more will be asked of the autopilot.
+    """The mission has ended: no further order is sent to the autopilot.
 
-    `home` and `margin_wh` (energy above the reserve) are as the companion saw them at the end;
-    `None` = it cannot tell. `drop_unproven`: the gripper was told to open, and nothing showed that
-    it did: somebody has to look where the parcel is. `figures` is what the flight, begun at
-    `took_off_s`, tells the monitor of the service; None: it never flew. `evidence_nats` is
-    the log of the e-value against the energy model, once the flight is counted.
+    `home` and `margin_wh` (energy above the reserve) are the companion's values at the end; None:
+    unknown. `release_unconfirmed`: the gripper was commanded to open without confirmation, so the
+    parcel has to be looked for. `flight_statistics`: contribution of the flight, which started at
+    `takeoff_s`, to the service monitor; None: it never flew. `evidence_nats`: logarithm of the
+    e-value against the energy model, once the flight is counted.
     """
 
     outcome: str
@@ -285,7 +294,7 @@ class Finished(Action):
     reason: str
     home: bool | None = None
     margin_wh: float | None = None
-    drop_unproven: bool = False
-    took_off_s: float | None = None
-    figures: FlightFigures | None = None
+    release_unconfirmed: bool = False
+    takeoff_s: float | None = None
+    flight_statistics: FlightEvidence | None = None
     evidence_nats: float | None = None

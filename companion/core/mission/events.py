@@ -1,7 +1,7 @@
-"""Events: everything that enters the core, in SI units and the same for every autopilot.
+"""Events: all inputs of the core, in SI units and the same for every autopilot.
 
-Adapters make them from MAVLink and stamp them with the autopilot's clock (`t_s`, monotonic).
-Mission indices count our own items (0 is the first that we uploaded). Unknown is `None`.
+Adapters create them from MAVLink messages and stamp them with the autopilot's clock (`t_s`,
+monotonic). Mission indices count the uploaded items from 0. Unknown is `None`.
 """
 
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from companion.core.wind_field.shared_winds import SharedWinds
 
 
 class AutopilotKind(Enum):
-    """Which autopilot: they differ in what an order means."""
+    """Autopilot firmware: the two differ in the meaning of orders."""
 
     ARDUPILOT = "ardupilot"
     PX4 = "px4"
 
 
 class Mode(Enum):
-    """The modes that matter to authority; everything else flies by somebody else's hand."""
+    """Flight modes relevant to control authority. Any other mode is a takeover."""
 
     MISSION = "mission"
     RTL = "return to launch"
@@ -30,60 +30,60 @@ class Mode(Enum):
     OTHER = "other"
 
 
-class Ground(Enum):
-    """What the autopilot says of the ground under it."""
+class VehicleLandedState(Enum):
+    """Landed state as reported by the autopilot."""
 
     ON_GROUND = "on ground"
     IN_AIR = "in air"
-    TAKING_OFF = "taking off"
+    TAKEOFF = "taking off"
     LANDING = "landing"
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something happened at `t_s` on the autopilot's clock."""
+    """An event at time `t_s` on the autopilot's clock."""
 
     t_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Tick(Event):
-    """Time passed; every telemetry message up to `t_s` has been heard.
+    """A time step: every telemetry message up to `t_s` has been processed.
 
-    `late`: more waits to be heard. The estimators take the moment in; nothing is decided on it.
+    `is_backlog`: further messages are queued. The estimators are updated; no decision is taken.
     """
 
-    late: bool = False
+    is_backlog: bool = False
 
 
 # --- telemetry ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Identified(Event):
-    """An autopilot was recognised by several heartbeats."""
+class AutopilotDetected(Event):
+    """An autopilot was detected by several heartbeats."""
 
     autopilot_kind: AutopilotKind
     system_id: int
 
 
 @dataclass(frozen=True, slots=True)
-class BoardKnown(Event):
-    """The flight controller told its own number (AUTOPILOT_VERSION): hex digits, or "" for none."""
+class BoardIdReceived(Event):
+    """Identifier of the flight controller (AUTOPILOT_VERSION) in hexadecimal, or "" for none."""
 
-    board: str
+    board_id: str
 
 
 @dataclass(frozen=True, slots=True)
-class SettingsLeft(Event):
-    """Settings of this vehicle's that an earlier flight changed and did not put back: its own."""
+class UnrestoredSettings(Event):
+    """Original values of settings that an earlier flight changed and did not restore."""
 
     values: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleState(Event):
-    """A heartbeat of the autopilot. `failsafe` = it calls its state critical or emergency."""
+    """A heartbeat of the autopilot. `failsafe`: it reports state critical or emergency."""
 
     mode: Mode
     mode_name: str
@@ -93,8 +93,8 @@ class VehicleState(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class ModeNow(Event):
-    """The flight mode between two heartbeats, where the autopilot tells it."""
+class ModeReport(Event):
+    """The flight mode between two heartbeats, from autopilots that report it."""
 
     mode: Mode
     mode_name: str
@@ -102,7 +102,7 @@ class ModeNow(Event):
 
 @dataclass(frozen=True, slots=True)
 class Attitude(Event):
-    """Body attitude, heading clockwise from north, and the rate that the gyro reports of it."""
+    """Body attitude, heading clockwise from north, and the yaw rate of the gyro."""
 
     roll_rad: float
     pitch_rad: float
@@ -125,7 +125,7 @@ class Position(Event):
 
 @dataclass(frozen=True, slots=True)
 class AirPressure(Event):
-    """The barometer's pressure, and the temperature of the board that it sits on."""
+    """Barometric pressure, and the temperature of the sensor's board."""
 
     pressure_pa: float
     board_temperature_c: float | None = None
@@ -133,7 +133,7 @@ class AirPressure(Event):
 
 @dataclass(frozen=True, slots=True)
 class GnssFix(Event):
-    """The receiver's own word; `usable` = a 3-D fix or better."""
+    """Fix reported by the GNSS receiver. `usable`: 3-D fix or better."""
 
     usable: bool
     satellites: int | None = None
@@ -141,14 +141,14 @@ class GnssFix(Event):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorHealth(Event):
-    """Whether the autopilot's own estimator trusts its horizontal position."""
+    """Whether the autopilot's estimator reports a valid horizontal position."""
 
     position_ok: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Home(Event):
-    """Where the autopilot thinks home is (RTL goes there)."""
+    """Home position of the autopilot (destination of RTL)."""
 
     lat_deg: float
     lon_deg: float
@@ -157,9 +157,9 @@ class Home(Event):
 
 @dataclass(frozen=True, slots=True)
 class Battery(Event):
-    """What the battery monitor knows; each field `None` where it knows nothing.
+    """Battery measurements; unknown fields are `None`.
 
-    `pack`: whose (BATTERY_STATUS.id); `None` for what speaks of the whole vehicle (SYS_STATUS).
+    `pack`: its number (BATTERY_STATUS.id); `None`: totals of the whole vehicle (SYS_STATUS).
     """
 
     voltage_v: float | None = None
@@ -173,16 +173,16 @@ class Battery(Event):
 
 @dataclass(frozen=True, slots=True)
 class Throttle(Event):
-    """Mean thrust command, 0 to 1: falls when the parcel goes, current sensor or not."""
+    """Mean thrust command, 0 to 1: it falls at the release, also without a current sensor."""
 
     throttle_frac: float
 
 
 @dataclass(frozen=True, slots=True)
 class Airspeed(Event):
-    """A pitot's reading along the body's forward axis.
+    """Airspeed reading along the body's forward axis.
 
-    `is_magnitude`: of an anemometer that turns into the wind; only recordings have such.
+    `is_magnitude`: from an anemometer that turns into the wind; in recordings only.
     """
 
     forward_mps: float
@@ -191,7 +191,7 @@ class Airspeed(Event):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotWind(Event):
-    """The autopilot's own, real wind estimate: where the air moves TO."""
+    """The autopilot's own measured wind estimate: direction of flow (to)."""
 
     to_n_mps: float
     to_e_mps: float
@@ -200,11 +200,11 @@ class AutopilotWind(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress(Event):
-    """The item that the autopilot flies (`None`: none of ours) and how many items it holds (0: no
-    mission aboard).
+    """The current item (`None`: not an uploaded one) and the number of onboard items (0: no
+    mission).
 
-    `in_mission`: whether it flies the mission at all, where it tells. `mission_id`: a number that
-    changes with the list, where the autopilot sends one (PX4 1.15 and later).
+    `in_mission`: whether it flies the mission, if reported. `mission_id`: a number that changes
+    with the list (PX4 1.15 and later).
     """
 
     index: int | None
@@ -215,35 +215,35 @@ class MissionProgress(Event):
 
 @dataclass(frozen=True, slots=True)
 class ItemReached(Event):
-    """An item was completed."""
+    """A mission item was completed."""
 
     index: int
 
 
 @dataclass(frozen=True, slots=True)
 class GroundState(Event):
-    """Landed or not, by the autopilot's detector."""
+    """Landed state from the autopilot's detector."""
 
-    ground: Ground
+    ground: VehicleLandedState
 
 
 @dataclass(frozen=True, slots=True)
 class ArmingReadiness(Event):
-    """The autopilot's own pre-arm check."""
+    """Result of the autopilot's pre-arm check."""
 
     ready: bool
 
 
 @dataclass(frozen=True, slots=True)
 class ReleaseFeedback(Event):
-    """The gripper itself says whether it let go."""
+    """Gripper feedback on whether the parcel was released."""
 
     released: bool
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotText(Event):
-    """A sentence of the autopilot, for the log."""
+    """A status text of the autopilot, for the log."""
 
     severity: int
     text: str
@@ -251,17 +251,17 @@ class AutopilotText(Event):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotParameters(Event):
-    """Parameters that were asked for; `None` where the autopilot has no such parameter."""
+    """Requested parameters; `None` if the autopilot has no such parameter."""
 
     values: dict[str, float | None]
 
 
-# --- answers to actions ------------------------------------------------------------------------
+# --- responses to actions ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class StreamsAsked(Event):
-    """Every telemetry request has been answered; `refused` names those that were not granted."""
+class StreamsConfigured(Event):
+    """Every telemetry request has a response; `refused` names the streams that were not granted."""
 
     refused: tuple[str, ...] = ()
 
@@ -274,10 +274,10 @@ class MissionUploaded(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class MissionReadBack(Event):
-    """What differs between the mission aboard and ours: nothing, or a line for each difference.
+class MissionVerified(Event):
+    """Differences between the onboard mission and the uploaded one, one line each; empty if none.
 
-    Not `complete`: it could not be read, and the only line says why.
+    Not `complete`: the download failed, and the only line states the reason.
     """
 
     differences: tuple[str, ...]
@@ -285,48 +285,61 @@ class MissionReadBack(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class MissionTouched(Event):
-    """Somebody else wrote to the mission aboard, as was overheard."""
+class MissionWriteDetected(Event):
+    """Another station wrote to the onboard mission; detected from its messages on the link."""
 
-    words: str
+    description: str
+
+
+SET_HOME = "set home"
+"""Name of the order that moves the autopilot's home."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrderRefused(Event):
-    """The autopilot refused an order, or never answered it: then it may have been obeyed."""
+    """The autopilot refused an order, or did not respond and may have executed it."""
 
     order: str
     reason: str
-    answered: bool = True
+    is_response: bool = True
+    mode: Mode | None = None
+    """The mode that the order sets; `None`: another order."""
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRequestRefused(Event):
+    """The autopilot refused to send this message, or did not respond."""
+
+    message_name: str
 
 
 @dataclass(frozen=True, slots=True)
 class OrderAccepted(Event):
-    """The autopilot acknowledged an order. That is not a fact yet: telemetry confirms it."""
+    """The autopilot acknowledged an order. Telemetry has yet to confirm its effect."""
 
     order: str
 
 
 @dataclass(frozen=True, slots=True)
 class ParametersSet(Event):
-    """`--configure` is through; `failed` names what could not be set or read back."""
+    """`--configure` has ended; `failed` names parameters that could not be set or verified."""
 
     failed: tuple[str, ...] = ()
 
 
-# --- operator and the rest of the world ---------------------------------------------------------
+# --- operator, fleet, link and clock -------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Authorised(Event):
+class MissionAuthorised(Event):
     """An operator authorises this mission."""
 
     by: str
 
 
 @dataclass(frozen=True, slots=True)
-class OperatorReached(Event):
-    """A message arrived from a ground station or a desk whose commands count."""
+class OperatorMessageReceived(Event):
+    """A message arrived from an accepted ground station or desk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,30 +350,30 @@ class ControlHandedBack(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class ControlTaken(Event):
-    """An operator tells the companion to keep its hands off."""
+class ControlReleaseOrdered(Event):
+    """An operator commands the companion to release control."""
 
     by: str
 
 
 @dataclass(frozen=True, slots=True)
 class AbortOrdered(Event):
-    """An operator wants the vehicle home now."""
+    """An operator orders an immediate return."""
 
     by: str
 
 
 @dataclass(frozen=True, slots=True)
 class LimitsChanged(Event):
-    """An operator changed what they accept."""
+    """An operator changed the accepted limits."""
 
     max_loss: float | None = None
     reserve_frac: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class HomeMoved(Event):
-    """The truck promises another stop: by its name, or by where its pad is."""
+class HomeStopRequested(Event):
+    """The truck promises another landing stop, given by its name or its position."""
 
     by: str
     stop: str | None = None
@@ -370,77 +383,75 @@ class HomeMoved(Event):
 
 @dataclass(frozen=True, slots=True)
 class GnssTime(Event):
-    """What the autopilot's satellite receiver says of the time, seconds since 1970."""
+    """Time reported by the autopilot's GNSS receiver, seconds since 1970."""
 
     unix_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class NeighbourHeard(Event):
-    """Another vehicle told where it is. `fleet`: the neighbouring fleet that it is of; empty: our
-    own.
-    """
+class NeighbourTrackReceived(Event):
+    """A track of another vehicle. `fleet`: its neighbouring fleet; empty: its own."""
 
     track: Track
     fleet: str = ""
 
     @property
-    def name(self) -> str:
-        """As we call it: `d2`, or `north-2/d2`, since two fleets may have the same names."""
+    def full_vehicle_name(self) -> str:
+        """Name of the vehicle: `d2`, or `north-2/d2`, since two fleets may use the same names."""
         return f"{self.fleet}/{self.track.vehicle}" if self.fleet else self.track.vehicle
 
 
 @dataclass(frozen=True, slots=True)
-class WindsTold(Event):
-    """The desk told the winds that others feel; it was valid from `age_s` before on."""
+class FleetWindReceived(Event):
+    """Wind reports of other vehicles, from the desk; valid from `age_s` before reception on."""
 
     winds: SharedWinds
     age_s: float
 
 
-CLAIM = "LW_SINCE"
-"""The named value by which two companions tell which of them flies, in seconds."""
+CONTROL_CLAIM = "LW_SINCE"
+"""Named value in seconds from which two companions decide which of them has control."""
 
-CLAIM_STEP_S = 0.1
-"""Told in a 32-bit float, such a step stays exact for nine days."""
+CONTROL_CLAIM_STEP_S = 0.1
+"""Resolution that a 32-bit float keeps exact for nine days."""
 
 
 @dataclass(frozen=True, slots=True)
-class OtherComputer(Event):
-    """Another onboard computer speaks on this system: a companion, or one that says it flies.
+class OtherCompanionReport(Event):
+    """Another onboard computer is active: a companion, or one that claims control.
 
-    `flies`: it says so. `since_ms`: on the autopilot's clock, from when on it has flown this
-    flight; None where it does not say.
+    `has_control`: it claims control. `control_since_ms`: start of its control of this flight on the
+    autopilot's clock; None: not reported.
     """
 
     active: bool
     booting: bool = False
     component: int = 191
-    flies: bool = False
-    since_ms: int | None = None
+    has_control: bool = False
+    control_since_ms: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LinkSilent(Event):
-    """Nothing has come from the autopilot for a while (by the wall clock)."""
+    """No message has arrived from the autopilot for a while (wall clock)."""
 
 
 @dataclass(frozen=True, slots=True)
-class LinkBack(Event):
-    """The autopilot is heard again after `gap_s` of its own time."""
+class LinkRecovered(Event):
+    """Messages of the autopilot arrive again after `gap_s` of its own time."""
 
     gap_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class ClockStepped(Event):
+class ClockSteppedBack(Event):
     """The autopilot's clock went back by `back_s`: a reboot, or a clock fault."""
 
     back_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class ClockLeapt(Event):
-    """The autopilot's clock leapt ahead by `ahead_s` between two messages."""
+class ClockJumpedForward(Event):
+    """The autopilot's clock jumped forward by `jump_s` between two messages."""
 
-    ahead_s: float
+    jump_s: float

@@ -1,6 +1,6 @@
-"""Planning as work that is handed out: the pilot asks, goes on hearing, and is told what was found.
+"""Planning as background work: the pilot requests a plan and receives it as an event.
 
-How long it takes depends on the site: milliseconds in the open, seconds among many towers.
+Duration depends on the site: milliseconds in the open, seconds among many towers.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Action
 from companion.core.mission.events import Event
 from companion.core.mission.flight_file import Flight
-from companion.core.mission.flight_plan import FlightPlan, make_plan, site_map
+from companion.core.mission.flight_plan import FlightPlan, build_site_map, make_plan
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.airframe import Airframe
@@ -20,13 +20,13 @@ from companion.core.vehicle.energy_ledger import EnergyBelief
 
 @dataclass(frozen=True, slots=True)
 class FindPlan(Action):
-    """Plan this flight; a `PlanFound` with its number brings what came of it.
+    """Plan this flight; a `PlanFound` with the same number returns the result.
 
-    It shares nothing with the pilot that anybody changes, so that any thread may work on it.
-    `energy` None: whatever it costs. `here` and `asides`: as `site_map` and `make_plan` have them.
+    It shares no mutable state with the pilot, so any thread may run it. `energy` None: no energy
+    limit. `centre_on_vehicle` and `include_setpoint_items`: see `build_site_map` and `make_plan`.
     """
 
-    number: int
+    request_number: int
     flight: Flight
     airframe: Airframe
     frame: LocalFrame
@@ -34,17 +34,24 @@ class FindPlan(Action):
     density_kgpm3: float
     energy: EnergyBelief | None
     reserve_frac: float
-    here: bool
-    asides: bool
+    centre_on_vehicle: bool
+    include_setpoint_items: bool
 
-    def work(self) -> FlightPlan | NoRoute:
-        """The plan, or why there is none; what the site's file has wrong counts as that."""
+    def compute_plan(self) -> FlightPlan | NoRoute:
+        """Return the plan or the reason for having none, such as an error in the site file."""
         mission = self.flight.mission
         planner = BerPlanner(RouteEnergy.for_mission(self.airframe, mission, self.density_kgpm3))
         try:
-            site = site_map(self.flight, self.frame, self.obstacles, here=self.here)
+            site = build_site_map(
+                self.flight, self.frame, self.obstacles, centre_on_vehicle=self.centre_on_vehicle
+            )
             return make_plan(
-                self.flight, site, planner, self.energy, self.reserve_frac, asides=self.asides
+                self.flight,
+                site,
+                planner,
+                self.energy,
+                self.reserve_frac,
+                include_setpoint_items=self.include_setpoint_items,
             )
         except LeewayError as error:
             return NoRoute(str(error))
@@ -52,7 +59,7 @@ class FindPlan(Action):
 
 @dataclass(frozen=True, slots=True)
 class PlanFound(Event):
-    """What came of the `FindPlan` of this number."""
+    """Result of the `FindPlan` with this number."""
 
-    number: int
+    request_number: int
     plan: FlightPlan | NoRoute

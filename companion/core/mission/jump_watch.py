@@ -1,182 +1,206 @@
-"""Jumps that are believed only when telemetry shows them: asked again, then given up.
+"""Jumps are confirmed by telemetry only: they are repeated, then abandoned.
 
-MISSION_CURRENT has no time, and PX4 sends it at 1 Hz: a report that was sent before the order may
-arrive after it. Such a report is not about the order: it neither confirms nor undoes it.
+MISSION_CURRENT has no time, and PX4 sends it at 1 Hz: a report sent before the order may arrive
+after it. Such a report is unrelated to the order: it neither confirms nor undoes it.
 """
 
 import math
 from dataclasses import dataclass, field
 from enum import Enum
 
-from companion.core.mission.mission_items import DeadMansMission
+from companion.core.mission.mission_items import ReturnByDefaultMission
 
-CONFIRM_S = 2.5
-TRIES = 3
-TURN_S = 10.0
-AWAY_M = 25.0
-AT_ITEM_M = 50.0
-PAST_M = 150.0
-"""Beyond an item that it has passed: ten seconds at top speed, so that late reports are none."""
+CONFIRM_TIMEOUT_S = 2.5
+MAX_TRIES = 3
+TURN_GRACE_S = 10.0
+MAX_RECESSION_M = 25.0
+ITEM_RADIUS_M = 50.0
+PAST_ITEM_M = 150.0
+"""Distance beyond a passed item: ten seconds at top speed, which excludes late reports."""
 
-MISSED_M, MISSED_S = 40.0, 10.0
-"""So far beyond, and opening for so long at whatever speed: it does not come back to it. PX4 that
-was too low over a waypoint went 15 m on, and back."""
+OVERSHOOT_M, OVERSHOOT_S = 40.0, 10.0
+"""Distance beyond the item, and time spent moving away at any speed, after which the vehicle does
+not return to it. PX4 that was too low over a waypoint went 15 m beyond it, and back."""
 
-OPENS_MPS, CREEPS_MPS = 2.0, 0.5
-"""Slower away from a place than the first is no flight away from it; in a gale the second is."""
+RECESSION_MPS, MIN_RECESSION_MPS = 2.0, 0.5
+"""Minimum opening speed of a flight away from a position; in a gale the second applies."""
 
-OLDER_S = 1.0
-"""A report overtaken by others arrives up to so late (as `LATE_S` of the adapters' clock)."""
+MAX_REPORT_DELAY_S = 1.0
+"""Maximum delay of a report that others overtook (as `MAX_LATE_S` of the adapters' clock)."""
 
 
-class Purpose(Enum):
-    """Why a jump was ordered."""
+class JumpType(Enum):
+    """Purpose of a jump."""
 
     ONWARD = "onward"
     HOME = "home"
-    MOVE = "another home"
+    OTHER_HOME = "another home"
 
 
 class JumpStatus(Enum):
-    """What has become of a jump."""
+    """Status of a jump."""
 
     WAITING = "waiting"
-    ASK_AGAIN = "ask again"
+    REPEAT = "ask again"
     REFUSED = "refused"
 
 
 @dataclass(slots=True)
-class JumpWatch:
-    """One jump from the order until the vehicle flies it.
+class JumpMonitor:
+    """One jump, from the order until the vehicle flies it.
 
-    `before`: the items that were reported just before the order, at `began_s`.
+    `previous_items`: the items reported just before the order, at `first_ordered_s`.
     """
 
     index: int
-    purpose: Purpose
+    jump_type: JumpType
     ordered_s: float
-    before: frozenset[int] = frozenset()
+    previous_items: frozenset[int] = frozenset()
     tries: int = 1
     refused: bool = False
-    began_s: float = field(init=False)
+    first_ordered_s: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.began_s = self.ordered_s
+        self.first_ordered_s = self.ordered_s
 
-    def confirms(self, mission: DeadMansMission, index: int, arrived_s: float) -> bool:
-        """Tell whether a report of this item, arrived then, shows that the jump was obeyed."""
-        may_be_older = index in self.before and arrived_s - self.began_s <= OLDER_S
-        return not may_be_older and self._shows(mission, index)
+    def is_confirmed_by_report(
+        self, mission: ReturnByDefaultMission, reported_item: int, report_received_s: float
+    ) -> bool:
+        """Return whether a report of this item, received at that time, confirms the jump."""
+        is_ambiguous = (
+            reported_item in self.previous_items
+            and report_received_s - self.first_ordered_s <= MAX_REPORT_DELAY_S
+        )
+        return not is_ambiguous and self._is_confirming_item(mission, reported_item)
 
-    def explains(self, mission: DeadMansMission, index: int) -> bool:
-        """Tell whether the autopilot may fly this item by itself while the jump is pending: it is
-        no farther than the next place after the items reported so far.
+    def record_if_intermediate_item(
+        self, mission: ReturnByDefaultMission, reported_item: int
+    ) -> bool:
+        """Return whether the autopilot may fly this item on its own while the jump is pending: it
+        is at most the next positioned item after those reported so far.
         """
-        for at in (self.index, *self.before):
-            place = mission.next_place(at)
-            beyond = place not in (None, index) and mission.follows(place or 0, index)
-            if mission.follows(at, index) and (at == index or not beyond):
-                self.before |= {index}
+        for item in (self.index, *self.previous_items):
+            next_positioned = mission.next_positioned_item(item)
+            is_past = next_positioned not in (
+                None,
+                reported_item,
+            ) and mission.is_item_reachable_without_jump(next_positioned or 0, reported_item)
+            if mission.is_item_reachable_without_jump(item, reported_item) and (
+                item == reported_item or not is_past
+            ):
+                self.previous_items |= {reported_item}
                 return True
-        return not self.before
+        return not self.previous_items
 
-    def shown_by(self, mission: DeadMansMission) -> frozenset[int]:
-        """The items beside its own that show that the jump was obeyed, and cannot be older."""
+    def other_confirming_items(self, mission: ReturnByDefaultMission) -> frozenset[int]:
+        """Return the other items that confirm the jump and cannot be from an older report."""
         items = range(len(mission.items))
-        return frozenset(i for i in items if self._shows(mission, i)) - {self.index, *self.before}
+        return frozenset(i for i in items if self._is_confirming_item(mission, i)) - {
+            self.index,
+            *self.previous_items,
+        }
 
-    def left_behind(self, mission: DeadMansMission, index: int) -> bool:
-        """Tell whether this item may have been flown before the jump, and not since.
+    def is_possibly_stale_item(self, mission: ReturnByDefaultMission, reported_item: int) -> bool:
+        """Return whether this item may have been flown before the jump but not since.
 
-        The way home, too: it follows every outbound waypoint, so the mission may have turned home
-        just before a jump outward reached it.
+        The return route counts too: it follows every outbound waypoint, so the mission may have
+        turned home just before a jump outward reached it.
         """
-        if index == self.index:
+        if reported_item == self.index:
             return False
-        if self.purpose is not Purpose.ONWARD:
-            return index in self.before
-        onward = mission.part_at(index) is mission.part_at(self.index)
-        return not onward and any(mission.follows(at, index) for at in self.before)
+        if self.jump_type is not JumpType.ONWARD:
+            return reported_item in self.previous_items
+        onward = mission.part_of_item(reported_item) is mission.part_of_item(self.index)
+        return not onward and any(
+            mission.is_item_reachable_without_jump(item, reported_item)
+            for item in self.previous_items
+        )
 
-    def wait(self, t_s: float) -> JumpStatus:
-        """No report confirms it so far: wait on, ask again, or give it up."""
-        if not self.refused and t_s - self.ordered_s < CONFIRM_S:
+    def update_retry_status(self, t_s: float) -> JumpStatus:
+        """Without confirmation so far: wait, repeat the order, or abandon it."""
+        if not self.refused and t_s - self.ordered_s < CONFIRM_TIMEOUT_S:
             return JumpStatus.WAITING
-        if self.tries >= TRIES:
+        if self.tries >= MAX_TRIES:
             return JumpStatus.REFUSED
         self.tries += 1
         self.refused = False
         self.ordered_s = t_s
-        return JumpStatus.ASK_AGAIN
+        return JumpStatus.REPEAT
 
-    def _shows(self, mission: DeadMansMission, index: int) -> bool:
-        """Tell whether this item shows that the jump was obeyed.
+    def _is_confirming_item(self, mission: ReturnByDefaultMission, reported_item: int) -> bool:
+        """Return whether this item confirms the jump.
 
-        The way home follows every outbound waypoint: there it may just as well be where the
-        vehicle was before a jump outward (MISSION_CURRENT has no time).
+        The return route follows every outbound waypoint: such a report may refer to the position
+        before a jump outward (MISSION_CURRENT has no time).
         """
-        if index == self.index:
+        if reported_item == self.index:
             return True
-        same = mission.part_at(index) is mission.part_at(self.index)
-        onward = self.purpose is Purpose.ONWARD
-        return mission.follows(self.index, index) and (same or not onward)
-
-
-@dataclass(slots=True)
-class CourseWatch:
-    """Whether the vehicle really flies where it was sent: it may turn first, not fly away."""
-
-    since_s: float
-    distance_m: float
-
-    def disobeys(self, t_s: float, distance_m: float, closing_mps: float) -> bool:
-        """Tell whether it has got well farther away and still does, long after it should turn."""
-        self.distance_m = min(self.distance_m, distance_m)
-        return (
-            t_s - self.since_s > TURN_S
-            and distance_m > self.distance_m + AWAY_M
-            and closing_mps < -OPENS_MPS
+        same_part = mission.part_of_item(reported_item) is mission.part_of_item(self.index)
+        onward = self.jump_type is JumpType.ONWARD
+        return mission.is_item_reachable_without_jump(self.index, reported_item) and (
+            same_part or not onward
         )
 
 
 @dataclass(slots=True)
-class LegWatch:
-    """Whether an autopilot that shows one item takes it, or flies on beyond.
+class CourseMonitor:
+    """Checks that the vehicle flies to its target: it may turn first but not fly away."""
 
-    PX4's SIH was seen past an item by 2 km, in its mission, with every report as ever. Who is blown
-    off its track by more than the radius of acceptance misses one, too.
+    since_s: float
+    distance_m: float
+
+    def update_and_check_off_course(
+        self, t_s: float, distance_m: float, closing_mps: float
+    ) -> bool:
+        """Return whether it is well farther away and still opening long after its turn."""
+        self.distance_m = min(self.distance_m, distance_m)
+        return (
+            t_s - self.since_s > TURN_GRACE_S
+            and distance_m > self.distance_m + MAX_RECESSION_M
+            and closing_mps < -RECESSION_MPS
+        )
+
+
+@dataclass(slots=True)
+class LegMonitor:
+    """Checks whether an autopilot that reports one item reaches it or flies beyond it.
+
+    PX4's SIH flew 2 km past an item, in its mission, with regular reports. A vehicle blown off its
+    track by more than the acceptance radius misses an item too.
     """
 
     index: int
     nearest_m: float = math.inf
-    beyond_m: float = 0.0
-    """How much farther than it was at the nearest."""
+    overshoot_m: float = 0.0
+    """Increase of the distance since the closest approach."""
     closing_mps: float = 0.0
-    opens_since_s: float | None = None
+    receding_since_s: float | None = None
 
-    def pause(self) -> None:
-        """Where it is is not known for now."""
-        self.opens_since_s, self.closing_mps = None, 0.0
+    def suspend_check(self) -> None:
+        """Suspend the check while the position is unknown."""
+        self.receding_since_s, self.closing_mps = None, 0.0
 
-    def watch(self, t_s: float, distance_m: float, closing_mps: float) -> None:
-        """Where it is from its item (m), and how fast it comes nearer (m/s)."""
+    def record_distance_and_closing_speed(
+        self, t_s: float, distance_m: float, closing_mps: float
+    ) -> None:
+        """Update with the distance to the item (m) and the closing speed (m/s)."""
         self.nearest_m = min(self.nearest_m, distance_m)
-        self.beyond_m = distance_m - self.nearest_m
+        self.overshoot_m = distance_m - self.nearest_m
         self.closing_mps = closing_mps
-        if closing_mps >= -CREEPS_MPS:
-            self.opens_since_s = None
-        elif self.opens_since_s is None:
-            self.opens_since_s = t_s
+        if closing_mps >= -MIN_RECESSION_MPS:
+            self.receding_since_s = None
+        elif self.receding_since_s is None:
+            self.receding_since_s = t_s
 
-    def has_missed(self, t_s: float) -> bool:
-        """Tell whether it was at its item, is beyond, and has long been flying away from it."""
-        if self.has_flown_past():
+    def has_overshot_item(self, t_s: float) -> bool:
+        """Return whether it was at its item, is beyond it, and has long been opening."""
+        if self.has_flown_far_past_item():
             return True
-        if self.opens_since_s is None or self.nearest_m >= AT_ITEM_M:
+        if self.receding_since_s is None or self.nearest_m >= ITEM_RADIUS_M:
             return False
-        return self.beyond_m > MISSED_M and t_s - self.opens_since_s > MISSED_S
+        return self.overshoot_m > OVERSHOOT_M and t_s - self.receding_since_s > OVERSHOOT_S
 
-    def has_flown_past(self) -> bool:
-        """Tell whether it was at its item, is far beyond, and still opens."""
-        opens = self.closing_mps < -OPENS_MPS
-        return opens and self.nearest_m < AT_ITEM_M and self.beyond_m > PAST_M
+    def has_flown_far_past_item(self) -> bool:
+        """Return whether it was at its item, is far beyond, and still opens."""
+        is_receding = self.closing_mps < -RECESSION_MPS
+        return is_receding and self.nearest_m < ITEM_RADIUS_M and self.overshoot_m > PAST_ITEM_M

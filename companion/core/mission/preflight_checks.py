@@ -1,6 +1,6 @@
-"""Pre-flight checks: which parameters, failsafes and batteries would break the promise.
+"""Pre-flight checks: parameters, failsafes and batteries that would break the promise.
 
-Each autopilot's list of requirements is in its adapter; how they are judged is here.
+Each autopilot's requirements are in its adapter; their evaluation is here.
 """
 
 import math
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 
 from companion.core.vehicle.airframe import BatteryPack
 
-Values = Mapping[str, float | None]
+ParameterValues = Mapping[str, float | None]
 
-TAKEN_LEAST_M, TAKEN_MOST_M = 0.8, 3.0
-"""How far off its height an item may count as reached: PX4's default, and the most."""
+MIN_HEIGHT_TOLERANCE_M, MAX_HEIGHT_TOLERANCE_M = 0.8, 3.0
+"""Height tolerance for a reached item: PX4's default, and the maximum."""
 
 
 @dataclass(frozen=True, slots=True)
-class RouteFacts:
-    """What the autopilot's settings are judged against; heights above the depot."""
+class RouteProperties:
+    """Route properties for checks of the autopilot's settings; heights above the depot."""
 
     highest_obstacle_m: float
     cruise_height_m: float
@@ -33,45 +33,49 @@ class RouteFacts:
     battery_cells: int
     battery_capacity_mah: float
     carries_parcel: bool
-    set_points: bool = False
-    over_ground_m: float = 0.0
-    """Clear of known ground, with the clearance; 0 where none is known."""
-    room_m: float = math.inf
-    """Above it begin geo-zones that the flight passes under, with the clearance."""
-    slopes: bool = False
-    """Whether waypoints that follow one another are at different heights."""
+    uses_setpoints: bool = False
+    ground_clear_height_m: float = 0.0
+    """Height clear of known ground, with the clearance; 0 if the ground is unknown."""
+    ceiling_m: float = math.inf
+    """Lower limit of geo-zones under which the flight passes, less the clearance."""
+    is_sloped: bool = False
+    """Whether consecutive waypoints are at different heights."""
 
     @property
-    def taken_within_m(self) -> float:
-        """How far off its height an item may count as reached: what is sunk in two seconds.
+    def waypoint_height_tolerance_m(self) -> float:
+        """Height tolerance for a reached item: the descent in two seconds.
 
-        The hold over the drop, from there on, lasts WEIGH_S (5 s): the release is in height. A leg
-        may begin so far below its height; plans keep 8 m more than the clearance.
+        The hold at the drop then lasts WEIGH_S (5 s), so the release is at its height. A leg may
+        begin that far below its height; plans keep 8 m more than the clearance.
         """
-        return min(max(2.0 * self.descent_mps, TAKEN_LEAST_M), TAKEN_MOST_M)
+        return min(max(2.0 * self.descent_mps, MIN_HEIGHT_TOLERANCE_M), MAX_HEIGHT_TOLERANCE_M)
 
     @property
-    def rtl_height_m(self) -> float:
-        """The least height at which a straight line home is clear of everything on the site."""
-        built_m = self.highest_obstacle_m + 10.0 if self.highest_obstacle_m > 0.0 else 0.0
-        return max(built_m, self.over_ground_m)
+    def min_clear_rtl_height_m(self) -> float:
+        """Minimum height at which a straight line home is clear of everything on the site."""
+        obstacle_clear_height_m = (
+            self.highest_obstacle_m + 10.0 if self.highest_obstacle_m > 0.0 else 0.0
+        )
+        return max(obstacle_clear_height_m, self.ground_clear_height_m)
 
     @property
-    def rtl_words(self) -> str:
-        """What is asked of the height of an RTL."""
-        words = f"an RTL above every obstacle and the ground ({self.rtl_height_m:.0f} m)"
-        if math.isinf(self.room_m):
-            return words
-        return f"{words} and under geo-zones ({self.room_m:.0f} m)"
+    def rtl_requirement_text(self) -> str:
+        """Text of the requirement on the RTL height."""
+        description = (
+            f"an RTL above every obstacle and the ground ({self.min_clear_rtl_height_m:.0f} m)"
+        )
+        if math.isinf(self.ceiling_m):
+            return description
+        return f"{description} and under geo-zones ({self.ceiling_m:.0f} m)"
 
-    def is_rtl_height(self, height_m: float) -> bool:
-        """Tell whether an RTL at this height is clear of everything on the site."""
-        return self.rtl_height_m <= height_m <= self.room_m
+    def is_clear_rtl_height(self, height_m: float) -> bool:
+        """Return whether an RTL at this height is clear of everything on the site."""
+        return self.min_clear_rtl_height_m <= height_m <= self.ceiling_m
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the pre-flight. `blocks` = no take-off with it; `waits` = may pass by itself."""
+class PreflightIssue:
+    """A pre-flight finding. `blocks`: no takeoff with it; `waits`: may clear on its own."""
 
     name: str
     words: str
@@ -80,89 +84,143 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Requirement:
-    """Something that the promise asks of the autopilot's parameters.
+class ParameterRequirement:
+    """A requirement on the autopilot's parameters.
 
-    `names` are all that it reads. `holds` judges their values (`None`: cannot tell), `wanted` says
-    what `--configure` would set. `required` = take-off is refused without it.
+    `names` are all parameters that it reads. `is_met` evaluates their values (`None`: unknown),
+    `required_values` returns the values for `--configure`. `required`: no takeoff without it.
     """
 
     names: tuple[str, ...]
-    words: str
-    holds: Callable[[Values], bool | None]
-    wanted: Callable[[Values], dict[str, float]]
+    description: str
+    is_met: Callable[[ParameterValues], bool | None]
+    required_values: Callable[[ParameterValues], dict[str, float]]
     required: bool
 
 
-def known(values: Values, name: str, test: Callable[[float], bool]) -> bool | None:
-    """What a test says of a parameter's value; `None` where the autopilot does not tell it."""
+def evaluate_parameter(
+    values: ParameterValues, name: str, is_acceptable: Callable[[float], bool]
+) -> bool | None:
+    """Apply a test to a parameter's value; `None` if the autopilot does not report it."""
     value = values.get(name)
-    return None if value is None else bool(test(value))
+    return None if value is None else bool(is_acceptable(value))
 
 
-CELL_SLACK_V = 0.1
-"""A cell's voltage may be so far out of its table: sensor error, and a charge just ended."""
+def single_parameter_requirement(
+    parameter_name: str,
+    description: str,
+    is_acceptable: Callable[[float], bool],
+    required_value: float,
+    *,
+    is_blocking: bool = True,
+) -> ParameterRequirement:
+    """Require of one parameter that its value passes the test, or set `required_value`."""
+    return ParameterRequirement(
+        (parameter_name,),
+        description,
+        lambda v: evaluate_parameter(v, parameter_name, is_acceptable),
+        lambda v: {parameter_name: required_value},
+        is_blocking,
+    )
 
 
-def pack_trouble(battery: BatteryPack, resting_v: float | None) -> str:
-    """Say why the pack that is fitted cannot be the airframe's, or is empty; `""` when it may fly.
+def battery_capacity_requirement(
+    parameter_name: str, route: RouteProperties
+) -> ParameterRequirement:
+    """Require that the reported percentage is relative to the pack's capacity."""
+    capacity_mah = route.battery_capacity_mah
+    description = f"a percentage that counts from the pack's {capacity_mah:.0f} mAh"
+    return single_parameter_requirement(
+        parameter_name,
+        description,
+        lambda x: abs(x / capacity_mah - 1.0) < 0.1,
+        capacity_mah,
+        is_blocking=False,
+    )
 
-    `resting_v` is the whole pack's voltage while disarmed, `None` where nobody measures it.
-    """
-    if resting_v is None:
-        return ""
+
+CELL_TOLERANCE_V = 0.1
+"""Tolerance of a cell's voltage about its table: sensor error, or a charge that just ended."""
+
+
+def pack_mismatch_text(battery: BatteryPack, resting_v: float) -> str:
+    """Return why the fitted pack cannot be the airframe's, from its voltage; `""` if it can."""
     cell_v = resting_v / battery.cells
     empty_v, full_v = battery.ocv_cell_v[0], battery.ocv_cell_v[-1]
-    if not empty_v - CELL_SLACK_V <= cell_v <= full_v + CELL_SLACK_V:
+    if not empty_v - CELL_TOLERANCE_V <= cell_v <= full_v + CELL_TOLERANCE_V:
         return (
             f"{resting_v:.1f} V does not fit a pack of {battery.cells} cells"
             f" ({cell_v:.2f} V each; empty is {empty_v:g}, full is {full_v:g}):"
-            " another pack, another airframe, or a dead one?"
-        )
-    if resting_v <= battery.low_v:
-        return (
-            f"the battery is empty: {resting_v:.1f} V at rest, {cell_v:.2f} V a cell"
-            f" (low is {battery.low_v / battery.cells:.2f} in flight)"
+            " check pack, airframe and cells"
         )
     return ""
 
 
-def judge(requirements: Iterable[Requirement], values: Values) -> tuple[Finding, ...]:
-    """Return what is missing or off, required things first."""
-    found: list[Finding] = []
+def battery_pack_error_text(battery: BatteryPack, resting_v: float | None) -> str:
+    """Return why the fitted pack cannot be the airframe's or is empty; `""` if it may fly.
+
+    `resting_v` is the whole pack's voltage while disarmed, `None` if it is not measured.
+    """
+    if resting_v is None:
+        return ""
+    if mismatch_text := pack_mismatch_text(battery, resting_v):
+        return mismatch_text
+    if resting_v <= battery.low_battery_action_voltage_v:
+        return (
+            f"the battery is empty: {resting_v:.1f} V at rest,"
+            f" {resting_v / battery.cells:.2f} V a cell"
+            f" (low is {battery.low_battery_action_voltage_v / battery.cells:.2f} in flight)"
+        )
+    return ""
+
+
+def unmet_requirement_issues(
+    requirements: Iterable[ParameterRequirement], parameter_values: ParameterValues
+) -> tuple[PreflightIssue, ...]:
+    """Return the failed requirements, required ones first."""
+    found: list[PreflightIssue] = []
     for requirement in requirements:
-        holds = requirement.holds(values)
-        if holds:
+        is_met = requirement.is_met(parameter_values)
+        if is_met:
             continue
         name = requirement.names[0]
-        if holds is None:
-            words = f"{requirement.words}: this autopilot tells no {name}"
+        if is_met is None:
+            description = f"{requirement.description}: this autopilot does not report {name}"
         else:
-            words = f"{requirement.words}: {_remedy(requirement, values)}"
-        found.append(Finding(name, words, blocks=requirement.required))
+            description = (
+                f"{requirement.description}: {_correction_text(requirement, parameter_values)}"
+            )
+        found.append(PreflightIssue(name, description, blocks=requirement.required))
     return tuple(sorted(found, key=lambda f: not f.blocks))
 
 
-def _remedy(requirement: Requirement, values: Values) -> str:
-    """What is set and what should be: `COM_LOW_BAT_ACT is 0, set 3`."""
-    wanted = requirement.wanted(values)
-    told = {n: v for n in requirement.names if (v := values.get(n)) is not None}
+def _correction_text(requirement: ParameterRequirement, parameter_values: ParameterValues) -> str:
+    """Format current and required values: `COM_LOW_BAT_ACT is 0, set 3`."""
+    required_value = requirement.required_values(parameter_values)
+    reported = {n: v for n in requirement.names if (v := parameter_values.get(n)) is not None}
     return ", ".join(
-        f"{name} is {value:g}" + (f", set {wanted[name]:g}" if name in wanted else "")
-        for name, value in told.items()
-        if wanted.get(name) != value
+        f"{name} is {value:g}"
+        + (f", set {required_value[name]:g}" if name in required_value else "")
+        for name, value in reported.items()
+        if required_value.get(name) != value
     )
 
 
-def settings_wanted(requirements: Iterable[Requirement], values: Values) -> dict[str, float]:
-    """Return what has to be set so that every requirement holds which can be told."""
-    wanted: dict[str, float] = {}
+def settings_to_correct(
+    requirements: Iterable[ParameterRequirement], parameter_values: ParameterValues
+) -> dict[str, float]:
+    """Return the values to set so that every requirement with known parameters is met."""
+    required_value: dict[str, float] = {}
     for requirement in requirements:
-        if requirement.holds(values) is False:
-            wanted |= requirement.wanted(values)
-    return {name: value for name, value in wanted.items() if values.get(name) is not None}
+        if requirement.is_met(parameter_values) is False:
+            required_value |= requirement.required_values(parameter_values)
+    return {
+        name: value
+        for name, value in required_value.items()
+        if parameter_values.get(name) is not None
+    }
 
 
-def names_read(requirements: Iterable[Requirement]) -> tuple[str, ...]:
+def required_parameter_names(requirements: Iterable[ParameterRequirement]) -> tuple[str, ...]:
     """Return every parameter that the requirements read, once each."""
     return tuple(dict.fromkeys(n for requirement in requirements for n in requirement.names))

@@ -1,4 +1,4 @@
-"""Notices in service that a promise about energy no longer holds, valid at any time.
+"""In-service monitor of the energy promises, with error bounds valid at any time.
 
 Imports base, vehicle and wind.
 """

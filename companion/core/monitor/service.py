@@ -1,4 +1,4 @@
-"""A service goes on: a flight is counted, an alarm comes, a person resets one."""
+"""Updates of a service record: add a flight, raise an alarm, reset a subject."""
 
 import math
 
@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from companion.core.base.errors import LeewayError
 from companion.core.monitor.e_process import Evidence, ShareTest, ShiftTest
-from companion.core.monitor.figures import FlightFigures, LogRatio
+from companion.core.monitor.flight_evidence import FlightEvidence, LogRatio
 from companion.core.monitor.promises import (
     DRAW,
     DRAW_TEST,
@@ -15,145 +15,195 @@ from companion.core.monitor.promises import (
     PACK_TEST,
     WIND,
     WIND_TEST,
-    threshold,
+    alarm_log_e_threshold,
 )
-from companion.core.monitor.record import Kept, Reset, Service
+from companion.core.monitor.record import Reset, ServiceRecord, StoredEvidence
 
 LOST = "lost"
-"""What is reset of a service whose record was lost: its careful belief."""
+"""Subject of the reset that ends the conservative assumptions after a lost record."""
 
 LOST_FLIGHTS = 20
-"""After evidence was lost an alarm may have been among it. A draw that is 10 % higher is found
-within so many flights (docs/results/monitor.md): then the careful belief has done its part."""
+"""Flights with conservative assumptions after evidence, possibly with an alarm, was lost. A draw
+that is 10 % higher is detected within this number of flights (docs/results/promise.md)."""
 
-KEPT_DAYS = 60
-"""Days that an estimate may go back: a season."""
+MAX_ESTIMATE_DAYS = 60
+"""Maximum number of days in an estimate."""
 
 DAY_GAP_S, DAY_S = 6 * 3600.0, 24 * 3600.0
-"""A new day begins after a pause of a night, or a full day after the last began. A clock that leaps
-back begins none: too few days only weaken the evidence."""
+"""A new day starts after a pause of `DAY_GAP_S`, or `DAY_S` after the start of the last day. A
+clock that jumps back starts none: too few days only weaken the evidence."""
 
 
-def begun_anew(airframe: str, *, lost: bool) -> Service:
-    """A service without evidence. `lost`: there was some, and an alarm may have stood."""
-    return Service(airframe=airframe, lost_left=LOST_FLIGHTS if lost else 0)
-
-
-def after_flight(
-    service: Service, figures: FlightFigures, pack: str, flight: str, epoch_s: float
-) -> Service:
-    """The service with one more flight, which counts once by its name `flight`."""
-    if flight == service.last_flight:
-        return service
-    service = replace(
-        _on_day(service, epoch_s),
-        flights=service.flights + 1,
-        last_flight=flight,
-        lost_left=max(service.lost_left - 1, 0),
+def new_service_record(airframe_digest: str, *, earlier_evidence_lost: bool) -> ServiceRecord:
+    """Return a service without evidence. `earlier_evidence_lost`: perhaps with an alarm."""
+    return ServiceRecord(
+        airframe=airframe_digest, lost_left=LOST_FLIGHTS if earlier_evidence_lost else 0
     )
-    draw, wind, packs = service.draw, service.wind, service.packs
-    if figures.draw is not None and figures.draw.is_usable:
-        draw = _with_ratio(service, DRAW, draw, figures.draw)
-    if figures.pack is not None and figures.pack.is_usable:
-        known = packs.get(pack) or Kept(order=len(packs) + 1)
-        packs = packs | {pack: _with_ratio(service, PACK, known, figures.pack)}
-    if 0 <= figures.wind_misses <= figures.wind_checks and figures.wind_checks > 0:
-        wind = _with_checks(service, wind, figures.wind_misses, figures.wind_checks)
-    return replace(service, draw=draw, wind=wind, packs=packs)
 
 
-def reset(service: Service, subject: str, by: str, why: str, epoch_s: float) -> Service:
-    """The service with one subject's evidence begun anew, on record.
+def service_record_with_flight(
+    service_record: ServiceRecord,
+    flight_evidence: FlightEvidence,
+    pack_name: str,
+    flight_name: str,
+    epoch_s: float,
+) -> ServiceRecord:
+    """Return the service with one more flight. A repeated `flight_name` is ignored."""
+    if flight_name == service_record.last_flight:
+        return service_record
+    service_record = replace(
+        _start_day_if_due(service_record, epoch_s),
+        flights=service_record.flights + 1,
+        last_flight=flight_name,
+        lost_left=max(service_record.lost_left - 1, 0),
+    )
+    draw, wind, packs = service_record.draw, service_record.wind, service_record.packs
+    if flight_evidence.draw is not None and flight_evidence.draw.is_usable:
+        draw = _add_log_ratio(service_record, DRAW, draw, flight_evidence.draw)
+    if flight_evidence.pack is not None and flight_evidence.pack.is_usable:
+        known = packs.get(pack_name) or StoredEvidence(order=len(packs) + 1)
+        packs = packs | {
+            pack_name: _add_log_ratio(service_record, PACK, known, flight_evidence.pack)
+        }
+    if (
+        0 <= flight_evidence.wind_misses <= flight_evidence.wind_checks
+        and flight_evidence.wind_checks > 0
+    ):
+        wind = _add_wind_checks(
+            service_record, wind, flight_evidence.wind_misses, flight_evidence.wind_checks
+        )
+    return replace(service_record, draw=draw, wind=wind, packs=packs)
 
-    `subject`: `draw`, `wind`, `lost` (the careful belief after lost evidence) or a pack's name.
-    Raises LeewayError for any other.
+
+def reset_evidence_of_subject(
+    service_record: ServiceRecord, subject: str, operator_name: str, reason: str, epoch_s: float
+) -> ServiceRecord:
+    """Return the service with one subject's evidence reset, and a record of the reset.
+
+    `subject`: `draw`, `wind`, `lost` (conservative assumptions after lost evidence) or a
+    pack's name. Raises LeewayError for any other.
     """
-    note = Reset(subject=subject, by=by, why=why, epoch_s=epoch_s, flights=service.flights)
-    service = replace(service, resets=[*service.resets, note])
+    note = Reset(
+        subject=subject,
+        by=operator_name,
+        reason=reason,
+        epoch_s=epoch_s,
+        flights=service_record.flights,
+    )
+    service_record = replace(service_record, resets=[*service_record.resets, note])
     if subject == LOST:
-        return replace(service, lost_left=0)
+        return replace(service_record, lost_left=0)
     if subject == DRAW:
-        return replace(service, draw=Kept())
+        return replace(service_record, draw=StoredEvidence())
     if subject == WIND:
-        return replace(service, wind=Kept())
-    if subject not in service.packs:
-        known = ", ".join([DRAW, WIND, LOST, *service.packs])
+        return replace(service_record, wind=StoredEvidence())
+    if subject not in service_record.packs:
+        known = ", ".join([DRAW, WIND, LOST, *service_record.packs])
         raise LeewayError(f"{subject!r}: expected one of {known}")
-    fresh = Kept(order=service.packs[subject].order)
-    return replace(service, packs=service.packs | {subject: fresh})
+    cleared = StoredEvidence(order=service_record.packs[subject].order)
+    return replace(service_record, packs=service_record.packs | {subject: cleared})
 
 
-def log_e(kept: Kept, promise: str) -> float:
-    """Log of a subject's e-process; 0.0 before its first flight."""
-    test = WIND_TEST if promise == WIND else shift_test(promise)
-    return float(test.log_e(_evidence(kept, test)))
+def log_e_value(stored_evidence: StoredEvidence, promise: str) -> float:
+    """Return the log of a subject's e-process; 0.0 before its first flight."""
+    test = WIND_TEST if promise == WIND else shift_test_of_promise(promise)
+    return float(test.log_e_value(_to_evidence(stored_evidence, test)))
 
 
-def shift_test(promise: str) -> ShiftTest:
-    """The test of the draw or of a pack."""
+def shift_test_of_promise(promise: str) -> ShiftTest:
+    """Return the test of the draw or of a pack."""
     return DRAW_TEST if promise == DRAW else PACK_TEST
 
 
-def _on_day(service: Service, epoch_s: float) -> Service:
-    began_s, last_s = service.day_began_s, service.last_s
+def _start_day_if_due(service_record: ServiceRecord, epoch_s: float) -> ServiceRecord:
+    day_start_s, last_s = service_record.day_start_s, service_record.last_s
     night = last_s is None or epoch_s - last_s >= DAY_GAP_S
-    if night or began_s is None or epoch_s - began_s >= DAY_S:
-        return replace(service, day=service.day + 1, day_began_s=epoch_s, last_s=epoch_s)
-    return replace(service, last_s=epoch_s)
+    if night or day_start_s is None or epoch_s - day_start_s >= DAY_S:
+        return replace(
+            service_record, day=service_record.day + 1, day_start_s=epoch_s, last_s=epoch_s
+        )
+    return replace(service_record, last_s=epoch_s)
 
 
-def _with_ratio(service: Service, promise: str, kept: Kept, told: LogRatio) -> Kept:
-    test = shift_test(promise)
-    before = _today(service, kept, test)
-    after = test.take(before, told.value, told.std)
-    precision = 1.0 / told.std**2  # an estimate takes the value as it is, an alarm the capped one
-    sums = precision, precision * (told.value - test.tolerance)
-    kept = _kept(service, kept, after, sums)
-    return _alarmed(service, promise, kept, float(test.log_e(after)))
+def _add_log_ratio(
+    service_record: ServiceRecord, promise: str, stored_evidence: StoredEvidence, measured: LogRatio
+) -> StoredEvidence:
+    test = shift_test_of_promise(promise)
+    before = _evidence_today(service_record, stored_evidence, test)
+    after = test.with_added_flight(before, measured.value, measured.std)
+    precision = 1.0 / measured.std**2  # the estimate uses the value, the test the clipped one
+    sums = precision, precision * (measured.value - test.tolerance)
+    stored_evidence = _to_stored_evidence(service_record, stored_evidence, after, sums)
+    return _record_alarm_if_reached(
+        service_record, promise, stored_evidence, float(test.log_e_value(after))
+    )
 
 
-def _with_checks(service: Service, kept: Kept, misses: int, checks: int) -> Kept:
-    before = _today(service, kept, WIND_TEST)
-    after = WIND_TEST.take(before, misses, checks)
-    settled = float(WIND_TEST.log_e(before))
-    kept = _kept(service, kept, after, (float(checks), float(misses)))
-    return _alarmed(service, WIND, kept, settled)
+def _add_wind_checks(
+    service_record: ServiceRecord,
+    stored_evidence: StoredEvidence,
+    failed_check_count: int,
+    check_count: int,
+) -> StoredEvidence:
+    before = _evidence_today(service_record, stored_evidence, WIND_TEST)
+    after = WIND_TEST.with_added_flight(before, failed_check_count, check_count)
+    settled = float(WIND_TEST.log_e_value(before))
+    stored_evidence = _to_stored_evidence(
+        service_record, stored_evidence, after, (float(check_count), float(failed_check_count))
+    )
+    return _record_alarm_if_reached(service_record, WIND, stored_evidence, settled)
 
 
-def _today(service: Service, kept: Kept, test: ShiftTest | ShareTest) -> Evidence:
-    """Its evidence on this day of the service."""
-    evidence = _evidence(kept, test)
-    same = kept.day > 0 and kept.seen_day == service.day
-    return evidence if same else test.next_day(evidence)
+def _evidence_today(
+    service_record: ServiceRecord, stored_evidence: StoredEvidence, test: ShiftTest | ShareTest
+) -> Evidence:
+    """Return the evidence, advanced to the current day of the service."""
+    evidence = _to_evidence(stored_evidence, test)
+    same = stored_evidence.day > 0 and stored_evidence.seen_day == service_record.day
+    return evidence if same else test.start_next_day(evidence)
 
 
-def _alarmed(service: Service, promise: str, kept: Kept, log_e_now: float) -> Kept:
-    if kept.alarm_flight is not None or log_e_now < threshold(promise, kept.order):
-        return kept
-    return replace(kept, alarm_flight=service.flights)
+def _record_alarm_if_reached(
+    service_record: ServiceRecord, promise: str, stored_evidence: StoredEvidence, log_e_now: float
+) -> StoredEvidence:
+    if stored_evidence.alarm_flight is not None or log_e_now < alarm_log_e_threshold(
+        promise, stored_evidence.order
+    ):
+        return stored_evidence
+    return replace(stored_evidence, alarm_flight=service_record.flights)
 
 
-def _evidence(kept: Kept, test: ShiftTest | ShareTest) -> Evidence:
-    if kept.day == 0:
-        return test.none()
-    closed = [-math.inf if log is None else log for log in kept.log_closed]
-    return Evidence(kept.day, np.array(closed), np.array(kept.information), np.array(kept.score))
+def _to_evidence(stored_evidence: StoredEvidence, test: ShiftTest | ShareTest) -> Evidence:
+    if stored_evidence.day == 0:
+        return test.initial_evidence()
+    closed = [-math.inf if log is None else log for log in stored_evidence.log_closed]
+    return Evidence(
+        stored_evidence.day,
+        np.array(closed),
+        np.array(stored_evidence.information),
+        np.array(stored_evidence.score),
+    )
 
 
-def _kept(service: Service, before: Kept, evidence: Evidence, sums: tuple[float, float]) -> Kept:
-    """The evidence as plain numbers; the flight's sums join those of its day."""
-    days = before.days
-    if evidence.day == before.day:
+def _to_stored_evidence(
+    service_record: ServiceRecord,
+    previous_stored_evidence: StoredEvidence,
+    evidence: Evidence,
+    flight_sums: tuple[float, float],
+) -> StoredEvidence:
+    """Return the evidence as plain numbers, with the flight's sums added to those of its day."""
+    days = previous_stored_evidence.days
+    if evidence.day == previous_stored_evidence.day:
         first, second = days[-1]
-        days, sums = days[:-1], (first + sums[0], second + sums[1])
+        days, flight_sums = days[:-1], (first + flight_sums[0], second + flight_sums[1])
     closed = [None if math.isinf(log) else log for log in evidence.log_closed.tolist()]
     return replace(
-        before,
+        previous_stored_evidence,
         day=evidence.day,
         log_closed=closed,
         information=float(evidence.information),
         score=float(evidence.score),
-        days=[*days, sums][-KEPT_DAYS:],
-        flights=before.flights + 1,
-        seen_day=service.day,
+        days=[*days, flight_sums][-MAX_ESTIMATE_DAYS:],
+        flights=previous_stored_evidence.flights + 1,
+        seen_day=service_record.day,
     )

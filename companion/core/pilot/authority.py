@@ -1,32 +1,38 @@
-"""Safety rule 1: who has control of the vehicle, judged from heartbeats.
+"""Safety rule 1: control authority over the vehicle, determined from heartbeats.
 
-The autopilot's tell of another hand. Those of another onboard computer tell which of two flies,
-when a companion that stood still wakes beside its replacement: the one that began to fly last. The
-other was not to be heard then, and what it knows is old. Each compares what both say aloud, so both
-decide the same, alone.
+The autopilot's heartbeats show a takeover by a person or another station. Heartbeats of another
+onboard computer decide which of two has control, when a stalled companion resumes next to its
+replacement: the one that took control last, because the state of the other is out of date. Both
+compare the claims that both publish, so both reach the same decision independently.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
-from companion.core.mission.actions import Answer, Reply, Severity
+from companion.core.mission.actions import OperatorResponse, ResponseStatus, SetMode
+from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
-    CLAIM_STEP_S,
+    CONTROL_CLAIM_STEP_S,
     AbortOrdered,
-    ClockStepped,
+    ClockSteppedBack,
     ControlHandedBack,
-    ControlTaken,
+    ControlReleaseOrdered,
     Event,
     Mode,
-    ModeNow,
+    ModeReport,
     OrderAccepted,
-    OtherComputer,
+    OtherCompanionReport,
     Position,
     VehicleState,
 )
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import DISARMED_BY_ANOTHER, GROUND_HEIGHT_M, FlightContext
-from companion.core.pilot.telemetry_state import DISARMED_WITNESSES, GROUND_MAX_AGE_S
+from companion.core.pilot.context import (
+    EXTERNAL_DISARM_TEXT,
+    MAX_GROUND_HEIGHT_M,
+    FlightContext,
+    height_above_nearest_site_m,
+)
+from companion.core.pilot.telemetry_state import GROUND_MAX_AGE_S, MIN_DISARMED_REPORTS
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,
@@ -36,244 +42,83 @@ from companion.core.pilot.transitions import (
     Trigger,
 )
 
-COMPANION = 191
-"""Our own component on the vehicle's system (MAV_COMP_ID_ONBOARD_COMPUTER)."""
+COMPANION_COMPONENT = 191
+"""Component of the companion on the vehicle's system (MAV_COMP_ID_ONBOARD_COMPUTER)."""
 
-FALLING_MPS = 2.0
-"""Faster down than any landing in its last metres (PX4 0.7, ArduCopter 0.5 m/s by default)."""
+FREE_DESCENT_MPS = 2.0
+"""Above the descent speed near the ground (by default PX4 0.7, ArduCopter 0.5 m/s)."""
 
-DROPPING_MPS = 2.0
-"""So much faster down than the airframe descends, at any height: no landing."""
+EXCESS_DESCENT_MPS = 2.0
+"""Descent speed above the airframe's own, at any height, that excludes a landing."""
 
-DROPPED_WITHIN_S = 3.0
-"""A drop in a landing ends within this, and the heartbeats that tell of it, at 1 Hz, with it."""
+DROP_WINDOW_S = 3.0
+"""Maximum duration of a fall during a landing, including the delay of its heartbeats at 1 Hz."""
 
-ALARM_EVERY_S = 10.0
+ALARM_INTERVAL_S = 10.0
 """Interval of the alarm while a foreign mission is flown."""
 
-ARM_IN_FORCE_S = 0.2
-"""From so long after an ARM was accepted on, a heartbeat that says disarmed was sent after it."""
+ARM_CONFIRM_DELAY_S = 0.2
+"""Time after an accepted ARM from which on a disarmed heartbeat was sent after it."""
 
 
 @dataclass(slots=True)
-class Authority:
-    """Knows which mode is ours. `ordered_from` is the mode that we are changing away from.
+class OrderedMode:
+    """The flight mode that the companion ordered; other modes, except the mission's, are takeovers.
 
-    `armed_by_us`: armed in our own phases, as telemetry showed, or as the autopilot's acceptance of
-    our ARM did. `disarmed_by_another`: and then disarmed by another hand. `disarmed_in_air`: above
-    the ground, so that it fell.
+    An order lasts until the next one, until control is released, or until a resumed flight is
+    back in its mission. Until the ordered mode shows, the mode before it is no takeover either.
+    On the ground the first mode reported is the one that has to stay.
     """
 
-    ground_mode: str | None = None
-    ordered_from: str | None = None
     ordered: Mode | None = None
-    armed_by_us: bool = False
-    disarmed_by_another: bool = False
-    disarmed_in_air: bool = False
-    arm_accepted_s: float | None = None
-    """When ours was, as long as no heartbeat has shown it armed."""
-    unarmed_reports: int = 0
-    """Heartbeats since then that say disarmed."""
-    dropped_s: float | None = None
-    """When it last came down faster than it lands."""
-    failsafe_flies: bool = False
-    """By the last heartbeat with running motors: a mode that is not ours is no person's then."""
-    handed_back: bool = False
-    """An operator has given control back, and the flight has not been resumed yet."""
-    abortable: bool = False
-    """Suspended again because the flight could not be resumed: an abort counts as a hand-back."""
-    yielded: bool = False
-    """Another onboard computer has the flight."""
-    alarm_s: float | None = None
-    flies_since_ms: int | None = None
-    """From when on this process has flown this flight, on the autopilot's clock; said aloud."""
+    ordered_from: str | None = None
+    """Mode before the ordered one, until that shows."""
+    ground_mode: str | None = None
 
-    def on_event(self, context: FlightContext, event: Event) -> None:
-        """Heartbeats, positions, other computers, operators who take or hand back control."""
-        state = context.telemetry.state
-        match event:
-            case VehicleState() | ModeNow() if state is not None:
-                if isinstance(event, VehicleState):
-                    self._count(event)
-                self._judge(context, state)
-            case Position():
-                self._watch_drop(context, event)
-            case OrderAccepted() if event.order == "arm":
-                self.arm_accepted_s, self.unarmed_reports = event.t_s, 0
-            case ClockStepped():
-                self.arm_accepted_s = None
-                self.ground_mode = None  # rebooted: it stands in another mode, by nobody's hand
-            case OtherComputer():
-                self._yield_to(context, event)
-            case ControlHandedBack():
-                self._take_back(context, event.by)
-            case AbortOrdered() if self._may_take_back(context) and (
-                context.phase is Phase.PASSIVE or self.abortable
-            ):
-                self._resume(context, event.by)  # the return decision replies
-            case ControlTaken():
-                context.do(Answer(Reply.ACCEPTED))
-                context.request_transition(Trigger.TAKEN_OVER, f"told so by {event.by}")
-            case _:
-                return
+    def clear_ground_mode(self) -> None:
+        """Accept the next mode on the ground: a reboot or a hand-back changes it."""
+        self.ground_mode = None
 
-    def tick(self, context: FlightContext) -> None:
-        """Alarm while the vehicle flies a foreign mission: only an operator may end that."""
-        passive = context.phase is Phase.PASSIVE and self._may_take_back(context)
-        if not (passive and context.telemetry.airborne):
-            self.alarm_s = None
-        elif context.since_s(self.alarm_s) >= ALARM_EVERY_S - 1e-6:
-            self.alarm_s = context.t_s
-            words = "mission onboard is not ours: hand back or abort to restore it"
-            context.say(Severity.CRITICAL, words)
-
-    def entered(self, context: FlightContext) -> None:
-        """A phase begins. A later hand-back or silence changes nothing: who began last flies."""
-        if context.phase is not Phase.RECOGNISE:
-            self.abortable = self.handed_back and context.phase is Phase.SUSPENDED
-            self.handed_back = False
-        if self.flies_since_ms is None and context.phase in FLIGHT_PHASES:
-            self.flies_since_ms = max(1, round(context.t_s / CLAIM_STEP_S)) * round(
-                1000.0 * CLAIM_STEP_S
-            )
-
-    def _yield_to(self, context: FlightContext, other: OtherComputer) -> None:
-        """Hands off for good where another onboard computer flies, or is here before us."""
-        if self._is_theirs(context.phase, other):
-            self.yielded = True
-            words = f"another onboard computer (component {other.component})"
-            context.request_transition(Trigger.OTHER_COMPUTER, words)
-        elif other.flies and context.phase in COMMANDING_PHASES:
-            context.say_once(Severity.WARNING, "another onboard computer: this one flies on")
-
-    def _is_theirs(self, phase: Phase, other: OtherComputer) -> bool:
-        """Tell whether the flight is the other's."""
-        if self.flies_since_ms is not None:
-            claims = other.flies or other.since_ms is not None
-            return other.active and claims and self._flies_instead(other, self.flies_since_ms)
-        return other.active or (other.booting and phase is Phase.IDENTIFY)
-
-    @staticmethod
-    def _flies_instead(other: OtherComputer, ours_ms: int) -> bool:
-        """The later flies. Where that does not tell: the lower component, and of equals neither."""
-        if other.since_ms in (None, ours_ms):
-            return other.component <= COMPANION
-        return other.since_ms is not None and other.since_ms > ours_ms
-
-    def claim_s(self, phase: Phase) -> float | None:
-        """What we say aloud: since when we fly, 0 before; None where the flight is not ours."""
-        if phase in (Phase.IDENTIFY, Phase.PASSIVE, *END_PHASES):
-            return None
-        return (self.flies_since_ms or 0) / 1000.0
-
-    def _judge(self, context: FlightContext, state: VehicleState) -> None:
-        """Let go when this heartbeat shows another hand."""
-        if self._is_foreign_disarm(context, state):
-            self._disarmed(context)
-            return
-        telemetry = context.telemetry
-        on_ground = telemetry.on_ground
-        if context.phase is Phase.LAST_RESORT:
-            on_ground = on_ground and telemetry.is_fresh(telemetry.ground, GROUND_MAX_AGE_S)
-        why = self.intrusion(context.phase, state, on_ground=on_ground)
-        if why is not None:
-            context.request_transition(Trigger.TAKEN_OVER, why)
-
-    def _is_foreign_disarm(self, context: FlightContext, state: VehicleState) -> bool:
-        """Tell whether somebody disarmed what we had armed; at a landing it disarms by itself."""
-        ours = context.phase in (Phase.ARM, *FLIGHT_PHASES)
-        if state.armed:
-            self.failsafe_flies = state.failsafe
-            self.armed_by_us = self.armed_by_us or ours
-            return False
-        if context.phase is Phase.ARM and self.unarmed_reports >= DISARMED_WITNESSES:
-            self.armed_by_us = True  # it was, between two heartbeats
-        if self.disarmed_by_another or not self.armed_by_us:
-            return False
-        if context.phase in (Phase.LAND, Phase.LAST_RESORT):
-            return _falls(context) or self._has_dropped(context)
-        return ours or context.phase is Phase.SUSPENDED
-
-    def _count(self, told: VehicleState) -> None:
-        """Count heartbeats after an accepted ARM that say disarmed: somebody has undone it."""
-        if told.armed:
-            self.arm_accepted_s = None
-        accepted_s = self.arm_accepted_s
-        if accepted_s is not None and told.t_s - accepted_s >= ARM_IN_FORCE_S:
-            self.unarmed_reports += 1
-
-    def _watch_drop(self, context: FlightContext, position: Position) -> None:
-        """Keep when it last fell: the heartbeat that tells why may come when it lies there."""
-        if position.vel_d_mps > context.airframe.speeds.descent_mps + DROPPING_MPS:
-            self.dropped_s = position.t_s
-
-    def _has_dropped(self, context: FlightContext) -> bool:
-        return context.since_s(self.dropped_s) < DROPPED_WITHIN_S
-
-    def _disarmed(self, context: FlightContext) -> None:
-        """Hands off for good: what another hand has disarmed is never armed again by us.
-
-        Where no heartbeat has shown it armed the ground sequence begins the flight and lets go.
-        """
-        taken_over = context.phase is Phase.SUSPENDED  # and may be landed anywhere
-        against = context.against_standing() if not taken_over or _falls(context) else ""
-        if not taken_over and self._has_dropped(context):
-            against = against or "it fell"
-        self.disarmed_by_another = True
-        self.disarmed_in_air = bool(against)
-        why = "disarmed in the air" if against else DISARMED_BY_ANOTHER
-        if context.phase is not Phase.ARM:
-            context.request_transition(Trigger.TAKEN_OVER, why)
-        position = context.telemetry.position
-        if against and position is not None:
-            where = f"{position.lat_deg:.5f} {position.lon_deg:.5f}"
-            context.say(Severity.CRITICAL, f"disarmed in the air, it falls: {where}")
-            context.decide("disarmed_in_air", f"{against}; at {where}")
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return {"disarmed_by_another": self.disarmed_by_another}
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint: one that flies was armed by us."""
-        self.armed_by_us = checkpoint.flying
-        self.disarmed_by_another = checkpoint.disarmed_by_another
-
-    def begin(self, state: VehicleState | None) -> None:
-        """The autopilot is identified: the mode that it stands in is nobody's intrusion."""
+    def record_initial_ground_mode(self, state: VehicleState | None) -> None:
+        """The autopilot is identified: its present mode is not an intrusion."""
         if state is not None and state.ready_state:
             self.ground_mode = state.mode_name
 
-    def expect(self, mode: Mode, state: VehicleState | None) -> None:
-        """A mode change is ordered: until it shows, the old mode is no intrusion."""
+    def order_mode(self, context: FlightContext, mode: Mode) -> None:
+        """Order a mode change."""
+        self.record_ordered_mode(mode, context.telemetry.state)
+        context.queue_actions(SetMode(mode))
+
+    def record_ordered_mode(self, mode: Mode, state: VehicleState | None) -> None:
+        """A mode change is ordered: until it takes effect, the old mode is not an intrusion."""
         self.ordered = mode
         self.ordered_from = state.mode_name if state is not None else None
 
-    def forget(self) -> None:
-        """No order of ours is under way."""
+    def clear_ordered_mode(self) -> None:
+        """Clear the ordered mode."""
         self.ordered = None
         self.ordered_from = None
 
-    def intrusion(self, phase: Phase, state: VehicleState, *, on_ground: bool) -> str | None:
-        """Say why this heartbeat shows that somebody else has control, or `None`."""
+    def update_and_get_takeover_reason(
+        self, phase: Phase, state: VehicleState, *, on_ground: bool
+    ) -> str | None:
+        """Return why this heartbeat shows a takeover, or `None`."""
         if phase in GROUND_PHASES:
-            return self._on_ground(phase, state)
-        flying = phase in FLIGHT_PHASES or phase is Phase.LINK_LOST
-        if not flying or not state.armed or (phase is Phase.LAND and on_ground):
+            return self._update_and_get_ground_takeover_reason(phase, state)
+        in_flight = phase in FLIGHT_PHASES or phase is Phase.LINK_LOST
+        if not in_flight or not state.armed or (phase is Phase.LAND and on_ground):
             return None
         if phase is Phase.LAST_RESORT and on_ground and state.mode is Mode.MISSION:
             return None  # PX4 leaves RTL and LAND as it disarms, for the mode before
-        return self._mode(state, (Mode.MISSION,) if phase is not Phase.LAST_RESORT else ())
+        return self.unexpected_mode_reason(state, is_in_mission=phase is not Phase.LAST_RESORT)
 
-    def mode_intrusion(self, state: VehicleState) -> str | None:
-        """The same of a vehicle that has to be in its mission."""
-        return self._mode(state, (Mode.MISSION,))
-
-    def _on_ground(self, phase: Phase, state: VehicleState) -> str | None:
+    def _update_and_get_ground_takeover_reason(
+        self, phase: Phase, state: VehicleState
+    ) -> str | None:
         if phase is Phase.ARM:
-            return self._mode(state, (Mode.MISSION,))
+            return self.unexpected_mode_reason(state)
         if state.armed:
-            return f"armed by somebody else in {state.mode_name}"
+            return f"armed by someone else in {state.mode_name}"
         if self.ground_mode is None:
             if state.ready_state:
                 self.ground_mode = state.mode_name
@@ -282,45 +127,273 @@ class Authority:
             return f"mode changed from {self.ground_mode} to {state.mode_name}"
         return None
 
-    def _mode(self, state: VehicleState, ours: tuple[Mode, ...]) -> str | None:
+    def unexpected_mode_reason(
+        self, state: VehicleState, *, is_in_mission: bool = True
+    ) -> str | None:
+        """Return why the mode in this heartbeat is a takeover of a vehicle in its mission, or
+        without one, or `None`.
+        """
         if self.ordered is not None and state.mode is self.ordered:
             self.ordered_from = None
             return None
         if self.ordered is Mode.RTL and self.ordered_from is None and state.mode is Mode.LAND:
             return None  # RTL ends in a landing
-        if state.mode in ours and (self.ordered in (None, Mode.MISSION)):
+        if is_in_mission and state.mode is Mode.MISSION and self.ordered is None:
             return None
         if state.mode_name == self.ordered_from:
             return None
         return f"mode changed to {state.mode_name}"
 
-    def _take_back(self, context: FlightContext, by: str) -> None:
-        """An operator hands control back: after a take-over, or over a foreign mission."""
-        if context.phase is Phase.SUSPENDED and not self._may_take_back(context):
-            context.say(Severity.WARNING, "cannot take control: no mission of ours aboard")
-        if not self._may_take_back(context):
-            context.do(Answer(Reply.DENIED))
+
+@dataclass(slots=True)
+class DisarmMonitor:
+    """Detects that someone else disarmed the vehicle, and whether it fell.
+
+    A vehicle that the companion armed, shown by telemetry or an accepted ARM, disarms on its own
+    after a landing only. Once disarmed by someone else it stays so for this flight, also over a
+    restart.
+    """
+
+    armed_by_companion: bool = False
+    disarmed_externally: bool = False
+    disarmed_in_air: bool = False
+    """Disarmed above ground, so that it fell."""
+    arm_accepted_s: float | None = None
+    """Time of the accepted ARM, until a heartbeat shows the vehicle armed."""
+    disarmed_reports: int = 0
+    """Number of disarmed heartbeats since then."""
+    last_drop_s: float | None = None
+    """Last time at which it descended faster than in a landing."""
+    failsafe_active: bool = False
+    """From the last heartbeat with running motors: a mode change is the failsafe's."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the checkpoint keys of this part."""
+        return {"disarmed_by_another": self.disarmed_externally}
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Restore from a checkpoint: a flying vehicle was armed by the companion."""
+        self.armed_by_companion = checkpoint.flying
+        self.disarmed_externally = checkpoint.disarmed_by_another
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Process heartbeats after an ARM, and falls."""
+        match event:
+            case VehicleState():
+                self._count_disarmed_report_after_arm(event)
+            case Position():
+                self._record_fall_time(context, event)
+            case OrderAccepted() if event.order == "arm":
+                self.arm_accepted_s, self.disarmed_reports = event.t_s, 0
+            case ClockSteppedBack():
+                self.arm_accepted_s = None
+            case _:
+                return
+
+    def release_control_if_disarmed_externally(
+        self, context: FlightContext, state: VehicleState
+    ) -> bool:
+        """Return whether someone else disarmed it, and release control for good: the companion
+        never re-arms after that.
+
+        If no heartbeat showed it armed, the ground sequence starts the flight, then releases it.
+        """
+        if not self._update_and_check_external_disarm(context, state):
+            return False
+        is_overridden = context.phase is Phase.SUSPENDED  # its pilot may land anywhere
+        standing_evidence = (
+            context.in_air_evidence_text()
+            if not is_overridden or _is_falling_without_motors(context)
+            else ""
+        )
+        if not is_overridden and self._has_fallen_recently(context):
+            standing_evidence = standing_evidence or "it fell"
+        self.disarmed_externally = True
+        self.disarmed_in_air = bool(standing_evidence)
+        reason = "disarmed in flight" if standing_evidence else EXTERNAL_DISARM_TEXT
+        if context.phase is not Phase.ARM:
+            context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
+        position = context.telemetry.position
+        if standing_evidence and position is not None:
+            where = f"{position.lat_deg:.5f} {position.lon_deg:.5f}"
+            context.report_alert(Alert.DISARMED_IN_AIR, where=where)
+            context.record_decision("disarmed_in_air", f"{standing_evidence}; at {where}")
+        return True
+
+    def _update_and_check_external_disarm(
+        self, context: FlightContext, state: VehicleState
+    ) -> bool:
+        """Return whether someone else disarmed it; after a landing it disarms on its own."""
+        is_companion_phase = context.phase in (Phase.ARM, *FLIGHT_PHASES)
+        if state.armed:
+            self.failsafe_active = state.failsafe
+            self.armed_by_companion = self.armed_by_companion or is_companion_phase
+            return False
+        if context.phase is Phase.ARM and self.disarmed_reports >= MIN_DISARMED_REPORTS:
+            self.armed_by_companion = True  # it was armed between two heartbeats
+        if self.disarmed_externally or not self.armed_by_companion:
+            return False
+        if context.phase in (Phase.LAND, Phase.LAST_RESORT):
+            return _is_falling_without_motors(context) or self._has_fallen_recently(context)
+        return is_companion_phase or context.phase is Phase.SUSPENDED
+
+    def _count_disarmed_report_after_arm(self, heartbeat: VehicleState) -> None:
+        """Count disarmed heartbeats after an accepted ARM: someone else has reverted it."""
+        if heartbeat.armed:
+            self.arm_accepted_s = None
+        accepted_s = self.arm_accepted_s
+        if accepted_s is not None and heartbeat.t_s - accepted_s >= ARM_CONFIRM_DELAY_S:
+            self.disarmed_reports += 1
+
+    def _record_fall_time(self, context: FlightContext, position: Position) -> None:
+        """Keep the time of the last fall: its heartbeat may arrive after the impact."""
+        if position.vel_d_mps > context.airframe.speeds.descent_mps + EXCESS_DESCENT_MPS:
+            self.last_drop_s = position.t_s
+
+    def _has_fallen_recently(self, context: FlightContext) -> bool:
+        return context.seconds_since(self.last_drop_s) < DROP_WINDOW_S
+
+
+@dataclass(slots=True)
+class ControlAuthority:
+    """Releases control after takeovers, to another computer, and on command; accepts hand-backs."""
+
+    _modes: OrderedMode
+    _disarming: DisarmMonitor
+    handed_back: bool = False
+    """An operator has handed control back, and the flight has not been resumed yet."""
+    abortable: bool = False
+    """Suspended again because the flight could not be resumed: an abort counts as a hand-back."""
+    control_yielded: bool = False
+    """Another onboard computer has control of the flight."""
+    alarm_s: float | None = None
+    control_since_ms: int | None = None
+    """Published start of this process's control, on the autopilot's clock."""
+
+    def on_event(self, context: FlightContext, event: Event) -> None:
+        """Process heartbeats, other computers, and operators' control commands."""
+        state = context.telemetry.state
+        match event:
+            case VehicleState() | ModeReport() if state is not None:
+                self._release_control_on_takeover(context, state)
+            case ClockSteppedBack():
+                self._modes.clear_ground_mode()
+            case OtherCompanionReport():
+                self._release_control_if_other_has_it(context, event)
+            case ControlHandedBack():
+                self._handle_hand_back(context, event.by)
+            case AbortOrdered() if self._is_resumption_possible(context) and (
+                context.phase is Phase.PASSIVE or self.abortable
+            ):
+                self._request_flight_resumption(context, event.by)  # the return decision replies
+            case ControlReleaseOrdered():
+                context.queue_actions(OperatorResponse(ResponseStatus.ACCEPTED))
+                context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, f"commanded by {event.by}")
+            case _:
+                return
+
+    def tick(self, context: FlightContext) -> None:
+        """Repeat the alarm during a foreign mission: only an operator may end that."""
+        passive = context.phase is Phase.PASSIVE and self._is_resumption_possible(context)
+        if not (passive and context.telemetry.airborne):
+            self.alarm_s = None
+        elif context.seconds_since(self.alarm_s) >= ALARM_INTERVAL_S - 1e-6:
+            self.alarm_s = context.t_s
+            context.report_alert(Alert.MISSION_FOREIGN)
+
+    def record_phase_entry(self, context: FlightContext) -> None:
+        """A phase begins. A later hand-back or silence has no effect on the claim of control."""
+        if context.phase is not Phase.RECOGNISE:
+            self.abortable = self.handed_back and context.phase is Phase.SUSPENDED
+            self.handed_back = False
+        if self.control_since_ms is None and context.phase in FLIGHT_PHASES:
+            self.control_since_ms = max(1, round(context.t_s / CONTROL_CLAIM_STEP_S)) * round(
+                1000.0 * CONTROL_CLAIM_STEP_S
+            )
+
+    def _release_control_if_other_has_it(
+        self, context: FlightContext, other_computer: OtherCompanionReport
+    ) -> None:
+        """Release control for good if another onboard computer has it or was first."""
+        if self._other_has_control(context.phase, other_computer):
+            self.control_yielded = True
+            reason = f"another onboard computer (component {other_computer.component})"
+            context.apply_phase_trigger(Trigger.OTHER_COMPANION, reason)
+        elif other_computer.has_control and context.phase in COMMANDING_PHASES:
+            context.report_alert_once(Alert.OTHER_COMPUTER)
+
+    def _other_has_control(self, phase: Phase, other_computer: OtherCompanionReport) -> bool:
+        """Return whether the other computer has control of the flight."""
+        if self.control_since_ms is not None:
+            has_claim = other_computer.has_control or other_computer.control_since_ms is not None
+            return (
+                other_computer.active
+                and has_claim
+                and self._has_later_claim(other_computer, self.control_since_ms)
+            )
+        return other_computer.active or (other_computer.booting and phase is Phase.IDENTIFY)
+
+    @staticmethod
+    def _has_later_claim(other_computer: OtherCompanionReport, own_control_since_ms: int) -> bool:
+        """Return whether the other took control later, or simultaneously with a lower component."""
+        if other_computer.control_since_ms in (None, own_control_since_ms):
+            return other_computer.component <= COMPANION_COMPONENT
+        return (
+            other_computer.control_since_ms is not None
+            and other_computer.control_since_ms > own_control_since_ms
+        )
+
+    def published_control_start_s(self, phase: Phase) -> float | None:
+        """Return the published start of control, 0 before it; None without control."""
+        if phase in (Phase.IDENTIFY, Phase.PASSIVE, *END_PHASES):
+            return None
+        return (self.control_since_ms or 0) / 1000.0
+
+    def _release_control_on_takeover(self, context: FlightContext, state: VehicleState) -> None:
+        """Release control if this heartbeat shows a takeover."""
+        if self._disarming.release_control_if_disarmed_externally(context, state):
             return
-        context.do(Answer(Reply.ACCEPTED))
-        self._resume(context, by)
+        telemetry = context.telemetry
+        on_ground = telemetry.on_ground
+        if context.phase is Phase.LAST_RESORT:
+            on_ground = on_ground and telemetry.is_recent(telemetry.ground, GROUND_MAX_AGE_S)
+        reason = self._modes.update_and_get_takeover_reason(
+            context.phase, state, on_ground=on_ground
+        )
+        if reason is not None:
+            context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
 
-    def _may_take_back(self, context: FlightContext) -> bool:
-        """Tell whether the flight may be resumed; an armed vehicle needs a mission of ours."""
-        plan = context.flight_plan is not None
+    def _handle_hand_back(self, context: FlightContext, operator_name: str) -> None:
+        """Handle a hand-back by an operator: after a takeover, or over a foreign mission."""
+        if context.phase is Phase.SUSPENDED and not self._is_resumption_possible(context):
+            context.report_alert(Alert.HAND_BACK_IMPOSSIBLE)
+        if not self._is_resumption_possible(context):
+            context.queue_actions(OperatorResponse(ResponseStatus.DENIED))
+            return
+        context.queue_actions(OperatorResponse(ResponseStatus.ACCEPTED))
+        self._request_flight_resumption(context, operator_name)
+
+    def _is_resumption_possible(self, context: FlightContext) -> bool:
+        """Return whether the flight may be resumed; an armed vehicle needs a plan."""
+        has_plan = context.flight_plan is not None
         if context.phase is Phase.PASSIVE:
-            return plan and not self.yielded
-        return context.phase is Phase.SUSPENDED and (plan or not context.telemetry.armed)
+            return has_plan and not self.control_yielded
+        return context.phase is Phase.SUSPENDED and (has_plan or not context.telemetry.armed)
 
-    def _resume(self, context: FlightContext, by: str) -> None:
-        """Read the mission onboard; the mode is ordered after that (resume.py)."""
-        context.decide("handed_back", f"by {by}")
-        self.handed_back, self.ground_mode = True, None
-        context.request_transition(Trigger.HANDED_BACK, f"handed back by {by}")
+    def _request_flight_resumption(self, context: FlightContext, operator_name: str) -> None:
+        """Verify the onboard mission; the mode is ordered after that (resume.py)."""
+        context.record_decision("handed_back", f"by {operator_name}")
+        self.handed_back = True
+        self._modes.clear_ground_mode()
+        context.apply_phase_trigger(Trigger.HANDED_BACK, f"handed back by {operator_name}")
 
 
-def _falls(context: FlightContext) -> bool:
-    """Coming down without its motors, high above every place where it may stand."""
-    position, here = context.telemetry.position, context.here_ned()
+def _is_falling_without_motors(context: FlightContext) -> bool:
+    """Return whether it descends without motors, high above every landing site."""
+    position, here = context.telemetry.position, context.recent_position_ned_m()
     if position is None or here is None:
         return False
-    return position.vel_d_mps > FALLING_MPS and context.height_m(here) > GROUND_HEIGHT_M
+    return (
+        position.vel_d_mps > FREE_DESCENT_MPS
+        and height_above_nearest_site_m(context, here) > MAX_GROUND_HEIGHT_M
+    )

@@ -1,4 +1,4 @@
-"""What survives a restart of the companion: enough to go on with the flight, never more energy."""
+"""State that survives a restart: enough to continue the flight, never more energy."""
 
 from typing import Any, Literal
 
@@ -10,17 +10,17 @@ from companion.core.routing.route_planner import Plan
 
 
 class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A checkpoint's content. `flight` is a digest of flight file and airframe.
+    """Content of a checkpoint. `flight` is a digest of flight file and airframe.
 
-    `home` and `wanted`: the stop at which what is aboard ends, and the one that the truck asked
-    for.
+    `home` and `wanted`: the stop at which the uploaded mission ends, and the stop that the truck
+    requested.
 
-    `disarmed_by_another`: what we armed was disarmed by another hand: never armed again.
-    `took_off_from`: latitude and longitude (deg) of the autopilot's home at take-off, and the AMSL
-    of the ground there; `led_to`: where an RTL was led to instead.
+    `disarmed_by_another`: the vehicle was armed by the companion and disarmed by someone else:
+    never re-armed. `took_off_from`: latitude and longitude (deg) of the autopilot's home at
+    takeoff, and the AMSL height of the ground there; `led_to`: substitute destination of an RTL.
 
-    `authority`: the companion flew the vehicle when this was written. `authorised`: the mission's
-    authorisation has been used. `settings_before` are autopilot parameters to put back.
+    `authority`: the companion had control when this was written. `authorised`: the mission's
+    authorisation has been used. `settings_before` are autopilot parameters to restore.
     """
 
     format: Literal["companion-checkpoint/1"] = "companion-checkpoint/1"
@@ -49,14 +49,14 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     judgement: dict[str, Any]
 
 
-def checkpoint_from_dict(table: dict[str, Any], where: str) -> Checkpoint:
-    """Check a checkpoint that was read; LeewayError names the file and the key."""
+def checkpoint_from_dict(table: dict[str, Any], document_name: str) -> Checkpoint:
+    """Validate a checkpoint; LeewayError names the file and the key."""
     try:
         return msgspec.convert(table, Checkpoint)
     except (msgspec.ValidationError, LeewayError) as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{document_name}: {error}") from error
 
 
 def checkpoint_to_dict(checkpoint: Checkpoint) -> dict[str, Any]:
-    """Plain JSON-safe values."""
+    """Return the checkpoint as JSON-compatible values."""
     return msgspec.to_builtins(checkpoint)

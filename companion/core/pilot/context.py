@@ -1,579 +1,313 @@
-"""The context that all controllers of one flight share, and what they ask of one another.
+"""The context that all controllers of one flight share.
 
-How the pilot is made. The mission is cut into controllers: the ground sequence, the flight
-sequence, mission progress, the return decision, the parcel's release, the landing and so on. Each
-owns its own state, a small slotted dataclass in its own module that nobody else writes to, and says
-which keys of a checkpoint are its own (`to_dict`, `restore`). `Pilot` makes them and passes events
-on.
+Structure of the pilot. The mission is divided into controllers: ground sequence, flight sequence,
+mission progress, return decision, parcel release, landing and others. Each owns its state, a small
+slotted dataclass in its own module that no other module writes, and defines its checkpoint keys
+(`to_dict`, `restore`). `Pilot` creates the controllers and routes events.
 
-- `FlightContext` holds what every controller needs: telemetry, estimates, the plan that is flown,
-  the phase, the newest assessment, and the outbox. It imports no controller and not the pilot.
-- A controller offers `tick(context)`, called at every tick in one fixed order, and
-  `on_event(context, event)`, called for the events that `Pilot` routes to it; or narrower methods.
-- Controllers do not import one another's modules. What one needs of another is one of the small
-  protocols below, passed at construction.
-- Two controllers that need each other: mission progress reports a refused jump, which closes the
-  gate; the return decision orders jumps. There the state is made first (`ReturnState`,
-  `FlightState`), with the methods that may change it, and passed to the one that is made earlier.
-  So the objects form no circle.
-- `request_transition` looks the trigger up in the table (transitions.py) and enters the new phase
-  before it returns. Actions are queued in the order of those calls, a checkpoint follows each
-  transition, and a controller that asks for one sees the new phase on its next line. The same
-  events therefore always give the same actions.
+- `FlightContext` gives access to the shared state: telemetry, estimates, the phase, the outbox. No
+  controller assigns its fields. The plan and the assessment are read here and belong to
+  `CurrentPlan` and `LatestAssessment`: a controller that changes one receives its owner. The module
+  imports neither controllers nor the pilot.
+- A controller may offer `tick(context)`, called at every tick if it is in `TICK_ORDER` (parts.py),
+  `on_event(context, event)`, called for its events in `PARTS`, and narrower methods.
+- A controller receives the controllers it needs at construction: they are its fields without a
+  default.
+- State that two controllers share is created first (flight_state.py), with the methods that may
+  change it. So neither objects nor modules depend on each other in a circle.
+- `apply_phase_trigger` looks up the trigger in the table (transitions.py) and enters the new phase
+  before it returns. Actions are queued in call order, a checkpoint follows each transition, and the
+  calling controller sees the new phase on its next line. The same events therefore always give the
+  same actions.
 """
 
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Final, Protocol
 
 from companion.core.base.geo import Ned
-from companion.core.mission.actions import Action, Decision, PhaseChanged, Say, Severity
-from companion.core.mission.events import AutopilotKind, Ground, Mode, VehicleState
+from companion.core.mission.actions import Action, AlertReport, Decision, PhaseChanged
+from companion.core.mission.alerts import Alert, AlertParameter
+from companion.core.mission.events import VehicleLandedState
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
-from companion.core.pilot.estimates import Estimates
-from companion.core.pilot.telemetry_state import POSITION_MAX_AGE_S, TelemetryState
-from companion.core.pilot.transitions import OUTWARD_PHASES, Phase, Trigger, next_phase
-from companion.core.return_budget.budget import Ahead, Assessment
-from companion.core.routing.route_planner import Plan
+from companion.core.pilot.estimates import FlightEstimates
+from companion.core.pilot.telemetry_state import (
+    POSITION_MAX_AGE_S,
+    PackTelemetry,
+    TelemetryState,
+)
+from companion.core.pilot.transitions import OUTBOUND_PHASES, Phase, Trigger, next_phase
+from companion.core.return_budget.budget import Assessment
 from companion.core.vehicle.airframe import Airframe
 
-DISARMED_BY_ANOTHER = "disarmed by another hand"
+EXTERNAL_DISARM_TEXT = "disarmed by someone else"
 
-GROUND_HEIGHT_M = 5.0
-"""Standing shows at most so much height: a barometer drifts by some metres in a flight. The lowest
-that the mission flies away from the ground is the drop, 6 m by default, and there it says in air.
-"""
+MAX_GROUND_HEIGHT_M = 5.0
+"""Maximum height shown on the ground: a barometer drifts by some metres in a flight. The lowest
+flight away from the ground is the drop, 6 m by default, where the detector reports in air."""
 
-STANDING_MPS = 1.0
-"""Standing shows at most so much speed (a receiver at rest some 0.1 to 0.3 m/s); a fall passes it
-in 0.1 s."""
+MAX_GROUND_SPEED_MPS = 1.0
+"""Maximum speed shown on the ground (a GNSS receiver at rest: 0.1 to 0.3 m/s); a fall exceeds it in
+0.1 s."""
 
 ASSESSMENT_MAX_AGE_S = 2.5
-"""An older assessment decides nothing and is not reported."""
+"""An older assessment is neither used for decisions nor reported."""
 
 
-class Unanswered(Enum):
-    """What becomes of a HOLD that nobody asked for and nobody answers, by the operator's choice."""
+class UnansweredHoldAction(Enum):
+    """Operator's choice of action for a HOLD that was not ordered and gets no response."""
 
     ALARM = "alarm"
     RETURN = "return"
     LAND = "land"
 
 
-UNANSWERED_HOLD_S = 30.0
-"""Three alarms, ten seconds apart: a person who looks up at the second can still take over."""
+UNANSWERED_HOLD_TIMEOUT_S = 30.0
+"""Three alarms at 10 s intervals: a person who reacts at the second can still take over."""
 
 
 @dataclass(frozen=True, slots=True)
 class PilotOptions:
-    """How this run is to be flown. `authorise` counts once and never after a restart.
+    """Options of this run. `authorise` applies once and never after a restart.
 
-    `keep_apart`: fly set-points near neighbours. Without `separation_filter` the set-points are
-    what is desired, for comparison only. `name` and `fleet`: as which others know this vehicle.
+    `separation_enabled`: fly set-points near neighbours. Without `separation_filter` the desired
+    velocity is sent unchanged, for comparison only. `name` and `fleet`: identity of this vehicle
+    for others.
 
-    `here`: the site lies about where the vehicle stands, not about the flight file's depot.
-    `max_loss_per_hour`: in place of the flight file's; `None`: as there. `without_operator`: take
-    off although neither ground station nor desk reaches the companion.
+    `centre_on_vehicle`: centre the site on the vehicle instead of the flight file's depot.
+    `max_loss_per_hour`: overrides the flight file; `None`: no override. `without_operator`: take
+    off although neither a ground station nor a desk reaches the companion.
     """
 
-    gate_on: bool = True
+    gate_enabled: bool = True
     configure: bool = False
     authorise: bool = False
     check_only: bool = False
-    here: bool = False
-    keep_apart: bool = False
+    centre_on_vehicle: bool = False
+    separation_enabled: bool = False
     name: str = ""
     fleet: str = ""
     separation_filter: bool = True
-    unanswered_hold: Unanswered = Unanswered.ALARM
-    unanswered_hold_s: float = UNANSWERED_HOLD_S
+    unanswered_hold_action: UnansweredHoldAction = UnansweredHoldAction.ALARM
+    unanswered_hold_s: float = UNANSWERED_HOLD_TIMEOUT_S
     max_loss_per_hour: float | None = None
     without_operator: bool = False
 
 
 class PhaseObserver(Protocol):
-    """Who acts on a transition: starts the new phase, and asks for checkpoints."""
+    """Handles a transition: starts the new phase and writes checkpoints."""
 
-    def enter_phase(self, left: Phase, why: str) -> None:
+    def run_phase_entry_actions(self, previous_phase: Phase, reason: str) -> None:
         """Start the phase that the context is in now."""
         ...
 
-    def save_checkpoint(self, *, routine: bool) -> None:
+    def queue_checkpoint(self, *, routine: bool) -> None:
         """Queue a checkpoint of the present state."""
         ...
 
 
-class FlightContext:
-    """Telemetry, estimates, plan, phase and outbox of one flight."""
+@dataclass(slots=True)
+class CurrentPlan:
+    """Owner of the plan that is flown; `None` before one is made."""
 
-    __slots__ = (
-        "_observer",
-        "_outbox",
-        "_said",
-        "airframe",
-        "assessment",
-        "autopilot",
-        "estimates",
-        "flight",
-        "flight_plan",
-        "interrupted_phase",
-        "options",
-        "phase",
-        "phase_since_s",
-        "telemetry",
-    )
+    flight_plan: FlightPlan | None = None
+
+    def store(self, flight_plan: FlightPlan) -> None:
+        """Fly this plan from now on."""
+        self.flight_plan = flight_plan
+
+    def discard(self) -> None:
+        """Discard the plan: another is requested."""
+        self.flight_plan = None
+
+
+@dataclass(slots=True)
+class LatestAssessment:
+    """Owner of the gate's latest result; `None` before one, and after one is invalidated."""
+
+    assessment: Assessment | None = None
+
+    def store(self, assessment: Assessment) -> None:
+        """Replace the latest result."""
+        self.assessment = assessment
+
+    def discard(self) -> None:
+        """Invalidate the result: what it was computed from no longer applies."""
+        self.assessment = None
+
+
+class FlightContext:
+    """Telemetry, estimates, plan, phase and outbox of one flight; no part reassigns its fields."""
 
     def __init__(
         self,
         flight: Flight,
         airframe: Airframe,
-        estimates: Estimates,
+        estimates: FlightEstimates,
         options: PilotOptions,
         observer: PhaseObserver,
+        plan: CurrentPlan,
+        latest_assessment: LatestAssessment,
     ) -> None:
-        self.flight = flight
-        self.airframe = airframe
-        self.estimates = estimates
-        self.options = options
-        self.telemetry = TelemetryState().expecting(airframe.battery.plausible_v)
-        self.autopilot: AutopilotKind | None = None
-        self.flight_plan: FlightPlan | None = None
-        self.assessment: Assessment | None = None
-        self.phase = Phase.IDENTIFY
-        self.phase_since_s = 0.0
-        self.interrupted_phase: Phase | None = None
-        """The phase in which the link was lost."""
+        self.flight: Final = flight
+        self.airframe: Final = airframe
+        self.estimates: Final = estimates
+        self.options: Final = options
+        voltage_range_v = airframe.battery.plausible_pack_voltage_range_v
+        self.telemetry: Final = TelemetryState(pack=PackTelemetry(voltage_range_v))
+        self._plan = plan
+        self._latest_assessment = latest_assessment
+        self._phase = Phase.IDENTIFY
+        self._phase_since_s = 0.0
+        self._interrupted_phase: Phase | None = None
         self._observer = observer
         self._outbox: list[Action] = []
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     # --- outbox ----------------------------------------------------------------------------------
 
-    def do(self, *actions: Action) -> None:
+    def queue_actions(self, *actions: Action) -> None:
         """Queue actions."""
         self._outbox.extend(actions)
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Tell the operator, and the log."""
-        self.do(Say(severity, text))
+    def report_alert(self, alert: Alert, **parameters: AlertParameter) -> None:
+        """Report an alert to the operator and the log."""
+        self.queue_actions(AlertReport.create(alert, **parameters))
 
-    def say_once(self, severity: Severity, text: str) -> None:
-        """Tell the operator the first time only."""
-        if text not in self._said:
-            self._said.add(text)
-            self.say(severity, text)
+    def report_alert_once(self, alert: Alert, **parameters: AlertParameter) -> None:
+        """Report an alert; the same alert with the same parameters once per flight."""
+        report = AlertReport.create(alert, **parameters)
+        if report.text not in self._reported:
+            self._reported.add(report.text)
+            self.queue_actions(report)
 
-    def decide(self, kind: str, reason: str) -> None:
-        """Record a decision with the assessment that it rests on."""
-        seen = self.assessment
-        self.do(
+    def record_decision(self, kind: str, reason: str) -> None:
+        """Record a decision with the assessment on which it is based."""
+        assessment = self.assessment
+        self.queue_actions(
             Decision(
                 self.t_s,
                 kind,
                 reason,
-                seen.p_home if seen else None,
-                seen.p_home_now if seen else None,
-                seen.p_success if seen else None,
-                seen.margin_wh if seen else None,
+                assessment.p_home if assessment else None,
+                assessment.p_home_now if assessment else None,
+                assessment.p_success if assessment else None,
+                assessment.margin_wh if assessment else None,
             )
         )
 
-    def save(self) -> None:
+    def request_checkpoint(self) -> None:
         """Queue a checkpoint of the present state."""
-        self._observer.save_checkpoint(routine=False)
+        self._observer.queue_checkpoint(routine=False)
 
-    def take_outbox(self) -> list[Action]:
-        """What was queued, in order; the outbox is empty afterwards."""
+    def take_queued_actions(self) -> list[Action]:
+        """Return the queued actions in order and empty the outbox."""
         actions, self._outbox = self._outbox, []
         return actions
 
     # --- phase -----------------------------------------------------------------------------------
 
-    def request_transition(self, trigger: Trigger, why: str = "") -> None:
-        """Move on in the table and enter the new phase at once; nothing when the phase stays."""
+    def apply_phase_trigger(self, trigger: Trigger, reason: str = "") -> None:
+        """Apply a trigger and enter the new phase at once; no effect if the phase stays."""
         target = next_phase(self.phase, trigger, self.interrupted_phase)
         if target is self.phase:
             return
-        left, self.phase = self.phase, target
+        previous_phase, self._phase = self.phase, target
         if target is Phase.LINK_LOST:
-            self.interrupted_phase = left
-        self.phase_since_s = self.t_s
-        self.do(PhaseChanged(self.t_s, left.value, target.value, why or trigger.value))
-        self._observer.enter_phase(left, why)
-        self.save()
+            self._interrupted_phase = previous_phase
+        self._phase_since_s = self.t_s
+        self.queue_actions(
+            PhaseChanged(self.t_s, previous_phase.value, target.value, reason or trigger.value)
+        )
+        self._observer.run_phase_entry_actions(previous_phase, reason)
+        self.request_checkpoint()
 
     @property
-    def outward(self) -> bool:
-        """Flying away from home, or about to."""
-        return self.phase in OUTWARD_PHASES
+    def phase(self) -> Phase:
+        """The phase of the mission."""
+        return self._phase
 
-    # --- time, position, assessment --------------------------------------------------------------
+    @property
+    def phase_since_s(self) -> float:
+        """Time of the latest transition."""
+        return self._phase_since_s
+
+    @property
+    def interrupted_phase(self) -> Phase | None:
+        """The phase in which the link was lost; `None`: never lost."""
+        return self._interrupted_phase
+
+    @property
+    def is_outbound(self) -> bool:
+        """Whether the vehicle flies away from home, or is about to."""
+        return self.phase in OUTBOUND_PHASES
+
+    # --- plan, assessment, time, position --------------------------------------------------------
+
+    @property
+    def flight_plan(self) -> FlightPlan | None:
+        """The plan that is flown; `None` before one is made."""
+        return self._plan.flight_plan
+
+    @property
+    def assessment(self) -> Assessment | None:
+        """The gate's latest result, of any age."""
+        return self._latest_assessment.assessment
 
     @property
     def t_s(self) -> float:
-        """Time of the newest event, on the autopilot's clock."""
+        """Time of the latest event, on the autopilot's clock."""
         return self.telemetry.t_s
 
-    def since_s(self, then_s: float | None) -> float:
-        """Seconds since then; infinite when it never was."""
+    def seconds_since(self, then_s: float | None) -> float:
+        """Return the seconds since then; infinite for None."""
         return math.inf if then_s is None else self.t_s - then_s
 
     @property
-    def phase_s(self) -> float:
+    def time_in_phase_s(self) -> float:
         """Seconds in this phase."""
         return self.t_s - self.phase_since_s
 
-    def here_ned(self) -> Ned | None:
-        """Position of the vehicle about the depot; `None` when it is not known freshly."""
-        position = self.telemetry.position
+    def recent_position_ned_m(self) -> Ned | None:
+        """Return the vehicle's position about the depot; `None` without a recent one."""
+        position = self.telemetry.recent_or_none(self.telemetry.position, POSITION_MAX_AGE_S)
         if self.flight_plan is None or position is None:
             return None
-        if not self.telemetry.is_fresh(position, POSITION_MAX_AGE_S):
-            return None
-        return self.flight_plan.ned_of(position)
+        return self.flight_plan.position_to_ned_m(position)
 
-    def ground_speed_mps(self) -> float:
-        """Horizontal speed over the ground by the newest position; 0 without one."""
-        position = self.telemetry.position
-        return math.hypot(position.vel_n_mps, position.vel_e_mps) if position is not None else 0.0
+    def in_air_evidence_text(self) -> str:
+        """Return the evidence against standing on the ground; `""` without any.
 
-    def against_standing(self) -> str:
-        """Say what speaks against standing on the ground; `""` when all that is known agrees.
-
-        Landed-state, height over the places where the mission starts and lands, speed. Where the
-        detector says nothing and no position is known, that is what speaks against it.
+        Checks landed state, height above the start and landing positions, and speed. A lack of both
+        landed state and position is evidence too.
         """
-        detector, here = self.telemetry.landed_state, self.here_ned()
-        if detector not in (None, Ground.ON_GROUND):
-            return f"its detector says {detector.value}"
-        if here is None or self.telemetry.position_troubles():
-            return "" if detector is not None else "no position, and no word of the ground"
-        if self.speed_mps() > STANDING_MPS:
-            return f"it moves at {self.speed_mps():.1f} m/s"
-        if self.height_m(here) > GROUND_HEIGHT_M:
-            return f"it is {self.height_m(here):.0f} m high"
-        return ""
+        detector, here = self.telemetry.landed_state, self.recent_position_ned_m()
+        if detector not in (None, VehicleLandedState.ON_GROUND):
+            return f"landed state is {detector.value}"
+        if here is None or self.telemetry.position_faults():
+            return "" if detector is not None else "no position and no landed state"
+        if self.telemetry.speed_3d_mps() > MAX_GROUND_SPEED_MPS:
+            return f"it moves at {self.telemetry.speed_3d_mps():.1f} m/s"
+        height_m = height_above_nearest_site_m(self, here)
+        return f"it is {height_m:.0f} m high" if height_m > MAX_GROUND_HEIGHT_M else ""
 
-    def speed_mps(self) -> float:
-        """Speed in all three axes by the newest position; 0 without one."""
-        position = self.telemetry.position
-        down_mps = position.vel_d_mps if position is not None else 0.0
-        return math.hypot(self.ground_speed_mps(), down_mps)
-
-    def height_m(self, here: Ned) -> float:
-        """Height above the nearest in height of the places where the mission starts and lands."""
-        assert self.flight_plan is not None
-        plan = self.flight_plan.plan
-        grounds = (0.0, plan.landing_ned_m[2], *(s.ground_ned_m[2] for s in plan.sites))
-        return min((down - here[2] for down in grounds), key=abs)
-
-    def fresh_assessment(self) -> Assessment | None:
-        """The newest assessment while it is young enough to decide on."""
-        seen = self.assessment
-        if seen is None or self.t_s - seen.t_s > ASSESSMENT_MAX_AGE_S:
+    def recent_assessment(self) -> Assessment | None:
+        """Return the latest assessment if it is recent enough to decide on, else None."""
+        assessment = self.assessment
+        if assessment is None or self.t_s - assessment.t_s > ASSESSMENT_MAX_AGE_S:
             return None
-        return seen
-
-
-# --- what controllers ask of one another ---------------------------------------------------------
-
-
-class ModeOrders(Protocol):
-    """Which mode we ordered, so that a change to it is not taken for a take-over."""
-
-    @property
-    def ordered(self) -> Mode | None:
-        """The mode that was ordered last."""
-        ...
-
-    def expect(self, mode: Mode, state: VehicleState | None) -> None:
-        """A mode is ordered now."""
-        ...
-
-    def forget(self) -> None:
-        """No order of ours is under way."""
-        ...
-
-
-class Disarming(Protocol):
-    """Whether another hand disarmed what we had armed."""
-
-    @property
-    def disarmed_by_another(self) -> bool:
-        """Then this flight never arms again (safety rule 1)."""
-        ...
-
-    @property
-    def disarmed_in_air(self) -> bool:
-        """Then it fell."""
-        ...
-
-    @property
-    def failsafe_flies(self) -> bool:
-        """The autopilot was last seen flying on a failsafe of its own."""
-        ...
-
-
-class ArmedModes(ModeOrders, Disarming, Protocol):
-    """What the ground sequence asks before it arms."""
-
-
-class Airborne(Protocol):
-    """Whether this flight has begun, and when."""
-
-    @property
-    def flying(self) -> bool:
-        """Taken off by us, and not over."""
-        ...
-
-    @property
-    def took_off_s(self) -> float | None:
-        """Time of arming."""
-        ...
-
-    def take_off(self, t_s: float) -> None:
-        """Armed in the mission."""
-        ...
-
-    def resume_flight(self) -> None:
-        """In the air already."""
-        ...
-
-
-class WindHold(Protocol):
-    """The hover over the depot in which the wind is measured."""
-
-    @property
-    def settled_s(self) -> float | None:
-        """When it began."""
-        ...
-
-
-class CruiseSpeed(Protocol):
-    """The ground speed that was commanded on this leg."""
-
-    @property
-    def speed_mps(self) -> float | None:
-        """`None`: none yet."""
-        ...
-
-    def forget_speed(self) -> None:
-        """Command it anew."""
-        ...
-
-
-class Preflight(Protocol):
-    """What the ground sequence found out about the autopilot's settings."""
-
-    @property
-    def rtl_is_safe(self) -> bool:
-        """RTL is known to clear every obstacle."""
-        ...
-
-
-class ForeignList(Protocol):
-    """The list aboard, as telemetry tells."""
-
-    @property
-    def foreign_s(self) -> float | None:
-        """When it was last told to be another than ours, or none."""
-        ...
-
-
-class SettingsRestore(Protocol):
-    """The autopilot's settings as they were before the flight."""
-
-    @property
-    def settings_before(self) -> dict[str, float]:
-        """What is still to be put back."""
-        ...
-
-    @property
-    def restoring(self) -> bool:
-        """Ordered to be put back, and not confirmed yet."""
-        ...
-
-    def put_settings_back(self, context: FlightContext) -> None:
-        """Order it."""
-        ...
-
-
-class ItemProgress(Protocol):
-    """Where in the mission the autopilot is."""
-
-    @property
-    def index(self) -> int | None:
-        """The item that it flies, as telemetry shows it."""
-        ...
-
-    @property
-    def leg(self) -> int:
-        """Which leg of the way out."""
-        ...
-
-    @property
-    def jump_index(self) -> int | None:
-        """The item of a jump that telemetry does not show yet."""
-        ...
-
-
-class Jumps(ItemProgress, Protocol):
-    """Jumps in the mission aboard, each followed until telemetry shows it."""
-
-    @property
-    def jumps_home(self) -> bool:
-        """A jump home is under way."""
-        ...
-
-    def jump_onward(self, context: FlightContext, index: int) -> None:
-        """Leave to go on."""
-        ...
-
-    def jump_home(self, context: FlightContext, index: int) -> None:
-        """The way home, or to a rally point."""
-        ...
-
-    def is_over_landing(self, context: FlightContext) -> bool:
-        """Tell whether it was descending to land, and is there."""
-        ...
-
-
-class HomeMoves(Jumps, Protocol):
-    """Also from one landing site to another."""
-
-    def jump_to_other_home(self, context: FlightContext, index: int) -> None:
-        """On the way home: to another stop's items."""
-        ...
-
-
-class GateState(Protocol):
-    """Whether the gate is closed for good, and the landing site chosen instead of the depot."""
-
-    @property
-    def closed_by(self) -> str:
-        """What closed it; `""` while it is open."""
-        ...
-
-    @property
-    def rally(self) -> str | None:
-        """Name of the rally point or stop that is flown to; `None`: the plan's own landing."""
-        ...
-
-    def close(self, why: str) -> None:
-        """Close it, if it is open."""
-        ...
-
-    def choose_landing(self, name: str | None) -> None:
-        """The mission flies to this one now."""
-        ...
-
-
-class Promise(Protocol):
-    """The stop at which what is aboard ends (safety rule 3)."""
-
-    def home(self, context: FlightContext) -> str | None:
-        """Its name; `None` on flights without stops."""
-        ...
-
-    @property
-    def noted_home(self) -> str | None:
-        """The same, `None` until the autopilot was seen on its way to it."""
-        ...
-
-    def note_item(self, context: FlightContext, index: int) -> None:
-        """The autopilot flies this item."""
-        ...
-
-    def want(self, context: FlightContext, stop: str | None) -> None:
-        """The stop that the truck asks for, or none."""
-        ...
-
-
-class ReturnBudget(Protocol):
-    """The gate's answers to what is left to fly."""
-
-    def remaining(self, context: FlightContext, here: Ned, plan: Plan | None = None) -> Ahead:
-        """What is left to fly; `plan`: were it this one."""
-        ...
-
-    def remaining_from(self, context: FlightContext, here: Ned, plan: Plan, item: int) -> Ahead:
-        """What is left to fly on the way home once the mission is at this item."""
-        ...
-
-    def assess(self, context: FlightContext, every_s: float) -> Assessment | None:
-        """Ask the gate when its last answer is older than `every_s`."""
-        ...
-
-
-class Parcel(Protocol):
-    """What has become of the parcel."""
-
-    @property
-    def delivered(self) -> bool:
-        """Gone: proven, or there was none."""
-        ...
-
-    @property
-    def drop_begun(self) -> bool:
-        """The release was ordered."""
-        ...
-
-    @property
-    def untouched(self) -> bool:
-        """Aboard, and no release has been watched yet."""
-        ...
-
-
-class PositionWatch(Protocol):
-    """Whether the position is lost in flight."""
-
-    @property
-    def is_lost(self) -> bool:
-        """For longer than one late message."""
-        ...
-
-    def last_seen(self) -> str:
-        """Where it was last beyond doubt, in words."""
-        ...
-
-
-class HomeInDoubt(Protocol):
-    """Whether the autopilot's home is not where it was at take-off."""
-
-    @property
-    def in_doubt(self) -> bool:
-        """It has moved, or perhaps: nothing is flown to by heights above it."""
-        ...
-
-
-class RtlHome(HomeInDoubt, Protocol):
-    """Where an RTL leads."""
-
-    @property
-    def rtl_waits(self) -> bool:
-        """RTL is not ordered yet: the autopilot's home is set first."""
-        ...
-
-    def order_rtl(self, context: FlightContext) -> str:
-        """Order RTL, led to the promised landing place; tells in words where it leads."""
-        ...
-
-
-class ListInDoubt(Protocol):
-    """Whether the list aboard is not proven to be ours now."""
-
-    @property
-    def in_doubt(self) -> bool:
-        """It may be another's: no jump, and no promise, rests on it."""
-        ...
-
-
-class SetpointFlight(Protocol):
-    """Whether set-points are flown instead of the mission."""
-
-    @property
-    def active(self) -> bool:
-        """They are wanted; the autopilot may not obey them yet."""
-        ...
+        return assessment
+
+
+def height_above_nearest_site_m(context: FlightContext, position_ned_m: Ned) -> float:
+    """Return the height above the start or landing position that is nearest in height."""
+    assert context.flight_plan is not None
+    plan = context.flight_plan.plan
+    grounds = (
+        0.0,
+        plan.return_route_end_ground_ned_m[2],
+        *(s.ground_ned_m[2] for s in plan.uploaded_sites_except_return_end),
+    )
+    return min((down - position_ned_m[2] for down in grounds), key=abs)

@@ -1,24 +1,26 @@
-"""Safety rule 3 in the autopilot: its home stays where it was when the vehicle took off.
+"""Safety rule 3 in the autopilot: its home stays at the takeoff position.
 
-Items and RTL are flown at heights above the autopilot's home, and RTL to its place. Both autopilots
-let anybody move it in flight (DO_SET_HOME), keep the leg that is being flown, and fly every later
-item by the new home: 20 m lower it leads into the ground at the customer. So a home that has moved
-closes the gate, and is set back once. Until telemetry shows it where it was, there is no leave and
-no jump. Who moves it again means it: then the vehicle comes home by what is safe without it.
+Items and RTL are flown at heights above the autopilot's home, and RTL ends at its position. Both
+autopilots let any station move it in flight (DO_SET_HOME), keep the current leg, and fly every
+later item by the new home: 20 m lower it leads into the ground at the customer. Therefore a moved
+home closes the gate, and is restored once. Until telemetry confirms it, no leg is cleared and no
+jump sent. After a second move the vehicle returns by means that are safe without its home.
 
-Where the promised landing place is not the launch pad, an RTL of ours is led to it: the place is
-made the autopilot's home, at the height of the old one, just before RTL is ordered.
+If the promised landing site is not the launch pad, an RTL of the companion is directed to it: the
+site becomes the autopilot's home, at the height of the old one, just before RTL is ordered.
 
-Our own heights do not depend on any of this (telemetry_state.py).
+The companion's own heights do not depend on any of this (telemetry_state.py).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from companion.core.base.geo import LocalFrame, horizontal_m
-from companion.core.mission.actions import SetHome, SetMode, Severity
+from companion.core.base.geo import LocalFrame, horizontal_distance_m
+from companion.core.mission.actions import SetHome, SetMode
+from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
+    SET_HOME,
     Event,
     Home,
     Mode,
@@ -27,289 +29,309 @@ from companion.core.mission.events import (
     Position,
 )
 from companion.core.mission.flight_plan import DEPOT_RADIUS_M
+from companion.core.mission.jump_watch import JumpType
+from companion.core.pilot.authority import OrderedMode
 from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import Airborne, FlightContext, GateState, Jumps, Preflight
+from companion.core.pilot.context import FlightContext
+from companion.core.pilot.flight_state import CurrentItem, FlightState, ReturnState
+from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
+from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     GROUND_PHASES,
-    OUTWARD_PHASES,
     Phase,
     Trigger,
 )
 
-MOVED_M = 3.0
-"""A home farther than this from where it was has been moved. What the autopilot sets at arming it
-keeps to the millimetre; the least clearance of a drop is several times this."""
+HOME_TOLERANCE_M = 3.0
+"""A home farther than this from its former position has moved. Autopilots keep the home set at
+arming to the millimetre; the smallest clearance of a drop is several times this."""
 
-SURE_S = 1.0
-"""A height that disagrees for so long is a fact: ten reports of GLOBAL_POSITION_INT."""
+CONFIRM_S = 1.0
+"""Duration of a height difference that confirms it: ten reports of GLOBAL_POSITION_INT."""
 
-LEAD_S = 3.0
-"""An RTL waits so long for the place that it is led to: three tries of the order."""
+REDIRECT_TIMEOUT_S = 3.0
+"""Timeout of an RTL for its redirected home: three tries of the order."""
 
-SET_HOME = "set home"
-"""What the autopilot's answer calls the order."""
+HOME_REPORT_WINDOW_S = 3.0
+"""HOME_POSITION comes every 2 s: within this time the home set at arming has been reported."""
 
-TOLD_S = 3.0
-"""HOME_POSITION comes every 2 s: by then the home that arming has set was told."""
-
-SET_BACK_S = 6.0
-"""Setting it back is given up after so long: four tries a second apart, and one HOME_POSITION."""
+RESTORE_TIMEOUT_S = 6.0
+"""Timeout of the restore: four tries at 1 Hz, and one HOME_POSITION."""
 
 
-Place = tuple[float, float, float]
+GeoPosition = tuple[float, float, float]
 """Latitude, longitude (deg), AMSL (m) of the ground."""
 
 
 @dataclass(slots=True)
 class HomeState:
-    """Where the vehicle stood, its home at take-off, and what was done about one that moved."""
+    """Position before takeoff, home at takeoff, and the actions on a moved home."""
 
-    stood: Position | None = None
-    took_off_from: Place | None = None
-    """Where the home has to be, until an RTL is led elsewhere."""
-    told: Place | None = None
-    """The home by the last HOME_POSITION since."""
-    off_since_s: float | None = None
-    moved: str = ""
-    set_back_s: float | None = None
-    item_then: int | None = None
-    given_up: bool = False
-    led_to: Place | None = None
-    """Where an RTL was led to; the home has to be there."""
-    led_s: float | None = None
-    """When, until the autopilot shows its home there: it may be at either place."""
-    rtl_waits: bool = False
-    """RTL is ordered once that place is taken."""
+    start_position: Position | None = None
+    takeoff_home: GeoPosition | None = None
+    """Required position of the home, until an RTL is directed elsewhere."""
+    reported_home: GeoPosition | None = None
+    """The home from the last HOME_POSITION since takeoff."""
+    displaced_since_s: float | None = None
+    displacement_text: str = ""
+    restore_ordered_s: float | None = None
+    item_at_displacement: int | None = None
+    restore_abandoned: bool = False
+    redirected_home: GeoPosition | None = None
+    """Substitute destination of an RTL, and then the required position of the home."""
+    redirect_ordered_s: float | None = None
+    """Time of that order, until the autopilot shows its home there; meanwhile both are valid."""
+    is_rtl_pending: bool = False
+    """RTL is ordered once that home is confirmed."""
 
 
-class HomeWatch:
-    """Compares the autopilot's home with that at take-off, and sets it back once."""
+@dataclass(slots=True, eq=False)
+class HomeMonitor:
+    """Compares the autopilot's home with that at takeoff, and restores it once."""
 
-    def __init__(
-        self, gate: GateState, jumps: Jumps, flight: Airborne, preflight: Preflight
-    ) -> None:
-        self._state = HomeState()
-        self._gate = gate
-        self._jumps = jumps
-        self._flight = flight
-        self._preflight = preflight
-
-    @property
-    def in_doubt(self) -> bool:
-        """The home has moved, or perhaps, and may still be set back."""
-        return self._state.off_since_s is not None and not self._state.given_up
+    _gate: ReturnState
+    _item: CurrentItem
+    _jumps: MissionProgressMonitor
+    _flight: FlightState
+    _settings: AutopilotSettings
+    _modes: OrderedMode
+    _state: HomeState = field(default_factory=HomeState)
 
     @property
-    def rtl_waits(self) -> bool:
-        """RTL is ordered once the place that it is led to is the autopilot's home."""
-        return self._state.rtl_waits
+    def is_home_uncertain(self) -> bool:
+        """Whether the home may have moved and may still be restored."""
+        return self._state.displaced_since_s is not None and not self._state.restore_abandoned
 
-    def order_rtl(self, context: FlightContext) -> str:
-        """Order RTL, led to the promised landing place; tells in words where it leads.
+    @property
+    def is_rtl_pending(self) -> bool:
+        """Whether RTL waits until its destination is the autopilot's home."""
+        return self._state.is_rtl_pending
 
-        `""`: home as ever. Where it is led, RTL follows once the autopilot has taken the place as
-        its home: it finds its way when it begins.
+    def order_rtl_and_destination_text(self, context: FlightContext) -> str:
+        """Order RTL, directed to the promised landing site; return its destination as text.
+
+        `""`: the usual home. If directed elsewhere, RTL follows once the autopilot has accepted the
+        site as its home, because RTL plans its path at its start.
         """
-        words, place = self._where_to(context)
-        if place is None:
-            context.do(SetMode(Mode.RTL))
-            return words
+        destination_text, position = self._rtl_destination(context)
+        if position is None:
+            self._modes.order_mode(context, Mode.RTL)
+            return destination_text
         state = self._state
-        state.led_to, state.led_s, state.told, state.rtl_waits = place, context.t_s, None, True
-        context.do(SetHome(*place))
-        context.save()
-        return words
+        self._modes.record_ordered_mode(Mode.RTL, context.telemetry.state)
+        state.redirected_home = position
+        state.redirect_ordered_s = context.t_s
+        state.reported_home = None
+        state.is_rtl_pending = True
+        context.queue_actions(SetHome(*position))
+        context.request_checkpoint()
+        return destination_text
 
     def to_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return {"took_off_from": self._state.took_off_from, "led_to": self._state.led_to}
+        """Return the checkpoint keys of this part."""
+        return {"took_off_from": self._state.takeoff_home, "led_to": self._state.redirected_home}
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint."""
-        self._state.took_off_from = checkpoint.took_off_from
-        self._state.led_to = checkpoint.led_to
+        """Restore from a checkpoint."""
+        self._state.takeoff_home = checkpoint.took_off_from
+        self._state.redirected_home = checkpoint.led_to
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """The autopilot tells where its home is, or answers that it moves it."""
+        """Process a reported home, or the response to a change of it."""
         state = self._state
         match event:
-            case Home() if state.took_off_from is not None:
-                state.told = (event.lat_deg, event.lon_deg, state.took_off_from[2])
-                fresh = context.since_s(self._flight.took_off_s) <= TOLD_S
-                if fresh and self._away_m() <= DEPOT_RADIUS_M:
-                    state.took_off_from = state.told
-            case OrderAccepted() | OrderRefused() if event.order == SET_HOME and state.rtl_waits:
-                self._rtl_now(context)
+            case Home() if state.takeoff_home is not None:
+                state.reported_home = (event.lat_deg, event.lon_deg, state.takeoff_home[2])
+                is_recent = context.seconds_since(self._flight.takeoff_s) <= HOME_REPORT_WINDOW_S
+                if is_recent and self._home_displacement_m() <= DEPOT_RADIUS_M:
+                    state.takeoff_home = state.reported_home
+            case OrderAccepted() | OrderRefused() if event.order == SET_HOME:
+                self._order_pending_rtl(context)
             case _:
                 return
 
     def tick(self, context: FlightContext) -> None:
-        """On the ground remember where it stands; in flight watch its home."""
+        """On the ground store the vehicle's position; in flight monitor its home."""
         if context.phase in GROUND_PHASES:
-            self._stand(context)
-        elif self._flight.flying and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
-            self._begin(context)
-            self._see_led(context)
-            self._watch(context)
+            self._record_start_position(context)
+        elif self._flight.in_flight and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
+            self._fix_takeoff_home(context)
+            self._complete_or_abandon_redirect(context)
+            self._report_and_restore_displaced_home(context)
 
     # --- the ground that it takes off from -------------------------------------------------------
 
-    def _stand(self, context: FlightContext) -> None:
-        """Remember where it stands, until it is armed: a late heartbeat shows that in the climb."""
-        context.telemetry.measure_heights_from(None)
+    def _record_start_position(self, context: FlightContext) -> None:
+        """Store the position until the vehicle arms: its heartbeat may come in the climb."""
+        context.telemetry.set_height_reference(None)
         if context.phase is not Phase.ARM:
-            self._state = HomeState(stood=context.telemetry.position)
+            self._state = HomeState(start_position=context.telemetry.position)
 
-    def _begin(self, context: FlightContext) -> None:
-        """Fix the ground once: the home that arming has set, if that is where the vehicle stood."""
+    def _fix_takeoff_home(self, context: FlightContext) -> None:
+        """Fix the ground height once: the home set at arming, if the vehicle was there."""
         state, telemetry = self._state, context.telemetry
         position = telemetry.position
         if telemetry.ground_amsl_m is not None or position is None:
             return
-        if state.took_off_from is None:
-            ground_m, stood = position.alt_amsl_m - position.height_rel_m, state.stood or position
-            if state.stood is not None and abs(state.stood.alt_amsl_m - ground_m) > MOVED_M:
-                ground_m = state.stood.alt_amsl_m
-            state.took_off_from = (stood.lat_deg, stood.lon_deg, ground_m)
-            context.save()
-        telemetry.measure_heights_from(state.took_off_from[2])
+        if state.takeoff_home is None:
+            ground_m = position.alt_amsl_m - position.height_rel_m
+            start = state.start_position
+            if start is not None and abs(start.alt_amsl_m - ground_m) > HOME_TOLERANCE_M:
+                ground_m = start.alt_amsl_m
+            stood = start or position
+            state.takeoff_home = (stood.lat_deg, stood.lon_deg, ground_m)
+            context.request_checkpoint()
+        telemetry.set_height_reference(state.takeoff_home[2])
 
-    # --- an RTL that is led ----------------------------------------------------------------------
+    # --- redirected RTL --------------------------------------------------------------------------
 
-    def _where_to(self, context: FlightContext) -> tuple[str, Place | None]:
-        """Where an RTL from here is led to, and in words; None: where the autopilot's home is.
+    def _rtl_destination(self, context: FlightContext) -> tuple[str, GeoPosition | None]:
+        """Return the destination of an RTL from here, with a text; None: the autopilot's home.
 
-        That is the launch pad where somebody else moves the home, or an RTL does not suit the
-        promised place.
+        That is the launch pad if someone else moves the home, or an RTL does not suit the promised
+        site.
         """
-        state, flown, here = self._state, context.flight_plan, context.here_ned()
-        index = self._jumps.index
-        if flown is None or index is None or state.took_off_from is None:
+        state, flown, here = self._state, context.flight_plan, context.recent_position_ned_m()
+        index = self._item.index
+        if flown is None or index is None or state.takeoff_home is None:
             return "", None
-        name, spot = flown.landing_from(index)
+        name, spot = flown.landing_name_and_position_after_item(index)
         if spot is None:
             return "", None
-        place = (spot.lat_deg, spot.lon_deg, state.took_off_from[2])
-        if _apart_m(place, state.took_off_from) <= DEPOT_RADIUS_M:
+        position = (spot.lat_deg, spot.lon_deg, state.takeoff_home[2])
+        if _horizontal_distance_m(position, state.takeoff_home) <= DEPOT_RADIUS_M:
             return "", None
-        ground = flown.spot_ned(spot)
-        if state.moved or here is None or not flown.suits_rtl(here, ground):
-            return f": to the launch pad, not to {name}", None
-        return f": to {name}, made the autopilot's home", place
+        ground = flown.mission_position_to_ned_m(spot)
+        is_allowed = here is not None and flown.is_rtl_to_site_allowed(here, ground)
+        if state.displacement_text or not is_allowed:
+            return f": to the launch pad instead of {name}", None
+        return f": to {name} as the autopilot's home", position
 
-    def _rtl_now(self, context: FlightContext) -> None:
-        """Unless the vehicle is no longer ours to send home."""
-        self._state.rtl_waits = False
-        if context.phase is Phase.LAST_RESORT:
-            context.do(SetMode(Mode.RTL))
+    def _order_pending_rtl(self, context: FlightContext) -> None:
+        """Order RTL if it is pending, unless the companion has lost control."""
+        if self._state.is_rtl_pending and context.phase is Phase.LAST_RESORT:
+            context.queue_actions(SetMode(Mode.RTL))
+        self._state.is_rtl_pending = False
 
-    def _see_led(self, context: FlightContext) -> None:
-        """RTL, when its place is taken or waited for long; what the autopilot shows decides where
-        the home has to be.
+    def _complete_or_abandon_redirect(self, context: FlightContext) -> None:
+        """Order RTL when its home is confirmed or overdue; the reported home decides where the home
+        is required to be.
         """
         state = self._state
-        if state.led_s is None or state.led_to is None or state.took_off_from is None:
+        if state.redirect_ordered_s is None or state.redirected_home is None:
             return
-        waited_s, told = context.since_s(state.led_s), state.told
-        taken = told is not None and _apart_m(told, state.led_to) <= MOVED_M
-        if state.rtl_waits and (taken or waited_s > LEAD_S):
-            self._rtl_now(context)
-        if taken:
-            state.led_s = None
-        elif told is not None and waited_s > SET_BACK_S:
-            state.led_s = state.led_to = None
-            context.say(Severity.WARNING, "home not taken: RTL to the launch pad")
-            words = "the autopilot shows its old home: RTL to the launch pad"
-            context.decide("home_not_led", words)
+        waited_s = context.seconds_since(state.redirect_ordered_s)
+        reported_home = state.reported_home
+        is_confirmed = (
+            reported_home is not None
+            and _horizontal_distance_m(reported_home, state.redirected_home) <= HOME_TOLERANCE_M
+        )
+        if is_confirmed or waited_s > REDIRECT_TIMEOUT_S:
+            self._order_pending_rtl(context)
+        if is_confirmed:
+            state.redirect_ordered_s = None
+        elif reported_home is not None and waited_s > RESTORE_TIMEOUT_S:
+            state.redirect_ordered_s = state.redirected_home = None
+            context.report_alert(Alert.HOME_NOT_TAKEN)
+            reason = "the autopilot shows its old home: RTL to the launch pad"
+            context.record_decision("home_not_led", reason)
 
-    # --- a home that has moved -------------------------------------------------------------------
+    # --- a moved home ----------------------------------------------------------------------------
 
-    def _watch(self, context: FlightContext) -> None:
+    def _report_and_restore_displaced_home(self, context: FlightContext) -> None:
         state = self._state
-        words = self._how(context)
-        if not words:
-            state.off_since_s = None
-            if state.moved:
-                self._is_back(context)
+        displacement = self._displacement_text(context)
+        if not displacement:
+            state.displaced_since_s = None
+            if state.displacement_text:
+                self._report_home_restored_and_rejoin(context)
             return
-        if state.off_since_s is None:
-            state.off_since_s = context.t_s
-        if context.since_s(state.off_since_s) < SURE_S:
+        if state.displaced_since_s is None:
+            state.displaced_since_s = context.t_s
+        if context.seconds_since(state.displaced_since_s) < CONFIRM_S:
             return
-        if not state.moved:
-            self._has_moved(context, words)
-        if context.phase in FLIGHT_PHASES and not state.given_up:
-            self._set_back(context)
+        if not state.displacement_text:
+            self._close_gate_and_report_home_moved(context, displacement)
+        if context.phase in FLIGHT_PHASES and not state.restore_abandoned:
+            self._restore_home_once(context)
 
-    def _away_m(self) -> float:
-        """How far the home is from where it has to be, horizontally, as it was told."""
+    def _home_displacement_m(self) -> float:
+        """Return the horizontal distance of the reported home from its required position."""
         state = self._state
-        if state.told is None or state.took_off_from is None:
+        if state.reported_home is None or state.takeoff_home is None:
             return 0.0
-        away_m = _apart_m(state.told, state.led_to or state.took_off_from)
-        taken = state.led_s is None
-        return away_m if taken else min(away_m, _apart_m(state.told, state.took_off_from))
+        required_homes = [state.redirected_home or state.takeoff_home]
+        if state.redirect_ordered_s is not None:
+            required_homes.append(state.takeoff_home)
+        return min(_horizontal_distance_m(state.reported_home, home) for home in required_homes)
 
-    def _how(self, context: FlightContext) -> str:
-        """How far the home is from where it has to be, in words; `""`: it is there."""
-        sunk_m, away_m = context.telemetry.home_sunk_m, self._away_m()
-        if away_m > MOVED_M:
-            return f"home moved {away_m:.0f} m away"
-        if abs(sunk_m) > MOVED_M:
-            return f"home moved {abs(sunk_m):.0f} m {'down' if sunk_m > 0.0 else 'up'}"
+    def _displacement_text(self, context: FlightContext) -> str:
+        """Describe the distance of the home from its required position; `""` if it is there."""
+        sunk_m, away_m = context.telemetry.home_below_ground_m, self._home_displacement_m()
+        if away_m > HOME_TOLERANCE_M:
+            return f"{away_m:.0f} m away"
+        if abs(sunk_m) > HOME_TOLERANCE_M:
+            return f"{abs(sunk_m):.0f} m {'down' if sunk_m > 0.0 else 'up'}"
         return ""
 
-    def _has_moved(self, context: FlightContext, words: str) -> None:
-        self._state.moved = words
-        self._state.item_then = self._jumps.index
-        self._gate.close(words)
-        context.say(Severity.CRITICAL, f"{words} by another")
-        context.decide("home_moved", words)
+    def _close_gate_and_report_home_moved(
+        self, context: FlightContext, displacement_text: str
+    ) -> None:
+        reason = f"home moved {displacement_text}"
+        self._state.displacement_text = reason
+        self._state.item_at_displacement = self._item.index
+        self._gate.close_gate(reason)
+        context.report_alert(Alert.HOME_MOVED, displacement=displacement_text)
+        context.record_decision("home_moved", reason)
 
-    def _set_back(self, context: FlightContext) -> None:
-        """Order it back the first time; give it up when that does not show, or not last."""
+    def _restore_home_once(self, context: FlightContext) -> None:
+        """Restore the home the first time; give up if it has no effect or does not last."""
         state = self._state
-        place = state.led_to or state.took_off_from
-        assert place is not None
-        if state.set_back_s is None:
-            state.set_back_s = context.t_s
-            context.do(SetHome(*place))
-        elif context.since_s(state.set_back_s) > SET_BACK_S:
-            self._give_up(context)
+        position = state.redirected_home or state.takeoff_home
+        assert position is not None
+        if state.restore_ordered_s is None:
+            state.restore_ordered_s = context.t_s
+            context.queue_actions(SetHome(*position))
+        elif context.seconds_since(state.restore_ordered_s) > RESTORE_TIMEOUT_S:
+            self._abandon_home_restore(context)
 
-    def _is_back(self, context: FlightContext) -> None:
-        """Go on; a leg home that was begun at heights above the wrong home is begun again."""
+    def _report_home_restored_and_rejoin(self, context: FlightContext) -> None:
+        """Continue; a return leg that started at heights above the wrong home is restarted."""
         state = self._state
-        state.moved, state.given_up = "", False
-        context.say(Severity.NOTICE, "home is where it was again")
-        context.decide("home_back", "the autopilot's home is where it was at take-off")
-        index = self._jumps.index
+        state.displacement_text, state.restore_abandoned = "", False
+        context.report_alert(Alert.HOME_RESTORED)
+        context.record_decision("home_back", "the autopilot's home is restored")
+        index = self._item.index
         homeward = context.phase in (Phase.RETURN, Phase.DIVERT)
-        if homeward and index is not None and index != state.item_then:
-            self._jumps.jump_home(context, index)
+        if homeward and index is not None and index != state.item_at_displacement:
+            self._jumps.order_jump(context, index, JumpType.HOME)
 
-    def _give_up(self, context: FlightContext) -> None:
-        """It stays moved. A higher home only leads higher, but items above a lower one lead low.
+    def _abandon_home_restore(self, context: FlightContext) -> None:
+        """Accept the moved home. Items above a higher one are higher, above a lower one low.
 
-        RTL never goes below the present height on the way (both autopilots take the higher of that
-        and their RTL altitude), so that is the way home where it still leads to the right place.
+        RTL never descends below the present height en route (both autopilots take the higher of
+        that and their RTL altitude), so it is safe if it still leads to the right position.
         """
         state = self._state
-        state.given_up = True
-        context.say(Severity.CRITICAL, f"cannot set home back: {state.moved}")
-        context.decide("home_stays_moved", state.moved)
-        low = context.telemetry.home_sunk_m > MOVED_M
-        if not low or self._away_m() > MOVED_M or not self._preflight.rtl_is_safe:
+        state.restore_abandoned = True
+        context.report_alert(Alert.HOME_NOT_RESTORED, displacement=self._displacement_text(context))
+        context.record_decision("home_stays_moved", state.displacement_text)
+        low = context.telemetry.home_below_ground_m > HOME_TOLERANCE_M
+        if (
+            not low
+            or self._home_displacement_m() > HOME_TOLERANCE_M
+            or not self._settings.is_rtl_known_safe
+        ):
             return
-        if context.phase in OUTWARD_PHASES:
-            context.request_transition(Trigger.HOMEWARD, state.moved)
-        context.request_transition(Trigger.WAY_HOME_REFUSED, state.moved)
+        if context.is_outbound:
+            context.apply_phase_trigger(Trigger.RETURN_STARTED, state.displacement_text)
+        context.apply_phase_trigger(Trigger.RETURN_REFUSED, state.displacement_text)
 
 
-def _apart_m(place: Place, other: Place) -> float:
-    """How far apart two places are, horizontally."""
-    lat_deg, lon_deg, amsl_m = other
+def _horizontal_distance_m(a_position: GeoPosition, b_position: GeoPosition) -> float:
+    """Return the horizontal distance of two positions."""
+    lat_deg, lon_deg, amsl_m = b_position
     frame = LocalFrame(math.radians(lat_deg), math.radians(lon_deg), amsl_m)
-    there = frame.to_ned(math.radians(place[0]), math.radians(place[1]), amsl_m)
-    return horizontal_m(there, (0.0, 0.0, 0.0))
+    offset_ned_m = frame.to_ned(math.radians(a_position[0]), math.radians(a_position[1]), amsl_m)
+    return horizontal_distance_m(offset_ned_m, (0.0, 0.0, 0.0))

@@ -1,268 +1,267 @@
-"""The end: see the vehicle down, give the autopilot its settings back, say how it ended.
+"""End of the flight: detect the landing, restore the autopilot's settings, determine the outcome.
 
-Down is what several sources agree on: disarmed, and by landed-state, height and speed on the ground
-(`FlightContext.against_standing`). Nothing is configured before.
+A landing needs several agreeing sources: disarmed, landed state, height and ground speed
+(`FlightContext.in_air_evidence_text`). No settings are restored before.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from companion.core.base.geo import Ned, horizontal_m
-from companion.core.mission.actions import Disarm, Finished, Note, Severity
-from companion.core.mission.events import Ground
+from companion.core.base.geo import Ned, horizontal_distance_m
+from companion.core.mission.actions import Disarm, Finished, LogNote
+from companion.core.mission.alerts import Alert
+from companion.core.mission.events import VehicleLandedState
 from companion.core.mission.flight_plan import FlightPlan
-from companion.core.monitor.figures import FlightFigures
+from companion.core.pilot.authority import DisarmMonitor
 from companion.core.pilot.context import (
-    GROUND_HEIGHT_M,
-    STANDING_MPS,
-    Airborne,
-    Disarming,
+    MAX_GROUND_HEIGHT_M,
+    MAX_GROUND_SPEED_MPS,
     FlightContext,
-    Parcel,
-    PositionWatch,
-    Promise,
-    SettingsRestore,
+    height_above_nearest_site_m,
 )
+from companion.core.pilot.flight_state import FlightState, ParcelState, PromisedStop
+from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
+from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
+from companion.core.return_budget.budget import reserve_margin_text
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.energy_ledger import EnergyBelief
 
-LANDED_AFTER_S = 5.0
-STILL_S = 15.0
-STILL_MPS = 0.4
-SINKS_M = 1.0
-"""Nothing that comes down keeps its height so well for `STILL_S`: the slowest landing, 0.3 m/s,
-makes 4.5 m of it."""
-DRIFT_M = 3.0
-"""What stands is told higher or lower by so much as its barometer drifts: 1.5 m in a quarter of an
+LANDED_DELAY_S = 5.0
+REST_S = 15.0
+MAX_REST_SPEED_MPS = 0.4
+MAX_REST_SINK_M = 1.0
+"""No descending vehicle keeps its height this well for `REST_S`: the slowest landing, 0.3 m/s,
+covers 4.5 m."""
+MAX_REST_DRIFT_M = 3.0
+"""Reported height change of a vehicle at rest through barometer drift: 1.5 m in a quarter of an
 hour behind a front (simulated)."""
-STILL_ARMED_S = 40.0
-BY_HAND_S = 120.0
-"""Wait for a person to walk up and disarm it: only then does the autopilot get its settings back.
-Its outcome is not told before, and nobody sends it off again.
-"""
+ARMED_ALERT_DELAY_S = 40.0
+MANUAL_DISARM_TIMEOUT_S = 120.0
+"""Wait for a person to disarm it: only then are the autopilot's settings restored. Until then no
+outcome is reported, so the vehicle is not sent off again."""
 
-DISARMED_S = 1.0
-"""Disarmed for so long: at 1 Hz a false heartbeat has been followed by another."""
+DISARMED_CONFIRM_S = 1.0
+"""Duration of disarmed reports: at 1 Hz a false heartbeat has been followed by another."""
 
-DISARMED_ANYWHERE_S = 15.0
-"""Disarmed at every heartbeat for so long it is down, wherever the ground is: without its motors
-it falls from 120 m in 5 s. Needed where it stands on ground of unknown height, or where a detector
-or the position says nothing true any more.
-"""
+DISARMED_FALLBACK_S = 15.0
+"""Disarmed at every heartbeat for this long, the vehicle is down at any ground height: without
+motors it falls from 120 m in 5 s. Needed on ground of unknown height, or with a faulty detector or
+position."""
 
-DISARM_EVERY_S = 5.0
-DISARMS = 3
+DISARM_INTERVAL_S = 5.0
+MAX_DISARM_ORDERS = 3
 HOME_RADIUS_M = 30.0
-CRASH_HEIGHT_M = 4.0
-RESTORE_LIMIT_S = 4.0
+MAX_DROP_BELOW_SITE_M = 4.0
+RESTORE_TIMEOUT_S = 4.0
 
 
 @dataclass(slots=True)
 class LandingState:
-    """How far down it is: since when still, and what was ordered."""
+    """Progress of the landing: time at rest, and the orders sent."""
 
-    still_since_s: float | None = None
+    at_rest_since_s: float | None = None
     rest_down_m: float | None = None
-    """The height that it had when it came to rest, as it was told."""
-    disarm_asked_s: float | None = None
-    disarms_asked: int = 0
-    disarm_by_hand_said: bool = False
+    """Reported down coordinate when it came to rest."""
+    disarm_ordered_s: float | None = None
+    disarm_orders: int = 0
+    manual_disarm_reported: bool = False
     landed_s: float | None = None
     energy_touched_down: EnergyBelief | None = None
     energy_landed: EnergyBelief | None = None
-    landed_by_person: bool = False
-    """A person had taken over, and it came down under that hand."""
+    landed_by_pilot: bool = False
+    """A pilot had taken over and landed it."""
 
 
-class Landing:
+@dataclass(slots=True, eq=False)
+class LandingController:
     """Ends the flight."""
 
-    def __init__(
-        self,
-        flight: Airborne,
-        parcel: Parcel,
-        promise: Promise,
-        position: PositionWatch,
-        settings: SettingsRestore,
-        disarming: Disarming,
-    ) -> None:
-        self._state = LandingState()
-        self._flight = flight
-        self._parcel = parcel
-        self._promise = promise
-        self._position = position
-        self._settings = settings
-        self._disarming = disarming
+    _flight: FlightState
+    _parcel: ParcelState
+    _promise: PromisedStop
+    _position: PositionLossMonitor
+    _settings: AutopilotSettings
+    _disarming: DisarmMonitor
+    _state: LandingState = field(default_factory=LandingState)
 
     def tick(self, context: FlightContext) -> None:
-        """See it down: disarmed, or standing still on the ground; never a forced disarm.
+        """Detect the landing: disarmed, or at rest on the ground; never force a disarm.
 
-        Where another hand brought it down nothing is ordered, and that hand ends the flight: people
-        are told that it stands there armed.
+        After a landing by a pilot no order is sent, and the pilot ends the flight: an alert reports
+        that the vehicle is still armed.
         """
         state, telemetry = self._state, context.telemetry
         if telemetry.state is None:
             return
         if not telemetry.state.armed:
-            self._see_disarmed(context)
+            self._end_flight_if_disarmed_on_ground(context)
             return
-        ours = context.phase in (Phase.LAND, Phase.LAST_RESORT)
-        if not ours and not (context.phase is Phase.SUSPENDED and self._flight.flying):
+        is_companion_phase = context.phase in (Phase.LAND, Phase.LAST_RESORT)
+        is_overridden = context.phase is Phase.SUSPENDED and self._flight.in_flight
+        if not (is_companion_phase or is_overridden):
             return
-        down = telemetry.ground is not None and telemetry.ground.ground is Ground.ON_GROUND
-        if not (down or self._stands_still(context)):
-            state.still_since_s = state.energy_touched_down = None
+        detected_on_ground = (
+            telemetry.ground is not None and telemetry.ground.ground is VehicleLandedState.ON_GROUND
+        )
+        if not (detected_on_ground or self._update_and_check_at_rest(context)):
+            state.at_rest_since_s = state.energy_touched_down = None
             return
-        if state.still_since_s is None:
-            state.still_since_s = context.t_s
+        if state.at_rest_since_s is None:
+            state.at_rest_since_s = context.t_s
             state.energy_touched_down = context.estimates.energy
-        waited_s = context.since_s(state.still_since_s)
-        if waited_s < (LANDED_AFTER_S if down else STILL_S):
+        waited_s = context.seconds_since(state.at_rest_since_s)
+        if waited_s < (LANDED_DELAY_S if detected_on_ground else REST_S):
             return
-        again = context.since_s(state.disarm_asked_s) > DISARM_EVERY_S
-        if ours and again and state.disarms_asked < DISARMS:
-            state.disarm_asked_s = context.t_s
-            state.disarms_asked += 1
-            context.do(Note("on the ground and still armed: plain disarm"), Disarm())
-        if waited_s > STILL_ARMED_S and not state.disarm_by_hand_said:
-            state.disarm_by_hand_said = True
-            context.say(Severity.WARNING, "landed, still armed: disarm by hand")
-        if ours and waited_s > STILL_ARMED_S + BY_HAND_S:
-            self._landed(context)
+        is_disarm_due = context.seconds_since(state.disarm_ordered_s) > DISARM_INTERVAL_S
+        if is_companion_phase and is_disarm_due and state.disarm_orders < MAX_DISARM_ORDERS:
+            state.disarm_ordered_s = context.t_s
+            state.disarm_orders += 1
+            context.queue_actions(LogNote("on the ground and still armed: plain disarm"), Disarm())
+        if waited_s > ARMED_ALERT_DELAY_S and not state.manual_disarm_reported:
+            state.manual_disarm_reported = True
+            context.report_alert(Alert.LANDED_STILL_ARMED)
+        if is_companion_phase and waited_s > ARMED_ALERT_DELAY_S + MANUAL_DISARM_TIMEOUT_S:
+            self._restore_settings_and_end_flight(context)
 
-    def _see_disarmed(self, context: FlightContext) -> None:
-        """Disarmed: down when everything else agrees, or after long."""
+    def _end_flight_if_disarmed_on_ground(self, context: FlightContext) -> None:
+        """Disarmed: landed when all other sources agree, or after a long time."""
         telemetry = context.telemetry
-        if not telemetry.is_fresh(telemetry.state, STATE_MAX_AGE_S):
+        if not telemetry.is_recent(telemetry.state, STATE_MAX_AGE_S):
             return
-        disarmed_s = context.since_s(telemetry.disarmed_since_s)
-        stands = disarmed_s >= DISARMED_S - 1e-6 and not context.against_standing()
-        if stands or disarmed_s >= DISARMED_ANYWHERE_S or self._state.landed_s is not None:
-            self._landed(context)
+        disarmed_s = context.seconds_since(telemetry.disarmed_since_s)
+        is_standing = disarmed_s >= DISARMED_CONFIRM_S - 1e-6 and not context.in_air_evidence_text()
+        if is_standing or disarmed_s >= DISARMED_FALLBACK_S or self._state.landed_s is not None:
+            self._restore_settings_and_end_flight(context)
 
-    def conclude(self, context: FlightContext, why: str) -> None:
-        """The mission is over: the outcome by our own record (docs/reference/outcomes.md)."""
-        plan = context.flight_plan
-        if not self._flight.flying or plan is None:
-            self._finish(context, "ABRT", why or "never took off", home=True)
-            return
-        home, where = self._at_home(context, plan)
-        energy = self._state.energy_landed or context.estimates.energy
-        margin_wh = None
-        if energy is not None:
-            reserve_wh = context.estimates.limits.reserve_frac * energy.usable_full_wh
-            margin_wh = energy.mean_wh - reserve_wh
-            where += f", {margin_wh:.1f} Wh above the reserve"
-            home = home and margin_wh >= 0.0
-        outcome = self._outcome(home=home)
-        figures = context.estimates.figures()
-        self._finish(context, outcome, where, home=home, margin_wh=margin_wh, figures=figures)
-
-    def _outcome(self, *, home: bool) -> str:
-        """By delivery and home; where a person landed it elsewhere and whole it is no loss."""
-        delivered = self._parcel.delivered
-        if home:
-            return "SUC" if delivered else "ABRT"
-        if self._state.landed_by_person and not self._disarming.disarmed_in_air:
-            return "TAKEN"
-        return "DEL" if delivered else "FAIL"
-
-    def _at_home(self, context: FlightContext, plan: FlightPlan) -> tuple[bool, str]:
-        """Whether it stands where it was promised, and where it is, in words."""
-        position = context.telemetry.position
-        if self._disarming.disarmed_in_air:
-            return False, "disarmed in the air"
-        if self._position.is_lost:
-            return False, f"position lost, {self._position.last_seen()}"
-        if position is None:
-            return False, "position unknown"
-        here = plan.ned_of(position)
-        places = promised_places(plan.plan, self._promise.noted_home)
-        name, place = min(places, key=lambda p: horizontal_m(here, p[1]))
-        away_m = horizontal_m(here, place)
-        high_m = place[2] - here[2]
-        home = away_m <= HOME_RADIUS_M and high_m < CRASH_HEIGHT_M
-        return home, f"{away_m:.0f} m from {name}"
-
-    def _finish(
-        self,
-        context: FlightContext,
-        outcome: str,
-        reason: str,
-        *,
-        home: bool,
-        margin_wh: float | None = None,
-        figures: FlightFigures | None = None,
-    ) -> None:
-        parcel = self._parcel
-        context.decide("finished", f"{outcome}: {reason}")
+    def report_mission_outcome(self, context: FlightContext, reason: str) -> None:
+        """End the mission with the outcome in its record (docs/reference/outcomes.md)."""
+        plan, parcel = context.flight_plan, self._parcel
+        margin_wh = flight_statistics = None
+        if not self._flight.in_flight or plan is None:
+            outcome, text, home = "ABRT", reason or "never took off", True
+        else:
+            home, text = self._at_home_and_position_text(context, plan)
+            energy = self._state.energy_landed or context.estimates.energy
+            if energy is not None:
+                reserve_wh = context.estimates.limits.reserve_frac * energy.usable_full_wh
+                margin_wh = energy.mean_wh - reserve_wh
+                text += f", {reserve_margin_text(margin_wh)}"
+                home = home and margin_wh >= 0.0
+            outcome = self._outcome_code(is_at_home=home)
+            flight_statistics = context.estimates.monitor_evidence_so_far()
+        context.record_decision("finished", f"{outcome}: {text}")
         loaded = context.flight.vehicle.payload_kg > 0.0
-        unproven = parcel.drop_begun and not parcel.delivered and loaded
-        context.do(
+        unproven = parcel.release_commanded and not parcel.delivered and loaded
+        context.queue_actions(
             Finished(
                 outcome,
                 parcel.delivered,
-                reason,
+                text,
                 home,
                 margin_wh,
                 unproven,
-                took_off_s=self._flight.took_off_s,
-                figures=figures,
+                takeoff_s=self._flight.takeoff_s,
+                flight_statistics=flight_statistics,
             )
         )
 
-    def _stands_still(self, context: FlightContext) -> bool:
-        """Whether it lies where it came to rest, near the ground: that it does not move.
+    def _outcome_code(self, *, is_at_home: bool) -> str:
+        """Return the outcome; an undamaged landing by a pilot elsewhere is no loss."""
+        delivered = self._parcel.delivered
+        if is_at_home:
+            return "SUC" if delivered else "ABRT"
+        if self._state.landed_by_pilot and not self._disarming.disarmed_in_air:
+            return "TAKEN"
+        return "DEL" if delivered else "FAIL"
 
-        Who has stood for `STILL_S` stands until it moves as nothing does that stands: what is told
-        of its place goes on drifting, and a receiver at rest says 0.1 to 0.3 m/s.
+    def _at_home_and_position_text(
+        self, context: FlightContext, flight_plan: FlightPlan
+    ) -> tuple[bool, str]:
+        """Return whether it is at the promised position, and its position as text."""
+        position = context.telemetry.position
+        if self._disarming.disarmed_in_air:
+            return False, "disarmed in flight"
+        if self._position.is_position_lost:
+            return False, f"position lost, {self._position.last_good_position_text()}"
+        if position is None:
+            return False, "position unknown"
+        here = flight_plan.position_to_ned_m(position)
+        landing_sites = promised_landing_sites(flight_plan.plan, self._promise.reported_home)
+        name, site_ned_m = min(landing_sites, key=lambda p: horizontal_distance_m(here, p[1]))
+        away_m = horizontal_distance_m(here, site_ned_m)
+        high_m = site_ned_m[2] - here[2]
+        home = away_m <= HOME_RADIUS_M and high_m < MAX_DROP_BELOW_SITE_M
+        return home, f"{away_m:.0f} m from {name}"
+
+    def _update_and_check_at_rest(self, context: FlightContext) -> bool:
+        """Return whether it remains where it came to rest, near the ground.
+
+        After `REST_S` at rest the limits are wider, because the reported position keeps drifting
+        and a receiver at rest reports 0.1 to 0.3 m/s.
         """
-        state, here = self._state, context.here_ned()
+        state, here = self._state, context.recent_position_ned_m()
         if here is None:
             state.rest_down_m = None
             return False
-        stood = state.rest_down_m is not None and context.since_s(state.still_since_s) >= STILL_S
-        slow = context.speed_mps() < (STANDING_MPS if stood else STILL_MPS)
+        was_at_rest = (
+            state.rest_down_m is not None and context.seconds_since(state.at_rest_since_s) >= REST_S
+        )
+        slow = context.telemetry.speed_3d_mps() < (
+            MAX_GROUND_SPEED_MPS if was_at_rest else MAX_REST_SPEED_MPS
+        )
         if state.rest_down_m is None:
-            near = abs(context.height_m(here)) <= GROUND_HEIGHT_M
+            near = abs(height_above_nearest_site_m(context, here)) <= MAX_GROUND_HEIGHT_M
             state.rest_down_m = here[2] if slow and near else None
-        elif not slow or abs(here[2] - state.rest_down_m) > (DRIFT_M if stood else SINKS_M):
+        elif not slow or abs(here[2] - state.rest_down_m) > (
+            MAX_REST_DRIFT_M if was_at_rest else MAX_REST_SINK_M
+        ):
             state.rest_down_m = None
         return state.rest_down_m is not None
 
-    def _landed(self, context: FlightContext) -> None:
-        """Put the autopilot's settings back (only under our own authority), then end."""
+    def _restore_settings_and_end_flight(self, context: FlightContext) -> None:
+        """Restore the autopilot's settings (only with control authority), then end."""
         state = self._state
         if state.landed_s is None:
             state.landed_s = context.t_s
-            # At touch-down: what idles on the ground is no part of the flight.
+            # At touch-down: idling on the ground is not part of the flight.
             state.energy_landed = state.energy_touched_down or context.estimates.energy
-            taken = context.phase is Phase.SUSPENDED
-            state.landed_by_person = taken and not self._disarming.failsafe_flies
-            context.decide("landed", "on the ground")
-            if self._settings.settings_before:
-                self._put_settings_back(context)
-        if not self._settings.restoring or context.since_s(state.landed_s) > RESTORE_LIMIT_S:
-            context.request_transition(Trigger.LANDED, "landed")
+            is_overridden = context.phase is Phase.SUSPENDED
+            state.landed_by_pilot = is_overridden and not self._disarming.failsafe_active
+            context.record_decision("landed", "on the ground")
+            if self._settings.original_values_to_restore:
+                self._restore_or_report_settings(context)
+        if (
+            not self._settings.is_restore_unconfirmed
+            or context.seconds_since(state.landed_s) > RESTORE_TIMEOUT_S
+        ):
+            context.apply_phase_trigger(Trigger.LANDED, "landed")
 
-    def _put_settings_back(self, context: FlightContext) -> None:
-        """Give the autopilot its own settings, or say which ones it does not get, and why."""
+    def _restore_or_report_settings(self, context: FlightContext) -> None:
+        """Restore the autopilot's settings, or report which are not restored and the reason."""
         state = context.telemetry.state
         armed = state is None or state.armed
         if context.phase in (*FLIGHT_PHASES, Phase.RECOGNISE) and not armed:
-            self._settings.put_settings_back(context)
+            self._settings.order_settings_restore(context)
             return
-        why = "still armed" if armed else "another hand has the vehicle"
-        context.say(Severity.WARNING, f"settings not put back: {why}")
-        settings = self._settings.settings_before
+        reason = "still armed" if armed else "someone else has control"
+        context.report_alert(Alert.SETTINGS_NOT_RESTORED, reason=reason)
+        settings = self._settings.original_values_to_restore
         before = ", ".join(f"{name} {value:g}" for name, value in settings.items())
-        context.do(Note(f"settings before the flight: {before}"))
-        context.do(Note("`companion restore` puts them back once it is disarmed"))
+        context.queue_actions(LogNote(f"settings before the flight: {before}", in_run=True))
+        context.queue_actions(LogNote("`companion restore` restores them once disarmed"))
 
 
-def promised_places(plan: Plan, home: str | None) -> list[tuple[str, Ned]]:
-    """Where it may come down, by name: the end of what is aboard, and declared rally points."""
+def promised_landing_sites(plan: Plan, home_name: str | None) -> list[tuple[str, Ned]]:
+    """Return the permitted landing sites: end of the onboard mission, rally points."""
     stops = {stop.name for stop in plan.stops}
-    places = [(s.name, s.ground_ned_m) for s in plan.sites if s.name == home or s.name not in stops]
-    return places if home in dict(places) else [(plan.landing, plan.landing_ned_m), *places]
+    landing_sites = [
+        (s.name, s.ground_ned_m)
+        for s in plan.uploaded_sites_except_return_end
+        if s.name == home_name or s.name not in stops
+    ]
+    return (
+        landing_sites
+        if home_name in dict(landing_sites)
+        else [(plan.return_route_end_name, plan.return_route_end_ground_ned_m), *landing_sites]
+    )

@@ -1,230 +1,223 @@
-"""The promised stop: where what is aboard ends, and a home that moves to another stop.
+"""The promised stop: end of the onboard mission, and a home that moves to another stop.
 
-Safety rule 3. Where the flight ends is read off the item that the autopilot flies, never off what
-was ordered: the truck stays bound to a stop until the autopilot itself shows that it goes
-elsewhere. Until then both stops are promised, and may be chosen.
+Safety rule 3. The end of the flight is determined from the current item, never from an order: the
+truck stays bound to a stop until the autopilot itself reports another destination. Until then both
+stops are promised and may be chosen.
 
-The truck asks for another stop, and the gate judges it before it is flown to. On the way out the
-wish is kept; on the way home one jump carries it out, as soon as the stop is in clear sight and the
-way there keeps the promise.
+The truck requests another stop, and the gate evaluates it before the vehicle flies there. On the
+outbound route the request is stored; on the return route one jump executes it, as soon as the stop
+has a clear straight line and a flight there keeps the promise.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-from companion.core.base.geo import LocalFrame, Ned, horizontal_m
-from companion.core.mission.actions import Answer, Reply, Severity
-from companion.core.mission.events import Event, HomeMoved
+from companion.core.base.geo import LocalFrame, Ned, horizontal_distance_m
+from companion.core.mission.actions import OperatorResponse, ResponseStatus
+from companion.core.mission.alerts import Alert
+from companion.core.mission.events import Event, HomeStopRequested
 from companion.core.mission.flight_plan import FlightPlan
-from companion.core.mission.mission_items import Part
-from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import FlightContext, HomeMoves, ReturnBudget
-from companion.core.pilot.transitions import OUTWARD_PHASES, Phase
-from companion.core.return_budget.budget import told_apart
-from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
+from companion.core.mission.jump_watch import JumpType
+from companion.core.pilot.context import FlightContext
+from companion.core.pilot.flight_state import PromisedStop
+from companion.core.pilot.mission_progress import MissionProgressMonitor
+from companion.core.pilot.return_decision import BudgetMonitor
+from companion.core.pilot.transitions import OUTBOUND_PHASES, Phase
+from companion.core.return_budget.budget import format_distinct_probabilities
+from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute, Stage
 
-ASSESS_S = 1.0
-LOW_M = 5.0
-"""So far under the layer of the way back it goes on climbing before it turns to another stop."""
+ASSESS_INTERVAL_S = 1.0
+MAX_BELOW_LAYER_M = 5.0
+"""Maximum height below the return layer at which it turns to another stop."""
 
-STOP_RADIUS_M = 20.0
-"""A place that an operator names is the stop whose pad is no further away."""
+STOP_SELECTION_RADIUS_M = 20.0
+"""Maximum distance of an operator's position from the pad of the stop it selects."""
 
-MOVING_PHASES = (*OUTWARD_PHASES, Phase.RETURN, Phase.DIVERT)
+MOVING_PHASES = (*OUTBOUND_PHASES, Phase.RETURN, Phase.DIVERT)
 LATER_PHASES = (Phase.RECOGNISE, Phase.LINK_LOST)
 
 
-@dataclass(slots=True)
-class PromisedStop:
-    """Where what is aboard ends were we to die now, and the stop that the truck asks for."""
+@dataclass(slots=True, eq=False)
+class LandingStopController:
+    """Moves home to the stop that the truck requests."""
 
-    noted_home: str | None = None
-    """Only on flights to a promised stop, once the autopilot was seen on its way."""
-    wanted: str | None = None
-    """`None`: the stop that it is."""
-
-    def home(self, context: FlightContext) -> str | None:
-        """The stop at which the flight ends were the companion to die now; `None`: no stops."""
-        return self.noted_home or context.flight.site.home
-
-    def note_item(self, context: FlightContext, index: int) -> None:
-        """The autopilot flies this item: report where it leads when that is another stop."""
-        flown = context.flight_plan
-        if flown is None or flown.plan.home is None:
-            return
-        part = flown.mission.part_at(index)
-        if part is None or part is Part.END:
-            return
-        home = flown.landing_from(index)[0]
-        before = self.home(context)
-        self.noted_home = home
-        if home == before:
-            return
-        self.want(context, None if self.wanted == home else self.wanted)
-        context.say(Severity.NOTICE, f"home is now {home}")
-        context.decide("home_moved", f"what is aboard ends at {home}, no longer at {before}")
-        context.save()
-
-    def want(self, context: FlightContext, stop: str | None) -> None:
-        """The stop that the truck asks for, or none: it and the present home may be chosen."""
-        flown = context.flight_plan
-        self.wanted = stop
-        if flown is None or flown.plan.home is None:
-            return
-        plan = flown.plan.promised(self.home(context), stop)
-        if plan != flown.plan:
-            context.flight_plan = replace(flown, plan=plan)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return {"home": self.noted_home, "wanted": self.wanted}
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint."""
-        self.noted_home, self.wanted = checkpoint.home, checkpoint.wanted
-
-
-class LandingSite:
-    """Moves home to the stop that the truck asks for."""
-
-    def __init__(self, promise: PromisedStop, jumps: HomeMoves, budget: ReturnBudget) -> None:
-        self._promise = promise
-        self._jumps = jumps
-        self._budget = budget
-        self._assessed_s: float | None = None
+    _promise: PromisedStop
+    _jumps: MissionProgressMonitor
+    _budget: BudgetMonitor
+    _assessed_s: float | None = None
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """Answer the request for another home, and take it up."""
-        if not isinstance(event, HomeMoved):
+        """Answer and store the request for another home."""
+        if not isinstance(event, HomeStopRequested):
             return
-        reply, reason = self._answer(context, event)
+        reply, reason = self._evaluate_and_store_request(context, event)
         name = event.stop or "another stop"
-        if reply is Reply.DENIED:
-            context.say(Severity.WARNING, f"home not moved: {reason}")
-            context.decide("home_refused", f"to {name}, asked by {event.by}: {reason}")
-        context.do(Answer(reply, reason))
+        if reply is ResponseStatus.DENIED:
+            context.report_alert(Alert.LANDING_STOP_REFUSED, reason=reason)
+            context.record_decision("home_refused", f"to {name}, requested by {event.by}: {reason}")
+        context.queue_actions(OperatorResponse(reply, reason))
 
-    def home(self, context: FlightContext) -> str | None:
-        """The stop at which the flight ends were the companion to die now; `None`: no stops."""
-        return self._promise.home(context)
-
-    def turn_to_wanted(self, context: FlightContext, here: Ned) -> bool:
-        """On the way home: turn to the stop that is wanted; tells whether it was ordered now."""
-        wanted, flown = self._promise.wanted, context.flight_plan
-        if wanted is None or flown is None or self._jumps.jump_index is not None:
+    def try_divert_to_requested_stop(self, context: FlightContext, position_ned_m: Ned) -> bool:
+        """On the return route turn to the requested stop; return whether it was ordered now."""
+        requested_stop, flight_plan = self._promise.requested_stop, context.flight_plan
+        if (
+            requested_stop is None
+            or flight_plan is None
+            or self._jumps.pending_jump_item_index is not None
+        ):
             return False
-        if context.telemetry.troubles() or context.since_s(self._assessed_s) < ASSESS_S - 1e-6:
+        if (
+            context.telemetry.command_faults()
+            or context.seconds_since(self._assessed_s) < ASSESS_INTERVAL_S - 1e-6
+        ):
             return False
         self._assessed_s = context.t_s
-        if here[2] > max(p[2] for p in flown.plan.return_ned_m) + LOW_M:
+        if position_ned_m[2] > max(p[2] for p in flight_plan.plan.return_ned_m) + MAX_BELOW_LAYER_M:
             return False
-        item = _item_to(flown, here, wanted)
+        item = _item_for_stop(flight_plan, position_ned_m, requested_stop)
         if item is None:
             return False
-        reply, reason = self._assessed(context, wanted)
-        if reply is not Reply.ACCEPTED:
-            context.say_once(Severity.WARNING, f"not yet to {wanted}: {reason}")
+        reply, reason = self._evaluate_landing_at_stop(context, requested_stop)
+        if reply is not ResponseStatus.ACCEPTED:
+            context.report_alert_once(Alert.LANDING_STOP_WAITS, site=requested_stop, reason=reason)
             return False
-        context.decide("move_home", f"to {wanted}: {reason}")
-        self._jumps.jump_to_other_home(context, item)
+        context.record_decision("move_home", f"to {requested_stop}: {reason}")
+        self._jumps.order_jump(context, item, JumpType.OTHER_HOME)
         return True
 
-    def _answer(self, context: FlightContext, event: HomeMoved) -> tuple[Reply, str]:
-        flown, home = context.flight_plan, self._promise.home(context)
+    def _evaluate_and_store_request(
+        self, context: FlightContext, event: HomeStopRequested
+    ) -> tuple[ResponseStatus, str]:
+        flight_plan, home = context.flight_plan, self._promise.current_home_stop_name(context)
         if context.flight.site.home is None:
-            return Reply.DENIED, "this flight is not to a truck's stop"
+            return ResponseStatus.DENIED, "this flight does not end at a truck stop"
         if context.phase in LATER_PHASES:
-            return Reply.LATER, f"in phase {context.phase.value}"
-        if flown is None or context.phase not in MOVING_PHASES:
-            return Reply.DENIED, f"in phase {context.phase.value}"
-        name = _stop_named(flown, event)
-        stops = [flown.plan.landing, *(stop.name for stop in flown.plan.stops)]
+            return ResponseStatus.LATER, f"in phase {context.phase.value}"
+        if flight_plan is None or context.phase not in MOVING_PHASES:
+            return ResponseStatus.DENIED, f"in phase {context.phase.value}"
+        name = _selected_stop_name(flight_plan, event)
+        stops = [
+            flight_plan.plan.return_route_end_name,
+            *(stop.name for stop in flight_plan.plan.stops),
+        ]
         if name not in stops:
-            return Reply.DENIED, f"no such stop aboard; there are {', '.join(stops)}"
-        jump_index = self._jumps.jump_index
-        if jump_index is not None and flown.landing_from(jump_index)[0] != home:
-            return Reply.LATER, "turning to another landing site just now"
+            return ResponseStatus.DENIED, f"unknown stop, expected one of {', '.join(stops)}"
+        jump_index = self._jumps.pending_jump_item_index
+        if (
+            jump_index is not None
+            and flight_plan.landing_name_and_position_after_item(jump_index)[0] != home
+        ):
+            return ResponseStatus.LATER, "turning to another landing site"
         if name == home:
-            self._promise.want(context, None)
-            return Reply.ACCEPTED, f"home is {name}"
-        reply, reason = self._assessed(context, name)
-        if reply is Reply.ACCEPTED:
-            self._take_up(context, name, event.by)
+            self._promise.set_requested_stop(context, None)
+            return ResponseStatus.ACCEPTED, f"home is {name}"
+        reply, reason = self._evaluate_landing_at_stop(context, name)
+        if reply is ResponseStatus.ACCEPTED:
+            self._store_request(context, name, event.by)
         return reply, reason
 
-    def _take_up(self, context: FlightContext, name: str, by: str) -> None:
-        self._promise.want(context, name)
-        home = self._promise.home(context)
-        context.decide("home_wanted", f"{name}, asked by {by}; aboard is {home}")
-        context.say(Severity.NOTICE, f"will land at {name}")
-        context.save()
+    def _store_request(self, context: FlightContext, stop_name: str, operator_name: str) -> None:
+        self._promise.set_requested_stop(context, stop_name)
+        home = self._promise.current_home_stop_name(context)
+        context.record_decision(
+            "home_wanted",
+            f"{stop_name}, requested by {operator_name}; onboard mission ends at {home}",
+        )
+        context.report_alert(Alert.LANDING_STOP_CHOSEN, site=stop_name)
+        context.request_checkpoint()
 
-    def _assessed(self, context: FlightContext, name: str) -> tuple[Reply, str]:
-        """What the gate says of a flight that ends at this stop."""
-        here, troubles = context.here_ned(), context.telemetry.troubles()
+    def _evaluate_landing_at_stop(
+        self, context: FlightContext, stop_name: str
+    ) -> tuple[ResponseStatus, str]:
+        """Return the gate's result for a flight that ends at this stop."""
+        here, troubles = context.recent_position_ned_m(), context.telemetry.command_faults()
         if here is None or troubles:
-            return Reply.LATER, troubles[0] if troubles else "no fresh position"
-        ahead = self._ending_at(context, here, name)
-        if ahead is None:
-            return Reply.DENIED, f"no clear way to {name}"
-        seen = context.estimates.assess(ahead)
+            return ResponseStatus.LATER, troubles[0] if troubles else "no recent position"
+        remaining = self._remaining_to_stop(context, here, stop_name)
+        if remaining is None:
+            return ResponseStatus.DENIED, f"no clear route to {stop_name}"
+        seen = context.estimates.assess(remaining)
         if seen is None:
-            return Reply.LATER, "wind or energy unknown"
+            return ResponseStatus.LATER, "wind or energy unknown"
         promise = 1.0 - context.estimates.limits.max_loss
-        words = f"P(home) {seen.p_home:.3f} by way of {name}"
-        if not context.options.gate_on:
-            return Reply.ACCEPTED, words
-        if ahead.stages and seen.turn_back:
-            return Reply.DENIED, f"{words}: {seen.reason}"
-        if not ahead.stages and seen.p_home < promise:
-            low, high = told_apart(seen.p_home, promise)
-            return Reply.DENIED, f"P(home) {low} by way of {name} is under {high}"
-        return Reply.ACCEPTED, words
+        text = f"P(home) {seen.p_home:.3f} at {stop_name}"
+        if not context.options.gate_enabled:
+            return ResponseStatus.ACCEPTED, text
+        if remaining.stages and seen.turn_back:
+            return ResponseStatus.DENIED, f"{text}: {seen.reason}"
+        if not remaining.stages and seen.p_home < promise:
+            low, high = format_distinct_probabilities(seen.p_home, promise)
+            return ResponseStatus.DENIED, f"P(home) {low} at {stop_name} is below {high}"
+        return ResponseStatus.ACCEPTED, text
 
-    def _ending_at(self, context: FlightContext, here: Ned, name: str) -> Ahead | None:
-        """What is left to fly when it is to end at this stop; `None` where no clear way leads
+    def _remaining_to_stop(
+        self, context: FlightContext, position_ned_m: Ned, stop_name: str
+    ) -> RemainingMission | None:
+        """Return the remaining flight if it ends at this stop; `None` if no clear route leads
         there.
         """
-        flown, budget = context.flight_plan, self._budget
-        assert flown is not None
-        plan = flown.plan.promised(self._promise.home(context), name)
-        item = None if context.outward else _item_to(flown, here, name)
-        if item is None:
-            ahead = budget.remaining(context, here, plan)
-        else:
-            ahead = budget.remaining_from(context, here, plan, item)
-        now = _ways_to(name, ahead.ways_home_now)
-        stages = tuple(
-            Stage(s.legs, _ways_to(name, s.ways_home) or s.ways_home, s.delivers)
-            for s in ahead.stages
+        flight_plan, budget = context.flight_plan, self._budget
+        assert flight_plan is not None
+        plan = flight_plan.plan.copy_with_selectable_stops(
+            self._promise.current_home_stop_name(context), stop_name
         )
-        ends = _ways_to(name, ahead.stages[-1].ways_home) if ahead.stages else now
-        return Ahead(now or ahead.ways_home_now, stages, ahead.delivered) if ends else None
+        item = (
+            None if context.is_outbound else _item_for_stop(flight_plan, position_ned_m, stop_name)
+        )
+        if item is None:
+            remaining = budget.remaining_flight(context, position_ned_m, plan)
+        else:
+            remaining = budget.remaining_from_item(context, position_ned_m, plan, item)
+        now = _routes_to(stop_name, remaining.current_return_routes)
+        stages = tuple(
+            Stage(
+                s.leg_sequence,
+                _routes_to(stop_name, s.return_routes) or s.return_routes,
+                s.delivers,
+            )
+            for s in remaining.stages
+        )
+        ends = (
+            _routes_to(stop_name, remaining.stages[-1].return_routes) if remaining.stages else now
+        )
+        return (
+            RemainingMission(now or remaining.current_return_routes, stages, remaining.delivered)
+            if ends
+            else None
+        )
 
 
-def _stop_named(flown: FlightPlan, event: HomeMoved) -> str | None:
-    """The stop that is meant."""
+def _selected_stop_name(flight_plan: FlightPlan, event: HomeStopRequested) -> str | None:
+    """Return the stop that the event selects."""
     if event.stop is not None or event.lat_deg is None or event.lon_deg is None:
         return event.stop
-    at = _ground_at(flown.site.frame, event.lat_deg, event.lon_deg)
-    places = [(horizontal_m(ground, at), name) for name, ground in flown.site.stops_ned_m]
-    away_m, name = min(places)
-    return name if away_m <= STOP_RADIUS_M else None
+    target_ned_m = _lat_lon_to_ned_m(flight_plan.site.frame, event.lat_deg, event.lon_deg)
+    stop_distances = [
+        (horizontal_distance_m(ground, target_ned_m), name)
+        for name, ground in flight_plan.site.stops_ned_m
+    ]
+    away_m, name = min(stop_distances)
+    return name if away_m <= STOP_SELECTION_RADIUS_M else None
 
 
-def _ground_at(frame: LocalFrame, lat_deg: float, lon_deg: float) -> Ned:
+def _lat_lon_to_ned_m(frame: LocalFrame, lat_deg: float, lon_deg: float) -> Ned:
     return frame.to_ned(math.radians(lat_deg), math.radians(lon_deg), frame.alt_amsl_m)
 
 
-def _item_to(flown: FlightPlan, here: Ned, name: str) -> int | None:
-    """The item to jump to for a straight clear way to a stop; `None` while there is none."""
-    plan = flown.plan
-    if name == plan.landing:
-        return flown.item_home_from(here)
-    above = next(s for s in plan.stops if s.name == name).above(plan.return_ned_m[-1])
-    return flown.site_items(name)[0] if flown.sees(here, above) else None
+def _item_for_stop(flight_plan: FlightPlan, position_ned_m: Ned, stop_name: str) -> int | None:
+    """Return the item to jump to for a straight clear line to a stop; `None` without one."""
+    plan = flight_plan.plan
+    if stop_name == plan.return_route_end_name:
+        return flight_plan.shortest_clear_return_item(position_ned_m)
+    above = next(s for s in plan.stops if s.name == stop_name).arrival_point_above_site(
+        plan.return_ned_m[-1]
+    )
+    return (
+        flight_plan.overhead_and_ground_items_of_site(stop_name)[0]
+        if flight_plan.is_line_clear_with_height_change(position_ned_m, above)
+        else None
+    )
 
 
-def _ways_to(name: str, ways: tuple[WayHome, ...]) -> tuple[WayHome, ...]:
-    return tuple(way for way in ways if way.landing == name)
+def _routes_to(landing_name: str, routes: tuple[ReturnRoute, ...]) -> tuple[ReturnRoute, ...]:
+    return tuple(route for route in routes if route.landing == landing_name)

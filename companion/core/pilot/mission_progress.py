@@ -1,16 +1,13 @@
-"""Where in the mission the autopilot is, and jumps that are followed until it obeys.
+"""Progress of the autopilot in the mission: monitored jumps, and the ground speed of each leg.
 
-A jump is believed only when telemetry shows it (jump_watch.py): asked again, then given up.
+A jump is confirmed by telemetry only (jump_watch.py): it is repeated, then abandoned.
 """
 
-import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
-import numpy as np
-
-from companion.core.base.geo import Ned, horizontal_m
-from companion.core.mission.actions import JumpTo, Note, SetMode, Severity
+from companion.core.base.geo import horizontal_distance_m
+from companion.core.mission.actions import JumpTo, LogNote, SetGroundSpeed
+from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
     Event,
     MissionProgress,
@@ -19,54 +16,36 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.mission.jump_watch import (
-    OLDER_S,
-    CourseWatch,
+    MAX_REPORT_DELAY_S,
+    JumpMonitor,
     JumpStatus,
-    JumpWatch,
-    LegWatch,
-    Purpose,
+    JumpType,
 )
-from companion.core.mission.mission_items import DeadMansMission, Part
-from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import (
-    CruiseSpeed,
-    FlightContext,
-    GateState,
-    ListInDoubt,
-    ModeOrders,
-    Preflight,
-    Promise,
-    RtlHome,
+from companion.core.mission.mission_items import ReturnByDefaultMission
+from companion.core.pilot.context import FlightContext
+from companion.core.pilot.flight_state import (
+    CurrentItem,
+    OnboardListState,
+    PromisedStop,
+    ReturnState,
 )
+from companion.core.pilot.return_course import ReturnCourseMonitor
 from companion.core.pilot.telemetry_state import PROGRESS_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
-from companion.core.vehicle.wind_triangle import airspeeds_along_mps
 
-NEAR_M = 10.0
-"""Nearer to its goal than this, the course says nothing."""
+MIN_MOVE_REPORTS = 2
+"""Number of consecutive messages that confirm a move by another station."""
 
-OVER_LANDING_M, OVER_LANDING_MPS = 5.0, 1.5
-"""Nearer and slower it comes down where it should, whatever list is aboard."""
-
-MOVE_WITNESSES = 2
-"""So many messages in a row must show a move that is not ours."""
-
-STANDS_MPS, STANDS_S = 1.0, 20.0
-"""Slower for so long on the way home: no turn, no braking. Nothing flies it: ArduCopter does not
-begin a mission again that it has completed, though it takes the jump and shows the item.
-"""
-
-
-HELD_MPS = 6.0
-"""With less speed than this left against the wind at full tilt it may stand, or drift, and be on
-its way all the same: gusts, and an autopilot that tilts less than it may, are within it. What flies
-away faster than so much is not blown.
-"""
+SPEED_STEP_MPS = 0.5
+SPEED_STEP_FRAC = 0.05
+SPEED_INTERVAL_S = 5.0
+SPEED_RETRY_S = 1.0
+MIN_TARGET_DISTANCE_M = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class ForeignMove:
-    """An item that the mission was moved to and not by us, reported so many times in a row."""
+class UnexpectedItem:
+    """An item that another station moved the mission to, and its number of consecutive reports."""
 
     index: int
     reports: int
@@ -74,321 +53,131 @@ class ForeignMove:
 
 @dataclass(slots=True)
 class ProgressState:
-    """The item that is flown, the leg of the way out, and the jump and course that are watched."""
+    """The monitored jump, the last confirmed one, and an unexpected item."""
 
-    index: int | None = None
-    leg: int = 0
-    jump: JumpWatch | None = None
-    obeyed: JumpWatch | None = None
-    """The newest jump that telemetry has shown, and when."""
-    obeyed_s: float = 0.0
+    jump: JumpMonitor | None = None
+    confirmed_jump: JumpMonitor | None = None
+    """The latest jump confirmed by telemetry, and its time."""
+    confirmed_s: float = 0.0
     reports: tuple[MissionProgress, ...] = ()
-    """Those of the last second."""
-    course: CourseWatch | None = None
-    home_leg: LegWatch | None = None
-    """The item that it flies to on the way home."""
-    moved_s: float = 0.0
-    """When it was last seen to move on the way home."""
-    foreign_move: ForeignMove | None = None
+    """Reports of the last second."""
+    unexpected_item: UnexpectedItem | None = None
 
 
-class MissionFollower:
-    """Follows the mission aboard by the items that the autopilot reports."""
+@dataclass(slots=True, eq=False)
+class MissionProgressMonitor:
+    """Follows the onboard mission by the reported items, and orders jumps.
 
-    def __init__(
-        self,
-        gate: GateState,
-        promise: Promise,
-        speed: CruiseSpeed,
-        preflight: Preflight,
-        modes: ModeOrders,
-        aboard: ListInDoubt,
-    ) -> None:
-        self._state = ProgressState()
-        self._aboard = aboard
-        self._gate = gate
-        self._promise = promise
-        self._speed = speed
-        self._preflight = preflight
-        self._modes = modes
+    A jump is pending from its order until a report confirms it, it is abandoned, control is
+    released, or the flight is resumed. At most one is pending; a new order replaces it. While one
+    is pending, only reports of items that the autopilot may still fly on its own are expected.
+    """
+
+    _item: CurrentItem
+    _course: ReturnCourseMonitor
+    _gate: ReturnState
+    _promise: PromisedStop
+    _aboard: OnboardListState
+    _state: ProgressState = field(default_factory=ProgressState)
 
     @property
-    def index(self) -> int | None:
-        """The item that the autopilot flies, as telemetry shows it."""
-        return self._state.index
-
-    @property
-    def leg(self) -> int:
-        """Which leg of the way out."""
-        return self._state.leg
-
-    @property
-    def jump_index(self) -> int | None:
-        """The item of a jump that telemetry does not show yet."""
+    def pending_jump_item_index(self) -> int | None:
+        """Target item of a jump that telemetry has not confirmed yet."""
         return None if self._state.jump is None else self._state.jump.index
 
     @property
-    def jumps_home(self) -> bool:
-        """A jump home is under way."""
-        return self._state.jump is not None and self._state.jump.purpose is Purpose.HOME
+    def destination_item_index(self) -> int | None:
+        """Target item of a pending jump, otherwise the current item."""
+        return self._item.index if self._state.jump is None else self._state.jump.index
 
-    def to_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return {"leg": self._state.leg}
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint."""
-        self._state.leg = checkpoint.leg
+    @property
+    def is_jumping_home(self) -> bool:
+        """Whether a jump home is pending."""
+        return self._state.jump is not None and self._state.jump.jump_type is JumpType.HOME
 
     # --- orders ----------------------------------------------------------------------------------
 
-    def jump_onward(self, context: FlightContext, index: int) -> None:
-        """Leave to go on, to this item."""
-        self._jump(context, index, Purpose.ONWARD)
+    def order_jump(self, context: FlightContext, item_index: int, jump_type: JumpType) -> None:
+        """Order a jump to this item, and monitor it."""
+        state, current_index = self._state, self._item.index
+        recent = {r.index for r in state.reports if context.t_s - r.t_s <= MAX_REPORT_DELAY_S}
+        replaced = (state.jump.index, *state.jump.previous_items) if state.jump is not None else ()
+        before = {at for at in (*recent, *replaced, current_index) if at is not None}
+        if (
+            current_index == item_index
+        ):  # it flies there already: indistinguishable from a confirmation
+            before.discard(item_index)
+        state.jump = JumpMonitor(item_index, jump_type, context.t_s, frozenset(before))
+        self._course.restart_leg_check()
+        _queue_jump_order(context, state.jump)
 
-    def jump_to_leg(self, context: FlightContext, leg: int) -> None:
-        """Turn outward again, to this leg."""
-        assert context.flight_plan is not None
-        self._state.leg = leg
-        self._jump(context, context.flight_plan.mission.outbound[leg], Purpose.ONWARD)
-
-    def jump_home(self, context: FlightContext, index: int) -> None:
-        """The way home, or to a rally point."""
-        self._jump(context, index, Purpose.HOME)
-
-    def jump_to_other_home(self, context: FlightContext, index: int) -> None:
-        """On the way home: to another stop's items."""
-        self._jump(context, index, Purpose.MOVE)
-
-    def cancel_jump(self) -> None:
-        """No jump of ours is waited for any more."""
+    def stop_monitoring_jump(self) -> None:
+        """Stop waiting for a jump."""
         self._state.jump = None
 
-    def forget_item(self) -> None:
-        """Which item is flown has to be found out anew."""
-        self._state.index = None
-        self._state.home_leg = None
-        self._state.obeyed = None
-        self._state.foreign_move = None
-
-    def restart_course(self, t_s: float) -> None:
-        """A detour is no disobedience: the course is watched from now on, where it is watched."""
-        self._state.home_leg = None
-        if self._state.course is not None:
-            self._state.course = CourseWatch(t_s, math.inf)
+    def clear_for_resumption(self) -> None:
+        """Clear the current item and the jumps; telemetry has to report the item again."""
+        self._item.clear_index()
+        self._course.restart_leg_check()
+        self._state = ProgressState(reports=self._state.reports)
 
     # --- events and ticks ------------------------------------------------------------------------
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """The autopilot's current item, or its refusal of an order."""
+        """Process the autopilot's current item, or its refusal of an order."""
         match event:
             case MissionProgress():
-                self._follow(context, event)
-                recent = (r for r in self._state.reports if event.t_s - r.t_s <= OLDER_S)
+                self._update_from_progress(context, event)
+                recent = (r for r in self._state.reports if event.t_s - r.t_s <= MAX_REPORT_DELAY_S)
                 self._state.reports = (*recent, event)
             case OrderRefused():
-                self._refused(context, event)
+                self._record_or_report_refusal(context, event)
             case _:
                 return
 
-    def foreign_moves(self, context: FlightContext) -> bool:
-        """Tell whether somebody else may control the mission; two reports in a row: suspended.
+    def suspend_on_unexpected_item(self, context: FlightContext) -> bool:
+        """Return whether another station may have moved the mission; suspend after two reports.
 
-        One message alone may be a late one from before our own jump: MISSION_CURRENT has no time.
+        One message may be a late one from before the companion's jump: MISSION_CURRENT has no time.
         """
         state, telemetry = self._state, context.telemetry
-        move = state.foreign_move
-        if not telemetry.is_fresh(telemetry.progress, PROGRESS_MAX_AGE_S):
-            state.foreign_move = None
+        unexpected = state.unexpected_item
+        if not telemetry.is_recent(telemetry.progress, PROGRESS_MAX_AGE_S):
+            state.unexpected_item = None
             return False
-        if move is not None and move.reports >= MOVE_WITNESSES:
-            state.foreign_move = None
-            why = f"somebody moved the mission to item {move.index}"
-            context.request_transition(Trigger.TAKEN_OVER, why)
-        return move is not None
+        if unexpected is not None and unexpected.reports >= MIN_MOVE_REPORTS:
+            state.unexpected_item = None
+            reason = f"another station moved the mission to item {unexpected.index}"
+            context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
+        return unexpected is not None
 
     def tick(self, context: FlightContext) -> None:
-        """Ask again for a jump that telemetry does not show, or give it up."""
+        """Repeat a jump that telemetry does not confirm, or abandon it."""
         jump, reported = self._state.jump, context.telemetry.progress
         if jump is None:
             return
         unknown = reported is None or reported.t_s <= jump.ordered_s
         unknown = unknown and not jump.refused
-        match jump.wait(context.t_s):
-            case JumpStatus.ASK_AGAIN if unknown:
-                context.do(Note(f"jump to item {jump.index} not repeated: item not reported"))
-            case JumpStatus.ASK_AGAIN:
-                context.do(Note(f"jump to item {jump.index} not seen yet: again"))
-                context.do(self._order(context, jump))
+        match jump.update_retry_status(context.t_s):
+            case JumpStatus.REPEAT if unknown:
+                context.queue_actions(
+                    LogNote(f"jump to item {jump.index} not repeated: item not reported")
+                )
+            case JumpStatus.REPEAT:
+                context.queue_actions(
+                    LogNote(f"jump to item {jump.index} not confirmed: repeating")
+                )
+                _queue_jump_order(context, jump)
             case JumpStatus.REFUSED:
-                self._given_up(context)
+                self._abandon_jump(context, jump)
             case _:
                 return
 
-    def goes_on_past_missed(self, context: FlightContext, here: Ned) -> bool:
-        """Where it has missed an item of the way home, jump to the next one that is in clear sight;
-        tells whether it was ordered now.
-        """
-        flown, target, leg = context.flight_plan, self._target(context), self._leg_home(context)
-        if flown is None or target is None or leg is None:
-            return False
-        leg.watch(context.t_s, horizontal_m(here, target), self._closing_mps(context, here, target))
-        if not leg.has_missed(context.t_s) or self._held_by_wind(context, here, target):
-            return False
-        missed = flown.mission.stands_for(leg.index)
-        beyond = flown.item_beyond(missed, here)
-        if beyond is None:
-            return False
-        label, onward = (flown.mission.items[index].label for index in (missed, beyond))
-        context.decide("waypoint_missed", f"{label} passed and not taken: to {onward}")
-        context.say(Severity.WARNING, f"{label} missed: on to {onward}")
-        self.jump_home(context, beyond)
-        return True
-
-    def strays(self, context: FlightContext, here: Ned) -> bool:
-        """Tell whether it flies away from the way home; then the course is watched no longer."""
-        state, target = self._state, self._target(context)
-        if target is None:
-            return False
-        leg = self._leg_home(context)
-        flown_past = leg is not None and leg.has_flown_past()
-        disobeys = state.course is not None and self._disobeys(context, here, target)
-        if not (flown_past or disobeys) or self._held_by_wind(context, here, target):
-            return False
-        if not flown_past:
-            state.course = None
-        return True
-
-    def _leg_home(self, context: FlightContext) -> LegWatch | None:
-        """The watch over the item that it shows and flies to; None: it may not be judged now."""
-        state, vehicle = self._state, context.telemetry.state
-        if state.index is None or vehicle is None or vehicle.mode is not Mode.MISSION:
-            state.home_leg = None
-            return None
-        if state.home_leg is None or state.home_leg.index != state.index:
-            state.home_leg = LegWatch(state.index)
-        telemetry = context.telemetry
-        told = telemetry.is_fresh(telemetry.progress, PROGRESS_MAX_AGE_S)
-        if not told or telemetry.position_troubles():
-            state.home_leg.pause()
-            return None
-        return state.home_leg
-
-    def _target(self, context: FlightContext) -> Ned | None:
-        """Where the item lies that the autopilot shows; None: it has no place, or none is known."""
-        flown, index = context.flight_plan, self._state.index
-        spot = flown.mission.spot_at(index) if flown and index is not None else None
-        return None if flown is None or spot is None else flown.spot_ned(spot)
-
-    def _held_by_wind(self, context: FlightContext, here: Ned, target: Ned) -> bool:
-        """Tell whether the wind leaves it so little speed that its course says nothing.
-
-        RTL would be held by it, too, and goes to a place that nobody promised.
-        """
-        estimates, away_m = context.estimates, horizontal_m(here, target)
-        if estimates.wind is None or not estimates.wind.valid or away_m == 0.0:
-            return False
-        north, east = (target[0] - here[0]) / away_m, (target[1] - here[1]) / away_m
-        to_north, to_east = (float(x) for x in estimates.wind.mean_to_ne_mps)
-        along, across = to_north * north + to_east * east, to_east * north - to_north * east
-        top_mps = estimates.route_energy.max_airspeed_mps(estimates.payload_kg)
-        left_mps = float(airspeeds_along_mps(top_mps, np.array([across]))[0]) + along
-        drifts = self._closing_mps(context, here, target) > min(left_mps, 0.0) - HELD_MPS
-        return left_mps < HELD_MPS and drifts
-
-    def _is_held(self, context: FlightContext) -> bool:
-        """The same of where it is, on its way to the item that it shows."""
-        here, target = context.here_ned(), self._target(context)
-        return here is not None and target is not None and self._held_by_wind(context, here, target)
-
-    def stands_still(self, context: FlightContext) -> bool:
-        """Tell whether it hovers on the way home, whatever item it shows, for long."""
-        vehicle, telemetry = context.telemetry.state, context.telemetry
-        flies = vehicle is not None and vehicle.mode is Mode.MISSION
-        moves = context.speed_mps() > STANDS_MPS or self._is_held(context)
-        if moves or not flies or telemetry.position_troubles():
-            self._state.moved_s = context.t_s
-        stood_s = min(context.phase_s, context.since_s(self._state.moved_s))
-        return stood_s > STANDS_S
-
-    def place_by_progress(self, context: FlightContext) -> None:
-        """The mission aboard is ours and flies: find the phase by its current item."""
-        telemetry, flown = context.telemetry, context.flight_plan
-        progress = telemetry.progress
-        if progress is None or not telemetry.is_fresh(progress, 3.0) or progress.index is None:
-            return
-        if telemetry.position_troubles() and not telemetry.is_fresh(telemetry.position, 1.0):
-            return
-        assert flown is not None
-        mission, state, index = flown.mission, self._state, progress.index
-        state.index, state.jump, state.foreign_move = index, None, None
-        state.home_leg = None
-        self._speed.forget_speed()
-        if progress.total is not None and progress.total != len(mission.items):
-            why = f"another mission aboard ({progress.total} items)"
-            context.request_transition(Trigger.MISSION_UNKNOWN, why)
-            return
-        part = mission.part_at(index)
-        if part is None:
-            context.request_transition(Trigger.MISSION_UNKNOWN, f"item {index} is not ours")
-            return
-        words = f"at item {index} ({mission.items[index].label})"
-        self._promise.note_item(context, index)
-        context.decide("recognised", f"our mission, {words}")
-        self._modes.forget()
-        self._enter_part(context, part, index, words)
-
-    def is_over_landing(self, context: FlightContext) -> bool:
-        """Tell whether it was descending to land, is there, and goes nowhere else."""
-        index, flown, here = self._state.index, context.flight_plan, context.here_ned()
-        if index is None or flown is None or here is None or context.telemetry.position_troubles():
-            return False
-        spot = flown.mission.spot_at(index)
-        if flown.mission.part_at(index) not in (Part.LAND, Part.RALLY_LAND) or spot is None:
-            return False
-        away_m = horizontal_m(here, flown.spot_ned(spot))
-        return away_m <= OVER_LANDING_M and context.ground_speed_mps() <= OVER_LANDING_MPS
-
-    def last_resort(self, context: FlightContext, rtl_home: RtlHome) -> None:
-        """What needs no list: over the landing place down; else RTL, where its altitude clears
-        every obstacle; else the mission aboard goes home.
-        """
-        if self.is_over_landing(context):
-            context.say(Severity.CRITICAL, "way home refused: landing here")
-            context.decide("last_resort", "over its landing place: down by the autopilot's LAND")
-            self._modes.expect(Mode.LAND, context.telemetry.state)
-            context.do(SetMode(Mode.LAND))
-            return
-        if not self._preflight.rtl_is_safe:
-            context.say(Severity.CRITICAL, "way home refused, RTL not safe")
-            words = "no RTL: its altitude is not known to clear the obstacles"
-            context.decide("last_resort", words)
-            return
-        context.say(Severity.CRITICAL, "way home refused: RTL")
-        self._modes.expect(Mode.RTL, context.telemetry.state)
-        context.decide("last_resort", f"RTL{rtl_home.order_rtl(context)}")
-
     # --- inside ----------------------------------------------------------------------------------
 
-    def _jump(self, context: FlightContext, index: int, purpose: Purpose) -> None:
-        state = self._state
-        recent = {r.index for r in state.reports if context.t_s - r.t_s <= OLDER_S}
-        replaced = (state.jump.index, *state.jump.before) if state.jump is not None else ()
-        before = {at for at in (*recent, *replaced, state.index) if at is not None}
-        if state.index == index:  # it flies there already: nothing tells it from obedience
-            before.discard(index)
-        state.jump = JumpWatch(index, purpose, context.t_s, frozenset(before))
-        state.home_leg = None
-        context.do(self._order(context, state.jump))
-
-    @staticmethod
-    def _order(context: FlightContext, jump: JumpWatch) -> JumpTo:
-        flown = context.flight_plan
-        return JumpTo(jump.index, frozenset() if flown is None else jump.shown_by(flown.mission))
-
-    def _follow(self, context: FlightContext, event: MissionProgress) -> None:
-        """What the autopilot flies is where we are in the mission."""
-        state, flown = self._state, context.flight_plan
+    def _update_from_progress(self, context: FlightContext, event: MissionProgress) -> None:
+        """Update the position in the mission from the reported item."""
+        state, flown, current_index = self._state, context.flight_plan, self._item.index
         if context.phase not in FLIGHT_PHASES or flown is None or event.index is None:
             return
         mission, vehicle = flown.mission, context.telemetry.state
@@ -398,187 +187,154 @@ class MissionFollower:
             and vehicle is not None
             and vehicle.armed
         ):
-            context.request_transition(Trigger.TAKEN_OVER, "the autopilot left the mission")
+            context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, "the autopilot left the mission")
             return
-        if self._aboard.in_doubt:
-            return  # its index may be another list's
+        if self._aboard.is_unverified:
+            return  # its index may refer to another list
         if state.jump is not None:
-            if state.jump.confirms(mission, event.index, event.t_s):
-                self._confirmed(context, event.index)
-            elif state.jump.explains(mission, event.index):
-                state.foreign_move = None  # the jump is under way; the tick asks again or gives up
+            if state.jump.is_confirmed_by_report(mission, event.index, event.t_s):
+                self._complete_confirmed_jump(context, state.jump, event.index)
+            elif state.jump.record_if_intermediate_item(mission, event.index):
+                state.unexpected_item = None  # the jump is pending; the tick repeats or abandons it
             else:
-                self._note_foreign(event.index)
+                self._count_unexpected_item(event.index)
             return
-        if context.phase is Phase.LAST_RESORT and not _is_flown(vehicle):
-            state.foreign_move = None
+        if context.phase is Phase.LAST_RESORT and not _is_mission_mode_or_unknown(vehicle):
+            state.unexpected_item = None
             return  # RTL or a landing needs no item
-        if self._may_be_older(mission, event):
-            return  # what is flown is reported again within a second
-        if event.index == state.index or context.phase is Phase.LAND:
-            state.foreign_move = None
+        if self._is_report_possibly_before_jump(mission, event.index, event.t_s):
+            return  # the current item is reported again within a second
+        if event.index == current_index or context.phase is Phase.LAND:
+            state.unexpected_item = None
             return
-        if state.index is not None and not mission.follows(state.index, event.index):
-            self._note_foreign(event.index)
+        if current_index is not None and not mission.is_item_reachable_without_jump(
+            current_index, event.index
+        ):
+            self._count_unexpected_item(event.index)
             return
-        state.foreign_move = None
-        self._at_item(context, event.index)
+        state.unexpected_item = None
+        self._item.set_index_and_advance_phase(context, event.index)
 
-    def _note_foreign(self, index: int) -> None:
-        """Count the report. It is judged at the tick: after a silence it moved on by itself."""
-        move = self._state.foreign_move
-        again = move is not None and move.index == index
-        self._state.foreign_move = ForeignMove(index, move.reports + 1 if again and move else 1)
+    def _count_unexpected_item(self, item_index: int) -> None:
+        """Count the report; the tick evaluates it, as a silent link may hide progress."""
+        before = self._state.unexpected_item
+        reports = before.reports if before is not None and before.index == item_index else 0
+        self._state.unexpected_item = UnexpectedItem(item_index, reports + 1)
 
-    def _may_be_older(self, mission: DeadMansMission, event: MissionProgress) -> bool:
-        """Tell whether this report may have been sent before the jump that was just obeyed."""
+    def _is_report_possibly_before_jump(
+        self, mission: ReturnByDefaultMission, reported_item_index: int, reported_s: float
+    ) -> bool:
+        """Return whether this report may have been sent before the jump that was just executed."""
         state = self._state
-        if state.obeyed is None or event.index is None or event.t_s - state.obeyed_s > OLDER_S:
-            return False
-        return state.obeyed.left_behind(mission, event.index)
+        return (
+            state.confirmed_jump is not None
+            and reported_s - state.confirmed_s <= MAX_REPORT_DELAY_S
+            and state.confirmed_jump.is_possibly_stale_item(mission, reported_item_index)
+        )
 
-    def _at_item(self, context: FlightContext, index: int) -> None:
-        """The autopilot flies this item now: the phase follows."""
-        assert context.flight_plan is not None
-        mission = context.flight_plan.mission
-        self._state.index = index
-        self._promise.note_item(context, index)
-        match mission.part_at(index):
-            case Part.SETTLE if context.phase is Phase.CLIMB:
-                if index == mission.settle:
-                    context.request_transition(Trigger.AT_HEIGHT)
-            case Part.OUTBOUND:
-                if index in mission.outbound:
-                    self._state.leg = mission.outbound.index(index)
-            case Part.RELEASE if context.phase is Phase.DELIVER:
-                context.request_transition(Trigger.DROP_REACHED)
-            case Part.RETURN:
-                self._on_the_way_home(context)
-            case Part.LAND | Part.RALLY_LAND | Part.END:
-                if context.outward:
-                    self._on_the_way_home(context)
-                context.request_transition(Trigger.LANDING)
-            case _:
-                return
-
-    def _on_the_way_home(self, context: FlightContext) -> None:
-        """The mission itself went on to the way home."""
-        if context.phase is Phase.RELEASE:
-            context.request_transition(Trigger.DROP_OVER)
-        elif context.outward:
-            why = self._gate.closed_by or "no leave to go on was given in time"
-            context.decide("turn_back", f"the mission aboard went home by itself: {why}")
-            context.say(Severity.WARNING, "going home by the mission aboard")
-            context.request_transition(Trigger.HOMEWARD, why)
-
-    def _enter_part(self, context: FlightContext, part: Part, index: int, words: str) -> None:
-        """Enter the phase in which this item is flown."""
-        assert context.flight_plan is not None
-        mission = context.flight_plan.mission
-        match part:
-            case Part.TAKEOFF:
-                context.request_transition(Trigger.TELEMETRY_COMES, words)
-            case Part.SETTLE:
-                context.request_transition(Trigger.AT_HEIGHT, words)
-            case Part.OUTBOUND:
-                passed = (k for k, out in enumerate(mission.outbound) if out <= index)
-                self._state.leg = max(passed, default=0)
-                context.request_transition(Trigger.GO, words)
-            case Part.DELIVER:
-                context.request_transition(Trigger.CUSTOMER_REACHED, words)
-            case Part.RELEASE:
-                context.request_transition(Trigger.DROP_REACHED, words)
-            case Part.RETURN:
-                context.request_transition(Trigger.HOMEWARD, words)
-            case Part.RALLY:
-                self._gate.choose_landing(context.flight_plan.site_of_item(index))
-                context.request_transition(Trigger.RALLY_BOUND, words)
-            case Part.LAND | Part.RALLY_LAND | Part.END:
-                self._gate.choose_landing(context.flight_plan.site_of_item(index))
-                context.request_transition(Trigger.LANDING, words)
-
-    def _refused(self, context: FlightContext, event: OrderRefused) -> None:
-        """Take a refusal in flight: a jump is asked again at once."""
+    def _record_or_report_refusal(self, context: FlightContext, event: OrderRefused) -> None:
+        """Process a refusal in flight: a refused jump is repeated at once."""
         jump = self._state.jump
         if jump is not None and event.order == f"jump to item {jump.index}":
-            jump.refused = event.answered
+            jump.refused = event.is_response
         elif context.phase in FLIGHT_PHASES:
-            context.say_once(Severity.WARNING, f"{event.order} refused: {event.reason}")
+            context.report_alert_once(
+                Alert.COMMAND_REFUSED, command=event.order, reason=event.reason
+            )
 
-    def _confirmed(self, context: FlightContext, index: int) -> None:
+    def _complete_confirmed_jump(
+        self, context: FlightContext, jump: JumpMonitor, reported_item_index: int
+    ) -> None:
         state, flown = self._state, context.flight_plan
         assert flown is not None
-        assert state.jump is not None
-        jump, state.jump = state.jump, None
-        state.foreign_move = None
-        state.obeyed, state.obeyed_s = jump, context.t_s
-        part = flown.mission.part_at(jump.index)
-        state.index = jump.index
-        self._promise.note_item(context, jump.index)
-        if jump.purpose is not Purpose.ONWARD:
-            self._watch_course(context, jump.index)
-            context.do(Note(f"on the way home by item {jump.index}"))
-            if jump.purpose is Purpose.MOVE:
-                site = flown.site_of_item(jump.index)
-                self._gate.choose_landing(site)
-                trigger = Trigger.HOMEWARD if site is None else Trigger.RALLY_BOUND
-                context.request_transition(trigger)
-        elif part is Part.OUTBOUND:
-            state.leg = flown.mission.outbound.index(jump.index)
-            context.request_transition(Trigger.GO)
-        elif part is Part.DELIVER:
-            context.request_transition(Trigger.CUSTOMER_REACHED)
-        if index != jump.index:
-            self._at_item(context, index)
+        state.jump = state.unexpected_item = None
+        state.confirmed_jump, state.confirmed_s = jump, context.t_s
+        self._item.set_index(context, jump.index)
+        if jump.jump_type is JumpType.ONWARD:
+            self._item.enter_phase(context)
+        else:
+            self._course.start_course_check(context)
+            context.queue_actions(LogNote(f"returning home by item {jump.index}"))
+        if jump.jump_type is JumpType.OTHER_HOME:
+            site = flown.other_landing_site_name_of_item(jump.index)
+            self._gate.set_landing_site(site)
+            context.apply_phase_trigger(
+                Trigger.RETURN_STARTED if site is None else Trigger.RALLY_BOUND
+            )
+        if reported_item_index != jump.index:
+            self._item.set_index_and_advance_phase(context, reported_item_index)
 
-    def _watch_course(self, context: FlightContext, index: int) -> None:
-        flown, position = context.flight_plan, context.telemetry.position
-        assert flown is not None
-        spot = flown.mission.spot_at(index)
-        if spot is not None and position is not None:
-            away_m = horizontal_m(flown.ned_of(position), flown.spot_ned(spot))
-            self._state.course = CourseWatch(context.t_s, away_m)
-
-    def _given_up(self, context: FlightContext) -> None:
-        """The autopilot does not obey this jump."""
-        state = self._state
-        assert state.jump is not None
-        jump, state.jump = state.jump, None
-        context.say(Severity.WARNING, f"jump to item {jump.index} is not obeyed")
-        words = f"jump to item {jump.index} not confirmed by telemetry"
-        if jump.purpose is Purpose.HOME:
-            context.decide("way_home_refused", words)
-            why = "the jump home was not obeyed"
-            context.request_transition(Trigger.WAY_HOME_REFUSED, why)
+    def _abandon_jump(self, context: FlightContext, jump: JumpMonitor) -> None:
+        """The autopilot does not execute this jump."""
+        self._state.jump = None
+        context.report_alert(Alert.JUMP_IGNORED, item=jump.index)
+        text = f"jump to item {jump.index} not confirmed by telemetry"
+        if jump.jump_type is JumpType.HOME:
+            context.record_decision("way_home_refused", text)
+            reason = "the jump home was not executed"
+            context.apply_phase_trigger(Trigger.RETURN_REFUSED, reason)
             return
-        if jump.purpose is Purpose.MOVE:
-            self._promise.want(context, None)
-            context.decide("home_stays", words)
+        if jump.jump_type is JumpType.OTHER_HOME:
+            self._promise.set_requested_stop(context, None)
+            context.record_decision("home_stays", text)
             return
-        # Without leave the mission aboard goes home by itself.
-        context.decide("onward_refused", words)
-        self._gate.close("the autopilot does not jump onward")
+        # Without clearance the onboard mission returns on its own.
+        context.record_decision("onward_refused", text)
+        self._gate.close_gate("the autopilot does not jump onward")
         progress = context.telemetry.progress
         if progress is not None and progress.index is not None:
-            self._at_item(context, progress.index)
-
-    def _disobeys(self, context: FlightContext, here: Ned, target: Ned) -> bool:
-        course = self._state.course
-        assert course is not None
-        away_m = horizontal_m(here, target)
-        if away_m < NEAR_M:
-            self._state.course = None
-            return False
-        return course.disobeys(context.t_s, away_m, self._closing_mps(context, here, target))
-
-    def _closing_mps(self, context: FlightContext, here: Ned, target: Ned) -> float:
-        """Speed towards a place (m/s); away from it is negative, at it is none."""
-        position, away_m = context.telemetry.position, horizontal_m(here, target)
-        if position is None or away_m == 0.0:
-            return 0.0
-        north, east = (target[0] - here[0]) / away_m, (target[1] - here[1]) / away_m
-        return position.vel_n_mps * north + position.vel_e_mps * east
+            self._item.set_index_and_advance_phase(context, progress.index)
 
 
-def _is_flown(state: VehicleState | None) -> bool:
-    return state is None or state.mode is Mode.MISSION
+def _queue_jump_order(context: FlightContext, jump: JumpMonitor) -> None:
+    flown = context.flight_plan
+    others = frozenset[int]() if flown is None else jump.other_confirming_items(flown.mission)
+    context.queue_actions(JumpTo(jump.index, others))
+
+
+def _is_mission_mode_or_unknown(vehicle_state: VehicleState | None) -> bool:
+    return vehicle_state is None or vehicle_state.mode is Mode.MISSION
+
+
+@dataclass(slots=True, eq=False)
+class GroundSpeedController:
+    """Commands the ground speed of the leg to the current item; again when the wind changes."""
+
+    _item: CurrentItem
+    _progress: MissionProgressMonitor
+    speed_mps: float | None = None
+    """The commanded speed; `None` before the first command."""
+    _checked_s: float | None = None
+    _commanded_item: int | None = None
+
+    def command_again(self) -> None:
+        """Command the speed again."""
+        self.speed_mps = None
+
+    def tick(self, context: FlightContext) -> None:
+        """Command the speed on a new leg, and after a change at intervals."""
+        index, before_mps = self._item.index, self.speed_mps
+        if (
+            context.phase not in (Phase.OUTBOUND, Phase.RETURN, Phase.DIVERT)
+            or self._progress.pending_jump_item_index is not None
+        ):
+            return
+        new_leg = before_mps is None or self._commanded_item != index
+        if not new_leg and context.seconds_since(self._checked_s) < SPEED_INTERVAL_S:
+            return
+        here, target = context.recent_position_ned_m(), self._item.position_ned_m(context)
+        if here is None or target is None or context.telemetry.position_faults():
+            return
+        if horizontal_distance_m(here, target) < MIN_TARGET_DISTANCE_M:
+            return
+        speed_mps = context.estimates.ground_speed_to_command_mps(here, target)
+        if speed_mps is None:
+            return
+        speed_mps = min(speed_mps, context.airframe.speeds.max_ground_mps)
+        if not new_leg and before_mps is not None:
+            step_mps = max(SPEED_STEP_MPS, SPEED_STEP_FRAC * before_mps)
+            if abs(speed_mps - before_mps) < step_mps:
+                self._checked_s = context.t_s - SPEED_INTERVAL_S + SPEED_RETRY_S
+                return
+        self.speed_mps, self._checked_s, self._commanded_item = speed_mps, context.t_s, index
+        context.queue_actions(SetGroundSpeed(round(speed_mps, 2)))

@@ -1,138 +1,83 @@
 """The pilot: events in, actions out. Composes the controllers of one flight (context.py).
 
-It reads no clock and does no I/O. Phases and their order are data (transitions.py), and so is which
-event goes to which controller (`routes`).
+It reads no clock and does no I/O. Phases and their order are data (transitions.py), and so is the
+routing of events to parts (parts.py).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final
 
 from companion.core.certificate.certificate import Certificate
 from companion.core.mission.actions import (
     Action,
-    Assessed,
-    DropOrders,
-    EnergyReport,
-    Note,
+    CancelOrders,
+    LogNote,
     Order,
-    Publish,
     SaveCheckpoint,
-    Severity,
-    WindReport,
 )
+from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
-    CLAIM,
-    AbortOrdered,
-    Authorised,
-    AutopilotKind,
-    AutopilotParameters,
+    AutopilotDetected,
     AutopilotText,
-    ClockLeapt,
-    ClockStepped,
-    ControlHandedBack,
-    ControlTaken,
     Event,
-    GnssTime,
-    Home,
-    HomeMoved,
-    Identified,
-    LimitsChanged,
-    LinkBack,
-    LinkSilent,
+    FleetWindReceived,
     MissionProgress,
-    MissionReadBack,
-    MissionTouched,
-    MissionUploaded,
-    ModeNow,
-    NeighbourHeard,
-    OperatorReached,
-    OrderAccepted,
     OrderRefused,
-    OtherComputer,
-    ParametersSet,
-    Position,
-    ReleaseFeedback,
-    SettingsLeft,
-    StreamsAsked,
     Tick,
-    VehicleState,
-    WindsTold,
 )
-from companion.core.mission.find_plan import PlanFound
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
-from companion.core.mission.preflight_checks import Finding
-from companion.core.monitor.doubts import NO_DOUBTS, Doubts
-from companion.core.pilot.authority import Authority
+from companion.core.monitor.corrections import NO_CORRECTIONS, MonitorCorrections
+from companion.core.pilot.authority import ControlAuthority, OrderedMode
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
-from companion.core.pilot.context import FlightContext, PilotOptions
-from companion.core.pilot.estimates import FOR_OPERATORS, Estimates
-from companion.core.pilot.flight_sequence import FlightSequence, FlightState
-from companion.core.pilot.ground_sequence import (
-    GroundSequence,
-    PreflightReport,
-    Requirements,
-    SettingChange,
+from companion.core.pilot.context import (
+    CurrentPlan,
+    FlightContext,
+    LatestAssessment,
+    PilotOptions,
 )
-from companion.core.pilot.home_watch import HomeWatch
-from companion.core.pilot.landing import Landing
-from companion.core.pilot.landing_site import LandingSite, PromisedStop
-from companion.core.pilot.mission_aboard import AboardState, MissionAboard
-from companion.core.pilot.mission_progress import MissionFollower
-from companion.core.pilot.neighbours.desired_velocity import DesiredVelocity
-from companion.core.pilot.neighbours.setpoint_takeover import SetpointTakeover
-from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
-from companion.core.pilot.parcel_release import ParcelRelease, ParcelState
-from companion.core.pilot.position_loss import PositionLoss
-from companion.core.pilot.resume import Resume
-from companion.core.pilot.return_decision import BudgetWatch, ReturnDecision, ReturnState
-from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.pilot.control.flight_reports import FlightReports
+from companion.core.pilot.control.resume import FlightResumption
+from companion.core.pilot.estimates import FlightEstimates
+from companion.core.pilot.flight_sequence import FlightSequence
+from companion.core.pilot.flight_state import (
+    CurrentItem,
+    FlightState,
+    ParcelState,
+    PromisedStop,
+)
+from companion.core.pilot.ground.autopilot_settings import (
+    AutopilotSettings,
+    RequirementsFunction,
+)
+from companion.core.pilot.ground.ground_sequence import GroundSequence
+from companion.core.pilot.ground.start_checks import PreflightReport
+from companion.core.pilot.landing import LandingController
+from companion.core.pilot.mission_progress import MissionProgressMonitor
+from companion.core.pilot.neighbours.setpoint_takeover import SetpointController
+from companion.core.pilot.parts import PilotParts
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,
     FLIGHT_PHASES,
     Phase,
 )
-from companion.core.pilot.unanswered_hold import LastResort, UnansweredHold
-from companion.core.return_budget.budget import Assessment
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.separation.learned_policy import AvoidancePolicy
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.process import WindProcessParams
 
-REPORT_S = 1.0
-WIND_REPORT_S = 0.5
-CHECKPOINT_S = 5.0
-
-
-class Controller(Protocol):
-    """One part of the flight that takes events."""
-
-    def on_event(self, context: FlightContext, event: Event) -> None:
-        """Take one event that is routed to it."""
-        ...
-
-
-@dataclass(slots=True)
-class ReportTimes:
-    """When each was reported last."""
-
-    values_s: float | None = None
-    wind_s: float | None = None
-    saved_s: float | None = None
-    wind_news_s: float | None = None
+CHECKPOINT_INTERVAL_S = 5.0
 
 
 class Pilot:
-    """Flies one mission of one vehicle; `handle` takes everything that happens.
+    """Flies one mission of one vehicle; `process_event` receives every event.
 
-    `checkpoint`: of an earlier process of this flight, to go on from; a finished one is ignored.
-    `estimates`: wind, energy and the gate; made of the airframe and the wind process when `None`.
-    `policy`: the learned actor that flies near neighbours; `None`: straight to the item.
-    `doubts`: what the monitor of the vehicle's service has found.
-    `certificate`: what recorded days support of the airframe's draw.
+    `checkpoint`: of an earlier process of this flight, to continue from; a finished one is ignored.
+    `estimates`: wind, energy and the gate; created from the airframe and the wind process when
+    `None`. `policy`: the learned actor that flies near neighbours; `None`: straight to the item.
+    `monitor_corrections`: findings of the vehicle's service monitor. `certificate`: bounds on the
+    airframe's draw from recorded days.
     """
 
     def __init__(
@@ -142,343 +87,172 @@ class Pilot:
         wind_process: WindProcessParams,
         *,
         obstacles: dict[str, Any] | None,
-        requirements: Requirements,
-        digest: str,
+        requirements: RequirementsFunction,
+        flight_digest: str,
         options: PilotOptions | None = None,
         checkpoint: Checkpoint | None = None,
-        estimates: Estimates | None = None,
+        estimates: FlightEstimates | None = None,
         policy: AvoidancePolicy | None = None,
-        doubts: Doubts = NO_DOUBTS,
+        monitor_corrections: MonitorCorrections = NO_CORRECTIONS,
         certificate: Certificate | None = None,
     ) -> None:
         route_energy = RouteEnergy.for_mission(airframe, flight.mission, REFERENCE_DENSITY_KGPM3)
-        estimates = estimates or Estimates(
+        estimates = estimates or FlightEstimates(
             flight,
             airframe,
             route_energy,
             wind_process,
-            doubts=doubts,
+            monitor_corrections=monitor_corrections,
             certificate=certificate,
         )
-        self.doubts = doubts
+        self.monitor_corrections = monitor_corrections
         self.certificate = certificate
-        self._digest = digest
-        self._reported = ReportTimes()
-        self._context = FlightContext(flight, airframe, estimates, options or PilotOptions(), self)
+        self._digest = flight_digest
+        self._saved_s: float | None = None
 
-        self._flight_state = FlightState()
-        self._parcel_state = ParcelState()
-        self._return_state = ReturnState()
-        self._promise = PromisedStop()
-        self._position = PositionLoss()
-        self._authority = Authority()
-        aboard_state = AboardState()
-        self._ground = GroundSequence(
-            self._flight_state,
-            self._authority,
-            aboard_state,
-            obstacles,
-            requirements,
+        parts = PilotParts(obstacles=obstacles, requirements=requirements, policy=policy)
+        self.parts = parts
+        self.context: Final = FlightContext(
+            flight,
+            airframe,
+            estimates,
+            options or PilotOptions(),
+            self,
+            parts.part_of_class(CurrentPlan),
+            parts.part_of_class(LatestAssessment),
         )
-        self._progress = MissionFollower(
-            self._return_state,
-            self._promise,
-            self._flight_state,
-            self._ground,
-            self._authority,
-            aboard_state,
-        )
-        self._home_watch = HomeWatch(
-            self._return_state, self._progress, self._flight_state, self._ground
-        )
-        budget = BudgetWatch(
-            self._progress,
-            self._flight_state,
-            self._parcel_state,
-            self._return_state,
-            self._position,
-        )
-        self._decision = ReturnDecision(
-            self._return_state,
-            self._progress,
-            budget,
-            self._promise,
-            self._flight_state,
-            self._parcel_state,
-        )
-        self._aboard = MissionAboard(
-            aboard_state, self._return_state, self._progress, self._decision
-        )
-        self._release = ParcelRelease(self._parcel_state, self._progress, budget)
-        self._landing = Landing(
-            self._flight_state,
-            self._parcel_state,
-            self._promise,
-            self._position,
-            self._ground,
-            self._authority,
-        )
-        self._landing_site = LandingSite(self._promise, self._progress, budget)
-        self._traffic = TrafficExchange(self._progress)
-        velocity = DesiredVelocity(self._progress, self._flight_state, self._traffic, policy)
-        self._setpoints = SetpointTakeover(self._progress, self._traffic, velocity, self._authority)
-        self._sequence = FlightSequence(
-            self._flight_state,
-            progress=self._progress,
-            budget=budget,
-            decision=self._decision,
-            stops=self._landing_site,
-            parcel=self._parcel_state,
-            drop=self._release,
-            position=self._position,
-            home=self._home_watch,
-            aboard=aboard_state,
-            landing=self._landing,
-            setpoints=self._setpoints,
-        )
-        self._unanswered = UnansweredHold(
-            aboard_state, self._authority, self._ground, self._home_watch
-        )
-        self._resume = Resume(
-            self._flight_state,
-            self._ground,
-            self._progress,
-            self._authority,
-            self._landing,
-            self._return_state,
-            self._decision,
-            self._aboard,
-            obstacles,
-        )
-        self._last_resort = LastResort(self._authority, self._home_watch)
-        self._keepers = (
-            self._ground,
-            self._flight_state,
-            self._parcel_state,
-            self._return_state,
-            self._progress,
-            self._promise,
-            self._authority,
-            self._home_watch,
-        )
-        self._routes = self._make_routes()
+        self._flight_state = parts.part_of_class(FlightState)
+        self._parcel_state = parts.part_of_class(ParcelState)
+        self._promise = parts.part_of_class(PromisedStop)
+        self._modes = parts.part_of_class(OrderedMode)
+        self._authority = parts.part_of_class(ControlAuthority)
+        self._ground = parts.part_of_class(GroundSequence)
+        self.settings = parts.part_of_class(AutopilotSettings)
+        self._item = parts.part_of_class(CurrentItem)
+        self._progress = parts.part_of_class(MissionProgressMonitor)
+        self._landing = parts.part_of_class(LandingController)
+        self._setpoints = parts.part_of_class(SetpointController)
+        self._sequence = parts.part_of_class(FlightSequence)
+        self._resume = parts.part_of_class(FlightResumption)
+        self._reports = parts.part_of_class(FlightReports)
         if checkpoint is not None and not checkpoint.finished:
-            for keeper in self._keepers:
+            for keeper in parts.checkpoint_parts:
                 keeper.restore(checkpoint)
-            self._resume.restore(self._context, checkpoint)
-
-    def _make_routes(self) -> Mapping[type[Event], tuple[Controller, ...]]:
-        """Which controllers take which event, in which order."""
-        return {
-            VehicleState: (self._authority, self._unanswered),
-            ModeNow: (self._authority, self._unanswered),
-            OtherComputer: (self._authority,),
-            ControlHandedBack: (self._authority,),
-            ControlTaken: (self._authority, self._unanswered),
-            LinkSilent: (self._resume,),
-            LinkBack: (self._resume,),
-            ClockLeapt: (self._resume,),
-            ClockStepped: (self._authority, self._resume),
-            Position: (self._authority,),
-            OrderAccepted: (self._authority, self._home_watch),
-            Authorised: (self._ground,),
-            OperatorReached: (self._ground,),
-            StreamsAsked: (self._ground,),
-            AutopilotParameters: (self._ground,),
-            ParametersSet: (self._ground,),
-            SettingsLeft: (self._ground,),
-            PlanFound: (self._ground,),
-            MissionUploaded: (self._resume, self._ground, self._aboard),
-            MissionReadBack: (self._resume, self._ground, self._aboard),
-            MissionTouched: (self._resume, self._aboard, self._unanswered),
-            MissionProgress: (self._aboard, self._unanswered, self._progress),
-            OrderRefused: (
-                self._resume,
-                self._ground,
-                self._progress,
-                self._home_watch,
-                self._last_resort,
-            ),
-            AbortOrdered: (self._authority, self._decision),
-            LimitsChanged: (self._decision,),
-            Home: (self._home_watch,),
-            HomeMoved: (self._landing_site,),
-            ReleaseFeedback: (self._release,),
-            GnssTime: (self._traffic, self._ground),
-            NeighbourHeard: (self._traffic,),
-        }
+            self._resume.restore(self.context, checkpoint)
 
     # --- events in, actions out ------------------------------------------------------------------
 
-    def handle(self, event: Event) -> list[Action]:
-        """Take one event; returns what is to be done. Orders leave only in commanding phases."""
-        context = self._context
-        context.take_outbox()
+    def process_event(self, event: Event) -> list[Action]:
+        """Process one event; return the actions. Orders are sent in commanding phases only."""
+        context = self.context
+        context.take_queued_actions()
         if isinstance(event, MissionProgress):
-            event = self._setpoints.leads_to(context, event)
-        context.telemetry.update(event)
-        self._take(event)
-        actions = [self._setpoints.routed(context, action) for action in context.take_outbox()]
+            event = self._setpoints.store_item_and_map_to_target(context, event)
+        context.telemetry.store_event(event)
+        self._dispatch_event(event)
+        actions = [
+            self._setpoints.map_jump_to_setpoint_item(context, action)
+            for action in context.take_queued_actions()
+        ]
         if context.phase not in COMMANDING_PHASES:
             actions = [action for action in actions if not isinstance(action, Order)]
         return actions
 
-    def _take(self, event: Event) -> None:
+    def _dispatch_event(self, event: Event) -> None:
         match event:
             case Tick():
-                self._tick(late=event.late)
-            case Identified():
-                self._identified(event)
+                self._update_estimates_and_controllers(is_backlog=event.is_backlog)
+            case AutopilotDetected():
+                self._start_or_resume_flight(event)
             case OrderRefused():
-                self._context.do(Note(f"{event.order} refused: {event.reason}"))
-            case WindsTold():
-                self._context.estimates.hear_winds(event.winds, event.t_s, event.age_s)
+                self.context.queue_actions(LogNote(f"{event.order} refused: {event.reason}"))
+            case FleetWindReceived():
+                self.context.estimates.add_fleet_wind_reports(event.winds, event.t_s, event.age_s)
             case AutopilotText():
-                self._context.do(Note(f"autopilot: {event.text}"))
+                self.context.queue_actions(LogNote(f"autopilot: {event.text}", in_check=True))
             case _:
                 pass
-        for controller in self._routes.get(type(event), ()):
-            controller.on_event(self._context, event)
+        for part in self.parts.parts_receiving_event(event):
+            part.on_event(self.context, event)
 
-    def _identified(self, event: Identified) -> None:
-        context = self._context
-        context.autopilot = event.autopilot_kind
-        context.do(Note(f"{event.autopilot_kind.value} autopilot, system {event.system_id}"))
-        for words in self.doubts.words:
-            context.say(Severity.WARNING, words)
+    def _start_or_resume_flight(self, event: AutopilotDetected) -> None:
+        context = self.context
+        context.queue_actions(
+            LogNote(f"{event.autopilot_kind.value} autopilot, system {event.system_id}")
+        )
+        for text in self.monitor_corrections.findings:
+            context.report_alert(Alert.MONITOR_DOUBT, finding=text)
         if self.certificate is not None:
-            context.do(Note(f"certificate: {self.certificate.statement}"))
-        self._authority.begin(context.telemetry.state)
-        self._resume.identified(context)
+            context.queue_actions(LogNote(f"certificate: {self.certificate.summary_text}"))
+        self._modes.record_initial_ground_mode(context.telemetry.state)
+        self._resume.start_or_resume_flight(context)
 
-    def _tick(self, *, late: bool) -> None:
-        """Estimates first, then the controllers in this order, then reports."""
-        context = self._context
-        if context.autopilot is None:
+    def _update_estimates_and_controllers(self, *, is_backlog: bool) -> None:
+        """Update estimates first, then the controllers in this order, then reports."""
+        context = self.context
+        telemetry = context.telemetry
+        if telemetry.autopilot_kind is None:
             return
-        for words in context.estimates.observe(context.telemetry, context.autopilot):
-            if words.startswith(FOR_OPERATORS):
-                context.say(Severity.WARNING, words)
-            else:
-                context.do(Note(words))
-        if context.estimates.draw_change:
-            context.say(Severity.WARNING, context.estimates.draw_change)
-        for words in context.estimates.left_envelope:
-            context.say(Severity.WARNING, words)
-        if late:
+        context.queue_actions(
+            *context.estimates.update_from_telemetry(telemetry, telemetry.autopilot_kind)
+        )
+        if is_backlog:
             return
-        self._tell_wind_news()
+        self._reports.report_fleet_wind_if_due(context)
         if context.phase is Phase.RECOGNISE:
             self._resume.tick(context)
         else:
-            self._authority.tick(context)
-            self._home_watch.tick(context)
-            self._aboard.tick(context)
-            self._ground.tick(context)
-            self._sequence.tick(context)
-            self._last_resort.tick(context)
-            self._setpoints.tick(context)
-            self._unanswered.tick(context)
-        self._report()
+            for part in self.parts.tick_parts:
+                part.tick(context)
+        self._reports.queue_due_reports(context)
+        in_flight = context.phase in FLIGHT_PHASES or context.phase is Phase.SUSPENDED
+        if in_flight and context.seconds_since(self._saved_s) >= CHECKPOINT_INTERVAL_S - 1e-6:
+            self.queue_checkpoint(routine=True)
 
-    def _tell_wind_news(self) -> None:
-        """Once a second in the air: what is new of the wind that the fleet tells."""
-        context = self._context
-        told_s = self._reported.wind_news_s
-        if context.phase not in FLIGHT_PHASES or (
-            told_s is not None and 0.0 <= context.t_s - told_s < REPORT_S - 1e-6
-        ):
-            return
-        self._reported.wind_news_s = context.t_s
-        for words in context.estimates.wind_news(context.t_s):
-            context.decide("fleet_wind", words)
-            context.say(Severity.NOTICE, words)
-
-    def enter_phase(self, left: Phase, why: str) -> None:
-        """Do what the new phase starts with; the context calls it at every transition."""
-        context = self._context
-        self._authority.entered(context)
+    def run_phase_entry_actions(self, previous_phase: Phase, reason: str) -> None:
+        """Execute the entry actions of the new phase; called by the context at every transition."""
+        context = self.context
+        self._authority.record_phase_entry(context)
         match context.phase:
             case Phase.SUSPENDED:
-                self._authority.forget()
-                self._progress.cancel_jump()
-                context.do(DropOrders())
-                context.say(Severity.WARNING, f"hands off: {why}")
-                context.decide("suspended", why)
+                self._modes.clear_ordered_mode()
+                self._progress.stop_monitoring_jump()
+                context.queue_actions(CancelOrders())
+                context.report_alert(Alert.CONTROL_RELEASED, reason=reason)
+                context.record_decision("suspended", reason)
             case Phase.PASSIVE:
-                context.do(DropOrders())
-                context.say(Severity.WARNING, f"passive: {why}")
-                context.decide("passive", why)
+                context.queue_actions(CancelOrders())
+                context.report_alert(Alert.PASSIVE, reason=reason)
+                context.record_decision("passive", reason)
             case Phase.LINK_LOST:
-                context.do(DropOrders())
+                context.queue_actions(CancelOrders())
             case Phase.RECOGNISE:
-                self._resume.begin(context, why)
+                self._resume.request_state_for_resumption(context, reason)
             case Phase.DONE | Phase.GROUNDED:
-                context.do(DropOrders())
-                self._landing.conclude(context, why)
+                context.queue_actions(CancelOrders())
+                self._landing.report_mission_outcome(context, reason)
             case _:
-                self._ground.enter(context)
-                self._sequence.enter(context, left)
+                self._ground.enter_ground_phase(context)
+                self._sequence.enter_flight_phase(context, previous_phase)
 
-    # --- reports and checkpoints -----------------------------------------------------------------
+    # --- checkpoints -----------------------------------------------------------------------------
 
-    def _report(self) -> None:
-        """Report wind, energy and promise as often as each is due; save the flight now and then."""
-        context, reported = self._context, self._reported
-        wind, t_s = context.estimates.wind, context.t_s
-        wind_due = context.since_s(reported.wind_s) >= WIND_REPORT_S - 1e-6
-        if wind is not None and wind.valid and wind_due:
-            reported.wind_s = t_s
-            north, east = (float(x) for x in wind.mean_to_ne_mps)
-            cov = wind.cov_ne_m2ps2
-            spread = float(cov[0, 0]), float(cov[0, 1]), float(cov[1, 1])
-            context.do(WindReport(t_s, north, east, *spread))
-        if context.since_s(reported.values_s) >= REPORT_S - 1e-6:
-            reported.values_s = t_s
-            self._report_values()
-        flying = context.phase in FLIGHT_PHASES or context.phase is Phase.SUSPENDED
-        if flying and context.since_s(reported.saved_s) >= CHECKPOINT_S - 1e-6:
-            self.save_checkpoint(routine=True)
-
-    def _report_values(self) -> None:
-        context = self._context
-        wind, energy = context.estimates.wind, context.estimates.energy
-        seen, values = context.fresh_assessment(), dict[str, float]()
-        claim_s = self._authority.claim_s(context.phase)
-        if claim_s is not None:
-            values[CLAIM] = claim_s
-        if wind is not None and wind.valid:
-            values["LW_WINDN"], values["LW_WINDE"] = (float(x) for x in wind.mean_to_ne_mps)
-        if energy is not None:
-            values["LW_ENERGY"] = energy.mean_wh
-            report = energy.mean_wh, energy.std_wh, energy.source, energy.used_wh
-            context.do(EnergyReport(context.t_s, *report))
-        if seen is not None:
-            values |= {
-                "LW_MARGIN": seen.margin_wh,
-                "LW_PHOME": seen.p_home,
-                "LW_PHNOW": seen.p_home_now,
-                "LW_PSUCC": seen.p_success,
-            }
-            context.do(_assessed(seen))
-        context.do(Publish(values))
-
-    def save_checkpoint(self, *, routine: bool = False) -> None:
+    def queue_checkpoint(self, *, routine: bool = False) -> None:
         """Queue a checkpoint of the present state; none while only checking."""
-        context = self._context
+        context = self.context
         if context.options.check_only:
             return
-        self._reported.saved_s = context.t_s
-        context.do(SaveCheckpoint(checkpoint_to_dict(self.checkpoint()), routine))
+        self._saved_s = context.t_s
+        context.queue_actions(SaveCheckpoint(checkpoint_to_dict(self.build_checkpoint()), routine))
 
-    def checkpoint(self) -> Checkpoint:
-        """What a restart needs: the context's part, and each controller's own."""
-        context = self._context
+    def build_checkpoint(self) -> Checkpoint:
+        """Return the state for a restart: the context's part, and each controller's own."""
+        context = self.context
         phase, flown = context.phase, context.flight_plan
         waiting = phase is Phase.LINK_LOST and context.interrupted_phase in FLIGHT_PHASES
-        recognising = phase is Phase.RECOGNISE and self._flight_state.flying
+        recognising = phase is Phase.RECOGNISE and self._flight_state.in_flight
         parts: dict[str, Any] = {}
-        for keeper in self._keepers:
+        for keeper in self.parts.checkpoint_parts:
             parts |= keeper.to_dict()
         return Checkpoint(
             flight=self._digest,
@@ -488,121 +262,43 @@ class Pilot:
             finished=phase in END_PHASES,
             plan=flown.plan if flown is not None else None,
             frame=flown.site.frame if flown is not None else None,
-            asides=flown is not None and bool(flown.mission.asides),
+            asides=flown is not None and bool(flown.mission.setpoint_items),
             judgement=context.estimates.snapshot(),
             **parts,
         )
 
-    # --- what others ask -------------------------------------------------------------------------
+    # --- queries ---------------------------------------------------------------------------------
 
     @property
     def phase(self) -> Phase:
         """The phase of the mission."""
-        return self._context.phase
+        return self.context.phase
 
     @property
-    def flies_since_ms(self) -> int | None:
-        """From when on this process has flown this flight, on the autopilot's clock."""
-        return self._authority.flies_since_ms
-
-    @property
-    def telemetry(self) -> TelemetryState:
-        """What is known of the vehicle now."""
-        return self._context.telemetry
-
-    @property
-    def estimates(self) -> Estimates:
-        """Wind, energy and the gate."""
-        return self._context.estimates
-
-    @property
-    def autopilot(self) -> AutopilotKind | None:
-        """The autopilot, `None` until it is identified."""
-        return self._context.autopilot
+    def control_since_ms(self) -> int | None:
+        """Time since which this process has control of this flight, on the autopilot's clock."""
+        return self._authority.control_since_ms
 
     @property
     def flight_plan(self) -> FlightPlan | None:
-        """The plan that is flown, `None` before one is made."""
-        return self._context.flight_plan
+        """The current plan, `None` before one is made."""
+        return self.context.flight_plan
 
     @property
-    def assessment(self) -> Assessment | None:
-        """The gate's newest answer, however old."""
-        return self._context.assessment
-
-    @property
-    def fresh_assessment(self) -> Assessment | None:
-        """The gate's newest answer while it is young enough to report."""
-        return self._context.fresh_assessment()
-
-    @property
-    def delivered(self) -> bool:
-        """The parcel is gone."""
+    def is_delivered(self) -> bool:
+        """Whether the parcel is delivered."""
         return self._parcel_state.delivered
 
     @property
-    def home(self) -> str | None:
-        """The stop at which the flight ends were the companion to die now; `None`: no stops."""
-        return self._promise.home(self._context)
+    def current_home_stop_name(self) -> str | None:
+        """The stop at which the flight ends without the companion; `None`: no stops."""
+        return self._promise.current_home_stop_name(self.context)
 
     @property
-    def wanted_home(self) -> str | None:
-        """The stop that the truck asks for, while it is not home yet."""
-        return self._promise.wanted
+    def is_on_setpoints(self) -> bool:
+        """Whether set-points are flown near neighbours, or requested."""
+        return self._setpoints.is_requesting_setpoints
 
-    @property
-    def item(self) -> int | None:
-        """The item of the mission that the autopilot flies."""
-        return self._progress.index
-
-    @property
-    def jump_item(self) -> int | None:
-        """The item of a jump that telemetry does not show yet."""
-        return self._progress.jump_index
-
-    @property
-    def leg(self) -> int:
-        """Which leg of the way out."""
-        return self._progress.leg
-
-    @property
-    def position_lost(self) -> bool:
-        """The position is in doubt for longer than one late message."""
-        return self._position.is_lost
-
-    @property
-    def on_setpoints(self) -> bool:
-        """Set-points are flown near neighbours, or wanted."""
-        return self._setpoints.active
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Settings of the autopilot that are not as the promise needs them."""
-        return self._ground.findings
-
-    @property
-    def settings_before(self) -> dict[str, float]:
-        """The autopilot's own values of what is still to be put back."""
-        return dict(self._ground.settings_before)
-
-    @property
-    def setting_changes(self) -> tuple[SettingChange, ...]:
-        """Every setting of the autopilot that was changed, restored or not."""
-        return self._ground.setting_changes
-
-    def preflight(self) -> PreflightReport:
-        """The pre-flight now."""
-        return self._ground.report(self._context)
-
-
-def _assessed(seen: Assessment) -> Assessed:
-    return Assessed(
-        seen.t_s,
-        seen.p_home,
-        seen.p_home_now,
-        seen.p_success,
-        seen.margin_wh,
-        seen.energy_left_wh,
-        seen.energy_need_wh,
-        seen.p_home_unattended,
-    )
+    def preflight_report(self) -> PreflightReport:
+        """Return the present pre-flight report."""
+        return self._ground.preflight_report(self.context)

@@ -1,53 +1,56 @@
-"""The return decision: what is left to fly, the gate's answer to it, and the jump home.
+"""The return decision: the remaining flight, the gate's result for it, and the jump home.
 
-What closes the gate keeps it closed. Then one jump leads to the right item of the way home, or of a
-rally point.
+A closed gate stays closed. Then one jump leads to the right item of the return route, or of a rally
+point.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
-from companion.core.base.geo import Ned, horizontal_m
-from companion.core.mission.actions import Answer, Reply, Severity
+from companion.core.base.geo import Ned, horizontal_distance_m
+from companion.core.mission.actions import OperatorResponse, ResponseStatus
+from companion.core.mission.alerts import Alert
+from companion.core.mission.event_text import DecisionEvent
 from companion.core.mission.events import AbortOrdered, Event, LimitsChanged
-from companion.core.mission.flight_plan import DROP_S, FlightPlan
-from companion.core.pilot.checkpoint import Checkpoint
-from companion.core.pilot.context import (
-    Airborne,
-    FlightContext,
-    GateState,
-    ItemProgress,
-    Jumps,
-    Parcel,
-    PositionWatch,
-    Promise,
-    ReturnBudget,
-    WindHold,
+from companion.core.mission.flight_plan import DROP_TOTAL_S, FlightPlan
+from companion.core.mission.jump_watch import JumpType
+from companion.core.pilot.context import FlightContext, LatestAssessment
+from companion.core.pilot.estimates import MIN_DIVERT_GAIN, depot_p_home_if_less_safe
+from companion.core.pilot.estimators.flight_energy import valid_wind_ne_mps
+from companion.core.pilot.estimators.flight_gate import AcceptedLimits
+from companion.core.pilot.flight_state import (
+    CurrentItem,
+    FlightState,
+    ParcelState,
+    PromisedStop,
+    ReturnState,
 )
-from companion.core.pilot.estimates import Limits
+from companion.core.pilot.mission_progress import MissionProgressMonitor
+from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
-from companion.core.pilot.transitions import FLIGHT_PHASES, HOMEWARD_PHASES, Phase, Trigger
-from companion.core.return_budget.budget import Ahead, Assessment
+from companion.core.pilot.transitions import FLIGHT_PHASES, RETURN_PHASES, Phase, Trigger
+from companion.core.return_budget.budget import (
+    Assessment,
+    RemainingMission,
+    format_distinct_probabilities,
+)
 from companion.core.return_budget.remaining_from_plan import (
-    ahead_away,
-    ahead_delivering,
-    ahead_outbound,
-    ahead_returning,
+    remaining_delivery,
+    remaining_outbound,
+    remaining_return,
+    remaining_to_other_home,
 )
 from companion.core.routing.route_planner import Plan
 
-NEAR_M = 10.0
-STRAIGHT_M = 30.0
-BATTERY_LOST_S = 30.0
-DIVERT_GAIN = 0.02
-"""Another landing site has to be safer by so much to be flown to instead."""
-
-MARGIN_MOVED_FRAC = 0.10
-WIND_MOVED_MPS = 2.0
+LOW_MARGIN_M = 10.0
+CLIMB_RADIUS_M = 30.0
+BATTERY_TIMEOUT_S = 30.0
+MARGIN_CHANGE_FRAC = 0.10
+WIND_CHANGE_MPS = 2.0
 
 
-# --- what is left to fly, and the gate's answer --------------------------------------------------
+# --- the remaining flight, and the gate's result -------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,380 +61,374 @@ class RecordedAssessment:
     wind_ne_mps: tuple[float, float]
 
 
-def moved_since(
-    recorded: RecordedAssessment, fresh: Assessment, wind_ne_mps: tuple[float, float]
+def significant_change_text(
+    recorded_assessment: RecordedAssessment,
+    latest_assessment: Assessment,
+    wind_ne_mps: tuple[float, float],
 ) -> str:
-    """Say what has moved enough since the last decision to record another; `""`: nothing."""
-    margin_step_wh = MARGIN_MOVED_FRAC * max(fresh.energy_left_wh, 1.0)
-    if abs(fresh.margin_wh - recorded.margin_wh) > margin_step_wh:
-        return f"margin moved by {fresh.margin_wh - recorded.margin_wh:+.1f} Wh"
-    wind_moved_mps = math.dist(recorded.wind_ne_mps, wind_ne_mps)
-    return f"wind moved by {wind_moved_mps:.1f} m/s" if wind_moved_mps > WIND_MOVED_MPS else ""
+    """Return the change since the last decision that justifies recording another; `""`: none."""
+    margin_step_wh = MARGIN_CHANGE_FRAC * max(latest_assessment.energy_left_wh, 1.0)
+    if abs(latest_assessment.margin_wh - recorded_assessment.margin_wh) > margin_step_wh:
+        return (
+            f"margin moved by {latest_assessment.margin_wh - recorded_assessment.margin_wh:+.1f} Wh"
+        )
+    wind_moved_mps = math.dist(recorded_assessment.wind_ne_mps, wind_ne_mps)
+    return f"wind moved by {wind_moved_mps:.1f} m/s" if wind_moved_mps > WIND_CHANGE_MPS else ""
 
 
-class BudgetWatch:
-    """Asks the gate about what is left to fly, and records when its answer has moved."""
+@dataclass(slots=True, eq=False)
+class BudgetMonitor:
+    """Evaluates the gate for the remaining flight, and records changes of its result."""
 
-    def __init__(
-        self,
-        progress: ItemProgress,
-        flight: WindHold,
-        parcel: Parcel,
-        gate: GateState,
-        position: PositionWatch,
-    ) -> None:
-        self._progress = progress
-        self._flight = flight
-        self._parcel = parcel
-        self._gate = gate
-        self._position = position
-        self._recorded: RecordedAssessment | None = None
+    _item: CurrentItem
+    _flight: FlightState
+    _parcel: ParcelState
+    _gate: ReturnState
+    _position: PositionLossMonitor
+    _latest: LatestAssessment
+    _recorded: RecordedAssessment | None = None
 
-    def remaining(self, context: FlightContext, here: Ned, plan: Plan | None = None) -> Ahead:
-        """What is left to fly; `plan`: were it this one."""
+    def remaining_flight(
+        self, context: FlightContext, position_ned_m: Ned, plan: Plan | None = None
+    ) -> RemainingMission:
+        """Return the remaining flight; `plan`: under this plan instead of the current one."""
         flown = context.flight_plan
         assert flown is not None
         plan, payload_kg = plan or flown.plan, context.estimates.payload_kg
-        progress, delivered, rally = self._progress, self._parcel.delivered, self._gate.rally
+        delivered, rally, index = self._parcel.delivered, self._gate.landing_site, self._item.index
         drop_m = context.flight.mission.drop_height_m
-        index = progress.index
         match context.phase:
             case Phase.CLIMB | Phase.MEASURE:
-                settled_s = self._flight.settled_s
-                held_s = 0.0 if settled_s is None else context.t_s - settled_s
-                left_s = max(0.0, context.flight.mission.wind_settle_s - held_s)
-                return ahead_outbound(plan, here, 0, payload_kg, drop_m, DROP_S, left_s)
+                settled_s = self._flight.wind_measurement_start_s
+                hover_s = 0.0 if settled_s is None else context.t_s - settled_s
+                left_s = max(0.0, context.flight.mission.wind_settle_s - hover_s)
+                return remaining_outbound(
+                    plan, position_ned_m, 0, payload_kg, drop_m, DROP_TOTAL_S, left_s
+                )
             case Phase.OUTBOUND:
-                return ahead_outbound(plan, here, progress.leg, payload_kg, drop_m, DROP_S)
+                return remaining_outbound(
+                    plan,
+                    position_ned_m,
+                    self._item.outbound_leg,
+                    payload_kg,
+                    drop_m,
+                    DROP_TOTAL_S,
+                )
             case Phase.DELIVER | Phase.RELEASE if not delivered:
-                return ahead_delivering(plan, here, payload_kg, drop_m, DROP_S)
+                return remaining_delivery(plan, position_ned_m, payload_kg, drop_m, DROP_TOTAL_S)
             case Phase.LAND:
-                return ahead_returning(plan, here, None, payload_kg, delivered, rally)
-            case _ if index is not None and index in flown.mission.away:
-                away = flown.mission.away.index(index)
-                return ahead_away(plan, here, away, payload_kg, delivered)
+                return remaining_return(plan, position_ned_m, None, payload_kg, delivered, rally)
+            case _ if index is not None and index in flown.mission.pad_return:
+                return self.remaining_from_item(context, position_ned_m, plan, index)
             case _:
-                back = _return_index(flown, index, here)
-                return ahead_returning(plan, here, back, payload_kg, delivered, rally)
+                return_index = _return_route_index(flown, index, position_ned_m)
+                return remaining_return(
+                    plan, position_ned_m, return_index, payload_kg, delivered, rally
+                )
 
-    def remaining_from(self, context: FlightContext, here: Ned, plan: Plan, item: int) -> Ahead:
-        """What is left to fly on the way home once the mission is at this item."""
+    def remaining_from_item(
+        self, context: FlightContext, position_ned_m: Ned, plan: Plan, item_index: int
+    ) -> RemainingMission:
+        """Return the remaining flight on the return route from this item on."""
         flown, payload_kg = context.flight_plan, context.estimates.payload_kg
         assert flown is not None
         mission, delivered = flown.mission, self._parcel.delivered
-        if item in mission.away:
-            return ahead_away(plan, here, mission.away.index(item), payload_kg, delivered)
-        site = flown.site_of_item(item)
-        index = 0 if site is not None else max(0, mission.returning.index(item) - 1)
-        return ahead_returning(plan, here, index, payload_kg, delivered, site)
+        if item_index in mission.pad_return:
+            return remaining_to_other_home(
+                plan, position_ned_m, mission.pad_return.index(item_index), payload_kg, delivered
+            )
+        site = flown.other_landing_site_name_of_item(item_index)
+        index = 0 if site is not None else max(0, mission.returning.index(item_index) - 1)
+        return remaining_return(plan, position_ned_m, index, payload_kg, delivered, site)
 
-    def assess(self, context: FlightContext, every_s: float) -> Assessment | None:
-        """Ask the gate when its last answer is older than `every_s`."""
-        seen = context.assessment
-        if seen is not None and context.t_s - seen.t_s < every_s - 1e-6:
-            return seen
-        here = context.here_ned()
-        if here is None or self._position.is_lost:
-            return None
-        return self._taken(context, context.estimates.assess(self.remaining(context, here)))
+    def assess_remaining_if_older(self, context: FlightContext, max_age_s: float) -> None:
+        """Evaluate the gate if its last result is older than `max_age_s`."""
+        assessment, here = context.assessment, context.recent_position_ned_m()
+        if assessment is not None and context.t_s - assessment.t_s < max_age_s - 1e-6:
+            return
+        if here is not None and not self._position.is_position_lost:
+            remaining = self.remaining_flight(context, here)
+            self._store_assessment(context, context.estimates.assess(remaining))
 
-    def assess_departure(self, context: FlightContext) -> Assessment | None:
-        """Ask the gate for the whole mission, and how much risk its later decisions may take."""
-        here = context.here_ned()
-        if here is None:
-            return None
-        return self._taken(context, context.estimates.depart(self.remaining(context, here)))
+    def assess_departure_and_fix_loss(self, context: FlightContext) -> None:
+        """Evaluate the gate for the whole mission, and fix the risk that later decisions accept."""
+        here = context.recent_position_ned_m()
+        if here is not None:
+            remaining = self.remaining_flight(context, here)
+            latest = context.estimates.assess_departure_and_fix_loss(remaining)
+            self._store_assessment(context, latest)
 
-    def assess_delivery(self, context: FlightContext) -> Assessment | None:
-        """Ask the gate for the delivery, from over the customer."""
-        here, flown = context.here_ned(), context.flight_plan
+    def assess_delivery(self, context: FlightContext) -> None:
+        """Evaluate the gate for the delivery, from over the customer."""
+        here, flown = context.recent_position_ned_m(), context.flight_plan
         if here is None or flown is None:
-            return None
+            return
         drop_m = context.flight.mission.drop_height_m
         payload_kg = context.estimates.payload_kg
-        going = ahead_delivering(flown.plan, here, payload_kg, drop_m, DROP_S)
-        return self._taken(context, context.estimates.assess(going))
+        remaining = remaining_delivery(flown.plan, here, payload_kg, drop_m, DROP_TOTAL_S)
+        self._store_assessment(context, context.estimates.assess(remaining))
 
-    def _taken(self, context: FlightContext, fresh: Assessment | None) -> Assessment | None:
-        if fresh is not None:
-            context.assessment = fresh
-            self._record_move(context, fresh)
-        return fresh
-
-    def _record_move(self, context: FlightContext, fresh: Assessment) -> None:
-        """Record a decision when margin or wind have moved since the last one recorded."""
-        wind = context.estimates.wind
-        if wind is None:
+    def _store_assessment(self, context: FlightContext, latest: Assessment | None) -> None:
+        """Store the result, unless it or the wind is unknown. Record a decision if margin or wind
+        have changed since the last recorded one.
+        """
+        wind_ne_mps = valid_wind_ne_mps(context.estimates.wind)
+        if latest is None or wind_ne_mps is None:
             return
-        wind_ne = (float(wind.mean_to_ne_mps[0]), float(wind.mean_to_ne_mps[1]))
+        self._latest.store(latest)
         if self._recorded is not None:
-            moved = moved_since(self._recorded, fresh, wind_ne)
-            if not moved:
+            change = significant_change_text(self._recorded, latest, wind_ne_mps)
+            if not change:
                 return
             if context.phase in FLIGHT_PHASES:
-                context.decide("looked_again", f"{moved}: {fresh.reason}")
-        self._recorded = RecordedAssessment(fresh.margin_wh, wind_ne)
+                context.record_decision("looked_again", f"{change}: {latest.reason}")
+        self._recorded = RecordedAssessment(latest.margin_wh, wind_ne_mps)
 
 
-def _return_index(flown: FlightPlan, index: int | None, here: Ned) -> int:
-    """Index into the plan's way back that is flown to (the mission has the climb-out before)."""
-    mission, plan = flown.mission, flown.plan
-    if index is not None and index in mission.returning:
-        return max(0, mission.returning.index(index) - 1)
-    distances = [horizontal_m(here, point) for point in plan.return_ned_m]
+def _return_route_index(
+    flight_plan: FlightPlan, item_index: int | None, position_ned_m: Ned
+) -> int:
+    """Return the index in the plan's return route (the mission has one more, the climb-out)."""
+    mission, plan = flight_plan.mission, flight_plan.plan
+    if item_index is not None and item_index in mission.returning:
+        return max(0, mission.returning.index(item_index) - 1)
+    distances = [horizontal_distance_m(position_ned_m, point) for point in plan.return_ned_m]
     return distances.index(min(distances))
 
 
 # --- the decision --------------------------------------------------------------------------------
 
 
-@dataclass(slots=True)
-class ReturnState:
-    """What closed the gate, and the landing site that is flown to instead of the plan's own."""
+class SaferRally(NamedTuple):
+    """A rally point with its P(home), and that of the home that no longer keeps the promise."""
 
-    closed_by: str = ""
-    rally: str | None = None
-
-    def close(self, why: str) -> None:
-        """Close the gate; the first reason stays."""
-        self.closed_by = self.closed_by or why
-
-    def close_anew(self, why: str) -> None:
-        """Close the gate for this reason, whatever closed it before."""
-        self.closed_by = why
-
-    def choose_landing(self, name: str | None) -> None:
-        """The mission flies to this one now; `None`: the plan's own landing."""
-        self.rally = name
-
-    def to_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
-        return {"gate_closed": self.closed_by, "rally": self.rally}
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint."""
-        self.closed_by, self.rally = checkpoint.gate_closed, checkpoint.rally
+    name: str
+    p_home: float
+    home_p_home: float
 
 
+@dataclass(slots=True, eq=False)
 class ReturnDecision:
     """Turns back when the gate is closed."""
 
-    def __init__(
-        self,
-        state: ReturnState,
-        jumps: Jumps,
-        budget: ReturnBudget,
-        promise: Promise,
-        flight: Airborne,
-        parcel: Parcel,
-    ) -> None:
-        self._state = state
-        self._jumps = jumps
-        self._budget = budget
-        self._promise = promise
-        self._flight = flight
-        self._parcel = parcel
+    _state: ReturnState
+    _item: CurrentItem
+    _jumps: MissionProgressMonitor
+    _budget: BudgetMonitor
+    _promise: PromisedStop
+    _flight: FlightState
+    _parcel: ParcelState
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """An operator orders an abort, or accepts other limits."""
+        """Process an operator's abort, or new limits."""
         match event:
             case AbortOrdered():
-                accepted = self._abort(context, event.by)
-                context.do(Answer(Reply.ACCEPTED if accepted else Reply.DENIED))
+                accepted = self._process_abort(context, event.by)
+                context.queue_actions(
+                    OperatorResponse(ResponseStatus.ACCEPTED if accepted else ResponseStatus.DENIED)
+                )
             case LimitsChanged():
-                _change_limits(context, event)
+                _apply_operator_limits(context, event)
             case _:
                 return
 
     @property
-    def closed_by(self) -> str:
-        """What closed the gate; `""` while it is open."""
-        return self._state.closed_by
+    def gate_closed_reason(self) -> str:
+        """Reason that closed the gate; `""` while it is open."""
+        return self._state.gate_closed_reason
 
-    def gate(self, context: FlightContext) -> bool:
-        """Turn back when the gate is closed; tells whether it is open."""
-        why = self._why_closed(context)
-        if not why:
+    def is_gate_open_else_turn_back(self, context: FlightContext) -> bool:
+        """Turn back if the gate is closed; return whether it is open."""
+        reason = self._gate_closing_reason(context)
+        if not reason:
             return True
-        if not self._jumps.jumps_home:
-            self._go_home(context, why)
+        if not self._jumps.is_jumping_home:
+            self._close_gate_and_jump_home(context, reason)
         return False
 
-    def closed_beside_energy(self, context: FlightContext) -> str:
-        """Say what closes the gate besides its own budget: the clock, or a battery gone silent."""
-        took_off_s = self._flight.took_off_s
-        if took_off_s is not None:
+    def non_energy_gate_closing_reason(self, context: FlightContext) -> str:
+        """Return what closes the gate except its budget: time limit or no battery data."""
+        takeoff_s = self._flight.takeoff_s
+        if takeoff_s is not None:
             limit_s = context.flight.mission.time_limit_s
-            if context.t_s - took_off_s > limit_s:
+            if context.t_s - takeoff_s > limit_s:
                 return f"over the time limit of {limit_s:.0f} s"
-        if not context.telemetry.is_fresh(context.telemetry.battery, BATTERY_LOST_S):
-            return "nothing heard of the battery"
+        if not context.telemetry.is_recent(context.telemetry.battery, BATTERY_TIMEOUT_S):
+            return "no data from the battery"
         return ""
 
-    def no_leave(self, context: FlightContext) -> str:
-        """Say why leave to go on cannot be given now; `""` when it can. Unknown is a reason."""
-        troubles = context.telemetry.troubles()
+    def clearance_block_reason(self, context: FlightContext) -> str:
+        """Return why the next leg is not cleared now, such as unknown values; `""` if it is."""
+        troubles = context.telemetry.command_faults()
         if troubles:
             return troubles[0]
-        if context.fresh_assessment() is None:
+        if context.recent_assessment() is None:
             return "wind or energy unknown"
         return ""
 
-    def rally_instead(self, context: FlightContext, here: Ned) -> str | None:
-        """On the way home: name a rally point that keeps the promise when the way home does not."""
-        if context.phase is Phase.RETURN:
-            return self._rally_instead_of_depot(context, here)
-        return self._rally_instead_of_stop(context, here)
+    def divert_if_rally_is_safer(self, context: FlightContext, position_ned_m: Ned) -> None:
+        """On the return route: divert to a rally point that keeps the promise if home does not."""
+        safer = (
+            self._rally_safer_than_home(context, position_ned_m)
+            if context.phase is Phase.RETURN
+            else self._rally_safer_than_stop(context, position_ned_m)
+        )
+        if safer is not None and not context.telemetry.command_faults():
+            promise = 1.0 - context.estimates.limits.max_loss
+            low, high = format_distinct_probabilities(safer.home_p_home, promise)
+            where = self._promise.current_home_stop_name(context) or "depot"
+            text = f"{where}: P(home) {low} below {high}; {safer.name} {safer.p_home:.3f}"
+            self._divert_to_rally(context, safer.name, text)
 
-    def divert(self, context: FlightContext, rally: str, why: str) -> None:
-        """Jump to this rally point, or stop."""
+    def _divert_to_rally(self, context: FlightContext, rally_name: str, reason: str) -> None:
+        """Jump to this rally point or stop."""
         flown = context.flight_plan
         assert flown is not None
-        self._state.choose_landing(rally)
-        is_stop = rally in {stop.name for stop in flown.plan.stops}
-        self._promise.want(context, rally if is_stop else None)
-        context.decide("divert", f"to {rally}: {why}")
-        context.say(Severity.WARNING, f"diverting to {rally}: {why}")
-        self._jumps.jump_home(context, flown.site_items(rally)[0])
-        context.request_transition(Trigger.RALLY_BOUND, why)
+        self._state.set_landing_site(rally_name)
+        is_stop = rally_name in {stop.name for stop in flown.plan.stops}
+        self._promise.set_requested_stop(context, rally_name if is_stop else None)
+        context.record_decision(*DecisionEvent.create_diversion(rally_name, reason))
+        context.report_alert(Alert.DIVERTING, site=rally_name, reason=reason)
+        self._jumps.order_jump(
+            context, flown.overhead_and_ground_items_of_site(rally_name)[0], JumpType.HOME
+        )
+        context.apply_phase_trigger(Trigger.RALLY_BOUND, reason)
 
-    def _why_closed(self, context: FlightContext) -> str:
-        """Say what closes the gate, `""` while it is open. What is closed stays closed."""
-        if self._state.closed_by:
-            return self._state.closed_by
-        seen = context.fresh_assessment()
-        if seen is not None and seen.turn_back:
-            if context.options.gate_on:
-                return seen.reason
-            context.say_once(Severity.NOTICE, "gate off: would turn back now")
-        return self.closed_beside_energy(context)
+    def _gate_closing_reason(self, context: FlightContext) -> str:
+        """Return the reason that closes the gate for good, `""` while it is open."""
+        if self._state.gate_closed_reason:
+            return self._state.gate_closed_reason
+        assessment = context.recent_assessment()
+        if assessment is not None and assessment.turn_back:
+            if context.options.gate_enabled:
+                return assessment.reason
+            context.report_alert_once(Alert.GATE_OFF)
+        return self.non_energy_gate_closing_reason(context)
 
-    def _go_home(self, context: FlightContext, why: str) -> None:
-        """One jump to the right item of the way home, or of a rally point."""
-        telemetry, flown, here = context.telemetry, context.flight_plan, context.here_ned()
-        self._state.close_anew(why)
+    def _close_gate_and_jump_home(self, context: FlightContext, reason: str) -> None:
+        """Jump once to the right item of the return route, or of a rally point."""
+        telemetry = context.telemetry
+        flown, here = context.flight_plan, context.recent_position_ned_m()
+        self._state.replace_gate_reason(reason)
         if flown is None:
             return
-        if here is None or not telemetry.is_fresh(telemetry.state, STATE_MAX_AGE_S):
-            # Never on stale data; the next waypoint's dead man's jump goes home without us.
-            words = "gate closed; position stale, the mission goes home itself"
-            context.say_once(Severity.WARNING, words)
+        if here is None or not telemetry.is_recent(telemetry.state, STATE_MAX_AGE_S):
+            # Never on stale data; the default jump of the next waypoint leads home.
+            context.report_alert_once(Alert.GATE_CLOSED_POSITION_STALE)
             return
-        rally = self._rally_instead_of_depot(context, here)
-        if rally is not None:
-            self.divert(context, rally, why)
+        safer = self._rally_safer_than_home(context, here)
+        if safer is not None:
+            self._divert_to_rally(context, safer.name, reason)
             return
-        item = self._entry(flown, here)
-        context.decide("turn_back", why)
-        context.say(Severity.WARNING, f"gate closed: {why}")
-        self._state.choose_landing(None)
-        self._jumps.jump_home(context, item)
-        context.request_transition(Trigger.HOMEWARD, why)
+        item = self._entry_item_from_position(flown, here)
+        context.record_decision("turn_back", reason)
+        context.report_alert(Alert.GATE_CLOSED, reason=reason)
+        self._state.set_landing_site(None)
+        self._jumps.order_jump(context, item, JumpType.HOME)
+        context.apply_phase_trigger(Trigger.RETURN_STARTED, reason)
 
-    def item_home(self, context: FlightContext) -> int | None:
-        """The item at which the way home is entered from here; `None` without a position."""
-        flown, here = context.flight_plan, context.here_ned()
-        return None if flown is None or here is None else self._entry(flown, here)
+    def return_route_entry_item(self, context: FlightContext) -> int | None:
+        """Return the item at which to enter the return route; `None` without a position."""
+        flown, here = context.flight_plan, context.recent_position_ned_m()
+        return (
+            None if flown is None or here is None else self._entry_item_from_position(flown, here)
+        )
 
-    def _entry(self, flown: FlightPlan, here: Ned) -> int:
-        """Which item to fly to: the shortest way home that starts in a clear straight line."""
-        mission = flown.mission
-        above = flown.plan.over_customer_ned_m
-        # Low at the customer the vehicle climbs out first; that is what the first item is for.
-        if low_at(here, above):
+    def _entry_item_from_position(self, flight_plan: FlightPlan, position_ned_m: Ned) -> int:
+        """Return the item to fly to: the shortest return that starts with a clear straight line."""
+        mission = flight_plan.mission
+        above = flight_plan.plan.return_route_start_ned_m
+        # Low at the customer the vehicle climbs out first, by the first item.
+        if is_low_under(position_ned_m, above):
             return mission.returning[0]
-        if mission.away and low_at(here, flown.plan.away_ned_m[0]):
-            return mission.away[0]
-        item = flown.item_home_from(here)
+        if mission.pad_return and is_low_under(position_ned_m, flight_plan.plan.away_ned_m[0]):
+            return mission.pad_return[0]
+        item = flight_plan.shortest_clear_return_item(position_ned_m)
         if item is not None:
             return item
         # No line is clear (GNSS error near an obstacle's clearance): as the mission itself would.
-        leg = max(0, self._jumps.leg - 1)
+        leg = max(0, self._item.outbound_leg - 1)
         return mission.entry_of_outbound[leg]
 
-    def _rally_instead_of_depot(self, context: FlightContext, here: Ned) -> str | None:
-        """Name a rally point when home does not keep the promise and the rally point does."""
-        flown, seen = context.flight_plan, context.fresh_assessment()
-        if flown is None or seen is None or seen.best_landing == flown.plan.landing:
+    def _rally_safer_than_home(self, context: FlightContext, here_m: Ned) -> SaferRally | None:
+        """Return a rally point that keeps the promise if home does not, else None."""
+        flown, assessment = context.flight_plan, context.recent_assessment()
+        if flown is None or assessment is None:
             return None
-        if not rally_in_sight(flown, seen.best_landing, here):
+        rally, home = assessment.best_landing, flown.plan.return_route_end_name
+        if rally == home or not has_clear_line_to_rally(flown, rally, here_m):
             return None
-        ahead = self._budget.remaining(context, here)
-        landing = flown.plan.landing
-        depot_only = tuple(way for way in ahead.ways_home_now if way.landing == landing)
-        if not depot_only:
-            return seen.best_landing
-        depot = context.estimates.assess(Ahead(depot_only, (), self._parcel.delivered))
-        if depot is None or not beats_depot(seen, depot, context.estimates.limits.max_loss):
-            return None
-        return seen.best_landing
+        remaining = self._budget.remaining_flight(context, here_m)
+        p_home = depot_p_home_if_less_safe(assessment, remaining, home, context.estimates)
+        return None if p_home is None else SaferRally(rally, assessment.p_home_now, p_home)
 
-    def _rally_instead_of_stop(self, context: FlightContext, here: Ned) -> str | None:
-        """On the way to a stop that home was moved to: the rally point that keeps the promise when
-        the stop does not any more. The old home is no choice: the truck may have left it.
+    def _rally_safer_than_stop(
+        self, context: FlightContext, position_ned_m: Ned
+    ) -> SaferRally | None:
+        """On the route to a stop that home was moved to: return the rally point that keeps the
+        promise if the stop no longer does. The old home is excluded: the truck may have left it.
         """
-        flown, seen = context.flight_plan, context.fresh_assessment()
-        rally = self._state.rally
-        if flown is None or seen is None or rally is None:
+        flown, assessment = context.flight_plan, context.recent_assessment()
+        rally = self._state.landing_site
+        if flown is None or assessment is None or rally is None:
             return None
         stops = {stop.name for stop in flown.plan.stops}
-        if rally not in stops or seen.p_home >= 1.0 - context.estimates.limits.max_loss:
+        if rally not in stops or assessment.p_home >= 1.0 - context.estimates.limits.max_loss:
             return None
-        best, best_p = None, seen.p_home + DIVERT_GAIN
+        best, best_p = None, assessment.p_home + MIN_DIVERT_GAIN
         for site in flown.plan.rally:
-            if site.name in stops or not rally_in_sight(flown, site.name, here):
+            if site.name in stops or not has_clear_line_to_rally(flown, site.name, position_ned_m):
                 continue
-            item, _ = flown.site_items(site.name)
-            ahead = self._budget.remaining_from(context, here, flown.plan, item)
-            there = context.estimates.assess(ahead)
-            if there is not None and there.p_home > best_p:
-                best, best_p = site.name, there.p_home
-        return best
+            item, _ = flown.overhead_and_ground_items_of_site(site.name)
+            remaining = self._budget.remaining_from_item(context, position_ned_m, flown.plan, item)
+            rally_assessment = context.estimates.assess(remaining)
+            if rally_assessment is not None and rally_assessment.p_home > best_p:
+                best, best_p = site.name, rally_assessment.p_home
+        return None if best is None else SaferRally(best, best_p, assessment.p_home)
 
-    def _abort(self, context: FlightContext, by: str) -> bool:
-        """An operator wants it home: the gate closes."""
-        why = f"abort ordered by {by}"
-        if context.phase in HOMEWARD_PHASES:
+    def _process_abort(self, context: FlightContext, operator_name: str) -> bool:
+        """Process an operator's abort: the gate closes."""
+        reason = f"abort ordered by {operator_name}"
+        if context.phase in RETURN_PHASES:
             return True
-        if context.outward:
-            context.decide("abort", f"ordered by {by}")
-            if context.phase is Phase.RELEASE and self._parcel.delivered:
-                return True
-            self._go_home(context, why)
+        if context.is_outbound:
+            context.record_decision("abort", f"ordered by {operator_name}")
+            if not (context.phase is Phase.RELEASE and self._parcel.delivered):
+                self._close_gate_and_jump_home(context, reason)
             return True
         if context.phase in (Phase.RECOGNISE, Phase.LINK_LOST):
-            self._state.close_anew(why)
+            self._state.replace_gate_reason(reason)
             return True
         if context.phase in (Phase.SUSPENDED, Phase.PASSIVE):
             return False
-        context.request_transition(Trigger.ABORT, why)
+        context.apply_phase_trigger(Trigger.ABORT, reason)
         return True
 
 
-def low_at(here: Ned, above: Ned) -> bool:
-    """Tell whether the vehicle is low under a point to which it climbs straight up."""
-    return here[2] > above[2] + NEAR_M and horizontal_m(here, above) < STRAIGHT_M
+def is_low_under(position_ned_m: Ned, overhead_ned_m: Ned) -> bool:
+    """Return whether the vehicle is low under a point to which it climbs straight up."""
+    return (
+        position_ned_m[2] > overhead_ned_m[2] + LOW_MARGIN_M
+        and horizontal_distance_m(position_ned_m, overhead_ned_m) < CLIMB_RADIUS_M
+    )
 
 
-def rally_in_sight(flown: FlightPlan, name: str, here: Ned) -> bool:
-    """Tell whether the straight line to a rally point is clear, at the height it is flown at."""
-    rally = next((r for r in flown.plan.rally if r.name == name), None)
-    level = flown.plan.return_ned_m[-1]
-    return rally is not None and flown.sees(here, rally.above(level))
+def has_clear_line_to_rally(flight_plan: FlightPlan, rally_name: str, position_ned_m: Ned) -> bool:
+    """Return whether the straight line to a rally point is clear, at its flown height."""
+    rally = next((r for r in flight_plan.plan.rally if r.name == rally_name), None)
+    level = flight_plan.plan.return_ned_m[-1]
+    return rally is not None and flight_plan.is_line_clear_with_height_change(
+        position_ned_m, rally.arrival_point_above_site(level)
+    )
 
 
-def beats_depot(seen: Assessment, depot: Assessment, max_loss: float) -> bool:
-    """Tell whether another landing keeps a promise that the depot does not."""
-    return depot.p_home < 1.0 - max_loss and seen.p_home_now > depot.p_home + DIVERT_GAIN
-
-
-def _change_limits(context: FlightContext, event: LimitsChanged) -> None:
+def _apply_operator_limits(context: FlightContext, event: LimitsChanged) -> None:
     now = context.estimates.limits
-    limits = Limits(
+    limits = AcceptedLimits(
         event.max_loss if event.max_loss is not None else now.max_loss,
         event.reserve_frac if event.reserve_frac is not None else now.reserve_frac,
     )
-    context.estimates.limit(limits)
-    context.say(Severity.NOTICE, f"max loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}")
-    words = f"max_loss {limits.max_loss:g}, reserve {limits.reserve_frac:g}"
-    context.decide("limits", words)
+    context.estimates.set_accepted_limits(limits)
+    max_loss, reserve_frac = limits.max_loss, limits.reserve_frac
+    context.report_alert(Alert.LIMITS_CHANGED, max_loss=max_loss, reserve_frac=reserve_frac)
+    context.record_decision("limits", f"max_loss {max_loss:g}, reserve {reserve_frac:g}")

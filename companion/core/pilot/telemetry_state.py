@@ -1,33 +1,38 @@
-"""The newest telemetry of the vehicle, its age, and whether it is good enough to act on.
+"""The latest telemetry of the vehicle, its age, and whether it is good enough to act on.
 
-Heights have one truth here. An autopilot tells its height above its own home, and that home can be
-moved in flight by anybody. Once the vehicle has taken off, every height is AMSL less the AMSL of
-the ground that it took off from, whatever the autopilot's home is by then.
+Heights have one reference. An autopilot reports its height above its own home, and any station can
+move that home in flight. After takeoff every height is AMSL minus the AMSL height of the takeoff
+ground, independent of the autopilot's home.
 """
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from companion.core.mission.events import (
     AirPressure,
     Airspeed,
     ArmingReadiness,
     Attitude,
+    AutopilotDetected,
+    AutopilotKind,
     AutopilotWind,
     Battery,
     EstimatorHealth,
     Event,
     GnssFix,
-    Ground,
     GroundState,
     Home,
     MissionProgress,
-    ModeNow,
+    ModeReport,
     Position,
     Throttle,
+    VehicleLandedState,
     VehicleState,
 )
 from companion.core.vehicle.airframe import PLAUSIBLE_CELL_V
+
+EventT = TypeVar("EventT", bound=Event)
 
 POSITION_MAX_AGE_S = 1.0
 ATTITUDE_MAX_AGE_S = 1.0
@@ -38,204 +43,117 @@ BATTERY_MAX_AGE_S = 5.0
 AIRSPEED_MAX_AGE_S = 1.0
 WIND_MAX_AGE_S = 2.0
 GROUND_MAX_AGE_S = 1.5
-"""Three of the 2 Hz that both autopilots are asked for."""
+"""Three messages at the 2 Hz requested from both autopilots."""
 
-DISARMED_WITNESSES = 2
-"""So many heartbeats in a row that say disarmed are believed in flight: one may be wrong."""
+MIN_DISARMED_REPORTS = 2
+"""Number of consecutive disarmed heartbeats accepted in flight: one may be wrong."""
 
-MODE_GAP_S = 0.6
+MIN_MODE_GAP_S = 0.6
 """Both autopilots report the mode at 4 Hz or more. In a longer gap a person may have changed it and
-changed it back. Where it comes more slowly, a gap is 1.6 times the usual interval."""
+changed it back. At lower rates a gap is 1.6 times the usual interval."""
 
-SAME_PACK_FRAC = 0.05
-"""Two voltages of one pack differ by less."""
+SAME_PACK_TOLERANCE_FRAC = 0.05
+"""Maximum relative difference of two voltages of one pack."""
 
 THROTTLE_MAX_AGE_S = 1.0
 PRESSURE_MAX_AGE_S = 3.0
-"""Three of the 1 Hz that both autopilots are asked for."""
+"""Three messages at the 1 Hz requested from both autopilots."""
+
+
+LATEST_FIELDS: dict[type[Event], str] = {
+    GnssFix: "gnss",
+    EstimatorHealth: "estimator",
+    Home: "home",
+    Throttle: "throttle",
+    Airspeed: "airspeed",
+    AirPressure: "pressure",
+    AutopilotWind: "wind",
+    MissionProgress: "progress",
+    ArmingReadiness: "readiness",
+}
+"""Events of which the latest is kept unchanged, with its field."""
 
 
 @dataclass(slots=True)
-class TelemetryState:
-    """The newest sample of each kind. Late samples never replace newer ones.
+class PackTelemetry:
+    """The battery messages, and the state of the pack merged from those about it.
 
-    A heartbeat that says disarmed after armed ones is doubt, and `state` stays armed, until the
-    autopilot's landed-state agrees or the next heartbeat says it again.
+    The monitor that measures the pack is selected by voltage, then current, then number; while the
+    vehicle is armed it stays. Its messages and matching ones of the whole vehicle are merged. After
+    a reboot of the autopilot a new object replaces this one.
     """
 
-    t_s: float = 0.0
-    state: VehicleState | None = None
-    attitude: Attitude | None = None
-    position: Position | None = None
-    gnss: GnssFix | None = None
-    estimator: EstimatorHealth | None = None
-    home: Home | None = None
+    voltage_range_v: tuple[float, float] = (PLAUSIBLE_CELL_V[0], math.inf)
+    """Lowest and highest voltage of the vehicle's pack."""
     battery: Battery | None = None
-    throttle: Throttle | None = None
-    airspeed: Airspeed | None = None
-    pressure: AirPressure | None = None
-    wind: AutopilotWind | None = None
-    progress: MissionProgress | None = None
-    ground: GroundState | None = None
-    readiness: ArmingReadiness | None = None
-    ground_amsl_m: float | None = None
-    """The ground that it took off from; `None` before: heights are above the autopilot's home."""
-    home_sunk_m: float = 0.0
-    """By how much the autopilot's home lies below that ground now."""
-    batteries: dict[int | None, Battery] = field(default_factory=dict)
-    """The newest battery message of each monitor, and of the whole vehicle (`None`)."""
-    _pack_v: tuple[float, float] = (PLAUSIBLE_CELL_V[0], math.inf)
-    _pack: int = 0
-    """The monitor that measures the pack: by its voltage, then its current, then its number."""
+    messages: dict[int | None, Battery] = field(default_factory=dict)
+    """The latest battery message of each monitor, and of the whole vehicle (`None`)."""
+    _monitor: int = 0
     _measured: dict[int, Battery] = field(default_factory=dict)
-    _battery_times: dict[str, float] = field(default_factory=dict)
-    disarmed_since_s: float | None = None
-    """When the first of the newest heartbeats came that all say disarmed."""
-    _disarmed_reports: int = 0
-    _mode_s: float | None = None
-    """When the mode was reported last."""
-    _mode_gap_s: float | None = None
-    """When the last gap in the reports of the mode ended."""
-    _mode_every_s: float = 0.0
+    _field_times_s: dict[str, float] = field(default_factory=dict)
 
-    def expecting(self, pack_v: tuple[float, float]) -> "TelemetryState":
-        """The same, of a vehicle whose pack has a voltage from the first to the second."""
-        self._pack_v = pack_v
-        return self
+    def store_message(self, battery: Battery, t_s: float, *, is_armed: bool) -> None:
+        """Process one battery message at this time."""
+        self.messages[battery.pack] = battery
+        if battery.pack is not None and battery.voltage_v is not None:
+            self._measured[battery.pack] = battery
+        if not (is_armed and self._monitor in self._measured):  # in flight it stays the same pack
+            known = [k for k in self._measured or self.messages if k is not None]
+            selected = max(known, key=lambda k: self._monitor_selection_key(k, t_s), default=0)
+            if selected != self._monitor:
+                self._monitor, self.battery = selected, None
+        if battery.pack in (self._monitor, None) and self._is_about_pack(battery):
+            self.battery = self._merge_battery(battery)
 
-    def update(self, event: Event) -> None:
-        """Take one telemetry event."""
-        self.t_s = max(self.t_s, event.t_s)
-        match event:
-            case VehicleState():
-                self._take_heartbeat(event)
-                self._note_mode(event.t_s)
-            case ModeNow() if self.state is not None:
-                self._note_mode(event.t_s)
-                self.state = replace(self.state, mode=event.mode, mode_name=event.mode_name)
-            case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
-                self.attitude = event
-            case Position() if self.position is None or event.t_s >= self.position.t_s:
-                self.position = self._above_ground(event)
-            case GnssFix():
-                self.gnss = event
-            case EstimatorHealth():
-                self.estimator = event
-            case Home():
-                self.home = event
-            case Battery():
-                self._take_battery(event)
-            case Throttle():
-                self.throttle = event
-            case Airspeed():
-                self.airspeed = event
-            case AirPressure():
-                self.pressure = event
-            case AutopilotWind():
-                self.wind = event
-            case MissionProgress():
-                self.progress = event
-            case GroundState():
-                self.ground = event
-                self._believe_disarmed()
-            case ArmingReadiness():
-                self.readiness = event
-            case _:
-                return
+    def _monitor_voltage_v(self, monitor_number: int) -> float:
+        battery = self._measured.get(monitor_number)
+        return 0.0 if battery is None else battery.voltage_v or 0.0
 
-    def _note_mode(self, t_s: float) -> None:
-        interval_s = t_s - (self._mode_s if self._mode_s is not None else t_s)
-        if interval_s > max(MODE_GAP_S, 1.6 * self._mode_every_s):
-            self._mode_gap_s = t_s
-        self._mode_s, self._mode_every_s = t_s, interval_s
+    def _has_pack_voltage(self, monitor_number: int) -> bool:
+        low_v, high_v = self.voltage_range_v
+        return low_v <= self._monitor_voltage_v(monitor_number) <= high_v
 
-    def has_mode_gap_since(self, then_s: float) -> bool:
-        """Tell whether the mode may have changed and changed back unseen since then."""
-        return self._mode_gap_s is not None and self._mode_gap_s >= then_s
+    def _monitor_selection_key(
+        self, monitor_number: int, t_s: float
+    ) -> tuple[bool, bool, bool, int]:
+        battery = self._measured.get(monitor_number)
+        return (
+            self._has_pack_voltage(monitor_number),
+            battery is not None and t_s - battery.t_s <= BATTERY_MAX_AGE_S,
+            battery is not None and battery.current_a is not None,
+            -monitor_number,
+        )
 
-    def _take_heartbeat(self, new: VehicleState) -> None:
-        was_armed = self.armed
-        self._disarmed_reports = 0 if new.armed else self._disarmed_reports + 1
-        if self._disarmed_reports <= 1:
-            self.disarmed_since_s = None if new.armed else new.t_s
-        self.state = replace(new, armed=True) if was_armed else new
-        self._believe_disarmed()
-
-    def _believe_disarmed(self) -> None:
-        """Take the newest heartbeat's word for it, where something else says the same."""
-        if self.state is None or self._disarmed_reports == 0:
-            return
-        if self._disarmed_reports >= DISARMED_WITNESSES or self.landed_state is Ground.ON_GROUND:
-            self.state = replace(self.state, armed=False)
-
-    def measure_heights_from(self, ground_amsl_m: float | None) -> None:
-        """Count heights from this ground; `None`: from the autopilot's home."""
-        self.ground_amsl_m = ground_amsl_m
-
-    def _above_ground(self, told: Position) -> Position:
-        """The position with its height above the ground that it took off from.
-
-        Whole centimetres: both altitudes come rounded to the millimetre.
-        """
-        ground_m = self.ground_amsl_m
-        if ground_m is None:
-            self.home_sunk_m = 0.0
-            return told
-        self.home_sunk_m = round(told.height_rel_m - (told.alt_amsl_m - ground_m), 2)
-        return replace(told, height_rel_m=told.height_rel_m - self.home_sunk_m)
-
-    def _take_battery(self, new: Battery) -> None:
-        self.batteries[new.pack] = new
-        if new.pack is not None and new.voltage_v is not None:
-            self._measured[new.pack] = new
-        if not (self.armed and self._pack in self._measured):  # in flight it stays the same pack
-            known = [k for k in self._measured or self.batteries if k is not None]
-            before, self._pack = self._pack, max(known, key=self._evidence, default=0)
-            if before != self._pack:
-                self.battery = None
-        if new.pack in (self._pack, None) and self._is_of_pack(new):
-            self.battery = self._merged(new)
-
-    def _volts(self, monitor: int) -> float:
-        seen = self._measured.get(monitor)
-        return 0.0 if seen is None else seen.voltage_v or 0.0
-
-    def _fits(self, monitor: int) -> bool:
-        return self._pack_v[0] <= self._volts(monitor) <= self._pack_v[1]
-
-    def _evidence(self, monitor: int) -> tuple[bool, bool, bool, int]:
-        seen = self._measured.get(monitor)
-        has_current = seen is not None and seen.current_a is not None
-        return self._fits(monitor), self.is_fresh(seen, BATTERY_MAX_AGE_S), has_current, -monitor
-
-    def _is_of_pack(self, new: Battery) -> bool:
-        """Whether a message is about a pack; of SYS_STATUS its voltage tells."""
-        if new.pack is not None:
-            return new.pack == self._pack or self._fits(new.pack)
-        off_v = abs((new.voltage_v or 0.0) - self._volts(self._pack))
-        return self._pack == 0 or off_v < SAME_PACK_FRAC * self._volts(self._pack)
+    def _is_about_pack(self, battery: Battery) -> bool:
+        """Return whether a message is about a pack; SYS_STATUS is matched by its voltage."""
+        if battery.pack is not None:
+            return battery.pack == self._monitor or self._has_pack_voltage(battery.pack)
+        monitor_v = self._monitor_voltage_v(self._monitor)
+        off_v = abs((battery.voltage_v or 0.0) - monitor_v)
+        return self._monitor == 0 or off_v < SAME_PACK_TOLERANCE_FRAC * monitor_v
 
     @property
-    def pack_messages(self) -> list[Battery]:
-        """The newest messages about packs; a charge of a monitor without a voltage is of none."""
-        return [new for new in self.batteries.values() if self._is_of_pack(new)]
+    def latest_messages(self) -> list[Battery]:
+        """The latest messages about packs; a charge from a monitor without a voltage is not one."""
+        return [new for new in self.messages.values() if self._is_about_pack(new)]
 
-    def pack_missing(self) -> str:
-        """Why no monitor is known to measure the pack; `""` where one is."""
-        battery = self.battery if self.is_fresh(self.battery, BATTERY_MAX_AGE_S) else None
-        if battery is not None and (battery.voltage_v, battery.current_a) != (None, None):
+    def missing_reason(self, t_s: float) -> str:
+        """Return why no monitor is known to measure the pack now; `""` if one does."""
+        recent = [b for b in self.messages.values() if t_s - b.t_s <= BATTERY_MAX_AGE_S]
+        battery = self.battery
+        is_recent = battery is not None and t_s - battery.t_s <= BATTERY_MAX_AGE_S
+        if battery and is_recent and (battery.voltage_v, battery.current_a) != (None, None):
             return ""
-        fresh = [b for b in self.batteries.values() if self.is_fresh(b, BATTERY_MAX_AGE_S)]
-        received = ", ".join(map(_charge_reported, fresh)) or "nothing"
+        received = ", ".join(map(_monitor_text, recent)) or "nothing"
         return f"no battery voltage: received {received}; expected a monitor that measures the pack"
 
     @property
-    def pack_notes(self) -> list[str]:
-        """Which monitor measures the pack, where it is not the first."""
-        seen = self._measured.get(self._pack) if self._pack else None
-        return [f"the pack is {_charge_reported(seen)}, by its voltage"] if seen else []
+    def monitor_notes(self) -> list[str]:
+        """The monitor that measures the pack, if it is not the first."""
+        battery = self._measured.get(self._monitor) if self._monitor else None
+        return [f"{_monitor_text(battery)}, by its voltage"] if battery else []
 
-    def _merged(self, new: Battery) -> Battery:
+    def _merge_battery(self, battery: Battery) -> Battery:
         """Merge the two messages about the pack; a field stays until reported again or too old."""
         fields: dict[str, float | None] = {}
         for name in (
@@ -246,99 +164,222 @@ class TelemetryState:
             "remaining_frac",
             "temperature_c",
         ):
-            value = getattr(new, name)
+            value = getattr(battery, name)
             if value is not None:
-                self._battery_times[name] = new.t_s
+                self._field_times_s[name] = battery.t_s
             elif (
                 self.battery is not None
-                and (told_s := self._battery_times.get(name)) is not None
-                and new.t_s - told_s <= BATTERY_MAX_AGE_S
+                and (reported_s := self._field_times_s.get(name)) is not None
+                and battery.t_s - reported_s <= BATTERY_MAX_AGE_S
             ):
                 value = getattr(self.battery, name)
             fields[name] = value
-        return Battery(new.t_s, **fields, pack=None)
+        return Battery(battery.t_s, **fields, pack=None)
+
+    def current_age_s(self, t_s: float) -> float:
+        """Return the age of the last current report; infinite without one."""
+        reported_s = self._field_times_s.get("current_a")
+        return math.inf if reported_s is None else t_s - reported_s
+
+
+@dataclass(slots=True)
+class TelemetryState:
+    """The latest sample of each kind. Late samples never replace newer ones.
+
+    After armed heartbeats a disarmed one is uncertain: `state` stays armed until the landed state
+    agrees or the next heartbeat confirms it.
+    """
+
+    t_s: float = 0.0
+    autopilot_kind: AutopilotKind | None = None
+    """`None` until the autopilot is identified."""
+    state: VehicleState | None = None
+    attitude: Attitude | None = None
+    position: Position | None = None
+    gnss: GnssFix | None = None
+    estimator: EstimatorHealth | None = None
+    home: Home | None = None
+    throttle: Throttle | None = None
+    airspeed: Airspeed | None = None
+    pressure: AirPressure | None = None
+    wind: AutopilotWind | None = None
+    progress: MissionProgress | None = None
+    ground: GroundState | None = None
+    readiness: ArmingReadiness | None = None
+    ground_amsl_m: float | None = None
+    """Ground at takeoff; `None` before: heights are above the autopilot's home."""
+    home_below_ground_m: float = 0.0
+    """Present depth of the autopilot's home below that ground."""
+    pack: PackTelemetry = field(default_factory=PackTelemetry)
+    disarmed_since_s: float | None = None
+    """First of the latest heartbeats in a row that report disarmed."""
+    _disarmed_reports: int = 0
+    _mode_s: float | None = None
+    """Time of the last mode report."""
+    _mode_gap_s: float | None = None
+    """End of the last gap in the mode reports."""
+    _mode_interval_s: float = 0.0
+
+    def store_event(self, event: Event) -> None:
+        """Process one telemetry event."""
+        self.t_s = max(self.t_s, event.t_s)
+        match event:
+            case AutopilotDetected():
+                self.autopilot_kind = event.autopilot_kind
+            case VehicleState():
+                self._store_heartbeat(event)
+                self._record_mode_report(event.t_s)
+            case ModeReport() if self.state is not None:
+                self._record_mode_report(event.t_s)
+                self.state = replace(self.state, mode=event.mode, mode_name=event.mode_name)
+            case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
+                self.attitude = event
+            case Position() if self.position is None or event.t_s >= self.position.t_s:
+                self.position = self._correct_height_to_takeoff_ground(event)
+            case Battery():
+                self.pack.store_message(event, self.t_s, is_armed=self.armed)
+            case GroundState():
+                self.ground = event
+                self._accept_disarmed_if_confirmed()
+            case _ if type(event) in LATEST_FIELDS:
+                setattr(self, LATEST_FIELDS[type(event)], event)
+            case _:
+                return
+
+    def _record_mode_report(self, t_s: float) -> None:
+        interval_s = t_s - (self._mode_s if self._mode_s is not None else t_s)
+        if interval_s > max(MIN_MODE_GAP_S, 1.6 * self._mode_interval_s):
+            self._mode_gap_s = t_s
+        self._mode_s, self._mode_interval_s = t_s, interval_s
+
+    def has_mode_gap_since(self, since_s: float) -> bool:
+        """Return whether the mode may have changed and changed back unseen since then."""
+        return self._mode_gap_s is not None and self._mode_gap_s >= since_s
+
+    def _store_heartbeat(self, heartbeat: VehicleState) -> None:
+        was_armed = self.armed
+        self._disarmed_reports = 0 if heartbeat.armed else self._disarmed_reports + 1
+        if self._disarmed_reports <= 1:
+            self.disarmed_since_s = None if heartbeat.armed else heartbeat.t_s
+        self.state = replace(heartbeat, armed=True) if was_armed else heartbeat
+        self._accept_disarmed_if_confirmed()
+
+    def _accept_disarmed_if_confirmed(self) -> None:
+        """Accept the latest heartbeat as disarmed if another source confirms it."""
+        if self.state is None or self._disarmed_reports == 0:
+            return
+        if (
+            self._disarmed_reports >= MIN_DISARMED_REPORTS
+            or self.landed_state is VehicleLandedState.ON_GROUND
+        ):
+            self.state = replace(self.state, armed=False)
+
+    def set_height_reference(self, ground_amsl_m: float | None) -> None:
+        """Measure heights from this ground; `None`: from the autopilot's home."""
+        self.ground_amsl_m = ground_amsl_m
+
+    def _correct_height_to_takeoff_ground(self, position: Position) -> Position:
+        """Return the position with its height above the takeoff ground.
+
+        Whole centimetres: both altitudes come rounded to the millimetre.
+        """
+        ground_m = self.ground_amsl_m
+        if ground_m is None:
+            self.home_below_ground_m = 0.0
+            return position
+        self.home_below_ground_m = round(
+            position.height_rel_m - (position.alt_amsl_m - ground_m), 2
+        )
+        return replace(position, height_rel_m=position.height_rel_m - self.home_below_ground_m)
 
     @property
-    def current_age_s(self) -> float:
-        """How long ago the battery last told its current; infinite where it never did."""
-        told_s = self._battery_times.get("current_a")
-        return math.inf if told_s is None else self.t_s - told_s
+    def battery(self) -> Battery | None:
+        """The pack's state, merged from the messages about it."""
+        return self.pack.battery
 
-    def forget(self) -> None:
+    def clear_samples(self) -> None:
         """Drop every sample: the autopilot rebooted."""
-        t_s = self.t_s
-        for name in (
-            "state", "attitude", "position", "gnss", "estimator", "home", "battery", "throttle",
-            "airspeed", "pressure", "wind", "progress", "ground", "readiness",
-        ):  # fmt: skip
+        for name in ("state", "attitude", "position", "ground", *LATEST_FIELDS.values()):
             setattr(self, name, None)
-        self._battery_times.clear()
+        self.pack = PackTelemetry(self.pack.voltage_range_v)
         self._disarmed_reports = 0
         self.disarmed_since_s = None
-        self.batteries.clear()
-        self._measured.clear()
-        self.t_s = t_s
 
-    def is_fresh(self, sample: Event | None, max_age_s: float) -> bool:
-        """Tell whether a sample exists and is not too old."""
+    def is_recent(self, sample: Event | None, max_age_s: float) -> bool:
+        """Return whether a sample exists and is not too old."""
         return sample is not None and self.t_s - sample.t_s <= max_age_s
+
+    def recent_or_none(self, sample: EventT | None, max_age_s: float) -> EventT | None:
+        """Return the sample if it is not too old."""
+        return sample if self.is_recent(sample, max_age_s) else None
 
     @property
     def armed(self) -> bool:
-        """Armed by the last heartbeat."""
+        """Whether the last heartbeat reports armed."""
         return self.state is not None and self.state.armed
 
     @property
-    def landed_state(self) -> Ground | None:
-        """What the autopilot's own detector says; `None` where it says nothing (any more)."""
-        ground = self.ground
-        fresh = self.is_fresh(ground, GROUND_MAX_AGE_S)
-        return ground.ground if ground is not None and fresh else None
+    def landed_state(self) -> VehicleLandedState | None:
+        """State of the autopilot's landing detector; `None` without a recent report."""
+        ground = self.recent_or_none(self.ground, GROUND_MAX_AGE_S)
+        return None if ground is None else ground.ground
 
     @property
-    def failing(self) -> bool:
-        """The autopilot calls its own state critical."""
+    def in_failsafe(self) -> bool:
+        """Whether the autopilot reports a critical state."""
         return self.state is not None and self.state.failsafe
 
     @property
     def on_ground(self) -> bool:
-        """Certainly on the ground: disarmed, or the autopilot's detector says so."""
+        """Whether it is certainly on the ground: disarmed, or by the landing detector."""
         if self.state is not None and not self.state.armed:
             return True
-        return self.ground is not None and self.ground.ground is Ground.ON_GROUND
+        return self.ground is not None and self.ground.ground is VehicleLandedState.ON_GROUND
 
     @property
     def airborne(self) -> bool:
-        """Armed, and not known to stand on the ground."""
+        """Whether it is armed and not known to be on the ground."""
         return self.armed and not self.on_ground
 
-    def position_troubles(self) -> tuple[str, ...]:
-        """Say why the position is not good enough to plan or to give leave on; empty when it is."""
-        troubles: list[str] = []
-        if not self.is_fresh(self.position, POSITION_MAX_AGE_S):
-            troubles.append("no fresh position")
-        if not self.is_fresh(self.gnss, GNSS_MAX_AGE_S):
-            troubles.append("nothing heard of the satellite receiver")
+    def ground_speed_mps(self) -> float:
+        """Return the horizontal ground speed from the latest position; 0 without one."""
+        position = self.position
+        return math.hypot(position.vel_n_mps, position.vel_e_mps) if position is not None else 0.0
+
+    def speed_3d_mps(self) -> float:
+        """Return the speed in all three axes from the latest position; 0 without one."""
+        down_mps = self.position.vel_d_mps if self.position is not None else 0.0
+        return math.hypot(self.ground_speed_mps(), down_mps)
+
+    def position_faults(self) -> tuple[str, ...]:
+        """Return why the position is not good enough to plan or to clear a leg; empty if it is."""
+        faults: list[str] = []
+        if not self.is_recent(self.position, POSITION_MAX_AGE_S):
+            faults.append("no recent position")
+        if not self.is_recent(self.gnss, GNSS_MAX_AGE_S):
+            faults.append("no data from the GNSS receiver")
         elif self.gnss is not None and not self.gnss.usable:
-            troubles.append("no satellite fix")
+            faults.append("no GNSS fix")
         if self.estimator is not None and not self.estimator.position_ok:
-            troubles.append("the autopilot does not trust its position")
-        return tuple(troubles)
+            faults.append("autopilot reports an invalid position")
+        return tuple(faults)
 
-    def troubles(self) -> tuple[str, ...]:
-        """Say what is too old or unknown to command on; empty when everything is fresh."""
-        troubles = list(self.position_troubles())
-        for sample, max_age_s, words in (
-            (self.attitude, ATTITUDE_MAX_AGE_S, "no fresh attitude"),
-            (self.state, STATE_MAX_AGE_S, "no fresh heartbeat"),
-            (self.progress, PROGRESS_MAX_AGE_S, "no fresh mission progress"),
-            (self.battery, BATTERY_MAX_AGE_S, "no fresh battery reading"),
+    def command_faults(self) -> tuple[str, ...]:
+        """Return which samples are too old or unknown to send commands; empty if all are recent."""
+        faults = list(self.position_faults())
+        for sample, max_age_s, text in (
+            (self.attitude, ATTITUDE_MAX_AGE_S, "no recent attitude"),
+            (self.state, STATE_MAX_AGE_S, "no recent heartbeat"),
+            (self.progress, PROGRESS_MAX_AGE_S, "no recent mission progress"),
+            (self.battery, BATTERY_MAX_AGE_S, "no recent battery reading"),
         ):
-            if not self.is_fresh(sample, max_age_s):
-                troubles.append(words)
-        return tuple(troubles)
+            if not self.is_recent(sample, max_age_s):
+                faults.append(text)
+        return tuple(faults)
 
 
-def _charge_reported(new: Battery) -> str:
-    monitor = "SYS_STATUS" if new.pack is None else f"battery {new.pack}"
-    return monitor if new.remaining_frac is None else f"{monitor} at {new.remaining_frac:.0%}"
+def _monitor_text(battery: Battery) -> str:
+    monitor = "SYS_STATUS" if battery.pack is None else f"battery {battery.pack}"
+    return (
+        monitor if battery.remaining_frac is None else f"{monitor} at {battery.remaining_frac:.0%}"
+    )

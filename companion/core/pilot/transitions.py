@@ -1,10 +1,10 @@
-"""The mission as a table: in which phase, on what, to which phase. The docs are drawn from it."""
+"""The mission as a table: phase, trigger, next phase. The documents are generated from it."""
 
 from enum import Enum
 
 
 class Phase(Enum):
-    """What the companion is doing."""
+    """Phase of the companion."""
 
     IDENTIFY = "identify"
     CONFIGURE = "configure"
@@ -32,10 +32,10 @@ class Phase(Enum):
 
 
 class Trigger(Enum):
-    """What moves the mission on; the pilot derives these from events."""
+    """Causes of transitions; the pilot derives them from events."""
 
-    IDENTIFIED = "autopilot identified"
-    TELEMETRY_COMES = "telemetry comes"
+    AUTOPILOT_DETECTED = "autopilot identified"
+    TELEMETRY_AVAILABLE = "telemetry comes"
     POSITION_USABLE = "position usable"
     PLANNED = "planned"
     UPLOADED = "uploaded"
@@ -45,33 +45,33 @@ class Trigger(Enum):
     AUTHORISED = "authorised"
     ARMED = "armed by us"
     AT_HEIGHT = "at cruise height"
-    GO = "gate open: go"
+    DEPARTURE_CLEARED = "gate open: go"
     CUSTOMER_REACHED = "cleared to descend"
     DROP_REACHED = "at drop height"
     DROP_OVER = "drop over"
-    HOMEWARD = "homeward"
+    RETURN_STARTED = "homeward"
     RALLY_BOUND = "to a rally point"
-    WAY_HOME_REFUSED = "way home refused"
+    RETURN_REFUSED = "way home refused"
     LANDING = "landing"
     LANDED = "landed"
     NOT_POSSIBLE = "not possible"
     AIRBORNE_AT_START = "airborne at start"
     MISSION_UNKNOWN = "mission not ours"
     STILL_ON_GROUND = "still on the ground"
-    UNANSWERED = "hold that nobody answers"
+    HOLD_UNANSWERED = "hold that nobody answers"
     # What may happen in any phase:
-    TAKEN_OVER = "mode not ours"
+    PILOT_OVERRIDE = "mode not ours"
     HANDED_BACK = "control handed back"
-    OTHER_COMPUTER = "other computer"
+    OTHER_COMPANION = "other computer"
     LINK_SILENT = "link silent"
-    LULL_OVER = "link back at once"
-    LINK_BACK = "link back"
+    LINK_BACK_SHORT = "link back at once"
+    LINK_RECOVERED = "link back"
     REBOOTED = "autopilot rebooted"
-    TELEMETRY_STOPPED = "telemetry stopped"
+    TELEMETRY_LOST = "telemetry stopped"
     ABORT = "abort ordered"
 
 
-BEFORE = "the phase before"
+PREVIOUS_PHASE = "the phase before"
 
 GROUND_PHASES = (
     Phase.CONFIGURE,
@@ -82,10 +82,10 @@ GROUND_PHASES = (
     Phase.READY,
     Phase.ARM,
 )
-"""On the ground, before we armed."""
+"""On the ground, before the companion arms."""
 
 WAITING_PHASES = GROUND_PHASES[1:-1]
-"""Of those, from the first telemetry on until we arm."""
+"""Those from the first telemetry on until the companion arms."""
 
 FLIGHT_PHASES = (
     Phase.CLIMB,
@@ -98,25 +98,25 @@ FLIGHT_PHASES = (
     Phase.LAST_RESORT,
     Phase.LAND,
 )
-"""In the air under our authority."""
+"""In the air under the companion's control."""
 
-OUTWARD_PHASES = (Phase.CLIMB, Phase.MEASURE, Phase.OUTBOUND, Phase.DELIVER, Phase.RELEASE)
+OUTBOUND_PHASES = (Phase.CLIMB, Phase.MEASURE, Phase.OUTBOUND, Phase.DELIVER, Phase.RELEASE)
 """Flying away from home, or about to."""
 
-HOMEWARD_PHASES = (Phase.RETURN, Phase.DIVERT, Phase.LAST_RESORT, Phase.LAND)
+RETURN_PHASES = (Phase.RETURN, Phase.DIVERT, Phase.LAST_RESORT, Phase.LAND)
 
 END_PHASES = (Phase.DONE, Phase.GROUNDED)
 
 COMMANDING_PHASES = (*GROUND_PHASES, *FLIGHT_PHASES, Phase.RECOGNISE)
 """The only phases in which the autopilot may be sent an order (safety rule 1)."""
 
-ANYTIME = (
-    Trigger.TAKEN_OVER,
+ANY_PHASE_TRIGGERS = (
+    Trigger.PILOT_OVERRIDE,
     Trigger.HANDED_BACK,
-    Trigger.OTHER_COMPUTER,
+    Trigger.OTHER_COMPANION,
     Trigger.LINK_SILENT,
-    Trigger.LULL_OVER,
-    Trigger.LINK_BACK,
+    Trigger.LINK_BACK_SHORT,
+    Trigger.LINK_RECOVERED,
     Trigger.REBOOTED,
     Trigger.ABORT,
 )
@@ -125,14 +125,14 @@ ANYTIME = (
 Target = Phase | str
 
 
-def _table() -> dict[tuple[Phase, Trigger], Target]:
+def _transition_table() -> dict[tuple[Phase, Trigger], Target]:
     p, t = Phase, Trigger
     table: dict[tuple[Phase, Trigger], Target] = {
-        # the straight way
-        (p.IDENTIFY, t.IDENTIFIED): p.CONFIGURE,
+        # the nominal sequence
+        (p.IDENTIFY, t.AUTOPILOT_DETECTED): p.CONFIGURE,
         (p.IDENTIFY, t.AIRBORNE_AT_START): p.RECOGNISE,
         (p.IDENTIFY, t.MISSION_UNKNOWN): p.PASSIVE,
-        (p.CONFIGURE, t.TELEMETRY_COMES): p.WAIT_POSITION,
+        (p.CONFIGURE, t.TELEMETRY_AVAILABLE): p.WAIT_POSITION,
         (p.WAIT_POSITION, t.POSITION_USABLE): p.PLAN,
         (p.PLAN, t.PLANNED): p.UPLOAD,
         (p.UPLOAD, t.UPLOADED): p.READ_BACK,
@@ -142,37 +142,37 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         (p.READY, t.AUTHORISED): p.ARM,
         (p.ARM, t.ARMED): p.CLIMB,
         (p.CLIMB, t.AT_HEIGHT): p.MEASURE,
-        (p.MEASURE, t.GO): p.OUTBOUND,
+        (p.MEASURE, t.DEPARTURE_CLEARED): p.OUTBOUND,
         (p.OUTBOUND, t.CUSTOMER_REACHED): p.DELIVER,
         (p.DELIVER, t.DROP_REACHED): p.RELEASE,
         (p.RELEASE, t.DROP_OVER): p.RETURN,
         (p.RETURN, t.LANDING): p.LAND,
         (p.DIVERT, t.LANDING): p.LAND,
         (p.LAST_RESORT, t.LANDING): p.LAND,
-        # the way home taken early, changed, or refused
-        **{(phase, t.HOMEWARD): p.RETURN for phase in OUTWARD_PHASES},
-        **{(phase, t.RALLY_BOUND): p.DIVERT for phase in (*OUTWARD_PHASES, p.RETURN)},
-        (p.DIVERT, t.HOMEWARD): p.RETURN,
-        (p.RETURN, t.GO): p.OUTBOUND,
+        # an early, changed or refused return
+        **{(phase, t.RETURN_STARTED): p.RETURN for phase in OUTBOUND_PHASES},
+        **{(phase, t.RALLY_BOUND): p.DIVERT for phase in (*OUTBOUND_PHASES, p.RETURN)},
+        (p.DIVERT, t.RETURN_STARTED): p.RETURN,
+        (p.RETURN, t.DEPARTURE_CLEARED): p.OUTBOUND,
         (p.RETURN, t.CUSTOMER_REACHED): p.DELIVER,
-        **{(phase, t.WAY_HOME_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT, p.LAND)},
-        (p.SUSPENDED, t.UNANSWERED): p.LAST_RESORT,
+        **{(phase, t.RETURN_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT, p.LAND)},
+        (p.SUSPENDED, t.HOLD_UNANSWERED): p.LAST_RESORT,
         **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, p.SUSPENDED)},
         **{(phase, t.NOT_POSSIBLE): p.GROUNDED for phase in GROUND_PHASES},
-        **{(phase, t.TELEMETRY_STOPPED): p.CONFIGURE for phase in WAITING_PHASES},
-        # picking the flight up again
+        **{(phase, t.TELEMETRY_LOST): p.CONFIGURE for phase in WAITING_PHASES},
+        # resuming the flight
         (p.RECOGNISE, t.STILL_ON_GROUND): p.CONFIGURE,
         (p.RECOGNISE, t.MISSION_UNKNOWN): p.PASSIVE,
-        (p.RECOGNISE, t.TELEMETRY_COMES): p.CLIMB,
+        (p.RECOGNISE, t.TELEMETRY_AVAILABLE): p.CLIMB,
         (p.RECOGNISE, t.AT_HEIGHT): p.MEASURE,
-        (p.RECOGNISE, t.GO): p.OUTBOUND,
+        (p.RECOGNISE, t.DEPARTURE_CLEARED): p.OUTBOUND,
         (p.RECOGNISE, t.CUSTOMER_REACHED): p.DELIVER,
         (p.RECOGNISE, t.DROP_REACHED): p.RELEASE,
-        (p.RECOGNISE, t.HOMEWARD): p.RETURN,
+        (p.RECOGNISE, t.RETURN_STARTED): p.RETURN,
         (p.RECOGNISE, t.RALLY_BOUND): p.DIVERT,
         (p.RECOGNISE, t.LANDING): p.LAND,
         (p.RECOGNISE, t.LANDED): p.DONE,
-        (p.RECOGNISE, t.WAY_HOME_REFUSED): p.LAST_RESORT,
+        (p.RECOGNISE, t.RETURN_REFUSED): p.LAST_RESORT,
     }
     # what may happen in any phase
     for phase in Phase:
@@ -180,53 +180,53 @@ def _table() -> dict[tuple[Phase, Trigger], Target]:
         passive = phase is p.PASSIVE
         waiting = phase in (p.SUSPENDED, p.LINK_LOST)
         early = phase is p.IDENTIFY
-        table[phase, t.TAKEN_OVER] = phase if (over or passive or early) else p.SUSPENDED
+        table[phase, t.PILOT_OVERRIDE] = phase if (over or passive or early) else p.SUSPENDED
         resumes = phase in (p.SUSPENDED, p.PASSIVE)  # over a foreign mission, see authority.py
         table[phase, t.HANDED_BACK] = p.RECOGNISE if resumes else phase
-        table[phase, t.OTHER_COMPUTER] = phase if over else p.PASSIVE
+        table[phase, t.OTHER_COMPANION] = phase if over else p.PASSIVE
         stays = over or passive or waiting or early
         table[phase, t.LINK_SILENT] = phase if stays else p.LINK_LOST
-        table[phase, t.LULL_OVER] = BEFORE if phase is p.LINK_LOST else phase
+        table[phase, t.LINK_BACK_SHORT] = PREVIOUS_PHASE if phase is p.LINK_LOST else phase
         table[phase, t.REBOOTED] = phase if stays else p.RECOGNISE
-        table[phase, t.LINK_BACK] = table[phase, t.REBOOTED]
+        table[phase, t.LINK_RECOVERED] = table[phase, t.REBOOTED]
         table[phase, t.ABORT] = phase
-    table[p.LINK_LOST, t.LINK_BACK] = p.RECOGNISE
+    table[p.LINK_LOST, t.LINK_RECOVERED] = p.RECOGNISE
     table[p.LINK_LOST, t.REBOOTED] = p.RECOGNISE
-    for phase in OUTWARD_PHASES:
+    for phase in OUTBOUND_PHASES:
         table[phase, t.ABORT] = p.RETURN
     for phase in GROUND_PHASES:
         table[phase, t.ABORT] = p.GROUNDED
         table[phase, t.REBOOTED] = p.CONFIGURE
-        table[phase, t.LINK_BACK] = p.CONFIGURE
+        table[phase, t.LINK_RECOVERED] = p.CONFIGURE
     return table
 
 
-TABLE = _table()
+TRANSITIONS = _transition_table()
 
 
-def next_phase(phase: Phase, trigger: Trigger, before: Phase | None = None) -> Phase:
-    """Return the phase that follows; a trigger that means nothing in this phase changes nothing."""
-    target = TABLE.get((phase, trigger), phase)
+def next_phase(phase: Phase, trigger: Trigger, interrupted_phase: Phase | None = None) -> Phase:
+    """Return the next phase; a trigger without a row leaves the phase unchanged."""
+    target = TRANSITIONS.get((phase, trigger), phase)
     if isinstance(target, Phase):
         return target
-    return before if before is not None else Phase.RECOGNISE
+    return interrupted_phase if interrupted_phase is not None else Phase.RECOGNISE
 
 
-def as_markdown() -> str:
+def transitions_as_markdown() -> str:
     """Return the table for the docs: a row for each phase and trigger that changes the phase."""
     lines = ["| in | on | to |", "| --- | --- | --- |"]
-    for (phase, trigger), target in TABLE.items():
+    for (phase, trigger), target in TRANSITIONS.items():
         if target is not phase:
             name = target.value if isinstance(target, Phase) else target
             lines.append(f"| {phase.value} | {trigger.value} | {name} |")
     return "\n".join(lines)
 
 
-def as_mermaid() -> str:
-    """Return a state diagram of the straight way (what may happen anytime is left out)."""
+def transitions_as_mermaid() -> str:
+    """Return a state diagram of the nominal sequence (triggers of any phase are omitted)."""
     lines = ["stateDiagram-v2", f"    [*] --> {Phase.IDENTIFY.name}"]
-    for (phase, trigger), target in TABLE.items():
-        if trigger not in ANYTIME and isinstance(target, Phase) and target is not phase:
+    for (phase, trigger), target in TRANSITIONS.items():
+        if trigger not in ANY_PHASE_TRIGGERS and isinstance(target, Phase) and target is not phase:
             lines.append(f"    {phase.name} --> {target.name}: {trigger.value}")
     lines += [f"    {phase.name} --> [*]" for phase in END_PHASES]
     return "\n".join(lines)

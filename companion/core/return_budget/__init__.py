@@ -1,32 +1,32 @@
-"""The go/no-go gate: will the vehicle still come home? Imports routing and what is below it."""
+"""Go/no-go gate on the probability of returning home. Imports routing and packages below it."""
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_exports
+from companion.core.base.lazy_exports import lazy_import_getattr
 
 if TYPE_CHECKING:
     from companion.core.return_budget.budget import Assessment, Gate, GateDecision, GateParams
-    from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
+    from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute, Stage
 
 __all__ = [
-    "Ahead",
     "Assessment",
     "Gate",
     "GateDecision",
     "GateParams",
+    "RemainingMission",
+    "ReturnRoute",
     "Stage",
-    "WayHome",
 ]
 
-__getattr__ = lazy_exports(
+__getattr__ = lazy_import_getattr(
     __name__,
     {
-        "Ahead": "remaining_mission",
+        "RemainingMission": "remaining_mission",
         "Assessment": "budget",
         "Gate": "budget",
         "GateDecision": "budget",
         "GateParams": "budget",
         "Stage": "remaining_mission",
-        "WayHome": "remaining_mission",
+        "ReturnRoute": "remaining_mission",
     },
 )

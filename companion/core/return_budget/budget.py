@@ -1,13 +1,13 @@
-"""The return budget, a go/no-go monitor: does flying on keep the promise of coming home?
+"""Return budget, a go/no-go monitor: it continues the flight while the return promise is kept.
 
-At each decision point the question is not whether the whole trip will succeed. It is whether home
-can still be reached, with the promised probability, after flying to the NEXT decision point, where
-the vehicle may still turn back. The last such question is the delivery. (The plain rule, to go on
-only while the whole trip is 99 % certain, hardly ever flies.)
+Each decision point requires that home stays reachable, with the promised probability, from the
+NEXT decision point, where the vehicle may still turn back. It does not require that the whole trip
+succeeds: a rule that continues only while the whole trip is 99 % certain almost never flies. The
+last decision is the delivery.
 
-Monte Carlo over the wind's path, with one fixed set of quasi-random numbers, so that a replay is
-exact. The errors of the energy model and of the battery are integrated in closed form wherever
-nothing depends on when they become known. A tail of 1 % is then a smooth number.
+Monte Carlo over wind paths, with one fixed set of quasi-random numbers, so that a replay is exact.
+The errors of the energy model and of the battery are integrated in closed form wherever the time of
+their detection does not matter. So a tail of 1 % is a smooth function.
 """
 
 from collections.abc import Sequence
@@ -15,38 +15,51 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.core.return_budget.leg_costs import LegTable
-from companion.core.return_budget.outcomes import Budget, Chances
-from companion.core.return_budget.remaining_mission import Ahead, Stage, WayHome
+from companion.core.return_budget.outcomes import Budget, OutcomeProbabilities
+from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute, Stage
 from companion.core.return_budget.wind_samples import PathSampler
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import WindAhead
+from companion.core.wind.forecast import WindForecaster
 
-__all__ = ["Ahead", "Assessment", "Gate", "GateDecision", "GateParams", "Stage", "WayHome"]
+__all__ = [
+    "Assessment",
+    "Gate",
+    "GateDecision",
+    "GateParams",
+    "RemainingMission",
+    "ReturnRoute",
+    "Stage",
+]
 
-_ACCEPTED_TIMES = (3.0, 2.5, 2.0, 1.5, 1.0)
-"""What a single decision may risk, in times of `max_loss`: tried in turn at departure."""
-KEEPS_PROMISE = "flying on keeps the promise"
-_WORTH_TIE = 0.0005  # of probability: the samples' own noise where nothing is at stake
-_TIE = 0.002  # of probability: turning must be so much worse for flying on to be the way out
+_ACCEPTED_LOSS_FACTORS = (3.0, 2.5, 2.0, 1.5, 1.0)
+"""Accepted loss of one decision in multiples of `max_loss`, in the order tried at departure."""
+CONTINUE_REASON = "flying on keeps the promise"
+_VALUE_TIE = 0.0005  # probability: sampling noise of the comparison of values
+_TIE = 0.002  # probability: below the promise, continue only if turning back is worse by this
 
 
-def told_apart(low: float, high: float) -> tuple[str, str]:
-    """Two probabilities as words, with as many digits as it takes to see which is the lower."""
+def format_distinct_probabilities(low: float, high: float) -> tuple[str, str]:
+    """Format two probabilities with enough digits to show which is lower."""
     for digits in range(3, 7):
         if f"{low:.{digits}f}" != f"{high:.{digits}f}":
             return f"{low:.{digits}f}", f"{high:.{digits}f}"
     return f"{low:.9f}", f"{high:.9f}"
 
 
+def reserve_margin_text(margin_wh: float) -> str:
+    """Return the energy left above or below the reserve as text."""
+    return f"{abs(margin_wh):.1f} Wh {'below' if margin_wh < 0.0 else 'above'} the reserve"
+
+
 @dataclass(frozen=True, slots=True)
 class GateParams:
-    """The operator's risk and ours. `reserve_wh` must still be there after landing.
+    """Risk parameters of the gate. `reserve_wh` is the energy that must remain after landing.
 
-    `min_success`: with less than this chance that the energy does for the whole trip, whatever
-    the gate would say on the way, flying on is not worth its energy.
+    `min_success`: the gate turns back if the probability that the energy suffices for the whole
+    trip, without later gates, is lower.
     """
 
     max_loss: float
@@ -57,13 +70,12 @@ class GateParams:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """The gate's answer; probabilities as in docs/reference/outcomes.md.
+    """Result of the gate; probabilities as in docs/reference/outcomes.md.
 
-    `turn_back`: fly the way home now, to `best_landing`. `p_home_unattended`: landing home if no
-    further command ever arrives (None where no way home has unattended legs). `margin_wh`: energy
-    above what the return promise needs: from the next decision point while that is asked, from
-    here on the way home; the gate closes where it is 0. `energy_need_wh` is the mean need of the
-    whole remaining mission.
+    `turn_back`: fly home now, to `best_landing`. `p_home_unattended`: P(home) without further
+    commands (None if no route home has unattended legs). `margin_wh`: energy above the need of the
+    return promise, from the next decision point or, on the return flight, from the current
+    position; the gate closes at 0. `energy_need_wh`: mean need of the whole remaining mission.
     """
 
     t_s: float
@@ -81,7 +93,7 @@ class Assessment:
 
 @dataclass(frozen=True, slots=True)
 class GateDecision:
-    """Whether to turn back under one accepted loss, and why; probabilities of what is decided."""
+    """Decision under one accepted loss, its reason, and the probabilities of its outcome."""
 
     turn_back: bool
     p_home: float
@@ -89,38 +101,38 @@ class GateDecision:
     reason: str
 
 
-class TurnsBack(Protocol):
-    """An answer of the gate's: whether to turn back, and the probability of coming home."""
+class TurnBackResult(Protocol):
+    """Result of the gate with a decision and its probability of returning home."""
 
     @property
     def turn_back(self) -> bool:
-        """Fly the way home now."""
+        """Whether to fly home now."""
         ...
 
     @property
     def p_home(self) -> float:
-        """By what is decided."""
+        """P(home) under the decision."""
         ...
 
 
-def is_less_hopeful(one: TurnsBack, other: TurnsBack) -> bool:
-    """Whether `one` turns back where the other does not, or gives less for coming home."""
-    if one.turn_back != other.turn_back:
-        return one.turn_back
-    return one.p_home < other.p_home
+def is_more_cautious(candidate: TurnBackResult, reference: TurnBackResult) -> bool:
+    """Return whether only `candidate` turns back or, for equal decisions, has lower P(home)."""
+    if candidate.turn_back != reference.turn_back:
+        return candidate.turn_back
+    return candidate.p_home < reference.p_home
 
 
 @dataclass(frozen=True, slots=True)
-class _Question:
-    """One remaining mission as priced: for any number of accepted losses."""
+class _Evaluation:
+    """Energies and probabilities of one remaining mission, valid for any accepted loss."""
 
     table: LegTable
     budget: Budget
-    chances: Chances
+    chances: OutcomeProbabilities
 
 
 class Gate:
-    """Answers `assess` for one airframe; keeps nothing between calls but its random numbers."""
+    """Go/no-go gate of one airframe. Between calls it keeps only its random numbers."""
 
     def __init__(self, route_energy: RouteEnergy, params: GateParams) -> None:
         self._route_energy = route_energy
@@ -129,159 +141,188 @@ class Gate:
 
     def assess(
         self,
-        ahead: Ahead,
-        wind: WindBelief,
-        outlook: WindAhead,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
+        wind_outlook: WindForecaster,
         energy: EnergyBelief,
-        model: ModelError | None = None,
+        model_error: ModelError | None = None,
         accepted_loss: float | None = None,
         *,
-        weighs_worth: bool = True,
+        check_value: bool = True,
     ) -> Assessment:
-        """Judge the remaining mission under wind, its change, and the models' own errors.
+        """Assess the remaining mission under wind, its change, and the models' errors.
 
-        `model`: what was learned of the energy model in flight; without it, the airframe file's.
-        `accepted_loss`: what this decision and later ones may risk; without it, `max_loss`.
-        `weighs_worth`: also turn back where flying on is not worth its risk, or its energy.
+        `model_error`: error of the energy model measured in flight; default that of the airframe
+        file. `accepted_loss`: accepted loss of this and later decisions; default `max_loss`.
+        `check_value`: also turn back where continuing does not justify its risk or energy.
         """
         accepted = self.params.max_loss if accepted_loss is None else accepted_loss
-        question = self._question(ahead, wind, outlook, energy, model)
-        if not ahead.stages:
-            return self._homeward(question, ahead, wind, energy)
-        decision = self._decide(question.chances, accepted, weighs_worth=weighs_worth)
-        return self._assessment(question, ahead, wind, energy, accepted, decision)
+        evaluation = self._evaluate_outcomes(
+            remaining, wind_estimate, wind_outlook, energy, model_error
+        )
+        if not remaining.stages:
+            return self._assess_return(evaluation, remaining, wind_estimate, energy)
+        decision = self._make_decision(evaluation.chances, accepted, check_value=check_value)
+        return self._build_assessment(
+            evaluation, remaining, wind_estimate, energy, accepted, decision
+        )
 
-    def decide_each(
+    def decide_for_each_accepted_loss(
         self,
-        ahead: Ahead,
-        wind: WindBelief,
-        outlook: WindAhead,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
+        wind_outlook: WindForecaster,
         energy: EnergyBelief,
-        model: ModelError | None,
+        model_error: ModelError | None,
         accepted_losses: Sequence[float],
     ) -> list[GateDecision]:
-        """The decisions of gates that accept different losses, at the price of one: for research
-        that searches for the accepted loss.
-        """
-        chances = self._question(ahead, wind, outlook, energy, model).chances
-        return [self._decide(chances, accepted) for accepted in accepted_losses]
+        """Return one decision for each accepted loss, at the computing cost of one assessment.
 
-    def depart(
+        For research that searches for the accepted loss."""
+        chances = self._evaluate_outcomes(
+            remaining, wind_estimate, wind_outlook, energy, model_error
+        ).chances
+        return [self._make_decision(chances, accepted) for accepted in accepted_losses]
+
+    def accepted_loss_and_assessment(
         self,
-        ahead: Ahead,
-        wind: WindBelief,
-        outlook: WindAhead,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
+        wind_outlook: WindForecaster,
         energy: EnergyBelief,
-        model: ModelError | None = None,
+        model_error: ModelError | None = None,
     ) -> tuple[float, Assessment]:
-        """(accepted loss, assessment): how much risk later decisions of this mission may take.
+        """Return (accepted loss of later decisions, assessment) at departure.
 
         `max_loss` bounds the loss of the whole mission as seen from departure. Most flights never
-        meet a decision that is close, so a close one may risk more than the bound and the mission
-        still keeps it. Accepted losses of 3, 2.5, 2, 1.5 and 1 times `max_loss` are tried in turn.
-        The first is taken with which the policy, flown through every sampled wind, loses no more
-        than `max_loss`.
+        meet a close decision, so a close one may risk more than the bound and the mission still
+        keeps it. Tries accepted losses of 3, 2.5, 2, 1.5 and 1 times `max_loss` and selects the
+        first with which the policy, over all sampled winds, loses at most `max_loss`.
         """
-        question = self._question(ahead, wind, outlook, energy, model)
-        for accepted in (times * self.params.max_loss for times in _ACCEPTED_TIMES):
-            decision = self._decide(question.chances, accepted)
+        evaluation = self._evaluate_outcomes(
+            remaining, wind_estimate, wind_outlook, energy, model_error
+        )
+        for accepted in (times * self.params.max_loss for times in _ACCEPTED_LOSS_FACTORS):
+            decision = self._make_decision(evaluation.chances, accepted)
             if not decision.turn_back and decision.p_home >= 1.0 - self.params.max_loss:
                 break
         else:
             accepted = self.params.max_loss
-            decision = self._decide(question.chances, accepted)
-        return accepted, self._assessment(question, ahead, wind, energy, accepted, decision)
+            decision = self._make_decision(evaluation.chances, accepted)
+        return accepted, self._build_assessment(
+            evaluation, remaining, wind_estimate, energy, accepted, decision
+        )
 
-    def _question(
+    def _evaluate_outcomes(
         self,
-        ahead: Ahead,
-        wind: WindBelief,
-        outlook: WindAhead,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
+        wind_outlook: WindForecaster,
         energy: EnergyBelief,
-        model: ModelError | None,
-    ) -> _Question:
-        if model is None:
-            model = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
+        model_error: ModelError | None,
+    ) -> _Evaluation:
+        if model_error is None:
+            model_error = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
         left_wh = energy.mean_wh - self.params.reserve_wh
-        budget = Budget(left_wh, energy.std_wh, model.std_frac, model.scale)
-        table = LegTable(self._route_energy, ahead, wind, outlook, self._sampler)
-        return _Question(table, budget, Chances(table, budget, self._sampler))
+        budget = Budget(left_wh, energy.std_wh, model_error.std_frac, model_error.scale)
+        table = LegTable(self._route_energy, remaining, wind_estimate, wind_outlook, self._sampler)
+        return _Evaluation(table, budget, OutcomeProbabilities(table, budget, self._sampler))
 
-    def _decide(self, seen: Chances, accepted: float, *, weighs_worth: bool = True) -> GateDecision:
-        promise = 1.0 - accepted
-        if seen.p_onward < promise and seen.p_now >= seen.p_onward - _TIE:
-            words = f"P(home) from the next point {self._is_under(seen.p_onward, promise)}"
-            return GateDecision(True, seen.p_now, 0.0, words)
-        p_home, p_success = seen.of_flying_on(promise)
-        if weighs_worth and (words := self._not_worth_it(seen, promise, p_home, p_success)):
-            return GateDecision(True, seen.p_now, 0.0, words)
-        return GateDecision(False, p_home, p_success, self._why_on(seen, promise, p_home))
-
-    def _why_on(self, seen: Chances, promise: float, p_home: float) -> str:
-        whole = 1.0 - self.params.max_loss
-        if seen.p_onward < promise:
-            return (
-                f"P(home) {self._is_under(seen.p_onward, promise)}, but turning here is no better"
+    def _make_decision(
+        self, chances: OutcomeProbabilities, accepted_loss: float, *, check_value: bool = True
+    ) -> GateDecision:
+        promise = 1.0 - accepted_loss
+        if chances.p_onward < promise and chances.p_now >= chances.p_onward - _TIE:
+            text = (
+                f"P(home) from the next point"
+                f" {self._below_required_text(chances.p_onward, promise)}"
             )
-        if min(p_home, seen.p_onward) < whole:
-            least, has = told_apart(promise, seen.p_onward)
-            words = f"at one decision at least {least}, over the mission {whole:.3f}"
-            return f"P(home) from the next point {has}: {words}"
-        return KEEPS_PROMISE
+            return GateDecision(True, chances.p_now, 0.0, text)
+        p_home, p_success = chances.p_home_and_success_if_continuing(promise)
+        if check_value and (text := self._low_value_reason(chances, promise, p_home, p_success)):
+            return GateDecision(True, chances.p_now, 0.0, text)
+        return GateDecision(
+            False, p_home, p_success, self._continue_reason(chances, promise, p_home)
+        )
 
-    def _is_under(self, p: float, promise: float) -> str:
-        low, high = told_apart(p, promise)
-        one = "" if promise == 1.0 - self.params.max_loss else ", the least at one decision"
-        return f"{low} is under {high}{one}"
+    def _continue_reason(
+        self, chances: OutcomeProbabilities, required_p_home: float, p_home: float
+    ) -> str:
+        whole = 1.0 - self.params.max_loss
+        if chances.p_onward < required_p_home:
+            return (
+                f"P(home) {self._below_required_text(chances.p_onward, required_p_home)}, but"
+                " turning back here is no better"
+            )
+        if min(p_home, chances.p_onward) < whole:
+            least, has = format_distinct_probabilities(required_p_home, chances.p_onward)
+            text = f"required {least} at one decision, {whole:.3f} over the mission"
+            return f"P(home) from the next point {has}: {text}"
+        return CONTINUE_REASON
 
-    def _not_worth_it(
-        self, seen: Chances, promise: float, p_home: float, p_success: float
+    def _below_required_text(self, p_home: float, required_p_home: float) -> str:
+        low, high = format_distinct_probabilities(p_home, required_p_home)
+        one = (
+            "" if required_p_home == 1.0 - self.params.max_loss else ", the minimum at one decision"
+        )
+        return f"{low} is below {high}{one}"
+
+    def _low_value_reason(
+        self, chances: OutcomeProbabilities, required_p_home: float, p_home: float, p_success: float
     ) -> str | None:
-        """Why flying on serves no delivery, or risks more than the delivery is worth.
+        """Return the reason if continuing cannot deliver or its risk exceeds its value, else None.
 
-        A vehicle lost is worth 0, one delivered and home 1, one home undelivered `promise`: with
-        this weight a decision that succeeds or loses is taken at `promise` or over, and losses are
-        given out where they buy most deliveries.
+        A lost vehicle has value 0, one delivered and home 1, one home without delivery
+        `required_p_home`. With these values a decision between success and loss is accepted at
+        `required_p_home` or above, and losses occur where they gain most deliveries.
         """
-        least = min(self.params.min_success, promise)
-        if seen.p_onward >= promise and seen.p_whole < least:
-            return f"P(energy for the whole trip) {seen.p_whole:.3f} is not worth the flight"
-        onward = p_success + promise * (p_home - p_success)
-        if onward < promise * (seen.p_now - _WORTH_TIE):
-            return f"P(success) {p_success:.3f} is not worth P(home) {p_home:.3f}"
+        least = min(self.params.min_success, required_p_home)
+        if chances.p_onward >= required_p_home and chances.p_whole < least:
+            return f"P(energy for the whole trip) {chances.p_whole:.3f} is too low to continue"
+        onward = p_success + required_p_home * (p_home - p_success)
+        if onward < required_p_home * (chances.p_now - _VALUE_TIE):
+            return f"P(success) {p_success:.3f} does not justify flying on at P(home) {p_home:.3f}"
         return None
 
-    def _homeward(
-        self, question: _Question, ahead: Ahead, wind: WindBelief, energy: EnergyBelief
+    def _assess_return(
+        self,
+        evaluation: _Evaluation,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
+        energy: EnergyBelief,
     ) -> Assessment:
-        p_now = question.chances.p_now
-        decision = GateDecision(True, p_now, p_now if ahead.delivered else 0.0, "on the way home")
+        p_now = evaluation.chances.p_now
+        decision = GateDecision(
+            True, p_now, p_now if remaining.delivered else 0.0, "on the way home"
+        )
         accepted = self.params.max_loss
-        return self._assessment(question, ahead, wind, energy, accepted, decision)
+        return self._build_assessment(
+            evaluation, remaining, wind_estimate, energy, accepted, decision
+        )
 
     @staticmethod
-    def _assessment(
-        question: _Question,
-        ahead: Ahead,
-        wind: WindBelief,
+    def _build_assessment(
+        evaluation: _Evaluation,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
         energy: EnergyBelief,
-        accepted: float,
+        accepted_loss: float,
         decision: GateDecision,
     ) -> Assessment:
-        table, budget, chances = question.table, question.budget, question.chances
-        unattended = table.unattended_wh()
-        need = table.whole_wh() if ahead.stages else chances.onward_need_wh
+        table, budget, chances = evaluation.table, evaluation.budget, evaluation.chances
+        unattended = table.unattended_return_energy_wh()
+        need = table.whole_mission_energy_wh() if remaining.stages else chances.onward_need_wh
         return Assessment(
-            t_s=wind.t_s,
+            t_s=wind_estimate.t_s,
             p_home=decision.p_home,
             p_home_now=chances.p_now,
             p_success=decision.p_success,
-            margin_wh=budget.margin_wh(chances.onward_need_wh, 1.0 - accepted),
+            margin_wh=budget.margin_to_probability_wh(chances.onward_need_wh, 1.0 - accepted_loss),
             turn_back=decision.turn_back,
-            best_landing=ahead.ways_home_now[chances.way_now].landing,
+            best_landing=remaining.current_return_routes[chances.best_route_now].landing,
             p_home_unattended=None
             if unattended is None
-            else float(budget.p_enough(unattended).mean()),
+            else float(budget.probability_need_is_met(unattended).mean()),
             energy_left_wh=energy.mean_wh,
             energy_need_wh=budget.scale * float(need.mean()),
             reason=decision.reason,

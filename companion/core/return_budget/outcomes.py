@@ -1,19 +1,19 @@
-"""Probabilities that the gate decides by: turning back here, flying on, later decisions.
+"""Probabilities for the gate's decision: turning back here, continuing, later decisions.
 
-None depends on the accepted loss, except `Chances.of_flying_on`.
+Only `OutcomeProbabilities.p_home_and_success_if_continuing` depends on the accepted loss.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from companion.core.base.arrays import Bools, Floats
-from companion.core.return_budget.leg_costs import POLICY, LegTable, Need
+from companion.core.base.probability import normal_cdf
+from companion.core.return_budget.leg_costs import POLICY_SAMPLES, LegTable, Need
 from companion.core.return_budget.wind_samples import PathSampler
 
 # Share of a delivery's value that waiting for the next decision is assumed to gain
-# (`LaterDecision.goes_on`).
+# (`LaterDecision.is_continuing`).
 _WAITING_FRAC = 0.3
 _MARGIN_WH = 0.005  # tolerance of the bisection for a margin
 _TIE = 0.002  # in probability: landing sites closer than this are ranked by their order
@@ -21,7 +21,7 @@ _TIE = 0.002  # in probability: landing sites closer than this are ranked by the
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Believed energy above the reserve, and the standard deviations of battery and model."""
+    """Estimated energy above the reserve, and the standard deviations of battery and model."""
 
     left_wh: float
     battery_std_wh: float
@@ -29,32 +29,33 @@ class Budget:
     scale: float = 1.0
     """Ratio of real to modelled energy; multiplies every need."""
 
-    def p_enough(self, need_wh: Floats) -> Floats:
-        """Probability that each need is met, integrated over model and battery errors."""
+    def probability_need_is_met(self, need_wh: Floats) -> Floats:
+        """Return the probability that each need is met, over model and battery errors."""
         need_wh = self.scale * need_wh
         spread = np.hypot(self.battery_std_wh, self.model_std_frac * need_wh)
-        return ndtr((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
+        return normal_cdf((self.left_wh - need_wh) / np.maximum(spread, 1e-6))
 
-    def p_seen(self, left_wh: Floats, need: Need) -> Floats:
-        """Probability that a later gate assigns to a need with `left_wh` left; wind error is
-        normal.
-        """
+    def probability_at_later_gate(self, left_wh: Floats, need: Need) -> Floats:
+        """Return the probability that a later gate assigns to a need with `left_wh` remaining.
+
+        The wind error is normal."""
         need_wh = self.scale * need.wh
         wind_std_wh = self.scale * need.std_wh
         spread = np.sqrt(
             self.battery_std_wh**2 + (self.model_std_frac * need_wh) ** 2 + wind_std_wh**2
         )
-        return ndtr((left_wh - need_wh) / np.maximum(spread, 1e-6))
+        return normal_cdf((left_wh - need_wh) / np.maximum(spread, 1e-6))
 
-    def p_left(self, left_wh: Floats) -> Floats:
-        """Probability that the remaining energy is above 0, with only the battery error."""
-        return ndtr(left_wh / max(self.battery_std_wh, 1e-6))
+    def probability_energy_remains(self, left_wh: Floats) -> Floats:
+        """Return P(remaining energy above 0), with the battery error alone."""
+        return normal_cdf(left_wh / max(self.battery_std_wh, 1e-6))
 
-    def margin_wh(self, need_wh: Floats, p: float) -> float:
-        """Remaining energy above the level at which the mean of `p_enough` would be just `p`.
+    def margin_to_probability_wh(self, need_wh: Floats, probability: float) -> float:
+        """Return remaining energy minus the level at which the mean of `probability_need_is_met`
+        equals `probability`.
 
-        Bisection. The margin is at most _MARGIN_WH too small and never too large, because the
-        bracket's sufficient end is used.
+        Bisection. The margin is at most _MARGIN_WH too small and never too large, because it uses
+        the upper end of the bracket.
         """
         need_wh = self.scale * need_wh
         spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
@@ -62,7 +63,7 @@ class Budget:
         high = float((need_wh + 9.0 * spread).max())
         while high - low > _MARGIN_WH:
             middle = 0.5 * (low + high)
-            if float(ndtr((middle - need_wh) / spread).mean()) >= p:
+            if float(normal_cdf((middle - need_wh) / spread).mean()) >= probability:
                 high = middle
             else:
                 low = middle
@@ -71,117 +72,127 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class LaterDecision:
-    """A later decision point in each POLICY sample: the probabilities that its gate will compute.
+    """Probabilities computed by the gate at a later decision point, for each POLICY sample.
 
-    `turned_p_home` is P(home) of a mission that turns back there.
+    `p_home_after_turn` is P(home) of a mission that turns back there.
     """
 
     p_turn: Floats
     p_next: Floats
     p_whole: Floats
-    turned_p_home: Floats
+    p_home_after_turn: Floats
 
-    def goes_on(self, promise: float) -> Bools:
-        """Whether that gate will fly on, per sample.
+    def is_continuing(self, required_p_home: float) -> Bools:
+        """Return for each sample whether that gate will continue the flight.
 
-        It follows the gate's own rule, except that a fixed value of waiting replaces simulating the
-        policy from there. Waiting is worth it if the risk is small compared with the possible gain.
+        Applies the gate's rule, with a fixed value of waiting instead of a simulation of the policy
+        from there. Waiting is accepted if its risk is small compared with the possible gain.
         """
-        promised = np.maximum(self.p_next, self.p_whole) >= np.minimum(promise, self.p_turn)
-        commits = self.p_whole >= promise * self.p_turn
-        risked = promise * (self.p_turn - self.p_next)
-        waits = risked <= _WAITING_FRAC * (1.0 - promise) * self.p_whole
+        promised = np.maximum(self.p_next, self.p_whole) >= np.minimum(required_p_home, self.p_turn)
+        commits = self.p_whole >= required_p_home * self.p_turn
+        risked = required_p_home * (self.p_turn - self.p_next)
+        waits = risked <= _WAITING_FRAC * (1.0 - required_p_home) * self.p_whole
         return promised & (commits | waits)
 
 
-class Chances:
+class OutcomeProbabilities:
     """Probabilities of the remaining mission that do not depend on the accepted loss."""
 
     def __init__(self, table: LegTable, budget: Budget, sampler: PathSampler) -> None:
         self._table, self._budget = table, budget
-        self.way_now, self.p_now = self._best_way(0, np.zeros(sampler.count))
-        """Best way home from here, and P(home) by it."""
-        if table.stages == 0:
-            self.onward_need_wh = table.way_wh(0, self.way_now)
+        self.best_route_now, self.p_now = self._best_route_and_p_home(0, np.zeros(sampler.count))
+        """Best route home from the current position, and P(home) on it."""
+        if table.stage_count == 0:
+            self.onward_need_wh = table.return_route_energy_wh(0, self.best_route_now)
             return
-        flown = table.stage_wh(1)
-        way, self.p_onward = self._best_way(1, flown)
-        """P(home) via the next decision point, or via a later one if that is better."""
-        self.onward_need_wh = flown + table.way_wh(1, way)
-        self.p_whole = float(budget.p_enough(table.whole_wh()).mean())
+        flown = table.stage_energy_wh(1)
+        route, self.p_onward = self._best_route_and_p_home(1, flown)
+        """P(home) via the next decision point, or via a later one if that is higher."""
+        self.onward_need_wh = flown + table.return_route_energy_wh(1, route)
+        self.p_whole = float(budget.probability_need_is_met(table.whole_mission_energy_wh()).mean())
         """Probability that the energy suffices for the whole trip, ignoring later gates."""
-        self._looks: list[LaterDecision] = []
-        if table.stages == 1:
-            self._arrived = np.array([self.p_onward])
+        self._later_decisions: list[LaterDecision] = []
+        if table.stage_count == 1:
+            self._p_home_at_end = np.array([self.p_onward])
             return
-        self._foresee(sampler.model_error[POLICY])
-        p_further, further_wh = self._best_further()
-        if p_further > self.p_onward:
-            self.p_onward, self.onward_need_wh = p_further, further_wh
+        self._predict_later_decisions(sampler.model_error[POLICY_SAMPLES])
+        p_later, later_need_wh = self._best_later_p_home_and_need_wh()
+        if p_later > self.p_onward:
+            self.p_onward, self.onward_need_wh = p_later, later_need_wh
 
-    def of_flying_on(self, promise: float) -> tuple[float, float]:
-        """(P(home), P(home and delivered)) if every later gate requires `promise`."""
-        flying = np.ones(self._arrived.size, np.bool_)
-        p_home = self._arrived.copy()
-        for look in self._looks:
-            turning = flying & ~look.goes_on(promise)
-            p_home[turning] = look.turned_p_home[turning]
-            flying &= ~turning
-        return float(p_home.mean()), float(np.where(flying, p_home, 0.0).mean())
+    def p_home_and_success_if_continuing(self, required_p_home: float) -> tuple[float, float]:
+        """Return (P(home), P(home, delivered)) if every later gate requires `required_p_home`."""
+        continuing = np.ones(self._p_home_at_end.size, np.bool_)
+        p_home = self._p_home_at_end.copy()
+        for decision in self._later_decisions:
+            turn_back = continuing & ~decision.is_continuing(required_p_home)
+            p_home[turn_back] = decision.p_home_after_turn[turn_back]
+            continuing &= ~turn_back
+        return float(p_home.mean()), float(np.where(continuing, p_home, 0.0).mean())
 
-    def _best_way(self, point: int, before_wh: Floats) -> tuple[int, float]:
-        """The way home with the highest P(home), the first of near ties, and that P(home)."""
+    def _best_route_and_p_home(self, decision_point: int, used_wh: Floats) -> tuple[int, float]:
+        """Return the route home of highest P(home), first of near ties, and that P(home)."""
         chances = [
-            float(self._budget.p_enough(before_wh + self._table.way_wh(point, way)).mean())
-            for way in range(self._table.ways(point))
+            float(
+                self._budget.probability_need_is_met(
+                    used_wh + self._table.return_route_energy_wh(decision_point, route)
+                ).mean()
+            )
+            for route in range(self._table.return_route_count(decision_point))
         ]
-        best = _first_best(chances)
+        best = _first_index_near_maximum(chances)
         return best, chances[best]
 
-    def _best_further(self) -> tuple[float, Floats]:
-        """(P(home), need) of flying on to the best of the points after the next.
+    def _best_later_p_home_and_need_wh(self) -> tuple[float, Floats]:
+        """Return (P(home), need) of continuing to the best of the points after the next.
 
-        A landing site may lie ahead. Or the parcel, once delivered, is not carried home.
+        It can be better than turning back: a landing site is near it, or the parcel is delivered.
         """
         table = self._table
-        flown = table.stage_wh(1)
+        flown = table.stage_energy_wh(1)
         best, need = 0.0, flown
-        for point in range(2, table.stages + 1):
-            flown = flown + table.stage_wh(point)
-            way, chance = self._best_way(point, flown)
+        for point in range(2, table.stage_count + 1):
+            flown = flown + table.stage_energy_wh(point)
+            route, chance = self._best_route_and_p_home(point, flown)
             if chance > best:
-                best, need = chance, flown + table.way_wh(point, way)
+                best, need = chance, flown + table.return_route_energy_wh(point, route)
         return best, need
 
-    def _foresee(self, model_error: Floats) -> None:
-        """The later decisions, and P(home) of flying past all of them, for each POLICY sample.
+    def _predict_later_decisions(self, model_error: Floats) -> None:
+        """Compute later decisions, and P(home) if all of them continue, for each POLICY sample.
 
-        Each sample flies its own wind with its own model error. Its gate sees that error in the
-        energy used so far, knows its wind up to that point, and forecasts from it.
+        Each sample has its own wind and model error. Its gate observes that error in the energy
+        used so far and the wind up to that point, and forecasts from it.
         """
         table, budget = self._table, self._budget
         drawn = budget.scale * (1.0 + budget.model_std_frac * model_error)
-        used = table.stage_wh(1)[POLICY]
-        for point in range(1, table.stages):
-            then = table.predicted(point)
+        used = table.stage_energy_wh(1)[POLICY_SAMPLES]
+        for point in range(1, table.stage_count):
+            predicted = table.predict_needs_at_later_gate(point)
             left = budget.left_wh - used * drawn
-            home = table.chosen_way_wh(point, then.turning_way)
-            self._looks.append(
+            home = table.selected_route_energy_wh(point, predicted.turn_back_route)
+            self._later_decisions.append(
                 LaterDecision(
-                    budget.p_seen(left, then.turning),
-                    budget.p_seen(left, then.next_point),
-                    budget.p_seen(left, then.whole),
-                    budget.p_left(left - home * drawn),
+                    budget.probability_at_later_gate(left, predicted.turn_back),
+                    budget.probability_at_later_gate(left, predicted.next_point),
+                    budget.probability_at_later_gate(left, predicted.whole),
+                    budget.probability_energy_remains(left - home * drawn),
                 )
             )
-            used = used + table.stage_wh(point + 1)[POLICY]
-        ways = [table.way_wh(table.stages, i)[POLICY] for i in range(table.ways(table.stages))]
-        chances = [float(budget.p_enough(used + way).mean()) for way in ways]
-        spent = (used + ways[_first_best(chances)]) * drawn
-        self._arrived = budget.p_left(budget.left_wh - spent)
+            used = used + table.stage_energy_wh(point + 1)[POLICY_SAMPLES]
+        route_energies_wh = [
+            table.return_route_energy_wh(table.stage_count, i)[POLICY_SAMPLES]
+            for i in range(table.return_route_count(table.stage_count))
+        ]
+        chances = [
+            float(budget.probability_need_is_met(used + route).mean())
+            for route in route_energies_wh
+        ]
+        total_used_wh = (used + route_energies_wh[_first_index_near_maximum(chances)]) * drawn
+        self._p_home_at_end = budget.probability_energy_remains(budget.left_wh - total_used_wh)
 
 
-def _first_best(chances: list[float]) -> int:
-    """Index of the first probability within _TIE of the highest."""
-    top = max(chances)
-    return next(i for i, p in enumerate(chances) if p >= top - _TIE)
+def _first_index_near_maximum(probabilities: list[float]) -> int:
+    """Return the index of the first probability within _TIE of the highest."""
+    top = max(probabilities)
+    return next(i for i, p in enumerate(probabilities) if p >= top - _TIE)

@@ -1,4 +1,4 @@
-"""What is left to fly, as the gate asks about it: stages between decision points, ways home."""
+"""Remaining mission as input of the gate: stages between decision points, and routes home."""
 
 from dataclasses import dataclass, replace
 
@@ -6,62 +6,73 @@ from companion.core.routing.leg_energy import Leg, LegKind
 
 
 @dataclass(frozen=True, slots=True)
-class WayHome:
-    """One way to a landing site: its name ("depot" or a rally point's) and legs to the ground.
+class ReturnRoute:
+    """Route to a landing site: its name ("depot" or a rally point's) and its legs to the ground.
 
-    `unattended_legs`: the same when no further command arrives (fixed ground speeds).
+    `unattended_sequence`: the same legs without further commands (fixed ground speeds).
     """
 
     landing: str
-    legs: tuple[Leg, ...]
-    unattended_legs: tuple[Leg, ...] = ()
+    leg_sequence: tuple[Leg, ...]
+    unattended_sequence: tuple[Leg, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Legs to the next decision point, and the ways home from there, the preferred first.
+    """Legs to the next decision point, and the routes home from there, the preferred first.
 
-    `delivers` marks the stage that ends with the parcel released.
+    `delivers` is true for the stage that ends with the parcel released.
     """
 
-    legs: tuple[Leg, ...]
-    ways_home: tuple[WayHome, ...]
+    leg_sequence: tuple[Leg, ...]
+    return_routes: tuple[ReturnRoute, ...]
     delivers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Ahead:
-    """The whole remaining mission: ways home from here, and the stages that are left.
+class RemainingMission:
+    """Remaining mission: routes home from the current position, and the stages to fly.
 
-    After delivery, or on the way back, `stages` is empty and `delivered` tells which.
+    `stages` is empty on the return flight, where `delivered` is true after a delivery.
     """
 
-    ways_home_now: tuple[WayHome, ...]
+    current_return_routes: tuple[ReturnRoute, ...]
     stages: tuple[Stage, ...] = ()
     delivered: bool = False
 
     def __post_init__(self) -> None:
-        ways = (self.ways_home_now, *(stage.ways_home for stage in self.stages))
-        if not all(ways):
-            raise ValueError("every decision point needs a way home")
+        routes = (self.current_return_routes, *(stage.return_routes for stage in self.stages))
+        if not all(routes):
+            raise ValueError("remaining mission: decision point without a route home")
 
 
-def hurried(ahead: Ahead, airspeed_mps: float) -> Ahead:
-    """The same mission with every commanded cruise leg flown at this airspeed or faster."""
+def with_min_airspeed(remaining: RemainingMission, airspeed_mps: float) -> RemainingMission:
+    """Return the mission with this least airspeed on every cruise leg of commanded speed."""
 
-    def legs(of: tuple[Leg, ...]) -> tuple[Leg, ...]:
+    def legs_with_min_airspeed(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
         return tuple(
             replace(leg, airspeed_mps=airspeed_mps)
             if leg.kind is LegKind.CRUISE and leg.ground_speed_mps is None
             else leg
-            for leg in of
+            for leg in legs
         )
 
-    def ways(of: tuple[WayHome, ...]) -> tuple[WayHome, ...]:
-        return tuple(replace(way, legs=legs(way.legs)) for way in of)
+    def routes_with_min_airspeed(routes: tuple[ReturnRoute, ...]) -> tuple[ReturnRoute, ...]:
+        return tuple(
+            replace(route, leg_sequence=legs_with_min_airspeed(route.leg_sequence))
+            for route in routes
+        )
 
     stages = tuple(
-        replace(stage, legs=legs(stage.legs), ways_home=ways(stage.ways_home))
-        for stage in ahead.stages
+        replace(
+            stage,
+            leg_sequence=legs_with_min_airspeed(stage.leg_sequence),
+            return_routes=routes_with_min_airspeed(stage.return_routes),
+        )
+        for stage in remaining.stages
     )
-    return replace(ahead, ways_home_now=ways(ahead.ways_home_now), stages=stages)
+    return replace(
+        remaining,
+        current_return_routes=routes_with_min_airspeed(remaining.current_return_routes),
+        stages=stages,
+    )

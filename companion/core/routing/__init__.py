@@ -1,1 +1,1 @@
-"""Routes on the waypoint graph and what their legs cost. Imports wind and below."""
+"""Routes on the waypoint graph and the energy of their legs. Imports wind and below."""

@@ -1,9 +1,9 @@
 """Energy and time of the remaining legs in many winds, down to the landed vehicle.
 
-A leg is what one mission item makes the autopilot do (safety rules 4 and 6). In AUTO an autopilot
-flies a GROUND speed until its tilt saturates. So the companion commands, for each leg, the ground
-speed that the wind triangle gives for the speed to fly. A leg that gets no further command keeps
-the last ground speed. Winds are (K, 2) or (K, legs, 2): north and east, where the air moves to.
+A leg is the motion that one mission item commands (safety rules 4 and 6). In AUTO an autopilot
+holds a GROUND speed until its tilt saturates. So the companion commands, for each leg, the ground
+speed that the wind triangle gives for the speed to fly. A leg without a further command keeps the
+last ground speed. Winds are (K, 2) or (K, legs, 2): north and east, direction the air moves to.
 Energies are in Wh.
 """
 
@@ -16,47 +16,49 @@ from typing import Protocol
 import numpy as np
 
 from companion.core.base.arrays import Bools, Floats, Ints
-from companion.core.base.geo import Ned, course_rad, horizontal_m, wrap_pi
+from companion.core.base.geo import Ned, course_rad, horizontal_distance_m, wrap_pi
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
-from companion.core.vehicle.power import GRAVITY_MPS2, flown_frac
+from companion.core.vehicle.power import GRAVITY_MPS2, measured_over_modelled_power
 from companion.core.vehicle.speed_to_fly import (
     CruiseTable,
     SpeedRule,
     SteadyPower,
-    fastest_airspeed_mps,
-    slowest_airspeed_mps,
+    fastest_planning_airspeed_mps,
+    slowest_airspeed_of_rule_mps,
 )
 
-_Priced = tuple[Floats, Floats, Bools]
+_CostArrays = tuple[Floats, Floats, Bools]
 
-LEAST_GROUND_SPEED_MPS = 0.5  # slower is no way made: priced at this speed, and called infeasible
+LEAST_GROUND_SPEED_MPS = 0.5  # a slower leg is infeasible and costs what it costs at this speed
 TOUCHDOWN_S = 4.0  # landing detected and motors stopped, at hover power
-OVER_M = 1.0  # a climb or a cruise shorter than this is not flown
+MIN_LEG_M = 1.0  # a climb or a cruise shorter than this is not flown
 SLOPE_FRAC = 0.8
-"""Of its climb or descent rate that a sloping leg asks for: beginning to climb takes a second, too,
-and the vehicle is to be in height where the leg ends.
+"""Fraction of the climb or descent rate that a sloping leg uses. The rest covers the second until
+the climb begins, so that the vehicle is at its height where the leg ends.
 """
-_SLOPE_FROM_M = 3.0  # a smaller change of height is done within a second or two, and slows no leg
+_MIN_SLOPE_HEIGHT_M = (
+    3.0  # a smaller change of height takes a second or two and does not slow a leg
+)
 _WIND_STEP_MPS = 0.25  # for gradients
-_TABLES = 64  # cruise tables kept, of 0.1 MB each; the oldest goes
+_MAX_CACHED_TABLES = 64  # cached cruise tables, 0.1 MB each; the oldest is evicted
 
 
 class LegKind(Enum):
-    """What the vehicle does on a leg."""
+    """Manoeuvre of one leg."""
 
-    CLIMB = "climb"  # straight up over a point (take-off too)
-    CRUISE = "cruise"  # along a straight line; climbs or sinks on it where heights differ
-    DESCEND = "descend"  # straight down, still flying
-    HOVER = "hover"  # waits `duration_s`: settle, drop, loiter
+    CLIMB = "climb"  # vertical climb (take-off included)
+    CRUISE = "cruise"  # straight line; climbs or sinks along it where heights differ
+    DESCEND = "descend"  # vertical descent without landing
+    HOVER = "hover"  # holds position for `duration_s`: wind measurement, drop, loiter
     LAND = "land"  # descends and touches down; ends with motors off
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One leg. `ground_speed_mps` None: the companion commands the wind triangle's speed for the
-    speed to fly, at least `airspeed_mps` (None: the rule's); a number: that ground speed, no
-    further command arrives.
+    """One leg of a route. With `ground_speed_to_command_mps` None the companion commands the ground
+    speed of the speed to fly, whose airspeed is at least `airspeed_mps` (None: that of the speed
+    rule). A number is the ground speed that the autopilot keeps without a further command.
     """
 
     kind: LegKind
@@ -68,9 +70,9 @@ class Leg:
     ground_speed_mps: float | None = None
 
 
-def cruise_legs(a: Ned, b: Ned, payload_kg: float) -> tuple[Leg, ...]:
-    """The cruise between two points; none where they are nearer than `OVER_M`."""
-    if horizontal_m(a, b) <= OVER_M:
+def cruise_leg_unless_too_short(a: Ned, b: Ned, payload_kg: float) -> tuple[Leg, ...]:
+    """Return the cruise leg between two points; empty where they are within `MIN_LEG_M`."""
+    if horizontal_distance_m(a, b) <= MIN_LEG_M:
         return ()
     return (Leg(LegKind.CRUISE, a, b, payload_kg),)
 
@@ -79,8 +81,8 @@ def cruise_legs(a: Ned, b: Ned, payload_kg: float) -> tuple[Leg, ...]:
 class LegCosts:
     """Energy (Wh) and time (s) of legs under K winds, each (K, legs); `feasible` likewise.
 
-    A leg on which no way is made over the ground costs what it would at LEAST_GROUND_SPEED_MPS,
-    so that costs stay finite and rise with the wind.
+    A leg slower over the ground than LEAST_GROUND_SPEED_MPS costs what it does at that speed, so
+    that costs stay finite and rise with the wind.
     """
 
     energy_wh: Floats
@@ -89,8 +91,8 @@ class LegCosts:
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
-    """Legs that are priced alike: indices into the route, and their geometry as (legs, 1)."""
+class _LegGroup:
+    """Legs with the same cost formula: indices into the route, and geometry as (legs, 1)."""
 
     index: Ints
     payload_kg: float
@@ -109,33 +111,33 @@ class _Group:
 
 
 @dataclass(frozen=True, slots=True)
-class CompiledLegs:
-    """Legs made ready for many winds by `RouteEnergy.compile`."""
+class LegBatch:
+    """Legs grouped by `RouteEnergy.group_legs_by_cost_formula` for evaluation under many winds."""
 
     count: int
-    groups: tuple[_Group, ...]
+    groups: tuple[_LegGroup, ...]
 
 
-class SpeedChoice(Protocol):
-    """The speeds that an operator asks for; a flight file's `[mission]` table has them."""
+class SpeedSettings(Protocol):
+    """Speeds configured by the operator, as in the `[mission]` table of a flight file."""
 
     @property
     def cruise_airspeed_mps(self) -> float | None:
-        """The cruise airspeed; None: the airframe's."""
+        """Cruise airspeed; None selects the airframe's."""
         ...
 
     @property
     def speed_rule(self) -> SpeedRule:
-        """How the airspeed of each leg is chosen."""
+        """Rule that selects the airspeed of each leg."""
         ...
 
 
 class RouteEnergy:
-    """The airframe's leg costs from tables built once per payload; the one model that planner,
-    gate and dispatcher share.
+    """Energy model of an airframe's legs, from tables built once per payload. Planner, gate and
+    dispatcher share it.
 
-    `density_kgpm3` of the air that it prices in: whoever makes it says so, or a flight once it
-    knows (`fly_in`).
+    `density_kgpm3` is the air density of all costs: set by the constructor, and by
+    `set_air_density_and_clear_cached_tables` once the flight has measured it.
     """
 
     def __init__(
@@ -145,68 +147,79 @@ class RouteEnergy:
         cruise_airspeed_mps: float | None = None,
         speed_rule: SpeedRule = "least_energy",
         *,
-        holds_airspeed: bool = False,
+        fixed_airspeed: bool = False,
     ) -> None:
-        """`holds_airspeed`: cruises at the rule's slowest airspeed in any wind, never faster."""
+        """`fixed_airspeed`: cruise at the rule's slowest airspeed in any wind, never faster."""
         self.airframe = airframe
         self.cruise_airspeed_mps = cruise_airspeed_mps or airframe.speeds.cruise_airspeed_mps
         self.speed_rule: SpeedRule = speed_rule
-        self.slowest_airspeed_mps = slowest_airspeed_mps(speed_rule, self.cruise_airspeed_mps)
+        self.slowest_airspeed_mps = slowest_airspeed_of_rule_mps(
+            speed_rule, self.cruise_airspeed_mps
+        )
         self.density_kgpm3 = density_kgpm3
-        self._holds_airspeed = holds_airspeed
-        self._sinking_frac = float(flown_frac(airframe, -1.0) / flown_frac(airframe, 0.0))
+        self._fixed_airspeed = fixed_airspeed
+        self._sinking_frac = float(
+            measured_over_modelled_power(airframe, -1.0)
+            / measured_over_modelled_power(airframe, 0.0)
+        )
         self._power: dict[int, SteadyPower] = {}
         self._cruise: dict[tuple[int, bool, float], CruiseTable] = {}
 
     @classmethod
     def for_mission(
-        cls, airframe: Airframe, mission: SpeedChoice, density_kgpm3: float
+        cls, airframe: Airframe, mission: SpeedSettings, density_kgpm3: float
     ) -> "RouteEnergy":
-        """With the speeds that the operator asks for, in the air of the site."""
+        """Return a model with the operator's speeds at the air density of the site."""
         cruise = mission.cruise_airspeed_mps
         return cls(airframe, density_kgpm3, cruise, mission.speed_rule)
 
-    def fly_in(self, density_kgpm3: float) -> None:
-        """Price in this air from now on; for a vehicle that stands, before it has a plan."""
+    def set_air_density_and_clear_cached_tables(self, density_kgpm3: float) -> None:
+        """Set the air density of all later costs. Call it on the ground, before planning."""
         self.density_kgpm3 = density_kgpm3
         self._power.clear()
         self._cruise.clear()
 
-    def lift_trouble(self, payload_kg: float) -> str:
-        """Say why this parcel cannot be carried in this air; `""` where it can."""
-        return self.airframe.lift_trouble(payload_kg, self.density_kgpm3)
+    def overload_reason_or_empty(self, payload_kg: float) -> str:
+        """Return the reason that the parcel is too heavy in this air; `""` if it is not."""
+        return self.airframe.overload_reason_or_empty(payload_kg, self.density_kgpm3)
 
-    def fastest_airspeed_mps(self, payload_kg: float) -> float:
-        """The fastest airspeed that is planned with in this air."""
-        return fastest_airspeed_mps(self.airframe, payload_kg, self.density_kgpm3)
+    def fastest_planning_airspeed_mps(self, payload_kg: float) -> float:
+        """Return the fastest airspeed used for planning in this air."""
+        return fastest_planning_airspeed_mps(self.airframe, payload_kg, self.density_kgpm3)
 
-    def compile(
-        self, legs: tuple[Leg, ...], before: tuple[Leg | None, ...] | None = None
-    ) -> CompiledLegs:
-        """Group legs that are priced alike.
+    def group_legs_by_cost_formula(
+        self, leg_sequence: tuple[Leg, ...], preceding_legs: tuple[Leg | None, ...] | None = None
+    ) -> LegBatch:
+        """Group legs with the same cost formula.
 
-        `before` is the leg flown just before each one, None for none; without it, legs follow one
-        another where they join. It tells the time lost to stopping, starting and turning.
+        `preceding_legs` holds the preceding leg of each leg or None, and gives the time lost to
+        stopping, starting and turning. By default each leg follows the one before it where they
+        join.
         """
-        if before is None:
-            before = (None, *legs[:-1])
+        if preceding_legs is None:
+            preceding_legs = (None, *leg_sequence[:-1])
         members: dict[tuple[object, ...], list[int]] = {}
-        for index, leg in enumerate(legs):
+        for index, leg in enumerate(leg_sequence):
             cruise = leg.kind is LegKind.CRUISE
             speeds = (leg.airspeed_mps, leg.ground_speed_mps) if cruise else (None, None)
             sinking = leg.kind in (LegKind.DESCEND, LegKind.LAND)
             key = (cruise, leg.kind is LegKind.CLIMB, sinking, leg.payload_kg, *speeds)
             members.setdefault(key, []).append(index)
-        stops = [_stop(b, leg) for b, leg in zip(before, legs, strict=True)]
-        groups = tuple(self._group(legs, stops, indices) for indices in members.values())
-        return CompiledLegs(len(legs), groups)
+        stops = [
+            _junction_time_loss_factor(b, leg)
+            for b, leg in zip(preceding_legs, leg_sequence, strict=True)
+        ]
+        groups = tuple(
+            self._build_leg_group(leg_sequence, stops, indices) for indices in members.values()
+        )
+        return LegBatch(len(leg_sequence), groups)
 
-    def compile_level(
+    def build_level_cruise_batch(
         self, course_rad: Floats, length_m: Floats, payload_kg: float
-    ) -> CompiledLegs:
-        """Level cruise legs of these courses and lengths (n,), none of which follows another."""
+    ) -> LegBatch:
+        """Return level cruise legs of these courses and lengths (n,), without turns between."""
         zero = np.zeros((len(course_rad), 1))
-        group = _Group(
+        group = _LegGroup(
             index=np.arange(len(course_rad)),
             payload_kg=payload_kg,
             cruise=True,
@@ -222,15 +235,17 @@ class RouteEnergy:
             stops=zero,
             duration_s=zero,
         )
-        return CompiledLegs(len(course_rad), (group,))
+        return LegBatch(len(course_rad), (group,))
 
-    def _group(self, legs: tuple[Leg, ...], stops: list[float], indices: list[int]) -> _Group:
-        chosen = [legs[i] for i in indices]
-        first = chosen[0]
-        courses = _column([course_rad(leg.from_ned_m, leg.to_ned_m) for leg in chosen])
+    def _build_leg_group(
+        self, leg_sequence: tuple[Leg, ...], stop_factors: list[float], leg_indices: list[int]
+    ) -> _LegGroup:
+        selected = [leg_sequence[i] for i in leg_indices]
+        first = selected[0]
+        courses = _to_column_array([course_rad(leg.from_ned_m, leg.to_ned_m) for leg in selected])
         cruise = first.kind is LegKind.CRUISE
-        return _Group(
-            index=np.array(indices),
+        return _LegGroup(
+            index=np.array(leg_indices),
             payload_kg=first.payload_kg,
             cruise=cruise,
             climbing=first.kind is LegKind.CLIMB,
@@ -239,30 +254,41 @@ class RouteEnergy:
             ground_speed_mps=first.ground_speed_mps if cruise else None,
             north=np.cos(courses),
             east=np.sin(courses),
-            length_m=_column([horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in chosen]),
-            climb_m=_column([max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in chosen]),
-            vertical_s=_column([self._rise_or_sink_s(leg) for leg in chosen]),
-            stops=_column([stops[i] for i in indices]),
-            duration_s=_column(
-                [0.0 if cruise else self._duration_s(legs[i], stops[i]) for i in indices]
+            length_m=_to_column_array(
+                [horizontal_distance_m(leg.from_ned_m, leg.to_ned_m) for leg in selected]
+            ),
+            climb_m=_to_column_array(
+                [max(leg.from_ned_m[2] - leg.to_ned_m[2], 0.0) for leg in selected]
+            ),
+            vertical_s=_to_column_array(
+                [self._min_height_change_duration_s(leg) for leg in selected]
+            ),
+            stops=_to_column_array([stop_factors[i] for i in leg_indices]),
+            duration_s=_to_column_array(
+                [
+                    0.0
+                    if cruise
+                    else self._leg_duration_with_stops_s(leg_sequence[i], stop_factors[i])
+                    for i in leg_indices
+                ]
             ),
         )
 
-    def _duration_s(self, leg: Leg, stop: float) -> float:
+    def _leg_duration_with_stops_s(self, leg: Leg, stop_factor: float) -> float:
         speeds = self.airframe.speeds
-        stopping_s = stop * self.cruise_airspeed_mps / speeds.accel_mps2
-        return stopping_s + self._vertical_s(leg)
+        stopping_s = stop_factor * self.cruise_airspeed_mps / speeds.accel_mps2
+        return stopping_s + self._vertical_or_hover_duration_s(leg)
 
-    def _rise_or_sink_s(self, leg: Leg) -> float:
-        """What a change of height takes on a cruise leg.
+    def _min_height_change_duration_s(self, leg: Leg) -> float:
+        """Return the minimum duration (s) of a cruise leg that changes height.
 
-        ArduCopter and PX4 up to 1.17 slow down for it, 1.18 does not: there the companion does.
+        ArduCopter and PX4 up to 1.17 slow down for it; for PX4 1.18 the companion does.
         """
         speeds, up_m = self.airframe.speeds, leg.from_ned_m[2] - leg.to_ned_m[2]
         least_s = max(up_m / speeds.climb_mps, -up_m / speeds.descent_mps)
-        return least_s / SLOPE_FRAC if abs(up_m) > _SLOPE_FROM_M else least_s
+        return least_s / SLOPE_FRAC if abs(up_m) > _MIN_SLOPE_HEIGHT_M else least_s
 
-    def _vertical_s(self, leg: Leg) -> float:
+    def _vertical_or_hover_duration_s(self, leg: Leg) -> float:
         speeds = self.airframe.speeds
         height_m = abs(leg.to_ned_m[2] - leg.from_ned_m[2])
         if leg.kind is LegKind.CLIMB:
@@ -275,142 +301,168 @@ class RouteEnergy:
             return fast_m / speeds.descent_mps + slow_m / speeds.landing_mps + TOUCHDOWN_S
         return leg.duration_s
 
-    def costs(self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: Floats) -> LegCosts:
-        """Cost of each leg under each wind."""
-        compiled = legs if isinstance(legs, CompiledLegs) else self.compile(legs)
+    def leg_costs_wind_major(
+        self, leg_sequence: tuple[Leg, ...] | LegBatch, wind_to_ne_mps: Floats
+    ) -> LegCosts:
+        """Return the cost of each leg under each wind."""
+        compiled = (
+            leg_sequence
+            if isinstance(leg_sequence, LegBatch)
+            else self.group_legs_by_cost_formula(leg_sequence)
+        )
         wind = wind_to_ne_mps[:, None, :] if wind_to_ne_mps.ndim == 2 else wind_to_ne_mps
-        by_leg = self.costs_by_leg(compiled, wind[..., 0].T, wind[..., 1].T)
+        by_leg = self.leg_costs_leg_major(compiled, wind[..., 0].T, wind[..., 1].T)
         return LegCosts(by_leg.energy_wh.T, by_leg.time_s.T, by_leg.feasible.T)
 
-    def costs_by_leg(
-        self, compiled: CompiledLegs, wind_n_mps: Floats, wind_e_mps: Floats
+    def leg_costs_leg_major(
+        self, leg_batch: LegBatch, wind_n_mps: Floats, wind_e_mps: Floats
     ) -> LegCosts:
-        """The same for winds (legs or 1, K), with costs (legs, K): quicker for many winds."""
-        shape = (compiled.count, wind_n_mps.shape[1])
+        """Return costs (legs, K) for winds (legs or 1, K); `leg_costs_wind_major` is slower."""
+        shape = (leg_batch.count, wind_n_mps.shape[1])
         energy, time, feasible = np.empty(shape), np.empty(shape), np.empty(shape, np.bool_)
-        for group in compiled.groups:
+        for group in leg_batch.groups:
             at = group.index
             each = wind_n_mps.shape[0] > 1
             north, east = (w[at] if each else w for w in (wind_n_mps, wind_e_mps))
-            price = self._price_cruise if group.cruise else self._price_wait
+            price = self._cruise_leg_costs if group.cruise else self._vertical_or_hover_costs
             energy[at], time[at], feasible[at] = price(group, north, east)
         return LegCosts(energy, time, feasible)
 
-    def _price_cruise(self, group: _Group, north: Floats, east: Floats) -> _Priced:
-        ground, draw = self._cruise_table(group).look_up(*_along_across(group, north, east))
+    def _cruise_leg_costs(
+        self, group: _LegGroup, wind_n_mps: Floats, wind_e_mps: Floats
+    ) -> _CostArrays:
+        ground, draw = self._cached_cruise_table(group).interpolate_ground_speed_and_power(
+            *_tailwind_and_crosswind_mps(group, wind_n_mps, wind_e_mps)
+        )
         feasible = ground >= LEAST_GROUND_SPEED_MPS
         np.maximum(ground, LEAST_GROUND_SPEED_MPS, out=ground)
         time = np.maximum(group.length_m / ground, group.vertical_s)
         time += ground * (group.stops / self.airframe.speeds.accel_mps2)
         draw *= time
-        draw += self._climb_j(group)
+        draw += self._extra_climb_energy_j(group)
         draw /= 3600.0
         return draw, time, feasible
 
-    def _climb_j(self, group: _Group) -> Floats:
-        weight_n = self.airframe.mass_kg(group.payload_kg) * GRAVITY_MPS2
+    def _extra_climb_energy_j(self, group: _LegGroup) -> Floats:
+        weight_n = self.airframe.flying_mass_kg(group.payload_kg) * GRAVITY_MPS2
         return weight_n * group.climb_m / self.airframe.power_rotor.drive_efficiency
 
-    def _price_wait(self, group: _Group, north: Floats, east: Floats) -> _Priced:
-        power = self._steady_power(group.payload_kg)
-        speed = np.hypot(north, east)
-        draw = power.climb_w(speed) if group.climbing else power.level_w(speed)
+    def _vertical_or_hover_costs(
+        self, group: _LegGroup, wind_n_mps: Floats, wind_e_mps: Floats
+    ) -> _CostArrays:
+        power = self._cached_steady_power(group.payload_kg)
+        speed = np.hypot(wind_n_mps, wind_e_mps)
+        draw = power.climb_power_w(speed) if group.climbing else power.level_flight_power_w(speed)
         if group.sinking:
             draw = draw * self._sinking_frac
         energy = draw * (group.duration_s / 3600.0)
         return energy, group.duration_s, speed <= power.max_airspeed_mps
 
-    def gradient_wh_per_mps(
-        self, legs: tuple[Leg, ...] | CompiledLegs, wind_to_ne_mps: Floats
+    def leg_energy_gradients_wh_per_mps(
+        self, leg_sequence: tuple[Leg, ...] | LegBatch, wind_to_ne_mps: Floats
     ) -> Floats:
-        """dE/dw of each leg, (legs, 2), about one wind (2,), by central differences."""
+        """Return dE/dw of each leg, (legs, 2), at one wind (2,), by central differences."""
         steps = _WIND_STEP_MPS * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        energy = self.costs(legs, wind_to_ne_mps[None, :] + steps).energy_wh
+        energy = self.leg_costs_wind_major(leg_sequence, wind_to_ne_mps[None, :] + steps).energy_wh
         return (energy[[0, 2]] - energy[[1, 3]]).T / (2.0 * _WIND_STEP_MPS)
 
-    def route_std_wh(
+    def route_energy_std_wh(
         self,
-        legs: tuple[Leg, ...] | CompiledLegs,
+        leg_sequence: tuple[Leg, ...] | LegBatch,
         wind_to_ne_mps: Floats,
         cov_ne_m2ps2: Floats,
     ) -> float:
-        """`|sum_e dE_e/dw|_Sigma`: one wind error moves every leg, so gradients add."""
-        gradient = self.gradient_wh_per_mps(legs, wind_to_ne_mps).sum(axis=0)
+        """Return `|sum_e dE_e/dw|_Sigma`: one wind error affects all legs, so gradients add."""
+        gradient = self.leg_energy_gradients_wh_per_mps(leg_sequence, wind_to_ne_mps).sum(axis=0)
         return math.sqrt(max(float(gradient @ cov_ne_m2ps2 @ gradient), 0.0))
 
-    def ground_speed_mps(self, leg: Leg, wind_to_ne_mps: Floats) -> float:
-        """What to command on a cruise leg (DO_CHANGE_SPEED): the wind triangle's ground speed.
+    def ground_speed_to_command_mps(self, leg: Leg, wind_to_ne_mps: Floats) -> float:
+        """Return the ground speed to command on a cruise leg (DO_CHANGE_SPEED).
 
-        Slower where the leg climbs or sinks so much that its end would be reached out of height.
+        Follows from the wind triangle; lower where the leg needs more time to climb or descend.
         """
         if leg.ground_speed_mps is not None:
             return leg.ground_speed_mps
-        group = self.compile((leg,)).groups[0]
-        along, across = _along_across(group, wind_to_ne_mps[:1, None], wind_to_ne_mps[1:, None])
-        ground, _ = self._cruise_table(group).look_up(along, across)
-        wanted_mps = float(ground[0, 0])
-        if abs(leg.from_ned_m[2] - leg.to_ned_m[2]) > _SLOPE_FROM_M:
-            length_m = horizontal_m(leg.from_ned_m, leg.to_ned_m)
-            wanted_mps = min(wanted_mps, length_m / self._rise_or_sink_s(leg))
-        return max(wanted_mps, LEAST_GROUND_SPEED_MPS)
+        group = self.group_legs_by_cost_formula((leg,)).groups[0]
+        tailwind, crosswind = _tailwind_and_crosswind_mps(
+            group, wind_to_ne_mps[:1, None], wind_to_ne_mps[1:, None]
+        )
+        ground, _ = self._cached_cruise_table(group).interpolate_ground_speed_and_power(
+            tailwind, crosswind
+        )
+        target_mps = float(ground[0, 0])
+        if abs(leg.from_ned_m[2] - leg.to_ned_m[2]) > _MIN_SLOPE_HEIGHT_M:
+            length_m = horizontal_distance_m(leg.from_ned_m, leg.to_ned_m)
+            target_mps = min(target_mps, length_m / self._min_height_change_duration_s(leg))
+        return max(target_mps, LEAST_GROUND_SPEED_MPS)
 
-    def max_airspeed_mps(self, payload_kg: float) -> float:
-        """Level airspeed at the largest tilt."""
-        return self._steady_power(payload_kg).max_airspeed_mps
+    def level_airspeed_at_max_tilt_mps(self, payload_kg: float) -> float:
+        """Return the level airspeed at maximum tilt."""
+        return self._cached_steady_power(payload_kg).max_airspeed_mps
 
-    def power_w(self, payload_kg: float, airspeed_mps: float, climb_mps: float = 0.0) -> float:
-        """Electrical power in steady flight (the ledger's modelled power)."""
-        power = self._steady_power(payload_kg)
+    def steady_flight_power_w(
+        self, payload_kg: float, airspeed_mps: float, climb_mps: float = 0.0
+    ) -> float:
+        """Return electrical power in steady flight (the ledger's modelled power)."""
+        power = self._cached_steady_power(payload_kg)
         speed = np.array([airspeed_mps])
-        level = float(power.level_w(speed)[0])
+        level = float(power.level_flight_power_w(speed)[0])
         share = min(max(climb_mps / self.airframe.speeds.climb_mps, 0.0), 2.0)
         if share == 0.0:
             return level
-        return level + share * (float(power.climb_w(speed)[0]) - level)
+        return level + share * (float(power.climb_power_w(speed)[0]) - level)
 
     def hover_power_w(self, payload_kg: float) -> float:
-        """Electrical power in still-air hover; a drop shows as a fall of it."""
-        return self.power_w(payload_kg, 0.0)
+        """Return electrical power in still-air hover. A drop reduces it."""
+        return self.steady_flight_power_w(payload_kg, 0.0)
 
-    def _steady_power(self, payload_kg: float) -> SteadyPower:
+    def _cached_steady_power(self, payload_kg: float) -> SteadyPower:
         key = round(payload_kg * 1000.0)
         if key not in self._power:
             self._power[key] = SteadyPower(self.airframe, key / 1000.0, self.density_kgpm3)
         return self._power[key]
 
-    def _cruise_table(self, group: _Group) -> CruiseTable:
+    def _cached_cruise_table(self, group: _LegGroup) -> CruiseTable:
         fixed, least = group.ground_speed_mps, group.airspeed_mps or self.slowest_airspeed_mps
         speed = least if fixed is None else fixed
         key = (round(group.payload_kg * 1000.0), fixed is None, round(speed, 1))
         if key not in self._cruise:
-            if len(self._cruise) >= _TABLES:
+            if len(self._cruise) >= _MAX_CACHED_TABLES:
                 self._cruise.pop(next(iter(self._cruise)))
-            power = self._steady_power(group.payload_kg)
-            cruise = power.fly_airspeed if self._holds_airspeed else power.fly_least_energy
-            fly = cruise if fixed is None else power.fly_ground_speed
+            power = self._cached_steady_power(group.payload_kg)
+            cruise = (
+                power.achieved_speeds_for_airspeed_mps
+                if self._fixed_airspeed
+                else power.achieved_speeds_of_least_energy_mps
+            )
+            fly = cruise if fixed is None else power.achieved_speeds_for_ground_speed_mps
             self._cruise[key] = CruiseTable(power, partial(fly, key[2]))
         return self._cruise[key]
 
 
-def _along_across(group: _Group, north: Floats, east: Floats) -> tuple[Floats, Floats]:
-    along = north * group.north + east * group.east
-    return along, east * group.north - north * group.east
+def _tailwind_and_crosswind_mps(
+    group: _LegGroup, wind_n_mps: Floats, wind_e_mps: Floats
+) -> tuple[Floats, Floats]:
+    tailwind = wind_n_mps * group.north + wind_e_mps * group.east
+    return tailwind, wind_e_mps * group.north - wind_n_mps * group.east
 
 
-def _column(values: list[float]) -> Floats:
+def _to_column_array(values: list[float]) -> Floats:
     return np.array(values)[:, None]
 
 
-def _stop(before: Leg | None, leg: Leg) -> float:
-    """Time lost where two legs meet, in units of speed / acceleration.
+def _junction_time_loss_factor(preceding_leg: Leg | None, following_leg: Leg) -> float:
+    """Return the time lost where two legs meet, in units of speed / acceleration.
 
-    Half of one to reach a speed or to lose it, and in a turn the share of speed that turns.
+    0.5 to reach a speed or to stop; in a turn, half of the velocity fraction that is lost.
     """
-    if before is None or before.to_ned_m != leg.from_ned_m:
+    if preceding_leg is None or preceding_leg.to_ned_m != following_leg.from_ned_m:
         return 0.0
-    moving, moves = before.kind is LegKind.CRUISE, leg.kind is LegKind.CRUISE
+    moving, moves = preceding_leg.kind is LegKind.CRUISE, following_leg.kind is LegKind.CRUISE
     if moving and moves:
-        before_rad = course_rad(before.from_ned_m, before.to_ned_m)
-        turn_rad = wrap_pi(course_rad(leg.from_ned_m, leg.to_ned_m) - before_rad)
+        before_rad = course_rad(preceding_leg.from_ned_m, preceding_leg.to_ned_m)
+        turn_rad = wrap_pi(
+            course_rad(following_leg.from_ned_m, following_leg.to_ned_m) - before_rad
+        )
         return 0.5 * (1.0 - math.cos(turn_rad))
     return 0.5 if moving or moves else 0.0

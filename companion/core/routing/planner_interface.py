@@ -1,6 +1,6 @@
-"""The interface of the paper's planners: a batch of missions in, the next edge of each out.
+"""Interface of the paper's planners: from a batch of missions to the next edge of each.
 
-One mission is a batch of one: the vehicle and the campaign run the same code.
+A vehicle's mission is a batch of one, so the vehicle and the campaign run the same code.
 """
 
 from dataclasses import dataclass
@@ -8,44 +8,41 @@ from typing import Protocol
 
 from companion.core.base.arrays import Bools, Floats, Ints
 
-STAY = -1  # stop at the depot, undelivered: ABRT
-NOWHERE = -2  # no edge leads on from here: the mission is lost
+STOP_AT_DEPOT = -1  # end at the depot without delivery: ABRT
+NO_EDGE = -2  # the vertex has no usable out-edge: the mission is lost
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What planners see at the vertices where n missions stand; all arrays of length n.
+class PlannerObservation:
+    """Observation of n missions at their current vertices; all arrays have length n.
 
-    `seen` indexes the sight's winds where the wind is a known chain and is -1 otherwise;
-    `wind_en_mps` (n, 2) is the seen wind as a vector (a class's centre where classes hide it).
+    `wind_index` is the index of the observed wind where the wind is a known Markov chain, else -1.
+    `wind_en_mps` (n, 2) is the observed wind (the class centre where only a class is observed).
     """
 
     mission: Ints
     vertex: Ints
     delivered: Bools
     energy_wh: Floats
-    seen: Ints
+    wind_index: Ints
     wind_en_mps: Floats
 
     @property
-    def count(self) -> int:
+    def mission_count(self) -> int:
         return len(self.mission)
 
 
-class Decider(Protocol):
-    """A planner at work on one batch of missions: it may remember, mission by mission."""
+class BatchPlanner(Protocol):
+    """Planner of one batch of missions. It may keep state for each mission."""
 
-    def decide(self, look: Look) -> Ints:
-        """The edge that each mission flies next, or STAY, or NOWHERE."""
+    def select_edges(self, observation: PlannerObservation) -> Ints:
+        """Return the next edge of each mission, or STOP_AT_DEPOT, or NO_EDGE."""
         ...
 
 
 class MissionPlanner(Protocol):
-    """A way to plan; `begin` starts a batch of missions, each with a uniform number of its own."""
+    """Factory of planners: `start_batch` starts missions, each with one uniform number."""
 
-    @property
-    def name(self) -> str: ...
-
-    def begin(self, coin: Floats) -> Decider:
-        """A decider for len(coin) missions; `coin` decides where a policy is a mixture."""
+    def start_batch(self, uniform_random_by_mission: Floats) -> BatchPlanner:
+        """Return a decider; `uniform_random_by_mission` (missions,) selects a mixture's policy."""
         ...

@@ -1,1 +1,1 @@
-"""Separation from neighbours: safety filter, tracks, learned actor. Imports base only."""
+"""Separation from other vehicles: safety filter, tracks, learned actor. Imports base only."""

@@ -1,4 +1,4 @@
-"""The learned avoidance actor in numpy: what MADDPG trained, flown without torch.
+"""Learned avoidance actor (trained by MADDPG) in numpy, so that flights need no torch.
 
 Observation as in the paper (IV-B): a 155 x 155 view of three binary channels and two vectors.
 """
@@ -33,44 +33,50 @@ SHAPES: dict[str, tuple[int, ...]] = {
 
 @dataclass(frozen=True)
 class AvoidancePolicy:
-    """Views and vectors of any number of drones -> (heading, speed) in [-1, 1]."""
+    """Actor network: views and vectors of any number of drones -> (heading, speed) in [-1, 1]."""
 
     weights: Mapping[str, Singles]
 
     def __post_init__(self) -> None:
         if set(self.weights) != set(SHAPES):
             wrong = sorted(set(self.weights) ^ set(SHAPES))
-            raise LeewayError(f"policy: arrays {wrong} missing or unknown")
+            raise LeewayError(f"policy: missing or unknown arrays {wrong}")
         for name, shape in SHAPES.items():
             value = self.weights[name]
             if value.shape != shape or not np.isfinite(value).all():
                 raise LeewayError(f"policy: {name} is {value.shape}, expected finite {shape}")
 
-    def act(self, view: Bytes, vectors_m: Singles) -> Singles:
-        """Actions (B, 2) for views (B, 3, 155, 155) and vectors (B, 4)."""
-        return self.act_pooled(pooled(view), vectors_m)
+    def heading_and_speed_actions(self, views: Bytes, vectors_m: Singles) -> Singles:
+        """Return actions (B, 2) for views (B, 3, 155, 155) and vectors (B, 4)."""
+        return self.heading_and_speed_actions_from_pooled(max_pooled_view(views), vectors_m)
 
-    def act_pooled(self, view: Bytes, vectors_m: Singles) -> Singles:
-        """As `act`, for views that are pooled already (B, 3, 31, 31)."""
-        seen = self._convolved(view.astype(np.float32), "encoder.first", 3)
-        seen = self._convolved(seen, "encoder.second", 2).reshape(len(view), -1)
+    def heading_and_speed_actions_from_pooled(
+        self, pooled_views: Bytes, vectors_m: Singles
+    ) -> Singles:
+        """Return actions as `heading_and_speed_actions`, for pooled views (B, 3, 31, 31)."""
+        seen = self._apply_convolution_and_relu(pooled_views.astype(np.float32), "encoder.first", 3)
+        seen = self._apply_convolution_and_relu(seen, "encoder.second", 2).reshape(
+            len(pooled_views), -1
+        )
         joined = np.concatenate([seen, vectors_m / np.float32(VECTOR_SCALE_M)], axis=1)
-        hidden = np.maximum(self._linear(joined, "encoder.joined"), 0.0)
-        hidden = np.maximum(self._linear(hidden, "hidden"), 0.0)
-        return np.tanh(self._linear(hidden, "out"))
+        hidden = np.maximum(self._apply_linear_layer(joined, "encoder.joined"), 0.0)
+        hidden = np.maximum(self._apply_linear_layer(hidden, "hidden"), 0.0)
+        return np.tanh(self._apply_linear_layer(hidden, "out"))
 
-    def _linear(self, x: Singles, name: str) -> Singles:
-        return x @ self.weights[f"{name}.weight"].T + self.weights[f"{name}.bias"]
+    def _apply_linear_layer(self, inputs: Singles, layer_name: str) -> Singles:
+        return inputs @ self.weights[f"{layer_name}.weight"].T + self.weights[f"{layer_name}.bias"]
 
-    def _convolved(self, x: Singles, name: str, stride: int) -> Singles:
-        kernel = self.weights[f"{name}.weight"]
-        window = sliding_window_view(x, kernel.shape[2:], axis=(2, 3))[:, :, ::stride, ::stride]
-        rows = window.transpose(0, 2, 3, 1, 4, 5).reshape(len(x), *window.shape[2:4], -1)
-        out = rows @ kernel.reshape(len(kernel), -1).T + self.weights[f"{name}.bias"]
+    def _apply_convolution_and_relu(self, inputs: Singles, layer_name: str, stride: int) -> Singles:
+        kernel = self.weights[f"{layer_name}.weight"]
+        window = sliding_window_view(inputs, kernel.shape[2:], axis=(2, 3))[
+            :, :, ::stride, ::stride
+        ]
+        rows = window.transpose(0, 2, 3, 1, 4, 5).reshape(len(inputs), *window.shape[2:4], -1)
+        out = rows @ kernel.reshape(len(kernel), -1).T + self.weights[f"{layer_name}.bias"]
         return np.maximum(out, 0.0).transpose(0, 3, 1, 2)
 
 
-def pooled(view: Bytes) -> Bytes:
-    """The greatest of each 5 x 5 cells: (..., 155, 155) -> (..., 31, 31)."""
+def max_pooled_view(view: Bytes) -> Bytes:
+    """Return the maximum of each 5 x 5 cells: (..., 155, 155) -> (..., 31, 31)."""
     rows = reduce(np.maximum, [view[..., k::POOL, :] for k in range(POOL)])
     return reduce(np.maximum, [rows[..., k::POOL] for k in range(POOL)])

@@ -1,8 +1,8 @@
 """Braking paths, bounds on a neighbour's position from its report, and the slack between them.
 
 At every tick each vehicle has one fallback manoeuvre: brake to a stop now. For each candidate
-velocity, `separation_filter` asks how much nearer the path stays to the vehicle's own braking path
-than to each neighbour's. The proof that this suffices is in docs/explanation/avoidance.md.
+velocity, the slack is how much nearer its path stays to the vehicle's own braking path than to each
+neighbour's. The proof that this suffices is in docs/explanation/avoidance.md.
 Distances use the norm whose unit ball is the separation cylinder.
 
 Arrays are batched, component first, which halves the number of calls: (3, A, ...) north, east, down
@@ -18,7 +18,7 @@ import numpy as np
 from companion.core.base.arrays import Bools, Floats, Ints, Singles
 from companion.core.base.errors import LeewayError
 
-IN_CACHE = 60_000  # array elements per batch, to stay in the cache
+BATCH_ELEMENTS = 60_000  # array elements per batch, to stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class SeparationParams:
                 raise LeewayError(f"separation.{name}: {value}, expected a number above 0")
 
     @property
-    def stop_s(self) -> float:
-        """The longest braking time, horizontal or vertical."""
+    def longest_braking_time_s(self) -> float:
+        """Longest braking time, horizontal or vertical."""
         braking = self.max_speed_mps / self.accel_mps2
         return max(braking, self.max_climb_mps / self.climb_accel_mps2)
 
@@ -66,22 +66,22 @@ class Neighbours:
     vel_std_mps: Floats
     present: Bools
 
-    def picked(self, *index: Ints) -> "Neighbours":
-        """The same, indexed by vehicle, or by vehicle and neighbour."""
+    def select_by_index(self, *vehicle_and_neighbour_indices: Ints) -> "Neighbours":
+        """Return a subset, indexed by vehicle, or by vehicle and neighbour."""
         return Neighbours(
-            self.pos_ned_m[index],
-            self.vel_ned_mps[index],
-            self.age_s[index],
-            self.pos_std_m[index],
-            self.alt_std_m[index],
-            self.vel_std_mps[index],
-            self.present[index],
+            self.pos_ned_m[vehicle_and_neighbour_indices],
+            self.vel_ned_mps[vehicle_and_neighbour_indices],
+            self.age_s[vehicle_and_neighbour_indices],
+            self.pos_std_m[vehicle_and_neighbour_indices],
+            self.alt_std_m[vehicle_and_neighbour_indices],
+            self.vel_std_mps[vehicle_and_neighbour_indices],
+            self.present[vehicle_and_neighbour_indices],
         )
 
 
 @dataclass(frozen=True)
 class Instants:
-    """The sampled instants, and the separation needed at each so that it holds between them."""
+    """Sampled instants, and the separation required at each so that it holds between them."""
 
     params: SeparationParams
     times_s: Floats  # (T,): ends of ticks until every vehicle has stopped
@@ -91,12 +91,14 @@ class Instants:
     most_change: float  # bound on the slack's change between two velocities reachable in one tick
 
     @classmethod
-    def of(cls, p: SeparationParams) -> "Instants":
-        """Between instants two vehicles pass by at most a chord, and braking makes that shorter.
-
-        Vertically, a pair that is separated at both ends of a tick is separated throughout.
+    def from_params(cls, p: SeparationParams) -> "Instants":
+        """Compute the instants. Between two of them a pair moves relatively by at most a chord,
+        which braking shortens. A pair that is separated vertically at both ends of a tick is
+        separated throughout.
         """
-        times = p.tick_s * np.arange(int(np.ceil(p.stop_s / p.tick_s)) + 2, dtype=np.float64)
+        times = p.tick_s * np.arange(
+            int(np.ceil(p.longest_braking_time_s / p.tick_s)) + 2, dtype=np.float64
+        )
         fastest = np.maximum(p.max_speed_mps - p.accel_mps2 * (times - 2.0 * p.tick_s), 0.0)
         half_chord = np.minimum(fastest, p.max_speed_mps) * p.tick_s
         flat = np.hypot(p.horizontal_m + 2.0 * p.tracking_m, half_chord)
@@ -108,16 +110,16 @@ class Instants:
             np.maximum(times - p.tick_s, 0.0),
             np.array([p.accel_mps2, p.climb_accel_mps2]),
             1.0 / np.stack([flat, flat, np.full_like(flat, high)]),
-            4.0 * p.tick_s * (p.stop_s + p.tick_s) * float(changed),
+            4.0 * p.tick_s * (p.longest_braking_time_s + p.tick_s) * float(changed),
         )
 
 
-instants_of = lru_cache(Instants.of)
+get_instants = lru_cache(Instants.from_params)
 
 
 @dataclass(frozen=True)
-class Heard:
-    """Neighbours that can matter: relative position and velocity, age and uncertainty.
+class NearbyNeighbours:
+    """Relevant neighbours: relative position and velocity, age and uncertainty.
 
     Absent neighbours pad the columns, with finite numbers.
     """
@@ -130,188 +132,218 @@ class Heard:
 
 
 @dataclass(frozen=True)
-class Reports:
-    """Braking paths of the neighbours, and how far from them a neighbour may be.
+class NeighbourPaths:
+    """Braking paths of the neighbours, and the uncertainty of these paths.
 
     In cylinder units, as all distances here: metres times `Instants.shares`.
     """
 
     braking: Singles  # (3, A, J, T)
-    unsure: Singles  # (2, A, J, T), horizontal and vertical; minus infinity if absent
+    uncertainty: Singles  # (2, A, J, T), horizontal and vertical; minus infinity if absent
 
-    def picked(self, rows: Ints, kept: Bools) -> "Reports":
-        """For these vehicles, the neighbours marked in `kept` (rows, J), in as few columns as
-        possible.
+    def select_kept_neighbours(self, vehicle_indices: Ints, is_kept: Bools) -> "NeighbourPaths":
+        """Return the neighbours marked in `is_kept` (rows, J) of these vehicles, in the least
+        number of columns.
         """
-        order = few_columns(kept)
+        order = column_order_kept_first(is_kept)
         if order is None:
-            return self.of(rows)
-        index = rows[:, None], order
-        found = Reports(self.braking[:, *index], self.unsure[:, *index])
-        found.unsure[:, ~np.take_along_axis(kept, order, axis=1)] = -np.inf
+            return self.select_vehicles(vehicle_indices)
+        index = vehicle_indices[:, None], order
+        found = NeighbourPaths(self.braking[:, *index], self.uncertainty[:, *index])
+        found.uncertainty[:, ~np.take_along_axis(is_kept, order, axis=1)] = -np.inf
         return found
 
-    def of(self, rows: Ints) -> "Reports":
-        return Reports(self.braking[:, rows], self.unsure[:, rows])
+    def select_vehicles(self, vehicle_indices: Ints) -> "NeighbourPaths":
+        return NeighbourPaths(
+            self.braking[:, vehicle_indices], self.uncertainty[:, vehicle_indices]
+        )
 
     @property
-    def present(self) -> Bools:
-        return self.unsure[0, ..., 0] >= 0.0
+    def is_present(self) -> Bools:
+        return self.uncertainty[0, ..., 0] >= 0.0
 
 
-def few_columns(kept: Bools) -> Ints | None:
-    """Column order (A, most) that puts the kept entries first; None if all are kept."""
-    if kept.all():
+def column_order_kept_first(is_kept: Bools) -> Ints | None:
+    """Return the column order (A, most) with the kept entries first; None if all are kept."""
+    if is_kept.all():
         return None
-    most = int(kept.sum(axis=1).max(initial=0))
-    return np.argsort(~kept, axis=1, kind="stable")[:, :most]
+    most = int(is_kept.sum(axis=1).max(initial=0))
+    return np.argsort(~is_kept, axis=1, kind="stable")[:, :most]
 
 
-def flat_of(vectors: Floats) -> Floats:
-    """Horizontal lengths (...) of vectors (3, ...)."""
+def horizontal_norm(vectors: Floats) -> Floats:
+    """Return horizontal lengths (...) of vectors (3, ...)."""
     return np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1])
 
 
-def no_more_than(vectors: Floats, flat: float, high: float) -> Floats:
-    """Vectors (3, ...) with horizontal length at most `flat` and vertical part within +-`high`."""
+def limit_vectors(vectors: Floats, max_horizontal: float, max_vertical: float) -> Floats:
+    """Limit vectors (3, ...) to length `max_horizontal`, vertical part +-`max_vertical`."""
     found = np.empty_like(vectors)
-    length = np.maximum(flat_of(vectors), 1e-9)
-    np.multiply(vectors[:2], np.minimum(1.0, flat / length), out=found[:2])
-    np.minimum(np.maximum(vectors[2], -high), high, out=found[2])
+    length = np.maximum(horizontal_norm(vectors), 1e-9)
+    np.multiply(vectors[:2], np.minimum(1.0, max_horizontal / length), out=found[:2])
+    np.minimum(np.maximum(vectors[2], -max_vertical), max_vertical, out=found[2])
     return found
 
 
-def reach(vel: Floats, wanted: Floats, p: SeparationParams) -> Floats:
-    """Velocity (3, ...) after one tick of acceleration towards the wanted one, within limits."""
-    change = no_more_than(wanted, p.max_speed_mps, p.max_climb_mps) - vel
-    return vel + no_more_than(change, p.accel_mps2 * p.tick_s, p.climb_accel_mps2 * p.tick_s)
+def velocity_after_one_tick(
+    current_vel: Floats, desired_vel: Floats, p: SeparationParams
+) -> Floats:
+    """Return velocity (3, ...) after one tick of limited acceleration to the desired one."""
+    change = limit_vectors(desired_vel, p.max_speed_mps, p.max_climb_mps) - current_vel
+    return current_vel + limit_vectors(
+        change, p.accel_mps2 * p.tick_s, p.climb_accel_mps2 * p.tick_s
+    )
 
 
-def _flat_and_high(vectors: Floats) -> Floats:
+def _horizontal_and_vertical_magnitudes(vectors: Floats) -> Floats:
     sizes = np.empty((2, *vectors.shape[1:]))
-    sizes[0] = flat_of(vectors)
+    sizes[0] = horizontal_norm(vectors)
     np.abs(vectors[2], out=sizes[1])
     return sizes
 
 
-def _brake_by(vel: Floats, after_s: Floats, now: Instants) -> Floats:
-    """Displacement (3, ..., T) while braking from `vel` (3, ...) for `after_s` (T,)."""
-    speed = _flat_and_high(vel)
-    accel = now.accel_mps2.reshape(2, *(1,) * (speed.ndim - 1))
-    share = np.minimum(after_s, (speed / accel)[..., None])
+def _braking_displacement(vel: Floats, braking_times_s: Floats, instants: Instants) -> Floats:
+    """Return displacement (3, ..., T) on braking from `vel` (3, ...) for `braking_times_s` (T,)."""
+    speed = _horizontal_and_vertical_magnitudes(vel)
+    accel = instants.accel_mps2.reshape(2, *(1,) * (speed.ndim - 1))
+    share = np.minimum(braking_times_s, (speed / accel)[..., None])
     less = (0.5 * accel / np.maximum(speed, 1e-9))[..., None] * share
     less *= share
     share -= less
-    way = np.empty((3, *share.shape[1:]))
-    np.multiply(vel[:2, ..., None], share[0], out=way[:2])
-    np.multiply(vel[2, ..., None], share[1], out=way[2])
-    return way
+    displacement = np.empty((3, *share.shape[1:]))
+    np.multiply(vel[:2, ..., None], share[0], out=displacement[:2])
+    np.multiply(vel[2, ..., None], share[1], out=displacement[2])
+    return displacement
 
 
-def braking_of(vel: Floats, now: Instants) -> Floats:
-    """Braking path (3, ..., T) from now."""
-    return _brake_by(vel, now.times_s, now)
+def braking_paths(vel: Floats, instants: Instants) -> Floats:
+    """Return the braking path (3, ..., T) from now."""
+    return _braking_displacement(vel, instants.times_s, instants)
 
 
-def paths_of(vel: Floats, chosen: Floats, now: Instants) -> Floats:
-    """Accelerate for one tick from `vel` (3, A) to each velocity (3, A, C), then brake; (3, A, C,
-    T).
+def paths_of_candidate_velocities(
+    vel: Floats, candidate_velocities: Floats, instants: Instants
+) -> Floats:
+    """Return paths (3, A, C, T): accelerate for one tick from `vel` (3, A) to each velocity
+    (3, A, C), then brake.
     """
-    paths = _brake_by(chosen, now.after_tick_s, now)
-    paths += (0.5 * now.params.tick_s * (vel[..., None] + chosen))[..., None]
+    paths = _braking_displacement(candidate_velocities, instants.after_tick_s, instants)
+    paths += (0.5 * instants.params.tick_s * (vel[..., None] + candidate_velocities))[..., None]
     paths[..., 0] = 0.0
     return paths
 
 
-def relevant(pos_ned_m: Floats, vel: Floats, told: Neighbours, now: Instants) -> Heard:
-    """Neighbours that could matter before every vehicle has stopped, in as few columns as possible.
-
-    `pos_ned_m` (A, 3) as reported; `vel` (3, A).
+def select_neighbours_within_reach(
+    pos_ned_m: Floats, vel: Floats, neighbours: Neighbours, instants: Instants
+) -> NearbyNeighbours:
+    """Select neighbours that may be too close before every vehicle has stopped, in the least number
+    of columns. `pos_ned_m` is (A, 3), `vel` (3, A).
     """
-    p = now.params
-    away = np.ascontiguousarray((told.pos_ned_m - pos_ned_m[:, None]).transpose(2, 0, 1))
-    theirs = np.ascontiguousarray(told.vel_ned_mps.transpose(2, 0, 1))
-    age = np.minimum(np.maximum(told.age_s, 0.0), p.max_age_s)
-    fast = p.error_sigmas * told.vel_std_mps + p.accel_mps2 * age
-    unsure = p.error_sigmas * told.pos_std_m + fast * (age + p.stop_s)
-    own = flat_of(vel) + p.accel_mps2 * p.tick_s
-    speed = flat_of(theirs)
+    p = instants.params
+    away = np.ascontiguousarray((neighbours.pos_ned_m - pos_ned_m[:, None]).transpose(2, 0, 1))
+    neighbour_vel = np.ascontiguousarray(neighbours.vel_ned_mps.transpose(2, 0, 1))
+    age = np.minimum(np.maximum(neighbours.age_s, 0.0), p.max_age_s)
+    fast = p.error_sigmas * neighbours.vel_std_mps + p.accel_mps2 * age
+    uncertainty = p.error_sigmas * neighbours.pos_std_m + fast * (age + p.longest_braking_time_s)
+    own = horizontal_norm(vel) + p.accel_mps2 * p.tick_s
+    speed = horizontal_norm(neighbour_vel)
     flown = own * p.tick_s + 0.5 * own**2 / p.accel_mps2
     # Change of the braking path by one tick of acceleration, plus the separation itself.
-    beside = 2.0 * p.accel_mps2 * p.tick_s * p.stop_s + p.max_speed_mps * p.tick_s
-    flown += beside + 1.0 / now.shares[0].min()
-    reached = flown[:, None] + speed * age + 0.5 * speed**2 / p.accel_mps2 + unsure
-    near = told.present & (flat_of(away) < reached)  # NaN compares false
-    near &= np.isfinite(away[2] + theirs[2])
-    std = np.stack([told.pos_std_m, told.alt_std_m, told.vel_std_mps])
-    order = few_columns(near)
+    path_change_m = (
+        2.0 * p.accel_mps2 * p.tick_s * p.longest_braking_time_s + p.max_speed_mps * p.tick_s
+    )
+    flown += path_change_m + 1.0 / instants.shares[0].min()
+    reached = flown[:, None] + speed * age + 0.5 * speed**2 / p.accel_mps2 + uncertainty
+    near = neighbours.present & (horizontal_norm(away) < reached)  # NaN compares false
+    near &= np.isfinite(away[2] + neighbour_vel[2])
+    std = np.stack([neighbours.pos_std_m, neighbours.alt_std_m, neighbours.vel_std_mps])
+    order = column_order_kept_first(near)
     if order is None:
-        return Heard(away, theirs, age, std, near)
+        return NearbyNeighbours(away, neighbour_vel, age, std, near)
     index = np.arange(len(order))[:, None], order
     near = near[index]
-    whole = np.concatenate([away, theirs, age[None], std])[:, *index]
+    whole = np.concatenate([away, neighbour_vel, age[None], std])[:, *index]
     whole[:, ~near] = 0.0
-    return Heard(whole[:3], whole[3:6], whole[6], whole[7:], near)
+    return NearbyNeighbours(whole[:3], whole[3:6], whole[6], whole[7:], near)
 
 
-def reports_of(heard: Heard, now: Instants) -> Reports:
-    """Braking paths and uncertainty of reports. Age t adds a t^2 / 2 to position, a t to velocity.
+def predict_neighbour_braking_paths(
+    nearby_neighbours: NearbyNeighbours, instants: Instants
+) -> NeighbourPaths:
+    """Return braking paths and uncertainty. Age t adds a t^2 / 2 to position, a t to velocity.
 
     An error in velocity moves the braking path by at most that error times min(tau, v / a)
     (docs/explanation/avoidance.md).
     """
-    sigmas, age, vel = now.params.error_sigmas, heard.age_s, heard.vel_mps
-    braking = braking_of(vel, now)
-    braking += (heard.away_m + vel * age)[..., None]
-    braking *= now.shares[:, None, None]
-    accel = now.accel_mps2[:, None, None]
-    drift = sigmas * heard.std[2]
+    sigmas, age, vel = (
+        instants.params.error_sigmas,
+        nearby_neighbours.age_s,
+        nearby_neighbours.vel_mps,
+    )
+    braking = braking_paths(vel, instants)
+    braking += (nearby_neighbours.away_m + vel * age)[..., None]
+    braking *= instants.shares[:, None, None]
+    accel = instants.accel_mps2[:, None, None]
+    drift = sigmas * nearby_neighbours.std[2]
     fast = drift + accel * age
-    here = sigmas * heard.std[:2] + 0.5 * accel * age**2 + drift * age
-    braking_s = (_flat_and_high(vel) + fast) / accel
-    unsure = fast[..., None] * np.minimum(now.times_s, braking_s[..., None])
-    unsure += here[..., None]
-    unsure *= now.shares[1:, None, None]
-    if not heard.present.all():
-        unsure[:, ~heard.present] = -np.inf
-    return Reports(braking.astype(np.float32), unsure.astype(np.float32))
+    here = sigmas * nearby_neighbours.std[:2] + 0.5 * accel * age**2 + drift * age
+    braking_s = (_horizontal_and_vertical_magnitudes(vel) + fast) / accel
+    uncertainty = fast[..., None] * np.minimum(instants.times_s, braking_s[..., None])
+    uncertainty += here[..., None]
+    uncertainty *= instants.shares[1:, None, None]
+    if not nearby_neighbours.present.all():
+        uncertainty[:, ~nearby_neighbours.present] = -np.inf
+    return NeighbourPaths(braking.astype(np.float32), uncertainty.astype(np.float32))
 
 
-def slack_of(
-    paths: Floats, braking: Floats, reports: Reports, now: Instants, each: bool = False
+def compute_separation_slack(
+    candidate_path_points: Floats,
+    own_braking_paths: Floats,
+    neighbour_paths: NeighbourPaths,
+    sampled_instants: Instants,
+    per_neighbour: bool = False,
 ) -> Singles:
-    """How much nearer a path stays to its own braking path than to any neighbour's, minus 1; (A,
-    C).
+    """Return the slack (A, C): distance of a path to the neighbours' braking paths minus that to
+    its own, minus 1, least over neighbours and instants.
 
-    Cylinder units. `paths` (3, A, C, T), own braking path (3, A, T). With `each`, per neighbour:
-    (A, C, J). Infinite without neighbours.
+    Cylinder units. `candidate_path_points` (3, A, C, T), own braking path (3, A, T). With
+    `per_neighbour`, per neighbour: (A, C, J). Infinite without neighbours.
     """
-    count, neighbours, instants = paths.shape[2], *reports.unsure.shape[2:]
-    found = np.full((paths.shape[1], count, neighbours if each else 1), np.inf, dtype=np.float32)
+    count, neighbours, instants = (
+        candidate_path_points.shape[2],
+        *neighbour_paths.uncertainty.shape[2:],
+    )
+    found = np.full(
+        (candidate_path_points.shape[1], count, neighbours if per_neighbour else 1),
+        np.inf,
+        dtype=np.float32,
+    )
     if neighbours and found.size:
-        shares = now.shares[:, None, None]
-        near = _norm((shares * (paths - braking[:, :, None])).astype(np.float32))
-        own = (shares * paths).astype(np.float32)
-        at_once = max(1, IN_CACHE // (count * neighbours * instants))
-        for first in range(0, len(found), at_once):
-            some = slice(first, first + at_once)
-            away = own[:, some, :, None] - reports.braking[:, some, None]
-            apart = _norm(away, reports.unsure[:, some, None])
-            apart -= near[some, :, None]
-            apart.reshape(*found[some].shape, -1).min(axis=-1, out=found[some])
+        shares = sampled_instants.shares[:, None, None]
+        near = _cylinder_norm_in_place(
+            (shares * (candidate_path_points - own_braking_paths[:, :, None])).astype(np.float32)
+        )
+        own = (shares * candidate_path_points).astype(np.float32)
+        batch_size = max(1, BATCH_ELEMENTS // (count * neighbours * instants))
+        for first in range(0, len(found), batch_size):
+            some = slice(first, first + batch_size)
+            away = own[:, some, :, None] - neighbour_paths.braking[:, some, None]
+            difference = _cylinder_norm_in_place(away, neighbour_paths.uncertainty[:, some, None])
+            difference -= near[some, :, None]
+            difference.reshape(*found[some].shape, -1).min(axis=-1, out=found[some])
         found -= 1.0
-    return found if each else found[..., 0]
+    return found if per_neighbour else found[..., 0]
 
 
-def _norm(away: Singles, unsure: Singles | None = None) -> Singles:
-    """Cylinder norm of vectors (3, ...), minus their uncertainty; overwrites its input.
+def _cylinder_norm_in_place(vectors: Singles, uncertainty: Singles | None = None) -> Singles:
+    """Return the cylinder norm of vectors (3, ...) minus their uncertainty; overwrites its input.
 
     float32: twice as fast, and accurate enough.
     """
-    np.multiply(away[:2], away[:2], out=away[:2])
-    np.add(away[0], away[1], out=away[0])
-    np.sqrt(away[0], out=away[0])
-    np.abs(away[2], out=away[2])
-    if unsure is not None:
-        away[::2] -= unsure
-    return np.maximum(away[0], away[2], out=away[0])
+    np.multiply(vectors[:2], vectors[:2], out=vectors[:2])
+    np.add(vectors[0], vectors[1], out=vectors[0])
+    np.sqrt(vectors[0], out=vectors[0])
+    np.abs(vectors[2], out=vectors[2])
+    if uncertainty is not None:
+        vectors[::2] -= uncertainty
+    return np.maximum(vectors[0], vectors[2], out=vectors[0])

@@ -1,19 +1,20 @@
-"""Where a vehicle is and wants to be, as it tells its neighbours."""
+"""Track message: position, velocity and destination of a vehicle, for its neighbours."""
 
 from typing import Annotated
 
+import msgspec
 from msgspec import Meta
 
 from companion.core.base.wire_message import Name, WireMessage
 
 
 class Track(WireMessage, frozen=True, kw_only=True):
-    """Where a vehicle is, five times a second, for its neighbours."""
+    """Position and velocity of a vehicle for its neighbours, sent five times a second."""
 
     vehicle: Name
-    """Who tells it."""
+    """Sender."""
     gnss_s: Annotated[float, Meta(ge=0.0)]
-    """Satellite time of the place, seconds since 1970: the one clock that all share."""
+    """GNSS time of the position, seconds since 1970: the clock common to all vehicles."""
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
     """Latitude."""
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
@@ -32,9 +33,9 @@ class Track(WireMessage, frozen=True, kw_only=True):
     """Error of the height (one sigma)."""
     vel_std_mps: Annotated[float, Meta(ge=0.0)]
     """Error of each velocity (one sigma)."""
-    aside: bool = False
-    """It flies set-points to keep apart."""
+    avoiding: bool = msgspec.field(default=False, name="aside")
+    """Whether it flies set-points for separation."""
     to_lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
-    """Latitude of where it wants to, for people and for learned policies."""
+    """Latitude of its destination, for displays and learned policies."""
     to_lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
-    """Longitude of where it wants to."""
+    """Longitude of its destination."""

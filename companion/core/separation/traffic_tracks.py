@@ -1,7 +1,7 @@
-"""Tracks of the neighbours from their reports, as input for the separation filter.
+"""Tracks of the neighbours from their reports, as input of the separation filter.
 
-Reports may be late, jump, freeze, be wrong or stop. None of that is repaired by guessing: what does
-not fit widens the neighbour's error, and the filter keeps away by that much more.
+Reports may be late, jump, freeze, be wrong or stop. An inconsistent report widens the neighbour's
+position error, and the filter increases the separation by that amount.
 """
 
 from collections.abc import Mapping
@@ -11,15 +11,17 @@ import numpy as np
 
 from companion.core.separation.stopping_paths import Neighbours, SeparationParams
 
-LOST_S = 30.0  # without a report for so long, a neighbour is down, or no longer near its last place
-DOUBT_S = 10.0  # how long what did not fit is remembered
-EARLY_S = 0.5  # a report from farther ahead than this comes from a wrong clock
-FROZEN_SPEED_MPS = 1.0  # who says so fast and stays in place has a stuck position
+TRACK_LIFETIME_S = (
+    30.0  # without a report for this time a neighbour landed or left its last position
+)
+INCONSISTENCY_DECAY_S = 10.0  # decay time of an inconsistency
+MAX_FUTURE_S = 0.5  # a report from further in the future comes from a wrong clock
+FROZEN_SPEED_MPS = 1.0  # reported speed above which an unchanged position is frozen
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """What a neighbour published: its time, place and velocity (local NED), and their errors."""
+class NeighbourReport:
+    """Report of a neighbour: time, position and velocity (local NED), and their errors."""
 
     name: str
     t_s: float
@@ -32,66 +34,83 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class NeighbourTrack:
-    """The last report that was taken, and how far the reports contradicted each other."""
+    """Last accepted report, and the inconsistency of the reports (m) with its time."""
 
-    report: Report
-    doubt_m: float = 0.0
-    doubt_t_s: float = 0.0
+    report: NeighbourReport
+    inconsistency_m: float = 0.0
+    inconsistency_t_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class NeighbourTracks:
-    """All neighbours heard of; `heard` and `without_lost` give a new one."""
+    """Tracks of all received neighbours. Immutable: `copy_with_report_if_newer` and
+    `copy_without_silent_and_removed_names` return a copy.
+    """
 
     params: SeparationParams = field(default_factory=SeparationParams)
     tracks: Mapping[str, NeighbourTrack] = field(default_factory=dict)
 
-    def heard(self, report: Report, t_s: float) -> "NeighbourTracks":
-        """With this report, received at `t_s`; older, impossible or mangled ones change nothing."""
+    def copy_with_report_if_newer(
+        self, report: NeighbourReport, received_s: float
+    ) -> "NeighbourTracks":
+        """Return the tracks with a report received at `received_s`; ignore old or invalid ones."""
         known = self.tracks.get(report.name)
-        if not _sound(report, t_s) or (known and report.t_s <= known.report.t_s):
+        if not _is_finite_and_not_from_future(report, received_s) or (
+            known and report.t_s <= known.report.t_s
+        ):
             return self
-        bounded = _bounded(report, self.params)
-        doubt_m, doubt_t_s = _doubt(known, bounded, self.params) if known else (0.0, t_s)
-        track = NeighbourTrack(bounded, doubt_m, doubt_t_s)
+        bounded = _limit_speed_and_widen_error(report, self.params)
+        inconsistency_m, inconsistency_t_s = (
+            _updated_inconsistency_and_time(known, bounded, self.params)
+            if known
+            else (0.0, received_s)
+        )
+        track = NeighbourTrack(bounded, inconsistency_m, inconsistency_t_s)
         return replace(self, tracks={**self.tracks, report.name: track})
 
-    def without_lost(self, t_s: float) -> tuple["NeighbourTracks", tuple[str, ...]]:
-        """Without those unheard for `LOST_S`, and their names: the operator is to be told."""
-        lost = tuple(n for n, track in self.tracks.items() if t_s - track.report.t_s > LOST_S)
+    def copy_without_silent_and_removed_names(
+        self, current_time_s: float
+    ) -> tuple["NeighbourTracks", tuple[str, ...]]:
+        """Return the tracks without those silent for `TRACK_LIFETIME_S`, and the names of these."""
+        lost = tuple(
+            n
+            for n, track in self.tracks.items()
+            if current_time_s - track.report.t_s > TRACK_LIFETIME_S
+        )
         kept = {n: track for n, track in self.tracks.items() if n not in lost}
         return replace(self, tracks=kept), lost
 
-    def at(self, t_s: float) -> Neighbours:
-        """All of them as neighbours of one vehicle (1, J) at `t_s`."""
+    def to_separation_filter_input(self, t_s: float) -> Neighbours:
+        """Return the tracks as neighbours (1, J) of one vehicle at `received_s`."""
         tracks = list(self.tracks.values())
         reports = [track.report for track in tracks]
 
-        def column(values: list[float]) -> np.ndarray:
+        def to_row_vector(values: list[float]) -> np.ndarray:
             return np.array([values]).reshape(1, len(tracks))
 
-        doubt = column([_doubt_at(track, t_s) for track in tracks])
+        inconsistency = to_row_vector([_decayed_inconsistency_m(track, t_s) for track in tracks])
         k = self.params.error_sigmas
         return Neighbours(
             np.array([[r.pos_ned_m for r in reports]]).reshape(1, len(tracks), 3),
             np.array([[r.vel_ned_mps for r in reports]]).reshape(1, len(tracks), 3),
-            column([max(t_s - r.t_s, 0.0) for r in reports]),
-            column([r.pos_std_m for r in reports]) + doubt / k,
-            column([r.alt_std_m for r in reports]) + doubt / k,
-            column([r.vel_std_mps for r in reports]) + doubt / k / DOUBT_S,
+            to_row_vector([max(t_s - r.t_s, 0.0) for r in reports]),
+            to_row_vector([r.pos_std_m for r in reports]) + inconsistency / k,
+            to_row_vector([r.alt_std_m for r in reports]) + inconsistency / k,
+            to_row_vector([r.vel_std_mps for r in reports])
+            + inconsistency / k / INCONSISTENCY_DECAY_S,
             np.ones((1, len(tracks)), dtype=bool),
         )
 
 
-def _sound(report: Report, t_s: float) -> bool:
+def _is_finite_and_not_from_future(report: NeighbourReport, received_s: float) -> bool:
     numbers = (report.t_s, *report.pos_ned_m, *report.vel_ned_mps)
     spreads = (report.pos_std_m, report.alt_std_m, report.vel_std_mps)
     finite = bool(np.isfinite(numbers).all() and np.isfinite(spreads).all())
-    return finite and min(spreads) >= 0.0 and report.t_s <= t_s + EARLY_S
+    return finite and min(spreads) >= 0.0 and report.t_s <= received_s + MAX_FUTURE_S
 
 
-def _bounded(report: Report, p: SeparationParams) -> Report:
-    """No one flies faster than the fleet can: a greater speed is cut, and the rest is doubt."""
+def _limit_speed_and_widen_error(report: NeighbourReport, p: SeparationParams) -> NeighbourReport:
+    """Limit the report's speed to the fleet's maximum and add the excess to its error."""
     speed = float(np.hypot(*report.vel_ned_mps[:2]))
     share = min(1.0, p.max_speed_mps / max(speed, 1e-9))
     north, east, down = report.vel_ned_mps
@@ -104,22 +123,30 @@ def _bounded(report: Report, p: SeparationParams) -> Report:
     )
 
 
-def _doubt(known: NeighbourTrack, report: Report, p: SeparationParams) -> tuple[float, float]:
-    """How far this report lies from where the last one let the neighbour be, and since when."""
-    last = known.report
+def _updated_inconsistency_and_time(
+    previous_track: NeighbourTrack, report: NeighbourReport, p: SeparationParams
+) -> tuple[float, float]:
+    """Return the inconsistency (m) of this report with the last one, and its time."""
+    last = previous_track.report
     after = report.t_s - last.t_s
     reached = np.array(last.pos_ned_m) + np.array(last.vel_ned_mps) * after
     off = float(np.linalg.norm(np.array(report.pos_ned_m) - reached))
-    unsure = p.error_sigmas * (last.pos_std_m + report.pos_std_m + last.vel_std_mps * after)
-    jump = max(off - unsure - 0.5 * p.accel_mps2 * after**2, 0.0)
+    uncertainty = p.error_sigmas * (last.pos_std_m + report.pos_std_m + last.vel_std_mps * after)
+    jump = max(off - uncertainty - 0.5 * p.accel_mps2 * after**2, 0.0)
     moved = float(np.linalg.norm(np.subtract(report.pos_ned_m, last.pos_ned_m)))
-    said = float(np.linalg.norm(report.vel_ned_mps))
-    if moved == 0.0 and said > FROZEN_SPEED_MPS:
-        jump = max(jump, said * after + known.doubt_m)  # it flies, its position does not
-    old = _doubt_at(known, report.t_s)
-    return (jump, report.t_s) if jump > old else (known.doubt_m, known.doubt_t_s)
+    reported_mps = float(np.linalg.norm(report.vel_ned_mps))
+    if moved == 0.0 and reported_mps > FROZEN_SPEED_MPS:
+        jump = max(jump, reported_mps * after + previous_track.inconsistency_m)  # frozen position
+    old = _decayed_inconsistency_m(previous_track, report.t_s)
+    return (
+        (jump, report.t_s)
+        if jump > old
+        else (previous_track.inconsistency_m, previous_track.inconsistency_t_s)
+    )
 
 
-def _doubt_at(track: NeighbourTrack, t_s: float) -> float:
-    """What is left of a doubt: all of it at first, nothing after `DOUBT_S`."""
-    return track.doubt_m * max(1.0 - (t_s - track.doubt_t_s) / DOUBT_S, 0.0)
+def _decayed_inconsistency_m(track: NeighbourTrack, t_s: float) -> float:
+    """Return the inconsistency at `t_s`, decaying linearly to 0 over `INCONSISTENCY_DECAY_S`."""
+    return track.inconsistency_m * max(
+        1.0 - (t_s - track.inconsistency_t_s) / INCONSISTENCY_DECAY_S, 0.0
+    )

@@ -1,8 +1,8 @@
-"""The airframe: its file, power, energy left, speed to fly, wind triangle. Imports base."""
+"""Airframe: file, power, remaining energy, speed to fly, wind triangle. Imports base."""
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_exports
+from companion.core.base.lazy_exports import lazy_import_getattr
 
 if TYPE_CHECKING:
     from companion.core.vehicle.airframe import Airframe, BatteryPack, airframe_from_dict
@@ -23,7 +23,7 @@ __all__ = [
     "paper_power_w",
 ]
 
-__getattr__ = lazy_exports(
+__getattr__ = lazy_import_getattr(
     __name__,
     {
         "Airframe": "airframe",

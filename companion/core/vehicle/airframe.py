@@ -1,7 +1,7 @@
-"""What we believe about an airframe: the strict `airframe/1` schema that planner and gate share.
+"""Airframe model: the strict `airframe/1` schema that planner and gate share.
 
-Belief, not truth: the simulator's vehicle has its own equations and its own numbers. Every
-shipped file (params/airframes) names the source of each number beside it.
+The simulator's vehicle has its own equations and numbers. Every file in params/airframes gives the
+source of each number.
 """
 
 import math
@@ -15,15 +15,15 @@ from companion.core.base.errors import LeewayError, check_range
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 
 MULTIROTOR = "multirotor"
-"""The kind of vehicle that the models in this room describe, in the words of the log readers."""
+"""Vehicle type that the models of this package describe, as the log readers name it."""
 
 _GRAVITY_MPS2 = 9.80665
-_MOST_TIP_MPS = 204.0
-"""Mach 0.6 at sea level: beyond it a propeller's tips meet compressibility (Leishman, 7.9), and no
-delivery multirotor is geared to turn that fast."""
+_MAX_TIP_SPEED_MPS = 204.0
+"""Mach 0.6 at sea level: above it propeller tips have compressibility losses (Leishman, 7.9), and
+no delivery multirotor turns that fast."""
 
 LOW_ABOVE_CUTOFF_V = 0.05
-"""A cell's voltage at the autopilot's low-battery action, above the cut-off."""
+"""Cell voltage above the cut-off at which the autopilot's low-battery action is due."""
 
 
 class Masses(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -40,12 +40,12 @@ class Masses(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How it is flown."""
+    """Speed limits and rates."""
 
     cruise_airspeed_mps: float
     """Airspeed of the rule `cruise`."""
     max_ground_mps: float
-    """The most that the autopilot may be told to fly, over the ground."""
+    """Maximum ground speed that may be commanded."""
     climb_mps: float
     """Climb rate."""
     descent_mps: float
@@ -55,7 +55,7 @@ class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     land_slow_height_m: float
     """Height above the ground at which the slow descent begins."""
     max_tilt_deg: float
-    """Largest lean angle that the autopilot commands."""
+    """Maximum tilt angle that the autopilot commands."""
     accel_mps2: float
     """Horizontal acceleration between waypoints."""
 
@@ -71,7 +71,7 @@ class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def max_tilt_rad(self) -> float:
-        """Largest lean angle the autopilot commands."""
+        """Maximum tilt angle that the autopilot commands."""
         return math.radians(self.max_tilt_deg)
 
 
@@ -82,7 +82,7 @@ class Drag(
 
     In air of 1.225 kg/m3. The linear part is rotor drag at empty mass; it grows with the square
     root of mass and of density (rotor mass flow), the quadratic part with density. The other
-    numbers say how wrong this may be.
+    numbers give the uncertainty.
     """
 
     linear_forward_n_per_mps: float
@@ -94,29 +94,29 @@ class Drag(
     quadratic_right_n_per_mps2: float
     """Drag of the airframe along body right."""
     parcel_quadratic_n_per_mps2: float
-    """Added to both axes while a parcel hangs below."""
+    """Added to both axes while a parcel is carried below the vehicle."""
     gain_std_frac: float
-    """How wrong all drag may be together; learned in flight."""
+    """Relative std of the drag as a whole; estimated in flight."""
     axis_gain_std_frac: float
-    """How wrong either axis may be beside that; learned in flight."""
+    """Additional relative std of each axis; estimated in flight."""
     model_std_frac: float
-    """How wrong drag may be for seconds on end, in ways that are not learned: flow angles,
-    vertical wind, interference.
+    """Relative std of drag over several seconds that is not estimated: flow angles, vertical
+    wind, interference.
     """
     trim_std_deg: float
-    """How far the reported attitude may lean against the thrust, beside the mean trims below."""
+    """Std of the angle between thrust and reported attitude, in addition to the trims below."""
     vertical_quadratic_n_per_mps2: float | None = None
-    """Drag of the flow down through the rotors, upon the vehicle's top: about 0.7 of its plan
-    area in m^2 (body, arms and packs, half rho Cd A with a plate's 1.1 to 1.2). With it power
-    is priced along the body's axes (`power.multirotor_power_w`). Without it the vehicle drags
-    alike from all sides and the rotors' own drag is paid for in full.
+    """Drag of the rotor flow on the top of the vehicle: about 0.7 of its plan area in m^2 (body,
+    arms and packs, half rho Cd A with a plate's 1.1 to 1.2). With it power is computed in body
+    axes (`power.multirotor_power_w`). Without it drag is equal in all directions and includes
+    the full power of rotor drag.
     """
     trim_forward_deg: float = 0.0
-    """How far the thrust leans forward of where the reported attitude puts it, the mean over
-    flights: how autopilot and centre of gravity sit in the airframe.
+    """Mean angle of the thrust forward of the reported attitude, from the mounting of the
+    autopilot and the centre of gravity.
     """
     trim_right_deg: float = 0.0
-    """The same to the right."""
+    """Mean angle of the thrust to the right of the reported attitude."""
 
     def __post_init__(self) -> None:
         for key in ("linear_forward_n_per_mps", "linear_right_n_per_mps"):
@@ -133,13 +133,13 @@ class Drag(
         check_range("drag.trim_forward_deg", self.trim_forward_deg, -5.0, 5.0)
         check_range("drag.trim_right_deg", self.trim_right_deg, -5.0, 5.0)
         if self.linear_forward_n_per_mps + self.quadratic_forward_n_per_mps2 <= 0.0:
-            raise LeewayError("drag.linear_forward_n_per_mps: some drag expected, all are 0")
+            raise LeewayError("drag.linear_forward_n_per_mps: no drag, expected more than 0")
         if self.linear_right_n_per_mps + self.quadratic_right_n_per_mps2 <= 0.0:
-            raise LeewayError("drag.linear_right_n_per_mps: some drag expected, all are 0")
+            raise LeewayError("drag.linear_right_n_per_mps: no drag, expected more than 0")
 
 
 class PaperPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Numbers of the paper's model, `P = P_c + T V_A / c_T` (arXiv 2604.13441, III-B)."""
+    """Parameters of the paper's model, `P = P_c + T V_A / c_T` (arXiv 2604.13441, III-B)."""
 
     constant_w: float
     """`P_c`, power that does not depend on thrust."""
@@ -154,7 +154,7 @@ class PaperPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Numbers of the multirotor model: induced, profile, parasite and avionics power."""
+    """Parameters of the multirotor model: induced, profile, parasite and avionics power."""
 
     rotor_count: int
     """Number of rotors."""
@@ -171,9 +171,9 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     drive_efficiency: float
     """Shaft power over electrical power."""
     avionics_w: float
-    """Power of everything that does not turn a rotor."""
+    """Power of all consumers except the rotors."""
     model_std_frac: float
-    """How wrong the predicted power may be."""
+    """Relative std of the predicted power."""
 
     def __post_init__(self) -> None:
         check_range("power_rotor.rotor_count", self.rotor_count, 1, 32)
@@ -193,9 +193,9 @@ class RotorPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class FlownPower(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Measured power over that of `power_rotor`, by what the vehicle does; from recorded flights.
+    """Measured power over that of `power_rotor` by flight phase, from recorded flights.
 
-    Without this table all of it is 1, and descent is priced as level flight.
+    Without this table all ratios are 1, and descent costs as much as level flight.
     """
 
     climb_frac: float
@@ -214,7 +214,7 @@ PLAUSIBLE_CELL_V = (2.6, 4.6)  # empty under load, full at rest
 
 
 class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One pack as a whole; `usable_wh` says what it gives."""
+    """Battery pack as a whole; `usable_energy_of_full_pack_wh` returns its usable energy."""
 
     cells: int
     """Cells in series."""
@@ -227,21 +227,21 @@ class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     resistance_ohm: float
     """Internal resistance of the pack."""
     cutoff_cell_v: float
-    """Voltage of one cell under load at which the pack counts as empty."""
+    """Voltage of one cell under load at which the pack is empty."""
     usable_frac: float
-    """What a new pack gives until cut-off, of its label, at `usable_at_w` and where
+    """Usable share of the nominal energy of a new pack until cut-off, at `usable_at_w` and where
     `usable_temperature_frac` is 1.
     """
     usable_at_w: float
-    """The draw that `usable_frac` belongs to."""
+    """Draw for which `usable_frac` is given."""
     usable_loss_per_w: float
-    """Share of the label that is lost for each watt above `usable_at_w`."""
+    """Share of the nominal energy lost for each watt above `usable_at_w`."""
     usable_temperature_c: list[float]
     """Temperatures at which `usable_temperature_frac` is given, rising."""
     usable_temperature_frac: list[float]
-    """What is usable at each of `usable_temperature_c`, of `usable_frac`."""
+    """Share of `usable_frac` that is usable at each of `usable_temperature_c`."""
     usable_std_frac: float
-    """How much usable energy differs from pack to pack (one sigma)."""
+    """Relative std of usable energy between packs."""
     resting_voltage_std_v: float
     """Error of a measured resting voltage of the pack (one sigma)."""
 
@@ -255,68 +255,79 @@ class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         check_range("battery.usable_loss_per_w", self.usable_loss_per_w, 0.0, 1e-2)
         check_range("battery.usable_std_frac", self.usable_std_frac, 0.001, 0.3)
         check_range("battery.resting_voltage_std_v", self.resting_voltage_std_v, 0.001, 5.0)
-        _check_table("battery", "ocv_charge_frac", self.ocv_charge_frac, 0.0, 1.0, rising=True)
-        _check_table("battery", "ocv_cell_v", self.ocv_cell_v, 2.0, 5.0, rising=True)
-        _check_table(
-            "battery", "usable_temperature_c", self.usable_temperature_c, -60.0, 90.0, rising=True
+        _require_number_list_in_range(
+            "battery", "ocv_charge_frac", self.ocv_charge_frac, 0.0, 1.0, must_rise=True
         )
-        _check_table(
+        _require_number_list_in_range(
+            "battery", "ocv_cell_v", self.ocv_cell_v, 2.0, 5.0, must_rise=True
+        )
+        _require_number_list_in_range(
+            "battery",
+            "usable_temperature_c",
+            self.usable_temperature_c,
+            -60.0,
+            90.0,
+            must_rise=True,
+        )
+        _require_number_list_in_range(
             "battery", "usable_temperature_frac", self.usable_temperature_frac, 0.05, 1.1, False
         )
         if len(self.ocv_charge_frac) != len(self.ocv_cell_v):
-            raise LeewayError("battery.ocv_cell_v: expected as many as ocv_charge_frac")
+            raise LeewayError("battery.ocv_cell_v: expected the length of ocv_charge_frac")
         if len(self.usable_temperature_c) != len(self.usable_temperature_frac):
-            raise LeewayError("battery.usable_temperature_frac: as many as usable_temperature_c")
+            raise LeewayError("battery.usable_temperature_frac: one per usable_temperature_c")
         if (self.ocv_charge_frac[0], self.ocv_charge_frac[-1]) != (0.0, 1.0):
             raise LeewayError("battery.ocv_charge_frac: expected to run from 0.0 to 1.0")
 
-    def charge_frac_at_rest(self, voltage_v: float) -> float:
-        """Charge (0 to 1 of the pack's content) from its resting voltage."""
-        cell_v = voltage_v / self.cells
+    def charge_frac_from_resting_voltage(self, resting_pack_voltage_v: float) -> float:
+        """Return the charge (0 to 1) from the pack's resting voltage."""
+        cell_v = resting_pack_voltage_v / self.cells
         return float(np.interp(cell_v, self.ocv_cell_v, self.ocv_charge_frac))
 
     @property
-    def plausible_v(self) -> tuple[float, float]:
-        """Least and greatest voltage of the pack."""
+    def plausible_pack_voltage_range_v(self) -> tuple[float, float]:
+        """Plausible minimum and maximum voltage of the pack."""
         return PLAUSIBLE_CELL_V[0] * self.cells, PLAUSIBLE_CELL_V[1] * self.cells
 
     @property
-    def low_v(self) -> float:
-        """Loaded voltage of the pack at which an autopilot should act by itself."""
+    def low_battery_action_voltage_v(self) -> float:
+        """Loaded voltage of the pack at which the autopilot's low-battery action is due."""
         return self.cells * (self.cutoff_cell_v + LOW_ABOVE_CUTOFF_V)
 
     @property
-    def most_power_w(self) -> float:
-        """What a full pack gives at its cut-off voltage; infinite without resistance."""
+    def max_power_of_full_pack_at_cutoff_w(self) -> float:
+        """Maximum power of a full pack at its cut-off voltage; infinite without resistance."""
         cutoff_v, full_v = self.cells * self.cutoff_cell_v, self.cells * self.ocv_cell_v[-1]
         if self.resistance_ohm == 0.0:
             return math.inf
         return cutoff_v * max(full_v - cutoff_v, 0.0) / self.resistance_ohm
 
-    def usable_wh(self, draw_w: float, temperature_c: float, health_frac: float) -> float:
-        """What a full pack gives at this draw until cut-off, Wh."""
+    def usable_energy_of_full_pack_wh(
+        self, draw_w: float, temperature_c: float, health_frac: float
+    ) -> float:
+        """Return the usable energy of a full pack at this draw until cut-off, Wh."""
         loss = self.usable_loss_per_w * max(draw_w - self.usable_at_w, 0.0)
-        warm = float(
+        temperature_frac = float(
             np.interp(temperature_c, self.usable_temperature_c, self.usable_temperature_frac)
         )
-        return self.nominal_wh * max(self.usable_frac - loss, 0.05) * warm * health_frac
+        return self.nominal_wh * max(self.usable_frac - loss, 0.05) * temperature_frac * health_frac
 
 
 class Airframe(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """An `airframe/1` file: what planner and return budget believe about an airframe."""
+    """An `airframe/1` file: the airframe model of planner and return budget."""
 
     format: Literal["airframe/1"]
-    """The kind of file and its version."""
+    """File format and version."""
     name: str
     """The airframe's name."""
     mass: Masses
     """Masses."""
     speeds: Speeds
-    """How it is flown."""
+    """Speed limits and rates."""
     drag: Drag
-    """Drag, and how wrong it may be."""
+    """Drag and its uncertainty."""
     power_paper: PaperPower
     """The paper's power model."""
     power_rotor: RotorPower
@@ -324,75 +335,84 @@ class Airframe(
     battery: BatteryPack
     """The pack."""
     power_flown: FlownPower | None = None
-    """What flights drew over what `power_rotor` says, by phase."""
+    """Measured power over that of `power_rotor`, by flight phase."""
 
     def __post_init__(self) -> None:
-        self._check_thrust()
-        self._check_hover_power()
+        self._require_thrust_for_maximum_mass()
+        self._require_power_for_empty_hover()
 
-    def _check_thrust(self) -> None:
-        """Rotors of this size must carry all of it, leant as far as the autopilot commands."""
+    def _require_thrust_for_maximum_mass(self) -> None:
+        """Require rotors that can carry the maximum mass at maximum tilt. Raises LeewayError."""
         mass = self.mass
-        if trouble := self._thrust_trouble(mass.max_payload_kg, REFERENCE_DENSITY_KGPM3):
+        if reason := self._insufficient_thrust_reason_or_empty(
+            mass.max_payload_kg, REFERENCE_DENSITY_KGPM3
+        ):
             raise LeewayError(
                 f"mass.empty_kg = {mass.empty_kg:g} with mass.max_payload_kg ="
-                f" {mass.max_payload_kg:g}: {trouble}"
+                f" {mass.max_payload_kg:g}: {reason}"
             )
 
-    def _check_hover_power(self) -> None:
-        """A full pack must carry the hover without a parcel above its cut-off voltage."""
-        if trouble := self._hover_trouble(0.0, REFERENCE_DENSITY_KGPM3):
-            raise LeewayError(f"mass.empty_kg = {self.mass.empty_kg:g}: {trouble}")
+    def _require_power_for_empty_hover(self) -> None:
+        """Require a pack that can supply the empty hover above cut-off. Raises LeewayError."""
+        if reason := self._insufficient_hover_power_reason_or_empty(0.0, REFERENCE_DENSITY_KGPM3):
+            raise LeewayError(f"mass.empty_kg = {self.mass.empty_kg:g}: {reason}")
 
-    def lift_trouble(self, payload_kg: float, density_kgpm3: float) -> str:
-        """Say why it cannot carry this parcel in air so thin; `""` where it can."""
-        thrust = self._thrust_trouble(payload_kg, density_kgpm3)
-        trouble = thrust or self._hover_trouble(payload_kg, density_kgpm3)
+    def overload_reason_or_empty(self, payload_kg: float, density_kgpm3: float) -> str:
+        """Return the reason that it cannot carry this parcel at this density; `""` if it can."""
+        thrust = self._insufficient_thrust_reason_or_empty(payload_kg, density_kgpm3)
+        reason = thrust or self._insufficient_hover_power_reason_or_empty(payload_kg, density_kgpm3)
         where = f"{payload_kg:g} kg in air of {density_kgpm3:.2f} kg/m3"
-        return f"{where}: {trouble}" if trouble else ""
+        return f"{where}: {reason}" if reason else ""
 
-    def _thrust_trouble(self, payload_kg: float, density_kgpm3: float) -> str:
-        needed_n = self.mass_kg(payload_kg) * _GRAVITY_MPS2 / math.cos(self.speeds.max_tilt_rad)
+    def _insufficient_thrust_reason_or_empty(self, payload_kg: float, density_kgpm3: float) -> str:
+        needed_n = (
+            self.flying_mass_kg(payload_kg) * _GRAVITY_MPS2 / math.cos(self.speeds.max_tilt_rad)
+        )
         rotor = self.power_rotor
         disc_kgpm = density_kgpm3 * rotor.disc_area_m2
-        available_n = rotor.thrust_coefficient * disc_kgpm * _MOST_TIP_MPS**2
+        available_n = rotor.thrust_coefficient * disc_kgpm * _MAX_TIP_SPEED_MPS**2
         if needed_n <= available_n:
             return ""
         return (
-            f"needs {needed_n:.0f} N of thrust at {self.speeds.max_tilt_deg:g} degrees, expected"
-            f" at most {available_n:.0f} N, which rotors by power_rotor give at Mach 0.6 at the"
-            f" tips"
+            f"needs {needed_n:.0f} N of thrust at {self.speeds.max_tilt_deg:g} degrees of tilt,"
+            f" expected at most {available_n:.0f} N, the thrust by power_rotor at a tip speed of"
+            f" Mach 0.6"
         )
 
-    def _hover_trouble(self, payload_kg: float, density_kgpm3: float) -> str:
+    def _insufficient_hover_power_reason_or_empty(
+        self, payload_kg: float, density_kgpm3: float
+    ) -> str:
         rotor, battery = self.power_rotor, self.battery
-        weight_n = self.mass_kg(payload_kg) * _GRAVITY_MPS2
-        # Momentum theory's least power for this thrust (Leishman, 2.2): no vehicle needs less.
+        weight_n = self.flying_mass_kg(payload_kg) * _GRAVITY_MPS2
+        # Momentum theory's least power for this thrust (Leishman, 2.2), a lower bound.
         ideal_w = weight_n * math.sqrt(weight_n / (2.0 * density_kgpm3 * rotor.disc_area_m2))
         needed_w = rotor.induced_factor * ideal_w / rotor.drive_efficiency
-        if needed_w <= battery.most_power_w:
+        if needed_w <= battery.max_power_of_full_pack_at_cutoff_w:
             return ""
         return (
             f"needs at least {needed_w:.0f} W to hover, expected at most"
-            f" {battery.most_power_w:.0f} W, which a full pack by battery gives above its cut-off"
+            f" {battery.max_power_of_full_pack_at_cutoff_w:.0f} W, the power of a full pack above"
+            " its cut-off voltage"
         )
 
-    def mass_kg(self, payload_kg: float) -> float:
-        """Flying mass with this parcel."""
+    def flying_mass_kg(self, payload_kg: float) -> float:
+        """Return the flying mass with this parcel."""
         return self.mass.empty_kg + payload_kg
 
-    def drag_linear_n_per_mps(self, mass_kg: float, density_kgpm3: float) -> tuple[float, float]:
-        """Linear drag along body forward and right at this mass, in this air (`Drag`)."""
+    def linear_drag_forward_right_n_per_mps(
+        self, mass_kg: float, density_kgpm3: float
+    ) -> tuple[float, float]:
+        """Return linear drag along body forward and right at this mass and density (`Drag`)."""
         scale = math.sqrt(mass_kg / self.mass.empty_kg * density_kgpm3 / REFERENCE_DENSITY_KGPM3)
         return (
             self.drag.linear_forward_n_per_mps * scale,
             self.drag.linear_right_n_per_mps * scale,
         )
 
-    def drag_quadratic_n_per_mps2(
+    def quadratic_drag_forward_right_n_per_mps2(
         self, mass_kg: float, density_kgpm3: float
     ) -> tuple[float, float]:
-        """Quadratic drag along body forward and right; a mass above empty means a parcel."""
+        """Return quadratic drag along body forward and right; mass above empty is a parcel."""
         parcel = (
             self.drag.parcel_quadratic_n_per_mps2 if mass_kg > 1.001 * self.mass.empty_kg else 0.0
         )
@@ -402,27 +422,27 @@ class Airframe(
             ratio * (drag.quadratic_right_n_per_mps2 + parcel),
         )
 
-    def drag_vertical_n_per_mps2(self, density_kgpm3: float) -> float | None:
-        """Drag of the flow down through the rotors; `None` where the file states none."""
+    def vertical_flow_drag_n_per_mps2(self, density_kgpm3: float) -> float | None:
+        """Return the drag of the flow down through the rotors; None if the file has none."""
         vertical = self.drag.vertical_quadratic_n_per_mps2
         return None if vertical is None else density_kgpm3 / REFERENCE_DENSITY_KGPM3 * vertical
 
 
-def airframe_from_dict(table: dict[str, object], where: str = "airframe") -> Airframe:
-    """Check a parsed TOML table against `airframe/1`; LeewayError names file and key."""
+def airframe_from_dict(table: dict[str, object], error_location: str = "airframe") -> Airframe:
+    """Convert a parsed TOML table to an `Airframe`. LeewayError states file and key."""
     try:
         return msgspec.convert(table, Airframe)
     except (msgspec.ValidationError, LeewayError) as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{error_location}: {error}") from error
 
 
-def _check_table(
-    table: str, key: str, values: list[float], low: float, high: float, rising: bool
+def _require_number_list_in_range(
+    table_name: str, key: str, values: list[float], low: float, high: float, must_rise: bool
 ) -> None:
     if len(values) < 2:
-        raise LeewayError(f"{table}.{key}: expected at least two numbers")
+        raise LeewayError(f"{table_name}.{key}: expected at least two numbers")
     for value in values:
-        check_range(f"{table}.{key}", value, low, high)
+        check_range(f"{table_name}.{key}", value, low, high)
     steps: Floats = np.diff(np.asarray(values, float))
-    if rising and not bool(np.all(steps > 0.0)):
-        raise LeewayError(f"{table}.{key}: expected rising numbers")
+    if must_rise and not bool(np.all(steps > 0.0)):
+        raise LeewayError(f"{table_name}.{key}: expected rising numbers")

@@ -1,119 +1,150 @@
-"""What one source says of one pack: counters of what was used, and a percentage.
+"""Battery readings of one source for one pack: consumption counters and a percentage.
 
-Sources are kept apart (SYS_STATUS, and BATTERY_STATUS of each pack): two packs, or two messages,
-that differ are no fall. A reading that physics does not allow after the one before (it rose, or
-fell faster than the vehicle can draw) is doubt. `AGREEING` of them in a row overrule what was
-believed; fewer cost nothing.
+Each source (SYS_STATUS, BATTERY_STATUS of each pack) has its own state, so that a difference
+between two packs or messages is no fall. A reading that rose, or fell faster than the vehicle can
+draw, is pending. `CONSISTENT_READINGS` pending readings in a row replace the accepted value.
 """
 
 from dataclasses import dataclass, field
 
-AGREEING = 3
-"""Two wild or late messages in a row are outvoted; a gauge that was reset is believed in 1.5 s."""
+CONSISTENT_READINGS = 3
+"""Consistent readings that replace the accepted value: a reset gauge is accepted after 1.5 s."""
 
-SLACK_S = 1.0
-"""A message may be as late as this, and the next one on time."""
+MAX_DELAY_S = 1.0
+"""Maximum delay of a message whose successor is on time."""
 
-FLICKER_FRAC = 0.03
-"""Percentages come in whole per cents and are rounded in two ways; some filter by voltage."""
+TOLERANCE_FRAC = 0.03
+"""Tolerance of percentages: whole per cents, rounded in two ways, some filtered by voltage."""
 
 
 @dataclass(slots=True)
 class Counter:
-    """A count that rises with what was used. `counted_wh`: since the start, `None`: never heard."""
+    """Consumption counter. `counted_wh` is the count since the start; None: never received."""
 
     last: float | None = None
     t_s: float = 0.0
     counted_wh: float | None = None
     doubted: list[tuple[float, float]] = field(default_factory=list)
 
-    def hear(self, t_s: float, now: float, unit_wh: float, most_w: float, started: bool) -> None:
-        """Take a reading; `unit_wh` is one of its units. Before the start it only sets the mark."""
-        if self.last is None or not started:
-            self._believe(t_s, now, 0.0, now > 0.0)
-        elif 0.0 <= (now - self.last) * unit_wh <= _reach_wh(self.t_s, t_s, most_w):
-            self._believe(t_s, now, (now - self.last) * unit_wh, now > 0.0)
+    def update_from_reading(
+        self,
+        t_s: float,
+        counter_reading: float,
+        wh_per_count: float,
+        max_draw_w: float,
+        has_started: bool,
+    ) -> None:
+        """Process a reading in units of `wh_per_count`. Before the start it only sets the
+        baseline.
+        """
+        if self.last is None or not has_started:
+            self._accept_reading(t_s, counter_reading, 0.0, counter_reading > 0.0)
+        elif (
+            0.0
+            <= (counter_reading - self.last) * wh_per_count
+            <= _max_consumption_wh(self.t_s, t_s, max_draw_w)
+        ):
+            self._accept_reading(
+                t_s,
+                counter_reading,
+                (counter_reading - self.last) * wh_per_count,
+                counter_reading > 0.0,
+            )
         else:
-            self._doubt(t_s, now, unit_wh, most_w)
+            self._add_pending_reading(t_s, counter_reading, wh_per_count, max_draw_w)
 
-    def _believe(self, t_s: float, now: float, used_wh: float, counts: bool) -> None:
-        if self.counted_wh is not None or counts:
-            self.counted_wh = (self.counted_wh or 0.0) + used_wh
-        self.last, self.t_s = now, t_s
+    def _accept_reading(
+        self, t_s: float, counter_reading: float, newly_consumed_wh: float, is_counting: bool
+    ) -> None:
+        if self.counted_wh is not None or is_counting:
+            self.counted_wh = (self.counted_wh or 0.0) + newly_consumed_wh
+        self.last, self.t_s = counter_reading, t_s
         self.doubted.clear()
 
-    def _doubt(self, t_s: float, now: float, unit_wh: float, most_w: float) -> None:
+    def _add_pending_reading(
+        self, t_s: float, counter_reading: float, wh_per_count: float, max_draw_w: float
+    ) -> None:
         if self.doubted:
             before_s, before = self.doubted[-1]
-            if not 0.0 <= (now - before) * unit_wh <= _reach_wh(before_s, t_s, most_w):
+            if (
+                not 0.0
+                <= (counter_reading - before) * wh_per_count
+                <= _max_consumption_wh(before_s, t_s, max_draw_w)
+            ):
                 self.doubted.clear()
-        self.doubted.append((t_s, now))
-        if len(self.doubted) >= AGREEING:
+        self.doubted.append((t_s, counter_reading))
+        if len(self.doubted) >= CONSISTENT_READINGS:
             first_s, first = self.doubted[0]
-            # Counted anew since a reboot, or from anywhere: what it shows, as far as could be used.
-            unheard_wh = min(first * unit_wh, most_w * max(first_s - self.t_s, 0.0) / 3600.0)
-            self._believe(t_s, now, unheard_wh + (now - first) * unit_wh, True)
+            # The counter restarted, from 0 (reboot) or elsewhere: add at most the possible draw.
+            unobserved_wh = min(
+                first * wh_per_count, max_draw_w * max(first_s - self.t_s, 0.0) / 3600.0
+            )
+            self._accept_reading(
+                t_s, counter_reading, unobserved_wh + (counter_reading - first) * wh_per_count, True
+            )
 
 
 @dataclass(slots=True)
 class Percentage:
-    """A charge from 0 to 1. `left_frac` only falls once the flight has begun."""
+    """Charge from 0 to 1. `left_frac` never rises during a flight."""
 
     left_frac: float | None = None
     last_frac: float = 0.0
     t_s: float = 0.0
     doubted: list[float] = field(default_factory=list)
 
-    def hear(
-        self, t_s: float, now_frac: float, full_wh: float, most_w: float, started: bool
+    def update_and_report_replacement_at_start(
+        self, t_s: float, charge_frac: float, full_wh: float, max_draw_w: float, has_started: bool
     ) -> bool:
-        """Take a reading; True where agreeing ones overruled what was believed before the start."""
-        reach_frac = _reach_wh(self.t_s, t_s, most_w) / full_wh + FLICKER_FRAC
+        """Process a reading. Returns True if it replaced the accepted value before the start."""
+        max_drop_frac = _max_consumption_wh(self.t_s, t_s, max_draw_w) / full_wh + TOLERANCE_FRAC
         if self.left_frac is None:
-            self.left_frac = now_frac
-            self._believe(t_s, now_frac)
-        elif self.last_frac - reach_frac <= now_frac <= self.last_frac + FLICKER_FRAC:
-            self._fall_to(t_s, min(now_frac, self.last_frac))
+            self.left_frac = charge_frac
+            self._accept_reading(t_s, charge_frac)
+        elif self.last_frac - max_drop_frac <= charge_frac <= self.last_frac + TOLERANCE_FRAC:
+            self._accept_and_subtract_drop(t_s, min(charge_frac, self.last_frac))
         else:
-            return self._doubt(t_s, now_frac, started)
+            return self._add_pending_and_report_replacement(t_s, charge_frac, has_started)
         return False
 
     @property
-    def doubt_frac(self) -> float:
-        """How much lower than believed the newest reading is, while it is not believed."""
+    def pending_drop_frac(self) -> float:
+        """Amount by which the latest pending reading is below the accepted one."""
         return max(self.last_frac - self.doubted[-1], 0.0) if self.doubted else 0.0
 
-    def _believe(self, t_s: float, now_frac: float) -> None:
-        self.last_frac, self.t_s = now_frac, t_s
+    def _accept_reading(self, t_s: float, charge_frac: float) -> None:
+        self.last_frac, self.t_s = charge_frac, t_s
         self.doubted.clear()
 
-    def _fall_to(self, t_s: float, now_frac: float) -> None:
-        self.left_frac = max((self.left_frac or 0.0) - (self.last_frac - now_frac), 0.0)
-        self._believe(t_s, now_frac)
+    def _accept_and_subtract_drop(self, t_s: float, charge_frac: float) -> None:
+        self.left_frac = max((self.left_frac or 0.0) - (self.last_frac - charge_frac), 0.0)
+        self._accept_reading(t_s, charge_frac)
 
-    def _doubt(self, t_s: float, now_frac: float, started: bool) -> bool:
-        if self.doubted and abs(now_frac - self.doubted[-1]) > FLICKER_FRAC:
+    def _add_pending_and_report_replacement(
+        self, t_s: float, charge_frac: float, has_started: bool
+    ) -> bool:
+        if self.doubted and abs(charge_frac - self.doubted[-1]) > TOLERANCE_FRAC:
             self.doubted.clear()
-        self.doubted.append(now_frac)
-        if len(self.doubted) < AGREEING:
+        self.doubted.append(charge_frac)
+        if len(self.doubted) < CONSISTENT_READINGS:
             return False
-        if not started:
-            self.left_frac = now_frac
-        elif now_frac < self.last_frac:
-            self._fall_to(t_s, now_frac)
-        self._believe(t_s, now_frac)
-        return not started
+        if not has_started:
+            self.left_frac = charge_frac
+        elif charge_frac < self.last_frac:
+            self._accept_and_subtract_drop(t_s, charge_frac)
+        self._accept_reading(t_s, charge_frac)
+        return not has_started
 
 
 @dataclass(slots=True)
 class Gauge:
-    """One source's counters and percentage."""
+    """Counters and percentage of one source."""
 
     energy: Counter = field(default_factory=Counter)
     charge: Counter = field(default_factory=Counter)
     percentage: Percentage = field(default_factory=Percentage)
 
 
-def _reach_wh(before_s: float, t_s: float, most_w: float) -> float:
-    """The most that can be used from one reading to the next."""
-    return most_w * (max(t_s - before_s, 0.0) + SLACK_S) / 3600.0
+def _max_consumption_wh(previous_reading_s: float, t_s: float, max_draw_w: float) -> float:
+    """Return the maximum consumption from one reading to the next."""
+    return max_draw_w * (max(t_s - previous_reading_s, 0.0) + MAX_DELAY_S) / 3600.0

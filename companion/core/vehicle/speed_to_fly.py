@@ -1,8 +1,8 @@
-"""Speed to fly: the airspeed of least energy per metre over ground, and what the autopilot flies.
+"""Speed to fly: airspeed of least energy per metre over ground, and the resulting ground speed.
 
-The operator chooses a `SpeedRule`: least energy per metre; or the cruise airspeed, and faster only
-where a headwind makes faster cheaper; or the fastest that the return budget allows. No rule flies
-slower than the headwind: such a vehicle would never come home.
+The operator selects a `SpeedRule`: least energy per metre; the cruise airspeed, faster only where
+a headwind makes that cheaper; or the fastest that the return budget allows. No rule flies slower
+than the headwind, at which the vehicle could not return.
 """
 
 from collections.abc import Callable
@@ -12,135 +12,149 @@ import numpy as np
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.vehicle.airframe import Airframe
-from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
+from companion.core.vehicle.power import level_airspeed_at_max_tilt_mps, multirotor_power_w
 from companion.core.vehicle.wind_triangle import (
-    airspeeds_along_mps,
-    airspeeds_needed_mps,
+    airspeeds_along_path_mps,
+    airspeeds_for_ground_speed_mps,
     ground_speeds_mps,
 )
 
-Flown = tuple[Floats, Floats]
+FloatsPair = tuple[Floats, Floats]
 
 SpeedRule = Literal["least_energy", "cruise", "fastest"]
-"""Which airspeed is flown: of least energy per metre; the cruise airspeed, faster only where a
-headwind makes that cheaper; the fastest with which the mission still keeps its promise."""
+"""Rule for the airspeed: least energy per metre; the cruise airspeed, faster only where a headwind
+makes that cheaper; the fastest with which the mission keeps the return promise."""
 
 _SPEED_STEP_MPS = 0.25
 _WIND_STEP_MPS = 0.5
-_WIND_BEYOND_MPS = 6.0  # the table's reach beyond the fastest airspeed
-_TILT_AUTHORITY = 0.97  # share of the tilt-limited airspeed that may be planned with, for gusts
-# Of the cruise airspeed. Below, tilt says too little of the wind; no airframe's least lies there.
+_WIND_MARGIN_MPS = 6.0  # range of the table beyond the fastest airspeed
+_TILT_AUTHORITY = 0.97  # share of the tilt-limited airspeed used for planning, for gusts
+# Of the cruise airspeed. Below it tilt is a poor measure of wind; no airframe's optimum is there.
 _SLOWEST_FRAC = 0.5
 
 
-def slowest_airspeed_mps(rule: SpeedRule, cruise_airspeed_mps: float) -> float:
-    """The least airspeed that a rule plans with; the speed to fly is the cheapest from there up."""
+def slowest_airspeed_of_rule_mps(rule: SpeedRule, cruise_airspeed_mps: float) -> float:
+    """Return the least airspeed of a rule. The speed to fly is the cheapest at or above it."""
     return cruise_airspeed_mps if rule == "cruise" else _SLOWEST_FRAC * cruise_airspeed_mps
 
 
-def fastest_airspeed_mps(airframe: Airframe, payload_kg: float, density_kgpm3: float) -> float:
-    """The fastest airspeed that is planned with: tilt-limited, with some authority for gusts."""
-    mass_kg = airframe.mass_kg(payload_kg)
-    return _TILT_AUTHORITY * max_airspeed_mps(airframe, mass_kg, density_kgpm3)
+def fastest_planning_airspeed_mps(
+    airframe: Airframe, payload_kg: float, density_kgpm3: float
+) -> float:
+    """Return the fastest airspeed for planning: the tilt limit minus a margin for gusts."""
+    mass_kg = airframe.flying_mass_kg(payload_kg)
+    return _TILT_AUTHORITY * level_airspeed_at_max_tilt_mps(airframe, mass_kg, density_kgpm3)
 
 
 class SteadyPower:
-    """Power in level flight and in the airframe's climb against airspeed, tabulated, one mass."""
+    """Power tables over airspeed for one mass: level flight and climb at the airframe's rate."""
 
     def __init__(self, airframe: Airframe, payload_kg: float, density_kgpm3: float) -> None:
-        mass_kg = airframe.mass_kg(payload_kg)
-        self.max_airspeed_mps = max_airspeed_mps(airframe, mass_kg, density_kgpm3)
+        mass_kg = airframe.flying_mass_kg(payload_kg)
+        self.max_airspeed_mps = level_airspeed_at_max_tilt_mps(airframe, mass_kg, density_kgpm3)
         self.max_ground_mps = airframe.speeds.max_ground_mps
         self._speeds = np.arange(0.0, self.max_airspeed_mps + 2 * _SPEED_STEP_MPS, _SPEED_STEP_MPS)
         self._level = multirotor_power_w(airframe, mass_kg, self._speeds, 0.0, density_kgpm3)
         climb = airframe.speeds.climb_mps
         self._climb = multirotor_power_w(airframe, mass_kg, self._speeds, climb, density_kgpm3)
 
-    def level_w(self, airspeed_mps: Floats) -> Floats:
-        """Electrical power in level flight (the table's last entry beyond its end)."""
+    def level_flight_power_w(self, airspeed_mps: Floats) -> Floats:
+        """Return electrical power in level flight (the table's last entry beyond its end)."""
         return np.interp(airspeed_mps, self._speeds, self._level)
 
-    def climb_w(self, airspeed_mps: Floats) -> Floats:
-        """Electrical power while climbing at the airframe's climb speed."""
+    def climb_power_w(self, airspeed_mps: Floats) -> Floats:
+        """Return electrical power in a climb at the airframe's climb rate."""
         return np.interp(airspeed_mps, self._speeds, self._climb)
 
-    def fly_ground_speed(
-        self, ground_mps: Floats | float, along_mps: Floats, across_mps: Floats
-    ) -> Flown:
-        """(ground speed made, airspeed) when told a ground speed; tilt saturates.
+    def achieved_speeds_for_ground_speed_mps(
+        self, ground_mps: Floats | float, tailwind_mps: Floats, crosswind_mps: Floats
+    ) -> FloatsPair:
+        """Return (achieved ground speed, airspeed) for a commanded ground speed; tilt saturates.
 
-        The autopilot holds the line and gives up speed; where even the cross-wind is too much the
-        ground speed made is 0.
+        The autopilot holds the line and reduces speed. Where the cross-wind exceeds the maximum
+        airspeed the achieved ground speed is 0.
         """
-        airspeed = airspeeds_needed_mps(ground_mps, along_mps, across_mps)
-        most = airspeeds_along_mps(self.max_airspeed_mps, across_mps) + along_mps
-        made = np.clip(most, 0.0, ground_mps)
-        made = np.where(np.abs(across_mps) > self.max_airspeed_mps, 0.0, made)
-        return made, np.minimum(airspeed, self.max_airspeed_mps)
+        airspeed = airspeeds_for_ground_speed_mps(ground_mps, tailwind_mps, crosswind_mps)
+        limit = airspeeds_along_path_mps(self.max_airspeed_mps, crosswind_mps) + tailwind_mps
+        achieved = np.clip(limit, 0.0, ground_mps)
+        achieved = np.where(np.abs(crosswind_mps) > self.max_airspeed_mps, 0.0, achieved)
+        return achieved, np.minimum(airspeed, self.max_airspeed_mps)
 
-    def fly_airspeed(
-        self, airspeed_mps: Floats | float, along_mps: Floats, across_mps: Floats
-    ) -> Flown:
-        """(ground speed made, airspeed) at one airspeed, by the wind triangle alone."""
-        wanted = airspeeds_along_mps(airspeed_mps, across_mps) + along_mps
-        command = np.clip(wanted, 0.0, self.max_ground_mps)
-        return self.fly_ground_speed(command, along_mps, across_mps)
+    def achieved_speeds_for_airspeed_mps(
+        self, airspeed_mps: Floats | float, tailwind_mps: Floats, crosswind_mps: Floats
+    ) -> FloatsPair:
+        """Return (achieved ground speed, airspeed) for one airspeed, by the wind triangle."""
+        target = airspeeds_along_path_mps(airspeed_mps, crosswind_mps) + tailwind_mps
+        command = np.clip(target, 0.0, self.max_ground_mps)
+        return self.achieved_speeds_for_ground_speed_mps(command, tailwind_mps, crosswind_mps)
 
-    def fly_least_energy(
-        self, least_airspeed_mps: float, along_mps: Floats, across_mps: Floats
-    ) -> Flown:
-        """(ground speed, airspeed) at the speed to fly: least Wh/m at `least_airspeed_mps` or over.
+    def achieved_speeds_of_least_energy_mps(
+        self, least_airspeed_mps: float, tailwind_mps: Floats, crosswind_mps: Floats
+    ) -> FloatsPair:
+        """Return (ground speed, airspeed) of least Wh/m at `least_airspeed_mps` or above.
 
-        Where no airspeed makes way, the fastest that tilt allows with some authority left.
+        Without a positive ground speed at any airspeed: the fastest airspeed for planning.
         """
         top = max(self.max_airspeed_mps * _TILT_AUTHORITY, 1.0)
         least = min(least_airspeed_mps, top)
         candidates = np.append(np.arange(least, top, _SPEED_STEP_MPS), top)
-        ground = ground_speeds_mps(candidates, along_mps[..., None], across_mps[..., None])
-        metres_per_j = np.nan_to_num(ground, nan=-1.0) / self.level_w(candidates)
+        ground = ground_speeds_mps(candidates, tailwind_mps[..., None], crosswind_mps[..., None])
+        metres_per_j = np.nan_to_num(ground, nan=-1.0) / self.level_flight_power_w(candidates)
         best = candidates[np.argmax(metres_per_j, axis=-1)]
-        wanted = np.where(metres_per_j.max(axis=-1) > 0.0, best, top)
-        return self.fly_airspeed(wanted, along_mps, across_mps)
+        target = np.where(metres_per_j.max(axis=-1) > 0.0, best, top)
+        return self.achieved_speeds_for_airspeed_mps(target, tailwind_mps, crosswind_mps)
 
 
 class CruiseTable:
-    """Ground speed made and power drawn over wind along and across a level path, tabulated.
+    """Table of ground speed and power over the wind along and across a level path.
 
-    `fly(along, across) -> (ground speed, airspeed)` is what is tabulated; a look-up is bilinear
-    and takes the same time however the speed is chosen.
+    Tabulates `ground_speed_and_airspeed_in_wind(tailwind, crosswind) -> (ground speed, airspeed)`.
+    The bilinear look-up takes the same time for every speed rule.
     """
 
-    def __init__(self, power: SteadyPower, fly: Callable[[Floats, Floats], Flown]) -> None:
-        self._reach_mps = float(np.ceil(power.max_airspeed_mps) + _WIND_BEYOND_MPS)
-        steps = round(self._reach_mps / _WIND_STEP_MPS)
+    def __init__(
+        self,
+        power: SteadyPower,
+        ground_speed_and_airspeed_in_wind: Callable[[Floats, Floats], FloatsPair],
+    ) -> None:
+        self._range_mps = float(np.ceil(power.max_airspeed_mps) + _WIND_MARGIN_MPS)
+        steps = round(self._range_mps / _WIND_STEP_MPS)
         self._rows, self._columns = 2 * steps + 1, steps + 1
-        along = (np.arange(self._rows, dtype=np.float64) - steps) * _WIND_STEP_MPS
-        across = np.arange(self._columns, dtype=np.float64) * _WIND_STEP_MPS
-        winds = np.broadcast_arrays(along[:, None], across[None, :])
-        ground, airspeed = fly(*winds)
+        tailwind = (np.arange(self._rows, dtype=np.float64) - steps) * _WIND_STEP_MPS
+        crosswind = np.arange(self._columns, dtype=np.float64) * _WIND_STEP_MPS
+        winds = np.broadcast_arrays(tailwind[:, None], crosswind[None, :])
+        ground, airspeed = ground_speed_and_airspeed_in_wind(*winds)
         self._ground = ground.ravel()
-        self._power_w = power.level_w(airspeed).ravel()
+        self._power_w = power.level_flight_power_w(airspeed).ravel()
 
-    def look_up(self, along_mps: Floats, across_mps: Floats) -> Flown:
-        """(ground speed m/s, power W) for winds of any shape; held at the table's ends."""
-        x = np.clip((along_mps + self._reach_mps) / _WIND_STEP_MPS, 0.0, self._rows - 1.001)
-        y = np.clip(np.abs(across_mps) / _WIND_STEP_MPS, 0.0, self._columns - 1.001)
+    def interpolate_ground_speed_and_power(
+        self, tailwind_mps: Floats, crosswind_mps: Floats
+    ) -> FloatsPair:
+        """Return (ground speed m/s, power W) for winds of any shape; constant beyond the ends."""
+        x = np.clip((tailwind_mps + self._range_mps) / _WIND_STEP_MPS, 0.0, self._rows - 1.001)
+        y = np.clip(np.abs(crosswind_mps) / _WIND_STEP_MPS, 0.0, self._columns - 1.001)
         i, j = x.astype(np.int64), y.astype(np.int64)
         x -= i
         y -= j
         i *= self._columns
         i += j
-        return _bilinear(self._ground, i, self._columns, x, y), _bilinear(
-            self._power_w, i, self._columns, x, y
-        )
+        return _interpolate_bilinearly(
+            self._ground, i, self._columns, x, y
+        ), _interpolate_bilinearly(self._power_w, i, self._columns, x, y)
 
 
-def _bilinear(table: Floats, at: Ints, columns: int, x: Floats, y: Floats) -> Floats:
-    low = table.take(at)
-    low += (table.take(at + columns) - low) * x
-    high = table.take(at + 1)
-    high += (table.take(at + columns + 1) - high) * x
+def _interpolate_bilinearly(
+    table: Floats,
+    flat_indices: Ints,
+    column_count: int,
+    row_fractions: Floats,
+    column_fractions: Floats,
+) -> Floats:
+    low = table.take(flat_indices)
+    low += (table.take(flat_indices + column_count) - low) * row_fractions
+    high = table.take(flat_indices + 1)
+    high += (table.take(flat_indices + column_count + 1) - high) * row_fractions
     high -= low
-    high *= y
+    high *= column_fractions
     high += low
     return high

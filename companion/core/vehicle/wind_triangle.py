@@ -1,7 +1,7 @@
 """Ground speed along a path in wind (arXiv 2604.13441, III-A, equations 3 to 9).
 
-`V^G u = V^A + W`: along the path `V^G = sqrt(V_A^2 - W_perp^2) + W_par`, across it the air
-velocity cancels the wind. Wind vectors point where the air moves to, (north, east[, down]) m/s.
+`V^G u = V^A + W`: along the path `V^G = sqrt(V_A^2 - W_perp^2) + W_par`; across it the air velocity
+cancels the wind. Wind vectors point to where the air moves, (north, east[, down]) m/s.
 """
 
 import math
@@ -15,7 +15,7 @@ from companion.core.base.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class WindTriangle:
-    """How a path is flown: ground speed along it, and the air-frame heading and angle needed."""
+    """Ground speed along a path, and the heading and path angle in the air frame."""
 
     ground_speed_mps: float
     air_heading_rad: float
@@ -24,40 +24,41 @@ class WindTriangle:
 
 @dataclass(frozen=True, slots=True)
 class Infeasible:
-    """The path cannot be flown in this wind; `reason` says why in words."""
+    """Path that cannot be flown in this wind, with the reason as text."""
 
     reason: str
 
 
-def fly_course(
+def solve_level_wind_triangle(
     course_rad: float, airspeed_mps: float, wind_to_ne_mps: ArrayLike
 ) -> WindTriangle | Infeasible:
-    """Level flight along a course (clockwise from north)."""
+    """Solve level flight along a course (clockwise from north)."""
     wind_n, wind_e = np.asarray(wind_to_ne_mps, float)
     direction = np.array([math.cos(course_rad), math.sin(course_rad), 0.0])
-    return fly_path(direction, airspeed_mps, np.array([wind_n, wind_e, 0.0]))
+    return solve_wind_triangle_3d(direction, airspeed_mps, np.array([wind_n, wind_e, 0.0]))
 
 
-def fly_path(
+def solve_wind_triangle_3d(
     direction_ned: Floats,
     airspeed_mps: float,
     wind_to_ned_mps: Floats,
     air_path_angle_min_rad: float = -np.pi / 2,
     air_path_angle_max_rad: float = np.pi / 2,
 ) -> WindTriangle | Infeasible:
-    """Flight along a 3-D direction, with flight-path limits in the AIR frame.
+    """Solve flight along a 3-D direction, with flight-path limits in the AIR frame.
 
-    Wind bends the flight-path angle: a tailwind steepens in the air what is shallow over ground.
+    Wind changes the flight-path angle: with a tailwind it is steeper in the air than over ground.
     """
     unit = direction_ned / np.linalg.norm(direction_ned)
-    along = float(wind_to_ned_mps @ unit)
-    across = float(np.linalg.norm(wind_to_ned_mps - along * unit))
-    if across > airspeed_mps:
-        return Infeasible(f"cross-wind {across:.1f} m/s exceeds airspeed {airspeed_mps:.1f} m/s")
-    ground = math.sqrt(airspeed_mps**2 - across**2) + along  # scalars: no arrays for one path
+    tailwind = float(wind_to_ned_mps @ unit)
+    crosswind = float(np.linalg.norm(wind_to_ned_mps - tailwind * unit))
+    if crosswind > airspeed_mps:
+        return Infeasible(f"cross-wind {crosswind:.1f} m/s exceeds airspeed {airspeed_mps:.1f} m/s")
+    ground = math.sqrt(airspeed_mps**2 - crosswind**2) + tailwind  # scalars are faster for one path
     if ground <= 0.0:
         return Infeasible(
-            f"headwind {-along:.1f} m/s leaves no ground speed at airspeed {airspeed_mps:.1f} m/s"
+            f"headwind {-tailwind:.1f} m/s leaves no ground speed at airspeed {airspeed_mps:.1f}"
+            " m/s"
         )
     air = ground * unit - wind_to_ned_mps
     angle = math.asin(min(max(-float(air[2]) / airspeed_mps, -1.0), 1.0))
@@ -71,26 +72,26 @@ def fly_path(
     return WindTriangle(ground, heading, angle)
 
 
-def airspeeds_along_mps(airspeed_mps: Floats | float, across_mps: Floats) -> Floats:
-    """What is left of the airspeed along the path, `sqrt(V_A^2 - W_perp^2)`.
+def airspeeds_along_path_mps(airspeed_mps: Floats | float, crosswind_mps: Floats) -> Floats:
+    """Return the airspeed component along the path, `sqrt(V_A^2 - W_perp^2)`.
 
-    0 where the cross-wind takes all of it, or more.
+    0 where the cross-wind is not below the airspeed.
     """
-    return np.sqrt(np.maximum(airspeed_mps**2 - across_mps**2, 0.0))
+    return np.sqrt(np.maximum(airspeed_mps**2 - crosswind_mps**2, 0.0))
 
 
 def ground_speeds_mps(
-    airspeed_mps: Floats | float, along_mps: Floats, across_mps: Floats
+    airspeed_mps: Floats | float, tailwind_mps: Floats, crosswind_mps: Floats
 ) -> Floats:
-    """`sqrt(V_A^2 - W_perp^2) + W_par`; NaN where |W_perp| > V_A or the result is not positive."""
-    ground = airspeeds_along_mps(airspeed_mps, across_mps) + along_mps
-    feasible = (airspeed_mps**2 - across_mps**2 >= 0.0) & (ground > 0.0)
+    """Return `sqrt(V_A^2 - W_perp^2) + W_par`; NaN if |W_perp| > V_A or the result is <= 0."""
+    ground = airspeeds_along_path_mps(airspeed_mps, crosswind_mps) + tailwind_mps
+    feasible = (airspeed_mps**2 - crosswind_mps**2 >= 0.0) & (ground > 0.0)
     return np.where(feasible, ground, np.nan)
 
 
-def airspeeds_needed_mps(
-    ground_speed_mps: ArrayLike, along_mps: ArrayLike, across_mps: ArrayLike
+def airspeeds_for_ground_speed_mps(
+    ground_speed_mps: ArrayLike, tailwind_mps: ArrayLike, crosswind_mps: ArrayLike
 ) -> Floats:
-    """Airspeed that makes this ground speed along a path with this wind along and across it."""
-    headway = np.asarray(ground_speed_mps, float) - np.asarray(along_mps, float)
-    return np.hypot(headway, np.asarray(across_mps, float))
+    """Return the airspeed for this ground speed along a path with this wind along and across."""
+    headway = np.asarray(ground_speed_mps, float) - np.asarray(tailwind_mps, float)
+    return np.hypot(headway, np.asarray(crosswind_mps, float))

@@ -1,8 +1,8 @@
-"""The wind: estimator, forecast, how it changes. Imports vehicle and base."""
+"""Wind estimator, wind forecast and wind process. Imports vehicle and base."""
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_exports
+from companion.core.base.lazy_exports import lazy_import_getattr
 
 if TYPE_CHECKING:
     from companion.core.wind.ekf import WindEstimatorParams
@@ -22,7 +22,7 @@ __all__ = [
     "wind_process_from_dict",
 ]
 
-__getattr__ = lazy_exports(
+__getattr__ = lazy_import_getattr(
     __name__,
     {
         "WindBelief": "observation",

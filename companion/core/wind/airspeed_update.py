@@ -1,8 +1,8 @@
-"""Wind from airspeed: a pitot on the forward axis, a magnitude, a vector; and whether to trust it.
+"""Wind from airspeed: a pitot on the forward axis, a magnitude, a vector; and the pitot's check.
 
-A pitot beside rotors has a scale and a bias that nobody knows: both are states. What is left, the
-angle of the flow and the wash, errs for seconds on end and is noise. A pitot that is stuck repeats
-itself; one that ices reads low, or drifts: it is judged by what tilt alone makes of the air.
+Scale and bias of a pitot near rotors are unknown: both are states. The remaining error, from flow
+angle and rotor wash, is correlated over seconds and treated as noise. A stuck pitot repeats its
+value; an iced one reads low or drifts, and is detected by comparison with the wind from tilt alone.
 """
 
 import math
@@ -11,95 +11,105 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.wind.ekf import STATES, At, WindEstimatorParams, WindState
+from companion.core.wind.ekf import STATES, StateIndex, WindEstimatorParams, WindState
 from companion.core.wind.observation import WindObservation
 
 
 @dataclass(frozen=True, slots=True)
-class AirspeedSeen:
-    """One scalar: measured and expected (m/s), its derivative by the state, and its noise."""
+class AirspeedMeasurement:
+    """One scalar measurement: measured and expected (m/s), derivative by the state, noise."""
 
     measured_mps: float
     expected_mps: float
     row: Floats
     noise_m2ps2: float
 
-    def surprise(self, state: WindState) -> float:
-        """Innovation over its standard deviation."""
+    def normalised_innovation(self, state: WindState) -> float:
+        """Return the innovation over its standard deviation."""
         variance = float(self.row @ state.cov @ self.row) + self.noise_m2ps2
         return (self.measured_mps - self.expected_mps) / math.sqrt(variance)
 
 
-def pitot_seen(
-    state: WindState, params: WindEstimatorParams, seen: WindObservation, fresh_s: float
-) -> AirspeedSeen | None:
-    """What a scalar airspeed says to `state`; `None` where it says nothing: too slow, or no way
-    to tell the air from the ground."""
-    if seen.airspeed_mps is None or seen.vel_ned_mps is None or seen.yaw_rad is None:
+def pitot_measurement_or_none(
+    state: WindState, params: WindEstimatorParams, observation: WindObservation, interval_s: float
+) -> AirspeedMeasurement | None:
+    """Return the measurement of a scalar airspeed; `None` if too slow, or without ground velocity
+    or heading."""
+    if (
+        observation.airspeed_mps is None
+        or observation.vel_ned_mps is None
+        or observation.yaw_rad is None
+    ):
         return None
-    air_n, air_e = _air_ne(state, seen.vel_ned_mps)
-    if seen.airspeed_is_magnitude:
+    air_n, air_e = _air_velocity_ne_mps(state, observation.vel_ned_mps)
+    if observation.airspeed_is_magnitude:
         speed = max(math.hypot(air_n, air_e), 1e-6)
-        north, east, turned = air_n / speed, air_e / speed, 0.0
+        north, east, heading_derivative_mps = air_n / speed, air_e / speed, 0.0
     else:
-        level = math.cos(seen.pitch_rad) if seen.pitch_rad is not None else 1.0
-        heading = seen.yaw_rad + float(state.x[At.HEADING])
+        level = math.cos(observation.pitch_rad) if observation.pitch_rad is not None else 1.0
+        heading = observation.yaw_rad + float(state.x[StateIndex.HEADING])
         north, east = level * math.cos(heading), level * math.sin(heading)
         speed = air_n * north + air_e * east
-        turned = air_e * north - air_n * east
-    scale = math.exp(float(state.x[At.LOG_SCALE]))
-    expected = scale * speed + float(state.x[At.BIAS])
-    if max(speed, seen.airspeed_mps) < params.pitot_least_mps:
+        heading_derivative_mps = air_e * north - air_n * east
+    scale = math.exp(float(state.x[StateIndex.LOG_SCALE]))
+    expected = scale * speed + float(state.x[StateIndex.BIAS])
+    if max(speed, observation.airspeed_mps) < params.pitot_min_mps:
         return None
     row = np.zeros(STATES)
-    row[At.MEAN] = row[At.GUST] = -scale * north
-    row[At.MEAN + 1] = row[At.GUST + 1] = -scale * east
-    row[At.HEADING] = scale * turned
-    row[At.LOG_SCALE] = scale * speed
-    row[At.BIAS] = 1.0
+    row[StateIndex.MEAN] = row[StateIndex.GUST] = -scale * north
+    row[StateIndex.MEAN + 1] = row[StateIndex.GUST + 1] = -scale * east
+    row[StateIndex.HEADING] = scale * heading_derivative_mps
+    row[StateIndex.LOG_SCALE] = scale * speed
+    row[StateIndex.BIAS] = 1.0
     own = params.pitot_std_mps**2 * params.pitot_memory_s
     model = 2.0 * params.model_memory_s * (params.pitot_model_std_frac * speed) ** 2
-    gust = params.fast_gust_m2ps * state.scale
-    noise = (own + model + gust) / min(max(fresh_s, 0.02), 1.0)
-    return AirspeedSeen(seen.airspeed_mps, expected, row, noise)
+    gust = params.fast_gust_m2ps * state.squared_wind_ratio_to_reference
+    noise = (own + model + gust) / min(max(interval_s, 0.02), 1.0)
+    return AirspeedMeasurement(observation.airspeed_mps, expected, row, noise)
 
 
-def vector_seen(
-    state: WindState, params: WindEstimatorParams, seen: WindObservation, dt_s: float
-) -> list[AirspeedSeen]:
-    """Air velocity along heading and right of it, from a sensor with two axes; none without."""
-    if seen.airspeed_fr_mps is None or seen.vel_ned_mps is None or seen.yaw_rad is None:
+def vector_airspeed_measurements(
+    state: WindState, params: WindEstimatorParams, observation: WindObservation, dt_s: float
+) -> list[AirspeedMeasurement]:
+    """Return the air velocity along heading and right of it, from a sensor with two axes, or []."""
+    if (
+        observation.airspeed_fr_mps is None
+        or observation.vel_ned_mps is None
+        or observation.yaw_rad is None
+    ):
         return []
-    air_n, air_e = _air_ne(state, seen.vel_ned_mps)
-    heading = seen.yaw_rad + float(state.x[At.HEADING])
+    air_n, air_e = _air_velocity_ne_mps(state, observation.vel_ned_mps)
+    heading = observation.yaw_rad + float(state.x[StateIndex.HEADING])
     cos, sin = math.cos(heading), math.sin(heading)
-    scale = math.exp(float(state.x[At.LOG_SCALE]))
+    scale = math.exp(float(state.x[StateIndex.LOG_SCALE]))
     forward, right = cos * air_n + sin * air_e, cos * air_e - sin * air_n
     own = params.vector_std_mps**2 * params.pitot_memory_s
     off = params.pitot_model_std_frac * math.hypot(air_n, air_e)
-    gust = params.fast_gust_m2ps * state.scale
+    gust = params.fast_gust_m2ps * state.squared_wind_ratio_to_reference
     noise = (own + 2.0 * params.model_memory_s * off**2 + gust) / min(max(dt_s, 0.02), 1.0)
     found = []
-    for measured, along, (north, east), turned in (
-        (seen.airspeed_fr_mps[0], forward, (cos, sin), right),
-        (seen.airspeed_fr_mps[1], right, (-sin, cos), -forward),
+    for measured, component_mps, (north, east), heading_derivative_mps in (
+        (observation.airspeed_fr_mps[0], forward, (cos, sin), right),
+        (observation.airspeed_fr_mps[1], right, (-sin, cos), -forward),
     ):
         row = np.zeros(STATES)
-        row[At.MEAN] = row[At.GUST] = -scale * north
-        row[At.MEAN + 1] = row[At.GUST + 1] = -scale * east
-        row[At.HEADING] = scale * turned
-        row[At.LOG_SCALE] = scale * along
-        found.append(AirspeedSeen(measured, scale * along, row, noise))
+        row[StateIndex.MEAN] = row[StateIndex.GUST] = -scale * north
+        row[StateIndex.MEAN + 1] = row[StateIndex.GUST + 1] = -scale * east
+        row[StateIndex.HEADING] = scale * heading_derivative_mps
+        row[StateIndex.LOG_SCALE] = scale * component_mps
+        found.append(AirspeedMeasurement(measured, scale * component_mps, row, noise))
     return found
 
 
-def _air_ne(state: WindState, vel_ned_mps: tuple[float, float, float]) -> tuple[float, float]:
+def _air_velocity_ne_mps(
+    state: WindState, vel_ned_mps: tuple[float, float, float]
+) -> tuple[float, float]:
     mean_n, mean_e, gust_n, gust_e = state.x[:4].tolist()
     return vel_ned_mps[0] - mean_n - gust_n, vel_ned_mps[1] - mean_e - gust_e
 
 
-class PitotWatch:
-    """Tells a new reading from an old one, and a sound pitot from a stuck or an iced one."""
+class PitotMonitor:
+    """Detects new readings, and a stuck or iced pitot."""
 
     __slots__ = ("_agrees_since_s", "_mean", "_since_s", "_value_mps", "faulty")
 
@@ -110,34 +120,38 @@ class PitotWatch:
         self._agrees_since_s: float | None = None
         self.faulty = False
 
-    def look(self, t_s: float, value_mps: float, stuck_after_s: float) -> tuple[float | None, bool]:
-        """(seconds since the reading before, None for that very reading; whether it is stuck).
+    def record_reading_interval_and_stuck(
+        self, t_s: float, airspeed_mps: float, stuck_after_s: float
+    ) -> tuple[float | None, bool]:
+        """Return (time since the previous reading, None if repeated; whether it is stuck).
 
-        No live pitot repeats itself to the last bit.
+        The readings of a working pitot never repeat exactly.
         """
-        if self._value_mps is not None and value_mps == self._value_mps:
+        if self._value_mps is not None and airspeed_mps == self._value_mps:
             stuck = t_s - self._since_s > stuck_after_s
             self.faulty = self.faulty or stuck
             self._agrees_since_s = None
             return None, stuck
-        fresh_s = t_s - self._since_s if self._value_mps is not None else 0.1
-        self._value_mps, self._since_s = value_mps, t_s
-        return fresh_s, False
+        interval_s = t_s - self._since_s if self._value_mps is not None else 0.1
+        self._value_mps, self._since_s = airspeed_mps, t_s
+        return interval_s, False
 
-    def judge(self, t_s: float, surprise: float, fresh_s: float, p: WindEstimatorParams) -> None:
-        """Take one innovation over its standard deviation, by what tilt alone makes of the air.
+    def update_fault_state(
+        self, t_s: float, innovation_sigmas: float, interval_s: float, p: WindEstimatorParams
+    ) -> None:
+        """Process one normalised innovation, relative to the wind from tilt alone.
 
-        Its mean over some seconds has at most that innovation's own spread where all that errs is
-        slow, so `faulty_sigmas` of it are `faulty_sigmas` of a sound pitot.
+        If all errors are slow, its mean over some seconds has at most the innovation's own spread,
+        so that `faulty_sigmas` limits the mean of a working pitot, too.
         """
-        share = 1.0 - math.exp(-min(fresh_s, 1.0) / p.watch_memory_s)
-        bounded = min(max(surprise, -2.0 * p.faulty_sigmas), 2.0 * p.faulty_sigmas)
+        share = 1.0 - math.exp(-min(interval_s, 1.0) / p.pitot_check_memory_s)
+        bounded = min(max(innovation_sigmas, -2.0 * p.faulty_sigmas), 2.0 * p.faulty_sigmas)
         self._mean += share * (bounded - self._mean)
         if abs(self._mean) > p.faulty_sigmas:
             self.faulty = True
-        if abs(self._mean) > p.sound_sigmas:
+        if abs(self._mean) > p.recovery_sigmas:
             self._agrees_since_s = None
         elif self._agrees_since_s is None:
             self._agrees_since_s = t_s
-        elif self.faulty and t_s - self._agrees_since_s > p.sound_after_s:
+        elif self.faulty and t_s - self._agrees_since_s > p.recovery_after_s:
             self.faulty = False

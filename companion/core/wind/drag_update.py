@@ -15,20 +15,20 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import GRAVITY_MPS2
-from companion.core.wind.ekf import At, WindEstimatorParams, WindState
+from companion.core.wind.ekf import StateIndex, WindEstimatorParams, WindState
 from companion.core.wind.observation import WindObservation
 
-_GREATEST_TILT_RAD = 1.2
-_GREATEST_LOG_GAIN = 2.0
+_MAX_TILT_RAD = 1.2
+_MAX_LOG_GAIN = 2.0
 
 
-def has_tilt(seen: WindObservation) -> bool:
+def has_usable_attitude_and_velocity(observation: WindObservation) -> bool:
     """Whether attitude and velocity are known, and roll and pitch are in a multirotor's range."""
-    if seen.vel_ned_mps is None or seen.yaw_rad is None:
+    if observation.vel_ned_mps is None or observation.yaw_rad is None:
         return False
-    if seen.roll_rad is None or seen.pitch_rad is None:
+    if observation.roll_rad is None or observation.pitch_rad is None:
         return False
-    return max(abs(seen.roll_rad), abs(seen.pitch_rad)) <= _GREATEST_TILT_RAD
+    return max(abs(observation.roll_rad), abs(observation.pitch_rad)) <= _MAX_TILT_RAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,8 @@ class ReportedMotion:
     """Reported velocity (NED) and its change since the previous report.
 
     `thrust_*` is the horizontal thrust acceleration at the time of that velocity, because velocity
-    arrives later than attitude. `turning_mps2` is the thrust's change over the interval. `since_s`
-    is None if there is no previous report; then there is no acceleration.
+    arrives later than attitude. `thrust_change_mps2` is the thrust's change over the interval.
+    `interval_s` is None if there is no previous report; then there is no acceleration.
     """
 
     velocity_n: float
@@ -47,50 +47,54 @@ class ReportedMotion:
     accel_e: float
     thrust_n: float
     thrust_e: float
-    turning_mps2: float
+    thrust_change_mps2: float
     since_s: float | None
 
-    def turned(self, turn_rad: float) -> "ReportedMotion":
-        """The same, had the heading been reported so much farther clockwise."""
-        cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+    def with_thrust_rotated_by(self, clockwise_rad: float) -> "ReportedMotion":
+        """Return the motion for a heading reported this much farther clockwise."""
+        cos, sin = math.cos(clockwise_rad), math.sin(clockwise_rad)
         north, east = self.thrust_n, self.thrust_e
         return replace(self, thrust_n=cos * north - sin * east, thrust_e=sin * north + cos * east)
 
 
-class MotionWatch:
+class MotionTracker:
     """Derives motion from successive reports of velocity and attitude."""
 
     __slots__ = ("_before", "_sink_mps", "_sinking_mps2", "_thrusts")
 
-    LONGEST_S = 1.0  # no acceleration is derived across a longer gap
+    MAX_INTERVAL_S = 1.0  # no acceleration is derived across a longer gap
 
     def __init__(self) -> None:
-        self.forget()
+        self.clear_history()
 
-    def forget(self) -> None:
+    def clear_history(self) -> None:
         """Discard the history: the vehicle is on the ground, or reports stopped."""
         self._before: tuple[float, float, float] | None = None  # t_s, north, east
         self._sink_mps: float | None = None
         self._sinking_mps2 = 0.0
         self._thrusts: list[tuple[float, float, float]] = []  # t_s, north, east
 
-    def take(self, seen: WindObservation, p: WindEstimatorParams) -> ReportedMotion:
-        """Motion of one observation; `has_tilt` must hold for it."""
-        north, east, down = seen.vel_ned_mps or (0.0, 0.0, 0.0)
+    def update_and_derive_motion(
+        self, observation: WindObservation, p: WindEstimatorParams
+    ) -> ReportedMotion:
+        """Motion of one observation; `has_usable_attitude_and_velocity` must hold for it."""
+        north, east, down = observation.vel_ned_mps or (0.0, 0.0, 0.0)
         before = self._before
-        since_s = None if before is None else seen.t_s - before[0]
-        if since_s is not None and since_s > self.LONGEST_S:
-            self.forget()
+        since_s = None if before is None else observation.t_s - before[0]
+        if since_s is not None and since_s > self.MAX_INTERVAL_S:
+            self.clear_history()
             since_s = None
-        self._sink(down, since_s, p.sink_smoothing_s)
-        thrust = _thrust_ne(seen, GRAVITY_MPS2 - self._sinking_mps2)
-        late = [t for t in self._thrusts if t[0] > seen.t_s - p.latency_s - self.LONGEST_S]
-        self._thrusts = [*late, (seen.t_s, *thrust)]
-        self._before = (seen.t_s, north, east)
+        self._update_smoothed_sink_rate(down, since_s, p.sink_smoothing_s)
+        thrust = _horizontal_thrust_accel_ne_mps2(observation, GRAVITY_MPS2 - self._sinking_mps2)
+        late = [
+            t for t in self._thrusts if t[0] > observation.t_s - p.latency_s - self.MAX_INTERVAL_S
+        ]
+        self._thrusts = [*late, (observation.t_s, *thrust)]
+        self._before = (observation.t_s, north, east)
         if before is None or since_s is None:
             return ReportedMotion(north, east, down, 0.0, 0.0, *thrust, 0.0, None)
-        start = self._thrust_at(before[0] - p.latency_s)
-        end = self._thrust_at(seen.t_s - p.latency_s)
+        start = self._interpolated_thrust_accel_ne_mps2(before[0] - p.latency_s)
+        end = self._interpolated_thrust_accel_ne_mps2(observation.t_s - p.latency_s)
         return ReportedMotion(
             north,
             east,
@@ -103,15 +107,17 @@ class MotionWatch:
             since_s,
         )
 
-    def _sink(self, down_mps: float, since_s: float | None, memory_s: float) -> None:
-        if self._sink_mps is None or since_s is None:
+    def _update_smoothed_sink_rate(
+        self, down_mps: float, interval_s: float | None, time_constant_s: float
+    ) -> None:
+        if self._sink_mps is None or interval_s is None:
             self._sink_mps, self._sinking_mps2 = down_mps, 0.0
             return
-        step = (1.0 - math.exp(-since_s / memory_s)) * (down_mps - self._sink_mps)
+        step = (1.0 - math.exp(-interval_s / time_constant_s)) * (down_mps - self._sink_mps)
         self._sink_mps += step
-        self._sinking_mps2 = step / since_s
+        self._sinking_mps2 = step / interval_s
 
-    def _thrust_at(self, t_s: float) -> tuple[float, float]:
+    def _interpolated_thrust_accel_ne_mps2(self, t_s: float) -> tuple[float, float]:
         """Thrust interpolated at `t_s`; clamped to the first and last report."""
         later = self._thrusts[0]
         for early, late in itertools.pairwise(self._thrusts):
@@ -125,60 +131,73 @@ class MotionWatch:
         return later[1], later[2]
 
 
-def _thrust_ne(seen: WindObservation, lift_mps2: float) -> tuple[float, float]:
+def _horizontal_thrust_accel_ne_mps2(
+    observation: WindObservation, upward_thrust_accel_mps2: float
+) -> tuple[float, float]:
     """Horizontal thrust acceleration (north, east). Thrust points along minus the body's z axis;
-    its upward part is `lift_mps2`.
+    its upward part is `upward_thrust_accel_mps2`.
     """
-    roll, pitch, yaw = seen.roll_rad or 0.0, seen.pitch_rad or 0.0, seen.yaw_rad or 0.0
-    forward = -lift_mps2 * math.tan(pitch)
-    right = lift_mps2 * math.tan(roll) / math.cos(pitch)
+    roll, pitch, yaw = (
+        observation.roll_rad or 0.0,
+        observation.pitch_rad or 0.0,
+        observation.yaw_rad or 0.0,
+    )
+    forward = -upward_thrust_accel_mps2 * math.tan(pitch)
+    right = upward_thrust_accel_mps2 * math.tan(roll) / math.cos(pitch)
     cos, sin = math.cos(yaw), math.sin(yaw)
     return cos * forward - sin * right, sin * forward + cos * right
 
 
 @dataclass(frozen=True, slots=True)
-class DragSeen:
+class DragMeasurement:
     """Drag acceleration along heading and to its right.
 
     `measured` and `expected` in m/s2; `size_mps2`, the magnitude that the airframe file and gains
-    give; `bends_pm` (1/m), an upper bound on the change of slope with airspeed; `rows` (2, states),
-    d(expected - measured)/dx; `cross_rows`, for each axis the change with the cross-flow share of
-    its slope by the wind to north and east.
+    give; `curvature_pm` (1/m), an upper bound on the change of slope with airspeed; `rows` (2,
+    states), d(expected - measured)/dx; `cross_rows`, for each axis the change with the cross-flow
+    share of its slope by the wind to north and east.
     """
 
     measured: tuple[float, float]
     expected: tuple[float, float]
     size_mps2: float
-    bends_pm: tuple[float, float]
+    curvature_pm: tuple[float, float]
     airspeed_mps: float
     rows: Floats
     cross_rows: tuple[tuple[float, float], tuple[float, float]]
 
 
-def drag_seen(
-    airframe: Airframe, seen: WindObservation, x: Floats, motion: ReportedMotion
-) -> DragSeen:
-    """Measured drag, and the drag that the state `x` (18,) predicts."""
-    mass_kg, yaw_rad = seen.mass_kg, seen.yaw_rad or 0.0
-    mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, turned = x[:11].tolist()
-    heading = yaw_rad + turned
+def measured_and_expected_drag(
+    airframe: Airframe, observation: WindObservation, state_vector: Floats, motion: ReportedMotion
+) -> DragMeasurement:
+    """Measured drag, and the drag that the state `state_vector` (18,) predicts."""
+    mass_kg, yaw_rad = observation.mass_kg, observation.yaw_rad or 0.0
+    mean_n, mean_e, gust_n, gust_e, _, _, trim_f, trim_r, log_f, log_r, heading_error = (
+        state_vector[:11].tolist()
+    )
+    heading = yaw_rad + heading_error
     cos, sin = math.cos(heading), math.sin(heading)
     air_n = motion.velocity_n - mean_n - gust_n
     air_e = motion.velocity_e - mean_e - gust_e
     forward, right = cos * air_n + sin * air_e, -sin * air_n + cos * air_e
     speed = max(math.hypot(forward, right, motion.sink_mps), 1e-3)
-    cross = min(max(float(x[At.CROSS_FLOW]), 0.0), 1.0)
-    k_f, k_r = airframe.drag_linear_n_per_mps(mass_kg, seen.density_kgpm3)
-    q_f, q_r = airframe.drag_quadratic_n_per_mps2(mass_kg, seen.density_kgpm3)
-    scale_f, scale_r = _gain(log_f) / mass_kg, _gain(log_r) / mass_kg
+    cross = min(max(float(state_vector[StateIndex.CROSS_FLOW]), 0.0), 1.0)
+    k_f, k_r = airframe.linear_drag_forward_right_n_per_mps(mass_kg, observation.density_kgpm3)
+    q_f, q_r = airframe.quadratic_drag_forward_right_n_per_mps2(mass_kg, observation.density_kgpm3)
+    scale_f, scale_r = (
+        _clamped_gain_from_log(log_f) / mass_kg,
+        _clamped_gain_from_log(log_r) / mass_kg,
+    )
     flow_f, flow_r = (forward, right, motion.sink_mps), (right, forward, motion.sink_mps)
-    ahead = _axis_drag(scale_f * k_f, scale_f * q_f, flow_f, cross)
-    aside = _axis_drag(scale_r * k_r, scale_r * q_r, flow_r, cross)
-    ff, fr, rr, rf = ahead.by_along, ahead.by_across, aside.by_along, aside.by_across
+    drag_f = _axis_drag_and_derivatives(scale_f * k_f, scale_f * q_f, flow_f, cross)
+    drag_r = _axis_drag_and_derivatives(scale_r * k_r, scale_r * q_r, flow_r, cross)
+    ff, fr, rr, rf = drag_f.by_parallel, drag_f.by_across, drag_r.by_parallel, drag_r.by_across
     # The heading error rotates the acceleration, measured over ground, but not the thrust, which is
     # in body axes. The estimated velocity noises are taken out of the acceleration.
     dt_s = motion.since_s or 1.0
-    noise_n, noise_e, before_n, before_e = x[At.NOISE : At.CROSS_FLOW].tolist()
+    noise_n, noise_e, before_n, before_e = state_vector[
+        StateIndex.NOISE : StateIndex.CROSS_FLOW
+    ].tolist()
     accel_n = motion.accel_n - (noise_n - before_n) / dt_s
     accel_e = motion.accel_e - (noise_e - before_e) / dt_s
     accel_f = cos * accel_n + sin * accel_e
@@ -191,17 +210,17 @@ def drag_seen(
     fn, fe = ff * cos - fr * sin, ff * sin + fr * cos
     rn, re = rf * cos - rr * sin, rf * sin + rr * cos
     g = GRAVITY_MPS2
-    row_f = [fn, fe, fn, fe, 0.0, 0.0, g, 0.0, -ahead.drag, 0.0, turn_f, 0.0, 0.0]
-    row_f += [cos / dt_s, sin / dt_s, -cos / dt_s, -sin / dt_s, -ahead.by_cross]
-    row_r = [rn, re, rn, re, 0.0, 0.0, 0.0, g, 0.0, -aside.drag, turn_r, 0.0, 0.0]
-    row_r += [-sin / dt_s, cos / dt_s, sin / dt_s, -cos / dt_s, -aside.by_cross]
-    more_ff, more_fr = ahead.by_along_cross, ahead.by_across_cross
-    more_rr, more_rf = aside.by_along_cross, aside.by_across_cross
-    return DragSeen(
+    row_f = [fn, fe, fn, fe, 0.0, 0.0, g, 0.0, -drag_f.drag, 0.0, turn_f, 0.0, 0.0]
+    row_f += [cos / dt_s, sin / dt_s, -cos / dt_s, -sin / dt_s, -drag_f.by_cross]
+    row_r = [rn, re, rn, re, 0.0, 0.0, 0.0, g, 0.0, -drag_r.drag, turn_r, 0.0, 0.0]
+    row_r += [-sin / dt_s, cos / dt_s, sin / dt_s, -cos / dt_s, -drag_r.by_cross]
+    more_ff, more_fr = drag_f.by_parallel_cross, drag_f.by_across_cross
+    more_rr, more_rf = drag_r.by_parallel_cross, drag_r.by_across_cross
+    return DragMeasurement(
         measured=(accel_f - thrust_f, accel_r - thrust_r),
-        expected=(-ahead.drag + g * trim_f, -aside.drag + g * trim_r),
-        size_mps2=math.hypot(ahead.drag, aside.drag),
-        bends_pm=(2.0 * scale_f * q_f, 2.0 * scale_r * q_r),
+        expected=(-drag_f.drag + g * trim_f, -drag_r.drag + g * trim_r),
+        size_mps2=math.hypot(drag_f.drag, drag_r.drag),
+        curvature_pm=(2.0 * scale_f * q_f, 2.0 * scale_r * q_r),
         airspeed_mps=speed,
         rows=np.array([row_f, row_r]),
         cross_rows=(
@@ -216,44 +235,45 @@ class _AxisDrag(NamedTuple):
     and across the axis, by the cross-flow share, and of the first two by that share."""
 
     drag: float
-    by_along: float
+    by_parallel: float
     by_across: float
     by_cross: float
-    by_along_cross: float
+    by_parallel_cross: float
     by_across_cross: float
 
 
-def _axis_drag(
-    linear: float, quadratic: float, flow_mps: tuple[float, float, float], cross: float
+def _axis_drag_and_derivatives(
+    linear: float, quadratic: float, flow_mps: tuple[float, float, float], cross_flow_share: float
 ) -> _AxisDrag:
     """Linear and quadratic drag over mass (1/s, 1/m) in a flow along the axis, across it, and down.
 
-    The quadratic part is `quadratic * s * along`, where `s` lies between two published laws:
-    `cross` 1 is the airspeed (PX4, EKF2 drag fusion), 0 the axis's own flow (ArduPilot, SITL
-    frame). The vertical flow counts in both.
+    The quadratic part is `quadratic * s * parallel`, where `s` lies between two published laws:
+    `cross_flow_share` 1 is the airspeed (PX4, EKF2 drag fusion), 0 the axis's own flow (ArduPilot,
+    SITL frame). The vertical flow counts in both.
     """
-    along, across, down = flow_mps
-    own = max(math.hypot(along, down), 1e-3)
+    parallel, across, down = flow_mps
+    own = max(math.hypot(parallel, down), 1e-3)
     speed = max(math.hypot(own, across), 1e-3)
-    slant_own, slant = along * along / own, along * along / speed
-    size = linear + quadratic * ((1.0 - cross) * own + cross * speed)
-    mixed = quadratic * along * across / speed
+    slant_own, slant = parallel * parallel / own, parallel * parallel / speed
+    size = linear + quadratic * ((1.0 - cross_flow_share) * own + cross_flow_share * speed)
+    mixed = quadratic * parallel * across / speed
     return _AxisDrag(
-        drag=size * along,
-        by_along=size + quadratic * ((1.0 - cross) * slant_own + cross * slant),
-        by_across=cross * mixed,
-        by_cross=quadratic * (speed - own) * along,
-        by_along_cross=quadratic * (speed - own + slant - slant_own),
+        drag=size * parallel,
+        by_parallel=size
+        + quadratic * ((1.0 - cross_flow_share) * slant_own + cross_flow_share * slant),
+        by_across=cross_flow_share * mixed,
+        by_cross=quadratic * (speed - own) * parallel,
+        by_parallel_cross=quadratic * (speed - own + slant - slant_own),
         by_across_cross=mixed,
     )
 
 
-def _gain(log_gain: float) -> float:
-    return math.exp(min(max(log_gain, -_GREATEST_LOG_GAIN), _GREATEST_LOG_GAIN))
+def _clamped_gain_from_log(log_gain: float) -> float:
+    return math.exp(min(max(log_gain, -_MAX_LOG_GAIN), _MAX_LOG_GAIN))
 
 
 @dataclass(frozen=True, slots=True)
-class TiltTold:
+class TiltInnovation:
     """Innovations (m/s2) of both axes from one drag measurement, their variances, and the update.
 
     `gain` (states, 2) and `white` (2,) are whitened: the update adds `gain @ white` to the state
@@ -267,80 +287,82 @@ class TiltTold:
     white: Floats
     area: float
 
-    def log_density(self, sigmas: float, noise: float) -> float:
+    def capped_log_density(self, max_sigmas: float, noise_variance_ratio: float) -> float:
         """Log of the innovation's Gaussian density, up to a constant.
 
-        Its size is capped at `sigmas`. `noise` is the observed innovation variance over the stated
-        one.
+        Its size is capped at `max_sigmas`. `noise_variance_ratio` is the observed innovation
+        variance over the stated one.
         """
-        size = min(float(self.white @ self.white) / noise, sigmas**2)
+        size = min(float(self.white @ self.white) / noise_variance_ratio, max_sigmas**2)
         return -0.5 * size - math.log(self.area)
 
     @property
-    def surprise(self) -> float:
+    def mean_nis(self) -> float:
         """Mean normalised innovation squared (NIS) per axis; 1 if consistent."""
         (a, b), (s, t) = self.innovations, self.variances
         return 0.5 * (a * a / s + b * b / t)
 
-    def is_outlier(self, sigmas: float) -> bool:
-        """Whether the innovation of either axis exceeds `sigmas` standard deviations."""
+    def is_outlier(self, max_sigmas: float) -> bool:
+        """Whether the innovation of either axis exceeds `max_sigmas` standard deviations."""
         (a, b), (s, t) = self.innovations, self.variances
-        return a * a > sigmas**2 * s or b * b > sigmas**2 * t
+        return a * a > max_sigmas**2 * s or b * b > max_sigmas**2 * t
 
     @property
-    def wind_step_ne_mps(self) -> tuple[float, float]:
+    def wind_correction_ne_mps(self) -> tuple[float, float]:
         """Correction of the total wind, mean plus gust."""
         mean_n, mean_e, gust_n, gust_e = (self.gain[:4] @ self.white).tolist()
         return mean_n + gust_n, mean_e + gust_e
 
     @property
-    def wind_step_variance_m2ps2(self) -> float:
+    def wind_correction_variance_m2ps2(self) -> float:
         """Expected variance of that correction, summed over both axes."""
         wind = self.gain[:2] + self.gain[2:4]
         return float(np.vdot(wind, wind))
 
 
-def tilt_told(
+def compute_tilt_innovation_and_set_airspeed(
     state: WindState,
     airframe: Airframe,
     params: WindEstimatorParams,
-    seen: WindObservation,
+    observation: WindObservation,
     motion: ReportedMotion,
-) -> TiltTold:
+) -> TiltInnovation:
     """Innovation and update of `state` from one drag measurement.
 
     Once the wind is known, one linearisation as in an extended Kalman filter. Before, five more
     iterations (Bell and Cathey 1993): drag is quadratic, and its slope in still air would make the
     first estimate far too large.
     """
-    known = state.wind_is_known
-    told = _told(state, state.x, airframe, params, seen, motion)
+    known = state.is_wind_std_below_known_limit
+    result = _innovation_linearised_about(state, state.x, airframe, params, observation, motion)
     for _ in range(0 if known else 5):
-        told = _told(state, state.x + told.gain @ told.white, airframe, params, seen, motion)
-    return told
+        result = _innovation_linearised_about(
+            state, state.x + result.gain @ result.white, airframe, params, observation, motion
+        )
+    return result
 
 
-def _told(
+def _innovation_linearised_about(
     state: WindState,
-    about: Floats,
+    linearisation_point: Floats,
     airframe: Airframe,
     params: WindEstimatorParams,
-    seen: WindObservation,
+    observation: WindObservation,
     motion: ReportedMotion,
-) -> TiltTold:
-    """One linearisation about `about` (18,), which need not be the state's own mean."""
-    drag = drag_seen(airframe, seen, about, motion)
+) -> TiltInnovation:
+    """One linearisation about `linearisation_point` (18,), not always the state's mean."""
+    drag = measured_and_expected_drag(airframe, observation, linearisation_point, motion)
     state.airspeed_mps = drag.airspeed_mps
     rows = drag.rows
     left_f = drag.measured[0] - drag.expected[0]
     left_r = drag.measured[1] - drag.expected[1]
-    if about is not state.x:
-        ahead_f, ahead_r = (rows @ (state.x - about)).tolist()
-        left_f, left_r = left_f - ahead_f, left_r - ahead_r
+    if linearisation_point is not state.x:
+        offset_f, offset_r = (rows @ (state.x - linearisation_point)).tolist()
+        left_f, left_r = left_f - offset_f, left_r - offset_r
     across = state.cov @ rows.T
     (ff, fr), (_, rr) = (rows @ across).tolist()
-    noise_f, noise_r = _noises(state, airframe, params, drag, motion)
-    bend_f, bend_r = _bends(state, drag)
+    noise_f, noise_r = _measurement_noise_variances(state, airframe, params, drag, motion)
+    bend_f, bend_r = _linearisation_error_variances(state, drag)
     ff, rr = ff + noise_f + bend_f, rr + noise_r + bend_r
     # Cholesky factor of the innovation covariance, [[a, 0], [b, c]], and its inverse
     a = math.sqrt(ff)
@@ -349,29 +371,31 @@ def _told(
     whitening = np.array([[1.0 / a, -b / (a * c)], [0.0, 1.0 / c]])
     first = left_f / a
     white = np.array([first, (left_r - b * first) / c])
-    return TiltTold((left_f, left_r), (ff, rr), across @ whitening, white, a * c)
+    return TiltInnovation((left_f, left_r), (ff, rr), across @ whitening, white, a * c)
 
 
-def _noises(
+def _measurement_noise_variances(
     state: WindState,
     airframe: Airframe,
     p: WindEstimatorParams,
-    drag: DragSeen,
+    drag_measurement: DragMeasurement,
     motion: ReportedMotion,
 ) -> tuple[float, float]:
     """Measurement noise variance along each axis: attitude noise, fast gusts, timing error in
     transients, and the drag model's error, correlated over seconds.
     """
     dt_s = max(motion.since_s or 0.1, 0.02)
-    late = (p.latency_std_s / dt_s * motion.turning_mps2) ** 2
-    off = airframe.drag.model_std_frac * drag.size_mps2
+    late = (p.latency_std_s / dt_s * motion.thrust_change_mps2) ** 2
+    off = airframe.drag.model_std_frac * drag_measurement.size_mps2
     steady = (p.tilt_noise_m2ps3 + 2.0 * p.model_memory_s * off**2) / dt_s + late
-    gust = state.fast_gust_m2ps / dt_s
-    (fn, fe), (rn, re) = drag.rows[:, :2].tolist()
+    gust = state.fast_gust_spectral_density_m2ps / dt_s
+    (fn, fe), (rn, re) = drag_measurement.rows[:, :2].tolist()
     return steady + gust * (fn * fn + fe * fe), steady + gust * (rn * rn + re * re)
 
 
-def _bends(state: WindState, drag: DragSeen) -> tuple[float, float]:
+def _linearisation_error_variances(
+    state: WindState, drag_measurement: DragMeasurement
+) -> tuple[float, float]:
     """Variance along each axis that the linearisation omits while wind, gain and cross-flow share
     are uncertain.
 
@@ -379,20 +403,20 @@ def _bends(state: WindState, drag: DragSeen) -> tuple[float, float]:
     wind are taken at their upper bound. On one heading only a sum of wind, gain and trim is
     observable. Without this term the moving linearisation point would seem to separate them.
     """
-    p = state.cov[:, : At.LATELY].tolist()
+    p = state.cov[:, : StateIndex.LAGGED_MEAN].tolist()
     nn = p[0][0] + 2.0 * p[0][2] + p[2][2]
     ne = p[0][1] + p[0][3] + p[2][1] + p[2][3]
     ee = p[1][1] + 2.0 * p[1][3] + p[3][3]
     most = 0.5 * (nn + ee) + math.hypot(0.5 * (nn - ee), ne)
-    told: list[float] = []
-    for axis, wind_row in enumerate(drag.rows[:, :2].tolist()):
-        left = 0.5 * (drag.bends_pm[axis] * most) ** 2
+    result: list[float] = []
+    for axis, wind_row in enumerate(drag_measurement.rows[:, :2].tolist()):
+        left = 0.5 * (drag_measurement.curvature_pm[axis] * most) ** 2
         for at, (n, e) in (
-            (At.LOG_GAIN + axis, wind_row),
-            (At.CROSS_FLOW, drag.cross_rows[axis]),
+            (StateIndex.LOG_GAIN + axis, wind_row),
+            (StateIndex.CROSS_FLOW, drag_measurement.cross_rows[axis]),
         ):
             shared = n * (p[at][0] + p[at][2]) + e * (p[at][1] + p[at][3])
             slope = n * n * nn + 2.0 * n * e * ne + e * e * ee
             left += slope * float(state.cov[at, at]) + shared**2
-        told.append(left)
-    return told[0], told[1]
+        result.append(left)
+    return result[0], result[1]

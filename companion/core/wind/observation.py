@@ -1,4 +1,4 @@
-"""Input and output of the wind estimator: observations and the belief."""
+"""Input and output of the wind estimator: observations and estimates."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,14 +10,14 @@ from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 
 @dataclass(frozen=True, slots=True)
 class WindObservation:
-    """What telemetry says at one instant; None is unknown and never enters the filter.
+    """Telemetry at one instant; unknown values are None and do not enter the filter.
 
     `airspeed_mps` only from a real pitot on the forward axis (or `airspeed_is_magnitude`);
     `airspeed_fr_mps` from a sensor with two axes: the vehicle's horizontal velocity through the
-    air, along heading and right of it; `autopilot_wind_to_ne_mps` only when the autopilot's adapter
-    knows it to be a real estimate, with its variances and covariance (nn, ne, ee) where it says;
-    `height_m` above the ground, for the size of the eddies; `density_kgpm3` of the air, which drag
-    goes with; `attitude_t_s` of the attitude, where it is not `t_s`; `yaw_rate_rps` as reported.
+    air, along heading and right of it; `autopilot_wind_to_ne_mps` only if the autopilot's adapter
+    identifies it as an estimate, with its variances and covariance (nn, ne, ee) if reported;
+    `height_m` above the ground, for the size of the eddies; `density_kgpm3` of the air, which
+    scales the drag; `attitude_t_s` of the attitude, if not `t_s`; `yaw_rate_rps` as reported.
     """
 
     t_s: float
@@ -37,22 +37,28 @@ class WindObservation:
     attitude_t_s: float | None = None
     yaw_rate_rps: float | None = None
 
-    def refuse_nan(self) -> None:
-        """Raise ValueError on NaN, infinity, no mass, no air, or a covariance that is none."""
+    def raise_if_invalid(self) -> None:
+        """Raise ValueError on NaN, infinity, no mass, no air, or an invalid covariance."""
         numbers = [self.t_s, self.mass_kg, self.density_kgpm3, *(self.vel_ned_mps or ())]
         numbers += [*(self.autopilot_wind_to_ne_mps or ()), *(self.airspeed_fr_mps or ())]
         numbers += [*(self.autopilot_wind_cov_m2ps2 or ())]
         optional = (self.roll_rad, self.pitch_rad, self.yaw_rad, self.airspeed_mps, self.height_m)
         numbers += [v for v in optional if v is not None]
         if not all(map(math.isfinite, numbers)) or min(self.mass_kg, self.density_kgpm3) <= 0.0:
-            raise ValueError(f"wind observation with a number that is none: {self}")
+            raise ValueError(
+                f"wind observation: expected finite values, mass and density above 0: {self}"
+            )
         if self.autopilot_wind_cov_m2ps2 is not None:
             nn, ne, ee = self.autopilot_wind_cov_m2ps2
             if nn < 0.0 or ee < 0.0 or ne * ne > nn * ee:
-                raise ValueError(f"wind observation with a covariance that is none: {self}")
+                raise ValueError(
+                    f"wind observation: expected a positive definite covariance: {self}"
+                )
 
-    def levelled(self, forward_rad: float, right_rad: float) -> "WindObservation":
-        """The same with the attitude leaned forward and right by these trims."""
+    def with_attitude_corrected_by_trims(
+        self, forward_rad: float, right_rad: float
+    ) -> "WindObservation":
+        """Return the observation with the attitude corrected by these trims, forward and right."""
         if self.roll_rad is None or self.pitch_rad is None:
             return self
         roll, pitch = self.roll_rad + right_rad, self.pitch_rad - forward_rad
@@ -61,10 +67,10 @@ class WindObservation:
 
 @dataclass(frozen=True, slots=True)
 class WindBelief:
-    """Mean and covariance of the horizontal wind (10 s mean at the vehicle), where it moves to.
+    """Estimate of the horizontal wind (10 s mean at the vehicle), where it moves to.
 
-    `sources` names what entered lately, of "tilt", "pitot", "autopilot". `valid` is False until
-    enough has entered, and again when nothing entered for long.
+    `sources` names the recent measurements, of "tilt", "pitot", "autopilot". `valid` is False until
+    enough measurements have entered, and again after a long time without any.
     """
 
     t_s: float
@@ -74,21 +80,27 @@ class WindBelief:
     valid: bool
 
 
+class HeadingMessage(str):
+    """Message about the reported heading for the operator."""
+
+    __slots__ = ()
+
+
 class WindFilter(Protocol):
-    """A wind estimator: ours (`WindEstimator`), or another that a replay compares it with."""
+    """A wind estimator: `WindEstimator`, or a reference in a replay."""
 
     def update(self, observation: WindObservation) -> tuple[str, ...]:
-        """Take one observation; returns what was left out and why, in words."""
+        """Process one observation; returns a message for each rejected measurement."""
         ...
 
     def belief(self, t_s: float) -> WindBelief:
-        """The wind at `t_s` >= the last update."""
+        """Return the wind at `t_s` >= the last update."""
         ...
 
     def snapshot(self) -> dict[str, object]:
-        """What a checkpoint keeps."""
+        """Return the contents of a checkpoint."""
         ...
 
     def restore(self, snapshot: dict[str, object]) -> None:
-        """Go on from a checkpoint; raises LeewayError when it is not one."""
+        """Restore a checkpoint; raises LeewayError if it is invalid."""
         ...

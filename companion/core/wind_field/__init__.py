@@ -1,1 +1,1 @@
-"""The wind over a site, from what all members feel. Imports wind and base."""
+"""Wind over a site from the reports of all members. Imports wind and base."""

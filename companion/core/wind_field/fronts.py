@@ -1,11 +1,11 @@
-"""Fronts: a wind that changes for good where one member is, and comes to the others.
+"""Front detection: a lasting change of wind at one member that moves on to the others.
 
-A member's newest 10 s mean is held against the mean of the minute before. The process says how much
-the two differ by chance, and the last ten minutes how much gustier it is than that. Where they
-differ by more, all that the members near by told is weighed (`front_odds`): the odds of a front
-decide, and say where it goes and when. Whoever feels it next corrects that: times of arrival are
-linear in the slowness vector s, t = t0 + s . x. Where hardly anybody does and what is told
-speaks against a front, it is withdrawn.
+A member's latest 10 s mean is compared with the mean of the minute before. The wind process gives
+the variance of this difference, and the last ten minutes the ratio of the actual gustiness to it.
+If the difference is larger, the reports of all members nearby are evaluated (`compute_front_odds`):
+the odds decide whether there is a front, its direction and its time. Each member that it reaches
+corrects the estimate: times of arrival are linear in the slowness vector s, t = t0 + s . x. A front
+that few members detect and that later reports contradict is withdrawn.
 """
 
 import math
@@ -19,87 +19,85 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_field.field_process import FieldProcess
-from companion.core.wind_field.front_odds import KEPT_S, FrontOdds, front_odds
-from companion.core.wind_field.tellings import TELLING_S, WindTelling
+from companion.core.wind_field.front_odds import KEPT_S, FrontOdds, compute_front_odds
+from companion.core.wind_field.wind_reports import REPORT_AVERAGING_S, MemberWindReport
 
 BEFORE_S, GAP_S = 60.0, 15.0
-"""The minute before, and the seconds between it and now in which a front may be passing."""
-LEAST_BEFORE_S = 30.0
+"""The minute before, and the gap up to now in which a front may be passing."""
+MIN_BEFORE_S = 30.0
 
 SUSPECT_SQUARE = 5.0
-"""Change over chance, squared, at which the odds are worked out: chance makes it
-once in a dozen."""
-LOOK_S = 2.0
-"""And no sooner after the last time."""
-MOST_STANDING_SHARE = 0.1
-"""More of the ground is not taken into account: it would hide fronts from drones that move."""
+"""Squared ratio of the change to its expectation from which the odds are computed; reached by
+chance once in a dozen."""
+EVALUATION_INTERVAL_S = 2.0
+"""Minimum interval between computations of the odds."""
+MAX_TERRAIN_SHARE = 0.1
+"""Limit of the terrain effect: a larger one would hide fronts from moving drones."""
 LOG_ODDS = 6.5
-"""A front is believed from these odds on (natural logarithm).
+"""Natural logarithm of the odds from which a front is accepted.
 
 Chosen on fields about recorded wind (seeds 200 to 202: 82 fronts, 74 h) for less than one false
 alert in ten hours of eight drones.
 """
-ALONE_LOG_ODDS = 2.5
-"""And where a change that only one member tells of explains what was told no better than so much:
-who stands near it would have felt a front."""
-MOST_ASKED = 10
-"""So many members are asked: who suspects a front, and the nearest. More says little more."""
-HEARD_S = 15.0
-"""Who has told nothing for so long is not asked."""
+SINGLE_MEMBER_LOG_ODDS = 2.5
+"""Allowed excess of the log odds of a change at a single member: its neighbours would have detected
+a front."""
+MAX_MEMBERS = 10
+"""Number of members evaluated, the nearest ones; more add little information."""
+MAX_REPORT_AGE_S = 15.0
+"""Age of a member's latest report above which the member is not evaluated."""
 
-DOUBTED_S, WITHDRAWN_LOG_ODDS = 60.0, 2.0
-"""So long after a front is noticed its odds are worked out again; at fewer it is withdrawn.
+WITHDRAWAL_PERIOD_S, WITHDRAWN_LOG_ODDS = 60.0, 2.0
+"""Period after detection in which the odds are recomputed; log odds that withdraw the front.
 
-On fields about recorded wind (seeds 200 to 202) those of a gust fall so far within this time, those
-of a front rise first. Later they fall, too: the wind behind it becomes the wind of before.
+On fields about recorded wind (seeds 200 to 202) the odds of a gust fall this low within this time,
+whereas those of a front rise first. Later they fall, too, as the earlier wind leaves the memory.
 """
 
-SURE_OTHERS = 2
-"""So many others have felt it: it is not withdrawn any more."""
+CONFIRMING_MEMBERS = 2
+"""Number of other members whose detection makes a front final."""
 
-FELT_SQUARE, FELT_MPS, FELT_COS = 8.0, 3.5, 0.7
-"""Of a member's own change once a front is known: it has come there. Within 45 degrees of it."""
-FELT_STD_S = 10.0
+CONFIRMATION_SQUARE, CONFIRMATION_MPS, CONFIRMATION_COS = 8.0, 3.5, 0.7
+"""Limits of a member's own change that confirm a known front: within 45 degrees of its change."""
+DETECTION_STD_S = 10.0
 
-GUSTS_S, MOST_SQUARE, USUAL_SQUARE = 600.0, 14.0, 2.0
-"""How gusty it is, learned over ten minutes: the mean square, over 2 by the process. Fronts count
-as no more than a gust."""
+GUST_MEMORY_S, MAX_SQUARE, NOMINAL_SQUARE = 600.0, 14.0, 2.0
+"""Gustiness is learned over ten minutes: the mean square, relative to 2 by the process. The limit
+makes a front count as a gust."""
 
-GONE_S = 300.0
-"""After so long a front has left the site, and another one may come."""
+FRONT_LIFETIME_S = 300.0
+"""Time after which a front has left the site, and another one may come."""
 
 
 @dataclass(frozen=True, slots=True)
-class FeltChange:
-    """One member's change of wind: where and when it was noticed, the change, the wind behind.
-
-    Of who feels a front first they are what is believed of it: the change has only begun there.
-    """
+class WindChange:
+    """A member's change of wind: detection time and position, change, wind behind the front. At the
+    first member they are estimates, because the change there has only started."""
 
     member: str
     t_s: float
-    place_ne_m: tuple[float, float]
+    position_ne_m: tuple[float, float]
     change_ne_mps: tuple[float, float]
     wind_ne_mps: tuple[float, float]
     square: float
-    """The change over what the process expects, squared: chi-square of two degrees by chance."""
+    """Squared ratio of the change to its expectation: chi-square of two degrees by chance."""
 
     @property
-    def size_mps(self) -> float:
-        """How much the wind changed."""
+    def magnitude_mps(self) -> float:
+        """Magnitude of the change."""
         return math.hypot(*self.change_ne_mps)
 
 
 @dataclass(frozen=True, slots=True)
-class FrontAhead:
-    """A front that is believed: when it passes a place, and how well that is known.
+class WindFront:
+    """An accepted front: its time of arrival at each position, with the error.
 
     `slowness_spm` (2,) seconds per metre towards north and east, `cov` (3, 3) of (t0, slowness)
     about `origin_ne_m`.
     """
 
-    noticed_s: float
-    felt: tuple[FeltChange, ...]
+    detected_s: float
+    detections: tuple[WindChange, ...]
     origin_ne_m: Floats
     t0_s: float
     slowness_spm: Floats
@@ -107,47 +105,49 @@ class FrontAhead:
 
     @property
     def change_ne_mps(self) -> tuple[float, float]:
-        """The strongest change that anybody felt."""
-        return max(self.felt, key=lambda one: one.size_mps).change_ne_mps
+        """The largest change among the members that detected the front."""
+        return max(self.detections, key=lambda one: one.magnitude_mps).change_ne_mps
 
     @property
     def speed_mps(self) -> float:
-        """How fast it moves."""
+        """Speed of the front over the ground."""
         return 1.0 / max(float(np.hypot(*self.slowness_spm)), 1e-3)
 
     @property
-    def towards_rad(self) -> float:
-        """Where it moves to, clockwise from north."""
+    def direction_rad(self) -> float:
+        """Direction that the front moves to, clockwise from north."""
         return math.atan2(float(self.slowness_spm[1]), float(self.slowness_spm[0]))
 
-    def arrives(self, place_ne_m: tuple[float, float]) -> tuple[float, float]:
-        """When it is noticed at a place, and the standard deviation of that, s."""
-        due_s, std_s = self.arrivals(np.array([place_ne_m]))
+    def arrival_time_and_std_s(self, position_ne_m: tuple[float, float]) -> tuple[float, float]:
+        """Return the detection time at a position and its standard deviation, s."""
+        due_s, std_s = self.arrival_times_and_stds_s(np.array([position_ne_m]))
         return float(due_s[0]), float(std_s[0])
 
-    def arrivals(self, place_ne_m: Floats) -> tuple[Floats, Floats]:
-        """The same at places (n, 2): times and standard deviations (n,)."""
-        off_m = place_ne_m - self.origin_ne_m
+    def arrival_times_and_stds_s(self, position_ne_m: Floats) -> tuple[Floats, Floats]:
+        """Return times and standard deviations (n,) for positions (n, 2)."""
+        off_m = position_ne_m - self.origin_ne_m
         rows = np.column_stack([np.ones(len(off_m)), off_m])
         variance = np.einsum("ij,jk,ik->i", rows, self.cov, rows)
-        return self.t0_s + off_m @ self.slowness_spm, np.sqrt(variance + FELT_STD_S**2)
+        return self.t0_s + off_m @ self.slowness_spm, np.sqrt(variance + DETECTION_STD_S**2)
 
-    def catches(self, place_ne_m: tuple[float, float], first_s: float, last_s: float) -> bool:
-        """Whether it may pass a place within a stretch of time (two standard deviations)."""
-        t_s, std_s = self.arrives(place_ne_m)
-        return first_s - 2.0 * std_s <= t_s <= last_s + 2.0 * std_s
+    def may_pass_within(
+        self, position_ne_m: tuple[float, float], interval_start_s: float, interval_end_s: float
+    ) -> bool:
+        """Return whether it may pass a position in a time interval (two standard deviations)."""
+        t_s, std_s = self.arrival_time_and_std_s(position_ne_m)
+        return interval_start_s - 2.0 * std_s <= t_s <= interval_end_s + 2.0 * std_s
 
-    def better_known(self, felt: FeltChange) -> "FrontAhead":
-        """The same front once one more member has felt it: a linear update of its times."""
-        row = np.array([1.0, *(np.array(felt.place_ne_m) - self.origin_ne_m)])
-        late_s = felt.t_s - self.t0_s - float(row[1:] @ self.slowness_spm)
+    def updated_with(self, detection: WindChange) -> "WindFront":
+        """Return the front after a linear update by one more member's detection."""
+        row = np.array([1.0, *(np.array(detection.position_ne_m) - self.origin_ne_m)])
+        late_s = detection.t_s - self.t0_s - float(row[1:] @ self.slowness_spm)
         with_late = self.cov @ row
-        variance = float(row @ with_late) + FELT_STD_S**2
+        variance = float(row @ with_late) + DETECTION_STD_S**2
         gain = with_late / variance
         cov = self.cov - np.outer(gain, with_late)
         return replace(
             self,
-            felt=(*self.felt, felt),
+            detections=(*self.detections, detection),
             t0_s=self.t0_s + float(gain[0]) * late_s,
             slowness_spm=self.slowness_spm + gain[1:] * late_s,
             cov=0.5 * (cov + cov.T),
@@ -156,183 +156,214 @@ class FrontAhead:
 
 @dataclass(frozen=True, slots=True)
 class FrontWithdrawn:
-    """A front that was believed is none, as is known from `t_s` on."""
+    """The withdrawal of an accepted front at `t_s`."""
 
-    front: FrontAhead
+    front: WindFront
     t_s: float
 
 
-FrontNews = FrontAhead | FrontWithdrawn
+FrontUpdate = WindFront | FrontWithdrawn
 
 
 @dataclass(slots=True)
 class _Member:
-    """What one member told in the last minutes, oldest first, and how gusty it is there."""
+    """One member's reports of the last minutes, oldest first, and the gustiness there."""
 
-    told: deque[WindTelling] = field(default_factory=deque)
-    square: float = USUAL_SQUARE
-    newest: FeltChange | None = None
-    """How much the wind has changed, by the newest of them."""
+    reports: deque[MemberWindReport] = field(default_factory=deque)
+    square: float = NOMINAL_SQUARE
+    latest_change: WindChange | None = None
+    """Change of the wind by the latest report."""
 
-    def learn(self, square: float, dt_s: float) -> None:
-        """Follow how gusty it is here."""
-        share = -math.expm1(-dt_s / GUSTS_S)
-        self.square += share * (min(square, MOST_SQUARE) - self.square)
+    def update_gustiness(self, change_square: float, dt_s: float) -> None:
+        """Update the gustiness at this member."""
+        share = -math.expm1(-dt_s / GUST_MEMORY_S)
+        self.square += share * (min(change_square, MAX_SQUARE) - self.square)
 
-    def change(self, telling: WindTelling) -> tuple[float, float] | None:
-        """Newest wind less the mean of the minute before; None while that is not known."""
-        now_s = telling.t_s
-        while self.told and now_s - self.told[0].t_s > KEPT_S:
-            self.told.popleft()
-        before = [one for one in self.told if GAP_S <= now_s - one.t_s <= BEFORE_S + GAP_S]
-        self.told.append(telling)
-        if len(before) < 2 or before[-1].t_s - before[0].t_s < LEAST_BEFORE_S:
+    def store_report_and_get_wind_change(
+        self, report: MemberWindReport
+    ) -> tuple[float, float] | None:
+        """Return the latest wind less the mean of the minute before; None if unknown."""
+        now_s = report.t_s
+        while self.reports and now_s - self.reports[0].t_s > KEPT_S:
+            self.reports.popleft()
+        before = [one for one in self.reports if GAP_S <= now_s - one.t_s <= BEFORE_S + GAP_S]
+        self.reports.append(report)
+        if len(before) < 2 or before[-1].t_s - before[0].t_s < MIN_BEFORE_S:
             return None
         north, east = (sum(one.mean_to_ne_mps[k] for one in before) / len(before) for k in (0, 1))
-        wind = telling.mean_to_ne_mps
+        wind = report.mean_to_ne_mps
         return wind[0] - north, wind[1] - east
 
 
-class FrontWatch:
-    """Follows what members tell, about once a second; one per desk."""
+class FrontMonitor:
+    """Detects fronts in the members' reports, about once a second; one per desk."""
 
     def __init__(self, process: WindProcessParams) -> None:
         self._process = process
         self._field = FieldProcess(process)
-        self._chance_m2ps2 = chance_m2ps2(process)
+        self._chance_m2ps2 = expected_change_variance_m2ps2(process)
         self._members: dict[str, _Member] = {}
-        self._looked_s = -math.inf
-        self._standing_share = 0.0
-        self.front: FrontAhead | None = None
-        """The front that is passing, while it may be on the site."""
+        self._evaluated_s = -math.inf
+        self._terrain_share = 0.0
+        self.front: WindFront | None = None
+        """The current front, while it may be on the site."""
 
-    def expect_ground(self, standing_share: float) -> None:
-        """What the ground does to the wind, over the mean wind, as is known from now on."""
-        self._standing_share = min(standing_share, MOST_STANDING_SHARE)
+    def set_terrain_share(self, terrain_share: float) -> None:
+        """Set the terrain effect over the mean wind."""
+        self._terrain_share = min(terrain_share, MAX_TERRAIN_SHARE)
 
-    def hear(self, telling: WindTelling) -> FrontNews | None:
-        """Take a telling; returns the front where it is new, better known or withdrawn by it."""
-        if telling.trouble():
+    def add_report_and_update_front(self, report: MemberWindReport) -> FrontUpdate | None:
+        """Process a report. Returns a front that is new, better estimated or withdrawn, or None."""
+        if report.rejection_reason_or_empty():
             return None
-        felt = self._felt(telling)
-        if self.front is not None and telling.t_s - self.front.noticed_s > GONE_S:
+        detection = self._update_member_wind_change(report)
+        if self.front is not None and report.t_s - self.front.detected_s > FRONT_LIFETIME_S:
             self.front = None
-        if self.front is not None and self._is_none(self.front, telling.t_s):
-            withdrawn, self.front = FrontWithdrawn(self.front, telling.t_s), None
+        if self.front is not None and self._recompute_odds_and_check_refutation(
+            self.front, report.t_s
+        ):
+            withdrawn, self.front = FrontWithdrawn(self.front, report.t_s), None
             return withdrawn
-        if felt is None or felt.square < SUSPECT_SQUARE:
+        if detection is None or detection.square < SUSPECT_SQUARE:
             return None
         if self.front is not None:
-            return self._better_known(self.front, felt)
-        if felt.t_s - self._looked_s < LOOK_S - 0.05:
+            return self._correct_front_if_confirmed(self.front, detection)
+        if detection.t_s - self._evaluated_s < EVALUATION_INTERVAL_S - 0.05:
             return None
-        self._looked_s = felt.t_s
-        return self._noticed(felt)
+        self._evaluated_s = detection.t_s
+        return self._detect_and_store_new_front(detection)
 
-    def _felt(self, telling: WindTelling) -> FeltChange | None:
-        """How much the wind has changed where it is; None: not known."""
-        known = self._members.setdefault(telling.member, _Member())
-        before_s = known.told[-1].t_s if known.told else telling.t_s
-        if known.told and telling.t_s <= before_s:
+    def _update_member_wind_change(self, report: MemberWindReport) -> WindChange | None:
+        """Return the change of wind at the member; None if unknown."""
+        known = self._members.setdefault(report.member, _Member())
+        before_s = known.reports[-1].t_s if known.reports else report.t_s
+        if known.reports and report.t_s <= before_s:
             return None
-        change = known.change(telling)
+        change = known.store_report_and_get_wind_change(report)
         if change is None:
             return None
         north, east = change
         scale = self._process.variance_scale(
-            math.hypot(telling.mean_to_ne_mps[0] - north, telling.mean_to_ne_mps[1] - east)
+            math.hypot(report.mean_to_ne_mps[0] - north, report.mean_to_ne_mps[1] - east)
         )
-        told = 0.5 * sum(telling.variance_m2ps2)
-        square = (north**2 + east**2) / (scale * self._chance_m2ps2 + told)
-        known.learn(square, min(telling.t_s - before_s, BEFORE_S))
-        known.newest = FeltChange(
-            telling.member,
-            telling.t_s,
-            telling.place_ne_m,
+        reported = 0.5 * sum(report.conservative_variance_ne_m2ps2)
+        square = (north**2 + east**2) / (scale * self._chance_m2ps2 + reported)
+        known.update_gustiness(square, min(report.t_s - before_s, BEFORE_S))
+        known.latest_change = WindChange(
+            report.member,
+            report.t_s,
+            report.position_ne_m,
             change,
-            telling.mean_to_ne_mps,
-            square / self._gustier,
+            report.mean_to_ne_mps,
+            square / self._gustiness_ratio_to_process,
         )
-        return known.newest
+        return known.latest_change
 
     @property
-    def _gustier(self) -> float:
-        """How much gustier it is than the process says: the ratio of squares, at least 1."""
+    def _gustiness_ratio_to_process(self) -> float:
+        """Ratio of the actual mean square change to the process's, at least 1."""
         squares = [one.square for one in self._members.values()]
-        return max(sum(squares) / len(squares) / USUAL_SQUARE, 1.0)
+        return max(sum(squares) / len(squares) / NOMINAL_SQUARE, 1.0)
 
-    def _noticed(self, felt: FeltChange) -> FrontAhead | None:
-        """Whether there is a front now, by all who are near."""
-        asked = self._near(felt.place_ne_m, felt.t_s)
-        odds = self._odds(asked, felt.place_ne_m, felt.t_s)
+    def _detect_and_store_new_front(self, detection: WindChange) -> WindFront | None:
+        """Return a new front if the members nearby indicate one."""
+        members = self._nearest_reporting_members(detection.position_ne_m, detection.t_s)
+        odds = self._compute_odds_of_members(members, detection.position_ne_m, detection.t_s)
         if odds is None or odds.log_odds < LOG_ODDS:
             return None
-        if odds.log_odds < odds.alone_log_odds - ALONE_LOG_ODDS:
+        if odds.log_odds < odds.single_member_log_odds - SINGLE_MEMBER_LOG_ODDS:
             return None
-        changes = [one.newest for one in asked if one.newest is not None]
-        towards = odds.change_ne_mps
-        first = max(changes, key=lambda one: np.dot(one.change_ne_mps, towards))
-        self.front = _front_of(odds, replace(first, t_s=felt.t_s))
+        changes = [one.latest_change for one in members if one.latest_change is not None]
+        front_change = odds.change_ne_mps
+        first = max(changes, key=lambda one: np.dot(one.change_ne_mps, front_change))
+        self.front = _front_from_odds(odds, replace(first, t_s=detection.t_s))
         return self.front
 
-    def _is_none(self, front: FrontAhead, now_s: float) -> bool:
-        """Whether what was told since a front was noticed speaks against it."""
-        first, *others = front.felt
-        if len(others) >= SURE_OTHERS or now_s - front.noticed_s > DOUBTED_S:
+    def _recompute_odds_and_check_refutation(self, front: WindFront, now_s: float) -> bool:
+        """Return whether the reports since the detection contradict the front."""
+        first, *others = front.detections
+        if len(others) >= CONFIRMING_MEMBERS or now_s - front.detected_s > WITHDRAWAL_PERIOD_S:
             return False
-        if now_s - self._looked_s < LOOK_S - 0.05:
+        if now_s - self._evaluated_s < EVALUATION_INTERVAL_S - 0.05:
             return False
-        self._looked_s = now_s
-        place = first.place_ne_m
-        odds = self._odds(self._near(place, now_s), place, now_s)
+        self._evaluated_s = now_s
+        position = first.position_ne_m
+        odds = self._compute_odds_of_members(
+            self._nearest_reporting_members(position, now_s), position, now_s
+        )
         return odds is not None and odds.log_odds < WITHDRAWN_LOG_ODDS
 
-    def _odds(
-        self, asked: Sequence[_Member], place_ne_m: tuple[float, float], now_s: float
+    def _compute_odds_of_members(
+        self, members: Sequence[_Member], position_ne_m: tuple[float, float], now_s: float
     ) -> FrontOdds | None:
-        told = [tuple(one.told) for one in asked]
-        return front_odds(told, place_ne_m, now_s, self._field, self._gustier, self._standing_share)
+        reported = [tuple(one.reports) for one in members]
+        return compute_front_odds(
+            reported,
+            position_ne_m,
+            now_s,
+            self._field,
+            self._gustiness_ratio_to_process,
+            self._terrain_share,
+        )
 
-    def _near(self, place_ne_m: tuple[float, float], now_s: float) -> list[_Member]:
-        """Who is asked: the nearest of those that have told of late."""
-        heard = (
+    def _nearest_reporting_members(
+        self, position_ne_m: tuple[float, float], now_s: float
+    ) -> list[_Member]:
+        """Return the nearest members with a recent report."""
+        reporting = (
             one
             for one in self._members.values()
-            if one.told and now_s - one.told[-1].t_s <= HEARD_S
+            if one.reports and now_s - one.reports[-1].t_s <= MAX_REPORT_AGE_S
         )
         return nsmallest(
-            MOST_ASKED, heard, key=lambda one: math.dist(one.told[-1].place_ne_m, place_ne_m)
+            MAX_MEMBERS,
+            reporting,
+            key=lambda one: math.dist(one.reports[-1].position_ne_m, position_ne_m),
         )
 
-    def _better_known(self, known: FrontAhead, felt: FeltChange) -> FrontAhead | None:
-        if felt.square < FELT_SQUARE or felt.size_mps < FELT_MPS or not _alike(known.felt[0], felt):
+    def _correct_front_if_confirmed(
+        self, current_front: WindFront, detection: WindChange
+    ) -> WindFront | None:
+        if (
+            detection.square < CONFIRMATION_SQUARE
+            or detection.magnitude_mps < CONFIRMATION_MPS
+            or not _have_similar_directions(current_front.detections[0], detection)
+        ):
             return None
-        if any(one.member == felt.member for one in known.felt):
+        if any(one.member == detection.member for one in current_front.detections):
             return None
-        self.front = known.better_known(felt)
+        self.front = current_front.updated_with(detection)
         return self.front
 
 
-def _front_of(odds: FrontOdds, felt: FeltChange) -> FrontAhead:
-    """The front that is believed, and who feels most of it."""
-    before = np.subtract(felt.wind_ne_mps, felt.change_ne_mps)
+def _front_from_odds(odds: FrontOdds, detection: WindChange) -> WindFront:
+    """Return the accepted front with its strongest detection."""
+    before = np.subtract(detection.wind_ne_mps, detection.change_ne_mps)
     north, east = before + odds.change_ne_mps
-    first = replace(felt, change_ne_mps=odds.change_ne_mps, wind_ne_mps=(float(north), float(east)))
-    return FrontAhead(felt.t_s, (first,), odds.origin_ne_m, odds.t0_s, odds.slowness_spm, odds.cov)
+    first = replace(
+        detection, change_ne_mps=odds.change_ne_mps, wind_ne_mps=(float(north), float(east))
+    )
+    return WindFront(
+        detection.t_s, (first,), odds.origin_ne_m, odds.t0_s, odds.slowness_spm, odds.cov
+    )
 
 
-def _alike(one: FeltChange, other: FeltChange) -> bool:
-    """Whether the winds changed in much the same direction."""
-    (n0, e0), (n1, e1) = one.change_ne_mps, other.change_ne_mps
-    return n0 * n1 + e0 * e1 >= FELT_COS * one.size_mps * other.size_mps
+def _have_similar_directions(first_change: WindChange, second_change: WindChange) -> bool:
+    """Return whether two changes have similar directions."""
+    (n0, e0), (n1, e1) = first_change.change_ne_mps, second_change.change_ne_mps
+    return (
+        n0 * n1 + e0 * e1
+        >= CONFIRMATION_COS * first_change.magnitude_mps * second_change.magnitude_mps
+    )
 
 
-def chance_m2ps2(process: WindProcessParams) -> float:
-    """Variance of a 10 s mean less the mean of the minute before, by the process at its reference
-    wind, per axis.
-    """
-    ages = np.concatenate([[0.0], np.arange(GAP_S, GAP_S + BEFORE_S, TELLING_S)])
+def expected_change_variance_m2ps2(process: WindProcessParams) -> float:
+    """Return the variance of a 10 s mean less the mean of the minute before, by the process at its
+    reference wind, per axis."""
+    ages = np.concatenate([[0.0], np.arange(GAP_S, GAP_S + BEFORE_S, REPORT_AVERAGING_S)])
     weight = np.array([1.0, *np.full(ages.size - 1, -1.0 / (ages.size - 1))])
-    # E[(sum w x)^2] = -1/2 sum w_i w_j E[(x_i - x_j)^2] for weights that sum to nothing
-    moved = process.mean_squared_change_m2ps2(np.abs(np.subtract.outer(ages, ages)), TELLING_S)
+    # E[(sum w x)^2] = -1/2 sum w_i w_j E[(x_i - x_j)^2] for weights that sum to zero
+    moved = process.mean_squared_change_m2ps2(
+        np.abs(np.subtract.outer(ages, ages)), REPORT_AVERAGING_S
+    )
     return float(-0.5 * weight @ moved @ weight)

@@ -1,34 +1,36 @@
-"""The wind over a site as it is believed at one moment.
+"""Estimate of the wind over a site at one moment.
 
 Kriging with the covariance of `field_process` (Rasmussen and Williams 2006, ch. 2). Both axes share
-the covariance of the wind. What is told of them has an error of its own: a part that is new each
-time, and a lasting one, the same in all that a member tells. A member alone gives itself the
-forecast that the wind process gives. Where members see the ground change the wind, that comes on
-top (`standing`).
+the covariance of the wind. Reports have an error of their own: an independent part, and a lasting
+part common to all reports of a member. A single member obtains the forecast of the wind process.
+The terrain effect is added where members observe one (`terrain_effect`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from companion.core.base.arrays import Floats
-from companion.core.wind_field import standing
-from companion.core.wind_field.agreement import LEAST_TELLINGS, NEW_S
+from companion.core.wind_field import terrain_effect
+from companion.core.wind_field.agreement import MIN_REPORTS, RECENT_S
 from companion.core.wind_field.field_process import FieldPoints, FieldProcess
 from companion.core.wind_field.front_term import FrontTerm
-from companion.core.wind_field.tellings import TELLING_S, KeptStretches
+from companion.core.wind_field.linear_algebra import (
+    lower_cholesky_factor,
+    solve_lower_triangular,
+    solve_with_cholesky_factor,
+)
+from companion.core.wind_field.wind_reports import REPORT_AVERAGING_S, SegmentArrays
 
 _MISFIT_PRIOR = 20.0
-"""Weight of the process itself in how gusty it is, as so many values: few say little."""
+"""Weight of the process in the gustiness, as a number of values: few reports have little weight."""
 
 _JITTER_M2PS2 = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class WindPrior:
-    """The wind expected before anybody told any: a forecast's mean at a height, and its error on
-    each axis."""
+    """Wind expected without reports: a forecast's mean at a height, and its error on each axis."""
 
     mean_to_ne_mps: tuple[float, float]
     std_mps: float
@@ -37,8 +39,8 @@ class WindPrior:
 
 @dataclass(frozen=True, slots=True)
 class FieldForecast:
-    """Joint law of the wind at points: means (n, 2), covariances of the north and the east winds
-    (n, n) each; the two are independent."""
+    """Joint distribution of the wind at points: means (n, 2), covariances of the independent north
+    and east winds (n, n) each."""
 
     mean_to_ne_mps: Floats
     north_cov_m2ps2: Floats
@@ -47,272 +49,313 @@ class FieldForecast:
 
 @dataclass(frozen=True, slots=True)
 class AirState:
-    """What is believed of the air as a whole.
+    """State of the air over the whole site.
 
-    `gustier`: the process's variances are so many times as large. `standing_share`: the standard
-    deviation of what the ground does, over the mean wind. `front`: one that passes.
+    `gust_factor`: factor of the process's variances. `terrain_share`: standard deviation of the
+    terrain effect over the mean wind. `front`: one that passes.
     """
 
-    gustier: float = 1.0
-    standing_share: float = 0.0
+    gust_factor: float = 1.0
+    terrain_share: float = 0.0
     front: FrontTerm | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class ToldLaw:
-    """How what was told goes together, whatever the state of the air.
+class ReportCovariance:
+    """Covariance of the reports, independent of the state of the air.
 
-    `at_s` (n, 4) and `left` (n, parts) of the eddies, `stand_at` (n, 3) and `stand_left` (n,) of
-    what stands. Covariances (n, n): `eddies_m2ps2` at the reference wind, `stands` over the
-    variance of what stands, `errors_m2ps2` of what was told on each axis, one where they are alike.
+    `at_s` (n, 4) and `left` (n, parts) of the eddies, `terrain_at` (n, 3) and `terrain_factor` (n,)
+    of the terrain effect. Covariances (n, n): `eddies_m2ps2` at the reference wind, that of the
+    terrain effect over its variance, `errors_m2ps2` of each axis, the same object if equal.
     """
 
     at_s: Floats
     left: Floats
     eddies_m2ps2: Floats
-    stand_at: Floats
-    stand_left: Floats
-    stands: Floats
+    terrain_at: Floats
+    terrain_factor: Floats
+    terrain_cov: Floats
     errors_m2ps2: tuple[Floats, Floats]
 
     @classmethod
-    def of(
+    def from_segments(
         cls,
-        kept: KeptStretches,
+        segments: SegmentArrays,
         process: FieldProcess,
         mean_ne_mps: Floats,
         height_m: float,
         now_s: float,
-    ) -> "ToldLaw":
-        """Of what is kept, in a mean wind that belongs to a height."""
+    ) -> "ReportCovariance":
+        """Compute it for stored reports and a mean wind that refers to a height."""
         middle, first, last = (
-            process.coordinates_s(
+            process.eddy_distance_coordinates_s(
                 FieldPoints(ends[:, 1:3], ends[:, 3], ends[:, 0] - now_s), mean_ne_mps
             )
-            for ends in (kept.middle, kept.first, kept.last)
+            for ends in (segments.middle, segments.first, segments.last)
         )
-        # Its first telling is itself a mean over the seconds before it.
-        left = process.left_by_averaging(np.linalg.norm(last - first, axis=1) + TELLING_S)
-        span_s = kept.last[:, 0] - kept.first[:, 0]
-        way_m = np.linalg.norm((kept.last - kept.first)[:, 1:3], axis=1)
-        way_m *= 1.0 + TELLING_S / np.maximum(span_s, TELLING_S)
-        stand_at = standing.coordinates(kept.middle[:, 1:3], kept.middle[:, 3])
-        stand_left = standing.left_by_averaging(way_m)
+        # The first report is itself a mean over the seconds before it.
+        left = process.averaging_std_factor_by_part(
+            np.linalg.norm(last - first, axis=1) + REPORT_AVERAGING_S
+        )
+        span_s = segments.last[:, 0] - segments.first[:, 0]
+        path_m = np.linalg.norm((segments.last - segments.first)[:, 1:3], axis=1)
+        path_m *= 1.0 + REPORT_AVERAGING_S / np.maximum(span_s, REPORT_AVERAGING_S)
+        terrain_at = terrain_effect.terrain_correlation_coordinates(
+            segments.middle[:, 1:3], segments.middle[:, 3]
+        )
+        terrain_factor = terrain_effect.averaging_std_factor_along_path(path_m)
         speed_mps = float(np.hypot(*mean_ne_mps))
-        grown, doubt = process.shear(kept.middle[:, 3], height_m)
+        shear_ratio, shear_error = process.wind_shear_ratio_and_error(
+            segments.middle[:, 3], height_m
+        )
         noise = process.process.seen_noise_std_mps**2
 
-        def errors(variance: Floats) -> Floats:
-            fresh = np.minimum(variance, noise)
-            lasting = np.sqrt(variance - fresh) / grown
-            cov = np.outer(lasting, lasting)
-            cov *= kept.member[:, None] == kept.member[None, :]
-            own = fresh / kept.count / grown**2 + _JITTER_M2PS2
-            cov[np.diag_indices(variance.size)] += own + (doubt * speed_mps) ** 2
+        def error_covariance(variance: Floats) -> Floats:
+            uncorrelated_variance = np.minimum(variance, noise)
+            correlated_std_mps = np.sqrt(variance - uncorrelated_variance) / shear_ratio
+            cov = np.outer(correlated_std_mps, correlated_std_mps)
+            cov *= segments.member[:, None] == segments.member[None, :]
+            own = uncorrelated_variance / segments.count / shear_ratio**2 + _JITTER_M2PS2
+            cov[np.diag_indices(variance.size)] += own + (shear_error * speed_mps) ** 2
             return cov
 
-        variance = kept.variance_ne_m2ps2
-        north = errors(variance[:, 0])
+        variance = segments.variance_ne_m2ps2
+        north = error_covariance(variance[:, 0])
         round_errors = np.array_equal(variance[:, 0], variance[:, 1])
-        east = north if round_errors else errors(variance[:, 1])
+        east = north if round_errors else error_covariance(variance[:, 1])
         return cls(
             middle,
             left,
-            process.within(middle, left),
-            stand_at,
-            stand_left,
-            standing.between(stand_at, stand_left, stand_at, stand_left),
+            process.covariance_within(middle, left),
+            terrain_at,
+            terrain_factor,
+            terrain_effect.relative_terrain_covariance(
+                terrain_at, terrain_factor, terrain_at, terrain_factor
+            ),
             (north, east),
         )
 
 
-class SettledField:
-    """The belief as it stands after what was kept; `left_out` says who, and why."""
+class FieldEstimate:
+    """The estimated field; `excluded` holds the excluded members with the reason."""
 
     def __init__(
         self,
         process: FieldProcess,
         prior: WindPrior,
-        kept: KeptStretches,
+        segments: SegmentArrays,
         now_s: float,
         air: AirState,
-        same: "SettledField | None" = None,
+        estimate_with_reusable_covariance: "FieldEstimate | None" = None,
     ) -> None:
-        """`same`: another of what is kept, whose law need not be worked out again."""
-        self.left_out: dict[str, str] = {}
+        """`estimate_with_reusable_covariance`: an estimate from the same reports."""
+        self.excluded: dict[str, str] = {}
         self.now_s = now_s
         self.air = air
-        self._process, self._kept = process, kept
-        self._height_m = float(kept.middle[:, 3].mean()) if kept.count.size else prior.height_m
-        grown, doubt = process.shear(np.array([self._height_m]), prior.height_m)
-        self._prior_ne = float(grown[0]) * np.array(prior.mean_to_ne_mps)
-        doubt_mps = float(doubt[0] * np.hypot(*self._prior_ne))
-        self._level_m2ps2 = prior.std_mps**2 + doubt_mps**2
-        self.mean_to_ne_mps = self._mean_wind()
+        self._process, self._segments = process, segments
+        self._height_m = (
+            float(segments.middle[:, 3].mean()) if segments.count.size else prior.height_m
+        )
+        shear_ratio, shear_error = process.wind_shear_ratio_and_error(
+            np.array([self._height_m]), prior.height_m
+        )
+        self._prior_ne = float(shear_ratio[0]) * np.array(prior.mean_to_ne_mps)
+        shear_error_mps = float(shear_error[0] * np.hypot(*self._prior_ne))
+        self._level_m2ps2 = prior.std_mps**2 + shear_error_mps**2
+        self.mean_to_ne_mps = self._eddy_carrying_wind_ne_mps()
         speed = float(np.hypot(*self.mean_to_ne_mps))
-        self._scale = air.gustier * process.process.variance_scale(speed)
-        self._standing_m2ps2 = (air.standing_share * speed) ** 2
-        self._law = same._law if same is not None else self._law_of(kept)
-        ends = kept.middle
-        span_s = kept.last[:, 0] - kept.first[:, 0] + TELLING_S
-        self._told_behind = self._behind(ends[:, 1:3], ends[:, 0], span_s)
-        grown, _ = process.shear(ends[:, 3], self._height_m)
-        self._off = kept.wind_ne_mps / grown[:, None] - self._prior_ne - self._front_ne_mps
-        """What was told less what is expected of it before, (n, 2)."""
-        self._factors = self._factored()
+        self._scale = air.gust_factor * process.process.variance_scale(speed)
+        self._terrain_m2ps2 = (air.terrain_share * speed) ** 2
+        self._report_cov = (
+            estimate_with_reusable_covariance._report_cov
+            if estimate_with_reusable_covariance is not None
+            else self._compute_report_cov(segments)
+        )
+        ends = segments.middle
+        span_s = segments.last[:, 0] - segments.first[:, 0] + REPORT_AVERAGING_S
+        self._report_passed = self._probability_behind_front(ends[:, 1:3], ends[:, 0], span_s)
+        shear_ratio, _ = process.wind_shear_ratio_and_error(ends[:, 3], self._height_m)
+        self._residuals = (
+            segments.wind_ne_mps / shear_ratio[:, None]
+            - self._prior_ne
+            - self._front_mean_in_reports_ne_mps
+        )
+        """Reports less their prior expectation, (n, 2)."""
+        self._factors = self._factorise_report_covariance_by_axis()
 
     @property
-    def members(self) -> tuple[str, ...]:
-        """Who is believed."""
-        return tuple(self._kept.members[k] for k in np.unique(self._kept.member))
+    def accepted_members(self) -> tuple[str, ...]:
+        """Accepted members."""
+        return tuple(self._segments.members[k] for k in np.unique(self._segments.member))
 
-    def leaving_out(self, why: dict[str, str]) -> "SettledField":
-        """The same, saying who was left out."""
-        self.left_out = dict(why)
+    def set_excluded_and_return_self(self, exclusions: dict[str, str]) -> "FieldEstimate":
+        """Store the excluded members and return the field itself."""
+        self.excluded = dict(exclusions)
         return self
 
-    def forecast(
+    def forecast_at_points(
         self,
         points: FieldPoints,
-        averaged_s: float = TELLING_S,
-        way_m: Floats | None = None,
+        averaging_time_s: float = REPORT_AVERAGING_S,
+        path_m: Floats | None = None,
     ) -> FieldForecast:
-        """The wind at points, as means over `averaged_s` about each time.
+        """Return the wind at points, as means over `averaging_time_s` about each time.
 
-        `way_m` (n,): how far each mean reaches over the ground, for who moves meanwhile.
+        `path_m` (n,): path length of each mean over the ground, for a moving vehicle.
         """
-        moved = FieldPoints(points.place_ne_m, points.height_m, points.t_s - self.now_s)
-        asked_s = self._process.coordinates_s(moved, self.mean_to_ne_mps)
-        left = self._process.left_by_averaging(np.full(points.count, averaged_s))
-        level = self._level_m2ps2
-        grown, doubt = self._process.shear(points.height_m, self._height_m)
-        cov = self._scale * self._process.within(asked_s, left) + level
-        with_told = self._scale * self._process.between(
-            asked_s, left, self._law.at_s, self._law.left
+        moved = FieldPoints(points.position_ne_m, points.height_m, points.t_s - self.now_s)
+        point_coordinates_s = self._process.eddy_distance_coordinates_s(moved, self.mean_to_ne_mps)
+        left = self._process.averaging_std_factor_by_part(
+            np.full(points.point_count, averaging_time_s)
         )
-        with_told += level
-        if self._standing_m2ps2 > 0.0:
-            at = standing.coordinates(points.place_ne_m, points.height_m)
-            stand_left = standing.left_by_averaging(
-                np.zeros(points.count) if way_m is None else way_m
+        level = self._level_m2ps2
+        shear_ratio, shear_error = self._process.wind_shear_ratio_and_error(
+            points.height_m, self._height_m
+        )
+        cov = self._scale * self._process.covariance_within(point_coordinates_s, left) + level
+        cross_cov = self._scale * self._process.covariance_between(
+            point_coordinates_s, left, self._report_cov.at_s, self._report_cov.left
+        )
+        cross_cov += level
+        if self._terrain_m2ps2 > 0.0:
+            at = terrain_effect.terrain_correlation_coordinates(
+                points.position_ne_m, points.height_m
             )
-            cov += self._standing_m2ps2 * standing.between(at, stand_left, at, stand_left)
-            with_told += self._standing_m2ps2 * standing.between(
-                at, stand_left, self._law.stand_at, self._law.stand_left
+            terrain_factor = terrain_effect.averaging_std_factor_along_path(
+                np.zeros(points.point_count) if path_m is None else path_m
             )
-        span_s = np.full(points.count, averaged_s)
-        behind = self._behind(points.place_ne_m, points.t_s, span_s)
-        means: list[Floats] = []
+            cov += self._terrain_m2ps2 * terrain_effect.relative_terrain_covariance(
+                at, terrain_factor, at, terrain_factor
+            )
+            cross_cov += self._terrain_m2ps2 * terrain_effect.relative_terrain_covariance(
+                at, terrain_factor, self._report_cov.terrain_at, self._report_cov.terrain_factor
+            )
+        span_s = np.full(points.point_count, averaging_time_s)
+        passed_probability = self._probability_behind_front(
+            points.position_ne_m, points.t_s, span_s
+        )
+        mean_winds: list[Floats] = []
         covs: list[Floats] = []
         for axis, (lower, weighed) in enumerate(self._factors):
-            mean, to_told, own = self._prior_ne[axis], with_told, cov
+            mean, axis_cross_cov, own = self._prior_ne[axis], cross_cov, cov
             if self.air.front is not None:
-                mean = mean + self.air.front.mean_ne_mps(behind)[:, axis]
-                to_told = to_told + self.air.front.cov_m2ps2(behind, self._told_behind, axis)
-                own = own + self.air.front.cov_m2ps2(behind, behind, axis)
-            mean = mean + to_told @ weighed
-            known = solve_triangular(lower, to_told.T, lower=True, check_finite=False)
-            left_over = np.outer(grown, grown) * (own - known.T @ known)
-            means.append(grown * mean)
-            covs.append(left_over + np.diag((doubt * grown * mean) ** 2))
-        return FieldForecast(np.stack(means, axis=1), covs[0], covs[1])
+                mean = mean + self.air.front.mean_wind_increase_ne_mps(passed_probability)[:, axis]
+                axis_cross_cov = axis_cross_cov + self.air.front.covariance_increase_m2ps2(
+                    passed_probability, self._report_passed, axis
+                )
+                own = own + self.air.front.covariance_increase_m2ps2(
+                    passed_probability, passed_probability, axis
+                )
+            mean = mean + axis_cross_cov @ weighed
+            known = solve_lower_triangular(lower, axis_cross_cov.T)
+            left_over = np.outer(shear_ratio, shear_ratio) * (own - known.T @ known)
+            mean_winds.append(shear_ratio * mean)
+            covs.append(left_over + np.diag((shear_error * shear_ratio * mean) ** 2))
+        return FieldForecast(np.stack(mean_winds, axis=1), covs[0], covs[1])
 
-    def misfit(self) -> float:
-        """Mean square of what was told over what is expected of it: 1 where the process holds.
+    def variance_misfit_ratio(self) -> float:
+        """Mean square of the reports over its expectation: 1 where the process holds.
 
         r' K^-1 r over the number of values (Rasmussen and Williams 2006, eq. 5.8: its share in the
         likelihood).
         """
-        count = self._kept.count.size
+        count = self._segments.count.size
         if not count:
             return 1.0
-        return (0.5 * self._square() + _MISFIT_PRIOR) / (count + _MISFIT_PRIOR)
+        return (0.5 * self._covariance_weighted_residual_square() + _MISFIT_PRIOR) / (
+            count + _MISFIT_PRIOR
+        )
 
-    def log_likelihoods(self) -> Floats:
-        """Of each stretch (n,), given what was told before it, but for a constant.
+    def segment_log_likelihoods(self) -> Floats:
+        """Return the log likelihood of each segment (n,) given the earlier ones, up to a constant.
 
         With r = L z, in order of time, it is -z^2 / 2 - log L_ii on each axis (Rasmussen and
         Williams 2006, eq. 5.8 and A.4).
         """
-        total = np.zeros(self._kept.count.size)
+        total = np.zeros(self._segments.count.size)
         for axis, (lower, _) in enumerate(self._factors):
-            white = solve_triangular(lower, self._off[:, axis], lower=True, check_finite=False)
+            white = solve_lower_triangular(lower, self._residuals[:, axis])
             total -= 0.5 * white**2 + np.log(np.diag(lower))
         return total
 
-    def _square(self) -> float:
-        """r' K^-1 r of both axes together."""
-        off = self._off
+    def _covariance_weighted_residual_square(self) -> float:
+        """Return r' K^-1 r of both axes together."""
+        off = self._residuals
         return sum(float(off[:, k] @ weighed) for k, (_, weighed) in enumerate(self._factors))
 
-    def mean_shift_squares(self, groups: Floats) -> Floats:
-        """How unlikely it is that the values of each group (n, groups) are as they should be.
+    def mean_shift_chi_squares(self, group_indicators: Floats) -> Floats:
+        """Return the significance of a mean shift in each group (n, groups) of values.
 
         Chi-square of two degrees each: see `agreement`.
         """
-        total = np.zeros(groups.shape[1])
+        total = np.zeros(group_indicators.shape[1])
         for lower, weighed in self._factors:
-            known = solve_triangular(lower, groups, lower=True, check_finite=False)
+            known = solve_lower_triangular(lower, group_indicators)
             error = np.square(known).sum(axis=0)
-            shift = groups.T @ weighed
+            shift = group_indicators.T @ weighed
             total += np.divide(shift**2, error, out=np.zeros_like(error), where=error > 0.0)
         return total
 
-    def disagreement(self, member: str) -> float | None:
-        """Chi-square of two degrees that what a member tells fits what all the others tell: all
-        that it told, or its newest minute, whichever fits worse. None: one side has told too
-        little to compare.
+    def chi_square_of_member_against_others(self, member: str) -> float | None:
+        """Return chi-square (two degrees) of a member's reports against all others: of all its
+        reports or those of the last minute, whichever is larger. None: too few reports.
 
-        As the process itself says it: a lie makes the air look gustier, and then it would fit.
+        Uses the unscaled process: false reports make the air look gustier and would then fit.
         """
-        kept = self._kept
-        if member not in kept.members:
+        segments = self._segments
+        if member not in segments.members:
             return None
-        own = kept.member == kept.members.index(member)
-        if min(kept.count[own].sum(), kept.count[~own].sum()) < LEAST_TELLINGS:
+        own = segments.member == segments.members.index(member)
+        if min(segments.count[own].sum(), segments.count[~own].sum()) < MIN_REPORTS:
             return None
-        fresh = own & (self.now_s - kept.last[:, 0] <= NEW_S)
-        groups = np.stack([own, fresh] if fresh.any() else [own], axis=1).astype(np.float64)
-        return self.air.gustier * float(self.mean_shift_squares(groups).max())
+        new_part = own & (self.now_s - segments.last[:, 0] <= RECENT_S)
+        groups = np.stack([own, new_part] if new_part.any() else [own], axis=1).astype(np.float64)
+        return self.air.gust_factor * float(self.mean_shift_chi_squares(groups).max())
 
-    def _mean_wind(self) -> Floats:
-        """What carries the eddies: the mean of what was told, or the prior."""
-        if not self._kept.count.size:
+    def _eddy_carrying_wind_ne_mps(self) -> Floats:
+        """Return the wind that carries the eddies: the mean of the reports, or the prior."""
+        if not self._segments.count.size:
             return self._prior_ne
-        return np.average(self._kept.wind_ne_mps, axis=0, weights=self._kept.count)
+        return np.average(self._segments.wind_ne_mps, axis=0, weights=self._segments.count)
 
-    def _law_of(self, kept: KeptStretches) -> ToldLaw:
-        return ToldLaw.of(kept, self._process, self.mean_to_ne_mps, self._height_m, self.now_s)
+    def _compute_report_cov(self, segments: SegmentArrays) -> ReportCovariance:
+        return ReportCovariance.from_segments(
+            segments, self._process, self.mean_to_ne_mps, self._height_m, self.now_s
+        )
 
-    def _factored(self) -> list[tuple[Floats, Floats]]:
-        """For each axis the lower Cholesky factor of what was told, and K^-1 (told - prior)."""
-        law, front = self._law, self.air.front
-        common = self._scale * law.eddies_m2ps2
+    def _factorise_report_covariance_by_axis(self) -> list[tuple[Floats, Floats]]:
+        """Return for each axis the reports' lower Cholesky factor and K^-1 (reports - prior)."""
+        report_cov, front = self._report_cov, self.air.front
+        common = self._scale * report_cov.eddies_m2ps2
         common += self._level_m2ps2
-        if self._standing_m2ps2 > 0.0:
-            common += self._standing_m2ps2 * law.stands
+        if self._terrain_m2ps2 > 0.0:
+            common += self._terrain_m2ps2 * report_cov.terrain_cov
         factors: list[tuple[Floats, Floats]] = []
-        for axis, errors in enumerate(law.errors_m2ps2):
-            if axis == 0 or front is not None or errors is not law.errors_m2ps2[0]:
+        for axis, errors in enumerate(report_cov.errors_m2ps2):
+            if axis == 0 or front is not None or errors is not report_cov.errors_m2ps2[0]:
                 cov = common + errors
                 if front is not None:
-                    cov += front.cov_m2ps2(self._told_behind, self._told_behind, axis)
-                lower = cholesky(cov, lower=True, overwrite_a=True, check_finite=False)
+                    cov += front.covariance_increase_m2ps2(
+                        self._report_passed, self._report_passed, axis
+                    )
+                lower = lower_cholesky_factor(cov)
             else:
                 lower = factors[0][0]
-            weighed = cho_solve((lower, True), self._off[:, axis], check_finite=False)
+            weighed = solve_with_cholesky_factor(lower, self._residuals[:, axis])
             factors.append((lower, weighed))
         return factors
 
-    def _behind(self, place_ne_m: Floats, t_s: Floats, span_s: Floats) -> Floats:
-        """Probability to lie behind the front; nothing where there is none."""
+    def _probability_behind_front(
+        self, position_ne_m: Floats, t_s: Floats, averaging_time_s: Floats
+    ) -> Floats:
+        """Return the probability to lie behind the front; zeros without one."""
         if self.air.front is None:
             return np.zeros(t_s.size)
-        return self.air.front.behind(place_ne_m, t_s, span_s)
+        return self.air.front.probability_behind_front(position_ne_m, t_s, averaging_time_s)
 
     @property
-    def _front_ne_mps(self) -> Floats:
-        """What the front is expected to have in what was told, (n, 2)."""
+    def _front_mean_in_reports_ne_mps(self) -> Floats:
+        """Expected part of the front in the reports, (n, 2)."""
         if self.air.front is None:
-            return np.zeros((self._told_behind.size, 2))
-        return self.air.front.mean_ne_mps(self._told_behind)
+            return np.zeros((self._report_passed.size, 2))
+        return self.air.front.mean_wind_increase_ne_mps(self._report_passed)

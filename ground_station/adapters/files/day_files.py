@@ -1,4 +1,4 @@
-"""The day's files: TOML, CSV and GeoJSON. Everything that is wrong is listed at once."""
+"""Reader of a day's files: TOML, CSV and GeoJSON. All problems are reported at once."""
 
 import csv
 import io
@@ -9,39 +9,47 @@ from typing import Any
 
 import msgspec
 
-from companion.core.base.documents import expect_kind
+from companion.core.base.documents import check_not_other_document_kind
 from companion.core.base.errors import LeewayError
-from companion.core.base.obstacle_document import features_of, obstacles_of
-from companion.core.mission.flight_plan import frame_at
+from companion.core.base.obstacle_document import document_features, parse_obstacles
+from companion.core.mission.flight_plan import depot_frame
 from companion.core.vehicle.airframe import Airframe
+from ground_station.adapters.files.atomic_file import write_file_atomically
 from ground_station.adapters.files.elevation import read_elevation
 from ground_station.adapters.files.forecast_files import (
-    NOTHING_WANTED,
-    ForecastWanted,
-    both_kinds,
-    day_with_forecast,
+    NO_FORECAST_REQUEST,
+    ForecastRequest,
+    day_in_forecast_wind,
+    find_forecast_conflict_or_none,
 )
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
 from ground_station.core.schema.day import Day, DayFilesError, Depot, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_forecast import DayForecast
+from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.order_parsing import check_columns, duplicates, order_of
+from ground_station.core.schema.order_parsing import (
+    find_duplicate_orders,
+    find_header_errors,
+    parse_order_or_problems,
+)
 from ground_station.core.schema.order_states import Service
 from ground_station.core.schema.orders import Order
 from ground_station.core.schema.table_errors import table_errors
 
 
-def read_day(path: Path, wanted: ForecastWanted = NOTHING_WANTED) -> DayData:
-    """Read a day and all its files. Raises DayFilesError with everything that is wrong in them.
+def read_day(path: Path, request: ForecastRequest = NO_FORECAST_REQUEST) -> DayData:
+    """Read a day and all its files. Raises DayFilesError with all problems in them.
 
-    `wanted`: of a forecast in a file; without a time there, its wind now.
+    `request`: forecast file and start time; without a time, the day has the forecast's wind now.
     """
     try:
         table = read_toml(path)
-        expect_kind(table, "day", str(path))
+        check_not_other_document_kind(table, "day", str(path))
     except LeewayError as error:
-        raise DayFilesError([FileProblem(str(path), None, None, _said(error, path))]) from error
+        raise DayFilesError(
+            [FileProblem(str(path), None, None, _message_without_path(error, path))]
+        ) from error
     try:
         day = msgspec.convert(table, Day)
     except (msgspec.ValidationError, LeewayError) as error:
@@ -49,35 +57,37 @@ def read_day(path: Path, wanted: ForecastWanted = NOTHING_WANTED) -> DayData:
         raise DayFilesError([FileProblem(str(path), None, None, one) for one in words]) from error
     problems: list[FileProblem] = []
     rows: list[tuple[str, int, Order]] = []
-    day, forecast = _read_forecast(table, day, path, wanted, problems)
+    day, forecast = _read_day_in_forecast_wind(table, day, path, request, problems)
     elevation = _read_elevation(day, path, problems)
-    if elevation is not None or not day.elevation:  # else heights would be missed wrongly
+    if (
+        elevation is not None or not day.elevation
+    ):  # otherwise each order would report a missing height
         for name in day.orders:
             rows += _read_orders(path.parent / name, day.depot, problems, elevation)
-    problems += duplicates(rows)
+    problems += find_duplicate_orders(rows)
     orders = [order for _, _, order in rows]
-    no_fly = _read_no_fly(path.parent / day.no_fly, day, problems) if day.no_fly else None
+    no_fly = _read_no_fly_document(path.parent / day.no_fly, day, problems) if day.no_fly else None
     airframes = _read_airframes(day, path, problems)
-    problems += _in_grams(rows, airframes)
+    problems += _find_suspected_masses_in_grams(rows, airframes)
     ids = {order.id for order in orders}
-    roads = _read_roads(path.parent / day.roads, ids, problems) if day.roads else None
+    roads = _read_road_travel_times_s(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
         raise DayFilesError(problems)
     return DayData(day, orders, no_fly, airframes, roads, elevation, forecast, path.parent)
 
 
-def _read_forecast(
+def _read_day_in_forecast_wind(
     table: dict[str, Any],
     day: Day,
     path: Path,
-    wanted: ForecastWanted,
+    request: ForecastRequest,
     problems: list[FileProblem],
 ) -> tuple[Day, DayForecast | None]:
-    if words := both_kinds(table):
+    if words := find_forecast_conflict_or_none(table):
         problems.append(FileProblem(str(path), None, None, words))
         return day, None
     try:
-        return day_with_forecast(day, path.parent, wanted)
+        return day_in_forecast_wind(day, path.parent, request)
     except LeewayError as error:
         problems.append(FileProblem(str(path), None, None, f"forecast: {error}"))
         return day, None
@@ -96,10 +106,10 @@ def _read_elevation(day: Day, path: Path, problems: list[FileProblem]) -> SiteEl
 
 
 def read_orders(path: Path, depot: Depot | None) -> list[Order]:
-    """Orders of one CSV or GeoJSON file. Raises DayFilesError with everything that is wrong."""
+    """Read orders of one CSV or GeoJSON file. Raises DayFilesError with all problems."""
     problems: list[FileProblem] = []
     rows = _read_orders(path, depot, problems)
-    problems += duplicates(rows)
+    problems += find_duplicate_orders(rows)
     if problems:
         raise DayFilesError(problems)
     return [order for _, _, order in rows]
@@ -113,28 +123,28 @@ def _read_orders(
 ) -> list[tuple[str, int, Order]]:
     file = str(path)
     try:
-        read = _geojson_rows if path.suffix in (".geojson", ".json") else _csv_rows
+        read = _read_geojson_rows if path.suffix in (".geojson", ".json") else _read_csv_rows
         table = read(path, problems)
     except LeewayError as error:
-        problems.append(FileProblem(file, None, None, _said(error, path)))
+        problems.append(FileProblem(file, None, None, _message_without_path(error, path)))
         return []
     found: list[tuple[str, int, Order]] = []
     for row, cells in table:
-        made = order_of(file, row, cells, depot, elevation)
-        if isinstance(made, Order):
-            found.append((file, row, made))
+        parsed = parse_order_or_problems(file, row, cells, depot, elevation)
+        if isinstance(parsed, Order):
+            found.append((file, row, parsed))
         else:
-            problems += made
+            problems += parsed
     return found
 
 
-def _csv_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
-    """Rows, with the line where each starts; none where the header is wrong."""
-    reader = csv.reader(io.StringIO(_text(path)), strict=True)
+def _read_csv_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
+    """Return rows, each with its first line number; none if the header is wrong."""
+    reader = csv.reader(io.StringIO(_read_text(path)), strict=True)
     found: list[tuple[int, dict[str, str]]] = []
     try:
         header = [name.strip() for name in next(reader, [])]
-        wrong = check_columns(str(path), header)
+        wrong = find_header_errors(str(path), header)
         problems += wrong
         if wrong:
             return []
@@ -153,8 +163,8 @@ def _csv_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[s
     return found
 
 
-def _geojson_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
-    """Points of a FeatureCollection; row n is its n-th feature."""
+def _read_geojson_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
+    """Return the points of a FeatureCollection; row n is its n-th feature."""
     document = read_json(path)
     features = document.get("features")
     if document.get("type") != "FeatureCollection" or not isinstance(features, list):
@@ -170,13 +180,13 @@ def _geojson_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, di
             words = "expected a Point [lon, lat] with properties"
             problems.append(FileProblem(str(path), row, "geometry", words))
             continue
-        cells = {name: _cell(value) for name, value in properties.items()}
-        cells |= {"lat_deg": _cell(lat), "lon_deg": _cell(lon)}
+        cells = {name: _cell_text(value) for name, value in properties.items()}
+        cells |= {"lat_deg": _cell_text(lat), "lon_deg": _cell_text(lon)}
         if up:
-            cells["alt_amsl_m"] = _cell(up[0])
+            cells["alt_amsl_m"] = _cell_text(up[0])
         wrong = [
-            FileProblem(str(path), row, problem.column, problem.words)
-            for problem in check_columns(str(path), list(cells))
+            FileProblem(str(path), row, problem.column, problem.text)
+            for problem in find_header_errors(str(path), list(cells))
         ]
         problems += wrong
         if not wrong:
@@ -184,27 +194,27 @@ def _geojson_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, di
     return found
 
 
-def _cell(value: Any) -> str:
+def _cell_text(value: Any) -> str:
     return "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
-def _read_no_fly(path: Path, day: Day, problems: list[FileProblem]) -> dict[str, Any] | None:
+def _read_no_fly_document(
+    path: Path, day: Day, problems: list[FileProblem]
+) -> dict[str, Any] | None:
     try:
         document = read_json(path)
     except LeewayError as error:
-        problems.append(FileProblem(str(path), None, None, _said(error, path)))
+        problems.append(FileProblem(str(path), None, None, _message_without_path(error, path)))
         return None
-    features = features_of(document)
+    features = document_features(document)
     if features is None:
         words = "expected a GeoJSON FeatureCollection with features, or zones of ED-269 or ED-318"
         problems.append(FileProblem(str(path), None, None, words))
         return None
-    frame = frame_at(day.depot.place)
-    for row, feature in enumerate(
-        features, start=1
-    ):  # one at a time, so that every mistake is named
+    frame = depot_frame(day.depot.location)
+    for row, feature in enumerate(features, start=1):  # one at a time, to report every problem
         try:
-            obstacles_of(frame, {"type": document.get("type"), "features": [feature]})
+            parse_obstacles(frame, {"type": document.get("type"), "features": [feature]})
         except LeewayError as error:
             words = str(error).replace("obstacles.features[0]: ", "")
             words = words.replace("features[0].", "")
@@ -216,41 +226,44 @@ def _read_airframes(day: Day, path: Path, problems: list[FileProblem]) -> dict[s
     found: dict[str, Airframe] = {}
     for name in sorted({drone.airframe for drone in day.drones}):
         try:
-            found[name] = read_airframe(name)
+            found[name] = read_airframe(name, path.parent)
         except LeewayError as error:
             problems.append(FileProblem(str(path), None, "drones.airframe", str(error)))
     return found
 
 
-def _in_grams(
+def _find_suspected_masses_in_grams(
     rows: list[tuple[str, int, Order]], airframes: dict[str, Airframe]
 ) -> list[FileProblem]:
-    """Find orders by drone that no drone of the fleet can carry unless their mass is in grams."""
+    """Return problems of drone orders that are too heavy unless their mass is in grams."""
     most_kg = max((one.mass.max_payload_kg for one in airframes.values()), default=math.inf)
     return [
         FileProblem(
-            file, row, "mass_kg", f"{order.mass_kg:g} kg: a drone carries {most_kg:g} kg: grams?"
+            file,
+            row,
+            "mass_kg",
+            f"{order.mass_kg:g} kg, expected at most {most_kg:g} kg: is it in grams?",
         )
         for file, row, order in rows
         if order.service is Service.DRONE and 10.0 * most_kg < order.mass_kg <= 1000.0 * most_kg
     ]
 
 
-def _read_roads(
-    path: Path, ids: set[str], problems: list[FileProblem]
+def _read_road_travel_times_s(
+    path: Path, order_ids: set[str], problems: list[FileProblem]
 ) -> dict[tuple[str, str], float] | None:
-    """A square table of seconds: its first row and first column name `depot` and the orders."""
+    """Read a square table of seconds: first row and column name `depot` and the orders."""
     file = str(path)
     try:
-        table = list(csv.reader(io.StringIO(_text(path)), strict=True))
+        table = list(csv.reader(io.StringIO(_read_text(path)), strict=True))
     except (LeewayError, csv.Error) as error:
-        problems.append(FileProblem(file, None, None, _said(error, path)))
+        problems.append(FileProblem(file, None, None, _message_without_path(error, path)))
         return None
     names = [name.strip() for name in table[0][1:]] if table else []
     before = len(problems)
     for twice in sorted({name for name in names if names.count(name) > 1}):
         problems.append(FileProblem(file, 1, twice, "column more than once"))
-    for missing in sorted({DEPOT, *ids} - set(names)):
+    for missing in sorted({DEPOT, *order_ids} - set(names)):
         problems.append(FileProblem(file, 1, missing, "column missing"))
     roads: dict[tuple[str, str], float] = {}
     seen: set[str] = set()
@@ -264,18 +277,18 @@ def _read_roads(
             problems.append(FileProblem(file, row, None, words))
             continue
         for name, text in zip(names, cells[1:], strict=True):
-            seconds = _seconds(text)
+            seconds = _parse_nonnegative_seconds(text)
             if seconds is None:
                 words = f"{text!r}: expected seconds, 0 or more"
                 problems.append(FileProblem(file, row, name, words))
             else:
                 roads[start, name] = seconds
-    for missing in sorted({DEPOT, *ids} - seen):
+    for missing in sorted({DEPOT, *order_ids} - seen):
         problems.append(FileProblem(file, None, None, f"row {missing} missing"))
     return roads if len(problems) == before else None
 
 
-def _seconds(text: str) -> float | None:
+def _parse_nonnegative_seconds(text: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
@@ -283,7 +296,7 @@ def _seconds(text: str) -> float | None:
     return value if math.isfinite(value) and value >= 0.0 else None
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -292,5 +305,20 @@ def _text(path: Path) -> str:
         raise LeewayError(f"{path}: not UTF-8 at byte {error.start}") from error
 
 
-def _said(error: Exception, path: Path) -> str:
+def _message_without_path(error: Exception, path: Path) -> str:
     return str(error).removeprefix(f"{path}: ")
+
+
+def write_day_plan(path: Path, plan: DayPlan) -> None:
+    """Write a plan atomically; it replaces an older one."""
+    write_file_atomically(path, msgspec.json.format(msgspec.json.encode(plan)) + b"\n")
+
+
+def read_day_plan(path: Path) -> DayPlan:
+    """Read a plan. Raises LeewayError with the file and the problem."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=DayPlan)
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    except (msgspec.DecodeError, LeewayError) as error:
+        raise LeewayError(f"{path}: {error}") from error

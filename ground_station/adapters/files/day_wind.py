@@ -1,4 +1,4 @@
-"""The wind over the site of a day, with the wind process that the day names."""
+"""Wind over the site of a day, with the wind process that the day specifies."""
 
 from collections.abc import Callable
 
@@ -8,38 +8,42 @@ from ground_station.adapters.files.params import read_wind_process
 from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_stations import StationBook
+from ground_station.core.site_wind.wind_stations import StationRegistry
 
 DEFAULT_PROCESS = "coast"
-"""Where no day says how wind changes at the site: as a flight file's own default."""
+"""Wind process if no day specifies one: the default of a flight file."""
 
 
-def site_wind_of(data: DayData | None, say: Callable[[str], None] = lambda words: None) -> SiteWind:
-    """With the day's forecast before anybody tells; None: nothing of the site is known.
+def create_site_wind(
+    data: DayData | None, log_message: Callable[[str], None] = lambda words: None
+) -> SiteWind:
+    """Return the site wind, initially the day's forecast; without a day, the site is unknown.
 
-    Where the day's wind process is not on this machine (it may be a file of the vehicles'), the
-    default's is taken, and that is said.
+    If the day's wind process is not on this machine (it may be a file of the vehicles), the default
+    process is used and logged.
     """
     if data is None:
         return SiteWind(read_wind_process(DEFAULT_PROCESS))
     depot, mission = data.day.depot, data.day.mission
-    process = _process_of(mission.wind_process, say)
-    place_deg = depot.lat_deg, depot.lon_deg
+    process = _read_wind_process_or_default(mission.wind_process, log_message)
+    site_deg = depot.lat_deg, depot.lon_deg
     watches = data.day.watch_fronts
     if not watches:
-        say("fronts are not looked for: the day says watch_fronts = false")
+        log_message("front detection is off: the day states watch_fronts = false")
     return SiteWind(
-        process, place_deg, data.day.forecast, mission.cruise_height_m, watches_fronts=watches
+        process, site_deg, data.day.forecast, mission.cruise_height_m, watches_fronts=watches
     )
 
 
-def station_book_of(wind: SiteWind, data: DayData | None) -> StationBook:
-    """The stations that the day names; where no day is known, all that say where they stand."""
-    return StationBook(wind) if data is None else StationBook.of_day(wind, data.day.stations)
+def create_station_registry(wind: SiteWind, data: DayData | None) -> StationRegistry:
+    """Return the wind stations of the day; without a day, accept all that report a position."""
+    return (
+        StationRegistry(wind) if data is None else StationRegistry.from_day(wind, data.day.stations)
+    )
 
 
 def station_files(data: DayData) -> list[StationFile]:
-    """Of the wind stations that have one; they lie beside the day."""
+    """Return the files of wind stations that have one, relative to the day's folder."""
     return [
         StationFile(station.id, data.folder / station.file)
         for station in data.day.stations
@@ -47,9 +51,11 @@ def station_files(data: DayData) -> list[StationFile]:
     ]
 
 
-def _process_of(name: str, say: Callable[[str], None]) -> WindProcessParams:
+def _read_wind_process_or_default(
+    name: str, log_message: Callable[[str], None]
+) -> WindProcessParams:
     try:
         return read_wind_process(name)
     except LeewayError as error:
-        say(f"the field of the wind goes by {DEFAULT_PROCESS}: {error}")
+        log_message(f"wind field uses process {DEFAULT_PROCESS}: {error}")
         return read_wind_process(DEFAULT_PROCESS)

@@ -1,7 +1,7 @@
-"""Elevation tiles: GeoTIFF as Copernicus (GLO-30) and others publish it, SRTM's HGT.
+"""Elevation tiles: GeoTIFF as published by Copernicus (GLO-30) and others, and SRTM's HGT.
 
-Read with rasterio, which only the extra `terrain` brings. A tile is WGS 84 degrees (EPSG:4326);
-heights are metres above a geoid, which the CRS names or else the model's own papers do.
+Read with rasterio, which only the extra `terrain` installs. A tile is in WGS 84 degrees
+(EPSG:4326); heights are metres above a geoid, given by the CRS or by the model's documentation.
 """
 
 import contextlib
@@ -18,33 +18,33 @@ from companion.core.base.errors import LeewayError
 from ground_station.core.schema.elevation import SiteElevation
 
 RADIUS_M = 15_000.0
-"""About a depot: farther than any sortie; 8 MB of heights."""
+"""Radius around a depot: farther than any sortie; 8 MB of heights."""
 
-METRES_PER_DEGREE = 111_320.0
+M_PER_DEG = 111_320.0
 GEOIDS = ("EGM2008", "EGM96")
 
 
 def read_elevation(
     paths: Sequence[Path], lat_deg: float, lon_deg: float, radius_m: float = RADIUS_M
 ) -> SiteElevation:
-    """The ground about a place, from the tiles that have any of it.
+    """Read the terrain around a position from the tiles that cover any part of it.
 
-    Pixels without data, and what no tile has, are unknown. LeewayError, in one line: no rasterio, a
-    file that is no raster or is torn, no CRS or another one, and a place outside all tiles.
+    Pixels without data or outside all tiles are unknown. Raises LeewayError: no rasterio, not a
+    raster, damaged, no CRS or a wrong one, or a position outside all tiles.
     """
-    rasterio = _rasterio()
+    rasterio = _import_rasterio()
     with contextlib.ExitStack() as stack:
         stack.enter_context(warnings.catch_warnings())
-        warnings.simplefilter("ignore")  # a file without a CRS is told below, in our words
-        tiles = [(path, stack.enter_context(_opened(rasterio, path))) for path in paths]
+        warnings.simplefilter("ignore")  # `_require_north_up_geographic_tile` reports a missing CRS
+        tiles = [(path, stack.enter_context(_open_tile(rasterio, path))) for path in paths]
         for path, tile in tiles:
-            _check(path, tile)
-        home = _tile_of(tiles, lat_deg, lon_deg)
-        window = _bounds(home, lat_deg, lon_deg, radius_m)
-        return _merged(rasterio, tiles, window, _datum(tiles))
+            _require_north_up_geographic_tile(path, tile)
+        home = _find_tile_covering(tiles, lat_deg, lon_deg)
+        window = _pixel_aligned_bounds_deg(home, lat_deg, lon_deg, radius_m)
+        return _merge_tiles_within_bounds(rasterio, tiles, window, _vertical_datum_text(tiles))
 
 
-def _rasterio() -> Any:
+def _import_rasterio() -> Any:
     try:
         import rasterio
         import rasterio.errors
@@ -56,16 +56,20 @@ def _rasterio() -> Any:
     return rasterio
 
 
-def _opened(rasterio: Any, path: Path) -> Any:
+def _open_tile(rasterio: Any, path: Path) -> Any:
     try:
         return rasterio.open(path)
     except rasterio.errors.RasterioError as error:
-        what = "no such file" if not path.exists() else f"not a raster ({_one_line(error)})"
-        raise LeewayError(f"{path}: {what}") from error
+        problem = (
+            "no such file"
+            if not path.exists()
+            else f"not a raster ({_error_text_in_one_line(error)})"
+        )
+        raise LeewayError(f"{path}: {problem}") from error
 
 
-def _check(path: Path, tile: Any) -> None:
-    """It lies where it says, in degrees, north up."""
+def _require_north_up_geographic_tile(path: Path, tile: Any) -> None:
+    """Raise LeewayError unless the tile is georeferenced, in degrees and north up."""
     if tile.crs is None:
         raise LeewayError(f"{path}: no CRS, expected EPSG:4326 (degrees, WGS 84)")
     flat = tile.transform.b == 0.0 and tile.transform.d == 0.0 and tile.transform.e < 0.0
@@ -78,26 +82,26 @@ def _check(path: Path, tile: Any) -> None:
         raise LeewayError(f"{path}: {tile.count} bands, expected 1, of heights")
 
 
-def _tile_of(tiles: list[tuple[Path, Any]], lat_deg: float, lon_deg: float) -> Any:
+def _find_tile_covering(tiles: list[tuple[Path, Any]], lat_deg: float, lon_deg: float) -> Any:
     for _, tile in tiles:
         box = tile.bounds
         if box.left <= lon_deg <= box.right and box.bottom <= lat_deg <= box.top:
             return tile
     names = ", ".join(path.name for path, _ in tiles) or "none"
     raise LeewayError(
-        f"elevation: {lat_deg:.5f}, {lon_deg:.5f} is outside all tiles ({names}); of open sea"
-        " Copernicus publishes none"
+        f"elevation: {lat_deg:.5f}, {lon_deg:.5f} is outside all tiles ({names});"
+        " Copernicus has no tiles of open sea"
     )
 
 
-def _bounds(
-    home: Any, lat_deg: float, lon_deg: float, radius_m: float
+def _pixel_aligned_bounds_deg(
+    reference_tile: Any, lat_deg: float, lon_deg: float, radius_m: float
 ) -> tuple[float, float, float, float]:
-    """West, south, east, north about a place, on the lattice of its tile: nothing is shifted."""
-    north_deg = radius_m / METRES_PER_DEGREE
+    """Return west, south, east, north around a position, aligned to its tile's pixels."""
+    north_deg = radius_m / M_PER_DEG
     east_deg = north_deg / math.cos(math.radians(lat_deg))
-    lon_step, lat_step = home.transform.a, -home.transform.e
-    left, top = home.bounds.left, home.bounds.top
+    lon_step, lat_step = reference_tile.transform.a, -reference_tile.transform.e
+    left, top = reference_tile.bounds.left, reference_tile.bounds.top
     return (
         left + lon_step * math.floor((lon_deg - east_deg - left) / lon_step),
         top - lat_step * math.ceil((top - lat_deg + north_deg) / lat_step),
@@ -106,13 +110,13 @@ def _bounds(
     )
 
 
-def _merged(
+def _merge_tiles_within_bounds(
     rasterio: Any,
     tiles: list[tuple[Path, Any]],
-    window: tuple[float, float, float, float],
+    bounds_deg: tuple[float, float, float, float],
     datum: str,
 ) -> SiteElevation:
-    west, south, east, north = window
+    west, south, east, north = bounds_deg
     box = [
         (path, tile)
         for path, tile in tiles
@@ -123,11 +127,13 @@ def _merged(
     ]
     try:
         heights, transform = rasterio.merge.merge(
-            [tile for _, tile in box], bounds=window, nodata=math.nan, dtype="float64"
+            [tile for _, tile in box], bounds=bounds_deg, nodata=math.nan, dtype="float64"
         )
     except rasterio.errors.RasterioError as error:
         names = ", ".join(str(path) for path, _ in box)
-        raise LeewayError(f"{names}: torn or unreadable ({_one_line(error)})") from error
+        raise LeewayError(
+            f"{names}: damaged or unreadable ({_error_text_in_one_line(error)})"
+        ) from error
     amsl_m: Floats = np.asarray(heights[0], np.float64)[::-1]  # southern row first
     rows, columns = amsl_m.shape
     lat_deg = transform.f + transform.e * (np.arange(rows)[::-1] + 0.5)
@@ -135,27 +141,27 @@ def _merged(
     return SiteElevation(lat_deg, lon_deg, amsl_m, datum)
 
 
-def _datum(tiles: list[tuple[Path, Any]]) -> str:
-    """What heights are above, and how that is known.
+def _vertical_datum_text(tiles: list[tuple[Path, Any]]) -> str:
+    """Return the vertical datum of the tiles, and its source.
 
-    The geoids differ by less than a metre nearly everywhere; a depot's height by another one would
-    shift all alike, and the vehicle's check of its places' ground tells.
+    The geoids differ by less than a metre nearly everywhere. A depot height above another geoid
+    shifts all heights equally, which the vehicle's check of terrain heights detects.
     """
-    said = {_geoid(path, tile) for path, tile in tiles}
-    return "; ".join(sorted(said))
+    datums = {_geoid_text(path, tile) for path, tile in tiles}
+    return "; ".join(sorted(datums))
 
 
-def _geoid(path: Path, tile: Any) -> str:
+def _geoid_text(path: Path, tile: Any) -> str:
     words = tile.crs.to_wkt().upper().replace(" ", "")
     for name in GEOIDS:
         if name in words:
             return f"{name}, by the tile's CRS"
     if path.name.startswith("Copernicus_DSM"):
-        return "EGM2008, as Copernicus GLO-30 states; the tile does not"
+        return "EGM2008, documented by Copernicus GLO-30, not in the tile"
     if path.suffix.lower() == ".hgt":
-        return "EGM96, as SRTM states; the tile does not"
-    return "EGM96 or EGM2008 assumed: the tile does not say"
+        return "EGM96, documented by SRTM, not in the tile"
+    return "EGM96 or EGM2008 assumed: not in the tile"
 
 
-def _one_line(error: Exception) -> str:
+def _error_text_in_one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160]

@@ -1,4 +1,4 @@
-"""Reads what the map shows of a flight's decision record (MCAP of JSON rows), damaged or not."""
+"""Reads the parts of a flight's decision record (MCAP of JSON rows) that the map shows."""
 
 import struct
 from bisect import bisect_right
@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
 
-from ground_station.core.fleet.route_aboard import RouteAboard
+from ground_station.core.fleet.uploaded_route import MissionRoute
 
 TOPICS = {
     "decision": (),
@@ -25,22 +25,24 @@ TOPICS = {
     "heard_position": ("lat_deg", "lon_deg"),
     "foxglove_route": (),
 }
-"""What is kept, and the numbers that a row of it must have; no map shows the rest."""
+"""Topics to keep, and the numbers that each row must contain; the map shows no other topic."""
 
-UNDECODABLE = (McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError, KeyError)
-"""What damaged bytes raise in `mcap` and under it."""
+DECODE_ERRORS = (
+    McapError,
+    struct.error,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    OverflowError,
+    KeyError,
+)
+"""Exceptions that `mcap` and its dependencies raise for damaged bytes."""
 
-FORMER = {"n": "to_n_mps", "e": "to_e_mps"}
-"""Keys of the wind in records of before, and what they are called since."""
+ROUTE_TOPIC = "foxglove_route"
+"""Rows of this topic contain the route and only the log time of their message."""
 
-WALL_CLOCK_S = 1e9
-"""A stamp of more is a wall clock's (2001 and later); an autopilot's counts from its start."""
-
-ROUTE = "foxglove_route"
-"""Its rows have the route itself, and their stamp's time: the file has no other for them."""
-
-METADATA, UTC_AT_ZERO = "leeway", "utc_at_t_s_0_ns"
-"""Where a record says what its autopilot's zero was by the wall clock."""
+METADATA_NAME, UTC_AT_ZERO_KEY = "leeway", "utc_at_t_s_0_ns"
+"""Metadata record with the wall clock time at the autopilot's time zero."""
 
 Row = dict[str, Any]
 
@@ -61,123 +63,124 @@ class _Feature(msgspec.Struct):
 
 
 class _Mission(msgspec.Struct):
-    """A mission as GeoJSON (RFC 7946), as far as it is shown."""
+    """The displayed part of a mission as GeoJSON (RFC 7946)."""
 
     features: list[_Feature]
 
 
 @dataclass(slots=True)
 class FlightRecord:
-    """One flight's rows by topic, each in the order of its times. `damage`: where they end early.
+    """Rows of one flight by topic, in order of time. `read_error`: why they end early, None if
+    intact.
 
-    `wall_offset_s`: what the file itself adds to the autopilot's time for the wall clock's; None:
-    it does not say.
+    `wall_offset_s`: offset of the wall clock from the autopilot's time; None if the file does not
+    state it.
     """
 
     path: Path
     rows: dict[str, list[Row]] = field(default_factory=lambda: {topic: [] for topic in TOPICS})
-    damage: str | None = None
+    read_error: str | None = None
     wall_offset_s: float | None = None
 
     @property
-    def span_s(self) -> tuple[float, float] | None:
-        """First and last time, by the autopilot's clock; None: it is empty."""
+    def first_and_last_time_s(self) -> tuple[float, float] | None:
+        """First and last time, by the autopilot's clock; None for an empty record."""
         times = [
             t for rows in self.rows.values() if rows for t in (rows[0]["t_s"], rows[-1]["t_s"])
         ]
         return (min(times), max(times)) if times else None
 
-    def at(self, topic: str, t_s: float) -> Row | None:
-        """The newest row of a topic at a time."""
+    def latest_row_at(self, topic: str, t_s: float) -> Row | None:
+        """Return the latest row of a topic at a time."""
         rows = self.rows[topic]
-        found = bisect_right(rows, t_s, key=_time)
+        found = bisect_right(rows, t_s, key=_row_time_s)
         return rows[found - 1] if found else None
 
-    def until(self, topic: str, t_s: float) -> list[Row]:
-        """The rows of a topic up to a time."""
+    def rows_up_to(self, topic: str, t_s: float) -> list[Row]:
+        """Return the rows of a topic up to a time."""
         rows = self.rows[topic]
-        return rows[: bisect_right(rows, t_s, key=_time)]
+        return rows[: bisect_right(rows, t_s, key=_row_time_s)]
 
 
 def read_flight_record(path: Path) -> FlightRecord:
-    """What can be read of a record. A file that is missing or damaged says so in `damage`."""
+    """Read as much of a record as possible. `read_error` reports a missing or damaged file."""
     record = FlightRecord(path)
-    routes: list[tuple[float, RouteAboard]] = []
+    routes: list[tuple[float, MissionRoute]] = []
     try:
-        for found in _contents(path):
-            _take(record, routes, found)
+        for found in _iterate_decoded_messages(path):
+            _add_message_or_wall_offset(record, routes, found)
     except OSError as error:
-        record.damage = error.strerror or str(error)
-    except UNDECODABLE as error:
-        record.damage = f"cut off or damaged ({type(error).__name__})"
+        record.read_error = error.strerror or str(error)
+    except DECODE_ERRORS as error:
+        record.read_error = f"truncated or damaged ({type(error).__name__})"
     offset_s = record.wall_offset_s or 0.0
-    record.rows[ROUTE] = [{"t_s": stamp_s - offset_s, "route": route} for stamp_s, route in routes]
+    record.rows[ROUTE_TOPIC] = [
+        {"t_s": stamp_s - offset_s, "route": route} for stamp_s, route in routes
+    ]
     for rows in record.rows.values():
-        rows.sort(key=_time)
+        rows.sort(key=_row_time_s)
     return record
 
 
-def _take(
+def _add_message_or_wall_offset(
     record: FlightRecord,
-    routes: list[tuple[float, RouteAboard]],
-    found: tuple[str, float, Row],
+    routes: list[tuple[float, MissionRoute]],
+    message: tuple[str, float, Row],
 ) -> None:
-    """Take one message, or the wall clock's offset."""
-    topic, stamp_s, row = found
-    if topic == METADATA:
+    """Add one message, or the wall clock offset, to the record."""
+    topic, stamp_s, row = message
+    if topic == METADATA_NAME:
         record.wall_offset_s = stamp_s
         return
-    if topic == ROUTE:
-        routes.append((stamp_s, _route(row)))
+    if topic == ROUTE_TOPIC:
+        routes.append((stamp_s, _decode_route(row)))
         return
     needed = ("t_s", *TOPICS[topic])
     if not all(isinstance(row.get(name), int | float) for name in needed):
-        record.damage = record.damage or f"a row of {topic} without {', '.join(needed)}"
+        record.read_error = record.read_error or f"a row of {topic} without {', '.join(needed)}"
         return
     record.rows[topic].append(row)
-    if record.wall_offset_s is None and stamp_s > WALL_CLOCK_S:
-        record.wall_offset_s = stamp_s - row["t_s"]
 
 
-def _route(row: Row) -> RouteAboard:
-    """Raises what `UNDECODABLE` has, where it is no mission."""
+def _decode_route(row: Row) -> MissionRoute:
+    """Decode a route. Raises an exception of `DECODE_ERRORS` if it is not a mission."""
     mission = msgspec.json.decode(row["geojson"], type=_Mission)
     lines: dict[str, tuple[tuple[float, float], ...]] = {}
-    places: dict[str, tuple[float, float]] = {}
+    landing_positions: dict[str, tuple[float, float]] = {}
     for feature in mission.features:
         about, geometry = feature.properties, feature.geometry
         if geometry.type == "LineString" and about.kind == "route":
             points = msgspec.convert(geometry.coordinates, list[list[float]])
-            lines[about.name] = tuple(_lat_lon(point) for point in points)
+            lines[about.name] = tuple(_lat_lon_from_geojson_position(point) for point in points)
         elif geometry.type == "Point":
-            places[about.name] = _lat_lon(msgspec.convert(geometry.coordinates, list[float]))
-    return RouteAboard(lines.get("outbound", ()), lines.get("homeward", ()), places)
+            landing_positions[about.name] = _lat_lon_from_geojson_position(
+                msgspec.convert(geometry.coordinates, list[float])
+            )
+    return MissionRoute(lines.get("outbound", ()), lines.get("homeward", ()), landing_positions)
 
 
-def _lat_lon(position: list[float]) -> tuple[float, float]:
-    lon_deg, lat_deg, *_ = position
+def _lat_lon_from_geojson_position(lon_lat_deg: list[float]) -> tuple[float, float]:
+    lon_deg, lat_deg, *_ = lon_lat_deg
     return lat_deg, lon_deg
 
 
-def _contents(path: Path) -> Iterator[tuple[str, float, Row]]:
-    """(topic, stamp, row) of each message; of the metadata the stamp of the autopilot's zero."""
+def _iterate_decoded_messages(path: Path) -> Iterator[tuple[str, float, Row]]:
+    """Yield (topic, stamp, row) of each message; for the metadata the stamp of time zero."""
     topics: dict[int, str] = {}
     with path.open("rb") as file:
-        for record in _records(StreamReader(file)):
+        for record in _mcap_records(StreamReader(file)):
             if isinstance(record, Channel):
                 topics[record.id] = record.topic.removeprefix("/")
-            elif isinstance(record, Metadata) and record.name == METADATA:
-                yield METADATA, int(record.metadata[UTC_AT_ZERO]) / 1e9, {}
+            elif isinstance(record, Metadata) and record.name == METADATA_NAME:
+                yield METADATA_NAME, int(record.metadata[UTC_AT_ZERO_KEY]) / 1e9, {}
             elif isinstance(record, Message) and topics.get(record.channel_id) in TOPICS:
                 row = msgspec.json.decode(record.data, type=dict[str, Any])
-                if topics[record.channel_id] == "wind":
-                    row = {FORMER.get(key, key): value for key, value in row.items()}
                 yield topics[record.channel_id], record.log_time / 1e9, row
 
 
-def _records(reader: StreamReader) -> Iterator[McapRecord]:
+def _mcap_records(reader: StreamReader) -> Iterator[McapRecord]:
     return reader.records
 
 
-def _time(row: Row) -> float:
+def _row_time_s(row: Row) -> float:
     return row["t_s"]

@@ -1,4 +1,4 @@
-"""Forecast files of a day or a flight: which format a file is, and the time that is meant."""
+"""Forecast files of a day or a flight: detects the format and selects the time."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -7,75 +7,75 @@ from typing import Any
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.files.forecast_grib import read_grib
-from ground_station.adapters.files.forecast_open_meteo import read_open_meteo
+from ground_station.adapters.files.forecast_grib import read_grib_forecast
+from ground_station.adapters.files.forecast_open_meteo import read_open_meteo_forecast
 from ground_station.core.schema.day import Day
-from ground_station.core.schema.day_forecast import DayForecast, forecast_of
+from ground_station.core.schema.day_forecast import DayForecast, day_with_forecast_field
 from ground_station.core.weather.forecast_field import ForecastField
 
-CONSTANT = ("speed_mps", "from_deg", "std_mps")
+CONSTANT_KEYS = ("speed_mps", "from_deg", "std_mps")
 
 
 @dataclass(frozen=True, slots=True)
-class ForecastWanted:
-    """What a person asks for: another file than the day's, and when the day begins (Unix
-    seconds). `later`: without a time the forecast is kept, too, for who follows it from now on.
+class ForecastRequest:
+    """Requested forecast: a file that replaces the day's, and the start of the day (Unix seconds).
+    `keep_forecast`: keep the forecast, too, if no time is given, for callers that update it later.
     """
 
     file: Path | None = None
-    at_s: float | None = None
-    later: bool = False
+    start_s: float | None = None
+    keep_forecast: bool = False
 
 
-NOTHING_WANTED = ForecastWanted()
+NO_FORECAST_REQUEST = ForecastRequest()
 
 
 def read_forecast(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
-    """The forecast about a place: Open-Meteo's JSON, or GRIB2. LeewayError in one line."""
+    """Read the forecast around a position: Open-Meteo JSON or GRIB2. Raises LeewayError."""
     try:
         with path.open("rb") as file:
             start = file.read(64).lstrip()
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
     if start[:1] in (b"{", b"["):
-        return read_open_meteo(path, lat_deg, lon_deg)
-    return read_grib(path, lat_deg, lon_deg)
+        return read_open_meteo_forecast(path, lat_deg, lon_deg)
+    return read_grib_forecast(path, lat_deg, lon_deg)
 
 
-def both_kinds(table: dict[str, Any]) -> str | None:
-    """What is wrong in a day's table that states a forecast both as a file and as a constant."""
+def find_forecast_conflict_or_none(table: dict[str, Any]) -> str | None:
+    """Return the problem of a day that states a forecast both as a file and as a constant."""
     forecast = table.get("forecast")
     if not isinstance(forecast, dict) or "file" not in forecast:
         return None
-    beside = [key for key in CONSTANT if key in forecast]
-    words = f"forecast.file: beside {', '.join(beside)}, expected one of both"
-    return words if beside else None
+    constant_keys = [key for key in CONSTANT_KEYS if key in forecast]
+    words = f"forecast.file: together with {', '.join(constant_keys)}, expected only one of both"
+    return words if constant_keys else None
 
 
-def day_with_forecast(
-    day: Day, folder: Path, wanted: ForecastWanted
+def day_in_forecast_wind(
+    day: Day, folder: Path, request: ForecastRequest
 ) -> tuple[Day, DayForecast | None]:
-    """The day in the wind of its file, if there is one.
+    """Return the day in the wind of its forecast file, if there is one.
 
-    With a time that is wanted: the wind then, and the forecast for later. Without: the wind now,
-    and the forecast only where `later` is wanted.
+    With a requested time: the wind at that time, and the forecast after it. Otherwise: the wind
+    now, and the forecast only with `keep_forecast`.
     """
-    file = wanted.file or (folder / day.forecast.file if day.forecast.file else None)
+    file = request.file or (folder / day.forecast.file if day.forecast.file else None)
     if file is None:
-        if wanted.at_s is not None:
-            raise LeewayError("--at: expected a forecast file beside it")
+        if request.start_s is not None:
+            raise LeewayError("--at: no forecast file, expected one together with --at")
         return day, None
     field = read_forecast(file, day.depot.lat_deg, day.depot.lon_deg)
-    at_s = wanted.at_s if wanted.at_s is not None else epoch_us() / 1e6
+    at_s = request.start_s if request.start_s is not None else epoch_us() / 1e6
     try:
-        there, forecast = forecast_of(day, field, at_s, str(file))
+        updated_day, forecast = day_with_forecast_field(day, field, at_s, str(file))
     except LeewayError as error:
         raise LeewayError(f"{file}: {error}") from error
-    return there, forecast if wanted.later or wanted.at_s is not None else None
+    return updated_day, forecast if request.keep_forecast or request.start_s is not None else None
 
 
-def time_of(text: str) -> float:
-    """Unix seconds of a time that a person writes. LeewayError where it has no offset from UTC."""
+def parse_utc_time_s(text: str) -> float:
+    """Return Unix seconds of an ISO 8601 time. Raises LeewayError without an offset from UTC."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Murray and Raj's problem folders, vehicle files and published results. Errors name file and
+"""Murray and Raj's problem folders, vehicle files and published results. Errors state file and
 line.
 """
 
@@ -13,65 +13,70 @@ import numpy as np
 from companion.core.base.errors import LeewayError
 from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone
 
-LOCATIONS = "tbl_locations.csv"
-TRAVEL = "tbl_truck_travel_data_PG.csv"
-RESULTS = "reference_results.csv"
+LOCATIONS_FILE = "tbl_locations.csv"
+TRAVEL_FILE = "tbl_truck_travel_data_PG.csv"
+RESULTS_FILE = "reference_results.csv"
 DEPOT_KIND, TRUCK_KIND, DRONE_KIND = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicles:
-    """A vehicle file: the truck's own delivery and its drones."""
+    """Content of a vehicle file: the truck's delivery time and its drones."""
 
     deliver_s: float
     drones: tuple[MfstspDrone, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Published:
+class ReferenceResult:
     """One row of the authors' results."""
 
     makespan_s: float
     is_optimal: bool
 
 
-PublishedKey = tuple[str, str, int]
-"""Problem, vehicle file, drones."""
+ReferenceKey = tuple[str, str, int]
+"""Problem, vehicle file, number of drones."""
 
 
-def problem_folders(folder: Path) -> list[Path]:
-    """The problems in a folder, in order of their names."""
-    found = sorted(path.parent for path in folder.glob(f"*/{LOCATIONS}"))
+def find_problem_folders(folder: Path) -> list[Path]:
+    """Return the problem folders in a folder, sorted by name."""
+    found = sorted(path.parent for path in folder.glob(f"*/{LOCATIONS_FILE}"))
     if not found:
-        raise LeewayError(f"{folder}: no folder with a {LOCATIONS} in it")
+        raise LeewayError(f"{folder}: no problem folder, expected one with a {LOCATIONS_FILE}")
     return found
 
 
 def read_problem(folder: Path) -> MfstspData:
-    """Places, parcels and the directed matrix of the truck's travel times."""
-    places = folder / LOCATIONS
-    rows = list(_rows(places, 6))
+    """Read locations, parcels and the directed matrix of the truck's travel times."""
+    locations_path = folder / LOCATIONS_FILE
+    rows = list(_iterate_numbered_rows(locations_path, 6))
     for want, (line, row) in enumerate(rows):
-        if _number(places, line, row[0], int) != want:
-            raise LeewayError(f"{places}:{line}: node {row[0]}, expected {want}")
-    columns = np.array([[_number(places, line, text) for text in row] for line, row in rows])
+        if _parse_number(locations_path, line, row[0], int) != want:
+            raise LeewayError(f"{locations_path}:{line}: node {row[0]}, expected {want}")
+    columns = np.array(
+        [[_parse_number(locations_path, line, text) for text in row] for line, row in rows]
+    )
     if len(columns) < 2 or columns[0, 1] != DEPOT_KIND:
-        raise LeewayError(f"{places}: expected the depot (type 0), then customers")
+        raise LeewayError(f"{locations_path}: expected the depot (type 0), then customers")
     return MfstspData(
-        columns[:, 2], columns[:, 3], columns[:, 5], _travel_s(folder / TRAVEL, len(columns))
+        columns[:, 2],
+        columns[:, 3],
+        columns[:, 5],
+        _read_truck_travel_times_s(folder / TRAVEL_FILE, len(columns)),
     )
 
 
 def read_vehicles(path: Path) -> Vehicles:
-    """`tbl_vehicles_NNN.csv`: vehicle 1 is the truck, the others are its drones."""
+    """Read `tbl_vehicles_NNN.csv`: type 1 is the truck, type 2 are its drones."""
     deliver_s: float | None = None
     drones: list[MfstspDrone] = []
-    for line, row in _rows(path, 13):
-        kind = _number(path, line, row[1], int)
+    for line, row in _iterate_numbered_rows(path, 13):
+        kind = _parse_number(path, line, row[1], int)
         if kind == TRUCK_KIND:
-            deliver_s = _number(path, line, row[10])
+            deliver_s = _parse_number(path, line, row[10])
         elif kind == DRONE_KIND:
-            drones.append(MfstspDrone(*(_number(path, line, text) for text in row[2:12])))
+            drones.append(MfstspDrone(*(_parse_number(path, line, text) for text in row[2:12])))
         else:
             raise LeewayError(f"{path}:{line}: vehicle type {kind}, expected 1 or 2")
     if deliver_s is None or not drones:
@@ -79,22 +84,22 @@ def read_vehicles(path: Path) -> Vehicles:
     return Vehicles(deliver_s, tuple(drones))
 
 
-def read_published(
+def read_reference_results(
     path: Path,
-) -> tuple[dict[PublishedKey, Published], dict[PublishedKey, Published]]:
-    """The authors' results: by their heuristic, and by their integer program (8 customers).
+) -> tuple[dict[ReferenceKey, ReferenceResult], dict[ReferenceKey, ReferenceResult]]:
+    """Read the authors' results: by their heuristic, and by their integer program (8 customers).
 
-    Both are empty where there is no such file.
+    Both are empty if there is no such file.
     """
-    heuristic: dict[PublishedKey, Published] = {}
-    program: dict[PublishedKey, Published] = {}
+    heuristic: dict[ReferenceKey, ReferenceResult] = {}
+    program: dict[ReferenceKey, ReferenceResult] = {}
     if not path.exists():
         return heuristic, program
     with path.open(encoding="utf-8", newline="") as file:
         for line, row in enumerate(csv.DictReader(file, skipinitialspace=True), start=2):
             try:
                 key = (row["problemName"], row["vehicleFileID"], int(row["numUAVs"]))
-                found = Published(float(row["ofv"]), row["isOptimal"].strip() == "True")
+                found = ReferenceResult(float(row["ofv"]), row["isOptimal"].strip() == "True")
                 kind = row["problemTypeString"].strip()
             except (KeyError, TypeError, ValueError) as error:
                 raise LeewayError(f"{path}:{line}: not a row of results: {error}") from error
@@ -102,13 +107,15 @@ def read_published(
     return heuristic, program
 
 
-def _travel_s(path: Path, nodes: int) -> np.ndarray:
-    travel_s = np.full((nodes, nodes), np.nan)
-    for line, row in _rows(path, 4):
-        start, stop = _number(path, line, row[0], int), _number(path, line, row[1], int)
-        if not (0 <= start < nodes and 0 <= stop < nodes):
-            raise LeewayError(f"{path}:{line}: from {start} to {stop}: nodes are 0 to {nodes - 1}")
-        travel_s[start, stop] = _number(path, line, row[2])
+def _read_truck_travel_times_s(path: Path, node_count: int) -> np.ndarray:
+    travel_s = np.full((node_count, node_count), np.nan)
+    for line, row in _iterate_numbered_rows(path, 4):
+        start, stop = _parse_number(path, line, row[0], int), _parse_number(path, line, row[1], int)
+        if not (0 <= start < node_count and 0 <= stop < node_count):
+            raise LeewayError(
+                f"{path}:{line}: from {start} to {stop}: nodes are 0 to {node_count - 1}"
+            )
+        travel_s[start, stop] = _parse_number(path, line, row[2])
     missing = np.argwhere(np.isnan(travel_s))
     if len(missing):
         raise LeewayError(f"{path}: no time from {missing[0][0]} to {missing[0][1]}")
@@ -117,7 +124,7 @@ def _travel_s(path: Path, nodes: int) -> np.ndarray:
     return travel_s
 
 
-def _rows(path: Path, columns: int) -> Iterator[tuple[int, list[str]]]:
+def _iterate_numbered_rows(path: Path, column_count: int) -> Iterator[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -126,13 +133,13 @@ def _rows(path: Path, columns: int) -> Iterator[tuple[int, list[str]]]:
         if not content.strip() or content.lstrip().startswith("%"):
             continue
         row = [part.strip() for part in content.split(",")]
-        if len(row) < columns:
-            raise LeewayError(f"{path}:{line}: {len(row)} columns, expected {columns}")
-        yield line, row[:columns]
+        if len(row) < column_count:
+            raise LeewayError(f"{path}:{line}: {len(row)} columns, expected {column_count}")
+        yield line, row[:column_count]
 
 
-def _number(path: Path, line: int, text: str, kind: Callable[[str], Any] = float) -> Any:
+def _parse_number(path: Path, line: int, text: str, convert: Callable[[str], Any] = float) -> Any:
     try:
-        return kind(text)
+        return convert(text)
     except ValueError as error:
         raise LeewayError(f"{path}:{line}: {text!r} is not a number") from error

@@ -1,7 +1,7 @@
-"""A wind station's CSV file that grows: its new rows, as `tail -f` has them.
+"""Follows a wind station's growing CSV file and returns its new rows, like `tail -f`.
 
-Columns `time_utc, wind_speed_mps, wind_from_deg`, and `std_mps` where the station knows its own
-error. The time is ISO 8601 with an offset from UTC, or seconds since 1970.
+Columns `time_utc, wind_speed_mps, wind_from_deg`, and optionally `std_mps`, the station's error.
+The time is ISO 8601 with an offset from UTC, or seconds since 1970.
 """
 
 import math
@@ -18,127 +18,127 @@ from companion.core.base.safe_text import safe_text
 from ground_station.core.fleet.station_message import StationWind
 
 COLUMNS = ("time_utc", "wind_speed_mps", "wind_from_deg")
-OPTIONAL = ("std_mps",)
+OPTIONAL_COLUMNS = ("std_mps",)
 
 TAIL_BYTES = 65_536
-"""What is read of a file at once, and of one that is there already: older rows are no news."""
+"""Bytes per read, and the tail that is read of an existing file: older rows are outdated."""
 
-LONGEST_ROW = 1000
+MAX_ROW_BYTES = 1000
 
 
 @dataclass(slots=True)
 class StationFile:
-    """One station's file. It may be absent, and come; be begun anew; or end in half a row."""
+    """File of one station. It may appear late, be replaced, or end in a partial row."""
 
     station: str
     path: Path
-    _at: int = 0
-    _file: int | None = None
-    _half: bytes = b""
+    _offset: int = 0
+    _inode: int | None = None
+    _partial_row: bytes = b""
     _columns: tuple[str, ...] | None = None
-    _trouble: str = ""
+    _last_problem: str = ""
 
-    def read(self) -> tuple[list[StationWind], list[str]]:
-        """New rows in order, and what is wrong: each kind once, until a row is right again."""
+    def read_new_winds_and_problems(self) -> tuple[list[StationWind], list[str]]:
+        """Return new rows in order, and problems: each kind once, until a row is valid again."""
         winds: list[StationWind] = []
         wrong: list[str] = []
         try:
-            lines = self._new_lines()
+            lines = self._read_new_complete_lines()
         except OSError as error:
-            self._file, self._columns = None, None
-            return [], self._said(error.strerror or "cannot be read")
+            self._inode, self._columns = None, None
+            return [], self._problem_unless_repeated(error.strerror or "cannot be read")
         except LeewayError as error:
-            self._file, self._columns = None, None
-            return [], self._said(str(error))
+            self._inode, self._columns = None, None
+            return [], self._problem_unless_repeated(str(error))
         for line in lines:
             try:
                 if line.strip():
-                    winds.append(self._row(line))
-                    self._trouble = ""
+                    winds.append(self._parse_row(line))
+                    self._last_problem = ""
             except LeewayError as error:
-                wrong += self._said(str(error))
+                wrong += self._problem_unless_repeated(str(error))
         return winds, wrong
 
-    def _said(self, words: str) -> list[str]:
-        """Words of the same kind are not said again."""
-        kind = words.partition(",")[0].partition("=")[0]
-        if kind == self._trouble:
+    def _problem_unless_repeated(self, problem_text: str) -> list[str]:
+        """Return a problem, unless the same kind was the last one reported."""
+        kind = problem_text.partition(",")[0].partition("=")[0]
+        if kind == self._last_problem:
             return []
-        self._trouble = kind
-        return [f"station {self.station}: {self.path}: {words}"]
+        self._last_problem = kind
+        return [f"station {self.station}: {self.path}: {problem_text}"]
 
-    def _new_lines(self) -> list[bytes]:
-        """Whole rows since the last look; a file that is another or shorter begins anew."""
+    def _read_new_complete_lines(self) -> list[bytes]:
+        """Return complete rows since the last read; restart if the file was replaced or cut."""
         number = self.path.stat().st_ino
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
-            fresh = self._columns is None or number != self._file or size < self._at
-            if fresh and not self._begin(file, size):
+            is_restarted = self._columns is None or number != self._inode or size < self._offset
+            if is_restarted and not self._read_header_and_locate_latest_rows(file, size):
                 return []
-            self._file = number
-            file.seek(self._at)
+            self._inode = number
+            file.seek(self._offset)
             raw = file.read(TAIL_BYTES)
-        self._at += len(raw)
-        lines = (self._half + raw).split(b"\n")
-        self._half = lines.pop()[-LONGEST_ROW:]
+        self._offset += len(raw)
+        lines = (self._partial_row + raw).split(b"\n")
+        self._partial_row = lines.pop()[-MAX_ROW_BYTES:]
         return lines
 
-    def _begin(self, file: BinaryIO, size: int) -> bool:
-        """Read the header and find the newest rows; False: not even the header is there yet."""
+    def _read_header_and_locate_latest_rows(self, file: BinaryIO, file_size_bytes: int) -> bool:
+        """Read the header and seek to the latest rows; False if the header is incomplete."""
         file.seek(0)
-        header = file.readline(LONGEST_ROW)
+        header = file.readline(MAX_ROW_BYTES)
         if not header.endswith(b"\n"):
-            if len(header) == LONGEST_ROW:
-                raise LeewayError(f"its first row is longer than {LONGEST_ROW} bytes")
+            if len(header) == MAX_ROW_BYTES:
+                raise LeewayError(f"header longer than {MAX_ROW_BYTES} bytes")
             return False
-        names = tuple(name.strip() for name in _text(header).lstrip("\ufeff").split(","))
+        names = tuple(name.strip() for name in _decode_utf8_row(header).lstrip("\ufeff").split(","))
         wrong = [name for name in COLUMNS if name not in names]
-        wrong += [name for name in names if name not in COLUMNS + OPTIONAL]
+        wrong += [name for name in names if name not in COLUMNS + OPTIONAL_COLUMNS]
         if wrong or len(set(names)) < len(names):
-            expected = f"expected {', '.join(COLUMNS)} and perhaps {', '.join(OPTIONAL)}"
-            raise LeewayError(f"its columns: {', '.join(map(safe_text, names))[:100]}; {expected}")
-        self._columns, self._half, self._at = names, b"", file.tell()
-        if size - self._at > TAIL_BYTES:
-            file.seek(size - TAIL_BYTES)
-            file.readline(LONGEST_ROW)
-            self._at = file.tell()
+            expected = f"expected {', '.join(COLUMNS)} and optionally {', '.join(OPTIONAL_COLUMNS)}"
+            raise LeewayError(f"columns {', '.join(map(safe_text, names))[:100]}; {expected}")
+        self._columns, self._partial_row, self._offset = names, b"", file.tell()
+        if file_size_bytes - self._offset > TAIL_BYTES:
+            file.seek(file_size_bytes - TAIL_BYTES)
+            file.readline(MAX_ROW_BYTES)
+            self._offset = file.tell()
         return True
 
-    def _row(self, line: bytes) -> StationWind:
+    def _parse_row(self, line: bytes) -> StationWind:
         assert self._columns is not None
-        cells = [cell.strip() for cell in _text(line).split(",")]
+        cells = [cell.strip() for cell in _decode_utf8_row(line).split(",")]
         if len(cells) != len(self._columns):
-            raise LeewayError(f"a row of {len(cells)} cells, expected {len(self._columns)}")
+            raise LeewayError(f"row of {len(cells)} cells, expected {len(self._columns)}")
         row = dict(zip(self._columns, cells, strict=True))
         table: dict[str, object] = {
             "station": self.station,
-            "epoch_us": round(1e6 * _time_s(row["time_utc"])),
-            "speed_mps": _number("wind_speed_mps", row["wind_speed_mps"]),
-            "from_deg": _number("wind_from_deg", row["wind_from_deg"]),
+            "epoch_us": round(1e6 * _parse_time_unix_s(row["time_utc"])),
+            "speed_mps": _parse_number("wind_speed_mps", row["wind_speed_mps"]),
+            "from_deg": _parse_number("wind_from_deg", row["wind_from_deg"]),
         }
         if row.get("std_mps"):
-            table["std_mps"] = _number("std_mps", row["std_mps"])
+            table["std_mps"] = _parse_number("std_mps", row["std_mps"])
         try:
             return msgspec.convert(table, StationWind)
         except (msgspec.ValidationError, LeewayError) as error:
-            raise LeewayError(f"a row that is none, {error}") from error
+            raise LeewayError(f"invalid row, {error}") from error
 
 
-def _text(raw: bytes) -> str:
+def _decode_utf8_row(raw: bytes) -> str:
     try:
         return raw.decode("utf-8").strip()
     except UnicodeDecodeError as error:
-        raise LeewayError("a row that is not UTF-8") from error
+        raise LeewayError("row is not UTF-8") from error
 
 
-def _number(name: str, text: str) -> float:
+def _parse_number(column_name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError as error:
-        raise LeewayError(f"{name} = {safe_text(text[:40])!r}, expected a number") from error
+        raise LeewayError(f"{column_name} = {safe_text(text[:40])!r}, expected a number") from error
 
 
-def _time_s(text: str) -> float:
+def _parse_time_unix_s(text: str) -> float:
     with suppress(ValueError):
         if math.isfinite(found := float(text)):
             return found

@@ -1,6 +1,5 @@
-"""The file of the map's tokens: only its owner reads it, and it is whole or not written at all."""
+"""The file of the map's access tokens: readable only by its owner, written atomically."""
 
-import os
 import secrets
 import stat
 from pathlib import Path
@@ -8,78 +7,70 @@ from pathlib import Path
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from ground_station.core.people.web_tokens import TOKEN_BYTES, TokenBook
+from ground_station.adapters.files.atomic_file import write_file_atomically
+from ground_station.core.people.web_tokens import TOKEN_BYTES, TokenRegistry
 
-PRIVATE = 0o600
+PRIVATE_MODE = 0o600
 
 
-def new_token() -> str:
-    """A token that nobody guesses."""
+def generate_random_token() -> str:
+    """Return a random token."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
-def read_tokens(path: Path) -> TokenBook:
-    """The tokens in a file. LeewayError where others may read it, or it is none."""
+def read_owner_only_tokens(path: Path) -> TokenRegistry:
+    """Read the tokens. Raises LeewayError if others can read the file or it is invalid."""
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
         raw = path.read_bytes()
     except FileNotFoundError as error:
-        remedy = f"`ground-station token add NAME --tokens {path}` makes it"
-        raise LeewayError(f"--tokens {path}: is not there: {remedy}") from error
+        remedy = f"`ground-station token add NAME --tokens {path}` creates it"
+        raise LeewayError(f"--tokens {path}: no such file: {remedy}") from error
     except OSError as error:
         raise LeewayError(f"--tokens {path}: {error.strerror}") from error
     if mode & 0o077:
         raise LeewayError(f"--tokens {path}: mode {mode:04o}, expected 0600: chmod 600 {path}")
     try:
-        book = msgspec.json.decode(raw, type=TokenBook)
-        for holder in book.people:
-            _ = holder.person
+        tokens = msgspec.json.decode(raw, type=TokenRegistry)
+        for holder in tokens.holders:
+            _ = holder.operator
     except (msgspec.DecodeError, LeewayError) as error:
         raise LeewayError(f"--tokens {path}: {error}: expected map-tokens/1") from error
-    return book
+    return tokens
 
 
-def write_tokens(path: Path, book: TokenBook) -> None:
-    """Write them. Raises LeewayError."""
-    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        number = os.open(fresh, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE)
-        with os.fdopen(number, "wb") as file:
-            file.write(msgspec.json.format(msgspec.json.encode(book)) + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
-    except OSError as error:
-        fresh.unlink(missing_ok=True)
-        raise LeewayError(f"--tokens {path}: {error.strerror}") from error
+def write_owner_only_tokens_atomically(path: Path, tokens: TokenRegistry) -> None:
+    """Write the tokens atomically. Raises LeewayError."""
+    content = msgspec.json.format(msgspec.json.encode(tokens)) + b"\n"
+    write_file_atomically(path, content, PRIVATE_MODE)
 
 
-class WatchedTokens:
-    """The tokens as the file has them now: who is revoked is out at once.
+class TokenFileMonitor:
+    """Current tokens of a file that is reread on change: a revocation takes effect at once.
 
-    A file that cannot be read, or is not valid, lets nobody in.
+    A file that is unreadable or invalid grants access to no one.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises LeewayError where the file is not valid from the beginning."""
-        self._path, self._book = path, read_tokens(path)
-        self._seen = _mark(path)
+        """Raises LeewayError if the file is invalid at the start."""
+        self._path, self._tokens = path, read_owner_only_tokens(path)
+        self._last_stamp = _file_stamp(path)
 
-    def book(self) -> TokenBook:
-        """Who has a token."""
-        mark = _mark(self._path)
-        if mark != self._seen:
-            self._seen, self._book = mark, self._read()
-        return self._book
+    def current_tokens(self) -> TokenRegistry:
+        """Return the current tokens with their holders."""
+        mark = _file_stamp(self._path)
+        if mark != self._last_stamp:
+            self._last_stamp, self._tokens = mark, self._read_tokens_or_empty()
+        return self._tokens
 
-    def _read(self) -> TokenBook:
+    def _read_tokens_or_empty(self) -> TokenRegistry:
         try:
-            return read_tokens(self._path)
+            return read_owner_only_tokens(self._path)
         except LeewayError:
-            return TokenBook()
+            return TokenRegistry()
 
 
-def _mark(path: Path) -> tuple[int, ...]:
+def _file_stamp(path: Path) -> tuple[int, ...]:
     try:
         seen = path.stat()
     except OSError:

@@ -1,5 +1,5 @@
 """Instances of Agatz, Bouman and Schmidt (travelling salesman problem with drone), their proven
-optima and published means. Errors name file and line.
+optima and published means. Errors state file and line.
 """
 
 import csv
@@ -10,30 +10,30 @@ from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 
-OPTIMUM = "-DP.txt"
-MEANS = "reference_means.csv"
+OPTIMUM_SUFFIX = "-DP.txt"
+REFERENCE_FILE = "reference_means.csv"
 
 
 @dataclass(frozen=True, slots=True)
 class TspdInstance:
-    """Places in the plane, the depot first, and the cost per unit of distance of each vehicle."""
+    """Points in the plane, the depot first, and the cost per unit distance of each vehicle."""
 
     name: str
-    family: str
-    """The folder that it lies in."""
+    group: str
+    """Name of the folder that contains the instance."""
     truck_cost: float
     drone_cost: float
-    places: tuple[tuple[float, float], ...]
+    points: tuple[tuple[float, float], ...]
 
     @property
-    def alpha(self) -> float:
-        """Speed of the drone over the truck's."""
+    def drone_to_truck_speed_ratio(self) -> float:
+        """Speed of the drone divided by the speed of the truck."""
         return self.truck_cost / self.drone_cost
 
 
 @dataclass(frozen=True, slots=True)
-class PublishedMeans:
-    """Mean costs of ten instances, and mean seconds, by the published solvers."""
+class ReferenceCosts:
+    """Mean costs and mean seconds over ten instances, by the published solvers."""
 
     dps_mean: float
     hga_best: float
@@ -42,82 +42,88 @@ class PublishedMeans:
     icp_s: float
 
 
-MeansKey = tuple[str, int, int]
+ReferenceKey = tuple[str, int, int]
 """Family, alpha, nodes."""
 
 
-def instance_files(folder: Path) -> list[Path]:
-    """The instances in a folder and its folders, in order of their paths."""
-    found = sorted(path for path in folder.rglob("*.txt") if not path.name.endswith(OPTIMUM))
+def find_instance_files(folder: Path) -> list[Path]:
+    """Return the instances in a folder and its subfolders, sorted by path."""
+    found = sorted(path for path in folder.rglob("*.txt") if not path.name.endswith(OPTIMUM_SUFFIX))
     if not found:
-        raise LeewayError(f"{folder}: no instance (*.txt) in it")
+        raise LeewayError(f"{folder}: no instance, expected *.txt files")
     return found
 
 
 def read_instance(path: Path) -> TspdInstance:
-    """Truck's and drone's cost, the number of nodes, then the places, between lines of comment."""
-    lines = _lines(path)
+    """Read costs of truck and drone, the number of nodes, then the points; skips comments."""
+    lines = _numbered_lines_without_comments(path)
     if len(lines) < 4:
         raise LeewayError(f"{path}: expected costs of truck and drone, nodes, the depot, places")
-    truck, drone = (_number(path, line, text) for line, text in lines[:2])
+    truck, drone = (_parse_finite_number(path, line, text) for line, text in lines[:2])
     for (line, _), cost in zip(lines[:2], (truck, drone), strict=True):
         if cost <= 0.0:
             raise LeewayError(f"{path}:{line}: cost {cost:g}, expected more than 0")
     line, text = lines[2]
     if not text.isdigit() or int(text) < 2:
         raise LeewayError(f"{path}:{line}: {text!r}, expected the number of nodes, 2 or more")
-    places = lines[3:]
-    if len(places) != int(text):
-        raise LeewayError(f"{path}:{line}: {text} nodes, but {len(places)} places follow")
+    point_lines = lines[3:]
+    if len(point_lines) != int(text):
+        raise LeewayError(f"{path}:{line}: {text} nodes, but {len(point_lines)} places follow")
     return TspdInstance(
-        path.stem, path.parent.name, truck, drone, tuple(_place(path, *one) for one in places)
+        path.stem,
+        path.parent.name,
+        truck,
+        drone,
+        tuple(_parse_point(path, *one) for one in point_lines),
     )
 
 
-def read_optimum(instance: Path) -> float | None:
-    """The proven optimum beside an instance; None where there is none."""
-    path = instance.with_name(instance.stem + OPTIMUM)
+def read_optimum_cost_or_none(instance_path: Path) -> float | None:
+    """Read the proven optimum next to an instance; None if there is no such file."""
+    path = instance_path.with_name(instance_path.stem + OPTIMUM_SUFFIX)
     if not path.exists():
         return None
-    found = re.search(r"Total cost\s*:\s*([0-9.eE+-]+)", _text(path))
+    found = re.search(r"Total cost\s*:\s*([0-9.eE+-]+)", _read_text(path))
     if found is None:
         raise LeewayError(f"{path}: no line with the total cost")
-    line = _text(path)[: found.start()].count("\n") + 1
-    return _number(path, line, found[1])
+    line = _read_text(path)[: found.start()].count("\n") + 1
+    return _parse_finite_number(path, line, found[1])
 
 
-def read_means(path: Path) -> dict[MeansKey, PublishedMeans]:
-    """The published means; empty where there is no such file."""
+def read_reference_costs(path: Path) -> dict[ReferenceKey, ReferenceCosts]:
+    """Read the published means; empty if there is no such file."""
     if not path.exists():
         return {}
-    means: dict[MeansKey, PublishedMeans] = {}
-    for line, row in enumerate(csv.DictReader(_text(path).splitlines()), start=2):
+    costs: dict[ReferenceKey, ReferenceCosts] = {}
+    for line, row in enumerate(csv.DictReader(_read_text(path).splitlines()), start=2):
         try:
             key = (row["set"], int(row["alpha"]), int(row["n"]))
             names = ("dps25_mean", "hga_best", "hga_mean", "icp_mean", "icp_s")
-            means[key] = PublishedMeans(*(float(row[name]) for name in names))
+            costs[key] = ReferenceCosts(*(float(row[name]) for name in names))
         except (KeyError, TypeError, ValueError) as error:
             raise LeewayError(f"{path}:{line}: not a row of means: {error}") from error
-    return means
+    return costs
 
 
-def _lines(path: Path) -> list[tuple[int, str]]:
-    """Lines with something on them, comments removed, with their numbers."""
+def _numbered_lines_without_comments(path: Path) -> list[tuple[int, str]]:
+    """Return non-empty lines without comments, with their line numbers."""
     found = [
         (line, re.sub(r"/\*.*?\*/", "", text).strip())
-        for line, text in enumerate(_text(path).splitlines(), start=1)
+        for line, text in enumerate(_read_text(path).splitlines(), start=1)
     ]
     return [(line, text) for line, text in found if text]
 
 
-def _place(path: Path, line: int, text: str) -> tuple[float, float]:
+def _parse_point(path: Path, line: int, text: str) -> tuple[float, float]:
     columns = text.split()
     if len(columns) < 2:
         raise LeewayError(f"{path}:{line}: {text!r}, expected x, y and a name")
-    return _number(path, line, columns[0]), _number(path, line, columns[1])
+    return _parse_finite_number(path, line, columns[0]), _parse_finite_number(
+        path, line, columns[1]
+    )
 
 
-def _number(path: Path, line: int, text: str) -> float:
+def _parse_finite_number(path: Path, line: int, text: str) -> float:
     try:
         number = float(text)
     except ValueError as error:
@@ -127,7 +133,7 @@ def _number(path: Path, line: int, text: str) -> float:
     return number
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,1 +1,1 @@
-"""A fleet's public key infrastructure: its authority, and what each member gets in its folder."""
+"""Public key infrastructure of a fleet: its authority, and the folder of each member."""

@@ -1,7 +1,7 @@
-"""zenoh configurations of a fleet's members: TLS, whom they call, and what each certificate may do.
+"""zenoh configurations of a fleet's members: TLS, endpoints, and access rules per certificate.
 
-The rules stand where others call in, and deny what they do not name. They keep strangers and
-members apart on the network; what is believed is decided by signatures (`companion.fleet.trust`).
+The rules apply at listening members and deny everything that they do not name. They keep strangers
+out and limit members; signatures decide which messages count (`companion.fleet.trust`).
 """
 
 import ipaddress
@@ -9,70 +9,82 @@ import json
 from typing import Any
 
 from companion.fleet.identity import TLS_CERTIFICATE
-from companion.fleet.roles import COMMANDS, LISTENS, MEASURES, NEIGHBOURS, SPEAKS, Role
+from companion.fleet.roles import (
+    COMMANDERS,
+    NEIGHBOURS,
+    SERVERS,
+    STATE_PUBLISHERS,
+    WIND_STATIONS,
+    Role,
+)
 from companion.fleet.roster import Roster, RosterMember
-from companion.fleet.topics import VehicleKeys, roster_key, station_key
+from companion.fleet.topics import VehicleKeys, roster_key, station_wind_key
 from companion.fleet.zenoh_config import BATCH_BYTES, LEASE_MS, RECEIVE_BUFFER_BYTES
 
-TLS_KEY, TLS_AUTHORITIES = "tls.key", "ca.pem"
+TLS_KEY, TLS_CA = "tls.key", "ca.pem"
 
-MANY_CALLERS = {"max_sessions": 5000, "accept_pending": 1000}
-"""zenoh's own limits are 1000 members, and 100 of them calling at the same moment: a fleet that
-comes back after a cut would wait for its turn.
+CONNECTION_LIMITS = {"max_sessions": 5000, "accept_pending": 1000}
+"""Connection limits. zenoh's defaults are 1000 members, and 100 connecting at the same time: a
+fleet that reconnects after an outage would have to wait.
 """
 
 Rule = dict[str, Any]
 
 
-def zenoh_json(roster: Roster, member: RosterMember) -> str:
-    """A member's configuration; files are named as they lie beside it."""
-    listens = member.role in LISTENS and bool(member.address)
-    table = _listener(roster, member) if listens else _client(roster)
+def member_zenoh_config_json(roster: Roster, member: RosterMember) -> str:
+    """Return a member's configuration; file names are relative to it."""
+    listens = member.role in SERVERS and bool(member.address)
+    table = _listener_config(roster, member) if listens else _client_config(roster)
     table["scouting"] = {"multicast": {"enabled": False}}
     table["transport"] = {
         "link": {
             "tx": {"lease": LEASE_MS, "batch_size": BATCH_BYTES},
             "rx": {"buffer_size": RECEIVE_BUFFER_BYTES},
-            "tls": _tls(listens=listens),
+            "tls": _tls_config(is_listener=listens),
         },
-        "shared_memory": {"enabled": False},  # all as `read_config` has it: for zenoh's own router
+        "shared_memory": {
+            "enabled": False
+        },  # equal to `read_and_check_zenoh_config`, for zenoh's own router
     }
     if listens:
-        table["transport"]["unicast"] = MANY_CALLERS
+        table["transport"]["unicast"] = CONNECTION_LIMITS
     return json.dumps(table, indent=2) + "\n"
 
 
-def _client(roster: Roster) -> dict[str, Any]:
-    return {"mode": "client", "connect": _calls(_listeners(roster))}
+def _client_config(roster: Roster) -> dict[str, Any]:
+    return {"mode": "client", "connect": _connect_config(_active_listeners(roster))}
 
 
-def _listener(roster: Roster, member: RosterMember) -> dict[str, Any]:
-    """It calls those that listen and stand before it on the roster, so that all are joined."""
-    others = _listeners(roster)
+def _listener_config(roster: Roster, member: RosterMember) -> dict[str, Any]:
+    """A listener connects to all listeners before it on the roster, so that all are connected."""
+    others = _active_listeners(roster)
     return {
         "mode": "router",
-        "listen": {"endpoints": [f"tls/{_bind(member.address)}"], "exit_on_failure": True},
-        "connect": _calls(others[: others.index(member)]),
-        "access_control": access_control(roster),
+        "listen": {
+            "endpoints": [f"tls/{_local_bind_address(member.address)}"],
+            "exit_on_failure": True,
+        },
+        "connect": _connect_config(others[: others.index(member)]),
+        "access_control": access_control_config(roster),
     }
 
 
-def _listeners(roster: Roster) -> list[RosterMember]:
-    return [m for m in roster.members if m.role in LISTENS and m.address and not m.revoked]
+def _active_listeners(roster: Roster) -> list[RosterMember]:
+    return [m for m in roster.members if m.role in SERVERS and m.address and not m.revoked]
 
 
-def _calls(whom: list[RosterMember]) -> dict[str, Any]:
-    """A vehicle flies on where nobody is there, and calls again twice a second."""
+def _connect_config(listeners: list[RosterMember]) -> dict[str, Any]:
+    """A vehicle flies on without a connection, and retries twice per second."""
     return {
-        "endpoints": [f"tls/{member.address}" for member in whom],
+        "endpoints": [f"tls/{member.address}" for member in listeners],
         "exit_on_failure": False,
         "timeout_ms": 0,
         "retry": {"period_init_ms": 200, "period_max_ms": 500},
     }
 
 
-def _bind(address: str) -> str:
-    """Where to listen: an address on the outside may be another one here, loopback is not."""
+def _local_bind_address(address: str) -> str:
+    """Return where to listen: a public address may differ locally, loopback does not."""
     host, _, port = address.rpartition(":")
     try:
         here = ipaddress.ip_address(host.strip("[]")).is_loopback
@@ -81,71 +93,86 @@ def _bind(address: str) -> str:
     return address if here else f"0.0.0.0:{port}"
 
 
-def _tls(*, listens: bool) -> dict[str, Any]:
-    """`close_link_on_expiration` false: a certificate that ends cuts nothing in flight; who shows
-    an ended one when it calls is not let in.
+def _tls_config(*, is_listener: bool) -> dict[str, Any]:
+    """`close_link_on_expiration` false: an ended certificate cuts no connection in flight; a new
+    connection with an ended certificate is refused.
     """
     files = {
-        "root_ca_certificate": TLS_AUTHORITIES,
+        "root_ca_certificate": TLS_CA,
         "connect_private_key": TLS_KEY,
         "connect_certificate": TLS_CERTIFICATE,
     }
-    if listens:
+    if is_listener:
         files |= {"listen_private_key": TLS_KEY, "listen_certificate": TLS_CERTIFICATE}
-    ways = {"enable_mtls": True, "verify_name_on_connect": True, "close_link_on_expiration": False}
-    return files | ways
+    options = {
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": False,
+    }
+    return files | options
 
 
 # --- rules -----------------------------------------------------------------------------------
 
 
-def access_control(roster: Roster) -> dict[str, Any]:
-    """zenoh's rules for all of a roster, as a desk or router that others call holds them."""
-    rules = {rule["id"]: rule for m in roster.members for rule in _rules_of(roster, m)}
+def access_control_config(roster: Roster) -> dict[str, Any]:
+    """Return zenoh's access rules for a roster, as a listening desk or router uses them."""
+    rules = {
+        rule["id"]: rule for m in roster.members for rule in _access_rules_of_member(roster, m)
+    }
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": list(rules.values()),
-        "subjects": [{"id": m.name, "cert_common_names": [m.name]} for m in _allowed(roster)],
+        "subjects": [
+            {"id": m.name, "cert_common_names": [m.name]} for m in _active_members(roster)
+        ],
         "policies": [
-            {"rules": [rule["id"] for rule in _rules_of(roster, m)], "subjects": [m.name]}
-            for m in _allowed(roster)
+            {
+                "rules": [rule["id"] for rule in _access_rules_of_member(roster, m)],
+                "subjects": [m.name],
+            }
+            for m in _active_members(roster)
         ],
     }
 
 
-def _allowed(roster: Roster) -> list[RosterMember]:
+def _active_members(roster: Roster) -> list[RosterMember]:
     return [member for member in roster.members if not member.revoked]
 
 
-def _rules_of(roster: Roster, member: RosterMember) -> list[Rule]:
-    if member.role in LISTENS:
-        return [*_carries_all(roster.fleet), *_carries_neighbours(roster)]
-    told = _hears_roster(roster.fleet)
+def _access_rules_of_member(roster: Roster, member: RosterMember) -> list[Rule]:
+    if member.role in SERVERS:
+        return [*_forward_all_rules(roster.fleet), *_forward_neighbour_rules(roster)]
+    roster_rules = _roster_rules(roster.fleet)
     if member.role in NEIGHBOURS:
-        return [*_near(roster.fleet), *told]
-    if member.role in SPEAKS:
-        beside = _beside(roster) if member.role is Role.VEHICLE else []
-        return [*_speaks(roster.fleet, member), *beside, *told]
-    if member.role in MEASURES:
-        return [*_measures(roster.fleet, member), *told]
-    looks = [*_looks(roster.fleet), *told]
-    return [*looks, *_commands(roster.fleet)] if member.role in COMMANDS else looks
+        return [*_track_rules(roster.fleet), *roster_rules]
+    if member.role in STATE_PUBLISHERS:
+        neighbour_rules = _neighbour_track_rules(roster) if member.role is Role.VEHICLE else []
+        return [*_vehicle_rules(roster.fleet, member), *neighbour_rules, *roster_rules]
+    if member.role in WIND_STATIONS:
+        return [*_station_rules(roster.fleet, member), *roster_rules]
+    monitor_rules = [*_monitor_rules(roster.fleet), *roster_rules]
+    return (
+        [*monitor_rules, *_commander_query_and_reply_rules(roster.fleet)]
+        if member.role in COMMANDERS
+        else monitor_rules
+    )
 
 
-def _rule(id_: str, flow: str, messages: list[str], *keys: str) -> Rule:
+def _allow_rule(rule_id: str, flow: str, message_types: list[str], *key_expressions: str) -> Rule:
     return {
-        "id": id_,
+        "id": rule_id,
         "permission": "allow",
         "flows": [flow],
-        "messages": messages,
-        "key_exprs": list(keys),
+        "messages": message_types,
+        "key_exprs": list(key_expressions),
     }
 
 
-def _carries_all(fleet: str) -> list[Rule]:
-    """Desks and routers pass on what others say."""
-    every = [
+def _forward_all_rules(fleet: str) -> list[Rule]:
+    """Desks and routers forward all messages."""
+    all_messages = [
         "put",
         "delete",
         "query",
@@ -157,109 +184,116 @@ def _carries_all(fleet: str) -> list[Rule]:
         "declare_liveliness_subscriber",
     ]
     return [
-        _rule(f"all-{flow}", flow, every, f"leeway/{fleet}/**") for flow in ("ingress", "egress")
+        _allow_rule(f"all-{flow}", flow, all_messages, f"leeway/{fleet}/**")
+        for flow in ("ingress", "egress")
     ]
 
 
-def _speaks(fleet: str, member: RosterMember) -> list[Rule]:
-    """A vehicle speaks for itself only, asks nothing, commands nobody, and hears of its neighbours'
-    places, of the winds that others feel, and of others of its own name. (`track/**` is `track`,
-    too: where vehicles of before told them.)
+def _vehicle_rules(fleet: str, member: RosterMember) -> list[Rule]:
+    """A vehicle publishes only under its own name, and sends no queries or commands. It receives
+    nearby tracks, other members' wind reports, and tokens of its own name. (`track/**` also matches
+    `track_key`, the key of older vehicles.)
     """
     name, own = member.name, f"leeway/{fleet}/vehicle/{member.name}/**"
-    everybody = f"leeway/{fleet}/vehicle/*/**"
-    wind = VehicleKeys(fleet, name).wind
-    says = ["put", "reply", "declare_queryable", "liveliness_token"]
-    hears = ["query", "liveliness_token", "declare_queryable", "declare_subscriber"]
+    all_vehicles = f"leeway/{fleet}/vehicle/*/**"
+    wind = VehicleKeys(fleet, name).wind_key
+    outgoing = ["put", "reply", "declare_queryable", "liveliness_token"]
+    incoming = ["query", "liveliness_token", "declare_queryable", "declare_subscriber"]
     twins = ["declare_liveliness_subscriber", "liveliness_query"]
     return [
-        _rule(f"{name}-says", "ingress", says, own),
-        _rule(f"{name}-hears", "egress", hears, own),
-        _rule(f"{name}-twins", "ingress", twins, f"leeway/{fleet}/vehicle/{name}/alive/**"),
-        _rule(f"{name}-wind-asks", "ingress", ["declare_subscriber"], wind),
-        _rule(f"{name}-wind-hears", "egress", ["put"], wind),
-        _rule("state-asked", "egress", ["query"], VehicleKeys(fleet, "*").state),  # of all at once
-        *_near(fleet),
-        _rule(
+        _allow_rule(f"{name}-says", "ingress", outgoing, own),
+        _allow_rule(f"{name}-hears", "egress", incoming, own),
+        _allow_rule(f"{name}-twins", "ingress", twins, f"leeway/{fleet}/vehicle/{name}/alive/**"),
+        _allow_rule(f"{name}-wind-asks", "ingress", ["declare_subscriber"], wind),
+        _allow_rule(f"{name}-wind-hears", "egress", ["put"], wind),
+        _allow_rule(
+            "state-asked", "egress", ["query"], VehicleKeys(fleet, "*").state_key
+        ),  # one query for all vehicles
+        *_track_rules(fleet),
+        _allow_rule(
             "desk-interest",
             "egress",
             ["declare_subscriber", "declare_liveliness_subscriber"],
-            everybody,
+            all_vehicles,
         ),
     ]
 
 
-def _near(fleet: str) -> list[Rule]:
-    """Who is near, a neighbouring fleet's desk for its vehicles too, hears the fleet's tracks."""
-    tracks = VehicleKeys(fleet, "*").track("**")
+def _track_rules(fleet: str) -> list[Rule]:
+    """Vehicles, and desks of neighbouring fleets, receive the fleet's tracks."""
+    tracks = VehicleKeys(fleet, "*").track_key("**")
     return [
-        _rule("near-asks", "ingress", ["declare_subscriber"], tracks),
-        _rule("near-hears", "egress", ["put"], tracks),
+        _allow_rule("near-asks", "ingress", ["declare_subscriber"], tracks),
+        _allow_rule("near-hears", "egress", ["put"], tracks),
     ]
 
 
-def _beside(roster: Roster) -> list[Rule]:
-    """A vehicle hears the tracks of neighbouring fleets, which the desk tells here."""
-    tracks = _neighbours_tracks(roster)
+def _neighbour_track_rules(roster: Roster) -> list[Rule]:
+    """A vehicle receives tracks of neighbouring fleets, which the desk publishes here."""
+    tracks = _neighbour_track_keys(roster)
     if not tracks:
         return []
     return [
-        _rule("beside-asks", "ingress", ["declare_subscriber"], *tracks),
-        _rule("beside-hears", "egress", ["put"], *tracks),
+        _allow_rule("beside-asks", "ingress", ["declare_subscriber"], *tracks),
+        _allow_rule("beside-hears", "egress", ["put"], *tracks),
     ]
 
 
-def _carries_neighbours(roster: Roster) -> list[Rule]:
-    """Desks and routers pass neighbours' tracks on."""
-    tracks, messages = _neighbours_tracks(roster), ["put", "declare_subscriber"]
+def _forward_neighbour_rules(roster: Roster) -> list[Rule]:
+    """Desks and routers forward neighbours' tracks."""
+    tracks, messages = _neighbour_track_keys(roster), ["put", "declare_subscriber"]
     if not tracks:
         return []
-    return [_rule(f"beside-all-{flow}", flow, messages, *tracks) for flow in ("ingress", "egress")]
-
-
-def _neighbours_tracks(roster: Roster) -> list[str]:
-    return [VehicleKeys(fleet, "*").track("**") for fleet in roster.neighbours]
-
-
-def _measures(fleet: str, member: RosterMember) -> list[Rule]:
-    """A wind station tells its own wind, and hears nobody."""
-    own = station_key(fleet, member.name)
     return [
-        _rule(f"{member.name}-measures", "ingress", ["put"], own),
-        _rule("station-interest", "egress", ["declare_subscriber"], station_key(fleet, "*")),
+        _allow_rule(f"beside-all-{flow}", flow, messages, *tracks) for flow in ("ingress", "egress")
     ]
 
 
-def _looks(fleet: str) -> list[Rule]:
-    """Who only looks: states, events, who is there; and asks for what it missed."""
+def _neighbour_track_keys(roster: Roster) -> list[str]:
+    return [VehicleKeys(fleet, "*").track_key("**") for fleet in roster.neighbour_fleet_names]
+
+
+def _station_rules(fleet: str, member: RosterMember) -> list[Rule]:
+    """A wind station publishes its own wind and receives nothing."""
+    own = station_wind_key(fleet, member.name)
+    return [
+        _allow_rule(f"{member.name}-measures", "ingress", ["put"], own),
+        _allow_rule(
+            "station-interest", "egress", ["declare_subscriber"], station_wind_key(fleet, "*")
+        ),
+    ]
+
+
+def _monitor_rules(fleet: str) -> list[Rule]:
+    """Monitoring members receive states, events and liveliness, and query missed events."""
     keys = VehicleKeys(fleet, "*")
-    alive, stations = f"leeway/{fleet}/vehicle/*/alive/**", station_key(fleet, "*")
-    shown = [keys.state, keys.event, alive, stations]
-    asks = [
+    alive, stations = f"leeway/{fleet}/vehicle/*/alive/**", station_wind_key(fleet, "*")
+    shown = [keys.state_key, keys.event_key, alive, stations]
+    requests = [
         "query",
         "declare_subscriber",
         "declare_liveliness_subscriber",
         "liveliness_query",
     ]
-    hears = ["put", "reply", "liveliness_token", "declare_queryable"]
+    incoming = ["put", "reply", "liveliness_token", "declare_queryable"]
     return [
-        _rule("looks-asks", "ingress", asks, *shown),
-        _rule("looks-hears", "egress", hears, *shown),
+        _allow_rule("looks-asks", "ingress", requests, *shown),
+        _allow_rule("looks-hears", "egress", incoming, *shown),
     ]
 
 
-def _commands(fleet: str) -> list[Rule]:
-    """Who may command asks vehicles and hears their answers."""
-    key = VehicleKeys(fleet, "*").command
+def _commander_query_and_reply_rules(fleet: str) -> list[Rule]:
+    """Commanding members query vehicles and receive their responses."""
+    key = VehicleKeys(fleet, "*").command_key
     return [
-        _rule("commands", "ingress", ["query"], key),
-        _rule("commands-answered", "egress", ["reply", "declare_queryable"], key),
+        _allow_rule("commands", "ingress", ["query"], key),
+        _allow_rule("commands-answered", "egress", ["reply", "declare_queryable"], key),
     ]
 
 
-def _hears_roster(fleet: str) -> list[Rule]:
-    asks, hears = ["declare_subscriber", "query"], ["put", "reply", "declare_queryable"]
+def _roster_rules(fleet: str) -> list[Rule]:
+    requests, incoming = ["declare_subscriber", "query"], ["put", "reply", "declare_queryable"]
     return [
-        _rule("roster-asks", "ingress", asks, roster_key(fleet)),
-        _rule("roster-hears", "egress", hears, roster_key(fleet)),
+        _allow_rule("roster-asks", "ingress", requests, roster_key(fleet)),
+        _allow_rule("roster-hears", "egress", incoming, roster_key(fleet)),
     ]

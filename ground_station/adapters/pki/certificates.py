@@ -1,8 +1,8 @@
-"""X.509 certificates of a fleet: an authority, and one certificate for each member, by its role.
+"""X.509 certificates of a fleet: an authority, and one certificate per member, by its role.
 
-A certificate's common name is the member's name. Only a desk or router at an address bears that
-address and may be a server (extended key usage, RFC 5280 section 4.2.1.12): with a vehicle's
-certificate nobody can stand at the desk's address.
+A certificate's common name is the member's name. Only a desk or router with an address has that
+address in its certificate and may be a server (extended key usage, RFC 5280 section 4.2.1.12): a
+vehicle's certificate cannot be used to impersonate the desk.
 """
 
 import ipaddress
@@ -15,39 +15,39 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.roles import LISTENS
+from companion.fleet.roles import SERVERS
 from companion.fleet.roster import RosterMember
 
 AUTHORITY_DAYS = 3650
-EARLIER = timedelta(hours=1)
-"""Certificates are valid from a little before now: clocks of members may be behind."""
+CLOCK_TOLERANCE = timedelta(hours=1)
+"""Certificates are valid from shortly before now: members' clocks may be behind."""
 
 
 @dataclass(frozen=True, slots=True)
 class TlsKey:
-    """A private key of NIST's P-256, which every TLS library takes."""
+    """A private key of the NIST curve P-256, which every TLS library supports."""
 
     private: ec.EllipticCurvePrivateKey
 
     @classmethod
-    def new(cls) -> "TlsKey":
-        """A fresh one."""
+    def generate(cls) -> "TlsKey":
+        """Generate a key."""
         return cls(ec.generate_private_key(ec.SECP256R1()))
 
     @classmethod
-    def from_pem(cls, pem: bytes, where: str) -> "TlsKey":
-        """LeewayError where it is none."""
+    def from_pem(cls, pem: bytes, error_location: str) -> "TlsKey":
+        """Read a key. Raises LeewayError if it is not a P-256 private key."""
         try:
             key = serialization.load_pem_private_key(pem, None)
         except (ValueError, TypeError) as error:
-            raise LeewayError(f"{where}: {error}") from error
+            raise LeewayError(f"{error_location}: {error}") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
-            raise LeewayError(f"{where}: expected a P-256 key")
+            raise LeewayError(f"{error_location}: expected a P-256 key")
         return cls(key)
 
     @property
-    def pem(self) -> bytes:
-        """The private key, not encrypted: the file's mode keeps it."""
+    def private_key_pem(self) -> bytes:
+        """The private key, not encrypted: file permissions protect it."""
         kind = serialization.PrivateFormat.PKCS8
         return self.private.private_bytes(
             serialization.Encoding.PEM, kind, serialization.NoEncryption()
@@ -62,89 +62,108 @@ class TlsAuthority:
     certificate: x509.Certificate
 
     @classmethod
-    def new(cls, fleet: str, now: datetime) -> "TlsAuthority":
-        """A fresh authority; it may sign members, and no further authority."""
-        key = TlsKey.new()
-        name = _name(f"{fleet} fleet authority {now:%Y-%m-%d}")
-        until = now + timedelta(days=AUTHORITY_DAYS)
+    def generate(cls, fleet: str, current_time: datetime) -> "TlsAuthority":
+        """Generate an authority that may sign members, but no further authority."""
+        key = TlsKey.generate()
+        name = _x509_name(f"{fleet} fleet authority {current_time:%Y-%m-%d}")
+        until = current_time + timedelta(days=AUTHORITY_DAYS)
         public = key.private.public_key()
-        made = _builder(name, name, public, now, until)
+        builder = _certificate_builder(name, name, public, current_time, until)
         basic = x509.BasicConstraints(ca=True, path_length=0)
-        made = made.add_extension(basic, critical=True)
-        made = made.add_extension(_usage(authority=True), critical=True)
-        return cls(key, made.sign(key.private, hashes.SHA256()))
+        builder = builder.add_extension(basic, critical=True)
+        builder = builder.add_extension(_key_usage(is_authority=True), critical=True)
+        return cls(key, builder.sign(key.private, hashes.SHA256()))
 
     @property
-    def pem(self) -> bytes:
+    def certificate_pem(self) -> bytes:
         """The authority's certificate."""
         return self.certificate.public_bytes(serialization.Encoding.PEM)
 
-    def certify(
-        self, fleet: str, member: RosterMember, public: ec.EllipticCurvePublicKey, now: datetime
+    def sign_member_certificate(
+        self,
+        fleet: str,
+        member: RosterMember,
+        public_key: ec.EllipticCurvePublicKey,
+        current_time: datetime,
     ) -> bytes:
-        """A member's certificate (PEM), until the end that the roster names."""
-        made = _builder(_name(member.name), self.certificate.subject, public, now, member.not_after)
-        made = made.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        made = made.add_extension(_usage(authority=False), critical=True)
-        made = made.add_extension(x509.ExtendedKeyUsage(_purposes(member)), critical=False)
-        names = x509.SubjectAlternativeName(_names(fleet, member))
-        made = made.add_extension(names, critical=False)
-        return made.sign(self.key.private, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+        """Return a member's certificate (PEM), valid until the end stated in the roster."""
+        builder = _certificate_builder(
+            _x509_name(member.name),
+            self.certificate.subject,
+            public_key,
+            current_time,
+            member.not_after,
+        )
+        builder = builder.add_extension(
+            x509.BasicConstraints(ca=False, path_length=None), critical=True
+        )
+        builder = builder.add_extension(_key_usage(is_authority=False), critical=True)
+        builder = builder.add_extension(
+            x509.ExtendedKeyUsage(_extended_key_usages(member)), critical=False
+        )
+        names = x509.SubjectAlternativeName(_alternative_names(fleet, member))
+        builder = builder.add_extension(names, critical=False)
+        return builder.sign(self.key.private, hashes.SHA256()).public_bytes(
+            serialization.Encoding.PEM
+        )
 
 
-def public_key_in(pem: bytes, where: str) -> ec.EllipticCurvePublicKey:
-    """The key that a certificate is for: renewed, it stays the same."""
+def public_key_of_certificate(
+    certificate_pem: bytes, error_location: str
+) -> ec.EllipticCurvePublicKey:
+    """Return the public key of a certificate: a renewal keeps it."""
     try:
-        key = x509.load_pem_x509_certificate(pem).public_key()
+        key = x509.load_pem_x509_certificate(certificate_pem).public_key()
     except ValueError as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{error_location}: {error}") from error
     if not isinstance(key, ec.EllipticCurvePublicKey):
-        raise LeewayError(f"{where}: expected a P-256 key")
+        raise LeewayError(f"{error_location}: expected a P-256 key")
     return key
 
 
-def authority_from_pem(key: bytes, certificate: bytes, where: str) -> TlsAuthority:
-    """The authority of a folder; LeewayError where its files are none."""
+def authority_from_pem(key_pem: bytes, certificate_pem: bytes, error_location: str) -> TlsAuthority:
+    """Read the authority of a folder. Raises LeewayError if its files are invalid."""
     try:
         return TlsAuthority(
-            TlsKey.from_pem(key, where), x509.load_pem_x509_certificate(certificate)
+            TlsKey.from_pem(key_pem, error_location),
+            x509.load_pem_x509_certificate(certificate_pem),
         )
     except ValueError as error:
-        raise LeewayError(f"{where}: {error}") from error
+        raise LeewayError(f"{error_location}: {error}") from error
 
 
-def public_address_of(member: RosterMember) -> str:
-    """The address that a member's certificate bears; only who is called by others has one."""
-    return member.address if member.role in LISTENS else ""
+def server_address_or_empty(member: RosterMember) -> str:
+    """Return the address in a member's certificate; only listening members have one."""
+    return member.address if member.role in SERVERS else ""
 
 
-def _name(common: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+def _x509_name(common_name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
 
 
-def _builder(
+def _certificate_builder(
     subject: x509.Name,
     issuer: x509.Name,
-    key: ec.EllipticCurvePublicKey,
-    now: datetime,
-    until: datetime,
+    public_key: ec.EllipticCurvePublicKey,
+    current_time: datetime,
+    valid_until: datetime,
 ) -> x509.CertificateBuilder:
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(issuer)
-        .public_key(key)
+        .public_key(public_key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - EARLIER)
-        .not_valid_after(until)
+        .not_valid_before(current_time - CLOCK_TOLERANCE)
+        .not_valid_after(valid_until)
     )
 
 
-def _usage(*, authority: bool) -> x509.KeyUsage:
+def _key_usage(*, is_authority: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
-        digital_signature=not authority,
-        key_cert_sign=authority,
-        crl_sign=authority,
+        digital_signature=not is_authority,
+        key_cert_sign=is_authority,
+        crl_sign=is_authority,
         content_commitment=False,
         key_encipherment=False,
         data_encipherment=False,
@@ -154,14 +173,14 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
     )
 
 
-def _purposes(member: RosterMember) -> list[x509.ObjectIdentifier]:
+def _extended_key_usages(member: RosterMember) -> list[x509.ObjectIdentifier]:
     client = [ExtendedKeyUsageOID.CLIENT_AUTH]
-    return [ExtendedKeyUsageOID.SERVER_AUTH, *client] if member.role in LISTENS else client
+    return [ExtendedKeyUsageOID.SERVER_AUTH, *client] if member.role in SERVERS else client
 
 
-def _names(fleet: str, member: RosterMember) -> list[x509.GeneralName]:
+def _alternative_names(fleet: str, member: RosterMember) -> list[x509.GeneralName]:
     own = x509.UniformResourceIdentifier(f"leeway://{fleet}/{member.role.value}/{member.name}")
-    address = public_address_of(member)
+    address = server_address_or_empty(member)
     if not address:
         return [own]
     host = address.rpartition(":")[0].strip("[]")

@@ -1,12 +1,11 @@
-"""The folder from which a fleet's identities come: authorities, the roster, a folder a member.
+"""Folder of a fleet's public key infrastructure: authorities, the roster, one folder per member.
 
-PKI/roster.toml            the roster (`roster/1`); `pki` alone writes it
-PKI/roster.json            the same, signed: members take it
-PKI/authority/N/           keys of authority N; whoever has them can make members: keep it apart
-PKI/members/NAME/          what NAME gets, whole; its private keys may be deleted here afterwards
+PKI/roster.toml            the roster (`roster/1`); only `pki` writes it
+PKI/roster.json            the signed roster, which members accept
+PKI/authority/N/           keys of authority N, which can create members: store them separately
+PKI/members/NAME/          complete folder for NAME; its private keys may be deleted after the copy
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -15,242 +14,282 @@ from pathlib import Path
 import msgspec
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.envelope import generate_private_key, public_key_hex_of, sign_message
 from companion.fleet.identity import (
     IDENTITY,
     ROSTER,
     SIGNING_KEY,
     TLS_CERTIFICATE,
     ZENOH,
-    read_bytes,
+    read_file_bytes,
     read_signing_key,
 )
-from companion.fleet.roles import LISTENS, Role
-from companion.fleet.roster import Roster, RosterMember, SignedRoster, roster_from_toml, roster_toml
-from companion.fleet.signature import new_private_key, public_key_of, sign
-from companion.fleet.topics import checked_name
+from companion.fleet.roles import SERVERS, Role
+from companion.fleet.roster import (
+    Roster,
+    RosterMember,
+    SignedRoster,
+    roster_from_toml,
+    roster_to_toml_text,
+)
+from companion.fleet.topics import require_valid_name
 from companion.fleet.trust import ROSTER_KIND
+from ground_station.adapters.files.atomic_file import write_file_atomically
 from ground_station.adapters.pki.access_rules import (
-    TLS_AUTHORITIES,
+    TLS_CA,
     TLS_KEY,
-    zenoh_json,
+    member_zenoh_config_json,
 )
 from ground_station.adapters.pki.certificates import (
     TlsAuthority,
     TlsKey,
     authority_from_pem,
-    public_key_in,
+    public_key_of_certificate,
 )
 
-ROSTER_TEXT, AUTHORITY, MEMBERS, ROSTER_KEY = "roster.toml", "authority", "members", "roster.key"
-PRIVATE, PUBLIC = 0o600, 0o644
+ROSTER_FILE, AUTHORITY_FOLDER, MEMBERS_FOLDER, ROSTER_KEY_FILE = (
+    "roster.toml",
+    "authority",
+    "members",
+    "roster.key",
+)
+PRIVATE_MODE, PUBLIC_MODE = 0o600, 0o644
 
 
 @dataclass(frozen=True, slots=True)
 class FleetAuthority:
-    """One authority: signs certificates, and rosters."""
+    """Authority that signs certificates and rosters."""
 
     tls: TlsAuthority
     roster_key: bytes
 
     @property
-    def name(self) -> str:
-        """The public key that members know it by."""
-        return public_key_of(self.roster_key)
+    def public_key(self) -> str:
+        """Public key that identifies the authority to members."""
+        return public_key_hex_of(self.roster_key)
 
 
 @dataclass(slots=True)
 class PkiFolder:
-    """The folder, read. Each deed leaves it, and all members' folders, as they should be."""
+    """Content of the folder. Each operation also updates the folders of all members."""
 
     folder: Path
     roster: Roster
-    authorities: list[FleetAuthority]
+    authority_list: list[FleetAuthority]
     now: datetime
 
     @classmethod
-    def init(cls, folder: Path, fleet: str, now: datetime) -> "PkiFolder":
-        """A new fleet with an authority of its own; LeewayError where the folder holds one."""
-        checked_name("fleet", fleet)
-        if (folder / ROSTER_TEXT).exists():
+    def create_fleet(cls, folder: Path, fleet_name: str, now: datetime) -> "PkiFolder":
+        """Create a fleet with an authority. Raises LeewayError if the folder holds a fleet."""
+        require_valid_name("fleet", fleet_name)
+        if (folder / ROSTER_FILE).exists():
             raise LeewayError(f"{folder}: holds a fleet already")
-        private_folder(folder)
-        made = cls(folder, Roster(fleet=fleet, number=1, members=[]), [], now)
-        made._new_authority()
-        made._write()
-        return made
+        make_private_folder(folder)
+        created = cls(folder, Roster(fleet=fleet_name, number=1, members=[]), [], now)
+        created._create_and_store_authority()
+        created._write_roster_and_member_folders()
+        return created
 
     @classmethod
     def read(cls, folder: Path, now: datetime) -> "PkiFolder":
-        """A folder that `init` made; LeewayError says which file is wrong."""
-        path = folder / ROSTER_TEXT
-        roster = roster_from_toml(read_bytes(path), str(path))
-        numbers = sorted(int(p.name) for p in (folder / AUTHORITY).iterdir() if p.name.isdecimal())
-        authorities = [_read_authority(folder / AUTHORITY / str(n)) for n in numbers]
-        if not authorities:
-            raise LeewayError(f"{folder / AUTHORITY}: no authority")
-        return cls(folder, roster, authorities, now)
+        """Read an existing folder. Raises LeewayError with the invalid file."""
+        path = folder / ROSTER_FILE
+        roster = roster_from_toml(read_file_bytes(path), str(path))
+        numbers = sorted(
+            int(p.name) for p in (folder / AUTHORITY_FOLDER).iterdir() if p.name.isdecimal()
+        )
+        authority_list = [_read_authority(folder / AUTHORITY_FOLDER / str(n)) for n in numbers]
+        if not authority_list:
+            raise LeewayError(f"{folder / AUTHORITY_FOLDER}: no authority")
+        return cls(folder, roster, authority_list, now)
 
-    # --- deeds ---------------------------------------------------------------------------------
+    # --- operations ----------------------------------------------------------------------------
 
-    def add(self, name: str, role: Role, days: int, address: str) -> None:
-        """A new member with fresh keys. One that is revoked may come again so."""
-        self.add_all([name], role, days, address)
+    def add_member(self, name: str, role: Role, validity_days: int, address: str) -> None:
+        """Add a member with new keys; a revoked member may be added again."""
+        self.add_members([name], role, validity_days, address)
 
-    def add_all(self, names: Sequence[str], role: Role, days: int, address: str = "") -> None:
-        """New members of one role, all by one roster; LeewayError before anything is made."""
-        self._check_address(role, address)
+    def add_members(
+        self, names: Sequence[str], role: Role, validity_days: int, address: str = ""
+    ) -> None:
+        """Add members of one role with one roster. Raises LeewayError before any change."""
+        self._require_address_matches_role(role, address)
         if address and len(names) > 1:
             raise LeewayError(f"--address {address}: expected one member at an address")
         for at, name in enumerate(names):
-            checked_name("member", name)
-            known = self.roster.by_name.get(name)
+            require_valid_name("member", name)
+            known = self.roster.member_by_name.get(name)
             if known is not None and not known.revoked:
                 raise LeewayError(f"{name}: on the roster already, as {known.role.value}")
             if name in names[:at]:
                 raise LeewayError(f"{name}: named twice")
-        made = [self._made(name, role, days, address) for name in names]
-        self._put([m for m in self.roster.members if m.name not in names] + made)
+        created = [
+            self._create_member_keys_and_certificate(name, role, validity_days, address)
+            for name in names
+        ]
+        self._write_new_roster_with_members(
+            [m for m in self.roster.members if m.name not in names] + created
+        )
 
-    def _made(self, name: str, role: Role, days: int, address: str) -> RosterMember:
-        """A member's keys and certificate, in its folder."""
-        home = self.folder / MEMBERS / name
-        private_folder(home)
-        signing, tls = new_private_key(), TlsKey.new()
-        member = _checked_member(
+    def _create_member_keys_and_certificate(
+        self, name: str, role: Role, validity_days: int, address: str
+    ) -> RosterMember:
+        """Create a member's keys and certificate in its folder."""
+        home = self.folder / MEMBERS_FOLDER / name
+        make_private_folder(home)
+        signing, tls = generate_private_key(), TlsKey.generate()
+        member = _build_validated_member(
             name=name,
             role=role,
-            key=public_key_of(signing),
-            not_after=self._until(days),
+            key=public_key_hex_of(signing),
+            not_after=self._expiry_after(validity_days),
             address=address,
         )
-        write_file(home / SIGNING_KEY, f"{signing.hex()}\n".encode(), PRIVATE)
-        write_file(home / TLS_KEY, tls.pem, PRIVATE)
-        self._certify(member, tls.private.public_key())
+        write_file_atomically(home / SIGNING_KEY, f"{signing.hex()}\n".encode(), PRIVATE_MODE)
+        write_file_atomically(home / TLS_KEY, tls.private_key_pem, PRIVATE_MODE)
+        self._sign_and_write_certificate(member, tls.private.public_key())
         return member
 
-    def renew(self, name: str, days: int) -> None:
-        """The same keys for longer: what flies with them is not cut."""
-        self.renew_all([name], days)
+    def renew_member_certificate(self, name: str, validity_days: int) -> None:
+        """Extend a member's certificate with the same keys; open connections continue."""
+        self.renew_member_certificates([name], validity_days)
 
-    def renew_all(self, names: Sequence[str], days: int) -> None:
-        """Several members' certificates for longer, by one roster."""
+    def renew_member_certificates(self, names: Sequence[str], validity_days: int) -> None:
+        """Extend several members' certificates with one roster."""
         new: dict[str, RosterMember] = {}
-        for old in [self._member(name) for name in names]:
-            member = msgspec.structs.replace(old, not_after=self._until(days))
-            path = self.folder / MEMBERS / old.name / TLS_CERTIFICATE
-            self._certify(member, public_key_in(read_bytes(path), str(path)))
+        for old in [self._require_active_member(name) for name in names]:
+            member = msgspec.structs.replace(old, not_after=self._expiry_after(validity_days))
+            path = self.folder / MEMBERS_FOLDER / old.name / TLS_CERTIFICATE
+            self._sign_and_write_certificate(
+                member, public_key_of_certificate(read_file_bytes(path), str(path))
+            )
             new[old.name] = member
-        self._put([new.get(m.name, m) for m in self.roster.members])
+        self._write_new_roster_with_members([new.get(m.name, m) for m in self.roster.members])
 
-    def ending_within(self, days: int) -> list[str]:
-        """Members whose certificates end within so many days, or have ended."""
+    def names_of_members_expiring_within(self, days: int) -> list[str]:
+        """Return members whose certificates end within this number of days, or have ended."""
         until = self.now + timedelta(days=days)
         return [m.name for m in self.roster.members if not m.revoked and m.not_after <= until]
 
-    def revoke(self, *names: str) -> None:
-        """Nobody believes them from the moment that they have the new roster."""
-        gone = {name: msgspec.structs.replace(self._member(name), revoked=True) for name in names}
-        self._put([gone.get(m.name, m) for m in self.roster.members])
+    def revoke_members(self, *member_names: str) -> None:
+        """Revoke members: others reject them as soon as they have the new roster."""
+        revoked_members = {
+            name: msgspec.structs.replace(self._require_active_member(name), revoked=True)
+            for name in member_names
+        }
+        self._write_new_roster_with_members(
+            [revoked_members.get(m.name, m) for m in self.roster.members]
+        )
 
-    def rotate(self) -> None:
-        """A second authority beside the first: both count until `retire`."""
-        if len(self.authorities) > 1:
-            raise LeewayError("two authorities count already: expected `retire` first")
-        self._new_authority()
-        self._put(self.roster.members)
+    def add_second_authority(self) -> None:
+        """Add a second authority: both are valid until `remove_oldest_authority`."""
+        if len(self.authority_list) > 1:
+            raise LeewayError("two authorities: run `ground-station pki rotate --finish` first")
+        self._create_and_store_authority()
+        self._write_new_roster_with_members(self.roster.members)
 
-    def retire(self) -> None:
-        """The older authority counts no more; LeewayError where it is the only one."""
-        if len(self.authorities) < 2:
-            raise LeewayError("one authority only: expected `rotate` first")
-        oldest = min((self.folder / AUTHORITY).iterdir(), key=lambda path: int(path.name))
+    def remove_oldest_authority(self) -> None:
+        """Remove the older authority. Raises LeewayError if it is the only one."""
+        if len(self.authority_list) < 2:
+            raise LeewayError("one authority only: run `ground-station pki rotate` first")
+        oldest = min((self.folder / AUTHORITY_FOLDER).iterdir(), key=lambda path: int(path.name))
         for file in oldest.iterdir():
             file.unlink()
         oldest.rmdir()
-        self.authorities = self.authorities[1:]
-        self._put(self.roster.members)
+        self.authority_list = self.authority_list[1:]
+        self._write_new_roster_with_members(self.roster.members)
 
     # --- parts ---------------------------------------------------------------------------------
 
-    def _member(self, name: str) -> RosterMember:
-        found = self.roster.by_name.get(name)
+    def _require_active_member(self, name: str) -> RosterMember:
+        found = self.roster.member_by_name.get(name)
         if found is None or found.revoked:
             raise LeewayError(f"{name}: {'revoked' if found else 'not on the roster'}")
         return found
 
-    def _check_address(self, role: Role, address: str) -> None:
-        if address and role not in LISTENS:
-            raise LeewayError(f"--address: a {role.value} is called by nobody")
+    def _require_address_matches_role(self, role: Role, address: str) -> None:
+        if address and role not in SERVERS:
+            raise LeewayError(f"--address: a {role.value} has no address, expected none")
         if role is Role.ROUTER and not address:
-            raise LeewayError("--address: expected HOST:PORT, where the others find the router")
+            raise LeewayError("--address: expected HOST:PORT of the router")
 
-    def _until(self, days: int) -> datetime:
+    def _expiry_after(self, days: int) -> datetime:
         return (self.now + timedelta(days=days)).replace(microsecond=0)
 
-    def _certify(self, member: RosterMember, public: object) -> None:
-        """By the newest authority."""
-        tls = self.authorities[-1].tls
-        pem = tls.certify(self.roster.fleet, member, public, self.now)  # pyright: ignore
-        write_file(self.folder / MEMBERS / member.name / TLS_CERTIFICATE, pem, PUBLIC)
+    def _sign_and_write_certificate(self, member: RosterMember, public_key: object) -> None:
+        """Sign with the newest authority."""
+        tls = self.authority_list[-1].tls
+        pem = tls.sign_member_certificate(self.roster.fleet, member, public_key, self.now)  # pyright: ignore
+        write_file_atomically(
+            self.folder / MEMBERS_FOLDER / member.name / TLS_CERTIFICATE, pem, PUBLIC_MODE
+        )
 
-    def _new_authority(self) -> None:
-        number = len(self.authorities) + 1
-        while (self.folder / AUTHORITY / str(number)).exists():
+    def _create_and_store_authority(self) -> None:
+        number = len(self.authority_list) + 1
+        while (self.folder / AUTHORITY_FOLDER / str(number)).exists():
             number += 1
-        home = self.folder / AUTHORITY / str(number)
-        private_folder(home)
-        made = FleetAuthority(TlsAuthority.new(self.roster.fleet, self.now), new_private_key())
-        write_file(home / TLS_KEY, made.tls.key.pem, PRIVATE)
-        write_file(home / TLS_CERTIFICATE, made.tls.pem, PUBLIC)
-        write_file(home / ROSTER_KEY, f"{made.roster_key.hex()}\n".encode(), PRIVATE)
-        self.authorities = [*self.authorities, made]
+        home = self.folder / AUTHORITY_FOLDER / str(number)
+        make_private_folder(home)
+        created = FleetAuthority(
+            TlsAuthority.generate(self.roster.fleet, self.now), generate_private_key()
+        )
+        write_file_atomically(home / TLS_KEY, created.tls.key.private_key_pem, PRIVATE_MODE)
+        write_file_atomically(home / TLS_CERTIFICATE, created.tls.certificate_pem, PUBLIC_MODE)
+        write_file_atomically(
+            home / ROSTER_KEY_FILE, f"{created.roster_key.hex()}\n".encode(), PRIVATE_MODE
+        )
+        self.authority_list = [*self.authority_list, created]
 
-    def _put(self, members: list[RosterMember]) -> None:
+    def _write_new_roster_with_members(self, members: list[RosterMember]) -> None:
         number = self.roster.number + 1
         self.roster = msgspec.structs.replace(self.roster, number=number, members=members)
-        self._write()
+        self._write_roster_and_member_folders()
 
-    def _write(self) -> None:
-        """The roster last but for the members: cut before, the old one counts."""
-        text = roster_toml(self.roster)
-        signed = msgspec.json.encode(self._signed(text))
-        write_file(self.folder / ROSTER_TEXT, text.encode(), PUBLIC)
-        write_file(self.folder / ROSTER, signed, PUBLIC)
+    def _write_roster_and_member_folders(self) -> None:
+        """Write roster, then members' folders: after an interruption the old roster is in force."""
+        text = roster_to_toml_text(self.roster)
+        signed = msgspec.json.encode(self._sign_roster(text))
+        write_file_atomically(self.folder / ROSTER_FILE, text.encode(), PUBLIC_MODE)
+        write_file_atomically(self.folder / ROSTER, signed, PUBLIC_MODE)
         for member in self.roster.members:
             if not member.revoked:
-                self._write_member(member, signed)
+                self._write_member_folder(member, signed)
 
-    def _write_member(self, member: RosterMember, signed: bytes) -> None:
-        home = self.folder / MEMBERS / member.name
-        write_file(home / TLS_AUTHORITIES, b"".join(a.tls.pem for a in self.authorities), PUBLIC)
-        write_file(home / IDENTITY, self._identity(member).encode(), PUBLIC)
-        write_file(home / ZENOH, zenoh_json(self.roster, member).encode(), PUBLIC)
-        write_file(home / ROSTER, signed, PUBLIC)
+    def _write_member_folder(self, member: RosterMember, signed_roster_bytes: bytes) -> None:
+        home = self.folder / MEMBERS_FOLDER / member.name
+        write_file_atomically(
+            home / TLS_CA, b"".join(a.tls.certificate_pem for a in self.authority_list), PUBLIC_MODE
+        )
+        write_file_atomically(home / IDENTITY, self._identity_toml(member).encode(), PUBLIC_MODE)
+        write_file_atomically(
+            home / ZENOH, member_zenoh_config_json(self.roster, member).encode(), PUBLIC_MODE
+        )
+        write_file_atomically(home / ROSTER, signed_roster_bytes, PUBLIC_MODE)
 
-    def _identity(self, member: RosterMember) -> str:
-        keys = ", ".join(f'"{authority.name}"' for authority in self.authorities)
+    def _identity_toml(self, member: RosterMember) -> str:
+        keys = ", ".join(f'"{authority.public_key}"' for authority in self.authority_list)
         lines = ['format = "identity/1"', f'fleet = "{self.roster.fleet}"']
         return "\n".join([*lines, f'name = "{member.name}"', f"authorities = [{keys}]", ""])
 
-    def _signed(self, text: str) -> SignedRoster:
-        raw, fleet = text.encode(), self.roster.fleet
+    def _sign_roster(self, roster_text: str) -> SignedRoster:
+        raw, fleet = roster_text.encode(), self.roster.fleet
         return SignedRoster(
-            roster=text,
+            roster=roster_text,
             signatures={
-                one.name: sign(
+                one.public_key: sign_message(
                     one.roster_key, kind=ROSTER_KIND, fleet=fleet, signer=ROSTER_KIND, raw=raw
                 ).hex()
-                for one in self.authorities
+                for one in self.authority_list
             },
         )
 
 
-def utc_at(epoch_us: int) -> datetime:
-    """A wall clock's time as certificates name it."""
+def utc_datetime(epoch_us: int) -> datetime:
+    """Convert a wall clock time to the time type of certificates."""
     return datetime.fromtimestamp(epoch_us / 1e6, UTC)
 
 
-def _checked_member(**fields: object) -> RosterMember:
+def _build_validated_member(**fields: object) -> RosterMember:
     try:
         return msgspec.convert({**fields}, RosterMember)
     except msgspec.ValidationError as error:
@@ -258,30 +297,15 @@ def _checked_member(**fields: object) -> RosterMember:
 
 
 def _read_authority(home: Path) -> FleetAuthority:
-    key, certificate = read_bytes(home / TLS_KEY), read_bytes(home / TLS_CERTIFICATE)
+    key, certificate = read_file_bytes(home / TLS_KEY), read_file_bytes(home / TLS_CERTIFICATE)
     tls = authority_from_pem(key, certificate, str(home))
-    return FleetAuthority(tls, read_signing_key(home / ROSTER_KEY))
+    return FleetAuthority(tls, read_signing_key(home / ROSTER_KEY_FILE))
 
 
-def private_folder(path: Path) -> None:
-    """Make a folder that its owner alone may enter."""
+def make_private_folder(path: Path) -> None:
+    """Create a folder that only its owner can enter."""
     try:
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
         path.chmod(0o700)
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-
-
-def write_file(path: Path, content: bytes, mode: int) -> None:
-    """Write a file whole or not at all, and never for a moment readable by others."""
-    fresh = path.with_name(f"{path.name}.new")
-    try:
-        fresh.unlink(missing_ok=True)
-        descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error

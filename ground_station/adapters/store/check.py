@@ -1,4 +1,4 @@
-"""Whether a store is whole, in words."""
+"""Integrity check of a store."""
 
 import stat
 from collections.abc import Iterator
@@ -6,29 +6,29 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from ground_station.adapters.store.audit_store import read_audit
-from ground_station.adapters.store.database import Database, sqlite_file
-from ground_station.core.people.audit_chain import faults
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
+from ground_station.adapters.store.database import Database, sqlite_file_path
+from ground_station.core.people.audit_chain import find_chain_faults
 
 
-def check(url: str) -> list[str]:
-    """What is wrong with a store; nothing where it is whole. StoreError where it cannot be read."""
-    database = Database(url, create=False)
+def find_store_faults(store_url: str) -> list[str]:
+    """Return the faults of a store; empty if intact. Raises StoreError if it is unreadable."""
+    database = Database(store_url, create=False)
     try:
-        found = list(_file_faults(sqlite_file(sa.make_url(url)), database))
-        rows, head = read_audit(database)
+        found = list(_sqlite_file_faults(sqlite_file_path(sa.make_url(store_url)), database))
+        rows, head = read_audit_rows_and_head(database)
     finally:
         database.close()
-    return found + [f"audit: {words}" for words in faults(rows, head)]
+    return found + [f"audit: {words}" for words in find_chain_faults(rows, head)]
 
 
-def _file_faults(path: Path | None, database: Database) -> Iterator[str]:
-    """PostgreSQL checks its own pages as it reads them."""
+def _sqlite_file_faults(path: Path | None, database: Database) -> Iterator[str]:
+    """Yield faults of an SQLite file. PostgreSQL checks its own pages as it reads them."""
     if path is None:
         return
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
-        yield f"{path}: mode {mode:04o}, expected 0600: others read where people live"
+        yield f"{path}: mode {mode:04o}, expected 0600: other users can read customer addresses"
     with database.read() as db:
         for (words,) in db.exec_driver_sql("PRAGMA integrity_check"):
             if words != "ok":

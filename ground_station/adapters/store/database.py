@@ -1,4 +1,4 @@
-"""A database by its URL, SQLite (WAL) or PostgreSQL: transactions, and errors in words."""
+"""Access to SQLite (WAL) or PostgreSQL by URL: transactions, and translated errors."""
 
 import os
 import sqlite3
@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote, unquote
 
+import msgspec
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import (
@@ -20,32 +21,37 @@ from sqlalchemy.exc import (
 )
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.store import audit_steps, tables
 from ground_station.adapters.store.outage import Outage
 
-BUSY_MS = 10_000
-"""How long a desk waits for another desk's transaction; they take milliseconds."""
+Value = TypeVar("Value")
 
-SOON_MS = 1_000
-"""And how long where somebody waits for more than the store: a recall that is under way."""
+LOCK_TIMEOUT_MS = 10_000
+"""Time-out for another desk's transaction; transactions take milliseconds."""
 
-CONNECT_S = 2
-"""Time-out of a connection to PostgreSQL; the least that its library takes for more than none."""
+URGENT_LOCK_TIMEOUT_MS = 1_000
+"""The same time-out for an urgent caller: a recall in progress."""
 
-UNHEARD = {"tcp_user_timeout": BUSY_MS, "keepalives_idle": 5, "keepalives_interval": 2}
-"""libpq: a server that has gone without a word is away after `BUSY_MS`, not after two hours."""
+CONNECT_TIMEOUT_S = 2
+"""Time-out of a connection to PostgreSQL; the shortest that libpq supports."""
+
+SERVER_TIMEOUTS = {
+    "tcp_user_timeout": LOCK_TIMEOUT_MS,
+    "keepalives_idle": 5,
+    "keepalives_interval": 2,
+}
+"""libpq: an unresponsive server counts as lost after `LOCK_TIMEOUT_MS`, not after two hours."""
 
 SCHEMA_LOCK = 0x4C454557
-"""PostgreSQL's advisory lock: desks that start together create the tables once."""
+"""PostgreSQL advisory lock: desks that start together create the tables once."""
 
 
 class StoreError(LeewayError):
-    """The store could not do it; nothing was written."""
+    """The store operation failed; nothing was written."""
 
 
-class StoreAway(StoreError):
-    """It cannot be used now, and may be back by itself: no mistake in the settings."""
+class StoreUnreachable(StoreError):
+    """The store is unreachable now and may recover without a change of settings."""
 
 
 class Database:
@@ -57,78 +63,80 @@ class Database:
         *,
         durable: bool = True,
         create: bool = True,
-        busy_ms: int = BUSY_MS,
+        lock_timeout_ms: int = LOCK_TIMEOUT_MS,
         outage: Outage | None = None,
         any_schema: bool = False,
     ) -> None:
         """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError.
 
-        Without `durable`, SQLite does not wait for the disk: faster, but a power cut may lose what
-        was acknowledged. Without `create`, a store that is not there is an error, and stays so.
-        `busy_ms`: how long it waits for another desk's transaction. With `outage`, a store that is
-        away is an error at once, until it is time to try it again. `any_schema`: to upgrade it.
+        Without `durable`, SQLite does not wait for the disk: faster, but a power cut may lose
+        acknowledged data. Without `create`, a missing store is an error and is not created.
+        `lock_timeout_ms`: time-out for another desk's transaction. With `outage`, an unreachable
+        store is an error at once, until its next retry. `any_schema`: accept any schema, for an
+        upgrade.
         """
-        self.shown, self.outage = url, None
-        self.write_took_s: float | None = None
+        self.shown_url, self.outage = url, None
         try:
-            self._engine = _engine(url, "FULL" if durable else "OFF", busy_ms)
-            self._unsettled = _engine(url, "NORMAL" if durable else "OFF", busy_ms)
-            self.shown = sa.make_url(url).render_as_string(hide_password=True)
+            self._engine = _create_engine(url, "FULL" if durable else "OFF", lock_timeout_ms)
+            self._relaxed_engine = _create_engine(
+                url, "NORMAL" if durable else "OFF", lock_timeout_ms
+            )
+            self.shown_url = sa.make_url(url).render_as_string(hide_password=True)
         except (ArgumentError, NoSuchModuleError) as error:
             raise StoreError(
                 f"store {url!r}: expected sqlite:///FILE or postgresql://... ({error})"
             ) from error
         try:
-            self._open(create, any_schema)
+            self._create_if_missing_and_check_schema(create, any_schema)
         except StoreError:
             self.close()
             raise
         self.outage = outage
 
-    def _open(self, create: bool, any_schema: bool) -> None:
-        path = sqlite_file(self._engine.url)
-        if create:
-            self._create()
+    def _create_if_missing_and_check_schema(
+        self, create_if_missing: bool, any_schema: bool
+    ) -> None:
+        path = sqlite_file_path(self._engine.url)
+        if create_if_missing:
+            self._create_store_if_missing()
         elif path is not None and not path.exists():
-            check_schema(None, self.shown)
+            require_current_schema(None, self.shown_url)
         if not any_schema:
             with self.read() as db:
-                check_schema(schema_of(db), self.shown)
+                require_current_schema(store_schema_version(db), self.shown_url)
 
-    def _create(self) -> None:
-        """Make file and tables where there is no store."""
-        _make_file(self._engine.url, self.shown)
+    def _create_store_if_missing(self) -> None:
+        """Create file and tables if there is no store."""
+        _create_sqlite_file(self._engine.url, self.shown_url)
         with self.write() as db:
             if self._engine.dialect.name == "postgresql":
                 db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
-            if schema_of(db) is None:
-                _make_tables(db)
+            if store_schema_version(db) is None:
+                _create_tables(db)
 
     def close(self) -> None:
-        """Give the connections back."""
+        """Close all connections."""
         self._engine.dispose()
-        self._unsettled.dispose()
+        self._relaxed_engine.dispose()
 
     @contextmanager
-    def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
-        """A transaction: on the disk when it ends well, undone otherwise.
+    def write(self, *, durable: bool = True) -> Iterator[sa.Connection]:
+        """Open a transaction: durable when it commits, rolled back on an exception.
 
-        Without `settle` it survives this process, but perhaps not a power cut: for what the fleet
-        would send again. `write_took_s` tells how long the newest took.
+        Without `durable` it survives a crash of this process, but possibly not a power cut: for
+        data that the fleet would send again.
         """
-        began_s = monotonic_s()
-        engine = self._engine if settle else self._unsettled
-        with self._translated("written"), engine.begin() as db:
-            if not settle and engine.dialect.name == "postgresql":
+        engine = self._engine if durable else self._relaxed_engine
+        with self._translate_and_record_errors("written"), engine.begin() as db:
+            if not durable and engine.dialect.name == "postgresql":
                 db.exec_driver_sql("SET LOCAL synchronous_commit TO off")
-            audit_steps.begin(db)
+            audit_steps.start_pending_audit_entries(db)
             yield db
-            audit_steps.write(db)
-        self.write_took_s = monotonic_s() - began_s
+            audit_steps.write_pending_audit_entries(db)
 
-    def try_again(self) -> None:
-        """Where a write has failed, write a row as it is. Raises StoreError if it fails again."""
-        if self.outage is None or not self.outage.in_writing:
+    def probe_write_after_failure(self) -> None:
+        """After a failed write, rewrite one row unchanged. Raises StoreError if this fails too."""
+        if self.outage is None or not self.outage.is_write_failure:
             return
         here = tables.about.c.name == "schema"
         with self.write() as db:
@@ -136,33 +144,54 @@ class Database:
 
     @contextmanager
     def read(self) -> Iterator[sa.Connection]:
-        """A consistent read; in SQLite it waits for nobody."""
-        with self._translated("read"), self._engine.connect() as db:
+        """Open a consistent read; in SQLite it waits for no writer."""
+        with self._translate_and_record_errors("read"), self._engine.connect() as db:
             yield db.execution_options(reading=True)
 
+    def about_value(self, name: str, value_type: type[Value]) -> Value | None:
+        """Return a value of the table `about`; None: it is not stored."""
+        with self.read() as db:
+            query = sa.select(tables.about.c.value).where(tables.about.c.name == name)
+            found = db.execute(query).scalar_one_or_none()
+        return None if found is None else msgspec.json.decode(found, type=value_type)
+
+    def replace_about_value(self, name: str, value: Any) -> None:
+        """Store a value in the table `about`."""
+        schema_row = sa.select(tables.about).where(tables.about.c.name == "schema")
+        with self.write() as db:
+            db.execute(schema_row.with_for_update())  # several desks may start at once
+            db.execute(sa.delete(tables.about).where(tables.about.c.name == name))
+            values = {"name": name, "value": msgspec.json.encode(value).decode()}
+            db.execute(sa.insert(tables.about).values(values))
+
     @contextmanager
-    def _translated(self, what: str) -> Iterator[None]:
-        outage, writing = self.outage, what == "written"
-        if outage is not None and outage.is_waiting:
-            raise StoreError(outage.why or "")
+    def _translate_and_record_errors(self, operation_participle: str) -> Iterator[None]:
+        outage, is_write = self.outage, operation_participle == "written"
+        if outage is not None and outage.is_before_next_retry:
+            raise StoreError(outage.reason or "")
         try:
             yield
         except IntegrityError:
             raise
         except DBAPIError as error:
-            why = f"store {self.shown}: nothing {what}: {' '.join(str(error.orig).split())}"
+            message = (
+                f"store {self.shown_url}: nothing {operation_participle}:"
+                f" {' '.join(str(error.orig).split())}"
+            )
             if outage is not None:
-                outage.failed(why, writing=writing)
-            raise (StoreAway if _is_away(error) else StoreError)(why) from error
+                outage.record_failure_and_schedule_retry(message, is_write=is_write)
+            raise (StoreUnreachable if _is_store_temporarily_unreachable(error) else StoreError)(
+                message
+            ) from error
         if outage is not None:
-            outage.ended(writing=writing)
+            outage.record_success_and_end_outage(is_write=is_write)
 
 
-def _is_away(error: DBAPIError) -> bool:
-    """Whether time may mend it: a lock, a full disk, a server that is not there or just starts.
+def _is_store_temporarily_unreachable(error: DBAPIError) -> bool:
+    """Return whether the error may resolve itself: a lock, a full disk, a server down or starting.
 
-    libpq has no code for a connection that failed. A server that refuses one says FATAL; only where
-    it starts, stops or recovers does it go on with its system's state.
+    libpq has no code for a failed connection. A server that refuses one reports FATAL; only a
+    server that starts, stops or recovers continues with the state of the database system.
     """
     words = str(error.orig)
     if not isinstance(error, OperationalError):
@@ -172,8 +201,8 @@ def _is_away(error: DBAPIError) -> bool:
     return "FATAL" not in words or "the database system is" in words
 
 
-def schema_of(db: sa.Connection) -> int | None:
-    """The schema of a store; None: there is no store in this database."""
+def store_schema_version(db: sa.Connection) -> int | None:
+    """Return the schema of a store, None if this database contains no store."""
     if not sa.inspect(db).has_table(tables.about.name):
         return None
     query = sa.select(tables.about.c.value).where(tables.about.c.name == "schema")
@@ -181,68 +210,86 @@ def schema_of(db: sa.Connection) -> int | None:
     return None if found is None else int(found)
 
 
-def check_schema(found: int | None, shown: str) -> None:
-    """Raise StoreError, with what to do, where a desk of today cannot work on this schema."""
-    if found is None:
-        raise StoreError(f"store {shown}: there is none; `ground-station order import` makes one")
-    if found == tables.SCHEMA:
+def require_current_schema(schema_version: int | None, shown_store_url: str) -> None:
+    """Raise StoreError, with the remedy, if this version cannot use this schema."""
+    if schema_version is None:
+        raise StoreError(
+            f"store {shown_store_url}: no store there; `ground-station order import` creates one"
+        )
+    if schema_version == tables.SCHEMA:
         return
-    remedy = "a newer ground-station made it"
-    if found < tables.SCHEMA:
-        remedy = "`ground-station store upgrade` brings it there"
-    raise StoreError(f"store {shown}: schema {found}, expected {tables.SCHEMA}: {remedy}")
+    remedy = "created by a newer ground-station"
+    if schema_version < tables.SCHEMA:
+        remedy = "run `ground-station store upgrade`"
+    raise StoreError(
+        f"store {shown_store_url}: schema {schema_version}, expected {tables.SCHEMA}: {remedy}"
+    )
 
 
-def _make_tables(db: sa.Connection) -> None:
+def _create_tables(db: sa.Connection) -> None:
     tables.metadata.create_all(db)
-    facts = {"schema": str(tables.SCHEMA), audit_steps.HEAD: audit_steps.first_head()}
-    rows = [{"name": name, "value": value} for name, value in facts.items()]
+    about_values = {
+        "schema": str(tables.SCHEMA),
+        audit_steps.HEAD_KEY: audit_steps.empty_head_json(),
+    }
+    rows = [{"name": name, "value": value} for name, value in about_values.items()]
     db.execute(sa.insert(tables.about), rows)
 
 
-def sqlite_file(url: sa.URL) -> Path | None:
-    """The file of an SQLite store; None: PostgreSQL."""
+def sqlite_file_path(url: sa.URL) -> Path | None:
+    """Return the file of an SQLite store, None for PostgreSQL."""
     if url.get_backend_name() != "sqlite":
         return None
     name = url.database or ""
     return Path(unquote(name.removeprefix("file:")) if name.startswith("file:") else name)
 
 
-def _make_file(url: sa.URL, shown: str) -> None:
-    """Make SQLite's file, for its owner only: it holds where people live."""
-    path = sqlite_file(url)
+def _create_sqlite_file(url: sa.URL, shown_store_url: str) -> None:
+    """Create SQLite's file with mode 0600: it contains customer addresses."""
+    path = sqlite_file_path(url)
     if path is None:
         return
     try:
         os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
     except OSError as error:
-        raise StoreError(f"store {shown}: unable to open: {error.strerror}") from error
+        raise StoreError(f"store {shown_store_url}: unable to open: {error.strerror}") from error
 
 
-def _engine(url: str, synchronous: str, busy_ms: int) -> sa.Engine:
+def _create_engine(url: str, sqlite_synchronous: str, lock_timeout_ms: int) -> sa.Engine:
     parsed = sa.make_url(url)
     if parsed.drivername in ("postgresql", "postgres"):
         parsed = parsed.set(drivername="postgresql+psycopg")
     kind = parsed.drivername.partition("+")[0]
     if kind not in ("sqlite", "postgresql") or not parsed.database:
         raise ArgumentError(f"unknown kind {kind}, or no name")
-    if kind == "sqlite":  # SQLite would create a file that is not there
+    if kind == "sqlite":  # SQLite would create a missing file
         file = "file:" + quote(parsed.database)
         parsed = parsed.set(database=file, query={"mode": "rw", "uri": "true"})
     if kind == "postgresql":
-        told = {"connect_timeout": CONNECT_S, "options": f"-c lock_timeout={busy_ms}"}
-        return sa.create_engine(parsed, pool_pre_ping=True, connect_args=told | UNHEARD)
+        connect_options = {
+            "connect_timeout": CONNECT_TIMEOUT_S,
+            "options": f"-c lock_timeout={lock_timeout_ms}",
+        }
+        return sa.create_engine(
+            parsed, pool_pre_ping=True, connect_args=connect_options | SERVER_TIMEOUTS
+        )
     engine = sa.create_engine(parsed)
-    event.listen(engine, "connect", partial(_prepare_sqlite, synchronous, busy_ms))
-    event.listen(engine, "begin", _begin_sqlite)
+    event.listen(
+        engine,
+        "connect",
+        partial(_configure_sqlite_connection, sqlite_synchronous, lock_timeout_ms),
+    )
+    event.listen(engine, "begin", _begin_sqlite_transaction)
     return engine
 
 
-def _prepare_sqlite(synchronous: str, busy_ms: int, raw: Any, record: Any) -> None:
-    raw.isolation_level = None  # `_begin_sqlite` begins transactions
+def _configure_sqlite_connection(
+    synchronous: str, lock_timeout_ms: int, raw: Any, record: Any
+) -> None:
+    raw.isolation_level = None  # `_begin_sqlite_transaction` begins transactions
     cursor = raw.cursor()
     for pragma in (
-        f"busy_timeout = {busy_ms}",
+        f"busy_timeout = {lock_timeout_ms}",
         "journal_mode = WAL",
         f"synchronous = {synchronous}",  # FULL: an acknowledged order survives a power cut
         "foreign_keys = ON",
@@ -251,7 +298,7 @@ def _prepare_sqlite(synchronous: str, busy_ms: int, raw: Any, record: Any) -> No
     cursor.close()
 
 
-def _begin_sqlite(db: sa.Connection) -> None:
-    """A writer takes the lock at once, so no transaction fails half way."""
+def _begin_sqlite_transaction(db: sa.Connection) -> None:
+    """Begin a transaction; a writer locks at once, so no transaction fails half way."""
     reading = db.get_execution_options().get("reading", False)
     db.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")

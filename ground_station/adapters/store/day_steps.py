@@ -1,12 +1,12 @@
-"""Steps of the transactions of a day with a truck; each gets the transaction that it is part of."""
+"""Steps of the transactions of a day with a truck; each runs inside the caller's transaction."""
 
 from typing import Any
 
 import msgspec
 import sqlalchemy as sa
 
-from companion.core.base.place import Place
-from companion.fleet.messages import Answered, Deed, Drive
+from companion.core.base.location import Location
+from companion.fleet.messages import CommandAction, CommandStatus, Drive
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
@@ -14,41 +14,45 @@ from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.sortie_rows import SortieRow
 
 
-def drives(db: sa.Connection) -> list[tuple[Drive, Answered | None]]:
-    """The truck's drive commands that it has not refused, oldest first."""
+def read_drive_commands_not_refused(db: sa.Connection) -> list[tuple[Drive, CommandStatus | None]]:
+    """Return the truck's drive commands that it has not refused, oldest first."""
     query = sa.select(t.commands.c.deed, t.commands.c.answer).where(t.commands.c.id.like("drive-%"))
-    found: list[tuple[Drive, Answered | None]] = []
+    found: list[tuple[Drive, CommandStatus | None]] = []
     for row in db.execute(query.order_by(t.commands.c.n)):
-        deed = msgspec.json.decode(row.deed, type=Deed)
-        answer = None if row.answer is None else Answered(row.answer)
-        if isinstance(deed, Drive) and answer is not Answered.REFUSED:
-            found.append((deed, answer))
+        action = msgspec.json.decode(row.deed, type=CommandAction)
+        response = None if row.answer is None else CommandStatus(row.answer)
+        if isinstance(action, Drive) and response is not CommandStatus.REFUSED:
+            found.append((action, response))
     return found
 
 
-def last_drive(db: sa.Connection) -> str | None:
-    """The stop that the truck was last told to drive to."""
-    told = drives(db)
-    return told[-1][0].stop if told else None
+def last_ordered_truck_stop(db: sa.Connection) -> str | None:
+    """Return the stop that the truck was last ordered to, None before the first order."""
+    drive_commands = read_drive_commands_not_refused(db)
+    return drive_commands[-1][0].stop if drive_commands else None
 
 
-def bound(db: sa.Connection) -> list[SortieRow]:
-    """All sorties, for what binds the truck."""
+def read_sorties_without_responses(db: sa.Connection) -> list[SortieRow]:
+    """Return all sorties, to determine at which stops the truck must wait."""
     query = sa.select(t.assignments, t.sorties).join(
         t.sorties, t.sorties.c.assignment == t.assignments.c.id
     )
-    return [sortie_row(row, ()) for row in db.execute(query)]
+    return [sortie_from_database_row(row, ()) for row in db.execute(query)]
 
 
-def promised_stops(db: sa.Connection) -> set[str]:
-    """Where the truck was last told to drive to, and where drones that are out may land."""
-    out = [row for row in bound(db) if not (row.aboard or row.gone)]
-    stops = {stop for row in out for stop in (row.promised, row.asked)}
-    return {stop for stop in (*stops, last_drive(db)) if stop is not None}
+def ordered_and_promised_landing_stops(db: sa.Connection) -> set[str]:
+    """Return the truck's last ordered stop and the stops where airborne drones may land."""
+    out = [
+        row
+        for row in read_sorties_without_responses(db)
+        if not (row.is_drone_on_truck or row.is_drone_lost_off_site_or_overdue)
+    ]
+    stops = {stop for row in out for stop in (row.promised_stop, row.requested_stop)}
+    return {stop for stop in (*stops, last_ordered_truck_stop(db)) if stop is not None}
 
 
-def serving(db: sa.Connection) -> bool:
-    """Whether the driver is bringing an order."""
+def has_truck_delivery_in_force(db: sa.Connection) -> bool:
+    """Return whether the driver has an order to deliver."""
     query = sa.select(sa.func.count()).where(
         t.assignments.c.vehicle == TRUCK,
         t.assignments.c.state.in_([state.value for state in rows.IN_FORCE]),
@@ -56,8 +60,8 @@ def serving(db: sa.Connection) -> bool:
     return db.execute(query).scalar_one() > 0
 
 
-def launching(db: sa.Connection, assignment: str) -> bool:
-    """Whether a launch of it waits for its answer."""
+def is_launch_unanswered(db: sa.Connection, assignment: str) -> bool:
+    """Return whether a launch command of this assignment waits for its response."""
     waiting = sa.select(sa.func.count()).where(
         t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
         t.commands.c.answer.is_(None),
@@ -65,8 +69,8 @@ def launching(db: sa.Connection, assignment: str) -> bool:
     return db.execute(waiting).scalar_one() > 0
 
 
-def may_still_hold(db: sa.Connection, vehicle: str) -> str | None:
-    """The mission that a drone was switched off with, before it answered that it is withdrawn."""
+def mission_with_unconfirmed_withdrawal(db: sa.Connection, vehicle: str) -> str | None:
+    """Return the mission of a drone that was switched off before it confirmed the withdrawal."""
     newest = (
         sa.select(t.assignments.c.id)
         .where(t.assignments.c.vehicle == vehicle)
@@ -81,32 +85,34 @@ def may_still_hold(db: sa.Connection, vehicle: str) -> str | None:
     return None if db.execute(unanswered).one_or_none() is None else id_
 
 
-def held(db: sa.Connection, assignment: str) -> bool:
-    """Whether its mission is still held back."""
+def is_mission_withheld(db: sa.Connection, assignment: str) -> bool:
+    """Return whether the mission upload of this assignment is still withheld."""
     query = sa.select(t.commands.c.held).where(t.commands.c.id == f"{assignment}:assign")
     return bool(db.execute(query).scalar_one_or_none())
 
 
-def sortie_row(row: Any, answers: Any) -> SortieRow:
-    """A row as the core's type, with the answers to its commands."""
-    mine = [a for a in answers if a.id.startswith(f"{row.id}:launch")]
-    homes = [a for a in answers if a.id.startswith(f"{row.id}:home")]
-    refusals = [a.answered_us for a in homes if a.answer == Answered.REFUSED.value]
+def sortie_from_database_row(database_row: Any, command_responses: Any) -> SortieRow:
+    """Convert a database row, with the responses to its commands, to the core's type."""
+    launch_rows = [a for a in command_responses if a.id.startswith(f"{database_row.id}:launch")]
+    move_home_rows = [a for a in command_responses if a.id.startswith(f"{database_row.id}:home")]
+    refusals = [a.answered_us for a in move_home_rows if a.answer == CommandStatus.REFUSED.value]
     return SortieRow(
-        row=rows.assignment_row(row),
-        sortie=msgspec.json.decode(row.content, type=PlannedSortie),
-        pads=msgspec.json.decode(row.pads, type=dict[str, Place]),
-        promised=row.promised,
-        asked=row.asked,
-        placed=row.placed,
-        recovered=row.recovered,
-        away=row.away,
-        lapsed=row.lapsed,
-        launched_us=row.launched_us,
-        landed_us=row.landed_us,
-        used_wh=row.used_wh,
-        launching=any(a.answer is None for a in mine),
-        refused=sum(a.answer == Answered.REFUSED.value and a.life is not None for a in mine),
-        recovering=any(a.id == f"{row.id}:recover" for a in answers),
+        assignment=rows.assignment_from_database_row(database_row),
+        sortie=msgspec.json.decode(database_row.content, type=PlannedSortie),
+        pads=msgspec.json.decode(database_row.pads, type=dict[str, Location]),
+        promised_stop=database_row.promised,
+        requested_stop=database_row.asked,
+        put_on_pad=database_row.placed,
+        recovered=database_row.recovered,
+        is_off_site=database_row.away,
+        is_overdue=database_row.lapsed,
+        launched_us=database_row.launched_us,
+        landed_us=database_row.landed_us,
+        used_wh=database_row.used_wh,
+        launch_pending=any(a.answer is None for a in launch_rows),
+        refused_launches=sum(
+            a.answer == CommandStatus.REFUSED.value and a.life is not None for a in launch_rows
+        ),
+        recovery_ordered=any(a.id == f"{database_row.id}:recover" for a in command_responses),
         home_refused_us=max((us for us in refusals if us is not None), default=None),
     )

@@ -1,7 +1,7 @@
-"""What binds a day with a truck: the active plan, promises, the truck's orders, its visits.
+"""Persistent state of a day with a truck: active plan, promised stops, truck commands, visits.
 
-Each method is one transaction, as in `order_store`. Whether the truck may leave a stop is checked
-in the same transaction that orders it to drive.
+Each method is one transaction, as in `order_store`. The transaction that orders the truck to drive
+also checks that the truck may leave its stop.
 """
 
 from collections.abc import Callable
@@ -11,11 +11,11 @@ import msgspec
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from companion.fleet.messages import (
-    Answered,
     Assign,
-    Deed,
+    CommandAction,
+    CommandStatus,
     Drive,
     MoveHome,
     PutOut,
@@ -32,88 +32,93 @@ from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.orders import AssignmentState
-from ground_station.core.schema.sortie_rows import SortieRow, Visit
+from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
-BEGAN = "day_began_us"
+DAY_START_KEY = "day_began_us"
 
 
 class DayStore:
-    """The store of one desk for a day with a truck."""
+    """Store of one desk for a day with a truck."""
 
     def __init__(self, database: Database, epoch_us: Callable[[], int]) -> None:
         self._database = database
-        self._now = epoch_us
+        self._epoch_us = epoch_us
 
     # --- the plan ------------------------------------------------------------------------------
 
-    def plan(self) -> DayPlan | None:
-        """The active plan: that of the highest revision."""
+    def active_plan(self) -> DayPlan | None:
+        """Return the active plan: the plan of the highest revision."""
         query = sa.select(t.plans.c.content).order_by(t.plans.c.revision.desc()).limit(1)
         with self._database.read() as db:
             found = db.execute(query).scalar_one_or_none()
         return None if found is None else msgspec.json.decode(found, type=DayPlan)
 
-    def plan_made_us(self) -> int:
-        """When the active plan was taken; 0: there is none."""
+    def active_plan_stored_at_us(self) -> int:
+        """Return when the active plan was stored; 0 without a plan."""
         with self._database.read() as db:
             return db.execute(sa.select(sa.func.max(t.plans.c.made_us))).scalar() or 0
 
-    def plans(self) -> list[tuple[DayPlan, str]]:
-        """All plans of the day, and why each was made."""
+    def plans_with_reasons(self) -> list[tuple[DayPlan, str]]:
+        """Return all plans of the day, each with its reason."""
         query = sa.select(t.plans.c.content, t.plans.c.why).order_by(t.plans.c.revision)
         with self._database.read() as db:
             found = db.execute(query).all()
         return [(msgspec.json.decode(row.content, type=DayPlan), row.why) for row in found]
 
-    def take_plan(self, plan: DayPlan, why: str, wind: Forecast | None = None) -> bool:
-        """Make a plan the active one; False where there is one of this revision, or where another
-        desk has promised a stop meanwhile that this plan does not have.
+    def try_store_active_plan(
+        self, plan: DayPlan, reason: str, measured_wind: Forecast | None = None
+    ) -> bool:
+        """Make a plan the active one. False if this revision exists already, or if another desk has
+        promised a stop in the meantime that this plan does not contain.
         """
         try:
             with self._database.write() as db:
-                rows.lock(db)
-                if not steps.promised_stops(db) <= {stop.id for stop in plan.stops}:
+                rows.lock_dispatch_decisions(db)
+                if not steps.ordered_and_promised_landing_stops(db) <= {
+                    stop.id for stop in plan.stops
+                }:
                     return False
                 db.execute(
                     sa.insert(t.plans).values(
                         revision=plan.revision,
                         content=msgspec.json.encode(plan).decode(),
-                        why=why,
-                        wind=None if wind is None else msgspec.json.encode(wind).decode(),
-                        made_us=self._now(),
+                        why=reason,
+                        wind=None
+                        if measured_wind is None
+                        else msgspec.json.encode(measured_wind).decode(),
+                        made_us=self._epoch_us(),
                     )
                 )
         except IntegrityError:
             return False
         return True
 
-    def wind(self) -> Forecast | None:
-        """The measured wind of the last plan; None: that was made with the day's forecast."""
+    def measured_wind_of_last_plan(self) -> Forecast | None:
+        """Return the measured wind of the last plan; None if it used the day's forecast."""
         query = sa.select(t.plans.c.wind).where(t.plans.c.wind.is_not(None))
         with self._database.read() as db:
             found = db.execute(query.order_by(t.plans.c.revision.desc()).limit(1)).scalar()
         return None if found is None else msgspec.json.decode(found, type=Forecast)
 
-    def began_us(self) -> int | None:
-        """When the day began, by the desk's clock."""
-        query = sa.select(t.about.c.value).where(t.about.c.name == BEGAN)
-        with self._database.read() as db:
-            found = db.execute(query).scalar_one_or_none()
-        return None if found is None else int(found)
+    def day_start_us(self) -> int | None:
+        """Return the start of the day, by the desk's clock."""
+        return self._database.about_value(DAY_START_KEY, int)
 
-    def begin(self) -> int:
-        """Begin the day, where it has not; returns when it began."""
+    def start_day_once(self) -> int:
+        """Start the day unless it has started; returns the start time."""
         try:
             with self._database.write() as db:
-                db.execute(sa.insert(t.about).values(name=BEGAN, value=str(self._now())))
+                db.execute(
+                    sa.insert(t.about).values(name=DAY_START_KEY, value=str(self._epoch_us()))
+                )
         except IntegrityError:
             pass
-        began = self.began_us()
-        assert began is not None
-        return began
+        start_us = self.day_start_us()
+        assert start_us is not None
+        return start_us
 
-    def newest_us(self) -> int | None:
-        """The newest time stamp of the day; the day's time must not go back behind it."""
+    def newest_time_stamp_us(self) -> int | None:
+        """Return the newest time stamp of the day, which the day's time must not precede."""
         stamps = (
             t.visits.c.arrived_us, t.visits.c.left_us, t.sorties.c.launched_us,
             t.sorties.c.landed_us, t.plans.c.made_us,
@@ -127,75 +132,85 @@ class DayStore:
     def assign(
         self,
         sortie: PlannedSortie,
-        pads: dict[str, Place],
-        flight_of: Callable[[str], dict[str, Any]],
+        pads: dict[str, Location],
+        flight_table_for_assignment: Callable[[str], dict[str, Any]],
         obstacles: Any,
         by: str,
     ) -> str | None:
-        """Promise a sortie its home, have its drone put out, and hold back its mission until
-        that is done.
+        """Promise a sortie its landing stop, order the driver to put its drone out, and withhold
+        its mission until that is done.
 
-        `flight_of(assignment)` makes the `flight/1` table. None: the order is not open, the
-        drone not free or held, or the truck not at the launch stop.
+        `flight_table_for_assignment(assignment)` builds the `flight/1` table. None if the order is
+        not open, the drone is not free or is held, or the truck is not at the launch stop.
         """
         try:
             with self._database.write() as db:
-                rows.lock(db)
-                last = steps.last_drive(db)
+                rows.lock_dispatch_decisions(db)
+                last = steps.last_ordered_truck_stop(db)
                 if last is not None and last != sortie.launch:
                     return None
-                if holds.hold_of(db, sortie.vehicle) is not None:
+                if holds.hold_on(db, sortie.vehicle) is not None:
                     return None
-                id_ = rows.order_taken(db, sortie.order)
+                id_ = rows.assign_order(db, sortie.order)
                 if id_ is None:
                     return None
-                holds_still = steps.may_still_hold(db, sortie.vehicle)
-                rows.make_assignment(db, self._now(), id_, sortie.order, sortie.vehicle)
-                self._note_sortie(db, id_, sortie, pads)
-                self._put_sortie_out(db, id_, sortie, pads, flight_of(id_), obstacles, by)
-                if holds_still is not None:
-                    deed = Withdraw(assignment=holds_still)
-                    self._put_out(db, f"{id_}:forget", sortie.vehicle, id_, deed, by)
+                unconfirmed_mission = steps.mission_with_unconfirmed_withdrawal(db, sortie.vehicle)
+                rows.insert_assignment(db, self._epoch_us(), id_, sortie.order, sortie.vehicle)
+                self._insert_sortie(db, id_, sortie, pads)
+                self._enqueue_put_out_and_withheld_mission(
+                    db, id_, sortie, pads, flight_table_for_assignment(id_), obstacles, by
+                )
+                if unconfirmed_mission is not None:
+                    action = Withdraw(assignment=unconfirmed_mission)
+                    self._enqueue_command(db, f"{id_}:forget", sortie.vehicle, id_, action, by)
         except IntegrityError:  # the drone has another assignment in force
             return None
         return id_
 
-    def _note_sortie(
-        self, db: sa.Connection, id_: str, sortie: PlannedSortie, pads: dict[str, Place]
+    def _insert_sortie(
+        self,
+        db: sa.Connection,
+        assignment_id: str,
+        sortie: PlannedSortie,
+        pads: dict[str, Location],
     ) -> None:
         db.execute(
             sa.insert(t.sorties).values(
-                assignment=id_,
+                assignment=assignment_id,
                 content=msgspec.json.encode(sortie).decode(),
                 pads=msgspec.json.encode(pads).decode(),
                 promised=sortie.home,
             )
         )
 
-    def _put_sortie_out(
+    def _enqueue_put_out_and_withheld_mission(
         self,
         db: sa.Connection,
-        id_: str,
+        assignment_id: str,
         sortie: PlannedSortie,
-        pads: dict[str, Place],
+        pads: dict[str, Location],
         flight: dict[str, Any],
         obstacles: Any,
         by: str,
     ) -> None:
         pad = pads[sortie.launch]
         out = PutOut(
-            assignment=id_,
+            assignment=assignment_id,
             order=sortie.order,
             vehicle=sortie.vehicle,
             lat_deg=pad.lat_deg or 0.0,
             lon_deg=pad.lon_deg or 0.0,
         )
-        self._put_out(db, f"{id_}:put_out", TRUCK, id_, out, by)
-        deed = Assign(assignment=id_, order=sortie.order, flight=flight, obstacles=obstacles)
-        self._put_out(db, f"{id_}:assign", sortie.vehicle, id_, deed, by, held=True)
+        self._enqueue_command(db, f"{assignment_id}:put_out", TRUCK, assignment_id, out, by)
+        action = Assign(
+            assignment=assignment_id, order=sortie.order, flight=flight, obstacles=obstacles
+        )
+        self._enqueue_command(
+            db, f"{assignment_id}:assign", sortie.vehicle, assignment_id, action, by, withheld=True
+        )
 
-    def release(self, assignment: str) -> bool:
-        """The drone is on its pad: send the mission. False where it was sent, or is void."""
+    def release_mission(self, assignment: str) -> bool:
+        """Send the mission: the drone is on its pad. False if it was sent before or is void."""
         with self._database.write() as db:
             done = db.execute(
                 sa.update(t.commands)
@@ -208,64 +223,68 @@ class DayStore:
             )
         return done.rowcount == 1
 
-    def withdraw(self, assignment: str, by: str, why: str) -> bool:
-        """Withdraw a sortie before its launch; False where it is too late."""
-        states = (AssignmentState.ORDERED, AssignmentState.ABOARD)
+    def withdraw(self, assignment: str, by: str, reason: str) -> bool:
+        """Withdraw a sortie before its launch; False if it is too late."""
+        states = (AssignmentState.ORDERED, AssignmentState.UPLOADED)
         with self._database.write() as db:
-            row = rows.in_state(db, assignment, states)
-            if row is None or steps.launching(db, assignment):
+            row = rows.lock_assignment_if_in_states(db, assignment, states)
+            if row is None or steps.is_launch_unanswered(db, assignment):
                 return False
-            if steps.held(db, assignment):  # its companion knows nothing of it
+            if steps.is_mission_withheld(db, assignment):  # its companion has not received it
                 state = AssignmentState.WITHDRAWN
-                rows.end_assignment(db, self._now(), row, state, False, why)
+                rows.end_assignment(db, self._epoch_us(), row, state, False, reason)
             else:
-                rows.set_state(db, assignment, AssignmentState.WITHDRAWING, why)
-                deed = Withdraw(assignment=assignment)
-                self._put_out(db, f"{assignment}:withdraw", row.vehicle, assignment, deed, by)
-            self._put_out(
+                rows.set_assignment_state(db, assignment, AssignmentState.WITHDRAWING, reason)
+                action = Withdraw(assignment=assignment)
+                self._enqueue_command(
+                    db, f"{assignment}:withdraw", row.vehicle, assignment, action, by
+                )
+            self._enqueue_command(
                 db, f"{assignment}:unput", TRUCK, None, Withdraw(assignment=assignment), by
             )
         return True
 
-    def recover(self, assignment: str, pad: Place, by: str) -> bool:
-        """Have the driver take a drone aboard; False where that was ordered before."""
+    def order_recovery(self, assignment: str, landing_pad: Location, by: str) -> bool:
+        """Order the driver to load a drone; False if that was ordered before."""
         with self._database.write() as db:
             row = db.execute(
                 sa.select(t.assignments.c.vehicle).where(t.assignments.c.id == assignment)
             ).one()
-            deed = Recover(
+            action = Recover(
                 assignment=assignment,
                 vehicle=row.vehicle,
-                parcel=rows.parcel_missed(db, assignment),
-                lat_deg=pad.lat_deg or 0.0,
-                lon_deg=pad.lon_deg or 0.0,
+                parcel=rows.order_with_unlocated_parcel(db, assignment),
+                lat_deg=landing_pad.lat_deg or 0.0,
+                lon_deg=landing_pad.lon_deg or 0.0,
             )
-            there = sa.select(t.commands.c.n).where(t.commands.c.id == f"{assignment}:recover")
-            if db.execute(there).one_or_none() is not None:
+            existing = sa.select(t.commands.c.n).where(t.commands.c.id == f"{assignment}:recover")
+            if db.execute(existing).one_or_none() is not None:
                 return False
-            self._put_out(db, f"{assignment}:recover", TRUCK, None, deed, by)
+            self._enqueue_command(db, f"{assignment}:recover", TRUCK, None, action, by)
         return True
 
-    def ask_home(self, assignment: str, stop: str, by: str) -> bool:
-        """Ask a flight to land at another stop; both bind the truck until the flight has
-        answered.
+    def request_home(self, assignment: str, stop: str, by: str) -> bool:
+        """Request that a flight land at another stop; both stops bind the truck until the flight
+        has responded.
         """
         here = t.sorties.c.assignment == assignment
         with self._database.write() as db:
-            rows.lock(db)
-            row = rows.in_state(db, assignment, (AssignmentState.FLYING,))
+            rows.lock_dispatch_decisions(db)
+            row = rows.lock_assignment_if_in_states(db, assignment, (AssignmentState.IN_FLIGHT,))
             sortie = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
-            last = steps.last_drive(db)
+            last = steps.last_ordered_truck_stop(db)
             if row is None or sortie is None or sortie.asked or (last and last != stop):
                 return False
-            number = rows.count_commands(db, f"{assignment}:home") + 1
-            deed = MoveHome(assignment=assignment, home=stop)
-            self._put_out(db, f"{assignment}:home{number}", row.vehicle, assignment, deed, by)
+            number = rows.count_commands_with_id_prefix(db, f"{assignment}:home") + 1
+            action = MoveHome(assignment=assignment, home=stop)
+            self._enqueue_command(
+                db, f"{assignment}:home{number}", row.vehicle, assignment, action, by
+            )
             db.execute(sa.update(t.sorties).where(here).values(asked=stop))
         return True
 
-    def home_is(self, assignment: str, stop: str) -> bool:
-        """The flight has confirmed its new home: the old promise is void."""
+    def confirm_home(self, assignment: str, stop: str) -> bool:
+        """Record that the flight has confirmed its new landing stop: the old promise is void."""
         with self._database.write() as db:
             done = db.execute(
                 sa.update(t.sorties)
@@ -274,24 +293,24 @@ class DayStore:
             )
         return done.rowcount == 1
 
-    def forget_home(self, assignment: str, stop: str) -> bool:
-        """The flight is over elsewhere: that it was asked to end there binds nobody any more."""
+    def cancel_home_request(self, assignment: str, stop: str) -> bool:
+        """Cancel a requested landing stop: the flight has ended elsewhere."""
         here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == stop)
         with self._database.write() as db:
             done = db.execute(sa.update(t.sorties).where(*here).values(asked=None))
         return done.rowcount == 1
 
-    def note(self, assignment: str, **facts: bool | float) -> None:
-        """`away`: nothing waits for it any more. `used_wh`: energy that it used."""
+    def update_sortie_columns(self, assignment: str, **column_values: bool | float) -> None:
+        """Update a sortie. `away`: the truck does not wait for it. `used_wh`: energy used."""
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
-            db.execute(sa.update(t.sorties).where(here).values(**facts))
+            db.execute(sa.update(t.sorties).where(here).values(**column_values))
 
-    def overdue(self, assignment: str) -> None:
-        """Nothing waits for it any more, and what was ordered and not answered is void: it is not
-        launched from where the truck has left.
+    def mark_sortie_lapsed_and_void_commands(self, assignment: str) -> None:
+        """Mark a sortie as lapsed: the truck does not wait for it, and its unanswered commands are
+        void. It is not launched from a stop that the truck has left.
         """
-        void = {"answer": Answered.REFUSED.value, "reason": "overdue"}
+        void = {"answer": CommandStatus.REFUSED.value, "reason": "overdue"}
         unanswered = t.commands.c.assignment == assignment, t.commands.c.answer.is_(None)
         with self._database.write() as db:
             here = t.sorties.c.assignment == assignment
@@ -299,87 +318,93 @@ class DayStore:
             db.execute(sa.update(t.commands).where(*unanswered).values(**void))
 
     def sorties(self) -> list[SortieRow]:
-        """All sorties from the truck, in the order of their assignment."""
+        """Return all sorties from the truck, in the order of their assignment."""
         query = (
             sa.select(t.assignments, t.sorties)
             .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
             .order_by(t.assignments.c.n)
         )
         columns = (t.commands.c.answer, t.commands.c.life, t.commands.c.answered_us)
-        told = sa.select(t.commands.c.id, *columns).where(
+        drive_commands = sa.select(t.commands.c.id, *columns).where(
             sa.or_(*(t.commands.c.id.like(f"%:{word}") for word in ("launch%", "home%", "recover")))
         )
         with self._database.read() as db:
             found = db.execute(query).all()
-            answers = db.execute(told).all()
-        return [steps.sortie_row(row, answers) for row in found]
+            responses = db.execute(drive_commands).all()
+        return [steps.sortie_from_database_row(row, responses) for row in found]
 
     # --- the truck -----------------------------------------------------------------------------
 
-    def serve(self, order_id: str, by: str) -> str | None:
-        """Have the driver bring an open order; None where it is not open."""
+    def order_delivery(self, order_id: str, by: str) -> str | None:
+        """Order the driver to deliver an open order; None if it is not open."""
         with self._database.write() as db:
-            id_ = rows.order_taken(db, order_id)
+            id_ = rows.assign_order(db, order_id)
             if id_ is None:
                 return None
-            rows.make_assignment(db, self._now(), id_, order_id, TRUCK)
-            deed = Serve(assignment=id_, order=order_id)
-            self._put_out(db, f"{id_}:serve", TRUCK, id_, deed, by)
+            rows.insert_assignment(db, self._epoch_us(), id_, order_id, TRUCK)
+            action = Serve(assignment=id_, order=order_id)
+            self._enqueue_command(db, f"{id_}:serve", TRUCK, id_, action, by)
         return id_
 
-    def drive(self, here: str, stop: PlannedStop, by: str) -> bool:
-        """Order the truck from `here` to its next stop.
+    def order_drive(self, current_stop: str, next_stop: PlannedStop, by: str) -> bool:
+        """Order the truck from `current_stop` to its next stop.
 
-        False where something binds it to `here`, or it was ordered to drive before.
+        False if a sortie or delivery binds it to `current_stop`, or it has an earlier drive order.
         """
         with self._database.write() as db:
-            rows.lock(db)
-            told = steps.drives(db)
-            if told and (told[-1][1] is None or told[-1][0].stop != here):
+            rows.lock_dispatch_decisions(db)
+            drive_commands = steps.read_drive_commands_not_refused(db)
+            if drive_commands and (
+                drive_commands[-1][1] is None or drive_commands[-1][0].stop != current_stop
+            ):
                 return False
-            if any(row.binds(here) for row in steps.bound(db)) or steps.serving(db):
+            if any(
+                row.binding_reason(current_stop) for row in steps.read_sorties_without_responses(db)
+            ) or steps.has_truck_delivery_in_force(db):
                 return False
-            deed = Drive(
-                stop=stop.id,
-                lat_deg=stop.place.lat_deg or 0.0,
-                lon_deg=stop.place.lon_deg or 0.0,
+            action = Drive(
+                stop=next_stop.id,
+                lat_deg=next_stop.location.lat_deg or 0.0,
+                lon_deg=next_stop.location.lon_deg or 0.0,
             )
-            number = rows.count_commands(db, "drive-") + 1
-            self._put_out(db, f"drive-{number}", TRUCK, None, deed, by)
+            number = rows.count_commands_with_id_prefix(db, "drive-") + 1
+            self._enqueue_command(db, f"drive-{number}", TRUCK, None, action, by)
         return True
 
-    def told(self) -> str | None:
-        """The stop that the truck was last told to drive to; None: it never was."""
+    def last_ordered_truck_stop(self) -> str | None:
+        """Return the stop that the truck was last ordered to, None before the first order."""
         with self._database.read() as db:
-            return steps.last_drive(db)
+            return steps.last_ordered_truck_stop(db)
 
-    def truck_is(self, stop: str | None) -> None:
-        """The truck stands at this stop, and has left all others; None: it drives."""
+    def record_truck_stop(self, stop: str | None) -> None:
+        """Record that the truck is at this stop and has left all others; None: it drives."""
         with self._database.write() as db:
             visits = t.visits
-            there = db.execute(sa.select(visits).where(visits.c.stop == stop)).one_or_none()
-            if stop is not None and there is None:
-                db.execute(sa.insert(visits).values(stop=stop, arrived_us=self._now()))
+            existing = db.execute(sa.select(visits).where(visits.c.stop == stop)).one_or_none()
+            if stop is not None and existing is None:
+                db.execute(sa.insert(visits).values(stop=stop, arrived_us=self._epoch_us()))
             others = (visits.c.left_us.is_(None), visits.c.stop != (stop or ""))
-            db.execute(sa.update(visits).where(*others).values(left_us=self._now()))
+            db.execute(sa.update(visits).where(*others).values(left_us=self._epoch_us()))
 
-    def visits(self) -> list[Visit]:
-        """The truck's visits to stops, in order."""
+    def truck_stop_visits(self) -> list[StopTimes]:
+        """Return the truck's visits to stops, in order."""
         with self._database.read() as db:
             found = db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us)).all()
-        return [Visit(row.stop, row.arrived_us, row.left_us) for row in found]
+        return [StopTimes(row.stop, row.arrived_us, row.left_us) for row in found]
 
     # --- inside a transaction ------------------------------------------------------------------
 
-    def _put_out(
+    def _enqueue_command(
         self,
         db: sa.Connection,
-        id_: str,
+        command_id: str,
         vehicle: str,
         assignment: str | None,
-        deed: Deed,
+        action: CommandAction,
         by: str,
         *,
-        held: bool = False,
+        withheld: bool = False,
     ) -> None:
-        rows.put_out(db, self._now(), id_, vehicle, assignment, deed, by, held=held)
+        rows.enqueue_command(
+            db, self._epoch_us(), command_id, vehicle, assignment, action, by, withheld=withheld
+        )

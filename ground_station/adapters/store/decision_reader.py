@@ -1,4 +1,4 @@
-"""Reads the fleet's decisions from the store as they come, for those who only watch."""
+"""Reads new flight decisions from the store, for programs that only monitor."""
 
 from dataclasses import dataclass
 
@@ -9,41 +9,41 @@ from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 
-AT_ONCE = 5000
-"""Decisions of one reading; a flight makes some ten."""
+MAX_DECISIONS = 5000
+"""Maximum decisions per read; a flight makes about ten."""
 
 
 @dataclass(frozen=True, slots=True)
-class HeardDecision:
-    """A decision, and when a desk heard it."""
+class ReceivedDecision:
+    """A decision, and when a desk received it."""
 
-    heard_us: int
+    received_us: int
     event: FleetEvent
 
 
 class DecisionReader:
-    """One reader: each decision once."""
+    """Reader that returns each decision once."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._read_to = 0
+        self._last_row = 0
 
-    def newer(self) -> list[HeardDecision]:
-        """Those that have come since the last reading, oldest first; the first gives the newest
-        of the day. Raises StoreError.
+    def read_new_decisions(self) -> list[ReceivedDecision]:
+        """Return decisions since the last read, oldest first; the first read returns the latest of
+        the day. Raises StoreError.
         """
         events = t.events
         query = (
             sa.select(events.c.n, events.c.heard_us, events.c.content)
-            .where(events.c.n > self._read_to, events.c.kind == EventKind.DECISION.value)
+            .where(events.c.n > self._last_row, events.c.kind == EventKind.DECISION.value)
             .order_by(events.c.n.desc())
-            .limit(AT_ONCE)
+            .limit(MAX_DECISIONS)
         )
         with self._database.read() as db:
             found = list(reversed(db.execute(query).all()))
         if found:
-            self._read_to = found[-1].n
+            self._last_row = found[-1].n
         return [
-            HeardDecision(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
+            ReceivedDecision(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
             for row in found
         ]

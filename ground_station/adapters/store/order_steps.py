@@ -1,4 +1,4 @@
-"""Steps of the store's transactions; each gets the transaction that it is part of."""
+"""Steps of the store's transactions; each runs inside the caller's transaction."""
 
 from functools import lru_cache
 from typing import Any
@@ -7,9 +7,9 @@ import msgspec
 import sqlalchemy as sa
 
 from companion.fleet.messages import (
-    Answered,
     Assign,
-    Deed,
+    CommandAction,
+    CommandStatus,
     EventKind,
     FleetEvent,
     Launch,
@@ -23,32 +23,32 @@ from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import (
     IN_FORCE,
-    TAKEN,
+    OVERRIDE_OUTCOME,
     AssignmentRow,
     AssignmentState,
     CommandRow,
     OrderState,
     assignment_id,
-    ends_as,
-    order_after,
+    final_assignment_state,
+    order_state_after_assignment,
 )
 
 
-def lock(db: sa.Connection) -> None:
-    """One transaction at a time decides who is launched, who is held, where the truck goes
-    (PostgreSQL; SQLite has one writer anyway). It is the first lock of whoever takes it.
+def lock_dispatch_decisions(db: sa.Connection) -> None:
+    """Serialise transactions that decide on launches, holds and the truck's route (PostgreSQL;
+    SQLite has one writer anyway). Must be the first lock of its transaction.
     """
     db.execute(sa.select(t.about).where(t.about.c.name == "schema").with_for_update()).one()
 
 
-def order_taken(db: sa.Connection, order_id: str) -> str | None:
-    """Take an open order; the id of the assignment to be made, None: the order is not open."""
-    taken = db.execute(
+def assign_order(db: sa.Connection, order_id: str) -> str | None:
+    """Assign an open order; returns the new assignment's id, None if the order is not open."""
+    updated = db.execute(
         sa.update(t.orders)
         .where(t.orders.c.id == order_id, t.orders.c.state == OrderState.OPEN.value)
         .values(state=OrderState.ASSIGNED.value, attempts=t.orders.c.attempts + 1, why="")
     )
-    if taken.rowcount != 1:
+    if updated.rowcount != 1:
         return None
     attempt = db.execute(
         sa.select(sa.func.count()).where(t.assignments.c.order_id == order_id)
@@ -56,7 +56,7 @@ def order_taken(db: sa.Connection, order_id: str) -> str | None:
     return assignment_id(order_id, attempt + 1)
 
 
-def make_assignment(
+def insert_assignment(
     db: sa.Connection,
     now_us: int,
     id_: str,
@@ -64,7 +64,7 @@ def make_assignment(
     vehicle: str,
     layer: int | None = None,
 ) -> None:
-    """Insert an assignment. IntegrityError: drone or layer has another one in force."""
+    """Insert an assignment. IntegrityError if drone or layer has another one in force."""
     db.execute(
         sa.insert(t.assignments).values(
             id=id_,
@@ -79,43 +79,43 @@ def make_assignment(
     )
 
 
-def put_out(
+def enqueue_command(
     db: sa.Connection,
     now_us: int,
-    id_: str,
+    command_id: str,
     vehicle: str,
     assignment: str | None,
-    deed: Deed,
+    action: CommandAction,
     by: str,
     *,
-    held: bool = False,
+    withheld: bool = False,
 ) -> None:
-    """Put a command into the outbox; `held`: not to be sent before it is released."""
+    """Put a command into the outbox; `withheld`: withheld until it is released."""
     db.execute(
         sa.insert(t.commands).values(
-            id=id_,
+            id=command_id,
             vehicle=vehicle,
             assignment=assignment,
-            deed=msgspec.json.encode(deed),
+            deed=msgspec.json.encode(action),
             said_by=by,
-            held=held,
+            held=withheld,
             reason="",
             made_us=now_us,
         )
     )
-    answer = "held back" if held else "in the outbox"
-    audit.note(db, now_us, by, deed_word(deed), f"{vehicle}: {id_}", answer)
+    response = "held back" if withheld else "in the outbox"
+    audit.add_entry(db, now_us, by, action_name(action), f"{vehicle}: {command_id}", response)
 
 
-def deed_word(deed: Deed) -> str:
-    """The name of a deed, as messages have it."""
-    return str(deed.__struct_config__.tag)
+def action_name(action: CommandAction) -> str:
+    """Return the name of a command type, as messages contain it."""
+    return str(action.__struct_config__.tag)
 
 
-def in_state(
+def lock_assignment_if_in_states(
     db: sa.Connection, id_: str, states: tuple[AssignmentState, ...]
 ) -> AssignmentRow | None:
-    """The assignment, locked until the transaction ends, if it is in one of these states."""
+    """Return the assignment, locked until the transaction ends, if it is in one of these states."""
     row = db.execute(
         sa.select(t.assignments)
         .where(
@@ -124,66 +124,79 @@ def in_state(
         )
         .with_for_update()
     ).one_or_none()
-    return None if row is None else assignment_row(row)
+    return None if row is None else assignment_from_database_row(row)
 
 
-def set_state(db: sa.Connection, id_: str, state: AssignmentState, why: str) -> None:
-    """Change the state of an assignment."""
+def set_assignment_state(
+    db: sa.Connection, id_: str, state: AssignmentState, reason_text: str
+) -> None:
+    """Set the state of an assignment."""
     db.execute(
-        sa.update(t.assignments).where(t.assignments.c.id == id_).values(state=state.value, why=why)
+        sa.update(t.assignments)
+        .where(t.assignments.c.id == id_)
+        .values(state=state.value, why=reason_text)
     )
 
 
-def unanswered(db: sa.Connection, assignment: str) -> bool:
-    """Whether a command about an assignment waits for its answer."""
+def has_unanswered_command(db: sa.Connection, assignment: str) -> bool:
+    """Return whether a command of an assignment waits for its response."""
     waiting = sa.select(sa.func.count()).where(
         t.commands.c.assignment == assignment, t.commands.c.answer.is_(None)
     )
     return db.execute(waiting).scalar_one() > 0
 
 
-def count_commands(db: sa.Connection, prefix: str) -> int:
-    """How many commands have an id with this prefix."""
-    asked = sa.select(sa.func.count()).where(t.commands.c.id.startswith(prefix, autoescape=True))
-    return db.execute(asked).scalar_one()
+def count_commands_with_id_prefix(db: sa.Connection, prefix: str) -> int:
+    """Return the number of commands with this id prefix."""
+    count_query = sa.select(sa.func.count()).where(
+        t.commands.c.id.startswith(prefix, autoescape=True)
+    )
+    return db.execute(count_query).scalar_one()
 
 
 def newest_launch(db: sa.Connection) -> int:
-    """The number of the newest launch command, of whichever desk; 0: there is none."""
+    """Return the number of the newest launch command of any desk; 0 without one."""
     launches = t.commands.c.id.contains(":launch")
     return db.execute(sa.select(sa.func.max(t.commands.c.n)).where(launches)).scalar() or 0
 
 
-def awaits_its_vehicle() -> sa.ColumnElement[bool]:
-    """Commands that their vehicle has not answered: of launches that left the desk also those that
-    were made void there, since they may be carried out.
+def pending_response_condition() -> sa.ColumnElement[bool]:
+    """Select commands without a response of their vehicle: of sent launches also those that were
+    voided here, since the vehicle may still carry them out.
     """
     left = t.commands.c.sent.is_(True) & t.commands.c.life.is_(None)
     return t.commands.c.answer.is_(None) | left
 
 
-def launch_on_its_way(db: sa.Connection, assignment: str) -> CommandRow | None:
-    """The newest launch of an assignment that left the desk and that its vehicle did not answer."""
+def newest_unanswered_launch(db: sa.Connection, assignment: str) -> CommandRow | None:
+    """Return the newest launch of an assignment that was sent without a vehicle response."""
     query = sa.select(t.commands).where(
         t.commands.c.assignment == assignment,
         t.commands.c.id.contains(":launch"),
         t.commands.c.sent.is_(True),
-        awaits_its_vehicle(),
+        pending_response_condition(),
     )
     row = db.execute(query.order_by(t.commands.c.n.desc()).limit(1)).one_or_none()
-    return None if row is None else command_row(row)
+    return None if row is None else command_from_database_row(row)
 
 
-def carried_out(db: sa.Connection, now_us: int, launch: CommandRow, life: str) -> None:
-    """A launch was carried out, as its vehicle's state shows."""
+def record_and_apply_executed_launch(
+    db: sa.Connection, now_us: int, launch: CommandRow, instance_id: str
+) -> None:
+    """Record that a launch was carried out, as its vehicle's state shows."""
     reason = "seen in flight"
-    values = {"answer": Answered.DONE.value, "reason": reason, "life": life, "answered_us": now_us}
+    values = {
+        "answer": CommandStatus.DONE.value,
+        "reason": reason,
+        "life": instance_id,
+        "answered_us": now_us,
+    }
     db.execute(sa.update(t.commands).where(t.commands.c.id == launch.id).values(**values))
-    follow(db, now_us, launch, Answered.DONE, reason)
+    apply_response_to_assignment(db, now_us, launch, CommandStatus.DONE, reason)
 
 
-def confirm(db: sa.Connection, assignment: str, by: str | None) -> None:
-    """Note who lets an assignment be launched, once; None: nobody does."""
+def set_launch_confirmation(db: sa.Connection, assignment: str, by: str | None) -> None:
+    """Record the person who confirms one launch of an assignment; None clears it."""
     here = t.assignments.c.id == assignment
     db.execute(sa.update(t.assignments).where(here).values(confirmed_by=by))
 
@@ -194,23 +207,23 @@ def end_assignment(
     row: AssignmentRow,
     state: AssignmentState,
     delivered: bool,
-    why: str,
+    reason_text: str,
     *,
-    elsewhere: bool = False,
+    parcel_not_at_depot: bool = False,
 ) -> None:
-    """An assignment is over: its order changes state, and its unanswered commands are void.
+    """End an assignment: its order changes state, and its unanswered commands become void.
 
-    `elsewhere`: the parcel is not known to be home.
+    `parcel_not_at_depot`: the parcel is not known to be at the depot.
     """
     db.execute(
         sa.update(t.assignments)
         .where(t.assignments.c.id == row.id)
-        .values(state=state.value, delivered=delivered, why=why, ended_us=now_us)
+        .values(state=state.value, delivered=delivered, why=reason_text, ended_us=now_us)
     )
     db.execute(
         sa.update(t.commands)
         .where(t.commands.c.assignment == row.id, t.commands.c.answer.is_(None))
-        .values(answer=Answered.REFUSED.value, reason="the assignment is over")
+        .values(answer=CommandStatus.REFUSED.value, reason="the assignment is over")
     )
     db.execute(
         sa.update(t.sorties).where(t.sorties.c.assignment == row.id).values(landed_us=now_us)
@@ -218,63 +231,69 @@ def end_assignment(
     attempts = db.execute(
         sa.select(t.orders.c.attempts).where(t.orders.c.id == row.order_id)
     ).scalar_one()
-    order = order_after(state, delivered, attempts, elsewhere)
+    order = order_state_after_assignment(state, delivered, attempts, parcel_not_at_depot)
     db.execute(
-        sa.update(t.orders).where(t.orders.c.id == row.order_id).values(state=order.value, why=why)
+        sa.update(t.orders)
+        .where(t.orders.c.id == row.order_id)
+        .values(state=order.value, why=reason_text)
     )
 
 
-def conclude(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
-    """A flight is over. Only the vehicle that holds the assignment can end it, and only once."""
-    row = in_state(db, event.assignment or "", IN_FORCE)
+def apply_flight_outcome_event(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
+    """End a flight. Only the vehicle that has the assignment can end it, and only once."""
+    row = lock_assignment_if_in_states(db, event.assignment or "", IN_FORCE)
     if row is None or row.vehicle != event.vehicle:
         return
     delivered = bool(event.delivered)
-    state = ends_as(event.outcome or "FAIL", delivered, bool(event.home))
+    state = final_assignment_state(event.outcome or "FAIL", delivered, bool(event.home))
     unproven = bool(event.drop_unproven)
-    why = f"{event.outcome}: {'drop not proven, look for the parcel; ' * unproven}{event.text}"
-    taken = event.outcome == TAKEN
-    end_assignment(db, now_us, row, state, delivered, why, elsewhere=unproven or taken)
-    if taken:  # the truck waits for it nowhere: whoever landed it has it
+    reason_text = (
+        f"{event.outcome}: {'drop not proven, look for the parcel; ' * unproven}{event.text}"
+    )
+    updated = event.outcome == OVERRIDE_OUTCOME
+    end_assignment(
+        db, now_us, row, state, delivered, reason_text, parcel_not_at_depot=unproven or updated
+    )
+    if updated:  # the truck does not wait: the pilot who landed it has it
         here = t.sorties.c.assignment == row.id
         db.execute(sa.update(t.sorties).where(here).values(away=True))
 
 
-def driver_said(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
-    """What the driver has done, or cannot do, for a drone."""
+def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
+    """Apply a driver's report about a drone: placed, recovered or not possible."""
     here = t.sorties.c.assignment == event.assignment
     row = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
     if row is None or event.vehicle != TRUCK:
         return
     match event.kind:
-        case EventKind.PLACED:
+        case EventKind.DRONE_ON_PAD:
             db.execute(sa.update(t.sorties).where(here).values(placed=True))
         case EventKind.RECOVERED:
             db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
-            _withdrawn_by_hand(db, now_us, row.assignment)
+            _complete_withdrawal(db, now_us, row.assignment)
             if event.delivered is not None:
-                _parcel_found(db, row.assignment, gone=event.delivered)
+                _apply_driver_parcel_check(db, row.assignment, parcel_dropped=event.delivered)
         case _ if row.placed:
             db.execute(sa.update(t.sorties).where(here).values(away=True))
         case _:
-            held = in_state(db, row.assignment, (AssignmentState.ORDERED,))
-            if held is not None:
-                why = f"the driver: {event.text}"
-                end_assignment(db, now_us, held, AssignmentState.WITHDRAWN, False, why)
+            withheld = lock_assignment_if_in_states(db, row.assignment, (AssignmentState.ORDERED,))
+            if withheld is not None:
+                reason_text = f"the driver: {event.text}"
+                end_assignment(db, now_us, withheld, AssignmentState.WITHDRAWN, False, reason_text)
             db.execute(sa.update(t.sorties).where(here).values(away=True))
 
 
-def _withdrawn_by_hand(db: sa.Connection, now_us: int, assignment: str) -> None:
-    """A drone that has not answered its withdrawal is aboard the truck, and off: it never flew."""
-    row = in_state(db, assignment, (AssignmentState.WITHDRAWING,))
+def _complete_withdrawal(db: sa.Connection, now_us: int, assignment: str) -> None:
+    """Conclude an unanswered withdrawal: the drone is off and on the truck, it did not fly."""
+    row = lock_assignment_if_in_states(db, assignment, (AssignmentState.WITHDRAWING,))
     if row is None:
         return
-    why = f"{row.why}; the driver has it aboard"
-    end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, why)
+    reason_text = f"{row.reason}; the driver has loaded it"
+    end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason_text)
 
 
-def parcel_missed(db: sa.Connection, assignment: str) -> str | None:
-    """The order whose parcel may still be on a drone that came home; None: its place is known."""
+def order_with_unlocated_parcel(db: sa.Connection, assignment: str) -> str | None:
+    """Return the order whose parcel may still be on a drone that came home, None if it is known."""
     query = (
         sa.select(t.orders.c.id)
         .join(t.assignments, t.assignments.c.order_id == t.orders.c.id)
@@ -287,108 +306,110 @@ def parcel_missed(db: sa.Connection, assignment: str) -> str | None:
     return db.execute(query).scalar_one_or_none()
 
 
-def _parcel_found(db: sa.Connection, assignment: str, *, gone: bool) -> None:
-    order = parcel_missed(db, assignment)
+def _apply_driver_parcel_check(db: sa.Connection, assignment: str, *, parcel_dropped: bool) -> None:
+    order = order_with_unlocated_parcel(db, assignment)
     if order is None:
         return
     here = t.orders.c.id == order
     attempts = db.execute(sa.select(t.orders.c.attempts).where(here)).scalar_one()
-    state = AssignmentState.DELIVERED if gone else AssignmentState.RETURNED
-    words = "gone: it was dropped" if gone else "still on it"
-    why = f"the driver looked: the parcel is {words}"
+    state = AssignmentState.DELIVERED if parcel_dropped else AssignmentState.RETURNED
+    words = "was dropped" if parcel_dropped else "is still on the drone"
+    reason_text = f"driver's check: the parcel {words}"
     db.execute(
         sa.update(t.assignments)
         .where(t.assignments.c.id == assignment)
-        .values(state=state.value, delivered=gone, why=why)
+        .values(state=state.value, delivered=parcel_dropped, why=reason_text)
     )
-    after = order_after(state, gone, attempts)
-    db.execute(sa.update(t.orders).where(here).values(state=after.value, why=why))
+    after = order_state_after_assignment(state, parcel_dropped, attempts)
+    db.execute(sa.update(t.orders).where(here).values(state=after.value, why=reason_text))
 
 
-def follow(
-    db: sa.Connection, now_us: int, command: CommandRow, answer: Answered, reason: str
+def apply_response_to_assignment(
+    db: sa.Connection, now_us: int, command: CommandRow, response: CommandStatus, reason: str
 ) -> None:
-    """What the answer to a command means for its assignment."""
-    row = in_state(db, command.assignment or "", IN_FORCE)
+    """Apply the response to a command to its assignment."""
+    row = lock_assignment_if_in_states(db, command.assignment or "", IN_FORCE)
     if row is None:
         return
     withdrawing = row.state is AssignmentState.WITHDRAWING
-    match command.deed, answer:
-        case ((Assign() | Serve()), Answered.REFUSED):
+    match command.command, response:
+        case ((Assign() | Serve()), CommandStatus.REFUSED):
             end_assignment(db, now_us, row, AssignmentState.REFUSED, False, reason)
         case ((Assign() | Serve()), _) if not withdrawing:
-            set_state(db, row.id, AssignmentState.ABOARD, reason)
-        case PutOut(), Answered.REFUSED:
+            set_assignment_state(db, row.id, AssignmentState.UPLOADED, reason)
+        case PutOut(), CommandStatus.REFUSED:
             end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
-        case Launch(), Answered.DONE | Answered.INTERRUPTED:
-            set_state(db, row.id, AssignmentState.FLYING, reason)
-            _note_launch(db, now_us, row.id)
-        case Launch(), Answered.REFUSED if row.state is not AssignmentState.FLYING:
-            set_state(db, row.id, AssignmentState.ABOARD, f"launch refused: {reason}")
-        case MoveHome(), Answered.REFUSED | Answered.INTERRUPTED:
-            _forget_asked(db, row.id, command.deed.home)
-        case Withdraw(), _ if command.vehicle != row.vehicle or command.deed.assignment != row.id:
+        case Launch(), CommandStatus.DONE | CommandStatus.INTERRUPTED:
+            set_assignment_state(db, row.id, AssignmentState.IN_FLIGHT, reason)
+            _set_launch_time_once(db, now_us, row.id)
+        case Launch(), CommandStatus.REFUSED if row.state is not AssignmentState.IN_FLIGHT:
+            set_assignment_state(db, row.id, AssignmentState.UPLOADED, f"launch refused: {reason}")
+        case MoveHome(), CommandStatus.REFUSED | CommandStatus.INTERRUPTED:
+            _clear_requested_landing_stop(db, row.id, command.command.home)
+        case Withdraw(), _ if (
+            command.vehicle != row.vehicle or command.command.assignment != row.id
+        ):
             return
-        case Withdraw(), Answered.DONE:
-            why = row.why or reason  # the desk's own, where it said one
-            end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, why)
-        case Withdraw(), Answered.REFUSED | Answered.INTERRUPTED:
-            set_state(db, row.id, AssignmentState.FLYING, f"not withdrawn: {reason}")
+        case Withdraw(), CommandStatus.DONE:
+            reason_text = row.reason or reason  # the desk's own reason, if it gave one
+            end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason_text)
+        case Withdraw(), CommandStatus.REFUSED | CommandStatus.INTERRUPTED:
+            set_assignment_state(db, row.id, AssignmentState.IN_FLIGHT, f"not withdrawn: {reason}")
         case _:
             return
 
 
-def _note_launch(db: sa.Connection, now_us: int, assignment: str) -> None:
+def _set_launch_time_once(db: sa.Connection, now_us: int, assignment: str) -> None:
     here = (t.sorties.c.assignment == assignment, t.sorties.c.launched_us.is_(None))
     db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
 
 
-def _forget_asked(db: sa.Connection, assignment: str, home: str) -> None:
-    here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == home)
+def _clear_requested_landing_stop(db: sa.Connection, assignment: str, landing_stop: str) -> None:
+    here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == landing_stop)
     db.execute(sa.update(t.sorties).where(*here).values(asked=None))
 
 
-def assignment_row(row: Any) -> AssignmentRow:
-    """A row as the core's type."""
-    return _assignment(
-        row.id,
-        row.order_id,
-        row.vehicle,
-        row.state,
-        row.delivered,
-        row.why,
-        row.confirmed_by,
-        row.layer,
+def assignment_from_database_row(database_row: Any) -> AssignmentRow:
+    """Convert a database row to the core's type."""
+    return _cached_assignment_row(
+        database_row.id,
+        database_row.order_id,
+        database_row.vehicle,
+        database_row.state,
+        database_row.delivered,
+        database_row.why,
+        database_row.confirmed_by,
+        database_row.layer,
     )
 
 
 @lru_cache(maxsize=20_000)
-def _assignment(
-    name: str,
+def _cached_assignment_row(
+    id_: str,
     order_id: str,
     vehicle: str,
     state: str,
     delivered: bool,
-    why: str,
+    reason_text: str,
     confirmed_by: str | None,
     layer: int | None,
 ) -> AssignmentRow:
-    """A desk reads what is in force several times a second, and little of it has changed."""
+    """Cached: a desk reads assignments in force several times per second, and few change."""
     return AssignmentRow(
-        name, order_id, vehicle, AssignmentState(state), delivered, why, confirmed_by, layer
+        id_, order_id, vehicle, AssignmentState(state), delivered, reason_text, confirmed_by, layer
     )
 
 
-def command_row(row: Any) -> CommandRow:
-    """A row as the core's type."""
+def command_from_database_row(database_row: Any) -> CommandRow:
+    """Convert a database row to the core's type."""
     return CommandRow(
-        row.id,
-        row.vehicle,
-        row.assignment,
-        msgspec.json.decode(row.deed, type=Deed),
-        row.said_by,
-        None if row.answer is None else Answered(row.answer),
-        row.reason,
-        row.life,
-        row.made_us,
+        database_row.id,
+        database_row.vehicle,
+        database_row.assignment,
+        msgspec.json.decode(database_row.deed, type=CommandAction),
+        database_row.said_by,
+        None if database_row.answer is None else CommandStatus(database_row.answer),
+        database_row.reason,
+        database_row.life,
+        database_row.made_us,
     )

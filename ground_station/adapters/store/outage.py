@@ -1,52 +1,41 @@
-"""A store that is away: since when, and when it is tried again, so that nobody waits for it."""
+"""State of an unreachable store and its next retry, so that callers do not block on it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-FIRST_S, MOST_S = 1.0, 30.0
-"""Waits before a store that is away is tried again: doubled from the first to the longest. Each try
-may block its caller for some seconds, and the desk has vehicles to listen to; when it is back, half
-a minute more is little beside the outage."""
+FIRST_RETRY_S, MAX_RETRY_S = 1.0, 30.0
+"""Retry intervals of an unreachable store: doubled from the first to the longest. Each try may
+block its caller for seconds while vehicles send messages.
+"""
 
 
 @dataclass(slots=True)
 class Outage:
-    """Whether a store is away. Who opens it to go on without it hands one to its `Database`.
+    """Whether a store is unreachable. Passed to a `Database` by callers that continue without it.
 
-    `retries`: how often it was tried again while it was away. `in_writing`: a write has failed; on
-    a full disk, or under another's lock, a read works.
+    `is_write_failure`: a write has failed; on a full disk, or under another's lock, a read works.
     """
 
     clock_s: Callable[[], float]
-    why: str | None = None
-    since_s: float | None = None
-    retries: int = 0
-    in_writing: bool = False
-    _wait_s: float = FIRST_S
-    _again_s: float = 0.0
+    reason: str | None = None
+    is_write_failure: bool = False
+    _retry_delay_s: float = FIRST_RETRY_S
+    _next_retry_s: float = 0.0
 
     @property
-    def is_waiting(self) -> bool:
-        """Whether it is too soon for another try."""
-        return self.why is not None and self.clock_s() < self._again_s
+    def is_before_next_retry(self) -> bool:
+        """True if it is too early for the next retry."""
+        return self.reason is not None and self.clock_s() < self._next_retry_s
 
-    def failed(self, why: str, *, writing: bool = True) -> None:
-        """It could not be reached, or could not write."""
-        self.in_writing = writing or (self.in_writing and self.why is not None)
+    def record_failure_and_schedule_retry(self, reason: str, *, is_write: bool = True) -> None:
+        """Record a failed operation and schedule the next retry."""
+        self.is_write_failure = is_write or (self.is_write_failure and self.reason is not None)
         now_s = self.clock_s()
-        self._count_retry()
-        if self.since_s is None:
-            self.since_s = now_s
-        self.why, self._again_s = why, now_s + self._wait_s
-        self._wait_s = min(2.0 * self._wait_s, MOST_S)
+        self.reason, self._next_retry_s = reason, now_s + self._retry_delay_s
+        self._retry_delay_s = min(2.0 * self._retry_delay_s, MAX_RETRY_S)
 
-    def ended(self, *, writing: bool = True) -> None:
-        """It has done something for us: of the kind that failed, or it says nothing."""
-        if self.why is not None and self.in_writing is not writing:
+    def record_success_and_end_outage(self, *, is_write: bool = True) -> None:
+        """Record a success; it ends the outage only if it is of the kind that failed."""
+        if self.reason is not None and self.is_write_failure is not is_write:
             return
-        self._count_retry()
-        self.why, self.since_s, self._wait_s = None, None, FIRST_S
-
-    def _count_retry(self) -> None:
-        if self.since_s is not None:
-            self.retries += 1
+        self.reason, self._retry_delay_s = None, FIRST_RETRY_S

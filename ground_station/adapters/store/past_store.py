@@ -1,6 +1,6 @@
-"""A store's day as it was at each moment, from the times that its rows have.
+"""Past states of a day, reconstructed from the time stamps of a store's rows.
 
-A change that the store keeps no time of (a note, a doubt of the plan) is shown as it ended.
+A change without a time stamp (a note, a doubt of the plan) appears in its final state.
 """
 
 from bisect import bisect_right
@@ -10,56 +10,60 @@ from dataclasses import dataclass, replace
 import msgspec
 import sqlalchemy as sa
 
-from companion.fleet.messages import Deed, Drive, EventKind, FleetEvent
+from companion.core.mission.event_text import DecisionEvent, PhaseEvent
+from companion.core.pilot.transitions import Phase
+from companion.fleet.messages import CommandAction, Drive, EventKind, FleetEvent
 from ground_station.adapters.store import audit_steps, day_steps
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
-from ground_station.adapters.store.day_store import BEGAN
+from ground_station.adapters.store.day_store import DAY_START_KEY
 from ground_station.core.people.audit_chain import AuditRow
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.holds import Hold
-from ground_station.core.schema.order_states import OrderState, Settled
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome
 from ground_station.core.schema.orders import (
     AssignmentRow,
     AssignmentState,
     Order,
     OrderRow,
-    order_after,
-    settled_as,
+    assignment_and_order_state_after_outcome,
+    order_state_after_assignment,
 )
-from ground_station.core.schema.sortie_rows import SortieRow, Visit
+from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 
 @dataclass(frozen=True, slots=True)
 class PastAssignment:
-    """An assignment with its times; `flew_us`: when its flight began, None: it did not."""
+    """An assignment with its times; `flight_start_us`: start of its flight, None if it did not
+    fly.
+    """
 
     row: AssignmentRow
-    made_us: int
+    created_us: int
     ended_us: int | None
-    flew_us: int | None
+    flight_start_us: int | None
     confirmed_us: int | None
 
-    def in_force(self, t_us: int) -> bool:
-        """Whether it was made and not over."""
-        return self.made_us <= t_us and (self.ended_us is None or t_us < self.ended_us)
+    def is_in_force_at(self, t_us: int) -> bool:
+        """Return whether it was made and not over at this time."""
+        return self.created_us <= t_us and (self.ended_us is None or t_us < self.ended_us)
 
-    def at(self, t_us: int) -> AssignmentRow:
-        """The row as it was."""
+    def row_at(self, t_us: int) -> AssignmentRow:
+        """Return the row at this time."""
         confirmed = self.confirmed_us is not None and self.confirmed_us <= t_us
         row = replace(self.row, confirmed_by=self.row.confirmed_by if confirmed else None)
-        if not self.in_force(t_us):
+        if not self.is_in_force_at(t_us):
             return row
-        flew = self.flew_us is not None and self.flew_us <= t_us
-        state = AssignmentState.FLYING if flew else AssignmentState.ABOARD
-        return replace(row, state=state, delivered=False, why="")
+        flew = self.flight_start_us is not None and self.flight_start_us <= t_us
+        state = AssignmentState.IN_FLIGHT if flew else AssignmentState.UPLOADED
+        return replace(row, state=state, delivered=False, reason="")
 
 
 @dataclass(frozen=True, slots=True)
 class PastHold:
-    """A hold; `lifted_us` None: it is in force."""
+    """A hold; `lifted_us` is None while it is in force."""
 
     hold: Hold
     lifted_us: int | None
@@ -67,201 +71,222 @@ class PastHold:
 
 @dataclass(frozen=True, slots=True)
 class PastEvent:
-    """An event, and when a desk heard it."""
+    """An event, and when a desk received it."""
 
-    heard_us: int
+    received_us: int
     event: FleetEvent
 
 
 @dataclass(frozen=True, slots=True)
 class PastPlan:
-    """A plan, and when it was taken."""
+    """A plan, and when it was stored."""
 
-    made_us: int
+    stored_us: int
     plan: DayPlan
     wind: Forecast | None
 
 
 @dataclass(frozen=True, slots=True)
-class _Change:
+class _StateChange:
     at_us: int
     state: OrderState
-    why: str = ""
+    reason: str = ""
 
 
 class PastStore:
-    """All of one store, read once."""
+    """Complete content of one store, read once."""
 
     def __init__(self, database: Database) -> None:
         """Raises StoreError."""
         with database.read() as db:
-            self.events = _events(db)
-            audit = audit_steps.rows(db)
-            self.began_us = _began(db)
-            self.plans = _plans(db)
+            self.events = _read_past_events(db)
+            audit = audit_steps.read_audit_rows(db)
+            self.start_us = _read_start_us(db)
+            self.plans = _read_past_plans(db)
             self.visits = [
-                Visit(row.stop, row.arrived_us, row.left_us)
+                StopTimes(row.stop, row.arrived_us, row.left_us)
                 for row in db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us))
             ]
-            self._drives = _drives(db)
-            self._holds = _holds(db)
+            self._drives = _read_drive_orders(db)
+            self._hold_history = _read_hold_history(db)
             orders = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
-            made = db.execute(sa.select(t.assignments).order_by(t.assignments.c.n)).all()
-            self._sorties = _sorties(db)
-        self.assignments = self._with_times(made, audit)
+            records = db.execute(sa.select(t.assignments).order_by(t.assignments.c.n)).all()
+            self._sorties = _read_sorties(db)
+        self.assignments = self._timed_assignments(records, audit)
         self._orders = [
             (
                 msgspec.json.decode(row.content, type=Order),
-                _changes(row, [a for a in self.assignments if a.row.order_id == row.id], audit),
+                _order_state_changes(
+                    row, [a for a in self.assignments if a.row.order_id == row.id], audit
+                ),
             )
             for row in orders
         ]
 
-    def _with_times(self, made: Sequence[sa.Row], audit: list[AuditRow]) -> list[PastAssignment]:
+    def _timed_assignments(
+        self, assignment_rows: Sequence[sa.Row], audit: list[AuditRow]
+    ) -> list[PastAssignment]:
         confirmed = {
             row.entry.subject: row.entry.at_us for row in audit if row.entry.deed == "confirm"
         }
         flew = {row.id: row.launched_us for row in self._sorties}
-        for heard in reversed(self.events):
-            if heard.event.kind is EventKind.PHASE and "-> climb" in heard.event.text:
-                flew[heard.event.assignment or ""] = heard.heard_us
+        for past_event in reversed(self.events):
+            if past_event.event.kind is EventKind.PHASE and _is_take_off(past_event.event):
+                flew[past_event.event.assignment or ""] = past_event.received_us
         return [
             PastAssignment(
-                row=(row := rows.assignment_row(found)),
-                made_us=found.made_us,
+                row=(row := rows.assignment_from_database_row(found)),
+                created_us=found.made_us,
                 ended_us=found.ended_us,
-                flew_us=flew.get(row.id),
+                flight_start_us=flew.get(row.id),
                 confirmed_us=confirmed.get(f"{row.vehicle}: {row.id}"),
             )
-            for found in made
+            for found in assignment_rows
         ]
 
     @property
-    def span_us(self) -> tuple[int, int] | None:
-        """First and last time that something was written; None: nothing was."""
+    def time_span_us(self) -> tuple[int, int] | None:
+        """Return the first and last time stamp; None for an empty store."""
         found = [change.at_us for _, changes in self._orders for change in changes]
-        found += [heard.heard_us for heard in self.events]
-        found += [plan.made_us for plan in self.plans]
-        found += [stamp for a in self.assignments for stamp in (a.made_us, a.ended_us) if stamp]
+        found += [past_event.received_us for past_event in self.events]
+        found += [plan.stored_us for plan in self.plans]
+        found += [stamp for a in self.assignments for stamp in (a.created_us, a.ended_us) if stamp]
         return (min(found), max(found)) if found else None
 
-    def orders(self, t_us: int) -> list[OrderRow]:
-        """The orders that had come, as they were."""
-        known = ((order, _at(changes, t_us)) for order, changes in self._orders)
-        return [OrderRow(order, was.state, 0, was.why) for order, was in known if was is not None]
+    def orders_at(self, t_us: int) -> list[OrderRow]:
+        """Return the orders known at this time, in their state then."""
+        known = ((order, _last_change_until(changes, t_us)) for order, changes in self._orders)
+        return [
+            OrderRow(order, was.state, 0, was.reason) for order, was in known if was is not None
+        ]
 
-    def in_force(self, t_us: int) -> list[AssignmentRow]:
-        """The assignments that were in force."""
-        return [one.at(t_us) for one in self.assignments if one.in_force(t_us)]
+    def assignments_in_force_at(self, t_us: int) -> list[AssignmentRow]:
+        """Return the assignments in force at this time."""
+        return [one.row_at(t_us) for one in self.assignments if one.is_in_force_at(t_us)]
 
-    def holds(self, t_us: int) -> list[Hold]:
-        """The holds that were in force."""
+    def holds_in_force_at(self, t_us: int) -> list[Hold]:
+        """Return the holds in force at this time."""
         return [
             past.hold
-            for past in self._holds
+            for past in self._hold_history
             if past.hold.set_us <= t_us and (past.lifted_us is None or t_us < past.lifted_us)
         ]
 
-    def plan(self, t_us: int) -> PastPlan | None:
-        """The plan that was in force."""
-        return next((plan for plan in reversed(self.plans) if plan.made_us <= t_us), None)
+    def plan_in_force_at(self, t_us: int) -> PastPlan | None:
+        """Return the plan in force at this time."""
+        return next((plan for plan in reversed(self.plans) if plan.stored_us <= t_us), None)
 
-    def wind(self, t_us: int) -> Forecast | None:
-        """The measured wind of the last plan that had one."""
-        made = (plan.wind for plan in reversed(self.plans) if plan.made_us <= t_us)
-        return next((wind for wind in made if wind is not None), None)
+    def measured_wind_at(self, t_us: int) -> Forecast | None:
+        """Return the measured wind of the latest plan that has one."""
+        records = (plan.wind for plan in reversed(self.plans) if plan.stored_us <= t_us)
+        return next((wind for wind in records if wind is not None), None)
 
-    def visits_until(self, t_us: int) -> list[Visit]:
-        """The truck's visits, as they were."""
-        begun = (visit for visit in self.visits if visit.arrived_us <= t_us)
-        return [replace(visit, left_us=_if_past(visit.left_us, t_us)) for visit in begun]
+    def truck_visits_until(self, t_us: int) -> list[StopTimes]:
+        """Return the truck's visits up to this time."""
+        begun = (stop_times for stop_times in self.visits if stop_times.arrived_us <= t_us)
+        return [
+            replace(stop_times, departed_us=_stamp_if_past(stop_times.departed_us, t_us))
+            for stop_times in begun
+        ]
 
-    def visit(self, t_us: int) -> Visit | None:
-        """Where the truck stood; None: nowhere."""
-        there = (visit for visit in self.visits if visit.arrived_us <= t_us)
-        return next((v for v in there if v.left_us is None or t_us < v.left_us), None)
+    def truck_visit_at(self, t_us: int) -> StopTimes | None:
+        """Return the truck's visit at this time, None while it drives."""
+        previous_stops = (stop_times for stop_times in self.visits if stop_times.arrived_us <= t_us)
+        return next(
+            (v for v in previous_stops if v.departed_us is None or t_us < v.departed_us), None
+        )
 
-    def next_stop(self, t_us: int) -> str | None:
-        """The stop that the truck had been told to drive to, else the first that it came to."""
-        told = [stop for at_us, stop in self._drives if at_us <= t_us]
-        came = [visit.stop for visit in self.visits if visit.arrived_us > t_us]
-        return next(iter((*told[-1:], *came)), None)
+    def next_truck_stop_at(self, t_us: int) -> str | None:
+        """Return the last stop ordered by this time, else the next stop that the truck reached."""
+        ordered_stops = [stop for at_us, stop in self._drives if at_us <= t_us]
+        later_stops = [
+            stop_times.stop for stop_times in self.visits if stop_times.arrived_us > t_us
+        ]
+        return next(iter((*ordered_stops[-1:], *later_stops)), None)
 
-    def sorties(self, t_us: int) -> list[SortieRow]:
-        """The sorties that had been begun, as they were."""
+    def sorties_at(self, t_us: int) -> list[SortieRow]:
+        """Return the sorties assigned by this time, in their state then."""
         times = {one.row.id: one for one in self.assignments}
-        begun = (row for row in self._sorties if times[row.id].made_us <= t_us)
-        return [self._sortie(row, times[row.id], t_us) for row in begun]
+        begun = (row for row in self._sorties if times[row.id].created_us <= t_us)
+        return [self._sortie_at(row, times[row.id], t_us) for row in begun]
 
-    def _sortie(self, row: SortieRow, times: PastAssignment, t_us: int) -> SortieRow:
-        over = not times.in_force(t_us)
-        moved_us = self._heard_us(row.id, EventKind.DECISION, "home_moved: ")
+    def _sortie_at(self, row: SortieRow, past_assignment: PastAssignment, t_us: int) -> SortieRow:
+        over = not past_assignment.is_in_force_at(t_us)
+        moved_us = self._first_event_received_us(row.id, EventKind.DECISION, "home_moved")
         moved = over if moved_us is None else moved_us <= t_us
         return replace(
             row,
-            row=times.at(t_us),
-            promised=row.promised if moved else row.sortie.home,
-            asked=None,
-            placed=_was(self._heard_us(row.id, EventKind.PLACED), row.placed, t_us),
-            recovered=_was(self._heard_us(row.id, EventKind.RECOVERED), row.recovered, t_us),
-            away=row.away and over,
-            lapsed=row.lapsed and over,
-            launched_us=_if_past(row.launched_us, t_us),
-            landed_us=_if_past(row.landed_us, t_us),
-            launching=False,
-            recovering=False,
+            assignment=past_assignment.row_at(t_us),
+            promised_stop=row.promised_stop if moved else row.sortie.home,
+            requested_stop=None,
+            put_on_pad=_was_flag_set_at(
+                self._first_event_received_us(row.id, EventKind.DRONE_ON_PAD), row.put_on_pad, t_us
+            ),
+            recovered=_was_flag_set_at(
+                self._first_event_received_us(row.id, EventKind.RECOVERED), row.recovered, t_us
+            ),
+            is_off_site=row.is_off_site and over,
+            is_overdue=row.is_overdue and over,
+            launched_us=_stamp_if_past(row.launched_us, t_us),
+            landed_us=_stamp_if_past(row.landed_us, t_us),
+            launch_pending=False,
+            recovery_ordered=False,
         )
 
-    def _heard_us(self, assignment: str, kind: EventKind, words: str = "") -> int | None:
+    def _first_event_received_us(
+        self, assignment: str, kind: EventKind, decision_kind: str = ""
+    ) -> int | None:
         found = (
-            heard.heard_us
-            for heard in self.events
-            if heard.event.assignment == assignment
-            and heard.event.kind is kind
-            and heard.event.text.startswith(words)
+            past_event.received_us
+            for past_event in self.events
+            if past_event.event.assignment == assignment
+            and past_event.event.kind is kind
+            and decision_kind in ("", DecisionEvent.parse(past_event.event.text).kind)
         )
         return next(found, None)
 
 
-def _was(heard_us: int | None, ended_so: bool, t_us: int) -> bool:
-    return ended_so and heard_us is not None and heard_us <= t_us
+def _was_flag_set_at(received_us: int | None, final_value: bool, t_us: int) -> bool:
+    return final_value and received_us is not None and received_us <= t_us
 
 
-def _if_past(stamp_us: int | None, t_us: int) -> int | None:
+def _stamp_if_past(stamp_us: int | None, t_us: int) -> int | None:
     return stamp_us if stamp_us is not None and stamp_us <= t_us else None
 
 
-def _at(changes: list[_Change], t_us: int) -> _Change | None:
+def _last_change_until(changes: list[_StateChange], t_us: int) -> _StateChange | None:
     found = bisect_right(changes, t_us, key=lambda change: change.at_us)
     return changes[found - 1] if found else None
 
 
-def _changes(
-    row: sa.Row, assignments: list[PastAssignment], audit: list[AuditRow]
-) -> list[_Change]:
-    """What became of an order, oldest first; the last is what the store has."""
-    found = [_Change(row.taken_us, OrderState.OPEN)]
+def _order_state_changes(
+    order_row: sa.Row, assignments: list[PastAssignment], audit: list[AuditRow]
+) -> list[_StateChange]:
+    """Return the state changes of an order, oldest first; the last is the store's state."""
+    found = [_StateChange(order_row.taken_us, OrderState.OPEN)]
     for attempt, past in enumerate(assignments, start=1):
-        found.append(_Change(past.made_us, OrderState.ASSIGNED))
+        found.append(_StateChange(past.created_us, OrderState.ASSIGNED))
         if past.ended_us is not None:
-            state = order_after(past.row.state, past.row.delivered, attempt)
-            found.append(_Change(past.ended_us, state, past.row.why))
-    found += _persons_words(row.id, audit)
+            state = order_state_after_assignment(past.row.state, past.row.delivered, attempt)
+            found.append(_StateChange(past.ended_us, state, past.row.reason))
+    found += _operator_order_state_changes(order_row.id, audit)
     found.sort(key=lambda change: change.at_us)
-    found[-1] = _Change(found[-1].at_us, OrderState(row.state), row.why)
+    found[-1] = _StateChange(found[-1].at_us, OrderState(order_row.state), order_row.why)
     return found
 
 
-def _persons_words(order_id: str, audit: list[AuditRow]) -> Iterator[_Change]:
+def _operator_order_state_changes(order_id: str, audit: list[AuditRow]) -> Iterator[_StateChange]:
     for entry in (row.entry for row in audit if row.entry.subject == order_id):
         if entry.deed == "order":
-            yield _Change(entry.at_us, OrderState(entry.answer), f"by {entry.who}")
+            yield _StateChange(entry.at_us, OrderState(entry.answer), f"by {entry.who}")
         elif entry.deed == "settle":
-            settled = Settled(entry.answer.partition(",")[0])
-            yield _Change(entry.at_us, settled_as(settled)[1], entry.answer)
+            settled = ParcelOutcome(entry.answer.partition(",")[0])
+            yield _StateChange(
+                entry.at_us, assignment_and_order_state_after_outcome(settled)[1], entry.answer
+            )
 
 
-def _events(db: sa.Connection) -> list[PastEvent]:
+def _read_past_events(db: sa.Connection) -> list[PastEvent]:
     query = sa.select(t.events.c.heard_us, t.events.c.content).order_by(t.events.c.n)
     return [
         PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
@@ -269,12 +294,16 @@ def _events(db: sa.Connection) -> list[PastEvent]:
     ]
 
 
-def _began(db: sa.Connection) -> int | None:
-    found = db.execute(sa.select(t.about.c.value).where(t.about.c.name == BEGAN)).scalar()
+def _is_take_off(event: FleetEvent) -> bool:
+    return PhaseEvent.parse(event.text).now == Phase.CLIMB.value
+
+
+def _read_start_us(db: sa.Connection) -> int | None:
+    found = db.execute(sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)).scalar()
     return None if found is None else int(found)
 
 
-def _plans(db: sa.Connection) -> list[PastPlan]:
+def _read_past_plans(db: sa.Connection) -> list[PastPlan]:
     found = db.execute(sa.select(t.plans).order_by(t.plans.c.made_us, t.plans.c.revision))
     return [
         PastPlan(
@@ -286,24 +315,27 @@ def _plans(db: sa.Connection) -> list[PastPlan]:
     ]
 
 
-def _drives(db: sa.Connection) -> list[tuple[int, str]]:
+def _read_drive_orders(db: sa.Connection) -> list[tuple[int, str]]:
     query = sa.select(t.commands.c.made_us, t.commands.c.deed).order_by(t.commands.c.n)
-    found = ((row.made_us, msgspec.json.decode(row.deed, type=Deed)) for row in db.execute(query))
-    return [(made_us, deed.stop) for made_us, deed in found if isinstance(deed, Drive)]
+    found = (
+        (row.made_us, msgspec.json.decode(row.deed, type=CommandAction))
+        for row in db.execute(query)
+    )
+    return [(created_us, action.stop) for created_us, action in found if isinstance(action, Drive)]
 
 
-def _holds(db: sa.Connection) -> list[PastHold]:
-    found = db.execute(sa.select(t.holds).order_by(t.holds.c.n))
+def _read_hold_history(db: sa.Connection) -> list[PastHold]:
+    found = db.execute(sa.select(t.hold_table).order_by(t.hold_table.c.n))
     return [
         PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
         for row in found
     ]
 
 
-def _sorties(db: sa.Connection) -> list[SortieRow]:
+def _read_sorties(db: sa.Connection) -> list[SortieRow]:
     query = (
         sa.select(t.assignments, t.sorties)
         .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
         .order_by(t.assignments.c.n)
     )
-    return [day_steps.sortie_row(row, ()) for row in db.execute(query)]
+    return [day_steps.sortie_from_database_row(row, ()) for row in db.execute(query)]

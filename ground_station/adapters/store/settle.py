@@ -11,33 +11,33 @@ from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.core.fleet.truck_state import TRUCK
-from ground_station.core.schema.order_states import OrderState, Settled
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
     AssignmentState,
-    settled_as,
+    assignment_and_order_state_after_outcome,
 )
 
-SETTLED_FROM = (OrderState.ASSIGNED, OrderState.STUCK)
+SETTLED_FROM = (OrderState.ASSIGNED, OrderState.STUCK, OrderState.CANCELLED)
 
 
-def settle(
+def close_order_with_outcome(
     database: Database,
     epoch_us: Callable[[], int],
     order_id: str,
-    settled: Settled,
+    parcel_outcome: ParcelOutcome,
     reason: str,
     by: str,
 ) -> str | None:
     """Close an order by a person's word; what was done, in words.
 
-    None: it is not assigned and not stuck. A drone that is lost is held, so that nobody launches
-    it, should it turn up, before somebody has looked at it.
+    None: it is open, delivered or unknown. A lost drone is held: if it is found, a person inspects
+    it before its next launch.
     """
-    now_us, why = epoch_us(), f"{settled.value}, says {by}: {reason}"
+    now_us, state_reason = epoch_us(), f"{parcel_outcome.value}, says {by}: {reason}"
     with database.write() as db:
-        rows.lock(db)
+        rows.lock_dispatch_decisions(db)
         states = [state.value for state in SETTLED_FROM]
         here = t.orders.c.id == order_id
         if (
@@ -45,35 +45,46 @@ def settle(
             is None
         ):
             return None
-        row = _in_force(db, order_id)
-        done = "" if row is None else f"; {_end(db, now_us, row, settled, why, by)}"
-        order = settled_as(settled)[1]
-        db.execute(sa.update(t.orders).where(here).values(state=order.value, why=why, attempts=0))
-        audit.note(db, now_us, by, "settle", order_id, f"{why}{done}")
+        row = _assignment_in_force(db, order_id)
+        done = (
+            ""
+            if row is None
+            else f"; {_end_settled_assignment(db, now_us, row, parcel_outcome, state_reason, by)}"
+        )
+        order = assignment_and_order_state_after_outcome(parcel_outcome)[1]
+        db.execute(
+            sa.update(t.orders).where(here).values(state=order.value, why=state_reason, attempts=0)
+        )
+        audit.add_entry(db, now_us, by, "settle", order_id, f"{state_reason}{done}")
     return f"{order_id}: {order.value}{done}"
 
 
-def _in_force(db: sa.Connection, order_id: str) -> AssignmentRow | None:
+def _assignment_in_force(db: sa.Connection, order_id: str) -> AssignmentRow | None:
     states = [state.value for state in IN_FORCE]
     found = db.execute(
         sa.select(t.assignments).where(
             t.assignments.c.order_id == order_id, t.assignments.c.state.in_(states)
         )
     ).one_or_none()
-    return None if found is None else rows.assignment_row(found)
+    return None if found is None else rows.assignment_from_database_row(found)
 
 
-def _end(
-    db: sa.Connection, now_us: int, row: AssignmentRow, settled: Settled, why: str, by: str
+def _end_settled_assignment(
+    db: sa.Connection,
+    now_us: int,
+    row: AssignmentRow,
+    parcel_outcome: ParcelOutcome,
+    state_reason: str,
+    by: str,
 ) -> str:
     """End its assignment; what has become of the vehicle, in words."""
-    state = settled_as(settled)[0]
+    state = assignment_and_order_state_after_outcome(parcel_outcome)[0]
     delivered = state is AssignmentState.DELIVERED
-    rows.end_assignment(db, now_us, row, state, delivered, why)
-    if row.state is not AssignmentState.FLYING:  # the mission may still be aboard
+    rows.end_assignment(db, now_us, row, state, delivered, state_reason)
+    if row.state is not AssignmentState.IN_FLIGHT:  # the mission may still be aboard
         deed = Withdraw(assignment=row.id)
-        rows.put_out(db, now_us, f"{row.id}:settled", row.vehicle, None, deed, by)
-    if settled is not Settled.LOST or row.vehicle == TRUCK:
+        rows.enqueue_command(db, now_us, f"{row.id}:settled", row.vehicle, None, deed, by)
+    if parcel_outcome is not ParcelOutcome.LOST or row.vehicle == TRUCK:
         return f"{row.vehicle} is free"
-    holds.set_hold(db, now_us, row.vehicle, f"lost with {row.id}", by)
+    holds.insert_hold(db, now_us, row.vehicle, f"lost with {row.id}", by)
     return f"{row.vehicle} is out of service: held until it is released"

@@ -1,7 +1,7 @@
-"""The store's tables (SQLAlchemy Core), the same in SQLite and PostgreSQL.
+"""The store's tables (SQLAlchemy Core), equal for SQLite and PostgreSQL.
 
-What must never happen is a constraint here: one assignment in force for each order, for each drone
-and for each layer over the depot, one command for each id, one event for each place in a member's
+Constraints exclude inconsistent states: one assignment in force for each order, for each drone and
+for each layer over the depot, one command for each id, one event for each position in a member's
 log, one plan for each revision.
 """
 
@@ -27,7 +27,9 @@ from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import IN_FORCE
 
 SCHEMA = 3
-"""What `migrations` brings a store to; `about` says which one a store has."""
+"""Schema that `migrations` upgrades a store to; the table `about` contains a store's schema."""
+
+DEPOT_KEY = "depot"  # name in `about` of the depot's location; absent on a day with a truck
 
 metadata = MetaData()
 
@@ -69,18 +71,18 @@ assignments = Table(
 )
 
 _in_force = text("state IN ({})".format(", ".join(f"'{s.value}'" for s in IN_FORCE)))
-_of_a_drone = text(f"{_in_force.text} AND vehicle <> '{TRUCK}'")  # its driver may hold several
-for _column, _when in (
+_drone_in_force = text(f"{_in_force.text} AND vehicle <> '{TRUCK}'")  # a truck may have several
+for _column, _condition in (
     (assignments.c.order_id, _in_force),
-    (assignments.c.vehicle, _of_a_drone),
-    (assignments.c.layer, _in_force),  # of sorties from a truck the plan has the layer: no number
+    (assignments.c.vehicle, _drone_in_force),
+    (assignments.c.layer, _in_force),  # NULL for sorties from a truck: their plan has the layer
 ):
     Index(
         f"one_in_force_per_{_column.name}",
         _column,
         unique=True,
-        sqlite_where=_when,
-        postgresql_where=_when,
+        sqlite_where=_condition,
+        postgresql_where=_condition,
     )
 
 commands = Table(
@@ -158,7 +160,7 @@ visits = Table(
     Column("left_us", BigInteger),
 )
 
-holds = Table(
+hold_table = Table(
     "holds",
     metadata,
     Column("n", _count, primary_key=True, autoincrement=True),

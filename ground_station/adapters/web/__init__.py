@@ -1,1 +1,1 @@
-"""The live map over HTTP: a server on loopback, what it refuses, its stream and its page."""
+"""The live map over HTTP: server, access guard, event stream and page."""

@@ -1,8 +1,8 @@
-"""One picture for many clients, as server-sent events (WHATWG HTML, 9.2).
+"""The latest picture for many clients, as server-sent events (WHATWG HTML, 9.2).
 
-A client that joins gets the whole, then what changed since the picture that it was sent last. So
-nothing queues up for a client that does not read: it costs its socket's buffer, one task and one
-old picture.
+A new client gets the whole picture, then patches relative to the picture that it received last. A
+client that does not read accumulates no queue: it costs its socket's buffer, one task and one old
+picture.
 """
 
 import asyncio
@@ -14,93 +14,93 @@ import msgspec
 
 from ground_station.adapters.web.merge_patch import merge_patch
 
-MOST_CLIENTS = 32
-"""Browser windows at once: a desk has a handful."""
+MAX_CLIENTS = 32
+"""Maximum concurrent browser windows: a desk has a handful."""
 
-BACK_MS = 1000
-"""After so long a page that lost its server tries again."""
+RECONNECT_DELAY_MS = 1000
+"""Reconnect interval of a page that lost its server."""
 
 
 class Frame:
-    """A picture, and how to get there. None of it is changed afterwards."""
+    """An immutable picture with its patch from the previous frame."""
 
     def __init__(self, number: int, t_us: int, picture: dict[str, Any], patch: dict[str, Any]):
-        """`patch`: from the frame before."""
+        """`patch`: difference from the previous frame."""
         self.number, self.t_us, self.picture = number, t_us, picture
         self._patch = patch
 
     @cached_property
-    def whole(self) -> bytes:
-        """The event for who has nothing yet; made once, and only if somebody needs it."""
-        return self._event("picture", self.picture)
+    def full_event(self) -> bytes:
+        """The event for a new client; encoded once, on first use."""
+        return self._encode_event("picture", self.picture)
 
     @cached_property
-    def _step(self) -> bytes:
-        return self._event("patch", self._patch)
+    def _patch_event(self) -> bytes:
+        return self._encode_event("patch", self._patch)
 
-    def since(self, seen: "Frame") -> bytes:
-        """The event for who has `seen`; for all who have the one before it is made once."""
-        if seen.number == self.number - 1:
-            return self._step
-        return self._event("patch", merge_patch(seen.picture, self.picture))
+    def patch_event_since(self, last_sent_frame: "Frame") -> bytes:
+        """Return the event for a client at `last_sent_frame`; encoded once for the previous."""
+        if last_sent_frame.number == self.number - 1:
+            return self._patch_event
+        return self._encode_event("patch", merge_patch(last_sent_frame.picture, self.picture))
 
-    def _event(self, kind: str, content: dict[str, Any]) -> bytes:
+    def _encode_event(self, kind: str, content: dict[str, Any]) -> bytes:
         data = msgspec.json.encode({"t_us": self.t_us, "content": content})
         return b"event: %b\nid: %d\ndata: %b\n\n" % (kind.encode(), self.number, data)
 
 
 class LiveStream:
-    """`publish` from any thread; `events` in the server's loop."""
+    """`publish` may be called from any thread; `stream_client_events` runs in the server's loop."""
 
     def __init__(self) -> None:
         self.clients = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._frame: Frame | None = None
-        self._news = asyncio.Event()
+        self._frame_event = asyncio.Event()
         self._closed = False
 
     @property
-    def frame(self) -> Frame | None:
-        """The newest; None: there is none yet."""
+    def latest_frame(self) -> Frame | None:
+        """The latest frame, None before the first."""
         return self._frame
 
-    def attach(self, loop: asyncio.AbstractEventLoop) -> None:
-        """The loop that the clients are served in."""
+    def set_event_loop(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Set the event loop that serves the clients."""
         self._loop = loop
 
     def publish(self, picture: dict[str, Any], t_us: int) -> None:
-        """Show this picture to everybody."""
+        """Publish this picture to all clients."""
         before = self._frame
         patch = {} if before is None else merge_patch(before.picture, picture)
         number = 1 if before is None else before.number + 1
         self._frame = Frame(number, t_us, picture, patch)
-        self._tell()
+        self._schedule_client_notification()
 
     def close(self) -> None:
         """End every client's stream."""
         self._closed = True
-        self._tell()
+        self._schedule_client_notification()
 
-    def _tell(self) -> None:
+    def _schedule_client_notification(self) -> None:
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._wake)
+            self._loop.call_soon_threadsafe(self._notify_clients)
 
-    def _wake(self) -> None:
-        self._news.set()
-        self._news = asyncio.Event()
+    def _notify_clients(self) -> None:
+        self._frame_event.set()
+        self._frame_event = asyncio.Event()
 
-    async def events(self) -> AsyncIterator[bytes]:
-        """What one client is sent, as fast as it reads."""
+    async def stream_client_events(self) -> AsyncIterator[bytes]:
+        """Yield the events of one client, as fast as it reads."""
         self.clients += 1
         try:
-            yield b"retry: %d\n\n" % BACK_MS
+            yield b"retry: %d\n\n" % RECONNECT_DELAY_MS
             seen: Frame | None = None
             while not self._closed:
-                news, frame = self._news, self._frame
+                frame_event, frame = self._frame_event, self._frame
                 if frame is None or frame is seen:
-                    await news.wait()
+                    await frame_event.wait()
                     continue
-                yield frame.whole if seen is None else frame.since(seen)
+                yield frame.full_event if seen is None else frame.patch_event_since(seen)
                 seen = frame
         finally:
             self.clients -= 1

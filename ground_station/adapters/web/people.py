@@ -1,4 +1,4 @@
-"""Who asks the map for something, by their token; and what they order, as one POST each."""
+"""Authentication of the map's clients by token, and their commands, one POST each."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -13,115 +13,120 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
-from companion.fleet.roles import COMMANDS
-from ground_station.core.people.person import Person
-from ground_station.core.people.web_deeds import WebDeed
-from ground_station.core.people.web_tokens import TokenBook
+from companion.fleet.roles import COMMANDERS
+from ground_station.core.people.map_command_messages import WebCommand
+from ground_station.core.people.person import DeskOperator
+from ground_station.core.people.web_tokens import TokenRegistry
 
-DEEDS = "/deeds"
-LARGEST_BYTES = 2048
-LONGEST_TOKEN = 256
+COMMANDS_PATH = "/deeds"
+MAX_BODY_BYTES = 2048
+MAX_TOKEN_LENGTH = 256
 JSON = "application/json"
 BEARER = "bearer "
-OPEN = ("/", "/me.json", "/basemap.pmtiles", DEEDS)
-OPEN_FOLDERS = ("/page/", "/assets/")
-"""What tells nothing of the fleet, or asks for the token itself."""
+PUBLIC_PATHS = ("/", "/me.json", "/basemap.pmtiles", COMMANDS_PATH)
+PUBLIC_FOLDERS = ("/page/", "/assets/")
+"""Paths without fleet data, or that handle the token themselves."""
 
-_deeds = msgspec.json.Decoder(WebDeed)
+_command_decoder = msgspec.json.Decoder(WebCommand)
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
 
 @dataclass(frozen=True, slots=True)
-class WebPeople:
-    """The people of one map. `book()`: the tokens now; `do(person, deed)` may raise LeewayError;
-    None: nobody may order anything. `to_read`: who has no token sees nothing of the fleet.
-    `is_there` False: there are no people, and nobody signs in.
+class MapAccess:
+    """Access rights of one map. `tokens()`: current tokens; `execute(holder, command)` carries out
+    a command and may raise LeewayError, None disables commands. `requires_token`: fleet data needs
+    a token. `has_users` False: the map has no users, and sign-in is disabled.
     """
 
-    book: Callable[[], TokenBook]
-    do: Callable[[Person, WebDeed], Any] | None
-    to_read: bool = False
-    is_there: bool = True
+    tokens: Callable[[], TokenRegistry]
+    execute: Callable[[DeskOperator, WebCommand], Any] | None
+    requires_token: bool = False
+    has_users: bool = True
 
-    def person(self, request: Request) -> Person | None:
-        """Whose token was sent (RFC 6750, 2.1); None: none that is valid."""
+    def token_holder(self, request: Request) -> DeskOperator | None:
+        """Return the holder of the request's token (RFC 6750, 2.1), None if it is not valid."""
         sent = request.headers.get("authorization", "")
-        if sent[: len(BEARER)].lower() != BEARER or len(sent) > LONGEST_TOKEN:
+        if sent[: len(BEARER)].lower() != BEARER or len(sent) > MAX_TOKEN_LENGTH:
             return None
-        return self.book().person(sent[len(BEARER) :].strip())
+        return self.tokens().find_operator(sent[len(BEARER) :].strip())
 
-    def may_read(self, request: Request) -> bool:
-        """Whether this request may see the fleet."""
-        return not self.to_read or self.person(request) is not None
+    def may_read_fleet_data(self, request: Request) -> bool:
+        """Return whether this request may read fleet data."""
+        return not self.requires_token or self.token_holder(request) is not None
 
     def routes(self) -> list[BaseRoute]:
-        """Who am I, and orders."""
-        routes: list[BaseRoute] = [Route("/me.json", self._me)]
-        return routes if self.do is None else [*routes, Route(DEEDS, self._order, methods=["POST"])]
-
-    async def _me(self, request: Request) -> Response:
-        person = self.person(request)
-        known = {} if person is None else {"name": person.name, "role": person.role.value}
-        orders = self.do is not None and person is not None and person.role in COMMANDS
-        return _json(
-            known | {"people": self.is_there, "may_order": orders, "token_to_read": self.to_read}
+        """Return the routes for identity and commands."""
+        routes: list[BaseRoute] = [Route("/me.json", self._identity_response)]
+        return (
+            routes
+            if self.execute is None
+            else [*routes, Route(COMMANDS_PATH, self._command_response, methods=["POST"])]
         )
 
-    async def _order(self, request: Request) -> Response:
-        person = self.person(request)
-        if person is None:
-            return unknown()
+    async def _identity_response(self, request: Request) -> Response:
+        holder = self.token_holder(request)
+        known = {} if holder is None else {"name": holder.name, "role": holder.role.value}
+        orders = self.execute is not None and holder is not None and holder.role in COMMANDERS
+        return _json_response(
+            known
+            | {"people": self.has_users, "may_order": orders, "token_to_read": self.requires_token}
+        )
+
+    async def _command_response(self, request: Request) -> Response:
+        holder = self.token_holder(request)
+        if holder is None:
+            return unauthorized_response()
         if request.headers.get("content-type", "").partition(";")[0].strip() != JSON:
-            return _trouble(415, f"expected {JSON}")
-        body = await _body(request)
+            return _problem_response(415, f"expected {JSON}")
+        body = await _read_body(request)
         if body is None:
-            return _trouble(413, f"expected at most {LARGEST_BYTES} bytes")
+            return _problem_response(413, f"expected at most {MAX_BODY_BYTES} bytes")
         try:
-            deed = _deeds.decode(body)
+            command = _command_decoder.decode(body)
         except msgspec.DecodeError as error:
-            return _trouble(400, str(error))
-        assert self.do is not None
+            return _problem_response(400, str(error))
+        assert self.execute is not None
         try:
-            return _json(await run_in_threadpool(self.do, person, deed))
+            return _json_response(await run_in_threadpool(self.execute, holder, command))
         except LeewayError as error:
-            return _trouble(409, str(error))
+            return _problem_response(409, str(error))
 
 
-class TokenToRead:
-    """An ASGI application before another one: where a token is needed to read, nothing of the
-    fleet is answered without. The page itself is anybody's.
+class TokenFilter:
+    """ASGI middleware: if reading needs a token, fleet data is refused without one. The page itself
+    is public.
     """
 
-    def __init__(self, app: ASGIApp, people: WebPeople) -> None:
-        self._app, self._people = app, people
+    def __init__(self, app: ASGIApp, access: MapAccess) -> None:
+        self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or refuse with 401."""
+        """Forward the request, or refuse it with 401."""
         path = scope["path"]
-        is_page = path in OPEN or path.startswith(OPEN_FOLDERS)
-        refused = not is_page and not self._people.may_read(Request(scope))
-        await (unknown() if refused else self._app)(scope, receive, send)
+        is_page = path in PUBLIC_PATHS or path.startswith(PUBLIC_FOLDERS)
+        refused = not is_page and not self._access.may_read_fleet_data(Request(scope))
+        await (unauthorized_response() if refused else self._app)(scope, receive, send)
 
 
-def unknown() -> Response:
-    """The answer to who has no valid token (RFC 6750, 3)."""
+def unauthorized_response() -> Response:
+    """Return the response to a request without a valid token (RFC 6750, 3)."""
     words = "no valid token\n"
     return PlainTextResponse(words, 401, headers={"www-authenticate": 'Bearer realm="leeway map"'})
 
 
-async def _body(request: Request) -> bytes | None:
+async def _read_body(request: Request) -> bytes | None:
     got = b""
     async for part in request.stream():
         got += part
-        if len(got) > LARGEST_BYTES:
+        if len(got) > MAX_BODY_BYTES:
             return None
     return got
 
 
-def _trouble(status: int, words: str) -> Response:
-    return _json({"trouble": safe_text(words)}, status)
+def _problem_response(status: int, message: str) -> Response:
+    return _json_response({"trouble": safe_text(message)}, status)
 
 
-def _json(content: Any, status: int = 200) -> Response:
+def _json_response(content: Any, status: int = 200) -> Response:
     return Response(msgspec.json.encode(content), status, media_type=JSON)

@@ -1,4 +1,4 @@
-"""The certificate that a map beyond this machine is served with."""
+"""TLS certificate of a map that is served to other machines."""
 
 import ipaddress
 import ssl
@@ -14,17 +14,17 @@ from companion.core.base.errors import LeewayError
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """Certificate chain and key (PEM). `names`: whom the certificate is for, as hosts of a URL."""
+    """Certificate chain and key (PEM). `names`: host names and addresses of the certificate."""
 
     certificate: Path
     key: Path
     names: tuple[str, ...]
 
 
-def tls_files(certificate: Path, key: Path, epoch_us: int) -> TlsFiles:
-    """The files, checked: both fit, the certificate is in force and names somebody.
+def load_checked_tls_files(certificate: Path, key: Path, now_epoch_us: int) -> TlsFiles:
+    """Check the files: they match, the certificate is in force and names a host.
 
-    Raises LeewayError; also where everybody on this machine may read the key.
+    Raises LeewayError, also if all users of this machine can read the key.
     """
     try:
         mode = stat.S_IMODE(key.stat().st_mode)
@@ -34,18 +34,18 @@ def tls_files(certificate: Path, key: Path, epoch_us: int) -> TlsFiles:
         raise LeewayError(f"--tls {certificate} {key}: {error}") from error
     if mode & 0o007:
         raise LeewayError(f"--tls {key}: mode {mode:04o}, expected 0600: chmod 600 {key}")
-    now = datetime.fromtimestamp(epoch_us / 1e6, tz=UTC)
+    now = datetime.fromtimestamp(now_epoch_us / 1e6, tz=UTC)
     if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
         until = f"{found.not_valid_before_utc:%Y-%m-%d} to {found.not_valid_after_utc:%Y-%m-%d}"
         raise LeewayError(f"--tls {certificate}: is in force from {until}")
-    names = _names(found)
+    names = _host_names(found)
     if not names:
-        raise LeewayError(f"--tls {certificate}: names nobody: expected a subjectAltName")
+        raise LeewayError(f"--tls {certificate}: names no host, expected a subjectAltName")
     return TlsFiles(certificate, key, names)
 
 
-def _names(certificate: x509.Certificate) -> tuple[str, ...]:
-    """The names of its subjectAltName (RFC 6125); an address of IPv6 in brackets."""
+def _host_names(certificate: x509.Certificate) -> tuple[str, ...]:
+    """Return the names of its subjectAltName (RFC 6125); IPv6 addresses in brackets."""
     try:
         found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:

@@ -1,8 +1,8 @@
-"""What stands before every page: who may ask, and what a browser may do with the answer.
+"""ASGI guard of every page: which requests are accepted, and which headers restrict the browser.
 
-A server on loopback is reached by every web page that this machine's browser has open, directly
-or by a name that its owner points at 127.0.0.1 (DNS rebinding). So the name that was asked for
-(Host) and the page that asks (Origin, Sec-Fetch-Site) must be our own.
+Every web page open in this machine's browser can reach a server on loopback, directly or by a DNS
+name that points at 127.0.0.1 (DNS rebinding). Therefore the requested host (Host) and the
+requesting page (Origin, Sec-Fetch-Site) must be this server's.
 """
 
 from collections.abc import Collection, Iterable
@@ -24,7 +24,7 @@ CONTENT_SECURITY_POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""Nothing from elsewhere, no inline script, no frame around us (W3C Content Security Policy 3)."""
+"""No foreign sources, inline scripts or embedding frames (W3C Content Security Policy 3)."""
 
 HEADERS = {
     "content-security-policy": CONTENT_SECURITY_POLICY,
@@ -33,17 +33,17 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
     "permissions-policy": "geolocation=(), camera=(), microphone=()",
-    "cache-control": "no-store",  # the fleet's state does not stay on the disk of a browser
+    "cache-control": "no-store",  # browsers must not store the fleet's state on disk
 }
-METHODS = ("GET", "HEAD")
+READ_METHODS = ("GET", "HEAD")
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 DEFAULT_PORT = {"http": 80, "https": 443}
-FROM_US = (None, "same-origin", "none")
+SAME_ORIGIN_SITES = (None, "same-origin", "none")
 """Sec-Fetch-Site: absent outside browsers; `none` is the address bar (W3C Fetch Metadata)."""
 
 
-class WebGuard:
-    """An ASGI application before another one."""
+class RequestFilter:
+    """ASGI middleware that checks each request."""
 
     def __init__(
         self,
@@ -51,39 +51,41 @@ class WebGuard:
         port: int,
         names: Iterable[str] = LOOPBACK,
         scheme: str = "http",
-        posts: Collection[str] = (),
+        post_paths: Collection[str] = (),
     ) -> None:
-        """`names`: by which hosts of a URL we may be asked; `posts`: paths that take a POST."""
-        self._app, self._posts = app, posts
+        """`names`: accepted host names; `post_paths`: paths that accept a POST."""
+        self._app, self._post_paths = app, post_paths
         self._hosts = {f"{name}:{port}" for name in names}
         if port == DEFAULT_PORT[scheme]:
-            self._hosts |= set(names)  # a browser leaves it out
+            self._hosts |= set(names)  # browsers omit the default port
         self._origins = {f"{scheme}://{host}" for host in self._hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or refuse with 403, 405 or 421."""
+        """Forward the request, or refuse it with 403, 405 or 421."""
         if scope["type"] != "http":
             return
-        refusal = self._refusal(scope["method"], scope["path"], Headers(scope=scope))
-        answer = self._app if refusal is None else refusal
-        await answer(scope, receive, _with_headers(send))
+        refusal = self._refusal_response(scope["method"], scope["path"], Headers(scope=scope))
+        handler = self._app if refusal is None else refusal
+        await handler(scope, receive, _with_security_headers(send))
 
-    def _refusal(self, method: str, path: str, headers: Headers) -> PlainTextResponse | None:
+    def _refusal_response(
+        self, method: str, path: str, headers: Headers
+    ) -> PlainTextResponse | None:
         if headers.getlist("host") not in [[host] for host in self._hosts]:
-            return PlainTextResponse("not the name of this server\n", 421)
+            return PlainTextResponse("host is not this server\n", 421)
         origin = headers.get("origin")
-        foreign = origin is not None and origin not in self._origins
-        if foreign or headers.get("sec-fetch-site") not in FROM_US:
-            return PlainTextResponse("asked by another page\n", 403)
-        if method not in METHODS and not (method == "POST" and path in self._posts):
-            return PlainTextResponse("this only shows\n", 405)
+        is_cross_origin = origin is not None and origin not in self._origins
+        if is_cross_origin or headers.get("sec-fetch-site") not in SAME_ORIGIN_SITES:
+            return PlainTextResponse("request from another site\n", 403)
+        if method not in READ_METHODS and not (method == "POST" and path in self._post_paths):
+            return PlainTextResponse("read only: expected GET or HEAD\n", 405)
         return None
 
 
-def _with_headers(send: Send) -> Send:
-    async def sending(message: Message) -> None:
+def _with_security_headers(send: Send) -> Send:
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             MutableHeaders(scope=message).update(HEADERS)
         await send(message)
 
-    return sending
+    return send_with_headers

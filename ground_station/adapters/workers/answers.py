@@ -1,4 +1,4 @@
-"""What a worker answers of a piece of work, and what is said for one that cannot answer."""
+"""Result types of a work item, including the result for a worker that died."""
 
 import pickle
 import traceback
@@ -12,45 +12,47 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class WorkReturned(Generic[Result]):
-    """What a worker says of a piece that is done."""
+    """The work item is done."""
 
     result: Result
 
 
 @dataclass(frozen=True, slots=True)
 class WorkRaised:
-    """What a worker says of a piece that raised."""
+    """The work item raised an exception."""
 
     error: BaseException
 
 
 @dataclass(frozen=True, slots=True)
-class WorkerDied:
-    """A worker ended before its piece was done; `why` in a person's words."""
+class WorkerTerminated:
+    """The worker ended before its work item was done; `reason` is a message for people."""
 
-    why: str
-
-
-Answer = WorkReturned[Result] | WorkRaised | WorkerDied
+    reason: str
 
 
-def answer_of(do: Callable[[Work], Result], piece: Work) -> WorkReturned[Result] | WorkRaised:
-    """What a worker answers: the result, or what was raised, with its traceback as a note."""
+WorkOutcome = WorkReturned[Result] | WorkRaised | WorkerTerminated
+
+
+def run_item_catching_errors(
+    work_function: Callable[[Work], Result], item: Work
+) -> WorkReturned[Result] | WorkRaised:
+    """Run `work_function` on an item: its result, or its exception with traceback as note."""
     try:
-        return WorkReturned(do(piece))
-    except Exception as error:  # noqa: BLE001 - raised again by who waits for the answer
-        return WorkRaised(_portable(error, traceback.format_exc()))
+        return WorkReturned(work_function(item))
+    except Exception as error:  # noqa: BLE001 - raised again in the waiting process
+        return WorkRaised(_picklable_error(error, traceback.format_exc()))
 
 
-def _portable(error: Exception, where: str) -> Exception:
+def _picklable_error(error: Exception, traceback_text: str) -> Exception:
     try:
         same = pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001 - whatever its own constructor makes of it
+    except Exception:  # noqa: BLE001 - the exception's constructor may raise anything
         same = RuntimeError(f"{type(error).__name__}: {error}")
-    same.add_note(f"in a worker:\n{where}")
+    same.add_note(f"in a worker:\n{traceback_text}")
     return same
 
 
-def not_sent(error: Exception) -> WorkRaised:
-    """The answer in place of a result that cannot be pickled."""
-    return WorkRaised(RuntimeError(f"a result that cannot be sent: {error}"))
+def unpicklable_result_outcome(error: Exception) -> WorkRaised:
+    """Return the outcome for a result that cannot be pickled."""
+    return WorkRaised(RuntimeError(f"result cannot be sent: {error}"))

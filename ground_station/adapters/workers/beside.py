@@ -1,7 +1,7 @@
-"""One piece of work at a time in a process of its own, asked for by who cannot wait.
+"""Runs one work item at a time for a caller that cannot wait: in its own process, or inline.
 
-What the process holds up, or takes down with it, is only itself: a library that crashes or a file
-that never ends is an answer, too.
+A library that crashes or never returns affects only that process; the caller receives this as a
+result.
 """
 
 import multiprocessing
@@ -11,98 +11,136 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.workers.answers import Answer, WorkerDied, WorkRaised, WorkReturned
-from ground_station.adapters.workers.process_crew import end_with_the_parent
+from ground_station.adapters.workers.answers import (
+    WorkerTerminated,
+    WorkOutcome,
+    WorkRaised,
+    WorkReturned,
+)
+from ground_station.adapters.workers.process_crew import wait_for_parent_end_and_exit
 from ground_station.core.fleet.fleet_link import Clock
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
-_Sent = TypeVar("_Sent", covariant=True)
+_Item = TypeVar("_Item", contravariant=True)
 
-END_S = 5.0
+JOIN_TIMEOUT_S = 5.0
 
 
-class Readable(Protocol[_Sent]):
-    """Our end of the pipe."""
+class ItemWorker(Protocol[_Item, Result]):
+    """Runs one work item at a time."""
 
-    def poll(self) -> bool:
-        """Whether there is something to read, or the end."""
+    def start_item(self, item: _Item) -> None:
+        """Start a work item; a previous one is cancelled."""
         ...
 
-    def recv(self) -> _Sent:
-        """What was sent. EOFError at the end."""
+    def take_outcome(self) -> WorkOutcome[Result] | None:
+        """Return the outcome once; None without a work item or while it runs."""
         ...
 
     def close(self) -> None:
-        """Close this end."""
+        """Cancel the running work item."""
         ...
 
 
 @dataclass(slots=True)
-class Beside(Generic[Work, Result]):
-    """Does `do` in a new process for each piece; both have to be picklable.
+class InlineWorker(Generic[Work, Result]):
+    """Runs each work item at once in the caller's thread: for simulated days, where time does not
+    advance meanwhile.
+    """
 
-    Its death is noticed at once, and it is killed `limit_s` after it was asked.
+    do: Callable[[Work], Result]
+    _outcome: WorkOutcome[Result] | None = None
+
+    def start_item(self, item: Work) -> None:
+        """Run the work item now."""
+        try:
+            self._outcome = WorkReturned(self.do(item))
+        except LeewayError as error:
+            self._outcome = WorkRaised(error)
+
+    def take_outcome(self) -> WorkOutcome[Result] | None:
+        """Return the outcome, once."""
+        outcome, self._outcome = self._outcome, None
+        return outcome
+
+    def close(self) -> None:
+        """Do nothing: no work item is running."""
+
+
+@dataclass(slots=True)
+class ProcessWorker(Generic[Work, Result]):
+    """Runs `do` in a new process for each work item; both must be picklable.
+
+    Detects when the process dies, and kills it `timeout_s` after its start.
     """
 
     do: Callable[[Work], Result]
     clock: Clock
-    limit_s: float
+    timeout_s: float
     process: SpawnProcess | None = None
-    _pipe: Readable[Answer[Result]] | None = None
-    _asked_s: float = 0.0
+    _pipe: Any = None
+    """This process's end: a Connection, whose class differs by platform."""
+    _start_s: float = 0.0
 
-    def ask(self, piece: Work) -> None:
-        """Begin a piece; the one before is given up."""
+    def start_item(self, item: Work) -> None:
+        """Start a work item; a previous one is cancelled."""
         self.close()
         spawn = multiprocessing.get_context("spawn")  # a fork would copy zenoh's threads
-        ours, theirs = spawn.Pipe(duplex=False)
-        self._pipe = ours
-        self.process = spawn.Process(target=_answer, args=(theirs, self.do, piece), daemon=True)
+        receiver, sender = spawn.Pipe(duplex=False)
+        self._pipe = receiver
+        self.process = spawn.Process(
+            target=_run_item_and_send_outcome, args=(sender, self.do, item), daemon=True
+        )
         self.process.start()
-        theirs.close()  # else the end of the process would not be noticed
-        self._asked_s = self.clock.monotonic_s()
+        sender.close()  # otherwise the end of the process is not detected
+        self._start_s = self.clock.monotonic_s()
 
-    def answer(self) -> Answer[Result] | None:
-        """The answer, once; None: nothing was asked, or it is being worked on.
+    def take_outcome(self) -> WorkOutcome[Result] | None:
+        """Return the outcome once; None without a work item or while it runs.
 
-        Raised is only a LeewayError. Any other mistake ends the process: `WorkerDied`.
+        Only a LeewayError becomes `WorkRaised`. Other exceptions end the process:
+        `WorkerTerminated`.
         """
         if self._pipe is None or self.process is None:
             return None
-        alive = self.process.is_alive()  # first: what it sent before its end is in the pipe then
+        alive = (
+            self.process.is_alive()
+        )  # before the poll: a result sent before its end is then in the pipe
         if alive and not self._pipe.poll():
-            if self.clock.monotonic_s() - self._asked_s < self.limit_s:
+            if self.clock.monotonic_s() - self._start_s < self.timeout_s:
                 return None
             self.close()
-            return WorkerDied(f"not done within {self.limit_s:.0f} s")
+            return WorkerTerminated(f"not done within {self.timeout_s:.0f} s")
         try:
             return self._pipe.recv()
         except EOFError:
-            return WorkerDied("its process died")
+            return WorkerTerminated("its process died")
         finally:
             self.close()
 
     def close(self) -> None:
-        """End the process, whatever it is doing."""
+        """Kill the process."""
         if self._pipe is not None:
             self._pipe.close()
             self._pipe = None
         if self.process is not None:
             self.process.kill()
-            self.process.join(END_S)
+            self.process.join(JOIN_TIMEOUT_S)
             self.process = None
 
 
-def _answer(pipe: Connection, do: Callable[[Work], Result], piece: Work) -> None:
-    """The life of the process: one answer into the pipe."""
+def _run_item_and_send_outcome(
+    pipe: Connection, work_function: Callable[[Work], Result], item: Work
+) -> None:
+    """Main function of the process: run the work item and send one outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this one
-    threading.Thread(target=end_with_the_parent, name="parent", daemon=True).start()
+    threading.Thread(target=wait_for_parent_end_and_exit, name="parent", daemon=True).start()
     try:
-        answer: Answer[Result] = WorkReturned(do(piece))
+        outcome: WorkOutcome[Result] = WorkReturned(work_function(item))
     except LeewayError as error:
-        answer = WorkRaised(LeewayError(str(error)))
-    pipe.send(answer)
+        outcome = WorkRaised(LeewayError(str(error)))
+    pipe.send(outcome)

@@ -1,4 +1,4 @@
-"""Worker processes of this machine, each at a pipe of its own: who dies is known at once."""
+"""Worker processes of this machine, each with its own pipe, so that a death is detected at once."""
 
 import contextlib
 import os
@@ -13,96 +13,104 @@ from pickle import PicklingError
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
-from ground_station.adapters.workers.answers import Answer, WorkerDied, answer_of, not_sent
+from ground_station.adapters.workers.answers import (
+    WorkerTerminated,
+    WorkOutcome,
+    run_item_catching_errors,
+    unpicklable_result_outcome,
+)
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-GRACE_S = 15.0
-"""After SIGTERM a worker has so long to end what it started itself; then it is killed."""
+THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+TERMINATE_TIMEOUT_S = 15.0
+"""Time after SIGTERM for a worker to end its own child processes; then it is killed."""
 
 
 @dataclass(slots=True)
-class _Member:
+class _WorkerProcess:
     process: SpawnProcess
     pipe: Any
-    """A `Connection`, as each system has its own."""
+    """A `Connection`, whose class differs by platform."""
 
 
-class ProcessCrew(Generic[Work, Result]):
-    """Processes that are started when they are needed first, and replaced where they die."""
+class ProcessPool(Generic[Work, Result]):
+    """Worker processes, started on demand and replaced when they die."""
 
     def __init__(self, do: Callable[[Work], Result], jobs: int) -> None:
         self._do, self._jobs = do, jobs
-        self._idle: list[_Member] = []
-        self._busy: dict[int, _Member] = {}
+        self._idle: list[_WorkerProcess] = []
+        self._active: dict[int, _WorkerProcess] = {}
 
     @property
-    def size(self) -> int:
-        """So many at most."""
+    def max_concurrent_items(self) -> int:
+        """Maximum number of processes."""
         return self._jobs
 
-    def begin(self, index: int, piece: Work) -> None:
-        """Send a piece to a worker."""
+    def start_item(self, index: int, item: Work) -> None:
+        """Send a work item to a worker."""
         while self._idle:
             member = self._idle.pop()
             try:
-                member.pipe.send(piece)
-            except ConnectionError:  # killed while it waited: it had no piece that could be lost
-                self._bury(member)
+                member.pipe.send(item)
+            except ConnectionError:  # killed while idle: no work item is lost
+                self._close_worker(member)
             else:
-                self._busy[index] = member
+                self._active[index] = member
                 return
-        member = self._hired()
-        self._busy[index] = member
-        with contextlib.suppress(ConnectionError):  # `ended` sees its death
-            member.pipe.send(piece)
+        member = self._start_worker()
+        self._active[index] = member
+        with contextlib.suppress(ConnectionError):  # `wait_outcomes` detects its death
+            member.pipe.send(item)
 
-    def ended(self) -> list[tuple[int, Answer[Result]]]:
-        """Wait for answers and deaths."""
-        ready = set(wait([member.pipe for member in self._busy.values()]))
-        answered = [index for index, member in self._busy.items() if member.pipe in ready]
-        return [(index, self._answer(self._busy.pop(index))) for index in answered]
+    def wait_outcomes(self) -> list[tuple[int, WorkOutcome[Result]]]:
+        """Wait for outcomes and deaths."""
+        ready = set(wait([member.pipe for member in self._active.values()]))
+        answered = [index for index, member in self._active.items() if member.pipe in ready]
+        return [
+            (index, self._receive_outcome_and_free_worker(self._active.pop(index)))
+            for index in answered
+        ]
 
     def close(self) -> None:
-        """End all: who waits at once, who works by SIGTERM, who stays on by SIGKILL."""
+        """End all workers: idle ones at once, busy ones by SIGTERM, then by SIGKILL."""
         for member in self._idle:
             member.pipe.close()
-        for member in self._busy.values():
+        for member in self._active.values():
             member.process.terminate()
-        for member in (*self._idle, *self._busy.values()):
-            member.process.join(GRACE_S)
+        for member in (*self._idle, *self._active.values()):
+            member.process.join(TERMINATE_TIMEOUT_S)
             member.process.kill()
-            self._bury(member)
-        self._idle, self._busy = [], {}
+            self._close_worker(member)
+        self._idle, self._active = [], {}
 
-    def _answer(self, member: _Member) -> Answer[Result]:
+    def _receive_outcome_and_free_worker(self, member: _WorkerProcess) -> WorkOutcome[Result]:
         try:
-            answer = member.pipe.recv()
+            outcome = member.pipe.recv()
         except (EOFError, OSError):
-            self._bury(member)
-            return WorkerDied(f"a worker {_end_in_words(member.process.exitcode)}")
+            self._close_worker(member)
+            return WorkerTerminated(f"a worker {_exit_text(member.process.exitcode)}")
         self._idle.append(member)
-        return answer
+        return outcome
 
-    def _hired(self) -> _Member:
-        spawn = get_context("spawn")  # a fork would copy threads half way
-        ours, theirs = Pipe()
-        process = spawn.Process(target=_work, args=(theirs, self._do), daemon=True)
-        with _without_ctrl_c(), _one_thread_each():
+    def _start_worker(self) -> _WorkerProcess:
+        spawn = get_context("spawn")  # a fork would copy threads in an undefined state
+        parent_pipe, worker_pipe = Pipe()
+        process = spawn.Process(target=_run_worker_loop, args=(worker_pipe, self._do), daemon=True)
+        with _block_sigint(), _limit_child_threads_to_one():
             process.start()
-        theirs.close()  # else nobody would notice its end
-        return _Member(process, ours)
+        worker_pipe.close()  # otherwise its end is not detected
+        return _WorkerProcess(process, parent_pipe)
 
-    def _bury(self, member: _Member) -> None:
+    def _close_worker(self, member: _WorkerProcess) -> None:
         member.pipe.close()
         member.process.join()
 
 
 @contextlib.contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """What is started inside is born deaf to Ctrl-C, which is for the parent alone."""
+def _block_sigint() -> Iterator[None]:
+    """Block SIGINT in processes started inside: Ctrl-C is for the parent only."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -111,14 +119,14 @@ def _without_ctrl_c() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """What is started inside runs matrix routines on one thread.
+def _limit_child_threads_to_one() -> Iterator[None]:
+    """Limit matrix routines to one thread in processes started inside.
 
-    There are as many workers as processors: threads beside them wait in a loop (a third more CPU in
-    a drag fit on two). What is computed is then the same on any number of processors, too.
+    There are as many workers as processors: additional threads busy-wait (a third more CPU in a
+    drag fit on two). Results are then also independent of the number of processors.
     """
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+    before = {name: os.environ.get(name) for name in THREAD_COUNT_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_COUNT_VARIABLES, "1"))
     try:
         yield
     finally:
@@ -129,40 +137,40 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _end_in_words(code: int | None) -> str:
+def _exit_text(code: int | None) -> str:
     if code is not None and code < 0:
-        return f"was ended by {signal.Signals(-code).name}"
+        return f"was killed by {signal.Signals(-code).name}"
     return f"ended with exit code {code}"
 
 
-def _work(pipe: Connection, do: Callable[[Any], Any]) -> None:
-    """A worker's life."""
+def _run_worker_loop(pipe: Connection, work_function: Callable[[Any], Any]) -> None:
+    """Main function of a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    signal.signal(signal.SIGTERM, _stop)
-    threading.Thread(target=end_with_the_parent, name="parent", daemon=True).start()
+    signal.signal(signal.SIGTERM, _exit_on_sigterm)
+    threading.Thread(target=wait_for_parent_end_and_exit, name="parent", daemon=True).start()
     while True:
         try:
-            piece = pipe.recv()
+            item = pipe.recv()
         except EOFError:
             return
-        answer = answer_of(do, piece)
+        outcome = run_item_catching_errors(work_function, item)
         try:
-            pipe.send(answer)
+            pipe.send(outcome)
         except (TypeError, AttributeError, PicklingError) as error:
-            pipe.send(not_sent(error))
+            pipe.send(unpicklable_result_outcome(error))
 
 
-def _stop(number: int, frame: FrameType | None) -> None:
+def _exit_on_sigterm(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_IGN)
     raise SystemExit(128 + number)
 
 
-def end_with_the_parent() -> None:
-    """End with it also where it is killed: nobody would take the result."""
+def wait_for_parent_end_and_exit() -> None:
+    """End this process when the parent ends, even if the parent was killed."""
     parent = parent_process()
     assert parent is not None
     parent.join()
     os.kill(os.getpid(), signal.SIGTERM)
-    threading.Event().wait(GRACE_S)
+    threading.Event().wait(TERMINATE_TIMEOUT_S)
     os._exit(1)

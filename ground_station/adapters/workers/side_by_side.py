@@ -1,136 +1,143 @@
-"""Pieces of work side by side; a worker that is killed costs its piece only."""
+"""Parallel work items; a killed worker affects only its own work item."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from ground_station.adapters.workers.answers import Answer, WorkRaised, WorkReturned
+from ground_station.adapters.workers.answers import WorkOutcome, WorkRaised, WorkReturned
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
-Given = TypeVar("Given", contravariant=True)
+ItemInput = TypeVar("ItemInput", contravariant=True)
 
 
 @dataclass(frozen=True, slots=True)
-class Workers:
-    """Who works: `jobs` processes of this machine, or instead of them a Ray cluster."""
+class WorkerOptions:
+    """Worker configuration: `jobs` processes of this machine, or instead a Ray cluster."""
 
     jobs: int = 1
     cluster: str | None = None
-    """`local` (started here, ended with the work), `auto` (the one that this machine belongs to)
-    or an address.
+    """`local` (started and ended by this program), `auto` (the cluster of this machine) or an
+    address.
     """
 
 
 @dataclass(frozen=True, slots=True)
-class PieceDone(Generic[Result]):
-    """A piece that is done; `index` counts the pieces from 0, as they were given."""
+class ItemDone(Generic[Result]):
+    """A finished work item; `index` counts the items from 0 in input order."""
 
     index: int
     result: Result
 
 
 @dataclass(frozen=True, slots=True)
-class PieceLost(Generic[Work]):
-    """A piece whose worker died, and whose second worker died too."""
+class ItemLost(Generic[Work]):
+    """A work item that is lost because two workers died on it."""
 
     index: int
-    piece: Work
-    why: str
+    item: Work
+    reason: str
 
 
-class Crew(Protocol[Given, Result]):
-    """Workers that do the same to every piece."""
+class WorkerPool(Protocol[ItemInput, Result]):
+    """Workers that run the same function on every work item."""
 
     @property
-    def size(self) -> int:
-        """How many pieces may be under way at once."""
+    def max_concurrent_items(self) -> int:
+        """Maximum number of work items in progress."""
         ...
 
-    def begin(self, index: int, piece: Given) -> None:
-        """Give a piece to a worker that is free, or to a new one."""
+    def start_item(self, index: int, item: ItemInput) -> None:
+        """Send a work item to an idle worker, or to a new one."""
         ...
 
-    def ended(self) -> list[tuple[int, Answer[Result]]]:
-        """Wait until a piece has ended; all that have, with their index."""
+    def wait_outcomes(self) -> list[tuple[int, WorkOutcome[Result]]]:
+        """Wait until a work item has ended; return the outcome and index of all that have."""
         ...
 
     def close(self) -> None:
-        """End all workers, those too that are at work."""
+        """End all workers, including busy ones."""
         ...
 
 
-def side_by_side(
-    work: Iterable[Work],
-    do: Callable[[Work], Result],
-    workers: Workers,
-    say: Callable[[str], None] = lambda words: None,
-) -> Generator[PieceDone[Result] | PieceLost[Work], None, None]:
-    """`do` of every piece, begun in their order, given back as they end.
+def run_parallel(
+    items: Iterable[Work],
+    work_function: Callable[[Work], Result],
+    worker_options: WorkerOptions,
+    log_message: Callable[[str], None] = lambda words: None,
+) -> Generator[ItemDone[Result] | ItemLost[Work], None, None]:
+    """Run `work_function` on every work item, started in input order, yielded as they finish.
 
-    `do`, pieces and results are pickled; with one job and no cluster nothing is, and all is done in
-    this process. A piece whose worker dies (SIGKILL, out of memory) is tried once more, and lost
-    where it dies again; no other piece is touched. What `do` raises is raised here. Whatever ends
-    this process, Ctrl-C and SIGTERM too, ends the workers. Pieces are taken from `work` as they are
-    begun, so it may be endless.
+    `work_function`, items and results are pickled; with one job and no cluster, all runs in this
+    process without pickling. A work item whose worker dies (SIGKILL, out of memory) is retried
+    once, then lost; other items are not affected. Exceptions of `work_function` are raised here.
+    The workers end when this process ends, also by Ctrl-C or SIGTERM. Items are taken from `items`
+    when they start, so it may be endless.
 
-    Raises: LeewayError where the cluster cannot be reached.
+    Raises: LeewayError if the cluster cannot be reached.
     """
-    if workers.cluster is None and workers.jobs == 1:
-        for index, piece in enumerate(work):
-            yield PieceDone(index, do(piece))
+    if worker_options.cluster is None and worker_options.jobs == 1:
+        for index, item in enumerate(items):
+            yield ItemDone(index, work_function(item))
         return
-    crew = _crew_of(do, workers)
+    pool = _create_pool(work_function, worker_options)
     try:
-        yield from _worked(iter(enumerate(work)), crew, say)
+        yield from _run_items_with_one_retry(iter(enumerate(items)), pool, log_message)
     finally:
-        crew.close()
+        pool.close()
 
 
-def _crew_of(do: Callable[[Work], Result], workers: Workers) -> Crew[Work, Result]:
-    if workers.cluster is not None:
-        from ground_station.adapters.workers.ray_crew import RayCrew
+def _create_pool(
+    work_function: Callable[[Work], Result], worker_options: WorkerOptions
+) -> WorkerPool[Work, Result]:
+    if worker_options.cluster is not None:
+        from ground_station.adapters.workers.ray_crew import ClusterPool
 
-        return RayCrew(do, workers.cluster)
-    from ground_station.adapters.workers.process_crew import ProcessCrew
+        return ClusterPool(work_function, worker_options.cluster)
+    from ground_station.adapters.workers.process_crew import ProcessPool
 
-    return ProcessCrew(do, workers.jobs)
+    return ProcessPool(work_function, worker_options.jobs)
 
 
-def _worked(
-    fresh: Iterator[tuple[int, Work]], crew: Crew[Work, Result], say: Callable[[str], None]
-) -> Iterator[PieceDone[Result] | PieceLost[Work]]:
-    under_way: dict[int, Work] = {}
-    again: deque[tuple[int, Work]] = deque()
-    deaths: dict[int, str] = {}
+def _run_items_with_one_retry(
+    pending_items: Iterator[tuple[int, Work]],
+    pool: WorkerPool[Work, Result],
+    log_message: Callable[[str], None],
+) -> Iterator[ItemDone[Result] | ItemLost[Work]]:
+    in_progress: dict[int, Work] = {}
+    retries: deque[tuple[int, Work]] = deque()
+    termination_texts: dict[int, str] = {}
 
-    def begin() -> None:
-        while len(under_way) < crew.size:
-            following = again.popleft() if again else next(fresh, None)
-            if following is None:
+    def start_items_on_free_workers() -> None:
+        while len(in_progress) < pool.max_concurrent_items:
+            next_item = retries.popleft() if retries else next(pending_items, None)
+            if next_item is None:
                 return
-            crew.begin(*following)
-            under_way[following[0]] = following[1]
+            pool.start_item(*next_item)
+            in_progress[next_item[0]] = next_item[1]
 
-    begin()
-    while under_way:
-        told: list[PieceDone[Result] | PieceLost[Work]] = []
+    start_items_on_free_workers()
+    while in_progress:
+        finished: list[ItemDone[Result] | ItemLost[Work]] = []
         error: BaseException | None = None
-        for index, answer in crew.ended():
-            piece = under_way.pop(index)
-            if isinstance(answer, WorkReturned):
-                told.append(PieceDone(index, answer.result))
-            elif isinstance(answer, WorkRaised):
-                error = answer.error
-            elif index in deaths:
-                told.append(PieceLost(index, piece, f"{deaths[index]}; again: {answer.why}"))
+        for index, outcome in pool.wait_outcomes():
+            item = in_progress.pop(index)
+            if isinstance(outcome, WorkReturned):
+                finished.append(ItemDone(index, outcome.result))
+            elif isinstance(outcome, WorkRaised):
+                error = outcome.error
+            elif index in termination_texts:
+                finished.append(
+                    ItemLost(index, item, f"{termination_texts[index]}; again: {outcome.reason}")
+                )
             else:
-                deaths[index] = answer.why
-                again.append((index, piece))
-                say(f"{answer.why}: its piece of work is tried once more")
+                termination_texts[index] = outcome.reason
+                retries.append((index, item))
+                log_message(f"{outcome.reason}: its work item is retried once")
         if error is None:
-            begin()  # first: nobody is idle while the caller looks at what has ended
-        yield from told
+            # first: keeps workers busy while the caller handles results
+            start_items_on_free_workers()
+        yield from finished
         if error is not None:
             raise error

@@ -1,7 +1,7 @@
-"""The rows of the mFSTSP benchmark: each is planned, checked, and kept.
+"""Rows of the mFSTSP benchmark: each is planned, checked and stored.
 
-A row is a problem, a vehicle file and a number of drones. Rows that are done are kept in a journal
-until all are, so Ctrl-C loses only those under way.
+A row is a problem, a vehicle file and a number of drones. Finished rows are kept in a journal until
+the run is complete, so Ctrl-C loses only the unfinished ones.
 """
 
 import hashlib
@@ -11,21 +11,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 import ground_station.core
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import keep_compiled_code
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from ground_station.adapters.files.mfstsp_files import read_problem, read_vehicles
-from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
-from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone, mfstsp_problem
-from ground_station.core.benchmark.schedule_check import CheckedDrone, CheckedProblem, violations_of
+from ground_station.adapters.workers.journal import ProgressLog
+from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
+from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone, truck_and_drones_problem
+from ground_station.core.benchmark.schedule_check import (
+    CheckedDrone,
+    CheckedProblem,
+    schedule_violations,
+)
 
 Row = dict[str, Any]
 
 
-class RowsLost(LeewayError):
+class RowsLostError(LeewayError):
     """Rows whose workers were killed twice; the journal keeps all others."""
 
     def __init__(self, lost: Sequence[str]) -> None:
@@ -37,13 +41,13 @@ class BenchRow:
     """One row to plan."""
 
     folder: Path
-    vehicles: str
+    vehicle_file_number: str
     drones: int
 
 
 @dataclass(frozen=True, slots=True)
 class BenchParams:
-    """What decides the rows' values. `seconds` None: the default policy's trials."""
+    """Parameters that determine the rows' values. `seconds` None: the default policy's trials."""
 
     seconds: float | None
     seed: int
@@ -51,12 +55,12 @@ class BenchParams:
 
 
 def rows_to_plan(folders: list[Path], vehicles: list[str], drones: list[int]) -> list[BenchRow]:
-    """Problems, then vehicle files, then drones."""
+    """Return the rows by problem, then vehicle file, then number of drones."""
     return [BenchRow(f, v, d) for f in folders for v in vehicles for d in drones]
 
 
-def settings_of(rows: list[BenchRow], params: BenchParams) -> str:
-    """A digest of all that decides the rows: files, parameters and the planner's sources."""
+def inputs_and_planner_source_digest(rows: list[BenchRow], params: BenchParams) -> str:
+    """Return a digest of all inputs of the rows: files, parameters and the planner's sources."""
     digest = hashlib.sha256(repr((params, [str(row) for row in rows])).encode())
     folders = sorted({row.folder for row in rows})
     inputs = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
@@ -68,133 +72,104 @@ def settings_of(rows: list[BenchRow], params: BenchParams) -> str:
 
 
 def solve_row(row: BenchRow, params: BenchParams) -> Row:
-    """Plan one row. LeewayError where the independent checker finds a violation."""
-    keep_compiled_code()
+    """Plan one row. LeewayError if the independent checker finds a violation."""
+    enable_compile_cache_and_check_if_known()
     # Imported late: the folder of the compiled code must be set before.
-    from ground_station.app.benchmarks.timed_search import plan_row
+    from ground_station.app.benchmarks.timed_search import plan_and_measure_cpu_time
 
     data = read_problem(row.folder)
-    fleet = read_vehicles(row.folder.parent / f"tbl_vehicles_{row.vehicles}.csv")
+    fleet = read_vehicles(row.folder.parent / f"tbl_vehicles_{row.vehicle_file_number}.csv")
     if row.drones > len(fleet.drones):
-        raise LeewayError(f"vehicle file {row.vehicles}: has {len(fleet.drones)} drones only")
+        raise LeewayError(
+            f"vehicle file {row.vehicle_file_number}: has {len(fleet.drones)} drones only"
+        )
     drone = fleet.drones[0]
     if any(other != drone for other in fleet.drones[: row.drones]):
-        raise LeewayError(f"vehicle file {row.vehicles}: drones that differ are not in the rules")
-    problem = mfstsp_problem(data, drone, row.drones, fleet.deliver_s)
+        raise LeewayError(
+            f"vehicle file {row.vehicle_file_number}: drones that differ are not in the rules"
+        )
+    problem = truck_and_drones_problem(data, drone, row.drones, fleet.deliver_s)
     seed = int(hashlib.sha256(f"{params.seed} {row.folder.name}".encode()).hexdigest()[:15], 16)
-    schedule, seconds = plan_row(
+    schedule, seconds = plan_and_measure_cpu_time(
         problem, np.random.default_rng(seed), params.policy, params.seconds
     )
     report = {
         "problem": row.folder.name,
-        "vehicles": row.vehicles,
+        "vehicles": row.vehicle_file_number,
         "drones": row.drones,
         "makespan_s": schedule.makespan_s,
         "seconds": seconds,
         "truck_route": list(schedule.truck_route),
-        "sorties": [_with_number(asdict(sortie)) for sortie in schedule.sorties],
-        "driver": [_with_number(asdict(task)) for task in schedule.driver],
+        "sorties": [
+            renumber_drone_from_one_in_place(asdict(sortie)) for sortie in schedule.sorties
+        ],
+        "driver": [renumber_drone_from_one_in_place(asdict(task)) for task in schedule.driver],
         "truck": [asdict(stop) for stop in schedule.stops],
     }
-    faults = violations_of(checked_problem(data, drone, fleet.deliver_s, row.drones), report)
+    faults = schedule_violations(
+        problem_for_checker(data, drone, fleet.deliver_s, row.drones), report
+    )
     if faults:
-        name = f"{row.folder.name}, vehicles {row.vehicles}, {row.drones} drones"
+        name = f"{row.folder.name}, vehicles {row.vehicle_file_number}, {row.drones} drones"
         raise LeewayError(f"{name}: the schedule breaks the rules: {'; '.join(faults[:3])}")
     return report
 
 
-def _with_number(part: Row) -> Row:
-    """Drones are numbered from 1 in reports."""
-    if part["drone"] is not None:
-        part["drone"] += 1
-    return part
+def renumber_drone_from_one_in_place(operation: Row) -> Row:
+    """Number the drones of an operation from 1, as in reports."""
+    if operation["drone"] is not None:
+        operation["drone"] += 1
+    return operation
 
 
-def checked_problem(
-    data: MfstspData, drone: MfstspDrone, deliver_s: float, drones: int
+def problem_for_checker(
+    data: MfstspData, drone: MfstspDrone, deliver_s: float, drone_count: int
 ) -> CheckedProblem:
-    """The files' own numbers for the checker."""
+    """Return the problem with the files' own numbers, for the checker."""
     return CheckedProblem(
-        places_deg=list(zip(data.lat_deg.tolist(), data.lon_deg.tolist(), strict=True)),
+        positions_deg=list(zip(data.lat_deg.tolist(), data.lon_deg.tolist(), strict=True)),
         parcels_lb=data.parcel_lb.tolist(),
         travel_s=data.travel_s.tolist(),
         deliver_s=deliver_s,
         drone=CheckedDrone(**asdict(drone)),
-        drones=drones,
+        drones=drone_count,
     )
 
 
-class RowJournal:
-    """Rows that are done, one JSON line each, below a line with the digest of the settings."""
-
-    def __init__(self, out: Path | None, settings: str) -> None:
-        self._path = None if out is None else out.with_name(out.name + ".journal")
-        self._head = f"{settings}\n".encode()
-
-    def read(self) -> dict[int, Row]:
-        """Rows of the same settings by number; none where the journal is of other settings."""
-        if self._path is None or not self._path.exists():
-            return {}
-        head, _, rest = self._path.read_bytes().partition(b"\n")
-        if head + b"\n" != self._head:
-            return {}
-        done: dict[int, Row] = {}
-        for line in rest.splitlines():
-            try:
-                number, row = msgspec.json.decode(line, type=tuple[int, Row])
-            except msgspec.DecodeError:
-                break  # cut off in the middle of a line
-            done[number] = row
-        return done
-
-    def start(self, done: dict[int, Row]) -> None:
-        """Begin the file again with the rows that are done."""
-        if self._path is not None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            lines = [msgspec.json.encode(item) + b"\n" for item in done.items()]
-            fresh = self._path.with_name(self._path.name + ".new")
-            fresh.write_bytes(self._head + b"".join(lines))
-            fresh.replace(self._path)
-
-    def add(self, number: int, row: Row) -> None:
-        """Keep one row."""
-        if self._path is not None:
-            with self._path.open("ab") as file:
-                file.write(msgspec.json.encode((number, row)) + b"\n")
-
-    def remove(self) -> None:
-        """Delete it: the rows are in the JSON file now."""
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
+def row_progress_log(json_file: Path | None, inputs_digest: str) -> ProgressLog[Row]:
+    """Return the journal next to a run's JSON file, for these settings."""
+    path = json_file and json_file.with_name(json_file.name + ".journal")
+    return ProgressLog(path, inputs_digest, Row)
 
 
-def run_rows(
+def plan_remaining_rows(
     rows: list[BenchRow],
     params: BenchParams,
     jobs: int,
-    journal: RowJournal,
-    tell: Callable[[int, Row], None],
+    progress_log: ProgressLog[Row],
+    on_finished_row: Callable[[int, Row], None],
 ) -> list[Row]:
-    """All rows in order, on `jobs` processes. `tell` is called for each when it is done.
+    """Return all rows in order, planned by `jobs` processes. `on_finished_row` is called for each
+    one.
 
-    Raises: RowsLost, when all others are done.
+    Raises RowsLostError after all other rows are finished.
     """
-    done = journal.read()
-    journal.start(done)
+    done = progress_log.read_finished_results()
     for number, row in done.items():
-        tell(number, row)
+        on_finished_row(number, row)
     pending = [number for number in range(len(rows)) if number not in done]
     plan, lost = partial(solve_row, params=params), list[str]()
-    for ended in side_by_side((rows[number] for number in pending), plan, Workers(jobs)):
-        if isinstance(ended, PieceLost):
-            row = ended.piece
-            name = f"{row.folder.name} {row.vehicles} x{row.drones}"
-            lost.append(f"{name}: {ended.why}")
-            continue
-        number = pending[ended.index]
-        journal.add(number, ended.result)
-        done[number] = ended.result
-        tell(number, ended.result)
+    with progress_log.rewrite_and_open_writer(done) as keep:
+        for ended in run_parallel((rows[number] for number in pending), plan, WorkerOptions(jobs)):
+            if isinstance(ended, ItemLost):
+                row = ended.item
+                name = f"{row.folder.name} {row.vehicle_file_number} x{row.drones}"
+                lost.append(f"{name}: {ended.reason}")
+                continue
+            number = pending[ended.index]
+            keep(number, ended.result)
+            done[number] = ended.result
+            on_finished_row(number, ended.result)
     if lost:
-        raise RowsLost(lost)
+        raise RowsLostError(lost)
     return [done[number] for number in range(len(rows))]

@@ -1,4 +1,4 @@
-"""The table of `benchmark mfstsp`: our makespans against the published ones."""
+"""Table of `benchmark mfstsp`: planned makespans against the published ones."""
 
 import math
 import statistics
@@ -9,70 +9,74 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
-from ground_station.adapters.files.mfstsp_files import Published, PublishedKey
+from ground_station.adapters.files.mfstsp_files import ReferenceKey, ReferenceResult
 
 Row = dict[str, Any]
-Results = dict[PublishedKey, Published]
+Results = dict[ReferenceKey, ReferenceResult]
 SAME_S = 0.01
-"""Makespans closer than this are equal: the published ones are rounded."""
+"""Makespans with a smaller difference are equal: the published ones are rounded."""
 
 
-def print_report(console: Console, rows: list[Row], heuristic: Results, program: Results) -> None:
+def print_report(
+    console: Console, rows: list[Row], heuristic_results: Results, solver_results: Results
+) -> None:
     """Print all rows, by size, by vehicle file, by number of drones."""
     table = Table(title="makespan against the published ones (in brackets: 95 % interval)")
     for name in ("rows of", "rows", "mean gap %", "worse %", "gap to optima %", "s a row", "most"):
         table.add_column(name, justify="left" if name == "rows of" else "right")
     groups: list[tuple[str, list[Row]]] = [("all", rows)]
-    groups += _grouped(rows, lambda row: f"{customers_of(row):3d} customers")
-    groups += _grouped(rows, lambda row: f"vehicles {row['vehicles']}")
-    groups += _grouped(rows, lambda row: f"{row['drones']} drones")
+    groups += _group_rows(rows, lambda row: f"{customer_count(row):3d} customers")
+    groups += _group_rows(rows, lambda row: f"vehicles {row['vehicles']}")
+    groups += _group_rows(rows, lambda row: f"{row['drones']} drones")
     for name, group in groups:
         seconds = [row["seconds"] for row in group]
         table.add_row(
             name,
             str(len(group)),
-            _with_interval(gaps_percent(group, heuristic)),
-            _share_worse(group, heuristic),
-            _with_interval(gaps_percent(group, _proven(program))),
+            _format_mean_with_interval(makespan_gaps_percent(group, heuristic_results)),
+            _format_share_of_rows_above(group, heuristic_results),
+            _format_mean_with_interval(
+                makespan_gaps_percent(group, _optimal_results(solver_results))
+            ),
             f"{statistics.fmean(seconds):.1f}",
             f"{max(seconds):.1f}",
         )
     console.print(table)
     console.print(
-        "gap: ours over the published heuristic's, less is better; worse: rows above it by more "
+        "gap: above the published heuristic, less is better; worse: rows above it by more "
         f"than {SAME_S:g} s; optima: rows that the authors' program solved to proven optimality",
         highlight=False,
     )
 
 
-def customers_of(row: Row) -> int:
-    """Customers served in a row."""
+def customer_count(row: Row) -> int:
+    """Return the number of customers served in a row."""
     return len(row["truck_route"]) - 2 + len(row["sorties"])
 
 
-def gaps_percent(rows: Iterable[Row], published: Results) -> list[float]:
-    """Gap of each makespan to the published one; rows without one are left out."""
-    found = ((row, published.get(_key(row))) for row in rows)
+def makespan_gaps_percent(rows: Iterable[Row], reference: Results) -> list[float]:
+    """Return the gap of each makespan to the published one, for rows that have one."""
+    found = ((row, reference.get(_reference_key(row))) for row in rows)
     return [100.0 * (row["makespan_s"] / ref.makespan_s - 1.0) for row, ref in found if ref]
 
 
-def _key(row: Row) -> PublishedKey:
+def _reference_key(row: Row) -> ReferenceKey:
     return row["problem"], row["vehicles"], row["drones"]
 
 
-def _proven(program: Results) -> Results:
-    return {key: found for key, found in program.items() if found.is_optimal}
+def _optimal_results(solver_results: Results) -> Results:
+    return {key: found for key, found in solver_results.items() if found.is_optimal}
 
 
-def _grouped(rows: list[Row], name: Callable[[Row], str]) -> list[tuple[str, list[Row]]]:
+def _group_rows(rows: list[Row], group_name: Callable[[Row], str]) -> list[tuple[str, list[Row]]]:
     groups: dict[str, list[Row]] = {}
     for row in rows:
-        groups.setdefault(name(row), []).append(row)
+        groups.setdefault(group_name(row), []).append(row)
     return sorted(groups.items()) if len(groups) > 1 else []
 
 
-def _with_interval(values: list[float]) -> str:
-    """Mean and its normal interval. Rows share problems, so the interval is rather too narrow."""
+def _format_mean_with_interval(values: list[float]) -> str:
+    """Format the mean and its normal interval, which is too narrow since rows share problems."""
     if not values:
         return "-"
     mean = statistics.fmean(values)
@@ -82,16 +86,16 @@ def _with_interval(values: list[float]) -> str:
     return f"{mean:+.2f} ({mean - half:+.2f} to {mean + half:+.2f})"
 
 
-def _share_worse(rows: list[Row], heuristic: Results) -> str:
-    """Share of rows above the heuristic, with its Wilson interval."""
+def _format_share_of_rows_above(rows: list[Row], heuristic_results: Results) -> str:
+    """Format the share of rows above the heuristic, with its Wilson interval."""
     found = [
-        (row["makespan_s"], heuristic[_key(row)].makespan_s)
+        (row["makespan_s"], heuristic_results[_reference_key(row)].makespan_s)
         for row in rows
-        if _key(row) in heuristic
+        if _reference_key(row) in heuristic_results
     ]
     if not found:
         return "-"
-    worse = sum(ours > theirs + SAME_S for ours, theirs in found)
-    interval = binomtest(worse, len(found)).proportion_ci(method="wilson")
-    share = worse / len(found)
+    above_count = sum(makespan_s > reference_s + SAME_S for makespan_s, reference_s in found)
+    interval = binomtest(above_count, len(found)).proportion_ci(method="wilson")
+    share = above_count / len(found)
     return f"{100 * share:.1f} ({100 * interval.low:.1f} to {100 * interval.high:.1f})"

@@ -1,117 +1,108 @@
-"""Plans by processor time: the only place where the planner's budget is seconds.
+"""Plans by processor time: the only module in which the planner's budget is in seconds.
 
-Processor time of this one core, so a busy machine costs time and not quality. Import this module
-late: it contains compiled code.
+It measures the processor time of one core, so that a busy machine does not reduce the quality.
+Import this module late: it contains compiled code.
 """
 
 import time
-from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
+from ground_station.core.truck_drones.operation_plan import AnnealingSearch
 from ground_station.core.truck_drones.policy import Policy
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.schedule import Schedule, schedule_of
+from ground_station.core.truck_drones.schedule import Schedule, simulate_schedule
 from ground_station.core.truck_drones.search import (
-    Search,
+    PlanSearch,
     SearchParams,
     SearchPolicy,
-    best_of_fleets,
+    best_plan_over_growing_fleets,
     default_coolings,
-    with_fewer_drones,
+    problems_with_growing_fleets,
 )
 from ground_station.core.truck_drones.tables import Plan
 
 FIRST_TRIALS = 2_000
 STEP_S = 0.05
-MOST_TRIALS_PER_CUSTOMER = 400_000
-"""A search ends here even if there is time left: more trials gained too little."""
-WARM_UP_TRIALS = 10
-KEPT_FRAC = 0.01
-"""Share of the seconds that is kept back, so that the last step ends in time."""
+MAX_TRIALS_PER_CUSTOMER = 400_000
+"""Trial limit of a search even if time is left: more trials improved the plans too little."""
+COMPILE_TRIALS = 10
+RESERVE_FRAC = 0.01
+"""Share of the seconds held in reserve, so that the last step ends in time."""
 
 
-def plan_within(
-    problem: TruckAndDrones, rng: np.random.Generator, params: SearchParams, seconds: float
+def plan_within_cpu_time(
+    problem: TruckAndDrones, rng: np.random.Generator, params: SearchParams, cpu_budget_s: float
 ) -> Plan:
-    """The best plan within this time, an equal part of it for each number of drones. May end
+    """Return the best plan within this time, divided equally among the numbers of drones. May end
     early: see MOST_TRIALS_PER_CUSTOMER.
     """
-    end_s = time.process_time() + seconds * (1.0 - KEPT_FRAC)
-    left = len(with_fewer_drones(problem))
+    end_s = time.process_time() + cpu_budget_s * (1.0 - RESERVE_FRAC)
+    left = len(problems_with_growing_fleets(problem))
 
-    def searched(search: Search, fewer: bool) -> None:
+    def run_search_within_budget(search: PlanSearch, uses_fewer_drones: bool) -> None:
         nonlocal left
         begin_s = time.process_time()
-        search.step(FIRST_TRIALS, 0.0, 0.0)
+        search.run_trials(FIRST_TRIALS, 0.0, 0.0)
         now_s = time.process_time()
         rate = FIRST_TRIALS / max(now_s - begin_s, 1e-6)
-        most_s = MOST_TRIALS_PER_CUSTOMER * max(1, problem.customers) / rate
+        most_s = MAX_TRIALS_PER_CUSTOMER * max(1, problem.customers) / rate
         for_it_s = min(most_s, max(0.0, end_s - now_s) / left)
         left -= 1
         until_s = now_s
-        for cooling in default_coolings(problem.customers, fewer):
+        for cooling in default_coolings(problem.customers, uses_fewer_drones):
             until_s += cooling.share * for_it_s
-            search.begin(cooling)
-            round_until(
-                search, time.process_time(), until_s, rate, lambda frac: None, cooling.begin_frac
+            search.start_from_plan_of_cooling(cooling)
+            run_cooling_until_cpu_time(
+                search, time.process_time(), until_s, rate, cooling.begin_frac
             )
 
-    return best_of_fleets(problem, rng, params, searched)
+    return best_plan_over_growing_fleets(problem, rng, params, run_search_within_budget)
 
 
-class SteppedSearch(Protocol):
-    """A search that cools in steps."""
-
-    def step(self, trials: int, from_frac: float, to_frac: float) -> None:
-        """This many trials, cooling over this part of a round."""
-        ...
-
-
-def round_until(
-    search: SteppedSearch,
-    start_s: float,
-    end_s: float,
-    rate: float,
-    tell: Callable[[float], None],
+def run_cooling_until_cpu_time(
+    search: AnnealingSearch,
+    start_cpu_s: float,
+    end_cpu_s: float,
+    trials_per_s: float,
     begin_frac: float = 0.0,
 ) -> int:
-    """One cooling by the clock of the process, from this part of a round on; the number of
+    """Run one cooling by processor time, from this fraction of a round on; return the number of
     trials.
     """
     done, frac = 0, 0.0
     while frac < 1.0:
-        step = max(100, int(min(STEP_S, end_s - time.process_time()) * rate))
-        ahead = min(1.0, frac + step / rate / max(end_s - start_s, 1e-9))
+        step = max(100, int(min(STEP_S, end_cpu_s - time.process_time()) * trials_per_s))
+        next_frac = min(1.0, frac + step / trials_per_s / max(end_cpu_s - start_cpu_s, 1e-9))
         before_s = time.process_time()
-        search.step(step, *(begin_frac + (1.0 - begin_frac) * part for part in (frac, ahead)))
+        search.run_trials(
+            step, *(begin_frac + (1.0 - begin_frac) * part for part in (frac, next_frac))
+        )
         now_s = time.process_time()
         done += step
-        rate = 0.5 * rate + 0.5 * step / max(now_s - before_s, 1e-6)
-        frac = min(1.0, (now_s - start_s) / max(end_s - start_s, 1e-9))
-        tell(frac)
+        trials_per_s = 0.5 * trials_per_s + 0.5 * step / max(now_s - before_s, 1e-6)
+        frac = min(1.0, (now_s - start_cpu_s) / max(end_cpu_s - start_cpu_s, 1e-9))
     return done
 
 
-def plan_row(
-    problem: TruckAndDrones, rng: np.random.Generator, policy_name: str, seconds: float | None
+def plan_and_measure_cpu_time(
+    problem: TruckAndDrones, rng: np.random.Generator, policy_name: str, cpu_budget_s: float | None
 ) -> tuple[Schedule, float]:
-    """The schedule by this policy, and the processor seconds that it took, without compiling.
+    """Return the schedule by this policy and its processor time in seconds, without compiling.
 
-    `seconds`: at most so many, for the search; None: its default trials.
+    `cpu_budget_s`: time limit of the search; None: its default number of trials.
     """
-    policies: dict[str, Policy] = {
+    policy_table: dict[str, Policy] = {
         "search": SearchPolicy(),
         "dynamic-assignment": DynamicAssignment(),
     }
-    policy = policies[policy_name]
-    SearchPolicy(trials=WARM_UP_TRIALS).plan(problem, np.random.default_rng(0))
+    policy = policy_table[policy_name]
+    SearchPolicy(trials=COMPILE_TRIALS).plan(problem, np.random.default_rng(0))
     begin_s = time.process_time()
-    if seconds is not None and policy_name == "search":
-        plan = plan_within(problem, rng, SearchParams(), seconds)
+    if cpu_budget_s is not None and policy_name == "search":
+        plan = plan_within_cpu_time(problem, rng, SearchParams(), cpu_budget_s)
     else:
         plan = policy.plan(problem, rng)
-    spent_s = time.process_time() - begin_s
-    return schedule_of(problem, plan), spent_s
+    cpu_s = time.process_time() - begin_s
+    return simulate_schedule(problem, plan), cpu_s

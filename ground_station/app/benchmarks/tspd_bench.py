@@ -1,4 +1,4 @@
-"""The rows of the benchmark with one truck and one drone: each is planned, checked, and kept.
+"""Rows of the benchmark with one truck and one drone: each is planned, checked and stored.
 
 Import this module late: it contains compiled code.
 """
@@ -16,37 +16,37 @@ from numpy.typing import NDArray
 import ground_station.core
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.tspd_files import (
-    MeansKey,
-    PublishedMeans,
+    ReferenceCosts,
+    ReferenceKey,
     TspdInstance,
     read_instance,
 )
-from ground_station.app.benchmarks.mfstsp_bench import RowJournal
-from ground_station.app.benchmarks.timed_search import round_until
-from ground_station.core.benchmark.operations_check import ABOARD, operation_violations
+from ground_station.adapters.workers.journal import ProgressLog
+from ground_station.app.benchmarks.timed_search import run_cooling_until_cpu_time
+from ground_station.core.benchmark.operations_check import NO_DRONE_NODE, plan_violations
 from ground_station.core.truck_drones.operation_plan import Operation
 from ground_station.core.truck_drones.operation_planner import OperationPlanner, default_coolings
 
 Row = dict[str, Any]
-FIRST_RATE = 1e5
-"""Trials a second to begin with; measured from the first step on."""
-KEPT_FRAC = 0.01
-"""Share of the seconds that is kept back, so that the last step ends in time."""
+INITIAL_TRIALS_PER_S = 1e5
+"""Initial estimate of trials per second; measured from the first step on."""
+RESERVE_FRAC = 0.01
+"""Share of the seconds held in reserve, so that the last step ends in time."""
 
 
 @dataclass(frozen=True, slots=True)
 class TspdParams:
-    """`seconds` of the processor for each row, or `published_times` the seconds of the published
-    solver ICP; both None: a fixed number of trials.
+    """`seconds`: processor time of each row; `icp_time_factor`: the same as a multiple of the time
+    of the published solver ICP; both None: a fixed number of trials.
     """
 
     seconds: float | None
-    published_times: float | None
+    icp_time_factor: float | None
     seed: int
 
 
-def tspd_settings(files: list[Path], params: TspdParams) -> str:
-    """A digest of all that decides the rows: files, parameters and the planner's sources."""
+def inputs_and_planner_source_digest(files: list[Path], params: TspdParams) -> str:
+    """Return a digest of all inputs of the rows: files, parameters and the planner's sources."""
     digest = hashlib.sha256(repr(params).encode())
     core = Path(next(iter(ground_station.core.__path__)))
     for path in [*files, *sorted((core / "truck_drones").rglob("*.py"))]:
@@ -54,50 +54,50 @@ def tspd_settings(files: list[Path], params: TspdParams) -> str:
     return digest.hexdigest()
 
 
-def means_key(instance: TspdInstance) -> MeansKey:
-    """Where its published means stand."""
-    return instance.family, round(instance.alpha), len(instance.places)
+def reference_key(instance: TspdInstance) -> ReferenceKey:
+    """Return the key of an instance's published means."""
+    return instance.group, round(instance.drone_to_truck_speed_ratio), len(instance.points)
 
 
 def read_instances(files: list[Path]) -> list[TspdInstance]:
-    """All of them, so that a wrong file is said before the first row is planned."""
+    """Read all instances, so that an invalid file is reported before planning starts."""
     return [read_instance(path) for path in files]
 
 
-def solved_instances(
+def plan_or_load_instance_rows(
     instances: list[TspdInstance],
-    means: dict[MeansKey, PublishedMeans],
+    reference_costs: dict[ReferenceKey, ReferenceCosts],
     params: TspdParams,
-    journal: RowJournal,
+    progress_log: ProgressLog[Row],
 ) -> Iterator[Row]:
-    """The rows in order, from the journal or planned now."""
-    done = journal.read()
-    journal.start(done)
-    for number, instance in enumerate(instances):
-        if number not in done:
-            published = means.get(means_key(instance))
-            seconds = params.seconds
-            if params.published_times is not None and published is not None:
-                seconds = params.published_times * published.icp_s
-            done[number] = solve_instance(instance, seconds, params.seed)
-            journal.add(number, done[number])
-        yield done[number]
+    """Return the rows in order, read from the journal or planned."""
+    done = progress_log.read_finished_results()
+    with progress_log.rewrite_and_open_writer(done) as keep:
+        for number, instance in enumerate(instances):
+            if number not in done:
+                reference = reference_costs.get(reference_key(instance))
+                seconds = params.seconds
+                if params.icp_time_factor is not None and reference is not None:
+                    seconds = params.icp_time_factor * reference.icp_s
+                done[number] = plan_and_check_instance(instance, seconds, params.seed)
+                keep(number, done[number])
+            yield done[number]
 
 
-def solve_instance(instance: TspdInstance, seconds: float | None, seed: int) -> Row:
-    """Plan one row. LeewayError where the independent checker finds a violation."""
-    places = np.array(instance.places)
-    apart = np.linalg.norm(places[:, None] - places[None, :], axis=2)
-    drive, fly = instance.truck_cost * apart, instance.drone_cost * apart
+def plan_and_check_instance(instance: TspdInstance, cpu_budget_s: float | None, seed: int) -> Row:
+    """Plan one row. LeewayError if the independent checker finds a violation."""
+    nodes = np.array(instance.points)
+    distances = np.linalg.norm(nodes[:, None] - nodes[None, :], axis=2)
+    drive, fly = instance.truck_cost * distances, instance.drone_cost * distances
     digest = hashlib.sha256(f"{seed} {instance.name}".encode()).hexdigest()
     rng = np.random.default_rng(int(digest[:15], 16))
-    _plan(drive[:2, :2], fly[:2, :2], np.random.default_rng(0), 0.0)  # compiles
+    _run_all_coolings(drive[:2, :2], fly[:2, :2], np.random.default_rng(0), 0.0)  # compiles
     begin_s = time.process_time()
-    planner = _plan(drive, fly, rng, seconds)
-    spent_s = time.process_time() - begin_s
-    operations = [_reported(operation) for operation in planner.best()]
-    faults = operation_violations(
-        instance.places,
+    planner = _run_all_coolings(drive, fly, rng, cpu_budget_s)
+    cpu_s = time.process_time() - begin_s
+    operations = [_operation_record(operation) for operation in planner.best_operations()]
+    faults = plan_violations(
+        instance.points,
         instance.truck_cost,
         instance.drone_cost,
         operations,
@@ -107,35 +107,37 @@ def solve_instance(instance: TspdInstance, seconds: float | None, seed: int) -> 
         raise LeewayError(f"{instance.name}: the plan breaks the rules: {'; '.join(faults[:3])}")
     return {
         "instance": instance.name,
-        "family": instance.family,
-        "n": len(places),
-        "alpha": instance.alpha,
+        "family": instance.group,
+        "n": len(nodes),
+        "alpha": instance.drone_to_truck_speed_ratio,
         "cost": planner.best_cost,
-        "seconds": spent_s,
+        "seconds": cpu_s,
         "operations": operations,
     }
 
 
-def _plan(
-    drive: NDArray[np.float64],
-    fly: NDArray[np.float64],
+def _run_all_coolings(
+    drive_costs: NDArray[np.float64],
+    flight_costs: NDArray[np.float64],
     rng: np.random.Generator,
-    seconds: float | None,
+    cpu_budget_s: float | None,
 ) -> OperationPlanner:
-    """All coolings, by trials or by a share of the seconds each."""
+    """Run all coolings, by trials or by equal shares of the seconds."""
     until_s = time.process_time()
-    planner = OperationPlanner(drive, fly, rng)
-    for cooling in default_coolings(drive, fly):
-        search = planner.begin(cooling)
-        if seconds is None:
-            search.round(len(drive) * cooling.trials_per_node, cooling.begin_frac)
+    planner = OperationPlanner(drive_costs, flight_costs, rng)
+    for cooling in default_coolings(drive_costs, flight_costs):
+        search = planner.prepare_search(cooling)
+        if cpu_budget_s is None:
+            search.run_cooling(len(drive_costs) * cooling.trials_per_node, cooling.begin_frac)
             continue
-        until_s += cooling.share * seconds * (1.0 - KEPT_FRAC)
+        until_s += cooling.share * cpu_budget_s * (1.0 - RESERVE_FRAC)
         from_s = time.process_time()
-        round_until(search, from_s, until_s, FIRST_RATE, lambda frac: None, cooling.begin_frac)
+        run_cooling_until_cpu_time(
+            search, from_s, until_s, INITIAL_TRIALS_PER_S, cooling.begin_frac
+        )
     return planner
 
 
-def _reported(operation: Operation) -> tuple[int, int, int, list[int]]:
-    fly = ABOARD if operation.fly is None else operation.fly
+def _operation_record(operation: Operation) -> tuple[int, int, int, list[int]]:
+    fly = NO_DRONE_NODE if operation.fly is None else operation.fly
     return operation.start, operation.stop, fly, list(operation.between)

@@ -1,7 +1,6 @@
-"""`ground-station dispatch | watch | recall | report`: the running day."""
+"""`ground-station dispatch | watch | recall | report`: operation of a day."""
 
 import json
-from collections.abc import Callable
 from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
@@ -11,60 +10,47 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.network import OPEN_MARK, OPEN_WORDS
+from companion.fleet.network import OPEN_MARK, OPEN_WARNING
+from companion.fleet.service_manager import record_stop_signals
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.app.cli.metrics import MetricsAddress, OpenMetrics, hold_port, serve_desk
-from ground_station.app.cli.options import (
-    DEFAULT_STORE,
-    DayArgument,
-    FleetName,
-    IdentityFolder,
-    OpenNetwork,
-    StoreFile,
-    StoreUrl,
-    UserName,
-    ZenohFile,
-    open_at_once,
-    open_day,
-    open_fleet,
-    open_store,
-    open_when_there,
-    url_of,
-    who,
+from ground_station.app.cli.order import (
+    add_orders_and_print_count,
+    depot_assigner,
+    print_infeasible_orders,
 )
-from ground_station.app.cli.order import assigner_of, list_impossible, take_orders
-from ground_station.app.cli.stopping import stop_signals
-from ground_station.app.views.times import time_of_day
+from ground_station.app.options.desk_options import (
+    DayArgument,
+    desk_options,
+    open_store_when_reachable,
+    open_store_with_short_timeout,
+    read_day_and_warn,
+)
+from ground_station.app.options.program_options import command_class_with_options
+from ground_station.app.views.times import format_time_of_day
 
 if TYPE_CHECKING:
     from companion.fleet.messages import State
-    from ground_station.adapters.zenoh_fleet import ZenohFleet
-    from ground_station.adapters.zenoh_log import DoorLog
     from ground_station.app.desk.desk import Desk
-    from ground_station.app.desk.desk_meter import DeskMeter
     from ground_station.app.views.certificate_reminder import CertificateReminder
-    from ground_station.core.fleet.door_watch import DoorWatch
     from ground_station.core.fleet.station_message import StationWind
 
-TURN_S = 0.2
-PIPED_S = 10.0
-LEAST_SILENT_S = 5.0
-NOT_RECALLED = 3
-NOT_HELD = 4
-ORDERS_LEFT = 3
+LOOP_INTERVAL_S = 0.2
+PIPED_PRINT_INTERVAL_S = 10.0
+MIN_SILENCE_S = 5.0
+EXIT_RECALL_FAILED = 3
+EXIT_HOLD_FAILED = 4
+EXIT_ORDERS_REMAINING = 3
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(
+    cls=command_class_with_options(
+        "store", "store_file", "user", "zenoh", "identity", "open_network"
+    )
+)
 def dispatch(
     day: DayArgument,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    zenoh: ZenohFile = None,
-    identity: IdentityFolder = None,
-    open_network: OpenNetwork = False,
     plan: Annotated[
         Path | None,
         typer.Option(
@@ -73,239 +59,226 @@ def dispatch(
         ),
     ] = None,
     assign: Annotated[bool, typer.Option(help="Give open orders to free drones.")] = True,
-    launch: Annotated[bool, typer.Option(help="Authorise launches that are ready.")] = True,
+    launch: Annotated[
+        bool, typer.Option(help="Authorise ready launches; --no-launch: an operator authorises.")
+    ] = True,
     confirm_launch: Annotated[
         bool,
         typer.Option(
             "--confirm-launch/--auto-launch",
-            help="Whether each launch from the depot waits for a named person (`ground-station"
-            " order launch`). On a truck its driver says that a drone is placed.",
+            help="confirm: each launch from the depot waits for `ground-station order launch`;"
+            " auto: none does. On a truck the driver confirms that a drone is placed.",
         ),
     ] = True,
     launch_gap: Annotated[
-        float,
-        typer.Option(
-            min=0.0, help="Least time from a take-off at the depot to the next launch, s."
-        ),
+        float, typer.Option(min=0.0, help="Minimum interval between launches at the depot, s.")
     ] = 20.0,
     until_done: Annotated[
         bool,
         typer.Option(
-            "--until-done", help="End when nothing is left to do. Exit code 3: orders are left."
+            "--until-done", help="End when all orders are closed. Exit code 3: orders remain."
         ),
     ] = False,
     idle: Annotated[
         float,
-        typer.Option(min=1.0, help="With --until-done: end also after so long without news, s."),
+        typer.Option(
+            min=1.0, help="With --until-done: also end after this time without change, s."
+        ),
     ] = 300.0,
-    metrics: MetricsAddress = None,
-    open_metrics: OpenMetrics = False,
 ) -> None:
-    """Run the day: watch the fleet, assign, launch, keep everything.
+    """Run a day: monitor the fleet, assign orders, authorise launches.
 
-    Ctrl-C stops the desk only: what flies goes on, and the same command carries on.
+    Adds the day's orders to the store, then dispatches the store's orders. Ctrl-C stops the desk
+    only; flights continue. Run the same command to resume.
 
     ground-station plan town --out plan.json
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
-    from ground_station.adapters.files.plan_files import read_day_plan
+    from ground_station.adapters.files.day_files import read_day_plan
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.app.views.certificate_reminder import CertificateReminder
-    from ground_station.core.people.person import desk_of
+    from ground_station.core.people.person import desk_signing_name
 
-    data = open_day(day, follows=True)
-    person = who(user, identity, data.day.fleet)
-    chosen = None if plan is None else read_day_plan(plan)
-    open_desk_store = partial(open_store, store, store_file, create=True, goes_on=True)
-    with (
-        hold_port(metrics, open_metrics) as server,
-        closing(open_when_there(open_desk_store, _say, Event().wait)) as opened,
-    ):
-        take_orders(opened, data.orders, person.name)
-        assigner = assigner_of(data)
-        impossible = list_impossible(data, assigner) if chosen is None else []
-        by = desk_of(person)
+    data = read_day_and_warn(day, keep_forecast=True)
+    options = desk_options()
+    operator = options.current_operator(data.day.fleet)
+    day_plan = None if plan is None else read_day_plan(plan)
+    open_desk_store = partial(options.open_store, create=True, tolerate_outage=True)
+    with closing(
+        open_store_when_reachable(open_desk_store, _log_timestamped_line, Event().wait)
+    ) as order_store:
+        add_orders_and_print_count(order_store, data.orders, operator.name)
+        assigner = depot_assigner(data)
+        infeasible = print_infeasible_orders(data, assigner) if day_plan is None else []
+        by = desk_signing_name(operator)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
-        say = _say_open if open_network else _say
-        log = None if identity is None else _door_log()
-        neighbours = data.day.neighbours
-        network = open_fleet(data.day.fleet, zenoh, identity, open_network, log, say, neighbours)
+        log_line = (
+            _log_line_with_open_network_mark if options.open_network else _log_timestamped_line
+        )
+        network = options.open_fleet_network(data.day.fleet, log_line, data.day.neighbours)
         with closing(network) as fleet:
-            if chosen is None:
-                cannot = frozenset(impossible)
-                desk = open_depot_desk(data, opened, fleet, say, params, cannot, None, assigner)
-            elif assign and launch:
-                desk = open_truck_desk(data, chosen, opened, fleet, say, by=by)
-            else:
-                raise LeewayError(
-                    "a day with a truck is run whole: expected no --no-assign, no --no-launch"
+            if day_plan is None:
+                infeasible_ids = frozenset(infeasible)
+                desk = open_depot_desk(
+                    data, order_store, fleet, log_line, params, infeasible_ids, None, assigner
                 )
+            elif assign and launch:
+                desk = open_truck_desk(data, day_plan, order_store, fleet, log_line, issuer=by)
+            else:
+                raise LeewayError("--plan cannot be combined with --no-assign or --no-launch")
             typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
-            if open_network:
-                typer.echo(OPEN_WORDS)
-            meter = None if server is None else serve_desk(server, desk, fleet)
-            reminder = CertificateReminder(network, say, epoch_us)
-            door = _door_watch(fleet, say)
-            through = _run(desk, idle if until_done else None, meter, reminder, door)
-        if through:
-            _end(desk)
+            if options.open_network:
+                typer.echo(OPEN_WARNING)
+            reminder = CertificateReminder(network, log_line, epoch_us)
+            completed = _run_desk_until_signal_or_done(desk, idle if until_done else None, reminder)
+        if completed:
+            _print_remaining_orders_and_exit_if_any(desk)
 
 
-def _door_log() -> "DoorLog | None":
-    from ground_station.adapters.zenoh_log import read_zenoh_log
-
-    return read_zenoh_log()
-
-
-def _door_watch(fleet: "ZenohFleet", say: Callable[[str], None]) -> "DoorWatch | None":
-    """Says who calls and should not; None: without an identity nobody has a name at the door."""
-    from ground_station.core.fleet.door_watch import DoorWatch
-
-    return None if fleet.door is None else DoorWatch(fleet.door.figures, fleet.door.roster, say)
-
-
-def _run(
+def _run_desk_until_signal_or_done(
     desk: "Desk",
-    idle_s: float | None,
-    meter: "DeskMeter | None",
+    max_idle_s: float | None,
     reminder: "CertificateReminder",
-    door: "DoorWatch | None",
 ) -> bool:
-    """Turn until stopped, or (with `idle_s`) until the day is done; whether it was."""
+    """Run the desk until a signal, or with `max_idle_s` until the day is done (returns True)."""
     from companion.fleet.service_manager import Watchdog
 
-    desk.begin()
+    desk.start_dispatching()
     watchdog = Watchdog()
     try:
-        with stop_signals() as stopped:
-            while not stopped:
-                watchdog.turn(monotonic_s())
-                reminder.turn(monotonic_s())
-                if meter is not None:
-                    meter.turn()
-                if door is not None:
-                    door.turn(monotonic_s(), epoch_us())
-                if idle_s is not None and (desk.is_done or desk.is_idle(idle_s)):
+        with record_stop_signals() as received_signals:
+            while not received_signals:
+                watchdog.notify_systemd_if_due(monotonic_s())
+                reminder.log_expiring_certificates_if_due(monotonic_s())
+                if max_idle_s is not None and (
+                    desk.is_done or desk.has_been_idle_longer_than(max_idle_s)
+                ):
                     return True
-                desk.turn(TURN_S)
+                desk.run_cycle(LOOP_INTERVAL_S)
     finally:
         desk.close()
     return False
 
 
-def _end(desk: "Desk") -> None:
-    """Say what is left over; that decides the exit code."""
-    from ground_station.app.views.terminal import listing, terminal
+def _print_remaining_orders_and_exit_if_any(desk: "Desk") -> None:
+    """Print the orders that remain; exit with EXIT_ORDERS_REMAINING if there are any."""
+    from ground_station.app.views.terminal import plain_console, plain_table
 
-    left = desk.left_over()
-    if not left:
+    remaining = desk.undelivered_orders()
+    if not remaining:
         typer.echo("every order is delivered or cancelled")
         return
-    table = listing("order", "state", "why", title="left over")
-    for row in left:
-        table.add_row(row.order.id, row.state.value, desk.why_left(row))
-    terminal().print(table)
-    raise typer.Exit(ORDERS_LEFT)
+    table = plain_table("order", "state", "reason", title="not delivered")
+    for row in remaining:
+        table.add_row(row.order.id, row.state.value, desk.undelivered_reason(row))
+    plain_console().print(table)
+    raise typer.Exit(EXIT_ORDERS_REMAINING)
 
 
-@app.command()
+@app.command(
+    cls=command_class_with_options(
+        "fleet", "store", "store_file", "zenoh", "identity", "open_network"
+    )
+)
 def watch(
-    fleet: FleetName,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    zenoh: ZenohFile = None,
-    identity: IdentityFolder = None,
-    open_network: OpenNetwork = False,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Watch for so long, then end.")
+        float | None, typer.Option(min=0.1, help="Duration, s. Default: until Ctrl-C.")
     ] = None,
 ) -> None:
-    """Watch the fleet live: phase, margin, P(home), orders. It commands nothing.
+    """Monitor the fleet: phase, margin, P(home), orders. Read-only.
 
-    Into a pipe or file it prints at once, every 10 s, and at its end.
+    In a pipe or file it prints immediately, every 10 s, and at the end.
 
     ground-station watch --fleet harbour --store sqlite:///desk.db
     """
     from rich.console import RenderableType
     from rich.live import Live
 
-    from ground_station.adapters.files.day_wind import site_wind_of
+    from ground_station.adapters.files.day_wind import create_site_wind
     from ground_station.adapters.store.day_store import DayStore
-    from ground_station.app.desk.exchange import Exchange
-    from ground_station.app.desk.recall import SAY_S
-    from ground_station.app.views.attention import CERTIFICATES, ending_certificates
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.desk.exchange import FleetExchange
+    from ground_station.app.desk.recall import SILENCE_REPORT_DELAY_S
+    from ground_station.app.views.day_content import DisplayRows, read_display_rows
+    from ground_station.app.views.operator_alerts import (
+        CERTIFICATES_SUBJECT,
+        expiring_certificates_text,
+    )
+    from ground_station.app.views.terminal import plain_console
     from ground_station.app.views.watch_view import watch_view
-    from ground_station.app.views.watched_rows import WatchRows, read_rows
-    from ground_station.app.views.wind_notes import wind_notes
-    from ground_station.core.site_wind.wind_stations import StationBook
+    from ground_station.app.views.wind_notes import wind_field_and_front_lines
+    from ground_station.core.site_wind.wind_stations import StationRegistry
 
-    opened = open_store(store, store_file, goes_on=True)
-    ears = open_fleet(fleet, zenoh, identity, open_network)
-    exchange = Exchange(opened, ears, lambda words: None)
-    wind = site_wind_of(None)
-    stations = StationBook(wind)
+    options = desk_options()
+    fleet = options.require_fleet_name()
+    order_store = options.open_store(tolerate_outage=True)
+    network = options.open_fleet_network(fleet)
+    exchange = FleetExchange(order_store, network, lambda message: None)
+    wind = create_site_wind(None)
+    stations = StationRegistry(wind)
 
-    def hear(state: "State") -> None:
-        wind.on_state(state, monotonic_s())
+    def on_state_message(state: "State") -> None:
+        wind.update_from_state(state, monotonic_s())
 
-    def hear_station(told: "StationWind") -> None:
-        stations.take(told, monotonic_s(), epoch_us())
+    def on_station_message(station_wind: "StationWind") -> None:
+        stations.record_station_message(station_wind, monotonic_s(), epoch_us())
 
-    exchange.on_state = hear
-    exchange.on_station = hear_station
-    exchange.begin()
-    console, day = terminal(), DayStore(opened.database, epoch_us)
-    rows = WatchRows()
+    exchange.on_state = on_state_message
+    exchange.on_station = on_station_message
+    exchange.request_initial_states()
+    console, day = plain_console(), DayStore(order_store.database, epoch_us)
+    rows = DisplayRows()
 
-    def view() -> RenderableType:
+    def render() -> RenderableType:
         nonlocal rows
-        with exchange.store_may_be_away():
-            rows = read_rows(opened, day, epoch_us())
-            exchange.store_is_back()
-        notes = [OPEN_WORDS] if open_network else []
-        notes += [] if exchange.status.vehicles else [f"nobody is heard in fleet {fleet}"]
-        notes += [] if exchange.away is None else [f"STORE AWAY, rows are old: {exchange.away}"]
-        ending = ending_certificates(ears.certificates(), epoch_us())
-        notes += [f"LOOK: {CERTIFICATES}: {ending}"] if ending else []
-        notes += wind_notes(wind, exchange.status, monotonic_s())
-        notes += stations.notes(monotonic_s())
+        with exchange.suppress_and_record_store_outage():
+            rows = read_display_rows(order_store, day, epoch_us())
+            exchange.clear_store_outage()
+        notes = [OPEN_WARNING] if options.open_network else []
+        notes += [] if exchange.status.vehicles else [f"no member connected in fleet {fleet}"]
+        notes += (
+            []
+            if exchange.store_error is None
+            else [f"store unreachable, rows are old: {exchange.store_error}"]
+        )
+        ending = expiring_certificates_text(network.certificate_expiry_dates(), epoch_us())
+        notes += [f"WARNING: {CERTIFICATES_SUBJECT}: {ending}"] if ending else []
+        notes += wind_field_and_front_lines(wind, exchange.status, monotonic_s())
+        notes += stations.station_status_lines(monotonic_s())
         return watch_view(exchange.status, rows, monotonic_s(), notes)
 
     try:
-        with stop_signals() as stopped:
-            until_s = None if seconds is None else monotonic_s() + seconds
-            shown = Live(view(), console=console, auto_refresh=False, transient=True)
-            next_s, joined_s = 0.0, monotonic_s()
-            with shown if console.is_terminal else nullcontext():
-                while not stopped and (until_s is None or monotonic_s() < until_s):
-                    exchange.listen(TURN_S)
+        with record_stop_signals() as received_signals:
+            deadline_s = None if seconds is None else monotonic_s() + seconds
+            live_view = Live(render(), console=console, auto_refresh=False, transient=True)
+            next_print_s, joined_s = 0.0, monotonic_s()
+            with live_view if console.is_terminal else nullcontext():
+                while not received_signals and (deadline_s is None or monotonic_s() < deadline_s):
+                    exchange.receive_and_process_messages(LOOP_INTERVAL_S)
                     now_s = monotonic_s()
-                    known = exchange.status.vehicles or now_s - joined_s > SAY_S
+                    known = exchange.status.vehicles or now_s - joined_s > SILENCE_REPORT_DELAY_S
                     if console.is_terminal:
-                        shown.update(view(), refresh=True)
-                    elif known and now_s >= next_s:
-                        next_s = now_s + PIPED_S
-                        console.print(view())
-        console.print(view())
+                        live_view.update(render(), refresh=True)
+                    elif known and now_s >= next_print_s:
+                        next_print_s = now_s + PIPED_PRINT_INTERVAL_S
+                        console.print(render())
+        console.print(render())
     finally:
-        ears.close()
-        opened.close()
+        network.close()
+        order_store.close()
 
 
-@app.command()
+@app.command(
+    cls=command_class_with_options(
+        "fleet", "store", "store_file", "user", "zenoh", "identity", "open_network"
+    )
+)
 def recall(
-    fleet: FleetName,
     vehicle: Annotated[str | None, typer.Argument(help="The vehicle, for example d1.")] = None,
-    everybody: Annotated[bool, typer.Option("--all", help="Every vehicle that is heard.")] = False,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    zenoh: ZenohFile = None,
-    identity: IdentityFolder = None,
-    open_network: OpenNetwork = False,
-    wait: Annotated[float, typer.Option(min=1.0, help="Time-out of an answer, s.")] = 10.0,
+    everybody: Annotated[
+        bool, typer.Option("--all", help="Recall every connected vehicle; launch hold on all.")
+    ] = False,
+    wait: Annotated[float, typer.Option(min=1.0, help="Timeout of the acknowledgement, s.")] = 10.0,
     direct: Annotated[
         str | None,
         typer.Option(
@@ -314,13 +287,17 @@ def recall(
         ),
     ] = None,
     silent_for: Annotated[
-        float, typer.Option(min=LEAST_SILENT_S, help="Silence that allows --direct, s.")
+        float,
+        typer.Option(
+            min=MIN_SILENCE_S, help="Time without companion messages that permits --direct, s."
+        ),
     ] = 15.0,
 ) -> None:
-    """Recall a vehicle through its companion, which chooses the safe way home, and hold it.
+    """Recall a vehicle: it returns and lands, and a launch hold blocks its next launch.
 
-    It is not launched again before `ground-station release`. Exit code 3: at least one has not
-    answered. 4: all have, but the store could not be reached: nobody is held.
+    The launch hold ends by `ground-station release d1`, after --all by `release --all`. Exit code
+    3: at least one vehicle did not acknowledge. 4: all did, but the store was unreachable: no
+    launch hold is stored.
 
     ground-station recall d1 --fleet harbour
     """
@@ -329,67 +306,66 @@ def recall(
     if direct is not None and vehicle is None:
         raise LeewayError("--direct: expected one vehicle, not --all")
 
-    from ground_station.app.desk.person_deeds import recall as recall_by
-    from ground_station.app.desk.recall import Recaller, recall_past_companion
-    from ground_station.core.schema.holds import check_vehicle
+    from ground_station.app.desk.operator_commands import recall_hold_and_record as recall_by
+    from ground_station.app.desk.recall import Recaller, command_return_to_launch_if_silent
+    from ground_station.core.schema.holds import raise_if_invalid_vehicle_name
 
-    def past_companion(caller: Recaller, missing: set[str]) -> set[str]:
+    def recall_without_companion(recaller: Recaller, missing: set[str]) -> set[str]:
         if direct is None or vehicle is None or vehicle not in missing:
             return set()
-        return recall_past_companion(caller, vehicle, direct, silent_for)
+        return command_return_to_launch_if_silent(recaller, vehicle, direct, silent_for)
 
     if vehicle is not None:
-        check_vehicle(vehicle)
-    url, person = url_of(store, store_file), who(user, identity, fleet)
-    ears = open_fleet(fleet, zenoh, identity, open_network)
-    with closing(ears):
+        raise_if_invalid_vehicle_name(vehicle)
+    options = desk_options()
+    fleet = options.require_fleet_name()
+    url, operator = options.store_url, options.current_operator(fleet)
+    network = options.open_fleet_network(fleet)
+    with closing(network):
         done = recall_by(
-            ears,
-            partial(open_at_once, url),
+            network,
+            partial(open_store_with_short_timeout, url),
             vehicle,
-            person.name,
-            _say,
-            _look,
+            operator.name,
+            _log_timestamped_line,
+            _print_error,
             wait,
-            past_companion,
+            recall_without_companion,
         )
-    if done.missing or done.nobody:
-        raise typer.Exit(NOT_RECALLED)
-    if not done.held:
-        raise typer.Exit(NOT_HELD)
+    if done.not_recalled or done.no_vehicle_reason:
+        raise typer.Exit(EXIT_RECALL_FAILED)
+    if not done.is_recorded:
+        raise typer.Exit(EXIT_HOLD_FAILED)
 
 
-@app.command()
+@app.command(cls=command_class_with_options("store", "store_file"))
 def report(
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures into this file.")
+        Path | None, typer.Option("--json", help="Write the report as JSON.")
     ] = None,
 ) -> None:
-    """The day in figures: orders, flights, promises and their outcomes.
+    """Report the day in the store: orders, flights, predictions and outcomes.
 
     ground-station report --store sqlite:///desk.db
     """
     from ground_station.adapters.store.day_store import DayStore
-    from ground_station.app.views.day_report import report_of, report_view
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.views.day_report import day_report_of, report_tables
+    from ground_station.app.views.terminal import plain_console
 
-    opened = open_store(store, store_file)
-    figures = report_of(opened, DayStore(opened.database, epoch_us))
-    opened.close()
-    terminal().print(report_view(figures))
+    with closing(desk_options().open_store()) as order_store:
+        statistics = day_report_of(order_store, DayStore(order_store.database, epoch_us))
+    plain_console().print(report_tables(statistics))
     if json_file is not None:
-        json_file.write_text(json.dumps(figures, indent=1))
+        json_file.write_text(json.dumps(statistics, indent=1))
 
 
-def _look(words: str) -> None:
-    typer.echo(words, err=True)
+def _print_error(message: str) -> None:
+    typer.echo(message, err=True)
 
 
-def _say_open(words: str) -> None:
-    _say(f"{OPEN_MARK} {words}")
+def _log_line_with_open_network_mark(message: str) -> None:
+    _log_timestamped_line(f"{OPEN_MARK} {message}")
 
 
-def _say(words: str) -> None:
-    typer.echo(f"{time_of_day(epoch_us())} {words}")
+def _log_timestamped_line(message: str) -> None:
+    typer.echo(f"{format_time_of_day(epoch_us())} {message}")

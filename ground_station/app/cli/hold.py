@@ -1,4 +1,4 @@
-"""`ground-station hold | release`: ground stops of vehicles, or of all."""
+"""`ground-station hold | release`: launch holds of single vehicles or of all."""
 
 from contextlib import closing
 from typing import Annotated
@@ -7,82 +7,75 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
-from ground_station.app.cli.options import (
-    DEFAULT_STORE,
-    SignedBy,
-    StoreFile,
-    StoreUrl,
-    UserName,
-    open_store,
-    who,
-)
+from ground_station.app.options.desk_options import desk_options
+from ground_station.app.options.program_options import command_class_with_options
+
+SIGNED_OPTIONS = command_class_with_options("store", "store_file", "user", "identity")
 
 app = typer.Typer()
 
 Vehicles = Annotated[list[str] | None, typer.Argument(help="Vehicles, for example d1 d2.")]
 
 
-@app.command()
+@app.command(cls=SIGNED_OPTIONS)
 def hold(
-    reason: Annotated[str, typer.Option(help="Why, for whoever releases it.")],
+    reason: Annotated[
+        str, typer.Option(help="Reason, shown to the operator who ends the launch hold.")
+    ],
     vehicles: Vehicles = None,
     everybody: Annotated[
-        bool, typer.Option("--all", help="Every drone, those that join later too.")
+        bool, typer.Option("--all", help="All drones, including those that join later.")
     ] = False,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
 ) -> None:
-    """Hold vehicles on the ground: no work and no launch until they are released.
+    """Place a launch hold: the vehicles get no order and no launch until `ground-station release`.
 
-    What flies goes on: `ground-station recall` brings it home, and holds it too.
+    Airborne vehicles continue; `ground-station recall` returns them and places the launch hold.
 
     ground-station hold d1 --reason "propeller chipped"
     """
-    from ground_station.app.desk import person_deeds
+    from ground_station.app.desk import operator_commands
 
-    scopes, person = scopes_of("hold", vehicles, everybody), who(user, identity)
-    with closing(open_store(store, store_file)) as opened:
-        done = person_deeds.hold(opened, epoch_us, scopes, reason, person.name)
-    for words in done.words:
-        typer.echo(words)
-    for words in done.look:
-        typer.echo(words, err=True)
+    scopes, desk = hold_scopes("hold", vehicles, everybody), desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store()) as order_store:
+        result = operator_commands.place_holds(order_store, epoch_us, scopes, reason, operator.name)
+    for message in result.messages:
+        typer.echo(message)
+    for message in result.checks:
+        typer.echo(message, err=True)
 
 
-@app.command()
+@app.command(cls=SIGNED_OPTIONS)
 def release(
     vehicles: Vehicles = None,
     everybody: Annotated[
-        bool, typer.Option("--all", help="The hold of all; vehicles held by name stay held.")
+        bool, typer.Option("--all", help="End the launch hold of all; those of one vehicle stay.")
     ] = False,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
 ) -> None:
-    """Lift holds: these vehicles may be given work and launched again.
+    """End launch holds: the vehicles may get orders and launch again.
+
+    --all ends the launch hold that `hold --all`, `recall --all` or `store restore` placed.
 
     ground-station release d1
     """
-    from ground_station.app.desk import person_deeds
+    from ground_station.app.desk import operator_commands
 
-    scopes, person = scopes_of("release", vehicles, everybody), who(user, identity)
-    with closing(open_store(store, store_file)) as opened:
-        done = person_deeds.release(opened, epoch_us, scopes, person.name)
-    for words in done.words:
-        typer.echo(words)
-    if done.look:
-        raise LeewayError("; ".join(done.look))
+    scopes, desk = hold_scopes("release", vehicles, everybody), desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store()) as order_store:
+        result = operator_commands.clear_holds(order_store, epoch_us, scopes, operator.name)
+    for message in result.messages:
+        typer.echo(message)
+    if result.checks:
+        raise LeewayError("; ".join(result.checks))
 
 
-def scopes_of(command: str, vehicles: list[str] | None, everybody: bool) -> list[str]:
-    """What a hold is of. Raises LeewayError where that is not said, or said twice."""
-    from ground_station.core.schema.holds import ALL, check_vehicle
+def hold_scopes(command: str, vehicles: list[str] | None, everybody: bool) -> list[str]:
+    """Return the scopes of a hold. Raises LeewayError unless vehicles or --all are given."""
+    from ground_station.core.schema.holds import ALL_DRONES, raise_if_invalid_vehicle_name
 
     if bool(vehicles) == everybody:
         raise LeewayError(f"{command}: expected vehicles, or --all")
     for vehicle in vehicles or ():
-        check_vehicle(vehicle)
-    return [ALL] if everybody else list(dict.fromkeys(vehicles or ()))
+        raise_if_invalid_vehicle_name(vehicle)
+    return [ALL_DRONES] if everybody else list(dict.fromkeys(vehicles or ()))

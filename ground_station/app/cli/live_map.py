@@ -1,4 +1,4 @@
-"""`ground-station map`: the running day on a map, in a browser of this machine."""
+"""`ground-station map`: live map of the day in a browser."""
 
 import sys
 from collections.abc import Callable
@@ -12,56 +12,48 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.network import OPEN_WORDS
+from companion.fleet.network import OPEN_WARNING
+from companion.fleet.service_manager import record_stop_signals
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.adapters.listening_socket import is_loopback
-from ground_station.app.cli.options import (
-    DEFAULT_STORE,
-    IdentityFolder,
-    OpenNetwork,
-    StoreFile,
-    StoreUrl,
-    ZenohFile,
-    open_at_once,
-    open_day,
-    open_fleet,
-    open_store,
-    url_of,
-    who,
+from ground_station.adapters.listening_socket import is_loopback_host
+from ground_station.app.options.desk_options import (
+    DeskOptions,
+    desk_options,
+    open_store_with_short_timeout,
+    read_day_and_warn,
+    resolve_operator,
+    resolve_store_url,
 )
-from ground_station.app.cli.stopping import stop_signals
+from ground_station.app.options.program_options import command_class_with_options
 
 if TYPE_CHECKING:
-    from ground_station.adapters.web.map_server import MapAnswers, MapServer
-    from ground_station.adapters.web.people import WebPeople
-    from ground_station.app.map.map_people import MapPeople
-    from ground_station.core.people.person import Person
+    from ground_station.adapters.web.map_server import MapDataSources, MapServer
+    from ground_station.adapters.web.people import MapAccess
+    from ground_station.app.map.map_commands import OperatorCommands
+    from ground_station.core.people.person import DeskOperator
     from ground_station.core.schema.day_data import DayData
 
-HERE = "127.0.0.1"
-PORT = 8714
-IDLE_S = 0.2
+LOOPBACK_HOST = "127.0.0.1"
+DEFAULT_PORT = 8714
+POLL_INTERVAL_S = 0.2
 
 app = typer.Typer()
 
 
-@app.command("map")
+@app.command(
+    "map",
+    cls=command_class_with_options(
+        "fleet", "store", "store_file", "zenoh", "identity", "open_network"
+    ),
+)
 def show_map(
     day: Annotated[
         str | None,
         typer.Option(
-            help="The day: a day/1 TOML file, or the name of a bundled day. It names the fleet, and"
-            " has depot, areas, rally points and the energy models."
+            help="A day/1 TOML file, or the name of a bundled day: fleet, depot, areas, rally"
+            " points and energy models."
         ),
     ] = None,
-    fleet: Annotated[
-        str | None, typer.Option(help="The fleet's name, where no day is given.")
-    ] = None,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    zenoh: ZenohFile = None,
-    identity: IdentityFolder = None,
-    open_network: OpenNetwork = False,
     basemap: Annotated[
         Path | None,
         typer.Option(
@@ -73,28 +65,28 @@ def show_map(
         str | None,
         typer.Option(
             metavar="RUN_FOLDER|STORE",
-            help="Show the past instead: a folder of `sim-bridge day` or of one flight, or a store"
-            " (its URL or SQLite file). Nothing is listened to.",
+            help="Show a past day instead: a folder of `sim-bridge day` or of one flight, or a"
+            " store (URL or SQLite file). The network is not used.",
         ),
     ] = None,
     records: Annotated[
         Path | None,
-        typer.Option(
-            help="With --replay: the folder that the flights' records lie in, if it is another."
-        ),
+        typer.Option(help="With --replay: folder of the flights' records, if different."),
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = PORT,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port; 0: any free port.")
+    ] = DEFAULT_PORT,
     tokens: Annotated[
         Path | None,
         typer.Option(
-            help="A file of `ground-station token`: its people may order from the map. Without it"
-            " the map has no way to send."
+            help="File of `ground-station token`: its users may send commands from the map."
+            " Default: the map is read-only."
         ),
     ] = None,
     host: Annotated[
         str,
-        typer.Option(help="The address to serve at; one that others reach needs --tls, --tokens."),
-    ] = HERE,
+        typer.Option(help="Address to serve on; other than loopback requires --tls and --tokens."),
+    ] = LOOPBACK_HOST,
     tls: Annotated[
         tuple[Path, Path] | None,
         typer.Option("--tls", metavar="CERT KEY", help="Certificate chain and key, PEM."),
@@ -103,218 +95,245 @@ def show_map(
         bool,
         typer.Option(
             "--fetch-assets",
-            help="Fetch what draws base maps and the world's outline (npm registry), and end.",
+            help="Download the map scripts and world outline (npm registry), then exit.",
         ),
     ] = False,
 ) -> None:
-    """Show the running day on a map, in a browser.
+    """Show the day on a map in a browser.
 
-    Fed as `watch` is: by the fleet's network and the desk's store, both only read. With --tokens
-    people sign in with their token and recall, hold, release, confirm launches and settle orders,
-    as by the commands of these names. With --replay it shows a past day instead, with a scrubber.
-    Ctrl-C ends it.
+    Reads the fleet's network and the desk's store. With --tokens, users sign in with their token
+    and can recall, hold, release, confirm launches and settle orders. With --replay it shows a
+    past day with a time slider. Ctrl-C stops it.
 
     ground-station map --day town --store sqlite:///desk.db
     ground-station map --day harbour --replay logs/day-harbour-seed1
     """
     if fetch:
-        _fetch_assets()
+        _fetch_assets_and_print_progress()
         return
-    check_address(host, is_safe=tls is not None and tokens is not None)
-    data = None if day is None else open_day(day)
-    name = fleet if data is None else data.day.fleet
+    require_safe_address(host, is_safe=tls is not None and tokens is not None)
+    data = None if day is None else read_day_and_warn(day)
+    options = desk_options()
+    name = options.fleet if data is None else data.day.fleet
     if records is not None and replay is None:
-        raise LeewayError("--records: expected --replay beside it")
+        raise LeewayError("--records: expected --replay")
     if name is None and replay is None:
         raise LeewayError("map: expected --day, or --fleet")
     if basemap is not None:
-        have_basemap(basemap)
-    with ExitStack() as held:
-        server = held.enter_context(closing(_server(host, port, tls)))
-        to_read = not is_loopback(host)
+        check_basemap_and_fetch_scripts(basemap)
+    with ExitStack() as resources:
+        server = resources.enter_context(closing(_create_map_server(host, port, tls)))
+        reading_needs_token = not is_loopback_host(host)
         if replay is not None:
-            people = None if tokens is None else _people(tokens, None, to_read)
-            answers = _past_answers(replay, records, name, data, basemap)
-            idle = partial(Event().wait, IDLE_S)
-            what = f"the past of {name or replay}"
-            _serve_until_stopped(server, replace(answers, people=people), what, idle)
+            map_access = (
+                None if tokens is None else _create_map_access(tokens, None, reading_needs_token)
+            )
+            data_sources = _replay_sources(replay, records, name, data, basemap)
+            idle = partial(Event().wait, POLL_INTERVAL_S)
+            label = f"the past of {name or replay}"
+            _serve_until_signal(server, replace(data_sources, access=map_access), label, idle)
             return
         assert name is not None
-        people = None
+        map_access = None
         if tokens is not None:
-            deeds = _deeds(name, (store, store_file), zenoh, identity, open_network)
-            people = _people(tokens, deeds, to_read)
-        opened = held.enter_context(closing(open_store(store, store_file, goes_on=True)))
-        ears = held.enter_context(closing(open_fleet(name, zenoh, identity, open_network)))
+            operator_commands = _operator_commands(name, options)
+            map_access = _create_map_access(tokens, operator_commands, reading_needs_token)
+        order_store = resources.enter_context(closing(options.open_store(tolerate_outage=True)))
+        network = resources.enter_context(closing(options.open_fleet_network(name)))
 
         from ground_station.adapters.clock import WallClock
         from ground_station.adapters.files.day_wind import (
-            site_wind_of,
-            station_book_of,
+            create_site_wind,
+            create_station_registry,
             station_files,
         )
-        from ground_station.adapters.web.map_server import MapAnswers
-        from ground_station.app.desk.station_desk import StationDesk
-        from ground_station.app.map.fleet_ear import FleetEar
-        from ground_station.app.map.map_feed import MapFeed
+        from ground_station.adapters.web.map_server import MapDataSources
+        from ground_station.app.desk.site.station_desk import StationMonitor
+        from ground_station.app.map.fleet_receiver import FleetListener
+        from ground_station.app.map.map_feed import MapPublisher
         from ground_station.app.map.map_view import MapView
         from ground_station.core.fleet.fleet_status import FleetStatus
 
         clock = WallClock()
         status = FleetStatus({} if data is None else data.airframes)
-        notes = (OPEN_WORDS,) if open_network else ()
-        wind = site_wind_of(data)
+        notes = (OPEN_WARNING,) if options.open_network else ()
+        wind = create_site_wind(data)
         files = [] if data is None else station_files(data)
-        stations = StationDesk(station_book_of(wind, data), files, clock, lambda words: None)
-        ear = FleetEar(ears, clock, status, wind, stations)
-        view = MapView(name, data, notes, basemap is not None, has_outline(basemap))
-        feed = MapFeed(view, ear, opened, clock, ears.certificates)
-        answers = MapAnswers(feed.stream, feed.history, feed.reach, basemap, None, people)
-        _serve_until_stopped(server, answers, f"the map of {name}", feed.turn)
+        stations = StationMonitor(
+            create_station_registry(wind, data), files, clock, lambda message: None
+        )
+        listener = FleetListener(network, clock, status, wind, stations)
+        view = MapView(name, data, notes, basemap is not None, download_outline_if_missing(basemap))
+        map_source = MapPublisher(
+            view, listener, order_store, clock, network.certificate_expiry_dates
+        )
+        data_sources = MapDataSources(
+            map_source.stream,
+            map_source.margin_history_of,
+            map_source.reachable_area_boundary,
+            basemap,
+            None,
+            map_access,
+        )
+        _serve_until_signal(
+            server, data_sources, f"the map of {name}", map_source.listen_and_publish_due_picture
+        )
 
 
-def _serve_until_stopped(
-    server: "MapServer", answers: "MapAnswers", what: str, turn: Callable[[], object]
+def _serve_until_signal(
+    server: "MapServer", data_sources: "MapDataSources", label: str, poll_once: Callable[[], object]
 ) -> None:
-    server.serve(answers)
+    server.start_serving(data_sources)
     from companion.fleet.service_manager import Watchdog
 
-    typer.echo(f"{what}: {server.address}/  Ctrl-C ends it")
+    typer.echo(f"{label}: {server.address}/  Ctrl-C ends it")
     watchdog = Watchdog()
-    with stop_signals() as stopped:
-        while not stopped:
-            watchdog.turn(monotonic_s())
-            turn()
+    with record_stop_signals() as received_signals:
+        while not received_signals:
+            watchdog.notify_systemd_if_due(monotonic_s())
+            poll_once()
 
 
-def _past_answers(
+def _replay_sources(
     replay: str,
     records: Path | None,
     name: str | None,
     data: "DayData | None",
     basemap: Path | None,
-) -> "MapAnswers":
+) -> "MapDataSources":
     from ground_station.adapters.store.database import Database
     from ground_station.adapters.store.past_store import PastStore
     from ground_station.adapters.web.live_stream import LiveStream
-    from ground_station.adapters.web.map_server import MapAnswers, PastAnswers
+    from ground_station.adapters.web.map_server import MapDataSources, PastDataSources
     from ground_station.app.map.map_view import MapView
-    from ground_station.app.map.replay.past_folder import past_files
-    from ground_station.app.map.replay.replay_feed import ReplayFeed
+    from ground_station.app.map.replay.past_folder import find_replay_files
+    from ground_station.app.map.replay.replay_feed import ReplayDataSource
 
-    files = past_files(replay, records)
+    files = find_replay_files(replay, records)
     store = None
     if files.store is not None:
-        with closing(Database(url_of(files.store, None), create=False)) as database:
+        with closing(Database(resolve_store_url(files.store, None), create=False)) as database:
             store = PastStore(database)
-    view = MapView(name or "the past", data, (), basemap is not None, has_outline(basemap))
-    feed = ReplayFeed(view, store, files.records)
-    for words in feed.troubles:
-        typer.echo(words, err=True)
-    past = PastAnswers(feed.span, feed.moment, feed.history, feed.reach)
-    return MapAnswers(LiveStream(), lambda _: None, lambda _: None, basemap, past)
+    view = MapView(
+        name or "the past", data, (), basemap is not None, download_outline_if_missing(basemap)
+    )
+    map_source = ReplayDataSource(view, store, files.records)
+    for message in map_source.record_fault_texts:
+        typer.echo(message, err=True)
+    past = PastDataSources(
+        map_source.time_line_data,
+        map_source.picture_at,
+        map_source.margin_history_until,
+        map_source.reachable_area_boundary_at,
+    )
+    return MapDataSources(LiveStream(), lambda _: None, lambda _: None, basemap, past)
 
 
-def check_address(host: str, *, is_safe: bool) -> None:
-    """Raise LeewayError for an address that other machines reach, where strangers would see."""
-    if not (is_safe or is_loopback(host)):
+def require_safe_address(host: str, *, is_safe: bool) -> None:
+    """Raise LeewayError for an address that other machines reach, unless `is_safe`."""
+    if not (is_safe or is_loopback_host(host)):
         raise LeewayError(
-            f"--host {host}: other machines reach it: expected --tls CERT KEY and --tokens FILE"
-            f" beside it, or {HERE}; without: ssh -L {PORT}:{HERE}:{PORT} THIS-MACHINE"
+            f"--host {host} can be reached by other machines: add --tls CERT KEY and --tokens FILE,"
+            f" or use {LOOPBACK_HOST} and an SSH tunnel: ssh -L"
+            f" {DEFAULT_PORT}:{LOOPBACK_HOST}:{DEFAULT_PORT} THIS-MACHINE"
         )
 
 
-def _people(tokens: Path, deeds: "MapPeople | None", to_read: bool) -> "WebPeople":
-    from ground_station.adapters.files.token_file import WatchedTokens
-    from ground_station.adapters.web.people import WebPeople
+def _create_map_access(
+    tokens: Path, operator_commands: "OperatorCommands | None", reading_needs_token: bool
+) -> "MapAccess":
+    from ground_station.adapters.files.token_file import TokenFileMonitor
+    from ground_station.adapters.web.people import MapAccess
 
-    watched = WatchedTokens(tokens)
-    return WebPeople(watched.book, None if deeds is None else deeds.do, to_read)
-
-
-def _deeds(
-    fleet: str,
-    store: tuple[str, Path | None],
-    zenoh: Path | None,
-    identity: Path | None,
-    open_network: bool,
-) -> "MapPeople":
-    """What people order; with an identity the audit names its member behind them."""
-    from ground_station.app.map.map_people import MapPeople
-
-    def acting(person: "Person") -> "Person":
-        return person if identity is None else who(person.name, identity, fleet)
-
-    url = url_of(*store)
-    return MapPeople(
-        acting=acting,
-        open_store=partial(open_store, *store),
-        open_soon=partial(open_at_once, url),
-        open_fleet=partial(open_fleet, fleet, zenoh, identity, open_network),
+    token_monitor = TokenFileMonitor(tokens)
+    return MapAccess(
+        token_monitor.current_tokens,
+        None if operator_commands is None else operator_commands.execute_command,
+        reading_needs_token,
     )
 
 
-def _server(host: str, port: int, tls: tuple[Path, Path] | None) -> "MapServer":
+def _operator_commands(fleet: str, options: DeskOptions) -> "OperatorCommands":
+    """Return the commands of map users; with an identity the audit records its member."""
+    from ground_station.app.map.map_commands import OperatorCommands
+
+    def audit_identity(operator: "DeskOperator") -> "DeskOperator":
+        unsigned = options.identity is None
+        return operator if unsigned else resolve_operator(operator.name, options.identity, fleet)
+
+    return OperatorCommands(
+        audit_identity=audit_identity,
+        open_store=options.open_store,
+        open_reachable_store=partial(open_store_with_short_timeout, options.store_url),
+        open_fleet=partial(options.open_fleet_network, fleet),
+    )
+
+
+def _create_map_server(host: str, port: int, tls: tuple[Path, Path] | None) -> "MapServer":
     try:
         from ground_station.adapters.web.map_server import MapServer
-        from ground_station.adapters.web.tls_files import tls_files
+        from ground_station.adapters.web.tls_files import load_checked_tls_files
     except ImportError as error:
-        raise LeewayError(f"map needs leeway-uas[ground]: {error}") from error
-    return MapServer(host, port, None if tls is None else tls_files(*tls, epoch_us()))
+        raise LeewayError(f"map: {error}: run pip install 'leeway-uas[ground]'") from error
+    return MapServer(host, port, None if tls is None else load_checked_tls_files(*tls, epoch_us()))
 
 
-def have_basemap(basemap: Path) -> None:
-    """Check the file, and fetch the scripts that draw it where they are missing."""
-    from ground_station.adapters.files.basemap import check_pmtiles
+def check_basemap_and_fetch_scripts(basemap: Path) -> None:
+    """Check the base map file and download its scripts if they are missing."""
+    from ground_station.adapters.files.basemap import require_vector_pmtiles_file
     from ground_station.adapters.web.npm_assets import (
         ASSETS,
-        fetch_command,
-        may_write,
-        missing_assets,
+        asset_fetch_command,
+        can_write_folder,
+        packages_with_missing_files,
     )
 
-    check_pmtiles(basemap)
-    if missing := missing_assets():
-        if not may_write():
+    require_vector_pmtiles_file(basemap)
+    if missing := packages_with_missing_files():
+        if not can_write_folder():
             raise LeewayError(
                 f"--basemap: {ASSETS} lacks {', '.join(missing)}, and this user cannot write there:"
-                f" once, `{fetch_command()}`"
+                f" run `{asset_fetch_command()}` once"
             )
-        _fetch_assets()
+        _fetch_assets_and_print_progress()
 
 
-def _fetch_assets() -> None:
-    from ground_station.adapters.web.npm_assets import ALL, fetch_assets, missing_assets
+def _fetch_assets_and_print_progress() -> None:
+    from ground_station.adapters.web.npm_assets import (
+        ALL_PACKAGES,
+        fetch_missing_assets,
+        packages_with_missing_files,
+    )
 
-    if missing := missing_assets(ALL):
+    if missing := packages_with_missing_files(ALL_PACKAGES):
         typer.echo(f"fetching {', '.join(missing)} from the npm registry, once ...")
-        fetch_assets()
-    typer.echo(f"here: {', '.join(f'{one.name} {one.version}' for one in ALL)}")
+        fetch_missing_assets()
+    typer.echo(f"installed: {', '.join(f'{one.name} {one.version}' for one in ALL_PACKAGES)}")
 
 
-def has_outline(basemap: Path | None) -> bool:
-    """Whether the world's outline can be drawn. A person at a terminal waits for it once; a service
-    never waits for a registry, and says how to have it.
+def download_outline_if_missing(basemap: Path | None) -> bool:
+    """Return whether the world's outline is available. At a terminal it is downloaded if missing; a
+    service never waits for a registry and logs the command instead.
     """
     from ground_station.adapters.web.npm_assets import (
         OUTLINE,
-        fetch_command,
-        may_write,
-        missing_assets,
+        asset_fetch_command,
+        can_write_folder,
+        packages_with_missing_files,
     )
 
-    if not missing_assets(OUTLINE):
+    if not packages_with_missing_files(OUTLINE):
         return True
     if basemap is not None:
         return False
-    if not sys.stdout.isatty() or not may_write():
-        typer.echo(f"no outline of the world: `{fetch_command()}` brings it, once")
+    if not sys.stdout.isatty() or not can_write_folder():
+        typer.echo(f"world outline missing: run `{asset_fetch_command()}` once")
         return False
-    typer.echo("the world's outline is not here yet; Ctrl-C goes on without it")
+    typer.echo("world outline missing: downloading; Ctrl-C continues without it")
     try:
-        _fetch_assets()
+        _fetch_assets_and_print_progress()
     except LeewayError as error:
-        typer.echo(f"{error}; the map goes on without the outline", err=True)
+        typer.echo(f"{error}; the map continues without the outline", err=True)
     except KeyboardInterrupt:
-        typer.echo("without the outline: `ground-station map --fetch-assets` brings it")
-    return not missing_assets(OUTLINE)
+        typer.echo("world outline missing: run `ground-station map --fetch-assets` once")
+    return not packages_with_missing_files(OUTLINE)

@@ -1,12 +1,13 @@
 """`ground-station`: the dispatcher's commands, put together."""
 
 import sys
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.help_text import flow_help
+from companion.core.base.help_text import reflow_command_help_in_place
 from ground_station.app.cli import (
     audit,
     benchmark,
@@ -25,15 +26,32 @@ from ground_station.app.cli import (
     truck,
     wind_station,
 )
+from ground_station.app.options.desk_options import (
+    DEFAULT_STORE,
+    FleetName,
+    IdentityFolder,
+    OpenNetwork,
+    StoreFile,
+    StoreUrl,
+    UserName,
+    ZenohFile,
+)
+from ground_station.app.options.program_options import (
+    GroupWithOptions,
+    reject_group_options_by_default,
+)
+from ground_station.app.options.settings_file import set_option_defaults_from_settings
 
 DISTRIBUTIONS = ("leeway-uas", "leeway")
-OURS = ("companion", "ground_station")
+PROJECT_PACKAGES = ("companion", "ground_station")
 
 app = typer.Typer(
+    cls=GroupWithOptions,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="The dispatcher's desk. It plans with the energy model that the vehicles fly with.",
+    help="Dispatcher's desk: plans, dispatches and monitors delivery drones.\n\n"
+    "Options of several commands may be given before or after the command.",
 )
 
 
@@ -48,8 +66,8 @@ def _installed_version() -> str:
     return "not installed"
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"ground-station {_installed_version()}")
         raise typer.Exit
 
@@ -62,8 +80,27 @@ def program_options(
             "--version", callback=_print_version, is_eager=True, help="Print the version and end."
         ),
     ] = False,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            "--settings",
+            callback=set_option_defaults_from_settings,
+            is_eager=True,
+            metavar="FILE",
+            help="Defaults of the options below, as TOML: store, store_file, user, identity, zenoh,"
+            " fleet.",
+            show_default="leeway-desk.toml in this folder, where it exists",
+        ),
+    ] = None,
+    store: StoreUrl = DEFAULT_STORE,
+    store_file: StoreFile = None,
+    user: UserName = None,
+    identity: IdentityFolder = None,
+    zenoh: ZenohFile = None,
+    open_network: OpenNetwork = False,
+    fleet: FleetName = None,
 ) -> None:
-    """Options of the program itself."""
+    """Declare the options that several commands use; they may stand anywhere."""
 
 
 app.add_typer(estimate.app)
@@ -81,8 +118,9 @@ app.add_typer(plan.app)
 app.add_typer(truck.app)
 app.add_typer(wind_station.app)
 app.add_typer(live_map.app)
-app.add_typer(token.app, name="token")
-flow_help(app)
+app.add_typer(token.app)
+reflow_command_help_in_place(app)
+reject_group_options_by_default(app)
 
 
 def main() -> None:
@@ -91,22 +129,22 @@ def main() -> None:
         app()
     except LeewayError as error:
         print(f"ground-station: {error}", file=sys.stderr)
-        _leave(2)
+        _exit_process(2)
     except ModuleNotFoundError as error:  # the vehicle's install has this script, not the desk
-        if error.name is None or error.name.partition(".")[0] in OURS:
+        if error.name is None or error.name.partition(".")[0] in PROJECT_PACKAGES:
             raise
-        print(f"ground-station: pip install 'leeway-uas[ground]' ({error})", file=sys.stderr)
-        _leave(2)
+        print(f"ground-station: {error}: run pip install 'leeway-uas[ground]'", file=sys.stderr)
+        _exit_process(2)
     except SystemExit as end:
-        _leave(end.code if isinstance(end.code, int) else int(end.code is not None))
+        _exit_process(end.code if isinstance(end.code, int) else int(end.code is not None))
 
 
-def _leave(code: int) -> NoReturn:
-    """End the process, as zenoh asks for where a command has loaded it."""
+def _exit_process(code: int) -> NoReturn:
+    """Exit the process; zenoh requires its own exit if a command loaded it."""
     if "zenoh" in sys.modules:
-        from companion.fleet.zenoh_link import leave_process
+        from companion.fleet.zenoh_link import flush_and_exit_process_immediately
 
-        leave_process(code)
+        flush_and_exit_process_immediately(code)
     sys.exit(code)
 
 

@@ -1,4 +1,4 @@
-"""`ground-station order`: take orders in, and see what has become of them."""
+"""`ground-station order`: add, list, cancel and settle orders."""
 
 from collections import Counter
 from contextlib import closing
@@ -9,17 +9,9 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
-from ground_station.app.cli.options import (
-    DEFAULT_STORE,
-    SignedBy,
-    StoreFile,
-    StoreUrl,
-    UserName,
-    open_day,
-    open_store,
-    who,
-)
-from ground_station.core.schema.order_states import OrderState, Service, Settled
+from ground_station.app.options.desk_options import desk_options, read_day_and_warn
+from ground_station.app.options.program_options import command_class_with_options
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
@@ -27,30 +19,31 @@ if TYPE_CHECKING:
     from ground_station.core.schema.day_data import DayData
     from ground_station.core.schema.orders import Order
 
+OrderId = Annotated[str, typer.Argument(help="Id of the order, for example H-101.")]
+SIGNED_OPTIONS = command_class_with_options("store", "store_file", "user", "identity")
+
 app = typer.Typer(
     no_args_is_help=True,
     help=(
-        "Take orders in, and see what has become of them.\n\n"
+        "Add, list, cancel and settle orders.\n\n"
         "ground-station order import harbour --store sqlite:///desk.db"
     ),
 )
 
 
-@app.command()
+@app.command(cls=SIGNED_OPTIONS)
 def add(
-    order_id: Annotated[str, typer.Argument(help="The order's id, for example H-101.")],
+    order_id: OrderId,
     lat: Annotated[float, typer.Option(help="Latitude, degrees.")],
     lon: Annotated[float, typer.Option(help="Longitude, degrees.")],
-    alt: Annotated[float, typer.Option(help="Height of the ground there, metres AMSL.")],
+    alt: Annotated[float, typer.Option(help="Ground elevation, m AMSL.")],
     mass: Annotated[float, typer.Option(help="Mass of the parcel, kg.")],
-    service: Annotated[Service, typer.Option(help="Who may deliver it.")] = Service.ANY,
-    note: Annotated[str, typer.Option(help="A note for people.")] = "",
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
+    service: Annotated[
+        Service, typer.Option(help="Vehicle type that may deliver it.")
+    ] = Service.ANY,
+    note: Annotated[str, typer.Option(help="Free text note.")] = "",
 ) -> None:
-    """Take one order; when this returns it is on the disk. Taking it again changes nothing.
+    """Add one order to the store, for `dispatch` (not `plan`). Adding it again changes nothing.
 
     ground-station order add H-109 --lat 55.468 --lon 8.441 --alt 12 --mass 0.4
     """
@@ -71,15 +64,13 @@ def add(
         order = msgspec.convert(table, Order)
     except msgspec.ValidationError as error:
         raise LeewayError(f"order {order_id!r}: {error}") from error
-    person = who(user, identity)
-    opened = open_store(store, store_file, create=True)
-    try:
-        take_orders(opened, [order], person.name)
-    finally:
-        opened.close()
+    desk = desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store(create=True)) as order_store:
+        add_orders_and_print_count(order_store, [order], operator.name)
 
 
-@app.command(name="import")
+@app.command(name="import", cls=SIGNED_OPTIONS)
 def import_(
     file: Annotated[
         str,
@@ -87,123 +78,83 @@ def import_(
             help="Orders (.csv, .geojson), a day (.toml), or the name of a bundled day."
         ),
     ],
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
 ) -> None:
-    """Take all orders of a file, or none. Everything that is wrong in it is listed at once.
+    """Add all orders of a file, or none. All errors are listed.
 
     ground-station order import harbour
     """
     from ground_station.adapters.files.day_files import read_orders
 
     path = Path(file)
-    data = None if path.suffix and path.suffix != ".toml" else open_day(file)
+    data = None if path.suffix and path.suffix != ".toml" else read_day_and_warn(file)
     orders = read_orders(path, None) if data is None else data.orders
-    person = who(user, identity)
-    opened = open_store(store, store_file, create=True)
-    try:
-        take_orders(opened, orders, person.name)
-    finally:
-        opened.close()
+    desk = desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store(create=True)) as order_store:
+        add_orders_and_print_count(order_store, orders, operator.name)
     if data is not None:
-        list_impossible(data, assigner_of(data))
+        print_infeasible_orders(data, depot_assigner(data))
 
 
-@app.command(name="list")
+@app.command(name="list", cls=command_class_with_options("store", "store_file"))
 def list_(
     state: Annotated[OrderState | None, typer.Option(help="Only orders in this state.")] = None,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
 ) -> None:
     """List the orders with their states."""
-    from ground_station.app.views.terminal import listing, terminal
+    from ground_station.app.views.terminal import plain_console, plain_table
 
-    opened = open_store(store, store_file)
-    rows = opened.orders() if state is None else opened.orders(state)
-    opened.close()
-    table = listing("order", "kg", "service", "state", "flights", "why")
+    with closing(desk_options().open_store()) as order_store:
+        rows = order_store.orders() if state is None else order_store.orders(state)
+    table = plain_table("order", "kg", "service", "state", "flights", "reason")
     for row in rows:
         order = row.order
         cells = (order.id, f"{order.mass_kg:g}", order.service.value, row.state.value)
-        table.add_row(*cells, str(row.attempts), row.why)
-    terminal().print(table)
+        table.add_row(*cells, str(row.attempts), row.reason)
+    plain_console().print(table)
     counts = Counter(row.state.value for row in rows)
     typer.echo(", ".join(f"{n} {name}" for name, n in counts.items()) or "no orders")
 
 
-@app.command()
+@app.command(cls=SIGNED_OPTIONS)
 def cancel(
-    order_id: str,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
+    order_id: OrderId,
 ) -> None:
-    """Cancel an order that no vehicle has yet."""
+    """Cancel an order that is not assigned to a vehicle."""
+    from ground_station.app.desk.operator_commands import order_state_error
+
     before = (OrderState.OPEN, OrderState.STUCK)
-    person = who(user, identity)
-    _move(order_id, before, OrderState.CANCELLED, open_store(store, store_file), person.name)
+    desk = desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store()) as store:
+        if not store.change_order_state(order_id, before, OrderState.CANCELLED, operator.name):
+            raise order_state_error(store, order_id, before)
+    typer.echo(f"{order_id}: {OrderState.CANCELLED.value}")
 
 
-@app.command()
-def reopen(
-    order_id: str,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
-) -> None:
-    """Dispatch a stuck or cancelled order again. Only for who knows where the parcel is."""
-    before = (OrderState.STUCK, OrderState.CANCELLED)
-    person = who(user, identity)
-    _move(order_id, before, OrderState.OPEN, open_store(store, store_file), person.name)
-
-
-@app.command()
-def brought(
-    order_id: str,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
-) -> None:
-    """Mark a stuck order as delivered. Only for who has asked the customer or looked at the
-    drone.
-    """
-    before = (OrderState.STUCK,)
-    person = who(user, identity)
-    _move(order_id, before, OrderState.DELIVERED, open_store(store, store_file), person.name)
-
-
-@app.command()
+@app.command(cls=SIGNED_OPTIONS)
 def launch(
-    order_id: str,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
+    order_id: OrderId,
 ) -> None:
-    """Let the drone that has this order be launched, once, when its slot comes.
+    """Confirm the launch of the drone that has this order, once.
 
-    Only for who sees the pad: a desk without --auto-launch launches nobody without this word.
+    Confirm only if you see the pad and it is clear. Without --auto-launch a desk waits for this.
 
     ground-station order launch H-101
     """
-    from ground_station.app.desk import person_deeds
+    from ground_station.app.desk import operator_commands
 
-    person = who(user, identity)
-    with closing(open_store(store, store_file)) as opened:
-        done = person_deeds.confirm_launch(opened, order_id, person.name)
-    for words in done.words:
-        typer.echo(words)
+    desk = desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store()) as order_store:
+        result = operator_commands.record_launch_confirmation(order_store, order_id, operator.name)
+    for text in result.messages:
+        typer.echo(text)
 
 
-@app.command()
+@app.command(cls=SIGNED_OPTIONS)
 def settle(
-    order_id: str,
-    reason: Annotated[str, typer.Option(help="How you know it; kept in the audit.")],
+    order_id: OrderId,
+    reason: Annotated[str, typer.Option(help="Evidence, recorded in the audit.")],
     delivered: Annotated[
         bool, typer.Option("--delivered", help="The customer has the parcel.")
     ] = False,
@@ -211,78 +162,65 @@ def settle(
         bool, typer.Option("--lost", help="Parcel and drone are lost; the drone is held.")
     ] = False,
     back: Annotated[
-        bool, typer.Option("--back", help="The parcel is back, and goes out again.")
+        bool, typer.Option("--back", help="The parcel is back: reopen the order.")
     ] = False,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
 ) -> None:
-    """Close an order whose vehicle cannot tell any more what has become of it.
+    """Close or reopen an order that cannot complete by itself.
 
-    Its assignment ends with it. Only for who knows where parcel and drone are.
+    State exactly one of --delivered, --lost, --back. For an order that is stuck or cancelled, or
+    whose vehicle cannot report. Ends its assignment. Inspect the parcel and the drone first.
 
-    ground-station order settle H-101 --back --reason "drone and parcel stand in the hangar"
+    ground-station order settle H-101 --back --reason "drone and parcel are in the hangar"
     """
     from ground_station.adapters.clock import epoch_us
-    from ground_station.app.desk import person_deeds
+    from ground_station.app.desk import operator_commands
 
-    said = {Settled.DELIVERED: delivered, Settled.LOST: lost, Settled.BACK: back}
-    chosen = [one for one, is_so in said.items() if is_so]
-    if len(chosen) != 1:
+    outcomes = {
+        ParcelOutcome.DELIVERED: delivered,
+        ParcelOutcome.LOST: lost,
+        ParcelOutcome.BACK: back,
+    }
+    selected = [one for one, is_set in outcomes.items() if is_set]
+    if len(selected) != 1:
         raise LeewayError("settle: expected one of --delivered, --lost, --back")
-    person = who(user, identity)
-    with closing(open_store(store, store_file)) as opened:
-        done = person_deeds.settle(opened, epoch_us, order_id, chosen[0], reason, person.name)
-    for words in done.words:
-        typer.echo(words)
+    desk = desk_options()
+    operator = desk.current_operator()
+    with closing(desk.open_store()) as order_store:
+        result = operator_commands.close_order_as_operator(
+            order_store, epoch_us, order_id, selected[0], reason, operator.name
+        )
+    for text in result.messages:
+        typer.echo(text)
 
 
-def take_orders(store: "Store", orders: "list[Order]", by: str) -> None:
-    """Put orders into the store, and say which are new."""
-    taken = store.add_orders(orders, by)
-    if taken.conflicts:
-        words = ", ".join(taken.conflicts)
-        raise LeewayError(f"orders {words}: known with other content; none was taken")
-    known = f", {len(taken.known)} known before" if taken.known else ""
-    typer.echo(f"{len(taken.added)} orders taken{known}")
+def add_orders_and_print_count(store: "Store", orders: "list[Order]", by: str) -> None:
+    """Add orders to the store and print how many are new."""
+    import_result = store.add_orders_unless_conflict(orders, by)
+    if import_result.conflicts:
+        text = ", ".join(import_result.conflicts)
+        raise LeewayError(f"orders {text}: already stored with other content; nothing imported")
+    known = f", {len(import_result.known)} imported before" if import_result.known else ""
+    typer.echo(f"{len(import_result.added)} orders imported{known}")
 
 
-def assigner_of(data: "DayData") -> "DepotAssigner":
-    """Who knows what the day's drones can bring from the depot."""
+def depot_assigner(data: "DayData") -> "DepotAssigner":
+    """Return the assigner of orders that drones can deliver from the depot."""
     from ground_station.core.dispatch.depot_assignment import DepotAssigner
 
     return DepotAssigner(data.day, data.airframes, data.elevation)
 
 
-def list_impossible(data: "DayData", assigner: "DepotAssigner") -> list[str]:
-    """Print the orders that no drone can bring from the depot, with a remedy; their ids."""
-    from ground_station.app.views.terminal import listing, terminal
+def print_infeasible_orders(data: "DayData", assigner: "DepotAssigner") -> list[str]:
+    """Print the orders that no drone can deliver from the depot. Returns their ids."""
+    from ground_station.app.views.terminal import plain_console, plain_table
 
-    found: list[str] = []
-    table = listing("order", "no drone from the depot", "possible with")
+    order_ids: list[str] = []
+    table = plain_table("order", "reason that no drone can deliver it", "possible with")
     for order in data.orders:
-        cannot = assigner.impossible(order)
-        if cannot is not None:
-            found.append(order.id)
-            table.add_row(order.id, cannot.why, cannot.remedy)
-    if found:
-        terminal().print(table)
-    return found
-
-
-def _move(
-    order_id: str,
-    before: tuple[OrderState, ...],
-    after: OrderState,
-    store: "Store",
-    by: str,
-) -> None:
-    from ground_station.app.desk.person_deeds import not_in
-
-    try:
-        if not store.move_order(order_id, before, after, by):
-            raise not_in(store, order_id, before)
-    finally:
-        store.close()
-    typer.echo(f"{order_id}: {after.value}")
+        infeasibility = assigner.infeasibility_for_all_drones(order)
+        if infeasibility is not None:
+            order_ids.append(order.id)
+            table.add_row(order.id, infeasibility.reason, infeasibility.remedy)
+    if order_ids:
+        plain_console().print(table)
+    return order_ids

@@ -1,4 +1,4 @@
-"""`ground-station pki`: who belongs to a fleet, and the folders that make them members."""
+"""`ground-station pki`: identities of a fleet's members."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,167 +8,192 @@ import typer
 from companion.core.base.errors import LeewayError
 from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
+from ground_station.app.options.program_options import (
+    GroupWithOptions,
+    command_class_with_options,
+    current_group_option_values,
+)
 
 if TYPE_CHECKING:
     from ground_station.adapters.pki.pki_folder import PkiFolder
 
-SOON = 3
-DAYS = 365
+EXIT_EXPIRING = 3
+DEFAULT_VALIDITY_DAYS = 365
 
 app = typer.Typer(
+    cls=GroupWithOptions,
     no_args_is_help=True,
     help=(
-        "Make and end the identities of a fleet's members (docs/how-to/secure-a-fleet.md).\n\n"
+        "Manage the identities of fleet members (docs/how-to/secure-a-fleet.md).\n\n"
         "ground-station pki init harbour\n\n"
         "ground-station pki add d1 --role vehicle"
     ),
 )
 
 Folder = Annotated[Path, typer.Option("--pki", help="The folder of authority, roster and members.")]
-HERE = Path("fleet-pki")
+DEFAULT_PKI_FOLDER = Path("fleet-pki")
 Names = Annotated[list[str], typer.Argument(help="One member or several.", metavar="NAME...")]
-MaybeNames = Annotated[
+OptionalNames = Annotated[
     list[str] | None, typer.Argument(help="One member or several.", metavar="NAME...")
 ]
-Days = Annotated[int, typer.Option(min=1, max=3650, help="How long the certificate is valid.")]
+ValidityDays = Annotated[
+    int, typer.Option(min=1, max=3650, help="Validity of the certificate, days.")
+]
 
 
-@app.command()
-def init(fleet: str, pki: Folder = HERE) -> None:
-    """Make the authority of a new fleet. Keep PKI/authority apart: it can make members."""
-    from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
-
-    PkiFolder.init(pki, fleet, utc_at(epoch_us()))
-    typer.echo(f"{pki}: the authority of {fleet}; keep {pki / 'authority'} apart")
+@app.callback()
+def group_option(pki: Folder = DEFAULT_PKI_FOLDER) -> None:
+    """Declare the folder, which all commands use."""
 
 
-@app.command()
+@app.command(cls=command_class_with_options("pki"))
+def init(fleet: Annotated[str, typer.Argument(help="Name of the new fleet.")]) -> None:
+    """Create the authority of a new fleet. Keep PKI/authority offline."""
+    from ground_station.adapters.pki.pki_folder import PkiFolder, utc_datetime
+
+    pki = _pki_path()
+    PkiFolder.create_fleet(pki, fleet, utc_datetime(epoch_us()))
+    typer.echo(f"{pki}: the authority of {fleet}; keep {pki / 'authority'} offline")
+
+
+@app.command(cls=command_class_with_options("pki"))
 def add(
     names: Names,
-    role: Annotated[Role, typer.Option(help="What it may do.")],
+    role: Annotated[Role, typer.Option(help="Role, which defines its permissions.")],
     address: Annotated[
-        str, typer.Option(help="HOST:PORT at which the others find a desk or router.")
+        str, typer.Option(help="HOST:PORT of a desk or router for other members.")
     ] = "",
-    days: Days = DAYS,
-    pki: Folder = HERE,
+    days: ValidityDays = DEFAULT_VALIDITY_DAYS,
 ) -> None:
-    """Make members: keys, certificate and network file of each, in a folder to carry to it.
+    """Add members: create a folder with keys and certificate for each.
+
+    Copy each folder to its member. Roles: desk, supervisor and dispatcher send commands; vehicle
+    and truck report their state; station sends wind; router forwards; viewer reads; neighbour
+    (another fleet) receives tracks. With --role neighbour, NAME may be the PKI folder of another of
+    your fleets: each desk gets the credentials of the other fleets in its folder, and their
+    vehicles exchange tracks only.
 
     ground-station pki add desk --role desk --address desk.harbour.example:7447
     ground-station pki add d1 d2 d3 --role vehicle
+    ground-station pki add south-pki --pki north-pki --role neighbour
     """
-    folder = _open(pki)
-    folder.add_all(names, role, days, address)
+    folder = _read_pki_folder(_pki_path())
+    if role is Role.NEIGHBOUR and all(Path(name).is_dir() for name in names):
+        _make_neighbours_and_print_folders(
+            [folder, *(_read_pki_folder(Path(name)) for name in names)], days
+        )
+        return
+    folder.add_members(names, role, days, address)
     for name in names:
-        typer.echo(f"{pki / 'members' / name}: for {name} only; roster {folder.roster.number}")
+        member_folder = folder.folder / "members" / name
+        typer.echo(f"{member_folder}: copy it to {name} only (roster {folder.roster.number})")
 
 
-@app.command()
+@app.command(cls=command_class_with_options("pki"))
 def renew(
-    names: MaybeNames = None,
+    names: OptionalNames = None,
     ending: Annotated[
         int | None,
-        typer.Option(min=0, help="Renew all whose certificates end within so many days, instead."),
+        typer.Option(min=0, help="Renew all certificates that expire within this many days."),
     ] = None,
-    days: Days = DAYS,
-    pki: Folder = HERE,
+    days: ValidityDays = DEFAULT_VALIDITY_DAYS,
 ) -> None:
-    """Make members' certificates valid for longer; their keys stay.
+    """Renew members' certificates; keys are unchanged.
 
     ground-station pki renew d1 d2
     ground-station pki renew --ending 30
     """
     if bool(names) == (ending is not None):
         raise LeewayError("renew: expected names, or --ending DAYS")
-    folder = _open(pki)
-    whom = names or folder.ending_within(ending or 0)
-    if not whom:
-        typer.echo(f"nobody's certificate ends within {ending} days")
+    folder = _read_pki_folder(_pki_path())
+    selected_names = names or folder.names_of_members_expiring_within(ending or 0)
+    if not selected_names:
+        typer.echo(f"no certificate expires within {ending} days")
         return
-    folder.renew_all(whom, days)
-    for name in whom:
-        at = pki / "members" / name
-        typer.echo(f"{at}: carry tls.pem to {name}; roster {folder.roster.number}")
+    folder.renew_member_certificates(selected_names, days)
+    for name in selected_names:
+        member_folder = folder.folder / "members" / name
+        typer.echo(f"{member_folder}: copy tls.pem to {name} (roster {folder.roster.number})")
 
 
-@app.command()
-def revoke(names: Names, pki: Folder = HERE) -> None:
-    """End members: nobody believes them any more once the new roster is with everybody."""
-    folder = _open(pki)
-    folder.revoke(*names)
-    are = f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} revoked"
-    words = f"roster {folder.roster.number}: {are}; a desk tells it"
-    typer.echo(f"{words} once {pki / 'roster.json'} lies in its folder")
+@app.command(cls=command_class_with_options("pki"))
+def revoke(names: Names) -> None:
+    """Revoke members. Takes effect as the new roster reaches each member."""
+    folder = _read_pki_folder(_pki_path())
+    folder.revoke_members(*names)
+    revoked_names, roster_path = ", ".join(names), folder.folder / "roster.json"
+    typer.echo(f"roster {folder.roster.number} revokes {revoked_names}")
+    typer.echo(f"copy {roster_path} to a desk's identity folder: the desk distributes it")
+    typer.echo(f"each member accepts {revoked_names} until it receives that roster")
 
 
-@app.command()
-def neighbours(
-    folders: Annotated[
-        list[Path],
-        typer.Argument(metavar="PKI PKI...", help="The folders of the fleets, each with a desk."),
-    ],
-    days: Days = DAYS,
-) -> None:
-    """Make fleets of yours neighbours: their vehicles hear one another's tracks, nothing else.
+def _make_neighbours_and_print_folders(pki_folders: "list[PkiFolder]", validity_days: int) -> None:
+    from ground_station.adapters.pki.neighbours import add_mutual_neighbour_identities
 
-    Each fleet's desk gets what the others' authorities made for it, in its own folder: carry that
-    to it once more. Of fleets of two operators each does `pki add OTHER --role neighbour`.
-
-    ground-station pki neighbours north-pki south-pki
-    """
-    from ground_station.adapters.pki.neighbours import introduce
-
-    if len(folders) < 2:
-        raise LeewayError("neighbours: expected two folders or more")
-    fleets = [_open(pki) for pki in folders]
-    for made in introduce(fleets, days):
-        typer.echo(f"{made}: for that desk only")
-    for fleet in fleets:
+    for member_folder_path in add_mutual_neighbour_identities(pki_folders, validity_days):
+        typer.echo(f"{member_folder_path}: copy it to that desk only")
+    for fleet in pki_folders:
         typer.echo(f"{fleet.folder}: {fleet.roster.fleet}, roster {fleet.roster.number}")
 
 
-@app.command()
-def rotate(pki: Folder = HERE) -> None:
-    """Make a second authority beside the first. Carry all folders to their members, renew all."""
-    folder = _open(pki)
-    folder.rotate()
-    typer.echo(f"{pki}: two authorities count; carry the folders, renew all, then `pki retire`")
+@app.command(cls=command_class_with_options("pki"))
+def rotate(
+    finish: Annotated[
+        bool,
+        typer.Option(
+            "--finish", help="Remove the old authority, after all members have new certificates."
+        ),
+    ] = False,
+) -> None:
+    """Replace the authority: add a second, renew all, remove the first.
+
+    ground-station pki rotate
+    ground-station pki rotate --finish
+    """
+    folder = _read_pki_folder(_pki_path())
+    if finish:
+        folder.remove_oldest_authority()
+        typer.echo(f"{folder.folder}: one authority is valid")
+        return
+    folder.add_second_authority()
+    typer.echo(
+        f"{folder.folder}: two authorities are valid; distribute the folders, renew all, then"
+        " `pki rotate --finish`"
+    )
 
 
-@app.command()
-def retire(pki: Folder = HERE) -> None:
-    """End the older of two authorities, once every member has the newer one's certificate."""
-    folder = _open(pki)
-    folder.retire()
-    typer.echo(f"{pki}: one authority counts")
+@app.command(cls=command_class_with_options("pki"))
+def status() -> None:
+    """List members and the remaining validity of their certificates.
 
-
-@app.command()
-def status(pki: Folder = HERE) -> None:
-    """List the members and the days that their certificates are still valid.
-
-    Exit code 3: one has at most 30 days left, or none.
+    Exit code 3: a certificate has expired or expires within 30 days.
     """
     from companion.fleet.roster import WARN_DAYS
-    from ground_station.app.views.terminal import listing, terminal
+    from ground_station.app.views.terminal import plain_console, plain_table
 
-    folder = _open(pki)
-    table = listing("member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}")
-    soon: list[str] = []
+    folder = _read_pki_folder(_pki_path())
+    table = plain_table(
+        "member", "role", "days", title=f"{folder.roster.fleet} {folder.roster.number}"
+    )
+    expiring: list[str] = []
     for member in folder.roster.members:
         days = (member.not_after - folder.now).days
         if not member.revoked and days <= WARN_DAYS:
-            soon.append(member.name)
+            expiring.append(member.name)
         table.add_row(member.name, member.role.value, "revoked" if member.revoked else str(days))
-    terminal().print(table)
-    if soon:
-        typer.echo(f"renew: {', '.join(soon)}", err=True)
-        raise typer.Exit(SOON)
+    plain_console().print(table)
+    if expiring:
+        typer.echo(f"expired or expiring: ground-station pki renew {' '.join(expiring)}", err=True)
+        raise typer.Exit(EXIT_EXPIRING)
 
 
-def _open(pki: Path) -> "PkiFolder":
-    from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+def _pki_path() -> Path:
+    return current_group_option_values()["pki"]
+
+
+def _read_pki_folder(pki: Path) -> "PkiFolder":
+    from ground_station.adapters.pki.pki_folder import PkiFolder, utc_datetime
 
     if not pki.is_dir():
-        raise LeewayError(f"{pki}: no such folder: expected `ground-station pki init FLEET` first")
-    return PkiFolder.read(pki, utc_at(epoch_us()))
+        raise LeewayError(f"{pki}: no such folder: use --pki, or `ground-station pki init FLEET`")
+    return PkiFolder.read(pki, utc_datetime(epoch_us()))

@@ -1,5 +1,6 @@
-"""`ground-station plan`: who delivers what, from where and when, before anything flies."""
+"""`ground-station plan`: deliveries of a day: route, stops and sorties."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,7 +8,12 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
-from ground_station.app.cli.options import DayArgument, ForecastFile, PolicyName, report_reach
+from ground_station.app.options.desk_options import (
+    ForecastFile,
+    PolicyName,
+    warn_if_features_out_of_reach,
+)
+from ground_station.app.options.program_options import require_options_not_given
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,21 +23,32 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
+ONE_TRUCK = ("picture", "missions", "export", "forecast", "at")
+"""Options for the plan of one truck."""
+
 
 @app.command()
 def plan(
-    day: DayArgument,
+    context: typer.Context,
+    days: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="DAY...",
+            help="A day/1 TOML file, or the name of a bundled day (town); several with --trucks.",
+        ),
+    ],
     out: Annotated[
-        Path | None, typer.Option(help="Write the plan here (day-plan/1, JSON).")
-    ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw the map into this PNG.")] = None,
-    basemap: Annotated[
         Path | None,
+        typer.Option(help="Write the plan here (day-plan/1, JSON); with --trucks: a folder."),
+    ] = None,
+    trucks: Annotated[
+        list[int] | None,
         typer.Option(
-            help="With --picture: a PMTiles extract of the town, whose streets are drawn beneath"
-            " (docs: watch-on-a-map)."
+            min=1,
+            help="Divide the days among this number of trucks; once for each DAY, in order.",
         ),
     ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the map into this PNG.")] = None,
     missions: Annotated[
         Path | None,
         typer.Option(
@@ -59,92 +76,118 @@ def plan(
         str | None,
         typer.Option(
             metavar="TIME",
-            help="With a forecast: when the truck leaves, as 2026-07-01T15:10Z. Each sortie is"
-            " priced in the wind of its own time, and launch windows are printed.",
+            help="Departure of the truck, for example 2026-07-01T15:10Z; required with --forecast."
+            " Each sortie is planned in the wind of its own time, and launch windows are printed.",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=0, help="With --trucks: plans at a time; 0: all cores.")
+    ] = 0,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="With --trucks: a Ray cluster in place of --jobs: local, auto or an address."
         ),
     ] = None,
 ) -> None:
-    """Plan a day with a truck: its route, its stops, and the drones' sorties. Nothing flies.
+    """Plan a day with a truck: its route, stops and drone sorties.
 
-    The same day, seed and trials give the same plan. Everything that is wrong in the day's files is
-    listed at once.
+    Plans the orders of the day's files; it does not read the store. The same day, seed and trials
+    give the same plan. All errors in the day's files are listed.
+
+    With --trucks, the orders of all days are pooled and divided into one region per truck with
+    equal work; each depot's drones are distributed among its trucks. Writes NAME-K.toml with its
+    orders and its plan for each truck: run one `ground-station dispatch` for each. Exit code 1 if a
+    planning process was killed twice.
 
     ground-station plan town --out town.json --picture town.png
+    ground-station plan north.toml south.toml --trucks 5 --trucks 5 --out regions
     """
     from rich.console import Console
 
-    from ground_station.adapters.files.basemap import check_pmtiles
-    from ground_station.adapters.files.compiled_code import keep_compiled_code
-    from ground_station.adapters.files.plan_files import write_day_plan
-    from ground_station.app.views.plan_view import show_plan
-    from ground_station.app.views.windows_view import show_windows
+    from ground_station.adapters.files.compiled_code import (
+        FIRST_COMPILATION_NOTICE,
+        enable_compile_cache_and_check_if_known,
+    )
+    from ground_station.adapters.files.day_files import write_day_plan
+    from ground_station.adapters.workers.side_by_side import WorkerOptions
+    from ground_station.app.cli.regions import divide_and_plan_days
+    from ground_station.app.views.plan_view import print_plan_tables
+    from ground_station.app.views.windows_view import print_wind_and_launch_closings
 
-    if basemap is not None:
-        if picture is None:
-            raise LeewayError("--basemap: expected --picture beside it")
-        check_pmtiles(basemap)  # before the search, which takes its time
-    data = _day_in_forecast(day, forecast, at)
-    report_reach(data)
     console = Console()
-    if not keep_compiled_code():
-        console.print("first run: compiling the planner, some 20 s", highlight=False)
-    made = _planned(console, data, policy, trials, seed)
-    show_plan(console, data, made)
+    if trucks:
+        require_options_not_given(context, ONE_TRUCK, "not with --trucks")
+        if out is None:
+            raise LeewayError("--trucks: expected --out FOLDER")
+        workers = WorkerOptions(jobs or len(os.sched_getaffinity(0)), cluster)
+        divide_and_plan_days(
+            console, days, trucks, out, workers, policy=policy, trials=trials, seed=seed
+        )
+        return
+    require_options_not_given(context, ("jobs", "cluster"), "expected with --trucks")
+    if len(days) > 1:
+        raise LeewayError("plan: expected one DAY, or --trucks for each")
+    data = _read_day_with_forecast(days[0], forecast, at)
+    warn_if_features_out_of_reach(data)
+    if not enable_compile_cache_and_check_if_known():
+        console.print(FIRST_COMPILATION_NOTICE, highlight=False)
+    day_plan = _run_planner(console, data, policy, trials, seed)
+    print_plan_tables(console, data, day_plan)
     if data.forecast is not None:
-        show_windows(console, data, made, data.forecast)
+        print_wind_and_launch_closings(console, data, day_plan, data.forecast)
     if out is not None:
-        write_day_plan(out, made)
+        write_day_plan(out, day_plan)
         console.print(f"{out}: day-plan/1", highlight=False)
     if picture is not None:
         from ground_station.app.pictures.day_picture import draw_day_plan
 
-        draw_day_plan(data, made, picture, basemap)
+        draw_day_plan(data, day_plan, picture)
         console.print(f"{picture}: the map", highlight=False)
     if missions is not None:
         from ground_station.app.planning.sortie_missions import write_missions
 
         with console.status("missions as the companions would upload them"):
-            count = write_missions(data, made, missions, export)
+            count = write_missions(data, day_plan, missions, export)
         console.print(f"{missions}: {count} missions ({export.suffix})", highlight=False)
 
 
-def _day_in_forecast(day: str, forecast: Path | None, at: str | None) -> "DayData":
-    """A plan with a forecast needs to know when it begins: it must be made again the same."""
+def _read_day_with_forecast(day: str, forecast: Path | None, at: str | None) -> "DayData":
+    """Read the day. A forecast needs the start time, so that the plan is reproducible."""
     from ground_station.adapters.files.day_files import read_day
-    from ground_station.adapters.files.forecast_files import ForecastWanted, time_of
-    from ground_station.adapters.files.params import day_file
+    from ground_station.adapters.files.forecast_files import ForecastRequest, parse_utc_time_s
+    from ground_station.adapters.files.params import resolve_day_file_path
 
     if forecast is not None and at is None:
-        raise LeewayError("--forecast: expected --at TIME beside it, when the truck leaves")
-    return read_day(day_file(day), ForecastWanted(forecast, None if at is None else time_of(at)))
+        raise LeewayError("--forecast: expected --at TIME, the departure of the truck")
+    return read_day(
+        resolve_day_file_path(day),
+        ForecastRequest(forecast, None if at is None else parse_utc_time_s(at)),
+    )
 
 
-def _planned(
+def _run_planner(
     console: "Console", data: "DayData", policy: PolicyName, trials: int | None, seed: int
 ) -> "DayPlan":
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress
 
-    # After keep_compiled_code: it contains compiled code.
+    # After the compile cache is enabled: it contains compiled code.
     from ground_station.core.planning.day_planner import PlanParams, plan_day
-    from ground_station.core.schema.day_state import first_state
+    from ground_station.core.schema.day_state import initial_state
 
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-    ) as progress:
+    with Progress(console=console, transient=True) as progress:
         bar = progress.add_task("energy of all sorties", total=1.0)
-        told = 0.0  # a log gets a line each quarter of the way
+        printed_frac = 0.0  # a log gets a line each quarter of the way
 
-        def tell(done_frac: float, best_s: float) -> None:
-            nonlocal told
-            words = f"best {best_s / 60.0:.1f} min"
-            progress.update(bar, completed=done_frac, description=words)
-            if not console.is_terminal and done_frac >= told + 0.25:
-                told = done_frac
-                typer.echo(f"planning: {100.0 * done_frac:.0f} % of the search, {words}", err=True)
+        def show_progress(done_frac: float, best_makespan_s: float) -> None:
+            nonlocal printed_frac
+            best_text = f"best {best_makespan_s / 60.0:.1f} min"
+            progress.update(bar, completed=done_frac, description=best_text)
+            if not console.is_terminal and done_frac >= printed_frac + 0.25:
+                printed_frac = done_frac
+                typer.echo(
+                    f"planning: {100.0 * done_frac:.0f} % of the search, {best_text}", err=True
+                )
 
         params = PlanParams(policy.value, trials, seed)
-        return plan_day(data, first_state(data), params, tell)
+        return plan_day(data, initial_state(data), params, show_progress)

@@ -1,4 +1,4 @@
-"""`ground-station store`: copies of the store, its schema, and whether it is whole."""
+"""`ground-station store`: backup, restore, upgrade and check of the store."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,127 +7,113 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
-from ground_station.app.cli.options import (
-    DEFAULT_STORE,
-    SignedBy,
-    StoreFile,
-    StoreUrl,
-    UserName,
-    url_of,
-    who,
-)
+from ground_station.app.options.desk_options import desk_options
+from ground_station.app.options.program_options import command_class_with_options
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.database import Database
 
-WRONG = 3
+EXIT_FAULTS = 3
 
 app = typer.Typer(
     no_args_is_help=True,
     help=(
-        "Keep the store: copy it, put a copy back, bring it to this version, check it.\n\n"
+        "Back up, restore, upgrade and check the store.\n\n"
         "ground-station store backup monday.db --store sqlite:///desk.db"
     ),
 )
 
 
-@app.command()
+@app.command(cls=command_class_with_options("store", "store_file"))
 def backup(
     file: Annotated[Path, typer.Argument(help="A new file; PostgreSQL's is for pg_restore.")],
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
 ) -> None:
-    """Copy the store while desks work on it. The copy is consistent, and its owner's only.
+    """Back up the store, also while desks use it (file mode 0600).
 
     ground-station store backup monday.db
     """
-    from ground_station.adapters.store.copies import backup as copy_out
+    from ground_station.adapters.store.copies import back_up_store as copy_out
 
-    url = url_of(store, store_file)
-    _open(url).close()
+    url = desk_options().store_url
+    _open_database(url).close()
     copy_out(url, file)
     typer.echo(f"{file}: {file.stat().st_size} bytes")
 
 
-@app.command()
+@app.command(cls=command_class_with_options("store", "store_file", "user", "identity"))
 def restore(
     file: Annotated[Path, typer.Argument(help="A file of `store backup`.")],
     replace: Annotated[
         Path | None,
-        typer.Option(
-            help="Where a store is: a new file that what it holds now is copied to first."
-        ),
+        typer.Option(help="New file for a backup of an existing store, written first."),
     ] = None,
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
 ) -> None:
-    """Put a copy in the place of the store, and hold every drone.
+    """Replace the store by a backup, and place a launch hold on every drone.
 
-    A copy knows nothing of what was flown after it: look at the fleet, settle what was brought,
-    then `ground-station release --all`. End the desks first.
+    Stop the desks first. The backup lacks later flights: check the fleet, settle delivered orders,
+    then `ground-station release --all`.
 
     ground-station store restore monday.db --replace before.db
     """
-    from ground_station.adapters.store.copies import backup as copy_out
+    from ground_station.adapters.store.copies import back_up_store as copy_out
     from ground_station.adapters.store.copies import restore as copy_in
-    from ground_station.adapters.store.restored import after_restore, holds_a_store
+    from ground_station.adapters.store.restored import (
+        contains_store,
+        upgrade_and_hold_restored_store,
+    )
 
-    person, url = who(user, identity), url_of(store, store_file)
-    if holds_a_store(url):
+    desk = desk_options()
+    operator, url = desk.current_operator(), desk.store_url
+    if contains_store(url):
         if replace is None:
-            raise LeewayError("restore: there is a store: expected --replace FILE for a copy of it")
+            raise LeewayError("the store exists: add --replace FILE, a new file for its backup")
         copy_out(url, replace)
     copy_in(url, file)
-    after_restore(url, epoch_us(), str(file), person.name)
-    typer.echo("restored; every drone is held: look at the fleet, then release --all")
+    upgrade_and_hold_restored_store(url, epoch_us(), str(file), operator.name)
+    typer.echo("restored and held: check each drone and parcel, then ground-station release --all")
 
 
-@app.command()
+@app.command(cls=command_class_with_options("store", "store_file", "user", "identity"))
 def upgrade(
     backup_file: Annotated[
-        Path, typer.Option("--backup", help="A new file that the store is copied to first.")
+        Path, typer.Option("--backup", help="New file for a backup, written first.")
     ],
-    store: StoreUrl = DEFAULT_STORE,
-    store_file: StoreFile = None,
-    user: UserName = None,
-    identity: SignedBy = None,
 ) -> None:
-    """Bring a store of an older version to this one, whole or not at all. End the desks first.
+    """Upgrade a store to this version, atomically. Stop the desks first.
 
     ground-station store upgrade --backup before.db
     """
-    from ground_station.adapters.store.copies import backup as copy_out
-    from ground_station.adapters.store.upgrade import upgrade as bring_up
+    from ground_station.adapters.store.copies import back_up_store as copy_out
+    from ground_station.adapters.store.upgrade import upgrade_schema as bring_up
 
-    person, url = who(user, identity), url_of(store, store_file)
-    database = _open(url, any_schema=True)
+    desk = desk_options()
+    operator, url = desk.current_operator(), desk.store_url
+    database = _open_database(url, any_schema=True)
     try:
         copy_out(url, backup_file)
-        before, now = bring_up(database, epoch_us(), person.name)
+        before, now = bring_up(database, epoch_us(), operator.name)
     finally:
         database.close()
-    typer.echo(f"schema {before}, now {now}; as it was: {backup_file}")
+    typer.echo(f"upgraded from schema {before} to {now}; backup: {backup_file}")
 
 
-@app.command()
-def check(store: StoreUrl = DEFAULT_STORE, store_file: StoreFile = None) -> None:
-    """Check pages, schema, file mode and the audit. Exit code 3: something is wrong.
+@app.command(cls=command_class_with_options("store", "store_file"))
+def check() -> None:
+    """Check pages, schema, file mode and audit. Exit code 3: faults.
 
     ground-station store check
     """
-    from ground_station.adapters.store.check import check as check_store
+    from ground_station.adapters.store.check import find_store_faults as check_store
 
-    found = check_store(url_of(store, store_file))
-    for words in found:
-        typer.echo(words, err=True)
-    if found:
-        raise typer.Exit(WRONG)
-    typer.echo("the store is whole")
+    fault_list = check_store(desk_options().store_url)
+    for message in fault_list:
+        typer.echo(message, err=True)
+    if fault_list:
+        raise typer.Exit(EXIT_FAULTS)
+    typer.echo("store OK")
 
 
-def _open(url: str, *, any_schema: bool = False) -> "Database":
+def _open_database(url: str, *, any_schema: bool = False) -> "Database":
     from ground_station.adapters.store.database import Database
 
     return Database(url, create=False, any_schema=any_schema)

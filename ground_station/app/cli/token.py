@@ -1,4 +1,4 @@
-"""`ground-station token`: who may use the map, and order from it."""
+"""`ground-station token`: access to the live map."""
 
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -7,77 +7,85 @@ from typing import Annotated
 
 import typer
 
+from companion.core.base.errors import LeewayError
 from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
 
-app = typer.Typer(
-    no_args_is_help=True,
-    help=(
-        "Give people tokens for the map, and take them back.\n\n"
-        "ground-station token add anna --role dispatcher"
-    ),
-)
+app = typer.Typer()
+
+DEFAULT_TOKENS = Path("leeway-map-tokens.json")
+TokensFile = Annotated[
+    Path, typer.Option("--tokens", help="File of the tokens' digests (mode 0600).")
+]
+
+
+class TokenAction(StrEnum):
+    """What to do with the tokens."""
+
+    ADD = "add"
+    REVOKE = "revoke"
+    LIST = "list"
 
 
 class MapRole(StrEnum):
-    """What a person may do on the map (`web_tokens.ROLES`)."""
+    """Permission of a person on the map (`web_tokens.USER_ROLES`)."""
 
     SUPERVISOR = "supervisor"
     DISPATCHER = "dispatcher"
     VIEWER = "viewer"
 
 
-DEFAULT_TOKENS = Path("leeway-map-tokens.json")
-TokensFile = Annotated[
-    Path, typer.Option("--tokens", help="The file of the tokens' digests (mode 0600).")
-]
-
-
 @app.command()
-def add(
-    name: Annotated[str, typer.Argument(help="Who gets it, as the audit will name them.")],
+def token(
+    action: Annotated[TokenAction, typer.Argument(help="Add, revoke or list tokens.")],
+    name: Annotated[
+        str | None, typer.Argument(help="add, revoke: the person, as named in the audit.")
+    ] = None,
     role: Annotated[
         MapRole,
-        typer.Option(metavar="ROLE", help="supervisor and dispatcher may order; viewer may look."),
+        typer.Option(
+            metavar="ROLE", help="add: supervisor and dispatcher may command; viewer may read."
+        ),
     ] = MapRole.DISPATCHER,
     tokens: TokensFile = DEFAULT_TOKENS,
 ) -> None:
-    """Make a token and print it, once: the file keeps only its SHA-256.
+    """Manage access to the live map by tokens.
+
+    `add` prints the token once: the file contains its SHA-256 only. A running map applies `revoke`
+    within a second.
 
     ground-station token add anna --role dispatcher
-    """
-    from ground_station.adapters.files.token_file import new_token, read_tokens, write_tokens
-    from ground_station.core.people.web_tokens import TokenBook
-
-    book = read_tokens(tokens) if tokens.exists() else TokenBook()
-    token, today = new_token(), f"{datetime.fromtimestamp(epoch_us() / 1e6, tz=UTC):%Y-%m-%d}"
-    write_tokens(tokens, book.added(name, Role(role), token, today))
-    typer.echo(token)
-    typer.echo(f"the token of {name}, {role}: it is not shown again", err=True)
-
-
-@app.command()
-def revoke(
-    name: Annotated[str, typer.Argument(help="Whose token.")],
-    tokens: TokensFile = DEFAULT_TOKENS,
-) -> None:
-    """Take a token back: a map that runs lets it in no longer than a second.
-
     ground-station token revoke anna
+    ground-station token list
     """
-    from ground_station.adapters.files.token_file import read_tokens, write_tokens
+    from ground_station.adapters.files.token_file import (
+        generate_random_token,
+        read_owner_only_tokens,
+        write_owner_only_tokens_atomically,
+    )
+    from ground_station.app.views.terminal import plain_console, plain_table
+    from ground_station.core.people.web_tokens import TokenRegistry
 
-    write_tokens(tokens, read_tokens(tokens).without(name))
-    typer.echo(f"revoked: {name}")
-
-
-@app.command(name="list")
-def list_(tokens: TokensFile = DEFAULT_TOKENS) -> None:
-    """List who has a token."""
-    from ground_station.adapters.files.token_file import read_tokens
-    from ground_station.app.views.terminal import listing, terminal
-
-    table = listing("name", "role", "made")
-    for one in read_tokens(tokens).people:
-        table.add_row(one.name, one.role, one.made)
-    terminal().print(table)
+    if (name is None) != (action is TokenAction.LIST):
+        raise LeewayError("token: expected `add NAME`, `revoke NAME` or `list`")
+    if name is None:
+        table = plain_table("name", "role", "made")
+        for one in read_owner_only_tokens(tokens).holders:
+            table.add_row(one.name, one.role, one.created)
+        plain_console().print(table)
+    elif action is TokenAction.REVOKE:
+        write_owner_only_tokens_atomically(
+            tokens, read_owner_only_tokens(tokens).without_holder(name)
+        )
+        typer.echo(f"revoked: {name}")
+    else:
+        registry = read_owner_only_tokens(tokens) if tokens.exists() else TokenRegistry()
+        secret, today = (
+            generate_random_token(),
+            f"{datetime.fromtimestamp(epoch_us() / 1e6, tz=UTC):%Y-%m-%d}",
+        )
+        write_owner_only_tokens_atomically(
+            tokens, registry.with_holder(name, Role(role), secret, today)
+        )
+        typer.echo(secret)
+        typer.echo(f"token of {name}, {role}: not shown again", err=True)

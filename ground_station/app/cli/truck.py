@@ -8,53 +8,45 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.fleet.network import OPEN_MARK
+from companion.fleet.service_manager import record_stop_signals
 from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.app.cli.options import (
-    DayArgument,
-    IdentityFolder,
-    OpenNetwork,
-    ZenohFile,
-    open_day,
-)
-from ground_station.app.cli.stopping import stop_signals
+from ground_station.app.options.desk_options import DayArgument, desk_options, read_day_and_warn
+from ground_station.app.options.program_options import command_class_with_options
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(cls=command_class_with_options("fleet", "zenoh", "identity", "open_network"))
 def truck(
     day: DayArgument,
     folder: Annotated[
-        Path, typer.Option(help="Where the truck keeps its tasks through restarts.")
+        Path, typer.Option(help="Folder of the truck's tasks, kept across restarts.")
     ] = Path("leeway-truck"),
-    fleet: Annotated[str | None, typer.Option(help="Default: as in the day file.")] = None,
-    zenoh: ZenohFile = None,
-    identity: IdentityFolder = None,
-    open_network: OpenNetwork = False,
 ) -> None:
-    """The driver's terminal: where to drive, whom to serve, which drones to put out and take in.
+    """Run the driver's terminal: route, deliveries, launch and recovery.
 
-    Each task is confirmed with a key. Ctrl-C leaves; the same command carries on.
+    The driver confirms each task with a key. Ctrl-C exits; the same command resumes.
 
     ground-station truck harbour --identity /var/lib/leeway/identity
     """
-    from companion.fleet.membership import JoinOptions, join
+    from companion.fleet.membership import read_membership
     from companion.fleet.topics import VehicleKeys
-    from ground_station.app.truck.driver_console import run_console
+    from ground_station.app.truck.driver_console import run_driver_console
     from ground_station.app.truck.truck_member import TruckMember
-    from ground_station.app.views.terminal import terminal
+    from ground_station.app.views.terminal import plain_console
     from ground_station.core.fleet.truck_state import TRUCK
 
-    data = open_day(day)
-    keys, woken = VehicleKeys(fleet or data.day.fleet, TRUCK), threading.Event()
-    membership = join(keys, zenoh, JoinOptions(identity, open_network), woken.set)
+    data = read_day_and_warn(day)
+    desk, activity_event = desk_options(), threading.Event()
+    keys = VehicleKeys(desk.resolve_fleet_name(data), TRUCK)
+    membership = read_membership(keys, desk.zenoh, desk.join_options(), activity_event.set)
     depot = data.day.depot
     try:
-        member = TruckMember.open(
+        member = TruckMember.load_or_create(
             TRUCK,
             folder,
             membership.open_link,
-            stop="depot",
+            initial_stop="depot",
             lat_deg=depot.lat_deg,
             lon_deg=depot.lon_deg,
             capacity_kg=data.day.truck.capacity_kg,
@@ -64,7 +56,13 @@ def truck(
     except OSError as error:
         raise LeewayError(f"{folder}: {error.strerror}") from error
     try:
-        with stop_signals() as stopped:
-            run_console(member, terminal(), woken, stopped, OPEN_MARK if open_network else "")
+        with record_stop_signals() as received_signals:
+            run_driver_console(
+                member,
+                plain_console(),
+                activity_event,
+                received_signals,
+                OPEN_MARK if desk.open_network else "",
+            )
     finally:
         member.close()

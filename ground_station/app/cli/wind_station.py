@@ -1,4 +1,4 @@
-"""`ground-station wind-station`: tells a fleet what a wind station's file says."""
+"""`ground-station wind-station`: publishes the measurements of a wind station."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,25 +6,20 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.fleet.service_manager import record_stop_signals
 from ground_station.adapters.clock import monotonic_s
-from ground_station.app.cli.options import (
-    DayArgument,
-    IdentityFolder,
-    OpenNetwork,
-    ZenohFile,
-    open_day,
-)
-from ground_station.app.cli.stopping import stop_signals
+from ground_station.app.options.desk_options import DayArgument, desk_options, read_day_and_warn
+from ground_station.app.options.program_options import command_class_with_options
 
-LOOK_S = 1.0
-SAY_S = 60.0
+POLL_INTERVAL_S = 1.0
+LOG_INTERVAL_S = 60.0
 
 app = typer.Typer()
 
 
-@app.command("wind-station")
+@app.command("wind-station", cls=command_class_with_options("zenoh", "identity", "open_network"))
 def wind_station(
-    station: Annotated[str, typer.Argument(help="Its name under [[stations]] of the day.")],
+    station: Annotated[str, typer.Argument(help="Id of a wind station in the day file.")],
     day: DayArgument,
     file: Annotated[
         Path,
@@ -33,13 +28,10 @@ def wind_station(
             " wind_from_deg, perhaps std_mps."
         ),
     ],
-    zenoh: ZenohFile = None,
-    identity: IdentityFolder = None,
-    open_network: OpenNetwork = False,
 ) -> None:
-    """Tell the fleet what a wind station measures, row by row as its file grows.
+    """Publish the measurements of a wind station to the fleet.
 
-    It runs where the station's file is. Ctrl-C leaves.
+    Run it on the machine that has the station's file; it sends each new row. Ctrl-C stops.
 
     ground-station wind-station mast harbour --file mast.csv --identity /var/lib/leeway/identity
     """
@@ -47,37 +39,39 @@ def wind_station(
 
     import msgspec
 
-    from companion.fleet.membership import JoinOptions
     from ground_station.adapters.files.station_file import StationFile
     from ground_station.adapters.zenoh_station import ZenohStation
 
-    data = open_day(day)
-    place = next((one for one in data.day.stations if one.id == station), None)
-    if place is None:
+    data = read_day_and_warn(day)
+    day_station = next((one for one in data.day.stations if one.id == station), None)
+    if day_station is None:
         known = ", ".join(one.id for one in data.day.stations) or "none"
-        raise LeewayError(f"{station}: not a station of {day}, which names {known}")
-    if place.file is not None:
+        raise LeewayError(f"{station}: expected a station of {day} ({known})")
+    if day_station.file is not None:
         raise LeewayError(
-            f"{station}: the day names its file, which the desk itself follows: expected no file"
-            " there"
+            f"{station}: the day file already gives this station's file, and the desk reads it: do"
+            " not run wind-station, or remove the file from the day"
         )
     source = StationFile(station, file)
-    network = ZenohStation(data.day.fleet, station, zenoh, JoinOptions(identity, open_network))
-    typer.echo(f"{station} tells fleet {data.day.fleet} what {file} says; Ctrl-C stops")
-    told, said_s = 0, monotonic_s()
+    desk = desk_options()
+    network = ZenohStation(data.day.fleet, station, desk.zenoh, desk.join_options())
+    typer.echo(f"{station} sends the rows of {file} to fleet {data.day.fleet}; Ctrl-C stops")
+    sent_count, last_log_s = 0, monotonic_s()
     try:
-        with stop_signals() as stopped:
-            while not stopped:
-                winds, wrong = source.read()
-                for words in wrong:
-                    typer.echo(words, err=True)
-                for wind in winds[-1:]:  # of many at once the newest: the others are no news
-                    where = {"lat_deg": place.lat_deg, "lon_deg": place.lon_deg}
-                    network.tell(msgspec.structs.replace(wind, height_m=place.height_m, **where))
-                    told += 1
-                if monotonic_s() - said_s >= SAY_S:
-                    typer.echo(f"{told} told in the last minute")
-                    told, said_s = 0, monotonic_s()
-                Event().wait(LOOK_S)
+        with record_stop_signals() as received_signals:
+            while not received_signals:
+                winds, errors = source.read_new_winds_and_problems()
+                for message in errors:
+                    typer.echo(message, err=True)
+                for wind in winds[-1:]:  # only the latest: older ones are outdated
+                    position = {"lat_deg": day_station.lat_deg, "lon_deg": day_station.lon_deg}
+                    network.publish_wind(
+                        msgspec.structs.replace(wind, height_m=day_station.height_m, **position)
+                    )
+                    sent_count += 1
+                if monotonic_s() - last_log_s >= LOG_INTERVAL_S:
+                    typer.echo(f"{sent_count} measurements sent in the last minute")
+                    sent_count, last_log_s = 0, monotonic_s()
+                Event().wait(POLL_INTERVAL_S)
     finally:
         network.close()

@@ -1,1 +1,1 @@
-"""The running desk: exchange with the fleet, a dispatcher, re-planning beside it."""
+"""The running desk: exchange with the fleet, a dispatcher, re-planning in a separate process."""

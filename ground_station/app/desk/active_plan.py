@@ -1,4 +1,4 @@
-"""The active plan of a day with a truck, the data that it was made from, and how it is replaced."""
+"""Active plan of a day with a truck, the data it is based on, and its replacement."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,14 +10,13 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.app.desk.replanner import NoPlan, Replanner
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
-from ground_station.core.dispatch.replan_times import ReplanResult, ReplanTimes
 from ground_station.core.dispatch.replanning import (
     ReplanReason,
-    broken_promise,
-    day_now,
+    broken_promise_reason,
+    data_with_returned_orders_by_truck,
+    delay_plan_by_computation_time,
     replan_reason,
-    shifted,
-    standing_state,
+    replanning_start_state,
 )
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
@@ -29,213 +28,227 @@ from ground_station.core.schema.orders import OrderRow
 
 @dataclass(frozen=True, slots=True)
 class ReplanAttempt:
-    """The last re-planning that has ended: when, from which situation, and for which reason.
+    """Most recent completed re-planning: time, day situation and reason.
 
-    `refused`: no new plan came of it, so the same reason is not tried again. `died`: how often in a
-    row its planner has ended without an answer.
+    `refused`: it produced no new plan, so the same reason is not tried again. `failure_count`:
+    number of consecutive planner runs that ended without a result.
     """
 
-    at_s: float | None = None
-    situation: object = None
-    why: ReplanReason | None = None
+    ended_s: float | None = None
+    replan_key: object = None
+    reason: ReplanReason | None = None
     refused: bool = False
-    died: int = 0
+    failure_count: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
     snapshot: DaySnapshot
-    why: ReplanReason
-    wind: Forecast
-    """The forecast before it."""
+    reason: ReplanReason
+    previous_forecast: Forecast
+    """Forecast in force before the request."""
 
 
 @dataclass(slots=True)
 class ActivePlan:
-    """`plan` and `data` as they are now. `review` replaces both, `note_orders` the data; `version`
-    counts how often.
+    """Current `plan` and `data`. `request_or_adopt_plan` replaces both,
+    `replace_orders_if_count_changed` replaces the data; `version` counts the replacements.
     """
 
     day: DayStore
     data: DayData
     plan: DayPlan
     replanner: Replanner
-    say: Callable[[str], None]
+    log: Callable[[str], None]
     params: DispatchParams = field(default_factory=DispatchParams)
-    stops: dict[str, PlannedStop] = field(default_factory=dict)
-    """All stops of all plans of the day, each with all its pads."""
-    attempt: ReplanAttempt = field(default_factory=ReplanAttempt)
+    all_stops: dict[str, PlannedStop] = field(default_factory=dict)
+    """All stops of all plans of the day, each with every pad that any plan assigned to it."""
+    last_attempt: ReplanAttempt = field(default_factory=ReplanAttempt)
     version: int = 0
-    replans: ReplanTimes = field(default_factory=ReplanTimes)
     _request: _Request | None = None
 
     def __post_init__(self) -> None:
-        wind = self.day.wind()
+        wind = self.day.measured_wind_of_last_plan()
         if wind is not None:
-            self.data = self._with_forecast(wind)
-        for plan, _ in self.day.plans():
-            self._note_stops(plan)
+            self.data = self._data_with_forecast(wind)
+        for plan, _ in self.day.plans_with_reasons():
+            self._add_stops_and_pads(plan)
 
-    def _note_stops(self, plan: DayPlan) -> None:
+    def _add_stops_and_pads(self, plan: DayPlan) -> None:
         for stop in plan.stops:
-            before = self.stops.get(stop.id)
-            pads = {**stop.pads, **(before.pads if before else {})}
-            self.stops[stop.id] = msgspec.structs.replace(stop, pads=pads)
+            known_stop = self.all_stops.get(stop.id)
+            pads = {**stop.pads, **(known_stop.pads if known_stop else {})}
+            self.all_stops[stop.id] = msgspec.structs.replace(stop, pads=pads)
 
-    def _with_forecast(self, wind: Forecast) -> DayData:
+    def _data_with_forecast(self, wind: Forecast) -> DayData:
         day = msgspec.structs.replace(self.data.day, forecast=wind)
         return replace(self.data, day=day)
 
-    def note_orders(self, orders: list[OrderRow]) -> None:
-        """Orders that the store has taken meanwhile are part of the day."""
+    def replace_orders_if_count_changed(self, orders: list[OrderRow]) -> None:
+        """Add orders that the store has accepted since the last call to the day's data."""
         if len(orders) != len(self.data.orders):
             self.data = replace(self.data, orders=[row.order for row in orders])
             self.version += 1
 
-    def note_plan(self, newest: DayPlan | None) -> None:
-        """The store's newest plan is ours, too, where another desk of this day has made it."""
-        if newest is None or newest.revision <= self.plan.revision:
+    def adopt_later_plan(self, stored_plan: DayPlan | None) -> None:
+        """Adopt the store's latest plan if another desk of this day has published a later one."""
+        if stored_plan is None or stored_plan.revision <= self.plan.revision:
             return
-        wind = self.day.wind()
+        wind = self.day.measured_wind_of_last_plan()
         if wind is not None:
-            self.data = self._with_forecast(wind)
-        self.plan = newest
+            self.data = self._data_with_forecast(wind)
+        self.plan = stored_plan
         self.version += 1
-        self._note_stops(newest)
-        self.say(f"plan {newest.revision} in force, made by another desk")
+        self._add_stops_and_pads(stored_plan)
+        self.log(f"plan {stored_plan.revision} in force, made by another desk")
 
     @property
     def is_replanning(self) -> bool:
-        """Whether a new plan is being made."""
+        """Whether a new plan is being computed."""
         return self._request is not None
 
-    def review(
+    def request_or_adopt_plan(
         self,
         snapshot: DaySnapshot,
-        measured: Callable[[Forecast], Forecast],
-        forecast: DayForecast | None = None,
+        forecast_from_measured_wind: Callable[[Forecast], Forecast],
+        followed_forecast: DayForecast | None = None,
     ) -> None:
-        """Ask for a new plan when the day departs from this one; take it when it is made.
+        """Request a new plan when the day deviates from the active one; adopt it when finished.
 
-        `measured` returns the forecast by the wind that the fleet measures now. `forecast`: one
-        that is followed, in the day's time: each sortie of a new plan has its own wind.
+        `forecast_from_measured_wind` returns a forecast based on the wind that the fleet measures
+        now. `followed_forecast`: the followed forecast in the day's time; it gives each sortie of a
+        new plan its own wind.
         """
         if self._request is None:
-            self._request_plan(snapshot, measured, forecast)
+            self._request_plan_if_due(snapshot, forecast_from_measured_wind, followed_forecast)
             return
-        made = self.replanner.made()
-        if made is None:
+        result = self.replanner.take_finished_plan()
+        if result is None:
             return
         request, self._request = self._request, None
-        took_s = max(0.0, snapshot.now_s - request.snapshot.now_s)
-        if self._asks_again(made, request.why, snapshot):
-            self.replans.ended(ReplanResult.DIED, took_s)
-            if self.data.day.forecast != request.wind:
-                self._plan_with(request.wind)  # so that the wind stays a reason
-        else:
-            result = self._take(made, request, snapshot, took_s)
-            self.replans.ended(result, took_s)
+        if not self._schedule_retry_if_failed(result, request.reason, snapshot):
+            self._store_and_adopt_result(result, request, snapshot)
+        elif self.data.day.forecast != request.previous_forecast:
+            self._set_forecast(
+                request.previous_forecast
+            )  # keeps the wind deviation as a reason to re-plan
 
-    def is_wanted(self, snapshot: DaySnapshot) -> bool:
-        """Whether there is a reason for a new plan that has not been refused, now or later."""
-        return self._reason(replace(snapshot, tried_s=None)) is not None
+    def has_replan_reason(self, snapshot: DaySnapshot) -> bool:
+        """Whether there is a re-planning reason that has not been refused, due now or later."""
+        return self._unrefused_replan_reason(replace(snapshot, last_replan_s=None)) is not None
 
-    def _reason(self, snapshot: DaySnapshot) -> ReplanReason | None:
-        why = replan_reason(snapshot, self.params)
-        return None if self.attempt.refused and why == self.attempt.why else why
+    def _unrefused_replan_reason(self, snapshot: DaySnapshot) -> ReplanReason | None:
+        reason = replan_reason(snapshot, self.params)
+        return None if self.last_attempt.refused and reason == self.last_attempt.reason else reason
 
-    def _request_plan(
+    def _request_plan_if_due(
         self,
         snapshot: DaySnapshot,
-        measured: Callable[[Forecast], Forecast],
-        forecast: DayForecast | None,
+        forecast_from_measured_wind: Callable[[Forecast], Forecast],
+        followed_forecast: DayForecast | None,
     ) -> None:
-        why = self._reason(snapshot)
-        if why is None:
+        reason = self._unrefused_replan_reason(snapshot)
+        if reason is None:
             return
         wind = self.data.day.forecast
-        if why.cause.is_of_wind:
-            self._plan_with(measured(wind))
-        self.say(f"a new plan: {why.words}")
-        self._request = _Request(snapshot, why, wind)
-        data = replace(day_now(self.data, snapshot), forecast=forecast)
-        self.replanner.ask(data, self._standing_state(snapshot))
+        if reason.cause.is_wind_related:
+            self._set_forecast(forecast_from_measured_wind(wind))
+        self.log(f"replanning: {reason.text}")
+        self._request = _Request(snapshot, reason, wind)
+        data = replace(
+            data_with_returned_orders_by_truck(self.data, snapshot), forecast=followed_forecast
+        )
+        self.replanner.start_planning(data, self._state_fixed_by_promises(snapshot))
 
-    def _standing_state(self, snapshot: DaySnapshot) -> DayState:
+    def _state_fixed_by_promises(self, snapshot: DaySnapshot) -> DayState:
         drones = [drone.id for drone in self.data.day.drones]
-        return standing_state(snapshot, drones, self.data.day.truck.recover_s)
+        return replanning_start_state(snapshot, drones, self.data.day.truck.recover_s)
 
-    def _plan_with(self, wind: Forecast) -> None:
-        self.data = self._with_forecast(wind)
+    def _set_forecast(self, wind: Forecast) -> None:
+        self.data = self._data_with_forecast(wind)
         self.version += 1
 
-    def _asks_again(self, made: DayPlan | NoPlan, why: ReplanReason, snapshot: DaySnapshot) -> bool:
-        """Whether the planner has ended without an answer, and is asked once more."""
-        if not isinstance(made, NoPlan) or not made.again:
+    def _schedule_retry_if_failed(
+        self, result: DayPlan | NoPlan, reason: ReplanReason, snapshot: DaySnapshot
+    ) -> bool:
+        """Whether the planner ended without a result and will be started again."""
+        if not isinstance(result, NoPlan) or not result.can_retry:
             return False
-        times = self.attempt.died + 1 if self.attempt.why == why else 1
-        again = times < self.params.replan_tries
-        if again:
-            self.attempt = replace(
-                self.attempt, at_s=snapshot.now_s, why=why, refused=False, died=times
+        failure_count = (
+            self.last_attempt.failure_count + 1 if self.last_attempt.reason == reason else 1
+        )
+        can_retry = failure_count < self.params.max_replan_attempts
+        if can_retry:
+            self.last_attempt = replace(
+                self.last_attempt,
+                ended_s=snapshot.now_s,
+                reason=reason,
+                refused=False,
+                failure_count=failure_count,
             )
-            wait_s = self.params.replan_again_s
-            self.say(f"no new plan ({made.reason}): asked again in {wait_s:.0f} s")
-        return again
+            wait_s = self.params.replan_interval_s
+            self.log(f"no new plan ({result.reason}): next attempt in {wait_s:.0f} s")
+        return can_retry
 
-    def _take(
-        self, made: DayPlan | NoPlan, request: _Request, snapshot: DaySnapshot, took_s: float
-    ) -> ReplanResult:
-        start = self._standing_state(request.snapshot)
-        wrong = made.reason if isinstance(made, NoPlan) else broken_promise(made, start)
-        refused = wrong is not None or isinstance(made, NoPlan)
-        attempt = ReplanAttempt(snapshot.now_s, request.snapshot.situation, request.why, refused)
-        if refused or isinstance(made, NoPlan):
-            self.attempt = attempt
-            self.say(f"no new plan ({wrong}): the old one goes on")
-            return ReplanResult.REFUSED
-        wind = self.data.day.forecast if request.why.cause.is_of_wind else None
-        late = shifted(made, start, request.snapshot.now_s, took_s)
-        self.day.take_plan(late, request.why.words, wind)
-        in_force = self.day.plan()
-        self.attempt = attempt  # only now: a plan that the store did not take is asked for again
+    def _store_and_adopt_result(
+        self, result: DayPlan | NoPlan, request: _Request, snapshot: DaySnapshot
+    ) -> None:
+        start = self._state_fixed_by_promises(request.snapshot)
+        rejection = (
+            result.reason if isinstance(result, NoPlan) else broken_promise_reason(result, start)
+        )
+        refused = rejection is not None or isinstance(result, NoPlan)
+        attempt = ReplanAttempt(
+            snapshot.now_s, request.snapshot.plan_inputs_comparison_key, request.reason, refused
+        )
+        if refused or isinstance(result, NoPlan):
+            self.last_attempt = attempt
+            self.log(f"no new plan ({rejection}): continuing with plan {self.plan.revision}")
+            return
+        wind = self.data.day.forecast if request.reason.cause.is_wind_related else None
+        duration_s = max(0.0, snapshot.now_s - request.snapshot.now_s)
+        delayed_plan = delay_plan_by_computation_time(
+            result, start, request.snapshot.now_s, duration_s
+        )
+        self.day.try_store_active_plan(delayed_plan, request.reason.text, wind)
+        in_force = self.day.active_plan()
+        self.last_attempt = attempt  # set last: a plan that the store rejects is requested again
         assert in_force is not None
-        if in_force.revision < late.revision:
-            self.say("no new plan (another desk has promised a stop that is not in it)")
-            return ReplanResult.REFUSED
+        if in_force.revision < delayed_plan.revision:
+            self.log("new plan discarded: it lacks a stop where another desk assigned a landing")
+            return
         self.plan = in_force
         self.version += 1
-        self._note_stops(in_force)
-        left = f", {len(made.unplanned)} by nobody" if made.unplanned else ""
-        self.say(f"plan {made.revision} in force: {len(made.stops)} stops{left}")
-        return ReplanResult.TAKEN
+        self._add_stops_and_pads(in_force)
+        unplanned_text = f", {len(result.unplanned)} orders unplanned" if result.unplanned else ""
+        self.log(f"plan {result.revision} in force: {len(result.stops)} stops{unplanned_text}")
 
     def close(self) -> None:
-        """Give up the plan that is being made."""
+        """Cancel the plan that is being computed."""
         self.replanner.close()
 
 
-def check_plan(data: DayData, plan: DayPlan) -> None:
-    """Raise LeewayError, with everything that is wrong, where a plan does not fit the day."""
+def require_plan_fits_day(data: DayData, plan: DayPlan) -> None:
+    """Raise LeewayError with all inconsistencies if a plan does not fit the day."""
     orders = {order.id for order in data.orders}
     stops = {stop.id: stop for stop in plan.stops}
-    wrong: list[str] = []
+    rejection: list[str] = []
     if plan.day != data.day.name:
-        wrong.append(f"of day {plan.day!r}, expected {data.day.name!r}")
+        rejection.append(f"of day {plan.day!r}, expected {data.day.name!r}")
     for sortie in plan.sorties:
         where = f"sortie {sortie.order} by {sortie.vehicle}"
-        if data.day.drone(sortie.vehicle) is None:
-            wrong.append(f"{where}: no such drone in the day")
+        if data.day.find_drone(sortie.vehicle) is None:
+            rejection.append(f"{where}: no such drone in the day")
         if sortie.order not in orders:
-            wrong.append(f"{where}: no such order in the day")
+            rejection.append(f"{where}: no such order in the day")
         for stop in (sortie.launch, sortie.home):
             if stop not in stops or sortie.vehicle not in stops[stop].pads:
-                wrong.append(f"{where}: expected a stop {stop} with a pad for it")
-    wrong += [
+                rejection.append(f"{where}: expected a stop {stop} with a pad for it")
+    rejection += [
         f"stop {stop.id}: no such order {order} in the day"
         for stop in plan.stops
         for order in stop.serves
         if order not in orders
     ]
-    if wrong:
-        raise LeewayError("\n".join(f"the plan: {words}" for words in wrong))
+    if rejection:
+        raise LeewayError("\n".join(f"the plan: {detail}" for detail in rejection))

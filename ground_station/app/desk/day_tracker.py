@@ -1,4 +1,4 @@
-"""Tracks a day with a truck: members' states and the store's rows become a `DaySnapshot`."""
+"""Day tracking with a truck: combines members' states and the store's rows in a `DaySnapshot`."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -8,48 +8,52 @@ from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan
-from ground_station.app.desk.forecast_watch import ForecastWatch, plan_closes
+from ground_station.app.desk.site.forecast_watch import ForecastMonitor, closing_wind_by_order
 from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
-from ground_station.core.dispatch.dispatch_rules import distance_m
-from ground_station.core.dispatch.measured_wind import DAY_AHEAD_S, forecast_now, off_sigmas
+from ground_station.core.dispatch.dispatch_rules import ground_distance_if_known_m
+from ground_station.core.dispatch.measured_wind import (
+    DAY_LEAD_S,
+    measured_or_previous_planning_forecast,
+    wind_deviation_sigmas,
+)
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import STANDBY, FleetStatus, VehicleStatus
-from ground_station.core.fleet.truck_state import DRIVING, TRUCK
+from ground_station.core.fleet.truck_state import EN_ROUTE, TRUCK
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_forecast import DayForecast
-from ground_station.core.schema.holds import Hold, holding
+from ground_station.core.schema.holds import Hold, hold_of_vehicle_or_of_all
 from ground_station.core.schema.orders import AssignmentRow, AssignmentState, OrderRow, OrderState
-from ground_station.core.schema.sortie_rows import SortieRow, Visit
+from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 from ground_station.core.site_wind.site_wind import SiteWind
 
-OFF_PAD_M = 30.0
-OFF_GROUND_M = 2.0
+AWAY_FROM_PAD_M = 30.0
+AIRBORNE_HEIGHT_M = 2.0
 
-CLOSES_S = 60.0
-"""The plan ahead is held against the forecast so often."""
+FORECAST_CHECK_INTERVAL_S = 60.0
+"""Interval of checks of the pending plan against the forecast."""
 
-ROWS_S = 5.0
-"""Rows of the store are read again after this time, also where nothing has come."""
+ROWS_MAX_AGE_S = 5.0
+"""Maximum age of rows of the store; they are read again even if no message has arrived."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Rows:
+class _StoreRows:
     """Rows of the store, read at `read_s`."""
 
     read_s: float
-    open: frozenset[str]
+    open_orders: frozenset[str]
     sorties: tuple[SortieRow, ...]
-    serves: tuple[AssignmentRow, ...]
-    told: str | None
-    visits: dict[str, Visit]
-    plan_made_us: int
-    holds: tuple[Hold, ...]
+    truck_assignments: tuple[AssignmentRow, ...]
+    ordered_stop: str | None
+    stop_times: dict[str, StopTimes]
+    plan_stored_us: int
+    hold_list: tuple[Hold, ...]
 
 
 @dataclass(slots=True)
 class DayTracker:
-    """Keeps what only members report: energies, who has taken off, who waits since when. `wind`:
-    what they tell of the wind. `forecast`: watches over one that is followed.
+    """Keeps data that only members report: energies, take-offs, waiting times on the pad. `wind`:
+    wind field measured by the fleet. `forecast`: monitor of the followed forecast.
     """
 
     store: Store
@@ -57,207 +61,240 @@ class DayTracker:
     active: ActivePlan
     clock: Clock
     wind: SiteWind | None = None
-    forecast: ForecastWatch | None = None
+    forecast: ForecastMonitor | None = None
     snapshot: DaySnapshot | None = None
     _energy_wh: dict[str, tuple[float, float]] = field(default_factory=dict)
-    _off_ground: set[str] = field(default_factory=set)
+    _airborne: set[str] = field(default_factory=set)
     _truck_stop: tuple[str, bool] | None = None
-    _waits_s: dict[str, float] = field(default_factory=dict)
-    _began_us: int | None = None
-    _rows: _Rows | None = None
-    _from_us: int = 0
-    _plan_made_us: int = 0
-    _closing_s: float = -math.inf
-    _closing: str = ""
-    _closed_before: frozenset[str] = frozenset()
+    _wait_start_s: dict[str, float] = field(default_factory=dict)
+    _start_us: int | None = None
+    _rows: _StoreRows | None = None
+    _desk_start_us: int = 0
+    _plan_stored_us: int = 0
+    _closing_checked_s: float = -math.inf
+    _closing_text: str = ""
+    _previously_closed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        self._from_us = self.clock.epoch_us()
+        self._desk_start_us = self.clock.epoch_us()
 
-    def reload(self) -> None:
-        """Read the store again for the next snapshot: something has been written, or may have
-        been.
-        """
+    def discard_store_rows(self) -> None:
+        """Read the store again for the next snapshot because its content may have changed."""
         self._rows = None
 
-    def reload_old(self) -> None:
-        """Read it again now and then in any case: others write to it too."""
+    def discard_expired_store_rows(self) -> None:
+        """Read the store again when the rows are older than `ROWS_MAX_AGE_S`: other programs write
+        too.
+        """
         rows = self._rows
-        if rows is not None and self.clock.monotonic_s() - rows.read_s > ROWS_S:
+        if rows is not None and self.clock.monotonic_s() - rows.read_s > ROWS_MAX_AGE_S:
             self._rows = None
 
-    def on_state(self, state: State) -> None:
-        """Take a state that a member has published."""
+    def record_state(self, state: State) -> None:
+        """Process a state that a member has published."""
         if state.vehicle == TRUCK:
-            self._on_truck_state(state)
+            self._record_truck_arrival_or_departure(state)
             return
         if state.armed and state.assignment:
             if state.energy_left_wh is not None:
-                first = self._energy_wh.get(state.assignment, (state.energy_left_wh, 0.0))[0]
-                self._energy_wh[state.assignment] = (first, state.energy_left_wh)
-            if (state.height_rel_m or 0.0) > OFF_GROUND_M:
-                self._off_ground.add(state.assignment)
+                initial_wh = self._energy_wh.get(state.assignment, (state.energy_left_wh, 0.0))[0]
+                self._energy_wh[state.assignment] = (initial_wh, state.energy_left_wh)
+            if (state.height_rel_m or 0.0) > AIRBORNE_HEIGHT_M:
+                self._airborne.add(state.assignment)
 
-    def _on_truck_state(self, state: State) -> None:
-        """Note its arrivals and departures in the store."""
+    def _record_truck_arrival_or_departure(self, state: State) -> None:
+        """Record the truck's arrivals and departures in the store."""
         if state.stop is None:
             return
-        now = (state.stop, state.phase == DRIVING)
+        now = (state.stop, state.phase == EN_ROUTE)
         if now != self._truck_stop:
-            self.day.truck_is(None if now[1] else state.stop)
+            self.day.record_truck_stop(None if now[1] else state.stop)
             self._rows = None
             self._truck_stop = now
 
-    def observe(self, status: FleetStatus) -> DaySnapshot:
-        """The snapshot of this moment."""
+    def update_snapshot(self, status: FleetStatus) -> DaySnapshot:
+        """Return the snapshot of the present moment."""
         now_s = self.clock.monotonic_s()
         truck = status.vehicles.get(TRUCK)
-        began_us = self._begun_us(truck is not None and truck.present(now_s))
-        rows = self._rows = self._rows or self._read(now_s)
+        start_us = self._start_or_read_day_us(
+            truck is not None and truck.is_uniquely_online_and_reporting(now_s)
+        )
+        rows = self._rows = self._rows or self._read_store_rows(now_s)
         drones = {
-            d.id: self._drone_status(status.of(d.id), status.charge_frac_at_rest(d.id), now_s)
+            d.id: self._drone_status(
+                status.status_of(d.id), status.charge_frac_at_rest(d.id), now_s
+            )
             for d in self.active.data.day.drones
         }
         self.snapshot = DaySnapshot(
-            now_s=max(0.0, (self.clock.epoch_us() - began_us) / 1e6),
-            began_us=began_us,
+            now_s=max(0.0, (self.clock.epoch_us() - start_us) / 1e6),
+            start_us=start_us,
             plan=self.active.plan,
-            truck=_truck_status(truck, rows.told, now_s),
+            truck=_truck_status(truck, rows.ordered_stop, now_s),
             drones=drones,
-            open=rows.open,
+            open_orders=rows.open_orders,
             sorties=rows.sorties,
-            serves=rows.serves,
-            visits=rows.visits,
+            truck_assignments=rows.truck_assignments,
+            stop_times=rows.stop_times,
             replanning=self.active.is_replanning,
-            plan_made_s=max(0.0, (rows.plan_made_us - began_us) / 1e6),
-            tried_s=self.active.attempt.at_s,
-            tried=self.active.attempt.situation,
-            waited_s=self._waited(rows.sorties, drones, now_s),
-            wind_off_sigmas=off_sigmas(self.wind, now_s, self.active.data.day.forecast),
-            desk_from_s=(self._from_us - began_us) / 1e6,
-            held=frozenset(vehicle for vehicle in drones if holding(rows.holds, vehicle)),
+            plan_created_s=max(0.0, (rows.plan_stored_us - start_us) / 1e6),
+            last_replan_s=self.active.last_attempt.ended_s,
+            last_replan_key=self.active.last_attempt.replan_key,
+            pad_wait_s=self._update_pad_waiting_times_s(rows.sorties, drones, now_s),
+            wind_deviation_sigmas=wind_deviation_sigmas(
+                self.wind, now_s, self.active.data.day.forecast
+            ),
+            desk_start_s=(self._desk_start_us - start_us) / 1e6,
+            drones_on_hold=frozenset(
+                vehicle for vehicle in drones if hold_of_vehicle_or_of_all(rows.hold_list, vehicle)
+            ),
         )
         if self.forecast is not None:
-            closed = self.forecast.given_back(rows.holds)
-            closing = self._closes(self.snapshot, self.forecast, now_s)
-            self.snapshot = replace(self.snapshot, closed=closed, closing=closing)
+            closed = self.forecast.reason_by_withdrawable_assignment(rows.hold_list)
+            closing = self._forecast_closure_text(self.snapshot, self.forecast, now_s)
+            self.snapshot = replace(
+                self.snapshot, closed_assignments=closed, plan_closing_text=closing
+            )
         return self.snapshot
 
-    def _closes(self, day: DaySnapshot, forecast: ForecastWatch, now_s: float) -> str:
-        """What the forecast closes of the plan ahead: what two looks in a row find."""
-        if now_s - self._closing_s < CLOSES_S:
-            return self._closing
-        self._closing_s = now_s
-        late_s = max(0.0, day.delay_s(), day.held_s())
-        pending = [(s, now_s + max(0.0, s.launch_s + late_s - day.now_s)) for s in day.pending()]
+    def _forecast_closure_text(
+        self, snapshot: DaySnapshot, forecast: ForecastMonitor, now_s: float
+    ) -> str:
+        """Return the planned orders that the forecast closes in two consecutive checks, as text."""
+        if now_s - self._closing_checked_s < FORECAST_CHECK_INTERVAL_S:
+            return self._closing_text
+        self._closing_checked_s = now_s
+        delay_s = max(0.0, snapshot.truck_delay_s(), snapshot.departure_delay_for_landings_s())
+        pending = [
+            (s, now_s + max(0.0, s.launch_s + delay_s - snapshot.now_s))
+            for s in snapshot.unassigned_sorties_by_launch_time()
+        ]
         orders = {order.id: order for order in self.active.data.orders}
-        found = plan_closes(forecast, pending, self.active.stops, orders)
-        both = sorted(found.keys() & self._closed_before)
-        self._closed_before = frozenset(found)
-        self._closing = f"the forecast closes {', '.join(both)}" if both else ""
-        return self._closing
+        found = closing_wind_by_order(forecast, pending, self.active.all_stops, orders)
+        closed_twice = sorted(found.keys() & self._previously_closed)
+        self._previously_closed = frozenset(found)
+        self._closing_text = (
+            f"the forecast closes {', '.join(closed_twice)}" if closed_twice else ""
+        )
+        return self._closing_text
 
-    def _begun_us(self, truck_here: bool) -> int:
-        """The day begins when its truck is first heard."""
-        if self._began_us is None:
-            self._began_us = self.day.begin() if truck_here else self.day.began_us()
-        return self.clock.epoch_us() if self._began_us is None else self._began_us
+    def _start_or_read_day_us(self, truck_is_present: bool) -> int:
+        """Return the start of the day: the first message received from its truck."""
+        if self._start_us is None:
+            self._start_us = (
+                self.day.start_day_once() if truck_is_present else self.day.day_start_us()
+            )
+        return self.clock.epoch_us() if self._start_us is None else self._start_us
 
-    def _read(self, now_s: float) -> _Rows:
+    def _read_store_rows(self, now_s: float) -> _StoreRows:
         orders = self.store.orders()
-        self.active.note_orders(orders)
-        plan_made_us = self._read_plan()
-        return _Rows(
+        self.active.replace_orders_if_count_changed(orders)
+        plan_stored_us = self._adopt_stored_plan_if_changed_and_return_stored_us()
+        return _StoreRows(
             read_s=now_s,
-            open=_open(orders),
+            open_orders=_open_order_ids(orders),
             sorties=tuple(self.day.sorties()),
-            serves=tuple(r for r in self.store.assignments() if r.vehicle == TRUCK),
-            told=self.day.told(),
-            visits={visit.stop: visit for visit in self.day.visits()},
-            plan_made_us=plan_made_us,
-            holds=tuple(self.store.holds()),
+            truck_assignments=tuple(r for r in self.store.assignments() if r.vehicle == TRUCK),
+            ordered_stop=self.day.last_ordered_truck_stop(),
+            stop_times={times.stop: times for times in self.day.truck_stop_visits()},
+            plan_stored_us=plan_stored_us,
+            hold_list=tuple(self.store.holds_in_force()),
         )
 
-    def _read_plan(self) -> int:
-        """When the newest plan was taken; it is read where it is not the one that was known."""
-        made_us = self.day.plan_made_us()
-        if made_us != self._plan_made_us:
-            self.active.note_plan(self.day.plan())
-            self._plan_made_us = made_us
-        return made_us
+    def _adopt_stored_plan_if_changed_and_return_stored_us(self) -> int:
+        """Return when the latest plan was stored; read the plan if it has changed."""
+        stored_us = self.day.active_plan_stored_at_us()
+        if stored_us != self._plan_stored_us:
+            self.active.adopt_later_plan(self.day.active_plan())
+            self._plan_stored_us = stored_us
+        return stored_us
 
-    def _waited(
+    def _update_pad_waiting_times_s(
         self, sorties: tuple[SortieRow, ...], drones: dict[str, DroneStatus], now_s: float
     ) -> dict[str, float]:
-        """By assignment: how long a drone on its pad has not been ready, since this desk began."""
-        waiting = (AssignmentState.ORDERED, AssignmentState.ABOARD)
-        on_pads = [r for r in sorties if r.placed and r.row.state in waiting]
-        late = [r.id for r in on_pads if r.vehicle in drones and not drones[r.vehicle].ready]
-        self._waits_s = {id_: self._waits_s.get(id_, now_s) for id_ in late}
-        return {id_: now_s - since_s for id_, since_s in self._waits_s.items()}
+        """By assignment: time that a drone on its pad has not been ready, since this desk began."""
+        waiting = (AssignmentState.ORDERED, AssignmentState.UPLOADED)
+        on_pads = [r for r in sorties if r.put_on_pad and r.assignment.state in waiting]
+        waiting_ids = [r.id for r in on_pads if r.vehicle in drones and not drones[r.vehicle].ready]
+        self._wait_start_s = {id_: self._wait_start_s.get(id_, now_s) for id_ in waiting_ids}
+        return {id_: now_s - since_s for id_, since_s in self._wait_start_s.items()}
 
     def _drone_status(
-        self, seen: VehicleStatus, charge_frac: float | None, now_s: float
+        self, vehicle_status: VehicleStatus, charge_frac: float | None, now_s: float
     ) -> DroneStatus:
-        state = seen.state
+        state = vehicle_status.state
         if state is None:
-            return DroneStatus(seen.vehicle)
+            return DroneStatus(vehicle_status.vehicle)
         return DroneStatus(
-            vehicle=seen.vehicle,
-            present=seen.present(now_s),
-            doubtful=bool(seen.doubts),
+            vehicle=vehicle_status.vehicle,
+            present=vehicle_status.is_uniquely_online_and_reporting(now_s),
+            doubtful=bool(vehicle_status.doubts),
             idle=state.phase == STANDBY and not state.armed,
             ready=state.phase == Phase.READY.value and not state.armed,
-            off_ground=state.assignment in self._off_ground or self._left_pad(state),
+            off_ground=state.assignment in self._airborne or self._is_away_from_launch_pad(state),
             assignment=state.assignment,
             home=state.home,
             lat_deg=state.lat_deg,
             lon_deg=state.lon_deg,
             charge_frac=charge_frac,
-            silent_s=seen.silent_s(now_s),
+            silent_s=vehicle_status.seconds_since_last_state(now_s),
         )
 
-    def _left_pad(self, state: State) -> bool:
-        """Whether it is away from its launch pad: known also after a restart of the desk."""
+    def _is_away_from_launch_pad(self, state: State) -> bool:
+        """Whether it is away from its launch pad; also determined after a restart of the desk."""
         rows = self.snapshot.sorties if self.snapshot is not None else ()
         row = next((row for row in rows if row.id == state.assignment), None)
         if row is None:
             return False
-        away_m = distance_m(state.lat_deg, state.lon_deg, row.pads[row.sortie.launch])
-        return away_m is not None and away_m > OFF_PAD_M
+        away_m = ground_distance_if_known_m(
+            state.lat_deg, state.lon_deg, row.pads[row.sortie.launch]
+        )
+        return away_m is not None and away_m > AWAY_FROM_PAD_M
 
-    def still_open(self) -> frozenset[str]:
-        """Orders without an assignment, by the store."""
-        return _open(self.store.orders(OrderState.OPEN))
+    def read_open_order_ids(self) -> frozenset[str]:
+        """Return the orders that have no assignment in the store."""
+        return _open_order_ids(self.store.orders(OrderState.OPEN))
 
-    def forecast_now(self, before: Forecast) -> Forecast:
-        """The forecast by what drones in flight tell; where they are too few the one that is
-        followed, or `before`.
+    def planning_forecast(self, fallback_forecast: Forecast) -> Forecast:
+        """Return the forecast based on wind reports of drones in flight; if there are too few, the
+        followed forecast or `fallback_forecast`.
         """
         if self.forecast is not None:
-            before = self.forecast.expected(DAY_AHEAD_S)
-        return forecast_now(self.wind, self.clock.monotonic_s(), before)
+            fallback_forecast = self.forecast.expected_wind(DAY_LEAD_S)
+        return measured_or_previous_planning_forecast(
+            self.wind, self.clock.monotonic_s(), fallback_forecast
+        )
 
     @property
-    def day_forecast(self) -> DayForecast | None:
-        """The forecast that is followed, in the day's time."""
+    def followed_forecast_in_day_time(self) -> DayForecast | None:
+        """The followed forecast in the day's time."""
         if self.forecast is None or self.snapshot is None:
             return None
-        return self.forecast.follows.of_day(self.snapshot.began_us)
+        return self.forecast.tracker.forecast_in_day_time(self.snapshot.start_us)
 
-    def energy_used_wh(self, assignment: str) -> float | None:
-        """Energy used by a flight that is over, once; None: it has reported none."""
-        told = self._energy_wh.pop(assignment, None)
-        return None if told is None else max(0.0, told[0] - told[1])
+    def pop_energy_used_wh(self, assignment: str) -> float | None:
+        """Return the energy of a finished flight once; None: it has reported none."""
+        first_and_last_wh = self._energy_wh.pop(assignment, None)
+        return (
+            None
+            if first_and_last_wh is None
+            else max(0.0, first_and_last_wh[0] - first_and_last_wh[1])
+        )
 
 
-def _open(orders: list[OrderRow]) -> frozenset[str]:
+def _open_order_ids(orders: list[OrderRow]) -> frozenset[str]:
     return frozenset(row.order.id for row in orders if row.state is OrderState.OPEN)
 
 
-def _truck_status(seen: VehicleStatus | None, told: str | None, now_s: float) -> TruckStatus | None:
-    state = seen.state if seen is not None else None
-    if seen is None or state is None or state.stop is None:
+def _truck_status(
+    vehicle_status: VehicleStatus | None, ordered_stop: str | None, now_s: float
+) -> TruckStatus | None:
+    state = vehicle_status.state if vehicle_status is not None else None
+    if vehicle_status is None or state is None or state.stop is None:
         return None
-    stop = told or state.stop
-    return TruckStatus(seen.present(now_s), state.phase == DRIVING or stop != state.stop, stop)
+    stop = ordered_stop or state.stop
+    return TruckStatus(
+        vehicle_status.is_uniquely_online_and_reporting(now_s),
+        state.phase == EN_ROUTE or stop != state.stop,
+        stop,
+    )

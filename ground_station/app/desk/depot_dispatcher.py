@@ -1,4 +1,4 @@
-"""Dispatch from the depot, without a truck: the nearest order that a free drone can bring."""
+"""Dispatch from the depot, without a truck: the nearest order that a free drone can deliver."""
 
 import math
 from collections.abc import Callable
@@ -6,213 +6,259 @@ from dataclasses import dataclass, field
 
 from companion.fleet.messages import State
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.dispatcher import Progress
-from ground_station.app.desk.forecast_watch import ForecastWatch
+from ground_station.adapters.store.tables import DEPOT_KEY
+from ground_station.app.desk.dispatcher import CycleResult
 from ground_station.app.desk.launch_pacing import LaunchPacing
+from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
+from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.dispatch.flight_tables import (
     NeighbourKeys,
-    no_keys,
+    no_neighbour_keys,
     with_neighbour_keys,
 )
-from ground_station.core.dispatch.measured_wind import NEXT_AHEAD_S, differs, next_flights
+from ground_station.core.dispatch.measured_wind import (
+    LAUNCH_LEAD_S,
+    measured_or_previous_launch_forecast,
+    winds_differ_enough_to_replan,
+)
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.holds import holding
+from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
 from ground_station.core.schema.orders import AssignmentRow, OrderState, Service
 from ground_station.core.site_wind.site_wind import SiteWind
 
-WIND_S = 30.0
-"""The wind that orders are weighed in is looked at so often: each change prices all anew."""
+WIND_CHECK_INTERVAL_S = 30.0
+"""Interval of wind checks: each change of the planning wind recomputes all order costs."""
 
-LAUNCHES = 3
-"""An assignment whose launch is refused so often is withdrawn: a person has to look at it."""
+MAX_REFUSED_LAUNCHES = 3
+"""Refused launches after which an assignment is withdrawn for inspection by the operator."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepotParams:
-    """How the depot is run. `assigns` and `launches` False: orders and launches are a person's.
+    """Operating mode. `assigns_orders`, `orders_launches` False: the operator assigns or launches.
 
-    `launch_gap_s`: least time from a take-off to the next launch, by whichever desk. `confirms`:
-    each launch waits for a named person.
+    `launch_gap_s`: minimum time from a take-off to the next launch, by any desk.
+    `requires_confirmation`: each launch requires confirmation by a named person.
     """
 
-    by: str = "desk"
-    assigns: bool = True
-    launches: bool = True
+    issuer: str = "desk"
+    assigns_orders: bool = True
+    orders_launches: bool = True
     launch_gap_s: float = 20.0
-    confirms: bool = False
+    requires_confirmation: bool = False
 
 
 @dataclass(slots=True)
 class DepotDispatcher:
-    """`Dispatcher` for drones that start from the depot and come home to it.
+    """`Dispatcher` for drones that start at the depot and return to it.
 
-    `wind`: what the fleet tells of it; None: the day's forecast stays. `forecast`: watches over one
-    that is followed. `impossible`: orders that no drone of the day can bring; they do not keep the
-    day open.
+    `wind`: wind field measured by the fleet; None: the day's forecast applies. `forecast`: monitor
+    of the followed forecast. `infeasible_orders`: orders that no drone of the day can deliver; they
+    do not keep the day open.
     """
 
     store: Store
     data: DayData
     assigner: DepotAssigner
     clock: Clock
-    say: Callable[[str], None]
+    log: Callable[[str], None]
     params: DepotParams = field(default_factory=DepotParams)
-    impossible: frozenset[str] = frozenset()
+    infeasible_orders: frozenset[str] = frozenset()
     wind: SiteWind | None = None
-    forecast: ForecastWatch | None = None
-    neighbour_keys: NeighbourKeys = no_keys
-    _planned: Forecast | None = None
-    _planned_s: float = -math.inf
+    forecast: ForecastMonitor | None = None
+    neighbour_keys: NeighbourKeys = no_neighbour_keys
+    _planning_wind: Forecast | None = None
+    _wind_checked_s: float = -math.inf
     _pacing: LaunchPacing = field(init=False)
-    _asked: set[str] = field(default_factory=set)
-    _is_full: bool = False
+    _confirmation_requested: set[str] = field(default_factory=set)
+    _layers_are_full: bool = False
+    _off_pad_vehicles: set[tuple[str, bool]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         gap_s = self.params.launch_gap_s
-        self._pacing = LaunchPacing(self.store, self.clock, self.say, gap_s)
+        self._pacing = LaunchPacing(self.store, self.clock, self.log, gap_s)
 
-    def begin(self) -> None:
-        """A launch just before a restart keeps its gap to the next one."""
-        self._pacing.begin()
+    def prepare_first_cycle(self) -> None:
+        """Keep the gap between a launch just before a restart and the next one."""
+        self.store.database.replace_about_value(DEPOT_KEY, self.data.day.depot.location)
+        self._pacing.start_gap_after_restart()
 
     def on_state(self, state: State) -> None:
-        """Count a take-off; for the rest, `turn` reads the fleet's status."""
-        self._pacing.on_state(state)
+        """Count a take-off; `run_decision_cycle` reads all other data from the fleet's status."""
+        self._pacing.start_gap_at_take_off(state)
 
-    def on_ready(self, assignment: AssignmentRow) -> None:
-        """Launch it when its slot has come; withdraw it after too many refusals."""
+    def on_vehicle_ready(self, assignment: AssignmentRow) -> None:
+        """Launch the assignment in its slot; withdraw it after too many refusals."""
         id_, vehicle, params = assignment.id, assignment.vehicle, self.params
-        if self.store.refused_launches(id_) >= LAUNCHES:
-            if self.store.withdraw(id_, params.by):
-                self.say(f"{vehicle}: launch refused {LAUNCHES} times: {id_} withdrawn")
+        if self.store.count_refused_launches(id_) >= MAX_REFUSED_LAUNCHES:
+            if self.store.withdraw_assignment(id_, params.issuer):
+                text = f"launch refused {MAX_REFUSED_LAUNCHES} times: {id_} withdrawn"
+                self.log(f"{vehicle}: {text}: inspect {vehicle}")
             return
-        if not params.launches:
+        if not params.orders_launches:
             return
-        if params.confirms and assignment.confirmed_by is None:
-            self._ask_for_a_person(assignment)
+        if params.requires_confirmation and assignment.confirmed_by is None:
+            self._log_confirmation_request_once(assignment)
             return
-        self._asked.discard(id_)  # a hold makes that word void: it is asked for again
-        if not self._pacing.may_launch():
+        self._confirmation_requested.discard(
+            id_
+        )  # a hold voids the confirmation: it is requested again
+        if not self._pacing.can_order_next_launch():
             return
         after = self._pacing.newest_launch
-        if self.store.launch(id_, params.by, after=after, confirmed=params.confirms):
-            word = f", confirmed by {assignment.confirmed_by}" if params.confirms else ""
-            self.say(f"{vehicle}: launch of {id_} ordered{word}")
+        if self.store.launch(
+            id_,
+            params.issuer,
+            newest_known_launch=after,
+            requires_confirmation=params.requires_confirmation,
+        ):
+            confirmation = (
+                f", confirmed by {assignment.confirmed_by}" if params.requires_confirmation else ""
+            )
+            self.log(f"{vehicle}: launch of {id_} ordered{confirmation}")
 
-    def _ask_for_a_person(self, assignment: AssignmentRow) -> None:
-        """Say, once for each launch, what lets it go."""
-        if assignment.id not in self._asked:
-            self._asked.add(assignment.id)
+    def _log_confirmation_request_once(self, assignment: AssignmentRow) -> None:
+        """Log once for each launch which command confirms it."""
+        if assignment.id not in self._confirmation_requested:
+            self._confirmation_requested.add(assignment.id)
             order = assignment.order_id
-            self.say(
-                f"{assignment.vehicle}: ready: `ground-station order launch {order}` lets it go"
+            self.log(
+                f"{assignment.vehicle}: ready: `ground-station order launch {order}` confirms the"
+                " launch"
             )
 
-    def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
-        """Give open orders to free drones."""
-        del changed
-        self._pacing.update(status)
-        given_back = self._give_back()
-        if not self.params.assigns:
-            return Progress.CHANGED if given_back else Progress.NONE
-        free = self._free_drones(status)
+    def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
+        """Assign open orders to free drones."""
+        del has_new_messages
+        self._pacing.store_fleet_status(status)
+        withdrawn = self._withdraw_forecast_closed_assignments()
+        if not self.params.assigns_orders:
+            return CycleResult.CHANGED if withdrawn else CycleResult.IDLE
+        free = self._idle_drones_at_depot(status)
         if free:
-            self._note_wind()
-        done = bool(free) and self._assign(free)
-        if done or given_back:
-            return Progress.CHANGED
-        waits = self.forecast is not None and self.forecast.opens_again()
-        return Progress.UNDER_WAY if waits else Progress.NONE
+            self._update_planning_wind_if_due()
+        has_changed = bool(free) and self._assign_orders(free)
+        if has_changed or withdrawn:
+            return CycleResult.CHANGED
+        has_later_launches = self.forecast is not None and self.forecast.has_reopening_orders()
+        return CycleResult.ACTIVE if has_later_launches else CycleResult.IDLE
 
-    def _give_back(self) -> bool:
-        """Take back assignments whose launch the forecast has closed for good."""
+    def _withdraw_forecast_closed_assignments(self) -> bool:
+        """Withdraw assignments whose launch the forecast has closed for a long time."""
         if self.forecast is None:
             return False
-        done = False
-        for id_, why in self.forecast.given_back(self.store.holds()).items():
-            if self.params.launches and self.store.withdraw(id_, self.params.by):
-                self.say(f"{id_}: given back: {why}")
-                done = True
-        return done
+        has_changed = False
+        for id_, reason in self.forecast.reason_by_withdrawable_assignment(
+            self.store.holds_in_force()
+        ).items():
+            if self.params.orders_launches and self.store.withdraw_assignment(
+                id_, self.params.issuer
+            ):
+                self.log(f"{id_}: withdrawn: {reason}")
+                has_changed = True
+        return has_changed
 
-    def _note_wind(self) -> None:
-        """Price orders in the wind that the fleet tells, where it has moved."""
-        now_s, before = self.clock.monotonic_s(), self._planned or self.data.day.forecast
-        if now_s - self._planned_s < WIND_S:
+    def _update_planning_wind_if_due(self) -> None:
+        """Compute order costs in the wind that the fleet measures, if it has changed."""
+        now_s, before = self.clock.monotonic_s(), self._planning_wind or self.data.day.forecast
+        if now_s - self._wind_checked_s < WIND_CHECK_INTERVAL_S:
             return
-        self._planned_s = now_s
+        self._wind_checked_s = now_s
         expected = self.data.day.forecast
         if self.forecast is not None:
-            expected = self.forecast.expected(NEXT_AHEAD_S)
-        wind = next_flights(self.wind, now_s, expected)
-        if differs(wind, before):
-            self._planned = wind
-            self.assigner.plan_in(wind)
-            words = f"{wind.speed_mps:.1f} +- {wind.std_mps:.1f} m/s from {wind.from_deg:.0f}"
-            self.say(f"orders are weighed in wind {words}")
+            expected = self.forecast.expected_wind(LAUNCH_LEAD_S)
+        wind = measured_or_previous_launch_forecast(self.wind, now_s, expected)
+        if winds_differ_enough_to_replan(wind, before):
+            self._planning_wind = wind
+            self.assigner.set_wind_and_clear_caches(wind)
+            wind_text = f"{wind.speed_mps:.1f} +- {wind.std_mps:.1f} m/s from {wind.from_deg:.0f}"
+            self.log(f"orders are planned in wind {wind_text}")
 
-    def _free_drones(self, status: FleetStatus) -> list[FreeDrone]:
-        """Those that stand at the depot with nothing to do; who stands elsewhere is fetched."""
-        busy = {row.vehicle for row in self.store.assignments(in_force=True)}
-        holds, now_s = self.store.holds(), self.clock.monotonic_s()
-        found: list[FreeDrone] = []
-        for seen in sorted(status.vehicles.values(), key=lambda seen: seen.vehicle):
-            vehicle, state = seen.vehicle, seen.state
-            if not seen.free(now_s) or vehicle in busy or holding(holds, vehicle):
+    def _idle_drones_at_depot(self, status: FleetStatus) -> list[FreeDrone]:
+        """Return idle drones at the depot; the operator collects drones that are elsewhere."""
+        assigned_vehicles = {row.vehicle for row in self.store.assignments(in_force=True)}
+        hold_list, now_s = self.store.holds_in_force(), self.clock.monotonic_s()
+        free_drones: list[FreeDrone] = []
+        for vehicle_status in sorted(
+            status.vehicles.values(), key=lambda vehicle_status: vehicle_status.vehicle
+        ):
+            vehicle, state = vehicle_status.vehicle, vehicle_status.state
+            if (
+                not vehicle_status.can_take_assignment(now_s)
+                or vehicle in assigned_vehicles
+                or hold_of_vehicle_or_of_all(hold_list, vehicle)
+            ):
                 continue
-            stand = state and self.assigner.stand_of(state.lat_deg, state.lon_deg)
-            if stand is not None:
+            depot_position = state and self.assigner.position_if_at_depot(
+                state.lat_deg, state.lon_deg
+            )
+            if depot_position is None:
+                self._log_off_pad_once(vehicle_status)
+            else:
+                self._off_pad_vehicles -= {(vehicle, True), (vehicle, False)}
                 charge_frac = status.charge_frac_at_rest(vehicle)
-                found.append(FreeDrone(vehicle, charge_frac, stand))
-        return found
+                free_drones.append(FreeDrone(vehicle, charge_frac, depot_position))
+        return free_drones
 
-    def _assign(self, free: list[FreeDrone]) -> bool:
-        done, rows = False, self.store.assignments()
-        self._say_full(self.assigner.is_full(rows))
-        if self._is_full:  # nor need the orders be read: there may be thousands
+    def _log_off_pad_once(self, status: VehicleStatus) -> None:
+        """Log once why a drone gets no order: its position is unknown, or away from the depot."""
+        if status.state is None:
+            return
+        key = (status.vehicle, status.state.lat_deg is not None)
+        if key not in self._off_pad_vehicles:
+            self._off_pad_vehicles.add(key)
+            depot = self.data.day.depot.location
+            text = off_pad_text(status.state.lat_deg, status.state.lon_deg, depot)
+            self.log(f"{status.vehicle}: no order: {text}")
+
+    def _assign_orders(self, free_drones: list[FreeDrone]) -> bool:
+        has_changed, rows = False, self.store.assignments()
+        self._record_and_log_full_layers(self.assigner.are_all_depot_layers_occupied(rows))
+        if self._layers_are_full:  # skip reading the orders: there may be thousands
             return False
-        waiting, first = self.store.orders(OrderState.OPEN), list[str]()
+        waiting, priority_orders = self.store.orders(OrderState.OPEN), list[str]()
         if self.forecast is not None:
-            shut, first = self.forecast.shut(), self.forecast.urgent()
-            waiting = [row for row in waiting if row.order.id not in shut]
-        chosen = self.assigner.assign(waiting, rows, free, first)
-        for choice in chosen:
+            closed_orders = self.forecast.closed_order_ids()
+            priority_orders = self.forecast.priority_order_ids()
+            waiting = [row for row in waiting if row.order.id not in closed_orders]
+        assignments = self.assigner.assign_orders_to_free_drones(
+            waiting, rows, free_drones, priority_orders
+        )
+        for choice in assignments:
             order, vehicle, layer = choice.order.id, choice.vehicle, choice.layer
-            flight = self.assigner.flight_of(choice.order, vehicle, layer, choice.stand)
+            flight = self.assigner.flight_table(
+                choice.order, vehicle, layer, choice.launch_position
+            )
             flight = with_neighbour_keys(flight, self.neighbour_keys)
-            no_fly, by = self.data.no_fly, self.params.by
-            id_ = self.store.assign(order, vehicle, flight, no_fly, by, layer)
+            no_fly, by = self.data.no_fly, self.params.issuer
+            id_ = self.store.assign_order(order, vehicle, flight, no_fly, by, layer)
             if id_ is not None:
-                done = True
-                height_m = self.assigner.layers.mission_in(layer).cruise_height_m
-                self.say(f"{vehicle}: assigned {order} ({id_}), out at {height_m:.0f} m")
-        return done
+                has_changed = True
+                height_m = self.assigner.layers.mission_in_layer(layer).cruise_height_m
+                height_text = f"{height_m:.0f} m above the depot"
+                self.log(f"{vehicle}: assigned {order} ({id_}), outbound at {height_text}")
+        return has_changed
 
-    def _say_full(self, is_full: bool) -> None:
-        """Say, each time that it begins, that drones wait for a layer."""
-        if is_full and not self._is_full:
-            self.say("every layer over the depot is taken: drones wait for one")
-        self._is_full = is_full
+    def _record_and_log_full_layers(self, is_full: bool) -> None:
+        """Log the start of each period in which drones wait for an altitude layer."""
+        if is_full and not self._layers_are_full:
+            self.log("all altitude layers over the depot are in use: drones wait")
+        self._layers_are_full = is_full
 
     @property
     def is_done(self) -> bool:
-        """Whether every order is settled, the truck's, or impossible for the drones."""
-        assigned, opened = (self.store.orders(s) for s in (OrderState.ASSIGNED, OrderState.OPEN))
-        possible = [row for row in opened if row.order.id not in self.impossible]
-        return all(row.order.service is Service.TRUCK for row in (*assigned, *possible))
+        """Whether every order is settled, assigned to the truck, or impossible for the drones."""
+        assigned, open_rows = (self.store.orders(s) for s in (OrderState.ASSIGNED, OrderState.OPEN))
+        feasible_rows = [row for row in open_rows if row.order.id not in self.infeasible_orders]
+        return all(row.order.service is Service.TRUCK for row in (*assigned, *feasible_rows))
 
-    @property
-    def replans(self) -> None:
-        """There is no plan."""
-        return None
-
-    def why_left(self, order_id: str) -> str | None:
-        """What the forecast closes; else nothing is known but what the store says."""
-        return None if self.forecast is None else self.forecast.why_left(order_id)
+    def undelivered_reason(self, order_id: str) -> str | None:
+        """Return the forecast's reason for an undelivered order; None: the forecast closes none."""
+        return None if self.forecast is None else self.forecast.closure_reason(order_id)
 
     def close(self) -> None:
-        """Nothing runs beside the desk."""
+        """Do nothing: this dispatcher starts no other process."""

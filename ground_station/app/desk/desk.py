@@ -1,15 +1,16 @@
-"""The running desk: receives the fleet's messages, lets its dispatcher decide, sends commands."""
+"""The running desk: receives the fleet's messages, runs its dispatcher, sends commands."""
 
 from dataclasses import dataclass, field
 
+from companion.core.mission.event_text import PhaseEvent
 from companion.core.pilot.transitions import Phase
-from companion.fleet.messages import FINAL, Answered, EventKind, Launch, State
+from companion.fleet.messages import FINAL_STATUSES, CommandStatus, EventKind, Launch, State
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.dispatcher import Dispatcher, Progress
-from ground_station.app.desk.exchange import Exchange
-from ground_station.app.desk.wind_guard import WindGuard
-from ground_station.app.desk.wind_teller import WindTeller
-from ground_station.core.fleet.fleet_status import IN_THE_AIR, VehicleStatus
+from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
+from ground_station.app.desk.exchange import FleetExchange
+from ground_station.app.desk.site.site_monitor import SiteMonitor
+from ground_station.app.desk.site.wind_publisher import WindPublisher
+from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -18,34 +19,33 @@ from ground_station.core.schema.orders import (
     OrderState,
 )
 
-TURN_S = 0.5
-"""Interval of turns when nothing new has come: a hundred vehicles send a hundred states a
-second."""
+MAX_CYCLE_INTERVAL_S = 0.5
+"""Maximum interval of cycles without new messages; limits the load by states of a large fleet."""
 
 
 @dataclass(slots=True)
 class Desk:
-    """One dispatcher's desk over a fleet. `wind`: watches over it; None: nobody does, and vehicles
-    are told nothing of it.
+    """Desk of one dispatcher over a fleet. `wind`: monitor of the site; None: the wind is not
+    monitored, and vehicles receive no wind reports.
 
-    `moved_s`: when something last happened that brings the day on.
+    `last_progress_s`: time of the last progress of the day.
     """
 
-    exchange: Exchange
+    exchange: FleetExchange
     dispatcher: Dispatcher
-    wind: WindGuard | None = None
-    teller: WindTeller | None = field(init=False, default=None)
-    moved_s: float = field(init=False)
-    _flown: set[str] = field(default_factory=set)
-    _turned_s: float | None = None
-    _rests_until_s: float = 0.0
+    wind: SiteMonitor | None = None
+    wind_publisher: WindPublisher | None = field(init=False, default=None)
+    last_progress_s: float = field(init=False)
+    _flown_assignments: set[str] = field(default_factory=set)
+    _last_cycle_s: float | None = None
+    _next_cycle_s: float = 0.0
 
     def __post_init__(self) -> None:
-        self.moved_s = self.exchange.clock.monotonic_s()
+        self.last_progress_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
         if self.wind is not None:
-            self.exchange.on_station = self.wind.on_station
-            self.teller = WindTeller(self.wind.wind, self.exchange.fleet)
+            self.exchange.on_station = self.wind.on_station_report
+            self.wind_publisher = WindPublisher(self.wind.wind, self.exchange.fleet)
 
     def _on_state(self, state: State) -> None:
         if self.wind is not None:
@@ -54,153 +54,177 @@ class Desk:
 
     @property
     def store(self) -> Store:
-        """Where everything is kept."""
+        """The database with all data that must survive a restart."""
         return self.exchange.store
 
-    def begin(self) -> None:
-        """Ask for the state of the fleet and begin to dispatch."""
-        self.moved_s = self.exchange.clock.monotonic_s()
-        self.dispatcher.begin()
-        self.exchange.begin()
+    def start_dispatching(self) -> None:
+        """Request the state of the fleet and start dispatching."""
+        self.last_progress_s = self.exchange.clock.monotonic_s()
+        self.dispatcher.prepare_first_cycle()
+        self.exchange.request_initial_states()
 
-    def turn(self, wait_s: float) -> None:
-        """Take what has come, then do what follows from it."""
+    def run_cycle(self, wait_s: float) -> None:
+        """Receive messages, then run one decision cycle if it is due."""
         exchange = self.exchange
-        exchange.listen(wait_s)
+        exchange.receive_and_process_messages(wait_s)
         now_s = exchange.clock.monotonic_s()
-        if self.teller is not None:
-            self.teller.turn(exchange.status, now_s)
+        if self.wind_publisher is not None:
+            self.wind_publisher.send_due_wind_reports(exchange.status, now_s)
         changed = exchange.changed
-        if now_s < self._rests_until_s:
+        if now_s < self._next_cycle_s:
             return
-        if not changed and self._turned_s is not None and now_s - self._turned_s < TURN_S:
+        if (
+            not changed
+            and self._last_cycle_s is not None
+            and now_s - self._last_cycle_s < MAX_CYCLE_INTERVAL_S
+        ):
             return
         if changed:
-            self.moved_s = now_s
-        exchange.changed, self._turned_s = False, now_s
-        if not self._could_decide(now_s, changed):
-            exchange.changed, self.moved_s = True, now_s  # the day is not idle: it waits
+            self.last_progress_s = now_s
+        exchange.changed, self._last_cycle_s = False, now_s
+        if not self._run_decision_cycle(now_s, changed):
+            exchange.changed = True  # not idle: the desk waits for the store
+            self.last_progress_s = now_s
         ended_s = exchange.clock.monotonic_s()
-        self._rests_until_s = ended_s + (ended_s - now_s)  # half of its time it listens
+        self._next_cycle_s = ended_s + (ended_s - now_s)  # at least half of the time receives
 
-    def _could_decide(self, now_s: float, changed: bool) -> bool:
-        """Decide; False where the store is away."""
-        with self.exchange.store_may_be_away():
-            if self.exchange.away is not None:  # it may be read while nothing can be written
-                self.store.database.try_again()
-            self._decide(now_s, changed)
-            self.exchange.store_is_back()
+    def _run_decision_cycle(self, now_s: float, has_new_messages: bool) -> bool:
+        """Run one decision cycle; False if the store is unreachable."""
+        with self.exchange.suppress_and_record_store_outage():
+            if self.exchange.store_error is not None:  # reads may succeed while writes fail
+                self.store.database.probe_write_after_failure()
+            self._execute_decisions(now_s, has_new_messages)
+            self.exchange.clear_store_outage()
             return True
         return False
 
-    def _decide(self, now_s: float, changed: bool) -> None:
-        """Do what is due; each decision is written before it is sent, or not taken."""
+    def _execute_decisions(self, now_s: float, has_new_messages: bool) -> None:
+        """Execute due decisions; each is stored before it is sent, or not executed."""
         exchange = self.exchange
-        if self.wind is not None and self.wind.turn(exchange.status):  # before any launch
-            changed = exchange.changed = True
+        if self.wind is not None and self.wind.update_and_report_hold_change(
+            exchange.status
+        ):  # holds precede launches
+            has_new_messages = exchange.changed = True
         for row in self.store.assignments(in_force=True):
-            self._review(row)
-        match self.dispatcher.turn(exchange.status, changed=changed):
-            case Progress.UNDER_WAY:
-                self.moved_s = now_s
-            case Progress.CHANGED:
+            self._process_assignment_in_force(row)
+        match self.dispatcher.run_decision_cycle(
+            exchange.status, has_new_messages=has_new_messages
+        ):
+            case CycleResult.ACTIVE:
+                self.last_progress_s = now_s
+            case CycleResult.CHANGED:
                 exchange.changed = True
-            case Progress.NONE:
+            case CycleResult.IDLE:
                 pass
-        exchange.send_outbox()
+        exchange.send_due_commands()
 
     def close(self) -> None:
-        """Stop what runs beside the desk; store and network are the caller's."""
+        """Stop the desk's worker processes; the caller closes store and network."""
         self.dispatcher.close()
         if self.wind is not None:
             self.wind.close()
 
     # --- assignments in force --------------------------------------------------------------------
 
-    def _review(self, row: AssignmentRow) -> None:
-        """Pass on who is ready; find launches that never happened."""
-        seen = self.exchange.status.of(row.vehicle)
-        state, now_s = seen.state, self.exchange.clock.monotonic_s()
-        if state is None or not seen.present(now_s):
+    def _process_assignment_in_force(self, row: AssignmentRow) -> None:
+        """Report a ready vehicle to the dispatcher; detect launches without a take-off."""
+        vehicle_status = self.exchange.status.status_of(row.vehicle)
+        state, now_s = vehicle_status.state, self.exchange.clock.monotonic_s()
+        if state is None or not vehicle_status.is_uniquely_online_and_reporting(now_s):
             return
-        self.moved_s = now_s  # it is being brought
+        self.last_progress_s = now_s  # the delivery is in progress
         ready = state.phase == Phase.READY.value and state.assignment == row.id and not state.armed
-        if row.state is AssignmentState.FLYING and ready and self._restarted(row, state):
-            if self._flew(row):
-                words = f"{row.vehicle}: {row.id} was flown: not launched again: look at it"
-                self.exchange.say_once(words)
+        if (
+            row.state is AssignmentState.IN_FLIGHT
+            and ready
+            and self._has_companion_restarted(row, state)
+        ):
+            if self._has_flown(row):
+                self._log_inspection_request(row, "was flown: not launched again")
             else:
-                self.store.not_flying(row.id, "its companion restarted before take-off")
-        elif row.state is AssignmentState.ABOARD and _flies(state, row):
-            self._note_take_off(row, state)
-        elif row.state is AssignmentState.ABOARD and ready and not seen.doubts:
-            self.dispatcher.on_ready(row)
-        elif row.state is AssignmentState.FLYING and self._unknown_to(seen, row):
-            words = f"{row.vehicle}: knows nothing of {row.id} any more: look at it"
-            self.exchange.say_once(words)
+                self.store.revert_launch_to_uploaded(
+                    row.id, "its companion restarted before take-off"
+                )
+        elif row.state is AssignmentState.UPLOADED and _is_in_flight(state, row):
+            self._record_take_off(row, state)
+        elif row.state is AssignmentState.UPLOADED and ready and not vehicle_status.doubts:
+            self.dispatcher.on_vehicle_ready(row)
+        elif row.state is AssignmentState.IN_FLIGHT and self._has_vehicle_dropped_assignment(
+            vehicle_status, row
+        ):
+            self._log_inspection_request(row, "is not reported any more")
 
-    def _note_take_off(self, row: AssignmentRow, state: State) -> None:
-        """A hold came behind its launch, whose answer nobody asks for any more: it flies."""
-        if self.store.seen_flying(row.id, state.life):
-            self.exchange.say(f"{row.vehicle}: {row.id} took off before it was held")
+    def _log_inspection_request(self, row: AssignmentRow, cause: str) -> None:
+        text = f"{cause}: inspect drone and parcel, then ground-station order settle {row.order_id}"
+        self.exchange.log_once(f"{row.vehicle}: {row.id} {text}")
+
+    def _record_take_off(self, row: AssignmentRow, state: State) -> None:
+        """Record a take-off whose launch was sent before a hold cancelled its acknowledgement."""
+        if self.store.record_unanswered_launch_as_executed(row.id, state.instance_id):
+            self.exchange.log(f"{row.vehicle}: {row.id} took off before the launch hold")
             self.exchange.changed = True
 
-    def _restarted(self, row: AssignmentRow, state: State) -> bool:
-        """Whether the companion that took the last launch is not the one that speaks now."""
+    def _has_companion_restarted(self, row: AssignmentRow, state: State) -> bool:
+        """Whether the companion that received the last launch differs from the current one."""
         launches = [
             command
-            for command in self.store.commands_of(row.id)
-            if isinstance(command.deed, Launch) and command.answer in FINAL
+            for command in self.store.commands_of_assignment(row.id)
+            if isinstance(command.command, Launch) and command.response in FINAL_STATUSES
         ]
         if not launches:
             return False
-        last = launches[-1]  # INTERRUPTED: answered by a life that did not carry it out
-        return last.life != state.life or last.answer is Answered.INTERRUPTED
+        last_launch = launches[-1]  # INTERRUPTED: the answering companion did not execute it
+        return (
+            last_launch.instance_id != state.instance_id
+            or last_launch.response is CommandStatus.INTERRUPTED
+        )
 
-    def _flew(self, row: AssignmentRow) -> bool:
-        """Whether its vehicle has reported that it left a phase of flight."""
-        if row.id not in self._flown:
+    def _has_flown(self, row: AssignmentRow) -> bool:
+        """Whether its vehicle has reported leaving a flight phase."""
+        if row.id not in self._flown_assignments:
             phases = (e for e in self.store.events(EventKind.PHASE) if e.assignment == row.id)
-            if any(event.text.partition(" -> ")[0] in IN_THE_AIR for event in phases):
-                self._flown.add(row.id)
-        return row.id in self._flown
+            if any(PhaseEvent.parse(event.text).before in FLIGHT_PHASE_NAMES for event in phases):
+                self._flown_assignments.add(row.id)
+        return row.id in self._flown_assignments
 
-    def _unknown_to(self, seen: VehicleStatus, row: AssignmentRow) -> bool:
-        """Whether a vehicle flies something else, and all its events are in the store."""
-        state = seen.state
+    def _has_vehicle_dropped_assignment(
+        self, vehicle_status: VehicleStatus, row: AssignmentRow
+    ) -> bool:
+        """Whether a vehicle reports another assignment, and all its events are in the store."""
+        state = vehicle_status.state
         if state is None:
             return False
-        # Asked first: it also keeps the exchange's record of that log up to date.
-        complete = self.exchange.has_all_events(state)
-        return state.assignment != row.id and complete
+        # Evaluated first: the call also updates the exchange's record of that log.
+        has_all_events = self.exchange.has_all_events_up_to(state)
+        return state.assignment != row.id and has_all_events
 
     # --- the end of the day ----------------------------------------------------------------------
 
     @property
     def is_done(self) -> bool:
-        """Whether nothing is open or under way that this desk can do."""
-        with self.exchange.store_may_be_away():
+        """Whether no order is open or in progress that this desk can complete."""
+        with self.exchange.suppress_and_record_store_outage():
             return not self.store.outbox() and self.dispatcher.is_done
         return False
 
-    def is_idle(self, idle_s: float) -> bool:
-        """Whether nothing has brought the day on for this long."""
-        return self.exchange.clock.monotonic_s() - self.moved_s > idle_s
+    def has_been_idle_longer_than(self, idle_s: float) -> bool:
+        """Whether the day has made no progress for this time."""
+        return self.exchange.clock.monotonic_s() - self.last_progress_s > idle_s
 
-    def left_over(self) -> list[OrderRow]:
-        """Orders that are neither delivered nor cancelled."""
+    def undelivered_orders(self) -> list[OrderRow]:
+        """Return the orders that are neither delivered nor cancelled."""
         done = (OrderState.DELIVERED, OrderState.CANCELLED)
         return [row for row in self.store.orders() if row.state not in done]
 
-    def why_left(self, row: OrderRow) -> str:
-        """Why an order is not delivered, as far as the desk knows."""
-        if row.why:
-            return row.why
-        for held in self.store.assignments(in_force=True):
-            if held.order_id == row.order.id and held.state in IN_FORCE:
-                return f"{held.state.value} with {held.vehicle}"
-        return self.dispatcher.why_left(row.order.id) or "no drone was free for it"
+    def undelivered_reason(self, row: OrderRow) -> str:
+        """Return the reason why an order is not delivered, as far as it is recorded."""
+        if row.reason:
+            return row.reason
+        for assignment in self.store.assignments(in_force=True):
+            if assignment.order_id == row.order.id and assignment.state in IN_FORCE:
+                return f"{assignment.state.value} with {assignment.vehicle}"
+        return self.dispatcher.undelivered_reason(row.order.id) or "no drone was available"
 
 
-def _flies(state: State, row: AssignmentRow) -> bool:
-    return state.assignment == row.id and state.phase in IN_THE_AIR
+def _is_in_flight(state: State, row: AssignmentRow) -> bool:
+    return state.assignment == row.id and state.phase in FLIGHT_PHASE_NAMES

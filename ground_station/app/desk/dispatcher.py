@@ -1,4 +1,4 @@
-"""The interface of a dispatcher: it decides what happens next, the desk does the rest.
+"""Interface of a dispatcher, which decides the next steps of a day; the desk executes them.
 
 There are two: `DepotDispatcher` for drones that start from the depot, and `TruckDispatcher` for a
 day with a truck. A dispatcher writes its decisions to the store; the desk sends the commands.
@@ -8,57 +8,51 @@ from enum import Enum
 from typing import Protocol
 
 from companion.fleet.messages import State
-from ground_station.core.fleet.desk_figures import ReplanFigures
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.orders import AssignmentRow
 
 
-class Progress(Enum):
-    """What one turn of a dispatcher came to."""
+class CycleResult(Enum):
+    """Result of one dispatcher cycle."""
 
-    NONE = "none"
-    """Nothing is under way."""
+    IDLE = "none"
+    """No activity is in progress."""
 
-    UNDER_WAY = "under way"
-    """The day goes on: this counts against the desk's idle limit."""
+    ACTIVE = "under way"
+    """An activity is in progress: the idle time limit starts again."""
 
     CHANGED = "changed"
-    """It has changed the store: the desk takes its next turn at once."""
+    """The store has changed: the desk runs its next cycle immediately."""
 
 
 class Dispatcher(Protocol):
-    """Decides for one desk. Whatever must survive a restart is in the store, not here."""
+    """Makes the decisions of one desk. The store holds all data that must survive a restart."""
 
-    def begin(self) -> None:
-        """Called once, before the first turn."""
+    def prepare_first_cycle(self) -> None:
+        """Prepare the first cycle. Called once."""
         ...
 
     def on_state(self, state: State) -> None:
-        """Take a state that a vehicle or the truck has published."""
+        """Process a state that a vehicle or the truck has published."""
         ...
 
-    def on_ready(self, assignment: AssignmentRow) -> None:
-        """A vehicle is ready on the ground with this assignment aboard."""
+    def on_vehicle_ready(self, assignment: AssignmentRow) -> None:
+        """Process a vehicle that is ready on the ground with this assignment uploaded."""
         ...
 
-    def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
-        """Decide what is due. `changed`: news has come since the last turn."""
+    def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
+        """Run one decision cycle. `has_new_messages`: messages arrived since the last cycle."""
         ...
 
     @property
     def is_done(self) -> bool:
-        """Whether nothing is left that this dispatcher can do."""
+        """Whether this dispatcher has no work left."""
         ...
 
-    @property
-    def replans(self) -> ReplanFigures | None:
-        """The plans made anew; None: this dispatcher has no plan."""
-        ...
-
-    def why_left(self, order_id: str) -> str | None:
-        """Why an order is not brought, if this dispatcher knows."""
+    def undelivered_reason(self, order_id: str) -> str | None:
+        """Return the reason why an order is not delivered; None: unknown to this dispatcher."""
         ...
 
     def close(self) -> None:
-        """Stop work that runs beside the desk."""
+        """Stop worker processes of the dispatcher."""
         ...

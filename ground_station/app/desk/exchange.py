@@ -1,10 +1,10 @@
 """The desk's exchange with its fleet: messages into the store, commands out of its outbox.
 
-A store that is away loses nothing: what could not be written is asked for again when it is back,
-events by their number, answers by sending the command again. Until then only the fleet's status is
-kept. It decides nothing: `watch` uses it without a dispatcher. Whatever must survive is in
-the store before it is sent. What is only in memory (who is alive, which command is under way) is
-received again after a restart, so the process may be killed at any moment.
+An unreachable store loses no data: after it recovers, missing events are requested by number and
+responses by sending the command again. Until then only the fleet's status is kept. The exchange
+makes no decisions: `watch` uses it without a dispatcher. All data that must survive is in the store
+before it is sent. Data in memory (vehicles alive, commands in transit) is received again after a
+restart, so the process may be killed at any moment.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ from itertools import groupby
 
 from companion.core.base.rate_limit import RateLimit
 from companion.fleet.messages import (
-    FINAL,
+    FINAL_STATUSES,
     Command,
     FleetEvent,
     Launch,
@@ -25,13 +25,10 @@ from companion.fleet.messages import (
 )
 from ground_station.adapters.clock import WallClock
 from ground_station.adapters.store.database import StoreError
-from ground_station.adapters.store.order_steps import deed_word
 from ground_station.adapters.store.order_store import Store
-from ground_station.core.fleet.answer_times import AnswerTimes
-from ground_station.core.fleet.desk_figures import OutboxFigures
 from ground_station.core.fleet.fleet_link import (
     Clock,
-    CommandAnswered,
+    CommandResponse,
     EventsReceived,
     FleetInput,
     FleetLink,
@@ -40,304 +37,302 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
     StationWindReceived,
 )
-from ground_station.core.fleet.fleet_status import FleetStatus
-from ground_station.core.fleet.name_counts import NameCounts
+from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, FleetStatus
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.orders import CommandRow
 
-STATES_S = 2.0
-"""All are asked for their states at most so often, however many join: each arrival asked all once,
-and 500 at a time kept the desk from hearing anything else for 25 s.
+STATE_REQUEST_MIN_INTERVAL_S = 2.0
+"""Minimum interval of state requests to all members. One request for each arrival blocked the desk
+for 25 s when 500 vehicles joined together.
 """
 
-STATES_AGAIN_S = 60.0
-"""And at least so often: who was missed when it joined is found, and a member knows by it that a
-desk finds it (`companion.fleet.zenoh_link`).
+STATE_REQUEST_INTERVAL_S = 60.0
+"""Maximum interval of state requests. It detects members that were missed when they joined, and
+confirms to each member that a desk receives it (`companion.fleet.zenoh_link`).
 """
 
-REJECTED_S = 60.0
-"""A member's rejected messages are said at most so often, with their number."""
+REJECTED_LOG_INTERVAL_S = 60.0
+"""Minimum interval of log entries on rejected messages of one member, with their number."""
 
-REPLAYS_HZ, REPLAYS_BURST = 20.0, 4000.0
-"""Events that are asked for again, of one member: twice what a member keeps, at once."""
+EVENT_REPLAY_RATE_HZ, EVENT_REPLAY_BURST = 20.0, 4000.0
+"""Events requested again from one member: rate, and a burst of twice what a member keeps."""
 
-ANSWER_S = 5.0
-"""Time-out of an answer. Loopback takes milliseconds, a bad radio a second or two."""
+RESPONSE_TIMEOUT_S = 5.0
+"""Response timeout. Loopback takes milliseconds, a bad radio a second or two."""
 
-RETRY_S = 1.0
+RETRY_DELAY_S = 1.0
 """Wait before a command or a request for events is sent again."""
 
 
 @dataclass(slots=True)
-class Exchange:
-    """One desk's exchange. `on_state` is told each state, `on_station` each word of a wind station;
-    `changed`: something new has come.
+class FleetExchange:
+    """Exchange of one desk. `on_state` receives each state, `on_station` each report of a wind
+    station; `changed`: new messages have arrived.
 
-    `away`: why the store cannot be reached, and since when; None: it can. `outbox`: as it was last
-    read.
+    `store_error`: error of the unreachable store; None: it is reachable.
     """
 
     store: Store
     fleet: FleetLink
-    say: Callable[[str], None]
+    log: Callable[[str], None]
     status: FleetStatus = field(default_factory=FleetStatus)
     clock: Clock = field(default_factory=WallClock)
     on_state: Callable[[State], None] = lambda state: None
     on_station: Callable[[StationWind], None] = lambda wind: None
     changed: bool = True
-    away: str | None = None
-    away_since_s: float | None = None
-    answer_times: AnswerTimes = field(default_factory=AnswerTimes)
-    rejected: NameCounts = field(default_factory=NameCounts)
-    outbox: OutboxFigures | None = None
-    _sent: set[str] = field(default_factory=set)
-    _retry_s: dict[str, float] = field(default_factory=dict)
-    _events_asked_s: dict[str, float] = field(default_factory=dict)
+    store_error: str | None = None
+    _commands_in_transit: set[str] = field(default_factory=set)
+    _next_attempt_s: dict[str, float] = field(default_factory=dict)
+    _events_requested_s: dict[str, float] = field(default_factory=dict)
     _complete_to: dict[tuple[str, str], int] = field(default_factory=dict)
-    _said: set[str] = field(default_factory=set)
-    _states_wanted: bool = False
-    _states_asked_s: float | None = None
-    _not_said: Counter[str] = field(default_factory=Counter)
-    _rejected_said_s: dict[str, float] = field(default_factory=dict)
-    _replays: dict[str, RateLimit] = field(default_factory=dict)
-    _maybe_behind: set[str] = field(default_factory=set)
+    _logged_messages: set[str] = field(default_factory=set)
+    _states_required: bool = False
+    _states_requested_s: float | None = None
+    _unlogged_rejections: Counter[str] = field(default_factory=Counter)
+    _rejection_logged_s: dict[str, float] = field(default_factory=dict)
+    _replay_limits: dict[str, RateLimit] = field(default_factory=dict)
+    _unchecked_members: set[str] = field(default_factory=set)
 
-    def begin(self) -> None:
-        """Ask for the state of the whole fleet."""
-        self._states_wanted = True
-        self._ask_states()
+    def request_initial_states(self) -> None:
+        """Request the state of the whole fleet."""
+        self._states_required = True
+        self._request_states_if_due()
 
-    def listen(self, wait_s: float) -> None:
-        """Take what has come, waiting this long for the first; ask for what was missed."""
-        for _, run in groupby(self.fleet.receive(wait_s), key=type):  # in the order they came
-            with self.store_may_be_away():
-                self._take(list(run))
-        with self.store_may_be_away():
-            self._ask_for_missed_events()
-        self._ask_states()
+    def receive_and_process_messages(self, wait_s: float) -> None:
+        """Process received messages, waiting this long for the first; request missed ones."""
+        for _, batch in groupby(self.fleet.receive(wait_s), key=type):  # in the order they came
+            with self.suppress_and_record_store_outage():
+                self._process_batch(list(batch))
+        with self.suppress_and_record_store_outage():
+            self._request_missing_events()
+        self._request_states_if_due()
 
     @contextmanager
-    def store_may_be_away(self) -> Iterator[None]:
-        """What is inside ends where the store cannot be reached, and that is said, once."""
+    def suppress_and_record_store_outage(self) -> Iterator[None]:
+        """Suppress a StoreError of the body: log it once per outage and set `store_error`."""
         try:
             yield
         except StoreError as error:
-            if self.away is None:
-                self.say(f"STORE AWAY: nothing new is decided, what flies goes on: {error}")
-                self.away_since_s = self.clock.monotonic_s()
-            self.away = str(error)
+            if self.store_error is None:
+                self.log(f"store unreachable: no new decisions, flights continue: {error}")
+            self.store_error = str(error)
 
-    def store_is_back(self) -> None:
-        """The store has done all that it was asked for."""
-        if self.away is not None:
-            self.say("store back")
-            self.away, self.away_since_s, self.changed = None, None, True
+    def clear_store_outage(self) -> None:
+        """Clear `store_error` after a cycle without a StoreError."""
+        if self.store_error is not None:
+            self.log("store reachable again")
+            self.store_error, self.changed = None, True
 
-    def say_once(self, words: str) -> None:
-        """Say it, unless it has been said before."""
-        if words not in self._said:
-            self._said.add(words)
-            self.say(words)
+    def log_once(self, message: str) -> None:
+        """Log a message unless it has been logged before."""
+        if message not in self._logged_messages:
+            self._logged_messages.add(message)
+            self.log(message)
 
     # --- in ------------------------------------------------------------------------------------
 
-    def _take(self, run: list[FleetInput]) -> None:
-        """Inputs of one kind: what the store must note of them is one transaction."""
-        if events := [received for received in run if isinstance(received, EventsReceived)]:
-            self._take_events(events)
-        if answers := [received for received in run if isinstance(received, CommandAnswered)]:
-            self._take_answers(answers)
-        for received in run:
+    def _process_batch(self, batch: list[FleetInput]) -> None:
+        """Process inputs of one type; all that is stored of them is one transaction."""
+        if events := [received for received in batch if isinstance(received, EventsReceived)]:
+            self._store_and_log_events(events)
+        if responses := [received for received in batch if isinstance(received, CommandResponse)]:
+            self._store_responses_or_schedule_retry(responses)
+        for received in batch:
             match received:
                 case LivelinessChanged():
-                    self._take_liveliness(received)
+                    self._process_liveliness(received)
                 case StateReceived():
-                    self._take_state(received.state)
+                    self._process_state(received.state)
                 case StationWindReceived():
                     self.on_station(received.wind)
                 case MessageRejected():
-                    self._take_rejected(received)
+                    self._count_and_log_rejected(received)
                 case _:
-                    pass  # taken together
+                    pass  # processed as a batch above
 
-    def _take_rejected(self, received: MessageRejected) -> None:
-        """Say it, and how many there were since it was said last. Where somebody sends what is not
-        believed, the true states may be lost among it: they are asked for.
+    def _count_and_log_rejected(self, received: MessageRejected) -> None:
+        """Log the number of rejected messages of a sender at most every `REJECTED_LOG_INTERVAL_S`.
+        Valid states may have been discarded between them, so all states are requested.
         """
-        self._states_wanted = True
-        who, now_s = received.key, self.clock.monotonic_s()
-        self.rejected.add(who, received.count)
-        self._not_said[who] += received.count
-        said_s = self._rejected_said_s.get(who)
-        if said_s is not None and now_s - said_s < REJECTED_S:
+        self._states_required = True
+        sender, now_s = received.key, self.clock.monotonic_s()
+        self._unlogged_rejections[sender] += received.count
+        logged_s = self._rejection_logged_s.get(sender)
+        if logged_s is not None and now_s - logged_s < REJECTED_LOG_INTERVAL_S:
             return
-        self._rejected_said_s[who] = now_s
-        count = self._not_said.pop(who)
+        self._rejection_logged_s[sender] = now_s
+        count = self._unlogged_rejections.pop(sender)
         number = "message" if count == 1 else f"{count} messages"
-        self.say(f"{who}: {number} rejected: {received.reason}")
+        self.log(f"{sender}: {number} rejected: {received.reason}")
 
-    def _take_events(self, batches: list[EventsReceived]) -> None:
-        """All that came together, in one transaction."""
-        new = self.store.take_event_batches([(b.events, b.replayed) for b in batches])
+    def _store_and_log_events(self, batches: list[EventsReceived]) -> None:
+        """Store all batches that arrived together in one transaction."""
+        new = self.store.record_event_batches([(b.events, b.replayed) for b in batches])
         for received in batches:
-            self._maybe_behind.add(received.vehicle)
+            self._unchecked_members.add(received.vehicle)
             for log in {event.log for event in received.events}:
                 self._complete_to.pop((received.vehicle, log), None)
             if received.replayed:
-                replays, now_s = self._replays_of(received.vehicle), self.clock.monotonic_s()
-                replays.spend(now_s, len(received.events))
+                replays = self._event_replay_limit_of(received.vehicle)
+                now_s = self.clock.monotonic_s()
+                replays.consume_tokens_beyond_limit(now_s, len(received.events))
         for event in new:
-            self._say_event(event)
+            self._log_event(event)
         self.changed = self.changed or bool(new)
 
-    def _take_state(self, state: State) -> None:
-        before = self.status.of(state.vehicle).state
-        now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
-        for words in self.status.on_state(state, now_s, now_us):
-            self.say(words)
-        if self.status.of(state.vehicle).state is not state:
-            return  # an old one
-        if before is None or _decisive(before) != _decisive(state):
+    def _process_state(self, state: State) -> None:
+        before = self.status.status_of(state.vehicle).state
+        now_s, epoch_us = self.clock.monotonic_s(), self.clock.epoch_us()
+        for message in self.status.record_state_and_new_doubts(state, now_s, epoch_us):
+            self.log(message)
+        if self.status.status_of(state.vehicle).state is not state:
+            return  # an outdated state
+        if before is None or _decision_trigger_fields(before) != _decision_trigger_fields(state):
             self.changed = True
-        self._maybe_behind.add(state.vehicle)
+        self._unchecked_members.add(state.vehicle)
         self.on_state(state)
 
-    def _take_liveliness(self, received: LivelinessChanged) -> None:
+    def _process_liveliness(self, received: LivelinessChanged) -> None:
         vehicle = received.vehicle
-        words = self.status.on_liveliness(vehicle, received.life, up=received.up)
+        message = self.status.record_liveliness_change(
+            vehicle, received.instance_id, has_joined=received.has_joined
+        )
         self.changed = True
-        if words is not None:
-            self.say(words)
-        if not received.up:
-            self.say(f"{vehicle}: left the network; it goes on by itself")
+        if message is not None:
+            self.log(message)
+        if not received.has_joined:
+            state = self.status.status_of(vehicle).state
+            is_flying = state is not None and state.phase in FLIGHT_PHASE_NAMES
+            self.log(f"{vehicle}: left the network{'; its flight continues' if is_flying else ''}")
             return
-        self.say(f"{vehicle}: joined the network")
-        self._events_asked_s.pop(vehicle, None)
-        self._maybe_behind.add(vehicle)
-        self._states_wanted = True
+        self.log(f"{vehicle}: joined the network")
+        self._events_requested_s.pop(vehicle, None)
+        self._unchecked_members.add(vehicle)
+        self._states_required = True
 
-    def _ask_states(self) -> None:
-        """Ask all for their states, once for all who joined since the last time."""
-        now_s, asked_s = self.clock.monotonic_s(), self._states_asked_s
-        rest_s = STATES_S if self._states_wanted else STATES_AGAIN_S
-        if asked_s is not None and now_s - asked_s < rest_s:
+    def _request_states_if_due(self) -> None:
+        """Request all states, once for all members that joined since the last request."""
+        now_s, requested_s = self.clock.monotonic_s(), self._states_requested_s
+        interval_s = (
+            STATE_REQUEST_MIN_INTERVAL_S if self._states_required else STATE_REQUEST_INTERVAL_S
+        )
+        if requested_s is not None and now_s - requested_s < interval_s:
             return
-        self._states_wanted, self._states_asked_s = False, now_s
-        self.fleet.ask_states(ANSWER_S)
+        self._states_required, self._states_requested_s = False, now_s
+        self.fleet.request_states(RESPONSE_TIMEOUT_S)
 
-    def _take_answers(self, answers: list[CommandAnswered]) -> None:
-        self._sent -= {received.command_id for received in answers}
+    def _store_responses_or_schedule_retry(self, responses: list[CommandResponse]) -> None:
+        self._commands_in_transit -= {received.command_id for received in responses}
         final: list[Result] = []
-        for received in answers:
-            if received.result is not None and received.result.answer in FINAL:
+        for received in responses:
+            if received.result is not None and received.result.status in FINAL_STATUSES:
                 final.append(received.result)
             else:
-                self._try_again(received)
-        now_s = self.clock.monotonic_s()
-        new = self.store.take_answers(final) if final else set[str]()
+                self._schedule_command_retry(received)
+        new = self.store.record_and_apply_responses(final) if final else set[str]()
         for result in final:
-            self.answer_times.answered(result.id, now_s)  # it is in the store: not sent again
             if result.id in new:
-                self.say(f"{result.vehicle}: {result.id}: {result.answer.value} {result.reason}")
+                self.log(f"{result.vehicle}: {result.id}: {result.status.value} {result.reason}")
                 self.changed = True
 
-    def _try_again(self, received: CommandAnswered) -> None:
+    def _schedule_command_retry(self, received: CommandResponse) -> None:
         result = received.result
-        why = "no answer" if result is None else f"{result.answer.value}: {result.reason}"
-        if result is None:
-            self.answer_times.timed_out(received.command_id)
-        self._retry_s[received.command_id] = self.clock.monotonic_s() + RETRY_S
-        self.store.tried(received.command_id, why)
+        reason = "no answer" if result is None else f"{result.status.value}: {result.reason}"
+        self._next_attempt_s[received.command_id] = self.clock.monotonic_s() + RETRY_DELAY_S
+        self.store.record_send_attempt(received.command_id, reason)
 
-    def _say_event(self, event: FleetEvent) -> None:
+    def _log_event(self, event: FleetEvent) -> None:
         order = f" [{event.order}]" if event.order else ""
         outcome = f"{event.outcome} " if event.outcome else ""
-        self.say(f"{event.vehicle}{order}: {event.kind.value}: {outcome}{event.text}")
+        self.log(f"{event.vehicle}{order}: {event.kind.value}: {outcome}{event.text}")
 
-    def _ask_for_missed_events(self) -> None:
-        """Of those whose state or events have come since the last call, or who were behind then."""
-        now_s, looked_at = self.clock.monotonic_s(), self._maybe_behind
-        behind = {vehicle for vehicle in looked_at if self._is_behind(vehicle, now_s)}
-        self._maybe_behind -= looked_at - behind
+    def _request_missing_events(self) -> None:
+        """Check members with new states or events, and those that were incomplete before."""
+        now_s, members = self.clock.monotonic_s(), self._unchecked_members
+        incomplete = {
+            vehicle for vehicle in members if self._request_events_if_missing(vehicle, now_s)
+        }
+        self._unchecked_members -= members - incomplete
 
-    def _is_behind(self, vehicle: str, now_s: float) -> bool:
-        """Whether events of a member that is there are missing; they are asked for when it is time.
+    def _request_events_if_missing(self, vehicle: str, now_s: float) -> bool:
+        """Whether events of a present member are missing; request them when the interval is over.
 
-        Who is not there is looked at again with its next state.
+        A member that is not present is checked again with its next state.
         """
-        seen = self.status.of(vehicle)
-        state = seen.state
-        if state is None or not seen.present(now_s):
+        vehicle_status = self.status.status_of(vehicle)
+        state = vehicle_status.state
+        if state is None or not vehicle_status.is_uniquely_online_and_reporting(now_s):
             return False
-        asked_s = self._events_asked_s.get(vehicle)
-        if asked_s is not None and now_s - asked_s < RETRY_S:
+        requested_s = self._events_requested_s.get(vehicle)
+        if requested_s is not None and now_s - requested_s < RETRY_DELAY_S:
             return True
-        complete_to = self._log_complete_to(vehicle, state)
+        complete_to = self._last_gapless_event_number(vehicle, state)
         if complete_to >= state.last_seq:
             return False
-        if self._replays_of(vehicle).take(now_s, 0.0):
-            self._events_asked_s[vehicle] = now_s
-            self.fleet.ask_events(vehicle, complete_to, ANSWER_S)
+        if self._event_replay_limit_of(vehicle).try_consume_tokens(now_s, 0.0):
+            self._events_requested_s[vehicle] = now_s
+            self.fleet.request_events(vehicle, complete_to, RESPONSE_TIMEOUT_S)
         return True
 
-    def _replays_of(self, vehicle: str) -> RateLimit:
-        """How many more events this member may be asked for."""
-        return self._replays.setdefault(vehicle, RateLimit(REPLAYS_HZ, REPLAYS_BURST))
+    def _event_replay_limit_of(self, vehicle: str) -> RateLimit:
+        """Return the limit of further events that may be requested from this member."""
+        return self._replay_limits.setdefault(
+            vehicle, RateLimit(EVENT_REPLAY_RATE_HZ, EVENT_REPLAY_BURST)
+        )
 
-    def has_all_events(self, state: State) -> bool:
+    def has_all_events_up_to(self, state: State) -> bool:
         """Whether the store holds every event up to this state."""
-        return self._log_complete_to(state.vehicle, state) >= state.last_seq
+        return self._last_gapless_event_number(state.vehicle, state) >= state.last_seq
 
-    def _log_complete_to(self, vehicle: str, state: State) -> int:
-        """The last event before which none is missing. Asks the store only while some are."""
+    def _last_gapless_event_number(self, vehicle: str, state: State) -> int:
+        """Return the last event number without a gap before it; query the store only if needed."""
         key = (vehicle, state.log)
         if self._complete_to.get(key, -1) < state.last_seq:
-            self._complete_to[key] = self.store.seen_to(*key)
+            self._complete_to[key] = self.store.last_gapless_event_number(*key)
         return self._complete_to[key]
 
     # --- out -----------------------------------------------------------------------------------
 
-    def send_outbox(self, only: set[str] | None = None) -> None:
-        """Send the commands that are due; `only`: of these ids."""
-        now_s, rows = self.clock.monotonic_s(), self.store.outbox()
-        self.outbox = OutboxFigures(len(rows), rows[0].made_us if rows else None)
-        self.answer_times.keep_only({row.id for row in rows})
-        for row in rows:
-            if only is not None and row.id not in only:
+    def send_due_commands(self, command_ids: set[str] | None = None) -> None:
+        """Send the commands that are due; `command_ids`: restrict to these ids."""
+        now_s = self.clock.monotonic_s()
+        for row in self.store.outbox():
+            if command_ids is not None and row.id not in command_ids:
                 continue
-            retry_s = self._retry_s.get(row.id)
-            if row.id in self._sent or (retry_s is not None and now_s < retry_s):
+            retry_s = self._next_attempt_s.get(row.id)
+            if row.id in self._commands_in_transit or (retry_s is not None and now_s < retry_s):
                 continue
-            command = self._command(row, now_s)
+            command = self._build_command_and_mark_launch_sent(row, now_s)
             if command is not None:
-                self._sent.add(row.id)
-                self.answer_times.sent(row.id, deed_word(row.deed), now_s)
-                self.fleet.send(command, ANSWER_S)
+                self._commands_in_transit.add(row.id)
+                self.fleet.send(command, RESPONSE_TIMEOUT_S)
 
-    def _command(self, row: CommandRow, now_s: float) -> Command | None:
-        """The command as of the newest state; None: not now.
+    def _build_command_and_mark_launch_sent(self, row: CommandRow, now_s: float) -> Command | None:
+        """Return the command based on the latest state; None: it cannot be sent now.
 
-        A recall is sent also where two companions share the name, or the vehicle is silent. A
-        launch leaves only where no hold stands against it at that moment.
+        A recall is sent even if two companions share the name or the vehicle is silent. A launch is
+        sent only if no hold applies to it at that moment.
         """
-        seen = self.status.of(row.vehicle)
-        state = seen.state
-        if state is None or not seen.lives:
+        vehicle_status = self.status.status_of(row.vehicle)
+        state = vehicle_status.state
+        if state is None or not vehicle_status.instance_ids:
             return None
-        if not isinstance(row.deed, Recall) and not seen.present(now_s):
+        if not isinstance(
+            row.command, Recall
+        ) and not vehicle_status.is_uniquely_online_and_reporting(now_s):
             return None
-        if isinstance(row.deed, Launch) and not self.store.may_send_launch(row):
+        if isinstance(row.command, Launch) and not self.store.mark_launch_sent(row):
             return None
         return Command(
             id=row.id,
             vehicle=row.vehicle,
-            life=state.life,
+            instance_id=state.instance_id,
             as_of_s=state.uptime_s,
-            by=row.by,
-            deed=row.deed,
+            by=row.issuer,
+            action=row.command,
         )
 
 
-def _decisive(state: State) -> tuple[object, ...]:
-    """The fields of a state that a decision may follow from at once."""
-    return (state.life, state.phase, state.assignment, state.home, state.stop, state.armed)
+def _decision_trigger_fields(state: State) -> tuple[object, ...]:
+    """Return the fields of a state that may require an immediate decision."""
+    return (state.instance_id, state.phase, state.assignment, state.home, state.stop, state.armed)

@@ -1,72 +1,79 @@
-"""Opens a desk over a store, with the dispatcher that the day needs."""
+"""Opens a desk over a store, with the dispatcher for the type of day."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
-from ground_station.adapters.files.day_wind import site_wind_of, station_files
-from ground_station.adapters.files.followed_file import FollowedFile
-from ground_station.adapters.files.forecast_readers import (
-    ForecastPlace,
+from ground_station.adapters.files.day_wind import create_site_wind, station_files
+from ground_station.adapters.files.watched_file import (
+    READ_TIMEOUT_S,
+    ForecastFileMonitor,
+    ForecastLocation,
     ForecastReader,
-    ProcessReader,
+    read_forecast_at,
 )
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.active_plan import ActivePlan, check_plan
+from ground_station.adapters.workers.beside import ProcessWorker
+from ground_station.app.desk.active_plan import ActivePlan, require_plan_fits_day
 from ground_station.app.desk.depot_dispatcher import DepotDispatcher, DepotParams
 from ground_station.app.desk.desk import Desk
-from ground_station.app.desk.exchange import Exchange
-from ground_station.app.desk.forecast_watch import ForecastWatch
-from ground_station.app.desk.replanner import ProcessReplanner, Replanner
-from ground_station.app.desk.station_desk import StationDesk
+from ground_station.app.desk.exchange import FleetExchange
+from ground_station.app.desk.replanner import Replanner, create_process_planner
+from ground_station.app.desk.site.forecast_watch import ForecastMonitor
+from ground_station.app.desk.site.site_monitor import SiteMonitor
+from ground_station.app.desk.site.station_desk import StationMonitor
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
-from ground_station.app.desk.wind_guard import WindGuard
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.dispatch.wind_holds import WindHolds
-from ground_station.core.feasibility.wind_limit import limit_of
+from ground_station.core.dispatch.wind_holds import WindHoldRules
+from ground_station.core.feasibility.wind_limit import launch_wind_limit_mps
 from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.site_wind.followed_forecast import FollowedForecast
+from ground_station.core.site_wind.corrected_forecast import ForecastTracker
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_stations import StationBook
+from ground_station.core.site_wind.wind_stations import StationRegistry
 
-Say = Callable[[str], None]
+LogMessage = Callable[[str], None]
 
 
 def open_depot_desk(
     data: DayData,
     store: Store,
     fleet: FleetLink,
-    say: Say,
+    log: LogMessage,
     params: DepotParams,
-    impossible: frozenset[str] = frozenset(),
+    infeasible_orders: frozenset[str] = frozenset(),
     clock: Clock | None = None,
     assigner: DepotAssigner | None = None,
-    forecasts: ForecastReader | None = None,
+    forecast_reader: ForecastReader | None = None,
 ) -> Desk:
-    """A desk of drones that start from the depot. `impossible`: orders that none of them can bring.
-    `assigner`: one that knows the day already. `forecasts`: who reads a newer forecast file; None:
-    a process beside the desk.
+    """Open a desk of drones that start from the depot. `infeasible_orders`: orders that none of
+    them can deliver. `assigner`: instance prepared for the day. `forecast_reader`: reader of later
+    forecast files; None: a separate process.
 
-    Raises LeewayError where the store holds a day with a truck.
+    Raises LeewayError if the store holds a day with a truck.
     """
     clock = clock or WallClock()
-    if DayStore(store.database, clock.epoch_us).plan() is not None:
-        raise LeewayError("this store holds a day with a truck: expected --plan")
+    if DayStore(store.database, clock.epoch_us).active_plan() is not None:
+        raise LeewayError("this store holds a day with a truck: give its plan with --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
-    wind = site_wind_of(data, say)
-    reader = forecasts or ProcessReader(clock)
-    watch = _forecast_watch(data, wind, store, clock, say, reader, at_depot=True)
-    dispatcher = DepotDispatcher(store, data, assigner, clock, say, params, impossible, wind, watch)
+    wind = create_site_wind(data, log)
+    reader = forecast_reader or ProcessWorker(read_forecast_at, clock, READ_TIMEOUT_S)
+    watch = _open_forecast_monitor(data, wind, store, clock, log, reader, at_depot=True)
+    dispatcher = DepotDispatcher(
+        store, data, assigner, clock, log, params, infeasible_orders, wind, watch
+    )
     dispatcher.neighbour_keys = fleet.neighbour_keys
-    limits, stations = WindHolds(wind, limit_of(data)), _stations(data, wind, clock, say)
-    guard = WindGuard(store, data, limits, clock, say, forecast=watch, stations=stations)
-    exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
-    return Desk(exchange, dispatcher, guard)
+    limits = WindHoldRules(wind, launch_wind_limit_mps(data))
+    stations = _open_station_monitor(data, wind, clock, log)
+    monitor = SiteMonitor(
+        store, data, limits, clock, log, forecast_monitor=watch, stations=stations
+    )
+    exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
+    return Desk(exchange, dispatcher, monitor)
 
 
 def open_truck_desk(
@@ -74,75 +81,82 @@ def open_truck_desk(
     plan: DayPlan,
     store: Store,
     fleet: FleetLink,
-    say: Say,
+    log: LogMessage,
     clock: Clock | None = None,
     replanner: Replanner | None = None,
-    by: str = "desk",
-    forecasts: ForecastReader | None = None,
+    issuer: str = "desk",
+    forecast_reader: ForecastReader | None = None,
 ) -> Desk:
-    """A desk of drones that ride on a truck, by a plan. `forecasts` as above.
+    """Open a desk of drones that ride on a truck, following a plan. `forecast_reader` as above.
 
-    Where the store holds a plan of this day already (after a restart), the newest one goes on.
-    Raises LeewayError where `plan` does not fit the day, or the store began with another one.
+    If the store holds a plan of this day already (after a restart), its latest one applies. Raises
+    LeewayError if `plan` does not fit the day, or the store began with another one.
     """
     clock = clock or WallClock()
-    check_plan(data, plan)
-    day_clock = _not_behind(clock, store, say)
+    require_plan_fits_day(data, plan)
+    day_clock = _clock_not_before_store_entries(clock, store, log)
     day = DayStore(store.database, day_clock.epoch_us)
-    if not day.take_plan(plan, "as given"):
-        kept = day.plans()
-        if all(before != plan for before, _ in kept):
-            raise LeewayError("this store holds another plan: expected that, or an empty store")
-        say(f"plan {kept[-1][0].revision} goes on ({kept[-1][1]})")
-    in_force = day.plan()
+    if not day.try_store_active_plan(plan, "as given"):
+        stored_plans = day.plans_with_reasons()
+        if all(before != plan for before, _ in stored_plans):
+            raise LeewayError("the store has another plan: give that with --plan, or a new --store")
+        log(f"plan {stored_plans[-1][0].revision} continues ({stored_plans[-1][1]})")
+    in_force = day.active_plan()
     assert in_force is not None
-    active = ActivePlan(day, data, in_force, replanner or ProcessReplanner(clock), say)
-    wind = site_wind_of(data, say)
-    reader = forecasts or ProcessReader(clock)
-    watch = _forecast_watch(data, wind, store, day_clock, say, reader, at_depot=False)
-    dispatcher = TruckDispatcher(store, day, active, day_clock, say, by, wind, watch)
+    active = ActivePlan(
+        day, data, in_force, replanner or Replanner(create_process_planner(clock)), log
+    )
+    wind = create_site_wind(data, log)
+    reader = forecast_reader or ProcessWorker(read_forecast_at, clock, READ_TIMEOUT_S)
+    watch = _open_forecast_monitor(data, wind, store, day_clock, log, reader, at_depot=False)
+    dispatcher = TruckDispatcher(store, day, active, day_clock, log, issuer, wind, watch)
     dispatcher.neighbour_keys = fleet.neighbour_keys
-    limits = WindHolds(wind, limit_of(data))
-    stations = _stations(data, wind, day_clock, say)
-    guard = WindGuard(store, data, limits, day_clock, say, day.sorties, watch, stations)
-    exchange = Exchange(store, fleet, say, FleetStatus(data.airframes), clock)
-    return Desk(exchange, dispatcher, guard)
+    limits = WindHoldRules(wind, launch_wind_limit_mps(data))
+    stations = _open_station_monitor(data, wind, day_clock, log)
+    monitor = SiteMonitor(store, data, limits, day_clock, log, day.sorties, watch, stations)
+    exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
+    return Desk(exchange, dispatcher, monitor)
 
 
-def _forecast_watch(
+def _open_forecast_monitor(
     data: DayData,
     wind: SiteWind,
     store: Store,
     clock: Clock,
-    say: Say,
+    log: LogMessage,
     reader: ForecastReader,
     *,
     at_depot: bool,
-) -> ForecastWatch | None:
-    """None: the day names no forecast to follow."""
+) -> ForecastMonitor | None:
+    """Return the monitor of the followed forecast; None: the day names no forecast."""
     forecast = data.forecast
     if forecast is None:
         return None
-    follows = FollowedForecast(forecast, clock, data.day.mission.cruise_height_m)
+    tracker = ForecastTracker(forecast, clock, data.day.mission.cruise_height_m)
     file = None
     if forecast.file:
-        place = ForecastPlace(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
-        file = FollowedFile(place, reader)
-    return ForecastWatch(follows, file, data, wind, store, clock, say, at_depot)
+        location = ForecastLocation(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
+        file = ForecastFileMonitor(location, reader)
+    return ForecastMonitor(tracker, file, data, wind, store, clock, log, at_depot)
 
 
-def _stations(data: DayData, wind: SiteWind, clock: Clock, say: Say) -> StationDesk | None:
-    """None: the day names no wind station, so none is heard."""
+def _open_station_monitor(
+    data: DayData, wind: SiteWind, clock: Clock, log: LogMessage
+) -> StationMonitor | None:
+    """Return the desk's wind stations; None: the day names none, and reports are ignored."""
     if not data.day.stations:
         return None
-    return StationDesk(StationBook.of_day(wind, data.day.stations), station_files(data), clock, say)
+    return StationMonitor(
+        StationRegistry.from_day(wind, data.day.stations), station_files(data), clock, log
+    )
 
 
-def _not_behind(clock: Clock, store: Store, say: Say) -> Clock:
-    """A clock whose time stamps are not before the store's last entry."""
-    newest_us = DayStore(store.database, clock.epoch_us).newest_us()
-    behind_us = 0 if newest_us is None else newest_us - clock.epoch_us()
-    if behind_us <= 0:
+def _clock_not_before_store_entries(clock: Clock, store: Store, log: LogMessage) -> Clock:
+    """Return a clock whose time stamps are never before the store's last entry."""
+    newest_us = DayStore(store.database, clock.epoch_us).newest_time_stamp_us()
+    lag_us = 0 if newest_us is None else newest_us - clock.epoch_us()
+    if lag_us <= 0:
         return clock
-    say(f"the clock is {behind_us / 1e6:.0f} s behind the store's last entry: goes on from that")
-    return OffsetClock(clock, behind_us)
+    lag_text = f"{lag_us / 1e6:.0f} s"
+    log(f"WARNING: clock {lag_text} behind the store: the desk adds {lag_text}; correct the clock")
+    return OffsetClock(clock, lag_us)

@@ -1,7 +1,7 @@
-"""Recalls: through the companion, or straight to an autopilot whose companion is silent.
+"""Recalls through the companion, or directly to an autopilot whose companion is silent.
 
-A recall needs no store: it is sent first, and written as soon as the store can be reached. Written,
-it is also a hold: what was recalled is not launched again before a person releases it.
+A recall needs no store: it is sent first, and stored as soon as the store is reachable. The stored
+record is also a hold: a recalled vehicle is not launched again before the operator releases it.
 """
 
 import secrets
@@ -9,14 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.messages import FINAL, Answered, Command, Recall
+from companion.fleet.messages import FINAL_STATUSES, Command, CommandStatus, Recall
 from ground_station.adapters.clock import WallClock
-from ground_station.adapters.direct_line import return_to_launch
-from ground_station.app.desk.exchange import ANSWER_S, RETRY_S
+from ground_station.adapters.direct_line import connect_and_command_return_to_launch
+from ground_station.app.desk.exchange import RESPONSE_TIMEOUT_S, RETRY_DELAY_S
 from ground_station.app.desk.recall_record import RecallRecord
 from ground_station.core.fleet.fleet_link import (
     Clock,
-    CommandAnswered,
+    CommandResponse,
     FleetInput,
     FleetLink,
     LivelinessChanged,
@@ -24,152 +24,178 @@ from ground_station.core.fleet.fleet_link import (
 )
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.truck_state import TRUCK
-from ground_station.core.schema.holds import ALL
+from ground_station.core.schema.holds import ALL_DRONES
 
-LISTEN_S = 0.2
-JOIN_S = 2.0
-"""How long the fleet is listened for before it counts who is there."""
+RECEIVE_TIMEOUT_S = 0.2
+DISCOVERY_TIME_S = 2.0
+"""Listening time before the received vehicles are counted."""
 
-SAY_S = 0.5
-"""After so long somebody who waits is told that nobody was heard: within a second. Members that are
-there have answered by then; on one machine programs call each other twice a second.
+SILENCE_REPORT_DELAY_S = 0.5
+"""Delay before the operator is informed that no vehicle is received. Members on the network have
+responded by then; programs on one machine discover each other within 0.5 s.
 """
 
 
-class NobodyHeardError(LeewayError):
-    """A recall of all found no vehicle to recall."""
+class NoVehicleReceivedError(LeewayError):
+    """A recall of all vehicles received no vehicle to recall."""
 
 
 @dataclass(slots=True)
 class Recaller:
-    """Listens to the fleet and recalls; `by`: the person who does."""
+    """Receives the fleet's states and sends recalls; `issuer`: name of the operator."""
 
     fleet: FleetLink
-    say: Callable[[str], None]
-    by: str
+    log: Callable[[str], None]
+    issuer: str
     clock: Clock = field(default_factory=WallClock)
     status: FleetStatus = field(default_factory=FleetStatus)
-    answers: dict[str, Answered] = field(default_factory=dict)
+    responses: dict[str, CommandStatus] = field(default_factory=dict)
     _sent_s: dict[str, float] = field(default_factory=dict)
 
-    def begin(self) -> None:
-        """Ask for the state of the whole fleet."""
-        self.fleet.ask_states(ANSWER_S)
+    def request_states(self) -> None:
+        """Request the state of the whole fleet."""
+        self.fleet.request_states(RESPONSE_TIMEOUT_S)
 
-    def listen(self, wait_s: float = LISTEN_S) -> None:
-        """Take what has come, waiting this long for the first."""
+    def receive_and_process_messages(self, wait_s: float = RECEIVE_TIMEOUT_S) -> None:
+        """Process received messages, waiting this long for the first."""
         for received in self.fleet.receive(wait_s):
-            self._take(received)
+            self._process_message(received)
 
-    def _take(self, received: FleetInput) -> None:
+    def _process_message(self, received: FleetInput) -> None:
         match received:
             case LivelinessChanged():
-                self.status.on_liveliness(received.vehicle, received.life, up=received.up)
-                if received.up:
-                    self.fleet.ask_states(ANSWER_S)
+                self.status.record_liveliness_change(
+                    received.vehicle, received.instance_id, has_joined=received.has_joined
+                )
+                if received.has_joined:
+                    self.fleet.request_states(RESPONSE_TIMEOUT_S)
             case StateReceived():
                 now_s, now_us = self.clock.monotonic_s(), self.clock.epoch_us()
-                self.status.on_state(received.state, now_s, now_us)
-            case CommandAnswered() if received.result is not None:
-                self._take_answer(received.command_id, received.result.answer)
-                words = f"{received.result.answer.value} {received.result.reason}"
-                self.say(f"{received.result.vehicle}: {received.command_id}: {words}")
+                self.status.record_state_and_new_doubts(received.state, now_s, now_us)
+            case CommandResponse() if received.result is not None:
+                self._record_final_response(received.command_id, received.result.status)
+                result_text = f"{received.result.status.value} {received.result.reason}"
+                self.log(f"{received.result.vehicle}: {received.command_id}: {result_text}")
             case _:
                 return
 
-    def _take_answer(self, id_: str, answer: Answered) -> None:
-        if answer in FINAL:
-            self.answers[id_] = answer
+    def _record_final_response(self, command_id: str, response: CommandStatus) -> None:
+        if response in FINAL_STATUSES:
+            self.responses[command_id] = response
 
-    def heard(self) -> set[str]:
-        """The drones that are heard."""
-        return {name for name in self.status.vehicles if self.hears(name)}
+    def names_of_received_drones(self) -> set[str]:
+        """Return the names of the received drones."""
+        return {name for name in self.status.vehicles if self.is_drone_received(name)}
 
-    def hears(self, vehicle: str) -> bool:
-        """Whether a drone has told its state and is on the network."""
-        seen = self.status.of(vehicle)
-        return seen.state is not None and bool(seen.lives) and vehicle != TRUCK
+    def is_drone_received(self, vehicle: str) -> bool:
+        """Whether a drone has reported its state and is on the network."""
+        vehicle_status = self.status.status_of(vehicle)
+        return (
+            vehicle_status.state is not None
+            and bool(vehicle_status.instance_ids)
+            and vehicle != TRUCK
+        )
 
-    def join(self, vehicle: str | None, wait_s: float) -> None:
-        """Listen until the vehicle, or (None) whoever is there, is heard; say where nobody is."""
-        began_s, said = self.clock.monotonic_s(), False
-        while self.clock.monotonic_s() - began_s < min(wait_s, JOIN_S):
-            if vehicle is not None and self.hears(vehicle):
+    def listen_until_vehicles_received(self, vehicle: str | None, wait_s: float) -> None:
+        """Listen until the vehicle is received, or (None) for `DISCOVERY_TIME_S`; report
+        silence.
+        """
+        start_s, is_logged = self.clock.monotonic_s(), False
+        while self.clock.monotonic_s() - start_s < min(wait_s, DISCOVERY_TIME_S):
+            if vehicle is not None and self.is_drone_received(vehicle):
                 return
-            self.listen()
-            if self.clock.monotonic_s() - began_s > SAY_S and not said:
-                said = self._say_silence(vehicle)
+            self.receive_and_process_messages()
+            if self.clock.monotonic_s() - start_s > SILENCE_REPORT_DELAY_S and not is_logged:
+                is_logged = self._log_vehicles_not_received_yet(vehicle)
 
-    def _say_silence(self, vehicle: str | None) -> bool:
-        heard = ", ".join(sorted(self.heard()))
-        if heard and vehicle is None:
+    def _log_vehicles_not_received_yet(self, vehicle: str | None) -> bool:
+        received_names = ", ".join(sorted(self.names_of_received_drones()))
+        if received_names and vehicle is None:
             return False
-        self.say(f"{vehicle or 'nobody'}: not heard yet; heard: {heard or 'no vehicle'}")
+        others_text = f"{vehicle}: not connected yet; connected: {received_names or 'none'}"
+        self.log("no vehicle connected yet" if vehicle is None else others_text)
         return True
 
-    def send(self, id_: str, vehicle: str) -> None:
-        """Send a recall that is not answered; a silent vehicle's as soon as it is heard."""
-        state, now_s = self.status.of(vehicle).state, self.clock.monotonic_s()
-        sent_s = self._sent_s.get(id_)
-        if state is None or id_ in self.answers:
+    def send_recall_if_due(self, command_id: str, vehicle: str) -> None:
+        """Send an unanswered recall; to a silent vehicle as soon as it is received."""
+        state, now_s = self.status.status_of(vehicle).state, self.clock.monotonic_s()
+        sent_s = self._sent_s.get(command_id)
+        if state is None or command_id in self.responses:
             return
-        if sent_s is not None and now_s - sent_s < RETRY_S:
+        if sent_s is not None and now_s - sent_s < RETRY_DELAY_S:
             return
-        self._sent_s[id_] = now_s
+        self._sent_s[command_id] = now_s
         command = Command(
-            id=id_,
+            id=command_id,
             vehicle=vehicle,
-            life=state.life,
+            instance_id=state.instance_id,
             as_of_s=state.uptime_s,
-            by=self.by,
-            deed=Recall(),
+            by=self.issuer,
+            action=Recall(),
         )
-        self.fleet.send(command, ANSWER_S)
+        self.fleet.send(command, RESPONSE_TIMEOUT_S)
 
 
-def recall(caller: Recaller, record: RecallRecord, vehicle: str | None, wait_s: float) -> set[str]:
-    """Recall one vehicle, or (None) all that are heard; the names of those that did not take it.
-
-    What is recalled is held; with None every drone is, heard or not. Raises NobodyHeardError
-    where all are asked and none is heard.
-    """
-    caller.join(vehicle, wait_s)
-    names = {vehicle} if vehicle else caller.heard()
-    asked = {f"recall-{name}-{secrets.token_hex(6)}": name for name in sorted(names)}
-    for id_, name in asked.items():
-        caller.send(id_, name)
-    record.begin(ALL if vehicle is None else vehicle, asked)
-    until_s = caller.clock.monotonic_s() + wait_s
-    while _waits(caller, record, asked) and caller.clock.monotonic_s() < until_s:
-        caller.listen()
-        for id_, name in asked.items():
-            caller.send(id_, name)
-        record.end(caller.answers)
-    record.give_up()  # it must not be sent later, as a surprise
-    if not names:
-        raise NobodyHeardError(f"no vehicle was heard in {min(wait_s, JOIN_S):g} s: none recalled")
-    return {name for id_, name in asked.items() if caller.answers.get(id_) is not Answered.DONE}
-
-
-def _waits(caller: Recaller, record: RecallRecord, asked: dict[str, str]) -> bool:
-    return not record.is_written or any(id_ not in caller.answers for id_ in asked)
-
-
-def recall_past_companion(
-    caller: Recaller, vehicle: str, url: str, silent_for_s: float
+def recall_and_hold_vehicles(
+    recaller: Recaller, record: RecallRecord, vehicle: str | None, wait_s: float
 ) -> set[str]:
-    """Return to launch over MAVSDK, once the companion has been silent for this time.
+    """Recall one vehicle, or (None) all that are received; return those that did not accept it.
 
-    The vehicle, or nothing where its companion is not silent: then that recalls it, or nobody.
+    Recalled vehicles are held; with None every drone is, received or not. Raises
+    NoVehicleReceivedError if all are recalled and none is received.
     """
-    caller.say(f"{vehicle}: listening {silent_for_s:.0f} s for its companion first")
-    begin_s = caller.clock.monotonic_s()
-    while caller.clock.monotonic_s() - begin_s < silent_for_s:
-        caller.listen()
-        seen = caller.status.of(vehicle)
-        if seen.lives or (seen.heard_s is not None and seen.heard_s > begin_s):
-            caller.say(f"{vehicle}: its companion lives: recalled by it, or not at all")
+    recaller.listen_until_vehicles_received(vehicle, wait_s)
+    names = {vehicle} if vehicle else recaller.names_of_received_drones()
+    commands = {f"recall-{name}-{secrets.token_hex(6)}": name for name in sorted(names)}
+    for id_, name in commands.items():
+        recaller.send_recall_if_due(id_, name)
+    record.place_hold_and_store_commands(ALL_DRONES if vehicle is None else vehicle, commands)
+    until_s = recaller.clock.monotonic_s() + wait_s
+    while (
+        _is_recall_incomplete(recaller, record, commands) and recaller.clock.monotonic_s() < until_s
+    ):
+        recaller.receive_and_process_messages()
+        for id_, name in commands.items():
+            recaller.send_recall_if_due(id_, name)
+        record.store_responses_and_missed_entries(recaller.responses)
+    record.void_unanswered_commands()  # must not be sent later without the operator's knowledge
+    if not names:
+        raise NoVehicleReceivedError(
+            f"no vehicle connected in {min(wait_s, DISCOVERY_TIME_S):g} s: none recalled:"
+            " command RTL by RC or ground station"
+        )
+    return {
+        name
+        for id_, name in commands.items()
+        if recaller.responses.get(id_) is not CommandStatus.DONE
+    }
+
+
+def _is_recall_incomplete(
+    recaller: Recaller, record: RecallRecord, commands: dict[str, str]
+) -> bool:
+    return not record.is_hold_placed_and_commands_stored or any(
+        id_ not in recaller.responses for id_ in commands
+    )
+
+
+def command_return_to_launch_if_silent(
+    recaller: Recaller, vehicle: str, autopilot_url: str, min_silence_s: float
+) -> set[str]:
+    """Command return to launch over MAVSDK after its companion has been silent for this time.
+
+    Returns the vehicle, or an empty set if its companion is alive: a recall then needs it.
+    """
+    recaller.log(f"{vehicle}: direct RTL after {min_silence_s:.0f} s without its companion")
+    start_s = recaller.clock.monotonic_s()
+    while recaller.clock.monotonic_s() - start_s < min_silence_s:
+        recaller.receive_and_process_messages()
+        vehicle_status = recaller.status.status_of(vehicle)
+        if vehicle_status.instance_ids or (
+            vehicle_status.received_s is not None and vehicle_status.received_s > start_s
+        ):
+            recaller.log(f"{vehicle}: its companion is connected: direct RTL not sent")
             return set()
-    done = return_to_launch(url)
-    caller.say(f"{vehicle}: autopilot {done.system} returns to launch, told past its companion")
+    done = connect_and_command_return_to_launch(autopilot_url)
+    recaller.log(f"{vehicle}: autopilot {done.system} returns to launch, commanded directly")
     return {vehicle}

@@ -1,90 +1,94 @@
-"""What a recall leaves in the store: a hold, commands and answers; written when it can be."""
+"""Record of a recall in the store: hold, commands and responses, written when it is reachable."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from companion.fleet.messages import Answered, Recall
+from companion.fleet.messages import CommandStatus, Recall
 from ground_station.adapters.store.database import StoreError
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_link import Clock
 
-AGAIN_S = 1.0
-"""A store that is away is tried again at this interval while the recall is waited for."""
+RETRY_INTERVAL_S = 1.0
+"""Retry interval of an unreachable store while the recall waits for responses."""
 
 
 @dataclass(slots=True)
 class RecallRecord:
-    """The record of one `recall`. `open_store` may raise StoreError, now or always."""
+    """Record of one `recall`. `open_store` may raise StoreError temporarily or permanently."""
 
     open_store: Callable[[], Store]
-    by: str
-    say: Callable[[str], None]
+    issuer: str
+    log: Callable[[str], None]
     clock: Clock
-    why_not: str | None = None
+    store_error: str | None = None
     _store: Store | None = None
     _scope: str = ""
-    _asked: dict[str, str] = field(default_factory=dict)
-    _is_held: bool = False
-    _open: set[str] = field(default_factory=set)
-    _tried_s: float = 0.0
+    _unstored_commands: dict[str, str] = field(default_factory=dict)
+    _hold_is_set: bool = False
+    _unanswered: set[str] = field(default_factory=set)
+    _last_attempt_s: float = 0.0
 
-    def begin(self, scope: str, asked: dict[str, str]) -> None:
-        """Hold what is recalled, and write the commands (id, vehicle), which are sent already."""
-        self._scope, self._asked = scope, dict(asked)
-        self._tried_s = self.clock.monotonic_s()
-        self._try(self._begin)
-        if self.why_not is not None:
-            self.say(f"recalled without the store, NOT HELD yet: {self.why_not}")
+    def place_hold_and_store_commands(self, scope: str, commands: dict[str, str]) -> None:
+        """Store the hold and the commands (id, vehicle), which have been sent already."""
+        self._scope, self._unstored_commands = scope, dict(commands)
+        self._last_attempt_s = self.clock.monotonic_s()
+        self._try_write_and_record_error(self._store_missing_hold_and_commands)
+        if self.store_error is not None:
+            self.log(f"recall continues; launch hold not stored yet: {self.store_error}")
 
-    def _begin(self) -> None:
+    def _store_missing_hold_and_commands(self) -> None:
         self._store = self._store or self.open_store()
-        if not self._is_held:
-            self._hold(HoldStore(self._store.database, self.clock.epoch_us))
-        for id_ in list(self._asked):
-            self._store.command(id_, self._asked[id_], Recall(), self.by)
-            self._open.add(id_)
-            del self._asked[id_]
+        if not self._hold_is_set:
+            self._place_hold_and_log_sent_launches(
+                HoldStore(self._store.database, self.clock.epoch_us)
+            )
+        for id_ in list(self._unstored_commands):
+            self._store.enqueue_command(id_, self._unstored_commands[id_], Recall(), self.issuer)
+            self._unanswered.add(id_)
+            del self._unstored_commands[id_]
 
-    def _hold(self, holds: HoldStore) -> None:
-        sent = holds.set([self._scope], "recalled", self.by)
-        self._is_held = True
+    def _place_hold_and_log_sent_launches(self, hold_store: HoldStore) -> None:
+        sent = hold_store.place_holds([self._scope], "recalled", self.issuer)
+        self._hold_is_set = True
         for assignment in sent:
-            self.say(f"LOOK: the launch of {assignment} was sent before: it may take off")
+            self.log(f"WARNING: {assignment} may take off, launch already sent: keep pad clear")
 
-    def end(self, answers: Mapping[str, Answered]) -> None:
-        """Write the answers that have come; where the store was away, all that is to be written."""
+    def store_responses_and_missed_entries(self, responses: Mapping[str, CommandStatus]) -> None:
+        """Store received responses, and all entries that an unreachable store has missed."""
         now_s = self.clock.monotonic_s()
-        if self.why_not is not None and now_s - self._tried_s < AGAIN_S:
+        if self.store_error is not None and now_s - self._last_attempt_s < RETRY_INTERVAL_S:
             return
-        self._tried_s = now_s
-        self._try(self._begin)
-        for id_ in sorted(self._open & answers.keys()):
-            self._try(lambda id_=id_: self._answer(id_, answers[id_]))
+        self._last_attempt_s = now_s
+        self._try_write_and_record_error(self._store_missing_hold_and_commands)
+        for id_ in sorted(self._unanswered & responses.keys()):
+            self._try_write_and_record_error(
+                lambda id_=id_: self._store_response(id_, responses[id_])
+            )
 
-    def _answer(self, id_: str, answer: Answered) -> None:
+    def _store_response(self, id_: str, response: CommandStatus) -> None:
         assert self._store is not None
-        self._store.answered(id_, answer, "", "recall")
-        self._open.discard(id_)
+        self._store.record_and_apply_response(id_, response, "", "recall")
+        self._unanswered.discard(id_)
 
-    def give_up(self) -> None:
-        """Nothing is sent any more: take what is not answered out of the outbox."""
+    def void_unanswered_commands(self) -> None:
+        """Remove unanswered commands from the outbox, so that they are not sent again."""
         store = self._store
         if store is not None:
-            for id_ in sorted(self._open):
-                self._try(lambda id_=id_: _void(store, id_))
+            for id_ in sorted(self._unanswered):
+                self._try_write_and_record_error(lambda id_=id_: _void_command(store, id_))
 
-    def _try(self, write: Callable[[], None]) -> None:
+    def _try_write_and_record_error(self, write: Callable[[], None]) -> None:
         try:
             write()
-            self.why_not = None
+            self.store_error = None
         except StoreError as error:
-            self.why_not = str(error)
+            self.store_error = str(error)
 
     @property
-    def is_written(self) -> bool:
-        """Whether the hold is in force, and all that was sent is in the store."""
-        return self._is_held and not self._asked
+    def is_hold_placed_and_commands_stored(self) -> bool:
+        """Whether the hold is in force and all sent commands are in the store."""
+        return self._hold_is_set and not self._unstored_commands
 
     def close(self) -> None:
         """Close the store."""
@@ -92,5 +96,5 @@ class RecallRecord:
             self._store.close()
 
 
-def _void(store: Store, id_: str) -> None:
-    store.give_up(id_, "not answered in time")
+def _void_command(store: Store, id_: str) -> None:
+    store.cancel_command(id_, "not answered in time")

@@ -1,14 +1,11 @@
-"""Re-planning for a running desk: in a process of its own, or inline (simulated days)."""
+"""Re-planning for a running desk: in a separate process, or inline (simulated days)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from multiprocessing.context import SpawnProcess
-from typing import Protocol
+from dataclasses import dataclass
 
-from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import keep_compiled_code
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from ground_station.adapters.workers.answers import WorkRaised, WorkReturned
-from ground_station.adapters.workers.beside import Beside
+from ground_station.adapters.workers.beside import InlineWorker, ItemWorker, ProcessWorker
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
@@ -17,70 +14,29 @@ from ground_station.core.schema.day_state import DayState
 
 @dataclass(frozen=True, slots=True)
 class NoPlan:
-    """Why no plan was made. `again`: the process ended without an answer, so a second try may
-    help.
+    """Reason why no plan was found. `can_retry`: the process ended without a result, so a second
+    try may succeed.
     """
 
     reason: str
-    again: bool = False
+    can_retry: bool = False
 
 
-class Replanner(Protocol):
-    """Makes one plan at a time."""
-
-    def ask(self, data: DayData, start: DayState) -> None:
-        """Begin to plan."""
-        ...
-
-    def made(self) -> DayPlan | NoPlan | None:
-        """The plan, once; None while it is being made."""
-        ...
-
-    def close(self) -> None:
-        """Give up the plan that is being made."""
-        ...
-
-
-def make_plan(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
-    """A plan from the day's present state, by the default policy."""
-    keep_compiled_code()
+def compute_plan(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
+    """Compute a plan from the day's present state by the default policy."""
+    enable_compile_cache_and_check_if_known()
     from ground_station.core.planning.day_planner import PlanParams, plan_day  # it compiles
 
     return plan_day(data, start, PlanParams("search", trials, seed))
 
 
-@dataclass(slots=True)
-class InlineReplanner:
-    """Plans in the caller's thread: for simulated days, whose time stands still meanwhile."""
-
-    seed: int = 0
-    trials: int | None = None
-    plan: Callable[[DayData, DayState, int, int | None], DayPlan] = make_plan
-    _made: DayPlan | NoPlan | None = None
-
-    def ask(self, data: DayData, start: DayState) -> None:
-        """Make the plan now."""
-        try:
-            self._made = self.plan(data, start, self.seed, self.trials)
-        except LeewayError as error:
-            self._made = NoPlan(str(error))
-
-    def made(self) -> DayPlan | NoPlan | None:
-        """The plan, once."""
-        made, self._made = self._made, None
-        return made
-
-    def close(self) -> None:
-        """Nothing runs."""
-
-
-LIMIT_S = 900.0
-"""A thousand customers take five minutes; a planner that takes three times as long has hung."""
+PLANNING_TIMEOUT_S = 900.0
+"""Planning time limit. A thousand customers take five minutes; three times as long is a hang."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """What a plan is made from."""
+class DayPlanRequest:
+    """Inputs of a plan."""
 
     data: DayData
     start: DayState
@@ -88,48 +44,52 @@ class _Asked:
     trials: int | None
 
 
-def _plan(asked: _Asked) -> DayPlan:
-    return make_plan(asked.data, asked.start, asked.seed, asked.trials)
-
-
 @dataclass(slots=True)
-class ProcessReplanner:
-    """Plans in a process of its own, one for each plan; the desk goes on meanwhile.
+class Replanner:
+    """Computes one plan at a time, in a separate process or (simulated days) inline.
 
-    The truck stays while a plan is made, so a process that dies or hangs must not hold up the day:
-    its death is noticed at once, and it is killed after `limit_s`.
+    The truck waits while a plan is computed, so a failed planner must not block the day: a crash is
+    detected immediately, and a process that hangs is killed after `PLANNING_TIMEOUT_S`.
     """
 
-    clock: Clock
+    worker: ItemWorker[DayPlanRequest, DayPlan]
     seed: int = 0
     trials: int | None = None
-    limit_s: float = LIMIT_S
-    _beside: Beside[_Asked, DayPlan] = field(init=False)
 
-    def __post_init__(self) -> None:
-        self._beside = Beside(_plan, self.clock, self.limit_s)
+    def start_planning(self, data: DayData, start: DayState) -> None:
+        """Start planning."""
+        self.worker.start_item(DayPlanRequest(data, start, self.seed, self.trials))
 
-    @property
-    def process(self) -> SpawnProcess | None:
-        """Where a plan is being made."""
-        return self._beside.process
-
-    def ask(self, data: DayData, start: DayState) -> None:
-        """Begin to plan."""
-        self._beside.ask(_Asked(data, start, self.seed, self.trials))
-
-    def made(self) -> DayPlan | NoPlan | None:
-        """The plan, once."""
-        match self._beside.answer():
+    def take_finished_plan(self) -> DayPlan | NoPlan | None:
+        """Return the finished plan once; None while it is being computed."""
+        match self.worker.take_outcome():
             case None:
                 return None
             case WorkReturned(plan):
                 return plan
             case WorkRaised(error):
                 return NoPlan(str(error))
-            case died:
-                return NoPlan(f"the planner: {died.why}", again=True)
+            case failure:
+                return NoPlan(f"the planner: {failure.reason}", can_retry=True)
 
     def close(self) -> None:
-        """End the process, whatever it is doing."""
-        self._beside.close()
+        """Cancel the plan that is being computed."""
+        self.worker.close()
+
+
+def create_process_planner(clock: Clock) -> ProcessWorker[DayPlanRequest, DayPlan]:
+    """Return a planner that uses one process for each plan, so that the desk is not blocked."""
+    return ProcessWorker(_compute_requested_plan, clock, PLANNING_TIMEOUT_S)
+
+
+def create_inline_planner(
+    plan_function: Callable[[DayData, DayState, int, int | None], DayPlan] = compute_plan,
+) -> InlineWorker[DayPlanRequest, DayPlan]:
+    """Return a planner in the caller's thread."""
+    return InlineWorker(
+        lambda request: plan_function(request.data, request.start, request.seed, request.trials)
+    )
+
+
+def _compute_requested_plan(request: DayPlanRequest) -> DayPlan:
+    return compute_plan(request.data, request.start, request.seed, request.trials)

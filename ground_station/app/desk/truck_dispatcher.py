@@ -1,7 +1,7 @@
-"""Dispatch of a day with a truck: drones ride on it, start from its stops and come back to it.
+"""Dispatch of a day with a truck: drones ride on it, start from its stops and return to it.
 
-Each turn takes a snapshot of the day, lets `DispatchRules` decide, and carries out the actions as
-transactions. Plan, promises and the truck's orders are in the store; nothing here must survive.
+Each cycle takes a snapshot of the day, applies `DispatchRules`, and executes the actions as
+transactions. Plan, promises and the truck's orders are in the store; no state here must survive.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,18 +12,18 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.app.desk.day_tracker import DayTracker
-from ground_station.app.desk.dispatcher import Progress
-from ground_station.app.desk.forecast_watch import ForecastWatch
+from ground_station.app.desk.dispatcher import CycleResult
+from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_actions import (
     AuthoriseLaunch,
+    CancelHomeChange,
     ConfirmHomeChange,
     DeclareOffSite,
     DeclareOverdue,
+    DeployDrone,
     DispatchAction,
     DriveToStop,
-    ForgetHomeChange,
-    PutDroneOut,
     RecoverDrone,
     RequestHomeChange,
     SendMission,
@@ -33,13 +33,12 @@ from ground_station.core.dispatch.dispatch_actions import (
 from ground_station.core.dispatch.dispatch_rules import DispatchRules
 from ground_station.core.dispatch.flight_tables import (
     NeighbourKeys,
-    no_keys,
-    sortie_table,
+    no_neighbour_keys,
+    sortie_flight_table,
     with_neighbour_keys,
 )
-from ground_station.core.dispatch.replanning import candidate_pads
-from ground_station.core.feasibility.reach import Reach, day_energy
-from ground_station.core.fleet.desk_figures import ReplanFigures
+from ground_station.core.dispatch.replanning import candidate_landing_pads_by_stop
+from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
@@ -53,25 +52,25 @@ CHARGE_ERROR_FRAC = 0.05
 
 @dataclass(slots=True)
 class TruckDispatcher:
-    """`Dispatcher` for a day with a truck. `wind`: what the fleet tells of it; None: the forecast
-    stays. `forecast`: watches over one that is followed. `holds`: why the truck
-    does not leave its stop now.
+    """`Dispatcher` for a day with a truck. `wind`: wind field measured by the fleet; None: the
+    forecast applies. `forecast`: monitor of the followed forecast. `departure_blockers`: reasons
+    that keep the truck at its stop.
     """
 
     store: Store
     day: DayStore
     active: ActivePlan
     clock: Clock
-    say: Callable[[str], None]
-    by: str = "desk"
+    log: Callable[[str], None]
+    issuer: str = "desk"
     wind: SiteWind | None = None
-    forecast: ForecastWatch | None = None
-    neighbour_keys: NeighbourKeys = no_keys
-    holds: list[str] = field(default_factory=list)
+    forecast: ForecastMonitor | None = None
+    neighbour_keys: NeighbourKeys = no_neighbour_keys
+    departure_blockers: list[str] = field(default_factory=list)
     _tracker: DayTracker = field(init=False)
-    _made_for: int | None = None
+    _cached_version: int | None = None
     _airspace: Airspace | None = None
-    _reach: dict[str, Reach] = field(default_factory=dict)
+    _feasibility_models: dict[str, SortieFeasibility] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._tracker = DayTracker(
@@ -83,167 +82,183 @@ class TruckDispatcher:
         """The last snapshot of the day."""
         return self._tracker.snapshot
 
-    def begin(self) -> None:
-        """Nothing: the store has everything."""
+    def prepare_first_cycle(self) -> None:
+        """Do nothing: all data is in the store."""
 
     def on_state(self, state: State) -> None:
-        """Take a state that a drone or the truck has published."""
-        self._tracker.on_state(state)
+        """Process a state that a drone or the truck has published."""
+        self._tracker.record_state(state)
 
-    def on_ready(self, assignment: AssignmentRow) -> None:
-        """Nothing: launches are due by the plan, in `turn`."""
+    def on_vehicle_ready(self, assignment: AssignmentRow) -> None:
+        """Do nothing: `run_decision_cycle` launches by the plan."""
 
-    def turn(self, status: FleetStatus, *, changed: bool) -> Progress:
-        """Do everything that is due now."""
+    def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
+        """Run one cycle: execute all actions that are due."""
         tracker = self._tracker
-        if changed:
-            tracker.reload()
-        tracker.reload_old()
-        snapshot = tracker.observe(status)
+        if has_new_messages:
+            tracker.discard_store_rows()
+        tracker.discard_expired_store_rows()
+        snapshot = tracker.update_snapshot(status)
         truck = snapshot.truck
-        self._note_energies(snapshot)
+        self._store_energy_of_finished_sorties(snapshot)
         if truck is None:
-            return Progress.NONE
-        self.active.review(snapshot, tracker.forecast_now, tracker.day_forecast)
-        self._forget_other_plans()
+            return CycleResult.IDLE
+        self.active.request_or_adopt_plan(
+            snapshot, tracker.planning_forecast, tracker.followed_forecast_in_day_time
+        )
+        self._discard_values_of_earlier_plan()
         if self.active.is_replanning and not snapshot.replanning:
-            # Asked for just now: the truck stays from this turn on.
+            # The request was made in this cycle: the truck waits from now on.
             snapshot = tracker.snapshot = replace(snapshot, replanning=True)
-        rules = DispatchRules(self.active.params, self._launch_conflict, self._charged)
-        actions = rules.decide(snapshot)
+        rules = DispatchRules(
+            self.active.params, self._launch_conflict, self._has_sufficient_charge
+        )
+        actions = rules.due_actions(snapshot)
         for action in actions:
-            self._carry_out(action)
+            self._execute_and_log_action(action)
         if actions:
-            tracker.reload()
-        self.holds = rules.holds(snapshot)
-        waits = truck.present and (snapshot.here is None or bool(self.holds))
-        under_way = bool(actions) or snapshot.replanning or waits
-        return Progress.UNDER_WAY if under_way else Progress.NONE
+            tracker.discard_store_rows()
+        self.departure_blockers = rules.departure_blockers(snapshot)
+        truck_is_waiting = truck.present and (
+            snapshot.current_stop is None or bool(self.departure_blockers)
+        )
+        is_active = bool(actions) or snapshot.replanning or truck_is_waiting
+        return CycleResult.ACTIVE if is_active else CycleResult.IDLE
 
-    def _forget_other_plans(self) -> None:
-        """What was worked out for an earlier plan."""
-        if self._made_for != self.active.version:
-            self._made_for, self._airspace = self.active.version, None
-            self._reach.clear()
-            self._tracker.reload()
+    def _discard_values_of_earlier_plan(self) -> None:
+        """Discard values that were computed for an earlier plan."""
+        if self._cached_version != self.active.version:
+            self._cached_version, self._airspace = self.active.version, None
+            self._feasibility_models.clear()
+            self._tracker.discard_store_rows()
 
-    def _note_energies(self, snapshot: DaySnapshot) -> None:
+    def _store_energy_of_finished_sorties(self, snapshot: DaySnapshot) -> None:
         for row in snapshot.sorties:
-            used_wh = self._tracker.energy_used_wh(row.id) if row.over else None
+            used_wh = self._tracker.pop_energy_used_wh(row.id) if row.is_finished else None
             if used_wh is not None:
-                self.day.note(row.id, used_wh=used_wh)
+                self.day.update_sortie_columns(row.id, used_wh=used_wh)
 
-    def _carry_out(self, action: DispatchAction) -> None:
-        """One transaction, and what the operator should be told of it."""
-        words = self._done(action)
-        if words:
-            self.say(words)
+    def _execute_and_log_action(self, action: DispatchAction) -> None:
+        """Execute an action as one transaction, and log its result for the operator."""
+        message = self._store_action_and_format_result(action)
+        if message:
+            self.log(message)
 
-    def _done(self, action: DispatchAction) -> str | None:
-        day, by = self.day, self.by
+    def _store_action_and_format_result(self, action: DispatchAction) -> str | None:
+        day, by = self.day, self.issuer
         match action:
-            case PutDroneOut():
-                return self._put_out(action.sortie)
+            case DeployDrone():
+                return self._assign_sortie_and_format_result(action.sortie)
             case SendMission():
-                done = day.release(action.assignment)
-                return f"{action.assignment}: on its pad" if done else None
+                done = day.release_mission(action.assignment)
+                return f"{action.assignment}: drone on its pad, mission released" if done else None
             case AuthoriseLaunch():
                 done = self.store.launch(action.assignment, by)
                 return f"{action.assignment}: launch ordered" if done else None
             case WithdrawAssignment():
-                done = day.withdraw(action.assignment, by, action.why)
-                return f"{action.assignment}: withdrawn: {action.why}" if done else None
+                done = day.withdraw(action.assignment, by, action.reason)
+                return f"{action.assignment}: withdrawn: {action.reason}" if done else None
             case RecoverDrone():
-                done = day.recover(action.assignment, action.pad, by)
+                done = day.order_recovery(action.assignment, action.pad, by)
                 return f"{action.assignment}: recovery ordered" if done else None
             case RequestHomeChange():
                 id_, stop = action.assignment, action.stop
-                done = day.ask_home(id_, stop, by)
-                return f"{id_}: asked to land at {stop}: {action.why}" if done else None
+                done = day.request_home(id_, stop, by)
+                return f"{id_}: landing at {stop} requested: {action.reason}" if done else None
             case ConfirmHomeChange():
-                done = day.home_is(action.assignment, action.stop)
-                return f"{action.assignment}: its home is now {action.stop}" if done else None
-            case ForgetHomeChange():
-                done = day.forget_home(action.assignment, action.stop)
-                return f"{action.assignment}: is down, not at {action.stop}" if done else None
+                done = day.confirm_home(action.assignment, action.stop)
+                return f"{action.assignment}: landing at {action.stop} confirmed" if done else None
+            case CancelHomeChange():
+                done = day.cancel_home_request(action.assignment, action.stop)
+                return f"{action.assignment}: landed, but not at {action.stop}" if done else None
             case DeclareOverdue():
-                day.overdue(action.assignment)
-                return f"{action.assignment}: overdue: not heard for longer than it can fly"
+                day.mark_sortie_lapsed_and_void_commands(action.assignment)
+                return f"{action.assignment}: overdue, no contact: search at its last position"
             case DeclareOffSite():
-                day.note(action.assignment, away=True)
-                return f"{action.assignment}: down, but at none of the truck's stops: fetch it"
+                day.update_sortie_columns(action.assignment, away=True)
+                return f"{action.assignment}: landed away from all of the truck's stops: collect it"
             case ServeOrder():
-                id_ = self.day.serve(action.order, by)
-                return f"truck: to bring {action.order} ({id_})" if id_ else None
+                id_ = self.day.order_delivery(action.order, by)
+                return f"truck: delivery of {action.order} ordered ({id_})" if id_ else None
             case DriveToStop():
-                done = day.drive(action.here, action.stop, by)
-                return f"truck: from {action.here} to {action.stop.id}" if done else None
+                done = day.order_drive(action.from_stop, action.stop, by)
+                return f"truck: sent from {action.from_stop} to {action.stop.id}" if done else None
 
-    def _put_out(self, sortie: PlannedSortie) -> str | None:
+    def _assign_sortie_and_format_result(self, sortie: PlannedSortie) -> str | None:
         data = self.active.data
         order = next((o for o in data.orders if o.id == sortie.order), None)
-        drone = data.day.drone(sortie.vehicle)
+        drone = data.day.find_drone(sortie.vehicle)
         if order is None or drone is None:
             return None
-        pads = candidate_pads(self.active.plan, sortie, self.active.stops)
-        table = sortie_table(data.day, drone, order, sortie, pads, data.elevation)
+        pads = candidate_landing_pads_by_stop(self.active.plan, sortie, self.active.all_stops)
+        table = sortie_flight_table(data.day, drone, order, sortie, pads, data.elevation)
         table = with_neighbour_keys(table, self.neighbour_keys)
         id_ = self.day.assign(
-            sortie, pads, lambda assignment: table | {"name": assignment}, data.no_fly, self.by
+            sortie, pads, lambda assignment: table | {"name": assignment}, data.no_fly, self.issuer
         )
-        return f"{sortie.vehicle}: {sortie.order} ({id_}), home {sortie.home}" if id_ else None
+        return f"{drone.id}: assigned {order.id} ({id_}), lands at {sortie.home}" if id_ else None
 
     def _launch_conflict(
-        self, sortie: PlannedSortie, in_air: Sequence[PlannedSortie]
+        self, sortie: PlannedSortie, airborne_sorties: Sequence[PlannedSortie]
     ) -> str | None:
         if self._airspace is None:
             self._airspace = Airspace(self.active.data)
         try:
-            return self._airspace.launch_conflict(sortie, in_air, self.active.stops)
-        except KeyError as missing:  # a pad of no plan: separation cannot be checked
-            return f"unknown pad {missing}"
+            return self._airspace.launch_conflict(sortie, airborne_sorties, self.active.all_stops)
+        except KeyError as pad_name:  # a pad of no plan: separation cannot be checked
+            return f"unknown pad {pad_name}"
 
-    def _charged(self, sortie: PlannedSortie, charge_frac: float) -> bool:
-        reach = self._reach.get(sortie.vehicle) or self._reach_of(sortie.vehicle)
+    def _has_sufficient_charge(self, sortie: PlannedSortie, charge_frac: float) -> bool:
+        feasibility = self._feasibility_models.get(sortie.vehicle) or self._feasibility_of(
+            sortie.vehicle
+        )
         order = next((o for o in self.active.data.orders if o.id == sortie.order), None)
         if order is None:
             return False
         read_frac = min(1.0, charge_frac + CHARGE_ERROR_FRAC)
-        return reach.budget_wh(order.mass_kg, read_frac)[0] >= sortie.sure_wh
+        return (
+            feasibility.usable_above_reserve_wh_and_std(order.mass_kg, read_frac)[0]
+            >= sortie.required_wh
+        )
 
-    def _reach_of(self, vehicle: str) -> Reach:
+    def _feasibility_of(self, vehicle: str) -> SortieFeasibility:
         data = self.active.data
-        day, drone = data.day, data.day.drone(vehicle)
+        day, drone = data.day, data.day.find_drone(vehicle)
         assert drone is not None
         airframe = data.airframes[drone.airframe]
-        energy = day_energy(day, airframe)
-        self._reach[vehicle] = Reach(drone, airframe, day.mission, day.forecast, energy)
-        return self._reach[vehicle]
+        energy = route_energy_model_for_day(day, airframe)
+        self._feasibility_models[vehicle] = SortieFeasibility(
+            drone, airframe, day.mission, day.forecast, energy
+        )
+        return self._feasibility_models[vehicle]
 
     @property
     def is_done(self) -> bool:
-        """Whether the truck stands at its last stop and nothing of the plan is left."""
+        """Whether the truck is at its last stop and the plan is complete."""
         snapshot = self.snapshot
-        if snapshot is None or snapshot.here is None or snapshot.replanning or self.holds:
+        if (
+            snapshot is None
+            or snapshot.current_stop is None
+            or snapshot.replanning
+            or self.departure_blockers
+        ):
             return False
-        if self._tracker.still_open() != snapshot.open:  # new orders have come
+        if self._tracker.read_open_order_ids() != snapshot.open_orders:  # new orders have come
             return False
-        last = snapshot.plan.stops[-1].id == snapshot.here.id
-        under_way = any(not (row.aboard or row.gone) for row in snapshot.sorties)
-        return last and not under_way and not self.active.is_wanted(snapshot)
+        is_at_last_stop = snapshot.plan.stops[-1].id == snapshot.current_stop.id
+        is_active = any(
+            not (row.is_drone_on_truck or row.is_drone_lost_off_site_or_overdue)
+            for row in snapshot.sorties
+        )
+        return is_at_last_stop and not is_active and not self.active.has_replan_reason(snapshot)
 
-    @property
-    def replans(self) -> ReplanFigures:
-        """The plans made anew."""
-        return ReplanFigures(dict(self.active.replans.by_result), self.active.is_replanning)
-
-    def why_left(self, order_id: str) -> str | None:
-        """What the plan says of an order that nobody can bring."""
+    def undelivered_reason(self, order_id: str) -> str | None:
+        """Return the plan's reason for an order that is not planned."""
         for line in self.active.plan.unplanned:
             if line.order == order_id:
-                return f"{line.why}; possible with {line.remedy}"
+                return f"{line.reason}; possible with {line.remedy}"
         return None
 
     def close(self) -> None:
-        """Give up the plan that is being made."""
+        """Cancel the plan that is being computed."""
         self.active.close()

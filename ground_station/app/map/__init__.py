@@ -1,1 +1,1 @@
-"""The live map's feed: what the fleet says and the store holds, as one picture for the page."""
+"""The live map's feed: fleet messages and store content, as one picture for the page."""

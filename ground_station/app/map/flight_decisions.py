@@ -1,66 +1,60 @@
-"""What the drones decided, by the words of their events: the last of each, and where it lands."""
+"""Decisions of the drones from their events: the latest of each, and its landing site."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
+from companion.core.mission.event_text import DIVERT, DecisionEvent
 from companion.fleet.messages import FleetEvent, State
-from ground_station.adapters.store.decision_reader import HeardDecision
+from ground_station.adapters.store.decision_reader import ReceivedDecision
 
-DIVERT = "divert"
-LANDINGS = (DIVERT, "turn_back", "move_home", "onward_again", "last_resort", "landed", "finished")
-"""Kinds of decision that choose where a flight lands, or end it: each voids the one before."""
+LANDING_DECISION_KINDS = (
+    DIVERT,
+    "turn_back",
+    "move_home",
+    "onward_again",
+    "last_resort",
+    "landed",
+    "finished",
+)
+"""Decision kinds that choose a landing site or end a flight: each voids the one before."""
 
 DIVERTED_PHASES = ("divert", "land", "link lost", "recognise")
-"""Phases in which a diversion that was decided is in force: in any other somebody else flies."""
-
-
-class Decisions(Protocol):
-    """Who knows what was decided."""
-
-    def last(self, state: State | None) -> HeardDecision | None:
-        """The last decision on the flight that this drone is on."""
-        ...
-
-    def diverted_to(self, state: State | None) -> str | None:
-        """The name of the place that a diversion in force lands at; None: there is none."""
-        ...
+"""Phases in which a diversion is in force: in any other phase another controller flies."""
 
 
 @dataclass(slots=True)
 class FlightDecisions:
-    """The decisions of a fleet, as they come."""
+    """Decisions of a fleet in the order of their arrival."""
 
-    _last: dict[str, HeardDecision] = field(default_factory=dict)
-    _landing: dict[str, HeardDecision] = field(default_factory=dict)
+    _latest_decisions: dict[str, ReceivedDecision] = field(default_factory=dict)
+    _landing_decisions: dict[str, ReceivedDecision] = field(default_factory=dict)
 
-    def note(self, heard: HeardDecision) -> None:
-        """Take a decision; each is newer than those before it."""
-        self._last[heard.event.vehicle] = heard
-        if _kind(heard.event) in LANDINGS:
-            self._landing[heard.event.vehicle] = heard
+    def record_decision(self, received: ReceivedDecision) -> None:
+        """Record a decision; calls are in time order."""
+        self._latest_decisions[received.event.vehicle] = received
+        if _decision_kind(received.event) in LANDING_DECISION_KINDS:
+            self._landing_decisions[received.event.vehicle] = received
 
-    def last(self, state: State | None) -> HeardDecision | None:
-        """The last decision on the flight that this drone is on."""
-        return _on_this_flight(self._last, state)
+    def latest_decision_on_flight(self, state: State | None) -> ReceivedDecision | None:
+        """Return the latest decision on the drone's current flight."""
+        return _decision_on_flight(self._latest_decisions, state)
 
-    def diverted_to(self, state: State | None) -> str | None:
-        """The name of the place that a diversion in force lands at; None: there is none."""
-        decision = _on_this_flight(self._landing, state)
+    def diversion_site_in_force(self, state: State | None) -> str | None:
+        """Return the name of the landing site of a diversion in force; None: no diversion."""
+        decision = _decision_on_flight(self._landing_decisions, state)
         if state is None or state.phase not in DIVERTED_PHASES or decision is None:
             return None
-        kind, _, words = decision.event.text.partition(": ")
-        return words.removeprefix("to ").partition(":")[0] if kind == DIVERT else None
+        return DecisionEvent.parse(decision.event.text).diversion_site
 
 
-def _kind(event: FleetEvent) -> str:
-    return event.text.partition(": ")[0]
+def _decision_kind(event: FleetEvent) -> str:
+    return DecisionEvent.parse(event.text).kind
 
 
-def _on_this_flight(
-    found: Mapping[str, HeardDecision], state: State | None
-) -> HeardDecision | None:
+def _decision_on_flight(
+    decision_by_vehicle: Mapping[str, ReceivedDecision], state: State | None
+) -> ReceivedDecision | None:
     if state is None or state.assignment is None:
         return None
-    decision = found.get(state.vehicle)
+    decision = decision_by_vehicle.get(state.vehicle)
     return decision if decision and decision.event.assignment == state.assignment else None

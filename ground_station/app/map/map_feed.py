@@ -1,7 +1,8 @@
-"""Keeps the live map's picture: listens to the fleet, reads the store, publishes what it sees.
+"""Keeps the live map's picture: receives the fleet's states, reads the store, publishes changes.
 
-One thread runs `turn`; the server's threads only read what was published, and ask `history` and
-`reach`, which look at values that are replaced and never changed.
+One thread runs `listen_and_publish_due_picture`; the server's threads only read published pictures
+and call `margin_history_of` and `reachable_area_boundary`, which read values that are replaced as a
+whole and never modified.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,152 +11,164 @@ from typing import Any
 
 from ground_station.adapters.store.database import StoreError
 from ground_station.adapters.store.day_store import DayStore
-from ground_station.adapters.store.decision_reader import DecisionReader, HeardDecision
+from ground_station.adapters.store.decision_reader import DecisionReader, ReceivedDecision
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.web.live_stream import LiveStream
-from ground_station.app.map.fleet_ear import FleetEar, PromiseSample
+from ground_station.app.map.fleet_receiver import FleetListener, ReturnMarginSample
 from ground_station.app.map.flight_decisions import FlightDecisions
-from ground_station.app.map.map_view import MapView, Moment, StoreReading
+from ground_station.app.map.map_view import MapSnapshot, MapView, StoreSnapshot
 from ground_station.app.map.picture import Point, WindShown
-from ground_station.app.map.wind_shown import field_shown
-from ground_station.app.views.attention import ending_certificates
-from ground_station.app.views.watched_rows import read_rows
-from ground_station.app.views.wind_notes import front_notes
-from ground_station.core.fleet.desk_figures import CertificateFigures
+from ground_station.app.map.wind_shown import wind_field_shown
+from ground_station.app.views.day_content import read_display_rows
+from ground_station.app.views.operator_alerts import expiring_certificates_text
+from ground_station.app.views.wind_notes import recent_front_texts
+from ground_station.core.fleet.certificate_ends import CertificateExpiry
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.site_wind.site_belief import SETTLE_S
+from ground_station.core.site_wind.site_field import ESTIMATE_INTERVAL_S
 
-TICK_S = 0.2
-ROWS_S = 0.5
-"""Between two readings of the store: deeds are a few a minute, and a person sees no less."""
+PICTURE_INTERVAL_S = 0.2
+STORE_INTERVAL_S = 0.5
+"""Interval of store readings: operator commands are rare, so a longer delay is not noticed."""
 
-BEAT_S = 1.0
-"""A picture that has not changed is published again after so long: the page sees that we live."""
+MAX_PICTURE_INTERVAL_S = 1.0
+"""Maximum interval of pictures: an unchanged one is sent again to show that the feed is alive."""
 
-SAMPLES = 2000
-"""Of one drone's history that are sent: more than a screen has columns."""
+MAX_HISTORY_SAMPLES = 2000
+"""Maximum number of samples of one drone's history: more than a screen has columns."""
 
 
-class MapFeed:
-    """The feed of one map."""
+class MapPublisher:
+    """Feed of one map."""
 
     def __init__(
         self,
         view: MapView,
-        ear: FleetEar,
+        listener: FleetListener,
         store: Store,
         clock: Clock,
-        certificates: Callable[[], CertificateFigures | None] = lambda: None,
+        certificates: Callable[[], CertificateExpiry | None] = lambda: None,
     ) -> None:
         self.stream = LiveStream()
-        self._view, self._ear, self._store, self._clock = view, ear, store, clock
+        self._view, self._listener, self._store, self._clock = view, listener, store, clock
         self._day = DayStore(store.database, clock.epoch_us)
         self._decisions = DecisionReader(store.database)
         self._flights = FlightDecisions()
-        self._read, self._away = StoreReading(), ""
+        self._store_snapshot, self._store_error = StoreSnapshot(), ""
         self._certificates = certificates
-        self._field: WindShown | None = None
+        self._wind_field: WindShown | None = None
         self._fronts: tuple[str, ...] = ()
-        self._wind_s = 0.0
-        self._next_s, self._rows_s, self._published_s = 0.0, 0.0, 0.0
+        self._next_wind_s = 0.0
+        self._next_picture_s, self._next_store_read_s, self._last_picture_s = 0.0, 0.0, 0.0
 
-    def turn(self) -> None:
-        """Listen until the next picture is due, and publish it if it is another one."""
+    def listen_and_publish_due_picture(self) -> None:
+        """Listen until the next picture is due, and publish it if it has changed."""
         now_s = self._clock.monotonic_s()
-        self._ear.listen(max(self._next_s - now_s, 0.0))
+        self._listener.receive_and_process_messages(max(self._next_picture_s - now_s, 0.0))
         now_s = self._clock.monotonic_s()
-        if now_s < self._next_s:
+        if now_s < self._next_picture_s:
             return
-        self._next_s = now_s + TICK_S
-        if now_s >= self._rows_s:
-            self._rows_s = now_s + ROWS_S
-            self._read_store()
-        self._publish(now_s)
+        self._next_picture_s = now_s + PICTURE_INTERVAL_S
+        if now_s >= self._next_store_read_s:
+            self._next_store_read_s = now_s + STORE_INTERVAL_S
+            self._update_store_snapshot()
+        self._publish_picture_if_changed(now_s)
 
     # --- the store -----------------------------------------------------------------------------
 
-    def _read_store(self) -> None:
-        with self._store_may_be_away():
-            rows = read_rows(self._store, self._day, self._clock.epoch_us())
-            wind = self._day.wind()
-            for heard in self._decisions.newer():
-                self._note_decision(heard)
-            self._read, self._away = StoreReading.of(rows, wind), ""
+    def _update_store_snapshot(self) -> None:
+        with self._suppress_and_record_store_error():
+            rows = read_display_rows(self._store, self._day, self._clock.epoch_us())
+            wind = self._day.measured_wind_of_last_plan()
+            for received in self._decisions.read_new_decisions():
+                self._record_decision(received)
+            self._store_snapshot, self._store_error = StoreSnapshot.from_rows(rows, wind), ""
 
     @contextmanager
-    def _store_may_be_away(self) -> Iterator[None]:
+    def _suppress_and_record_store_error(self) -> Iterator[None]:
         try:
             yield
         except StoreError as error:
-            self._away = str(error)
+            self._store_error = str(error)
 
-    def _note_decision(self, heard: HeardDecision) -> None:
-        """Also a sample of the promise, where nobody has heard that drone's states yet."""
-        self._flights.note(heard)
-        track = self._ear.track_of(heard.event.vehicle)
-        if track.heard_us is None:
-            event = heard.event
-            track.promises.append(PromiseSample(heard.heard_us, event.margin_wh, event.p_home))
+    def _record_decision(self, received: ReceivedDecision) -> None:
+        """Record a decision; it is also a margin sample if no state of the drone is received."""
+        self._flights.record_decision(received)
+        track = self._listener.get_or_create_track(received.event.vehicle)
+        if track.received_us is None:
+            event = received.event
+            track.margin_samples.append(
+                ReturnMarginSample(received.received_us, event.margin_wh, event.p_home)
+            )
 
     # --- the picture ---------------------------------------------------------------------------
 
-    def _publish(self, now_s: float) -> None:
-        picture = self.picture(now_s)
-        before = self.stream.frame
-        beat = now_s - self._published_s >= BEAT_S
-        if beat or before is None or before.picture != picture:
-            self._published_s = now_s
+    def _publish_picture_if_changed(self, now_s: float) -> None:
+        picture = self.build_picture(now_s)
+        before = self.stream.latest_frame
+        is_due = now_s - self._last_picture_s >= MAX_PICTURE_INTERVAL_S
+        if is_due or before is None or before.picture != picture:
+            self._last_picture_s = now_s
             self.stream.publish(picture, self._clock.epoch_us())
 
-    def picture(self, now_s: float) -> dict[str, Any]:
-        """What is seen at this time of the monotonic clock, as JSON's own types."""
-        ear = self._ear
-        ending = ending_certificates(self._certificates(), self._clock.epoch_us())
-        self._look_at_wind(now_s)
-        moment = Moment(
+    def build_picture(self, now_s: float) -> dict[str, Any]:
+        """Return the picture at this time of the monotonic clock, as JSON types."""
+        listener = self._listener
+        expiring = expiring_certificates_text(self._certificates(), self._clock.epoch_us())
+        self._update_wind_if_due(now_s)
+        snapshot = MapSnapshot(
             now_s,
-            ear.status,
-            ear.tracks,
+            listener.status,
+            listener.tracks,
             self._flights,
-            self._read,
-            self._away,
-            ending,
-            field=self._field,
-            fronts=self._fronts,
+            self._store_snapshot,
+            self._store_error,
+            expiring,
+            wind_field=self._wind_field,
+            front_texts=self._fronts,
         )
-        return self._view.picture(moment)
+        return self._view.build_picture(snapshot)
 
-    def _look_at_wind(self, now_s: float) -> None:
-        """Now and then: a person sees no less, and each look is a picture to be sent."""
-        wind = self._ear.wind
-        if wind is None or now_s < self._wind_s:
+    def _update_wind_if_due(self, now_s: float) -> None:
+        """Update the wind at long intervals: each change causes a picture to be sent."""
+        wind = self._listener.wind
+        if wind is None or now_s < self._next_wind_s:
             return
-        self._wind_s = now_s + SETTLE_S
-        self._field = field_shown(wind, now_s)
-        troubles = {} if self._ear.stations is None else self._ear.stations.book.troubles(now_s)
-        stations = (f"station {name}: {why}" for name, why in sorted(troubles.items()))
-        self._fronts = (*front_notes(wind, self._ear.status, now_s), *stations)
+        self._next_wind_s = now_s + ESTIMATE_INTERVAL_S
+        self._wind_field = wind_field_shown(wind, now_s)
+        faults = (
+            {}
+            if self._listener.stations is None
+            else self._listener.stations.station_registry.reason_by_unused_station(now_s)
+        )
+        stations = (f"station {name}: {reason}" for name, reason in sorted(faults.items()))
+        self._fronts = (*recent_front_texts(wind, self._listener.status, now_s), *stations)
 
     # --- what the page asks for ----------------------------------------------------------------
 
-    def history(self, vehicle: str) -> list[dict[str, Any]] | None:
-        """What a drone said of its promise, oldest first; None: nobody of this name is known."""
-        track = self._ear.tracks.get(vehicle)
-        return None if track is None else history_of(list(track.promises.copy()))
+    def margin_history_of(self, vehicle: str) -> list[dict[str, Any]] | None:
+        """Return a drone's margins and probabilities, oldest first; None: unknown name."""
+        track = self._listener.tracks.get(vehicle)
+        return (
+            None
+            if track is None
+            else thinned_margin_history_json(list(track.margin_samples.copy()))
+        )
 
-    def reach(self, vehicle: str) -> list[Point] | None:
-        """Where a drone can still land; None: not known."""
-        seen = self._ear.status.vehicles.get(vehicle)
-        if seen is None or seen.state is None:
+    def reachable_area_boundary(self, vehicle: str) -> list[Point] | None:
+        """Return the ring within which a drone can still land; None: unknown."""
+        vehicle_status = self._listener.status.vehicles.get(vehicle)
+        if vehicle_status is None or vehicle_status.state is None:
             return None
-        return self._view.reach(seen.state, self._read)
+        return self._view.reachable_area_boundary(vehicle_status.state, self._store_snapshot)
 
 
-def history_of(samples: list[PromiseSample]) -> list[dict[str, Any]]:
-    """What a drone said of its promise, thinned to what a screen shows."""
-    return [_sample(sample) for sample in samples[:: len(samples) // SAMPLES + 1]]
+def thinned_margin_history_json(samples: list[ReturnMarginSample]) -> list[dict[str, Any]]:
+    """Return margins and probabilities of a drone, thinned to the resolution of a screen."""
+    return [
+        _sample_fields(sample) for sample in samples[:: len(samples) // MAX_HISTORY_SAMPLES + 1]
+    ]
 
 
-def _sample(sample: PromiseSample) -> dict[str, Any]:
-    told = {"t_us": sample.heard_us, "margin_wh": sample.margin_wh, "p_home": sample.p_home}
-    return {key: value for key, value in told.items() if value is not None}
+def _sample_fields(sample: ReturnMarginSample) -> dict[str, Any]:
+    fields = {"t_us": sample.received_us, "margin_wh": sample.margin_wh, "p_home": sample.p_home}
+    return {key: value for key, value in fields.items() if value is not None}

@@ -1,4 +1,4 @@
-"""The map's picture of one moment, the running or a past one."""
+"""The map's picture of one moment, present or past."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -6,24 +6,23 @@ from typing import Any
 
 from companion.fleet.messages import State
 from ground_station.app.map.day_pictured import orders_shown, plan_shown, truck_shown
-from ground_station.app.map.drones_shown import DroneFacts, drone_shown
-from ground_station.app.map.fleet_ear import VehicleTrack
-from ground_station.app.map.flight_decisions import Decisions
+from ground_station.app.map.drone_view import DroneSnapshot, drone_shown
+from ground_station.app.map.fleet_receiver import VehicleTrack
+from ground_station.app.map.flight_decisions import FlightDecisions
 from ground_station.app.map.picture import (
-    AttentionShown,
+    AlertShown,
     DroneShown,
     MapPicture,
     Point,
     SiteShown,
     TruckShown,
     WindShown,
-    as_table,
+    to_json_types,
 )
-from ground_station.app.map.reach_ring import ReachRings
+from ground_station.app.map.reach_ring import ReachableAreas
 from ground_station.app.map.site_shown import forecast_shown, site_shown
-from ground_station.app.map.wind_shown import fleet_wind
-from ground_station.app.views.attention import CERTIFICATES, stuck_orders
-from ground_station.app.views.watched_rows import WatchRows
+from ground_station.app.views.day_content import DisplayRows
+from ground_station.app.views.operator_alerts import CERTIFICATES_SUBJECT, stuck_order_texts
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
@@ -32,55 +31,55 @@ from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, Order
 
 
 @dataclass(frozen=True, slots=True)
-class StoreReading:
-    """What the store held at one moment, and what follows from that alone."""
+class StoreSnapshot:
+    """Store content at one moment, and the values derived from it."""
 
-    rows: WatchRows = field(default_factory=WatchRows)
+    rows: DisplayRows = field(default_factory=DisplayRows)
     wind: Forecast | None = None
     tables: dict[str, Any] = field(default_factory=dict)
     orders: dict[str, Order] = field(default_factory=dict)
-    held: dict[str, AssignmentRow] = field(default_factory=dict)
+    assignments: dict[str, AssignmentRow] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rows: WatchRows, wind: Forecast | None) -> "StoreReading":
-        """The parts of the picture that are the store's alone are made once for each reading."""
-        orders = {k: as_table(v) for k, v in orders_shown(rows).items()}
+    def from_rows(cls, rows: DisplayRows, wind: Forecast | None) -> "StoreSnapshot":
+        """Build the parts of the picture that depend on the store only, once per reading."""
+        orders = {k: to_json_types(v) for k, v in orders_shown(rows).items()}
         tables: dict[str, Any] = {"orders": orders}
         plan = plan_shown(rows)
         if plan is not None:
-            tables["plan"] = as_table(plan)
+            tables["plan"] = to_json_types(plan)
         return cls(
             rows=rows,
             wind=wind,
             tables=tables,
             orders={row.order.id: row.order for row in rows.orders},
-            held={row.vehicle: row for row in rows.assignments if row.state in IN_FORCE},
+            assignments={row.vehicle: row for row in rows.assignments if row.state in IN_FORCE},
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
-    """All that is known at one moment. `t_s`: by the clock that the statuses were heard by.
+class MapSnapshot:
+    """All data of one moment. `t_s`: on the clock of the statuses' receive times.
 
-    `away`: why the store cannot be read; empty: it can. `ending`: whose certificates end soon.
-    `notes`: what else is to be said. `field`: the wind that is believed of the site, None: not
-    known. `fronts`: that come, in words.
+    `store_error`: error of the unreachable store; empty: reachable. `expiring_certificates`:
+    certificates that expire soon. `notes`: further notes. `wind_field`: accepted wind of the site,
+    None: unknown. `front_texts`: approaching fronts, as text.
     """
 
     t_s: float
     status: FleetStatus
     tracks: Mapping[str, VehicleTrack]
-    decisions: Decisions
-    read: StoreReading
-    away: str = ""
-    ending: str = ""
+    decisions: FlightDecisions
+    store: StoreSnapshot
+    store_error: str = ""
+    expiring_certificates: str = ""
     notes: tuple[str, ...] = ()
-    field: WindShown | None = None
-    fronts: tuple[str, ...] = ()
+    wind_field: WindShown | None = None
+    front_texts: tuple[str, ...] = ()
 
 
 class MapView:
-    """What one map shows of any moment of its fleet."""
+    """Builds the pictures of one map for any moment of its fleet."""
 
     def __init__(
         self,
@@ -90,104 +89,114 @@ class MapView:
         basemap: bool = False,
         outline: bool = False,
     ) -> None:
-        """`notes`: what is always to be said. Without `data` nothing of the place is known."""
+        """`notes`: shown in every picture. Without `data` the site is unknown."""
         self._fleet, self._data, self._notes = fleet, data, notes
         self._basemap, self._outline = basemap, outline and not basemap
         self._site = SiteShown() if data is None else site_shown(data)
-        self._site_table = as_table(self._site)
-        self._rings = None if data is None else ReachRings(data)
+        self._site_table = to_json_types(self._site)
+        self._area_model = None if data is None else ReachableAreas(data)
 
-    def picture(self, moment: Moment) -> dict[str, Any]:
-        """What is seen, as JSON's own types."""
+    def build_picture(self, snapshot: MapSnapshot) -> dict[str, Any]:
+        """Return the picture as JSON types."""
         drones = {
-            name: drone_shown(self._facts(moment, name), moment.t_s)
-            for name in self._drones(moment)
+            name: drone_shown(self._drone_snapshot(snapshot, name), snapshot.t_s)
+            for name in self._displayed_drone_names(snapshot)
         }
-        truck = _truck(moment)
+        truck = _truck_of_snapshot(snapshot)
         shown = MapPicture(
             fleet=self._fleet,
-            attention=list(self._attention(moment, truck, drones)),
-            notes=[*self._notes, *moment.notes, *_store_notes(moment.read.rows)],
+            alerts=list(self._day_and_vehicle_alerts(snapshot, truck, drones)),
+            notes=[
+                *self._notes,
+                *snapshot.notes,
+                *_hold_and_confirmation_notes(snapshot.store.rows),
+            ],
             drones=drones,
             truck=truck,
-            winds=list(self._winds(moment)),
+            winds=list(self._displayed_winds(snapshot)),
             max_loss=None if self._data is None else self._data.day.mission.max_loss,
             basemap=self._basemap,
             outline=self._outline,
         )
-        return as_table(shown) | moment.read.tables | {"site": self._site_table}
+        return to_json_types(shown) | snapshot.store.tables | {"site": self._site_table}
 
-    def reach(self, state: State, read: StoreReading) -> list[Point] | None:
-        """Where a drone can still land; None: not known."""
-        if self._rings is None:
+    def reachable_area_boundary(
+        self, state: State, store_snapshot: StoreSnapshot
+    ) -> list[Point] | None:
+        """Return the ring within which a drone can still land; None: unknown."""
+        if self._area_model is None:
             return None
-        row = read.held.get(state.vehicle)
-        order = None if row is None else read.orders.get(row.order_id)
+        row = store_snapshot.assignments.get(state.vehicle)
+        order = None if row is None else store_snapshot.orders.get(row.order_id)
         loaded = order is not None and not state.delivered
-        return self._rings.ring(state, order.mass_kg if order and loaded else 0.0)
-
-    def _drones(self, moment: Moment) -> list[str]:
-        day = moment.read.rows.day
-        sorties = () if day is None else (row.vehicle for row in day.sorties)
-        of_day = () if self._data is None else (drone.id for drone in self._data.day.drones)
-        known = moment.status.vehicles
-        names = {*known, *moment.read.held, *sorties, *(of_day if day is not None else ())}
-        return sorted(names - {TRUCK})
-
-    def _facts(self, moment: Moment, name: str) -> DroneFacts:
-        read, row, seen = moment.read, moment.read.held.get(name), moment.status.of(name)
-        return DroneFacts(
-            seen=seen,
-            track=moment.tracks.get(name) or VehicleTrack(),
-            row=row,
-            order=None if row is None else read.orders.get(row.order_id),
-            day=read.rows.day,
-            decision=moment.decisions.last(seen.state),
-            diverted_to=moment.decisions.diverted_to(seen.state),
-            depot=self._site.depot,
-            places=self._site.rally,
+        return self._area_model.reachable_boundary_points(
+            state, order.mass_kg if order and loaded else 0.0
         )
 
-    def _winds(self, moment: Moment) -> Iterator[WindShown]:
-        if moment.read.wind is not None:
-            yield forecast_shown(moment.read.wind, "measured; the plan in force rests on it")
+    def _displayed_drone_names(self, snapshot: MapSnapshot) -> list[str]:
+        day = snapshot.store.rows.day
+        sorties = () if day is None else (row.vehicle for row in day.sorties)
+        of_day = () if self._data is None else (drone.id for drone in self._data.day.drones)
+        known = snapshot.status.vehicles
+        names = {
+            *known,
+            *snapshot.store.assignments,
+            *sorties,
+            *(of_day if day is not None else ()),
+        }
+        return sorted(names - {TRUCK})
+
+    def _drone_snapshot(self, snapshot: MapSnapshot, name: str) -> DroneSnapshot:
+        store_snapshot = snapshot.store
+        row = store_snapshot.assignments.get(name)
+        vehicle_status = snapshot.status.status_of(name)
+        return DroneSnapshot(
+            status=vehicle_status,
+            track=snapshot.tracks.get(name) or VehicleTrack(),
+            assignment=row,
+            order=None if row is None else store_snapshot.orders.get(row.order_id),
+            day=store_snapshot.rows.day,
+            decision=snapshot.decisions.latest_decision_on_flight(vehicle_status.state),
+            diverted_to=snapshot.decisions.diversion_site_in_force(vehicle_status.state),
+            depot=self._site.depot,
+            rally_points=self._site.rally,
+        )
+
+    def _displayed_winds(self, snapshot: MapSnapshot) -> Iterator[WindShown]:
+        if snapshot.store.wind is not None:
+            yield forecast_shown(snapshot.store.wind, "measured; the plan in force rests on it")
         elif self._data is not None:
             yield forecast_shown(self._data.day.forecast, "forecast of the day")
-        if moment.field is not None:
-            yield moment.field
-            return
-        seen = moment.status.vehicles.values()
-        found = fleet_wind((s.state for s in seen if s.state is not None), moment.tracks)
-        if found is not None:
-            yield found
+        if snapshot.wind_field is not None:
+            yield snapshot.wind_field
 
-    def _attention(
-        self, moment: Moment, truck: TruckShown | None, drones: dict[str, DroneShown]
-    ) -> Iterator[AttentionShown]:
-        if moment.away:
-            yield AttentionShown(who="store", words=f"away, rows are old: {moment.away}")
-        if moment.ending:
-            yield AttentionShown(who=CERTIFICATES, words=moment.ending)
-        yield from (AttentionShown(who="wind", words=words) for words in moment.fronts)
-        if not moment.status.vehicles:
-            yield AttentionShown(who=self._fleet, words="nobody is heard")
+    def _day_and_vehicle_alerts(
+        self, snapshot: MapSnapshot, truck: TruckShown | None, drones: dict[str, DroneShown]
+    ) -> Iterator[AlertShown]:
+        if snapshot.store_error:
+            yield AlertShown(subject="store", text=f"away, rows are old: {snapshot.store_error}")
+        if snapshot.expiring_certificates:
+            yield AlertShown(subject=CERTIFICATES_SUBJECT, text=snapshot.expiring_certificates)
+        yield from (AlertShown(subject="wind", text=words) for words in snapshot.front_texts)
+        if not snapshot.status.vehicles:
+            yield AlertShown(subject=self._fleet, text="no vehicle connected")
         members = {TRUCK: truck} | drones if truck is not None else drones
         for name, shown in members.items():
-            yield from (AttentionShown(who=name, words=words) for words in shown.alarms)
-        for order, words in stuck_orders(moment.read.rows.orders):
-            yield AttentionShown(who=order, words=words)
+            yield from (AlertShown(subject=name, text=words) for words in shown.alarms)
+        for order, words in stuck_order_texts(snapshot.store.rows.orders):
+            yield AlertShown(subject=order, text=words)
 
 
-def _truck(moment: Moment) -> TruckShown | None:
-    day = moment.read.rows.day
-    if day is None and TRUCK not in moment.status.vehicles:
+def _truck_of_snapshot(snapshot: MapSnapshot) -> TruckShown | None:
+    day = snapshot.store.rows.day
+    if day is None and TRUCK not in snapshot.status.vehicles:
         return None
-    return truck_shown(moment.status.of(TRUCK), day, moment.t_s)
+    return truck_shown(snapshot.status.status_of(TRUCK), day, snapshot.t_s)
 
 
-def _store_notes(rows: WatchRows) -> Iterator[str]:
-    for hold in rows.holds:
-        yield hold.words
+def _hold_and_confirmation_notes(rows: DisplayRows) -> Iterator[str]:
+    for hold in rows.hold_list:
+        yield hold.text
     for row in rows.assignments:
         if row.confirmed_by is not None:
             yield f"{row.vehicle}: launch of {row.order_id} confirmed by {row.confirmed_by}"

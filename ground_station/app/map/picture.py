@@ -1,6 +1,6 @@
-"""What the map shows, as the page gets it (JSON). What is unknown is absent.
+"""Content of the map as the page receives it (JSON). Unknown values are absent.
 
-Places are [latitude, longitude] in degrees, times microseconds since 1970 by this machine's clock.
+Positions are [latitude, longitude] in degrees, times are epoch microseconds of this machine.
 """
 
 from typing import Any
@@ -10,41 +10,41 @@ import msgspec
 Point = tuple[float, float]
 
 
-class _Part(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A member that has its default is left out."""
+class _PicturePart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Part of the picture; fields with default values are omitted."""
 
 
-class WayShown(_Part, frozen=True, kw_only=True):
-    """The way of the mission that is aboard."""
+class RouteShown(_PicturePart, frozen=True, kw_only=True):
+    """Route of the uploaded mission."""
 
-    straight: bool = False
-    """Its waypoints are not told: `out` and `home` are straight lines, which it may not fly."""
-    out: list[Point] = []
+    is_straight: bool = msgspec.field(default=False, name="straight")
+    """Waypoints are not reported: `out` and `home` are straight lines, not the flown route."""
+    outbound: list[Point] = msgspec.field(default_factory=list, name="out")
     """From the launch pad to the customer."""
     home: list[Point] = []
-    """From the customer to where it ends if nothing changes."""
-    asked: list[Point] = []
-    """To a stop that it was asked to move to and has not confirmed."""
-    now: list[Point] = []
-    """A diversion in force: from where it is to where it lands."""
+    """From the customer to the planned end of the flight."""
+    to_requested_stop: list[Point] = msgspec.field(default_factory=list, name="asked")
+    """To a stop that a home change has requested and the drone has not confirmed."""
+    diversion: list[Point] = msgspec.field(default_factory=list, name="now")
+    """Diversion in force: from the current position to the landing site."""
 
 
-class DroneShown(_Part, frozen=True, kw_only=True):
+class DroneShown(_PicturePart, frozen=True, kw_only=True):
     """One drone."""
 
     phase: str
-    """As it reports it, or where it is while its silence is expected."""
+    """Reported phase, or the location during expected silence."""
     present: bool = False
-    """Heard, by one companion of this name."""
-    at: Point | None = None
+    """Received, from exactly one companion of this name."""
+    position: Point | None = msgspec.field(default=None, name="at")
     height_rel_m: float | None = None
     course_deg: float | None = None
-    """Where it moves to, of the last metres that it was heard to move."""
+    """Course over the last metres of received movement."""
     ground_speed_mps: float | None = None
-    heard_us: int | None = None
+    received_us: int | None = msgspec.field(default=None, name="heard_us")
     order: str | None = None
     home: str | None = None
-    asked: str | None = None
+    requested_stop: str | None = msgspec.field(default=None, name="asked")
     delivered: bool = False
     armed: bool = False
     margin_wh: float | None = None
@@ -53,61 +53,61 @@ class DroneShown(_Part, frozen=True, kw_only=True):
     p_success: float | None = None
     energy_left_wh: float | None = None
     wind_to_ne_mps: Point | None = None
-    says: str = ""
-    why: str = ""
-    """Its last decision on this flight, in the gate's own words."""
-    why_us: int | None = None
-    way: WayShown = WayShown()
+    last_message: str = msgspec.field(default="", name="says")
+    decision_text: str = msgspec.field(default="", name="why")
+    """Latest decision on this flight, as the gate's text."""
+    decision_us: int | None = msgspec.field(default=None, name="why_us")
+    route: RouteShown = msgspec.field(default=RouteShown(), name="way")
     alarms: list[str] = []
 
 
-class DriveShown(_Part, frozen=True, kw_only=True):
-    """A drive from stop to stop by the plan: it left when the desk noted it, and takes as long as
-    the plan says. Where the road goes is not known.
+class DriveShown(_PicturePart, frozen=True, kw_only=True):
+    """A planned drive between two stops: it starts when the desk records the departure, and has the
+    planned duration. The road is unknown.
     """
 
     start: Point
     end: Point
-    left_us: int
+    departure_us: int = msgspec.field(name="left_us")
     arrive_us: int
 
 
-class TruckShown(_Part, frozen=True, kw_only=True):
-    """The truck. `at` while it drives: absent, unless its terminal reports a position."""
+class TruckShown(_PicturePart, frozen=True, kw_only=True):
+    """The truck. `position` is absent during a drive unless its terminal reports a position."""
 
     phase: str
-    at: Point | None = None
+    position: Point | None = msgspec.field(default=None, name="at")
     drive: DriveShown | None = None
-    """While it drives and reports no position."""
+    """Present during a drive without a reported position."""
     stop: str | None = None
-    leaves_us: int | None = None
-    """Planned departure from where it stands."""
-    waits_for: list[str] = []
-    """Sorties that keep it there, in the store's words."""
+    planned_departure_us: int | None = msgspec.field(default=None, name="leaves_us")
+    """Planned departure from the current stop."""
+    binding_sorties: list[str] = msgspec.field(default_factory=list, name="waits_for")
+    """Sorties that keep the truck at its stop, as the store's text."""
     alarms: list[str] = []
 
 
-class OrderShown(_Part, frozen=True, kw_only=True):
+class OrderShown(_PicturePart, frozen=True, kw_only=True):
     """One order."""
 
-    at: Point
+    position: Point = msgspec.field(name="at")
     state: str
     mass_kg: float
     vehicle: str | None = None
-    why: str = ""
+    reason: str = msgspec.field(default="", name="why")
     note: str = ""
 
 
-class StopShown(_Part, frozen=True, kw_only=True):
+class StopShown(_PicturePart, frozen=True, kw_only=True):
     """A stop of the truck's plan."""
 
-    at: Point
+    position: Point = msgspec.field(name="at")
     arrive_us: int | None = None
     depart_us: int | None = None
 
 
-class NextShown(_Part, frozen=True, kw_only=True):
-    """A sortie to come."""
+class SortieShown(_PicturePart, frozen=True, kw_only=True):
+    """An upcoming sortie."""
 
     order: str
     vehicle: str
@@ -116,54 +116,54 @@ class NextShown(_Part, frozen=True, kw_only=True):
     launch_us: int | None = None
 
 
-class PlanShown(_Part, frozen=True, kw_only=True):
+class PlanShown(_PicturePart, frozen=True, kw_only=True):
     """The plan in force. `route`: the truck's stops in order."""
 
     title: str
     stops: dict[str, StopShown] = {}
     route: list[str] = []
-    next: list[NextShown] = []
+    next: list[SortieShown] = []
 
 
-class WindShown(_Part, frozen=True, kw_only=True):
-    """A wind, where the air moves to, with its covariance [nn, ne, ee] in (m/s)^2."""
+class WindShown(_PicturePart, frozen=True, kw_only=True):
+    """A wind vector that points to where the air moves, with covariance [nn, ne, ee] in (m/s)^2."""
 
     to_ne_mps: Point
     cov_m2ps2: tuple[float, float, float]
     source: str
 
 
-class AreaShown(_Part, frozen=True, kw_only=True):
-    """An obstacle, or an area that no height clears (`height_m` absent)."""
+class AreaShown(_PicturePart, frozen=True, kw_only=True):
+    """An obstacle, or an area that is closed at all heights (`height_m` absent)."""
 
     name: str
     ring: list[Point]
     height_m: float | None = None
 
 
-class SiteShown(_Part, frozen=True, kw_only=True):
-    """What a day file says of the place."""
+class SiteShown(_PicturePart, frozen=True, kw_only=True):
+    """Site data from a day file."""
 
     depot: Point | None = None
     areas: list[AreaShown] = []
     rally: dict[str, Point] = {}
 
 
-class AttentionShown(_Part, frozen=True, kw_only=True):
-    """Something that wants a person's eye. `who`: a member, an order, `store`, `certificates`."""
+class AlertShown(_PicturePart, frozen=True, kw_only=True):
+    """Item for the operator's attention. `subject`: a member, an order, `store`, `certificates`."""
 
-    who: str
-    words: str
+    subject: str = msgspec.field(name="who")
+    text: str = msgspec.field(name="words")
 
 
-class MapPicture(_Part, frozen=True, kw_only=True):
-    """All of it."""
+class MapPicture(_PicturePart, frozen=True, kw_only=True):
+    """The whole picture."""
 
     fleet: str
     site: SiteShown = SiteShown()
-    attention: list[AttentionShown] = []
+    alerts: list[AlertShown] = msgspec.field(default_factory=list, name="attention")
     notes: list[str] = []
-    """Holds, and launches that a person has confirmed."""
+    """Holds, and launches that an operator has confirmed."""
     drones: dict[str, DroneShown] = {}
     truck: TruckShown | None = None
     orders: dict[str, OrderShown] = {}
@@ -172,9 +172,9 @@ class MapPicture(_Part, frozen=True, kw_only=True):
     max_loss: float | None = None
     basemap: bool = False
     outline: bool = False
-    """Without a base map: the world's coasts and borders are there to be drawn."""
+    """Without a base map: coasts and borders are available."""
 
 
-def as_table(part: msgspec.Struct) -> dict[str, Any]:
-    """As JSON's own types, without what is unknown."""
+def to_json_types(part: msgspec.Struct) -> dict[str, Any]:
+    """Return a part as JSON types, without unknown values."""
     return msgspec.to_builtins(part)

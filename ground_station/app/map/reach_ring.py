@@ -1,4 +1,4 @@
-"""How far a drone can still go and land, on the energy that it says is left."""
+"""Distance within which a drone can land on its reported remaining energy."""
 
 import math
 from dataclasses import dataclass, field
@@ -6,94 +6,130 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.base.geo import moved_deg
+from companion.core.base.geo import offset_position_deg
 from companion.core.routing.leg_energy import Leg, LegKind
 from companion.fleet.messages import State
 from ground_station.app.map.picture import Point
-from ground_station.core.feasibility.reach import Reach, day_energy, last_that_fits, rounded_up
+from ground_station.core.feasibility.reach import (
+    SortieFeasibility,
+    find_max_feasible_distance_m,
+    round_up_payload_kg,
+    route_energy_model_for_day,
+)
 from ground_station.core.schema.day_data import DayData
 
-BEARINGS = 48
-SAMPLE_M = 1000.0
-"""Length of the priced leg: its energy goes with its length, but for the stop at its end."""
+BEARING_COUNT = 48
+SAMPLE_LEG_M = 1000.0
+"""Length of the leg whose energy is computed: energy is proportional to length, except the stop."""
 
-FAR_M = 200_000.0
+MAX_RADIUS_M = 200_000.0
 
 
 @dataclass(slots=True)
-class ReachRings:
-    """The rings of one day's drones."""
+class ReachableAreas:
+    """Reach rings of one day's drones."""
 
     data: DayData
-    _models: dict[str, Reach] = field(default_factory=dict)
+    _models: dict[str, SortieFeasibility] = field(default_factory=dict)
 
-    def ring(self, state: State, payload_kg: float) -> list[Point] | None:
-        """Points all around where it can still land on its reserve, at the accepted loss.
+    def reachable_boundary_points(self, state: State, payload_kg: float) -> list[Point] | None:
+        """Return points in all directions where it can land on its reserve at the accepted loss.
 
-        A straight line at its height in the wind that it reports (else the forecast), with the
-        forecast's error; obstacles are not looked at. None: its state lacks what it takes.
+        Assumes a straight line at its height in the wind that it reports (else the forecast), with
+        the forecast's error; ignores obstacles. None: its state lacks required fields.
         """
-        model, left_wh = self._model(state.vehicle), state.energy_left_wh
-        if model is None or left_wh is None or state.lat_deg is None or state.lon_deg is None:
+        model, remaining_wh = self._feasibility_of(state.vehicle), state.energy_left_wh
+        if model is None or remaining_wh is None or state.lat_deg is None or state.lon_deg is None:
             return None
-        bearings = np.linspace(0.0, 2.0 * math.pi, BEARINGS, endpoint=False)
-        ways = np.column_stack([np.cos(bearings), np.sin(bearings)])
-        far_m = _radii_m(model, state, rounded_up(payload_kg), left_wh, ways)
-        lat, lon = moved_deg(state.lat_deg, state.lon_deg, *(far_m * ways.T))
+        bearings = np.linspace(0.0, 2.0 * math.pi, BEARING_COUNT, endpoint=False)
+        directions_ne = np.column_stack([np.cos(bearings), np.sin(bearings)])
+        distance_m = _reachable_radii_m(
+            model, state, round_up_payload_kg(payload_kg), remaining_wh, directions_ne
+        )
+        lat, lon = offset_position_deg(
+            state.lat_deg, state.lon_deg, *(distance_m * directions_ne.T)
+        )
         return list(zip(map(float, lat), map(float, lon), strict=True))
 
-    def _model(self, vehicle: str) -> Reach | None:
-        drone = self.data.day.drone(vehicle)
+    def _feasibility_of(self, vehicle: str) -> SortieFeasibility | None:
+        drone = self.data.day.find_drone(vehicle)
         if drone is None:
             return None
         if vehicle not in self._models:
             day, airframe = self.data.day, self.data.airframes[drone.airframe]
-            energy = day_energy(day, airframe)
-            self._models[vehicle] = Reach(drone, airframe, day.mission, day.forecast, energy)
+            energy = route_energy_model_for_day(day, airframe)
+            self._models[vehicle] = SortieFeasibility(
+                drone, airframe, day.mission, day.forecast, energy
+            )
         return self._models[vehicle]
 
 
-def _radii_m(model: Reach, state: State, payload_kg: float, left_wh: float, ways: Floats) -> Floats:
-    """The radius in each direction, (n, 2) unit vectors, metres."""
+def _reachable_radii_m(
+    model: SortieFeasibility,
+    state: State,
+    payload_kg: float,
+    remaining_wh: float,
+    directions_ne: Floats,
+) -> Floats:
+    """Return the radius in each direction, (n, 2) unit vectors, metres."""
     up = -(state.height_rel_m or 0.0)
-    wind = _wind(model, state)
+    wind = _reported_or_forecast_wind_ne_mps(model, state)
     cruises = tuple(
-        Leg(LegKind.CRUISE, (0.0, 0.0, up), (north * SAMPLE_M, east * SAMPLE_M, up), payload_kg)
-        for north, east in ways
+        Leg(
+            LegKind.CRUISE,
+            (0.0, 0.0, up),
+            (north * SAMPLE_LEG_M, east * SAMPLE_LEG_M, up),
+            payload_kg,
+        )
+        for north, east in directions_ne
     )
     ends = cruises[0].to_ned_m
     land = Leg(LegKind.LAND, ends, (*ends[:2], 0.0), payload_kg)
-    compiled = model.energy.compile(cruises, (None,) * len(cruises))
-    costs = model.energy.costs(compiled, wind[None, :])
-    per_m = costs.energy_wh[0] / SAMPLE_M
-    gradients = model.energy.gradient_wh_per_mps(compiled, wind) / SAMPLE_M
+    compiled = model.energy.group_legs_by_cost_formula(cruises, (None,) * len(cruises))
+    costs = model.energy.leg_costs_wind_major(compiled, wind[None, :])
+    per_m = costs.energy_wh[0] / SAMPLE_LEG_M
+    gradients = model.energy.leg_energy_gradients_wh_per_mps(compiled, wind) / SAMPLE_LEG_M
     wind_per_m = np.sqrt(np.einsum("ki,ij,kj->k", gradients, model.wind_cov_ne_m2ps2, gradients))
-    last = model.energy.costs((cruises[0], land), wind[None, :])  # with the stop before it
+    last = model.energy.leg_costs_wind_major((cruises[0], land), wind[None, :])  # includes the stop
     land_wh = float(last.energy_wh[0, 1])
-    budget_wh = _budget_wh(model, payload_kg, left_wh) - land_wh
-    std_wh = model.airframe.battery.usable_std_frac * left_wh
+    budget_wh = _energy_above_reserve_wh(model, payload_kg, remaining_wh) - land_wh
+    std_wh = model.airframe.battery.usable_std_frac * remaining_wh
     error = model.airframe.power_rotor.model_std_frac
     feasible = costs.feasible[0]
 
-    def radius_m(k: int) -> float:
-        def spare_wh(far_m: float) -> float:
-            errors = (wind_per_m[k] * far_m, error * (per_m[k] * far_m + land_wh), std_wh)
-            return budget_wh - per_m[k] * far_m - model.sigmas * math.hypot(*errors)
+    def radius_m(direction_index: int) -> float:
+        def spare_wh(distance_m: float) -> float:
+            errors = (
+                wind_per_m[direction_index] * distance_m,
+                error * (per_m[direction_index] * distance_m + land_wh),
+                std_wh,
+            )
+            return (
+                budget_wh - per_m[direction_index] * distance_m - model.sigmas * math.hypot(*errors)
+            )
 
-        return last_that_fits(spare_wh, FAR_M) if feasible[k] else 0.0
+        return (
+            find_max_feasible_distance_m(spare_wh, MAX_RADIUS_M)
+            if feasible[direction_index]
+            else 0.0
+        )
 
-    return np.array([radius_m(k) for k in range(len(ways))])
+    return np.array([radius_m(k) for k in range(len(directions_ne))])
 
 
-def _wind(model: Reach, state: State) -> Floats:
+def _reported_or_forecast_wind_ne_mps(model: SortieFeasibility, state: State) -> Floats:
     if state.wind_to_n_mps is None or state.wind_to_e_mps is None:
         return model.wind_to_ne_mps
     return np.array([state.wind_to_n_mps, state.wind_to_e_mps])
 
 
-def _budget_wh(model: Reach, payload_kg: float, left_wh: float) -> float:
-    """Energy left above the reserve."""
+def _energy_above_reserve_wh(
+    model: SortieFeasibility, payload_kg: float, remaining_wh: float
+) -> float:
+    """Return the energy left above the reserve."""
     battery, drone = model.airframe.battery, model.drone
     draw_w = model.energy.hover_power_w(payload_kg)
-    full_wh = battery.usable_wh(draw_w, drone.temperature_c, drone.battery_health_frac)
-    return left_wh - model.mission.reserve_frac * full_wh
+    full_wh = battery.usable_energy_of_full_pack_wh(
+        draw_w, drone.temperature_c, drone.battery_health_frac
+    )
+    return remaining_wh - model.mission.reserve_frac * full_wh

@@ -1,1 +1,1 @@
-"""Pictures of plans. matplotlib is imported only here."""
+"""Pictures of plans. Only this package imports matplotlib."""

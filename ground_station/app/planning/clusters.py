@@ -8,123 +8,157 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.geo import Ned, ObstacleMap
-from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
-from ground_station.adapters.llm import LlmParams, NoAnswer, ask
-from ground_station.core.clustering.energies import energy_matrix
-from ground_station.core.clustering.methods import conditioned, k_means, no_clusters
-from ground_station.core.clustering.problem import (
-    Clustered,
-    ClusteringProblem,
-    Conditions,
-    Method,
-    faults,
-    repair,
+from companion.core.mission.flight_plan import CLEARANCE_M, VERTICAL_CLEARANCE_M, depot_frame
+from ground_station.adapters.llm import LlmParams, NoLlmResponse, request_completion
+from ground_station.core.clustering.energies import delivery_energy_matrix_wh
+from ground_station.core.clustering.methods import (
+    cluster_by_distance,
+    cluster_by_energy,
+    single_cluster,
 )
-from ground_station.core.clustering.prompt import SCHEMA, SYSTEM, clusters_from, user_message
+from ground_station.core.clustering.problem import (
+    Clustering,
+    ClusteringConditions,
+    ClusteringMethod,
+    ClusteringProblem,
+    describe_cluster_violations,
+    repair_clusters,
+)
+from ground_station.core.clustering.prompt import (
+    SCHEMA,
+    SYSTEM,
+    clustering_prompt_json,
+    decode_clusters_or_rejection_reason,
+)
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
 from ground_station.core.feasibility.hills import hills_of
-from ground_station.core.feasibility.reach import Reach, day_energy
+from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
 
-BUILT_IN: dict[str, Method] = {"none": no_clusters, "kmeans": k_means, "ours": conditioned}
+METHODS: dict[str, ClusteringMethod] = {
+    "none": single_cluster,
+    "kmeans": cluster_by_distance,
+    "ours": cluster_by_energy,
+}
 
-DETOUR = 1.3
-"""Cost factor of a blocked straight line: the way around one building of the harbour site, whose
+DETOUR_FACTOR = 1.3
+"""Cost factor of a blocked straight line: the detour around one building of the harbour site, whose
 longest side is 60 m, on legs of 100 to 300 m."""
 
 
-def problem_of(data: DayData, count: int, voltage_v: float | None = None) -> ClusteringProblem:
-    """The drones' orders of a day as a clustering problem."""
+def build_clustering_problem(
+    data: DayData, cluster_count: int, voltage_v: float | None = None
+) -> ClusteringProblem:
+    """Return the drones' orders of a day as a clustering problem."""
     orders = [order for order in data.orders if order.service is not Service.TRUCK]
     assigner = DepotAssigner(data.day, data.airframes, data.elevation)
-    places = [assigner.ground_ned(order) for order in orders]
+    positions = [assigner.order_ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
     airframe = data.airframes[drone.airframe]
-    energy, hills = day_energy(data.day, airframe), hills_of(data.day, data.elevation)
-    reach = Reach(drone, airframe, data.day.mission, data.day.forecast, energy, hills)
-    charge = None if voltage_v is None else airframe.battery.charge_frac_at_rest(voltage_v)
-    places_ne_m = np.array([place[:2] for place in places]).reshape(-1, 2)
+    energy = route_energy_model_for_day(data.day, airframe)
+    hills = hills_of(data.day, data.elevation)
+    feasibility = SortieFeasibility(
+        drone, airframe, data.day.mission, data.day.forecast, energy, hills
+    )
+    charge = (
+        None if voltage_v is None else airframe.battery.charge_frac_from_resting_voltage(voltage_v)
+    )
+    positions_ne_m = np.array([position[:2] for position in positions]).reshape(-1, 2)
     mass_kg = np.array([order.mass_kg for order in orders])
-    blocked = _blocked(data, places)
-    detour = np.where(blocked, DETOUR, 1.0)
+    blocked = _blocked_line_matrix(data, positions)
+    detour = np.where(blocked, DETOUR_FACTOR, 1.0)
     lines = blocked[~np.eye(len(orders), dtype=bool)]
-    conditions = Conditions(
-        coverage_m=_coverage_m(reach, orders, charge),
+    conditions = ClusteringConditions(
+        coverage_m=_upwind_delivery_radius_m(feasibility, orders, charge),
         wind_to_ne_mps=data.day.forecast.to_ne_mps,
         voltage_v=voltage_v,
         obstacle_frac=float(lines.mean()) if lines.size else 0.0,
     )
     return ClusteringProblem(
         ids=tuple(order.id for order in orders),
-        places_ne_m=places_ne_m,
+        positions_ne_m=positions_ne_m,
         mass_kg=mass_kg,
-        energy_wh=energy_matrix(reach, places_ne_m, mass_kg, detour, charge),
+        energy_wh=delivery_energy_matrix_wh(feasibility, positions_ne_m, mass_kg, detour, charge),
         conditions=conditions,
-        count=count,
+        count=cluster_count,
         capacity_kg=data.day.truck.capacity_kg,
     )
 
 
-def cluster_by_llm(
-    problem: ClusteringProblem, params: LlmParams, log: Path | None = None
-) -> Clustered:
-    """The model's proposal, checked and repaired; our own method where it proposes nothing usable.
+def cluster_by_llm_or_energy(
+    problem: ClusteringProblem, params: LlmParams, log_file: Path | None = None
+) -> Clustering:
+    """Check and repair the model's proposal; use the `ours` method if it has no valid clusters.
 
-    Prompt, answer and result are appended to `log`, one JSON line each time.
+    Prompt, response and result are appended to `log_file`, one JSON line for each call.
     """
-    user = user_message(problem)
-    said = ask(params, SYSTEM, user, SCHEMA)
-    answer = "" if isinstance(said, NoAnswer) else said.text
-    proposed = said.reason if isinstance(said, NoAnswer) else clusters_from(said.text, problem)
-    if isinstance(proposed, str):
-        done = conditioned(problem).noting(f"the LLM gave nothing usable: {proposed}")
+    user = clustering_prompt_json(problem)
+    reply = request_completion(params, SYSTEM, user, SCHEMA)
+    reply_text = "" if isinstance(reply, NoLlmResponse) else reply.text
+    clusters_or_reason = (
+        reply.reason
+        if isinstance(reply, NoLlmResponse)
+        else decode_clusters_or_rejection_reason(reply.text, problem)
+    )
+    if isinstance(clusters_or_reason, str):
+        result = cluster_by_energy(problem).with_notes(
+            f"the LLM proposed no valid clusters: {clusters_or_reason}"
+        )
     else:
-        wrong = faults(problem, proposed)
-        notes = tuple(f"repaired: {words}" for words in wrong)
-        done = Clustered(repair(problem, proposed) if wrong else proposed, "llm", notes)
-    if log is None:
-        return done
+        faults = describe_cluster_violations(problem, clusters_or_reason)
+        notes = tuple(f"repaired: {words}" for words in faults)
+        result = Clustering(
+            repair_clusters(problem, clusters_or_reason) if faults else clusters_or_reason,
+            "llm",
+            notes,
+        )
+    if log_file is None:
+        return result
     try:
-        _append(log, params, user, answer, done)
-    except OSError as error:  # a full disk costs only the log
-        return done.noting(f"{log}: nothing logged: {error.strerror}")
-    return done
+        _append_llm_log_entry(log_file, params, user, reply_text, result)
+    except OSError as error:  # a full disk must not lose the result
+        return result.with_notes(f"{log_file}: nothing logged: {error.strerror}")
+    return result
 
 
-def _append(log: Path, params: LlmParams, user: str, answer: str, done: Clustered) -> None:
+def _append_llm_log_entry(
+    log_file: Path, params: LlmParams, user_prompt: str, reply_text: str, result: Clustering
+) -> None:
     line: dict[str, Any] = {
         "model": params.model,
         "system": SYSTEM,
-        "user": user,
-        "answer": answer,
-        "result": asdict(done),
+        "user": user_prompt,
+        "answer": reply_text,
+        "result": asdict(result),
     }
-    with log.open("a") as file:
+    with log_file.open("a") as file:
         file.write(json.dumps(line) + "\n")
 
 
-def _blocked(data: DayData, places: list[Ned]) -> Any:
-    """Which straight lines between customers an obstacle blocks at cruise height."""
-    found = np.zeros((len(places), len(places)), dtype=bool)
+def _blocked_line_matrix(data: DayData, positions: list[Ned]) -> Any:
+    """Return which straight lines between customers an obstacle blocks at cruise height."""
+    found = np.zeros((len(positions), len(positions)), dtype=bool)
     if data.no_fly is None:
         return found
-    prisms = data.obstacles(frame_at(data.day.depot.place))
-    obstacles = ObstacleMap(prisms, CLEARANCE_M, CLEARANCE_UP_M)
+    prisms = data.obstacles_to_avoid(depot_frame(data.day.depot.location))
+    obstacles = ObstacleMap(prisms, CLEARANCE_M, VERTICAL_CLEARANCE_M)
     up = -data.day.mission.cruise_height_m
-    for i, a in enumerate(places):
+    for i, a in enumerate(positions):
         for j in range(i):
-            b = places[j]
-            line = obstacles.blocking((a[0], a[1], up), (b[0], b[1], up))
+            b = positions[j]
+            line = obstacles.first_blocking_obstacle((a[0], a[1], up), (b[0], b[1], up))
             found[i, j] = found[j, i] = line is not None
     return found
 
 
-def _coverage_m(reach: Reach, orders: list[Order], charge_frac: float | None) -> float:
-    """How far from a stop the heaviest parcel that a drone can carry is brought, upwind."""
-    most_kg = reach.airframe.mass.max_payload_kg
+def _upwind_delivery_radius_m(
+    feasibility: SortieFeasibility, orders: list[Order], charge_frac: float | None
+) -> float:
+    """Return the upwind delivery radius of a stop for the heaviest parcel that a drone carries."""
+    most_kg = feasibility.airframe.mass.max_payload_kg
     heaviest_kg = max((o.mass_kg for o in orders if o.mass_kg <= most_kg), default=0.0)
-    north, east = reach.upwind_ne
+    north, east = feasibility.upwind_unit_vector_ne
     far = (100_000.0 * north, 100_000.0 * east, 0.0)
-    charge = reach.drone.charge_frac if charge_frac is None else charge_frac
-    return reach.radius_m(heaviest_kg, far, charge)
+    charge = feasibility.drone.charge_frac if charge_frac is None else charge_frac
+    return feasibility.max_stop_distance_from_customer_m(heaviest_kg, far, charge)

@@ -1,7 +1,7 @@
-"""Large days: several day files as one, divided into a day for each truck, each of them planned.
+"""Large days: several day files combined, divided into a day for each truck, each one planned.
 
-Each day has its own orders, drones and fleet, so that each truck has a desk of its own; nothing
-flies from one region's truck to another's. Fleets that may meet in the air are neighbours.
+Each day has its own orders, drones and fleet, so that each truck has its own desk; no drone flies
+between two regions' trucks. Fleets that may meet in the air are neighbours.
 """
 
 import csv
@@ -17,35 +17,35 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import place_ned
-from companion.core.base.place import Place
-from companion.core.mission.flight_file import check_neighbours
-from companion.core.mission.flight_plan import frame_at
-from ground_station.adapters.files.compiled_code import keep_compiled_code
-from ground_station.adapters.files.day_files import read_day
-from ground_station.adapters.files.plan_files import write_day_plan, write_text
-from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
+from companion.core.base.geo import location_to_ground_ned_m
+from companion.core.base.location import Location
+from companion.core.mission.flight_file import check_neighbour_fleets
+from companion.core.mission.flight_plan import depot_frame
+from ground_station.adapters.files.atomic_file import write_file_atomically
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
+from ground_station.adapters.files.day_files import read_day, write_day_plan
+from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
 from ground_station.core.planning.regions import (
     RegionProblem,
-    meeting,
-    order_work_s,
-    regions_of,
+    adjacent_area_indices_by_area,
+    driver_work_by_order_s,
+    truck_by_order_with_equal_work,
 )
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.orders import Order, Service, place_of
+from ground_station.core.schema.orders import Order, Service, order_location
 
-COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
-LONGEST_NAME = 32
-MEET_M = 2000.0
-"""Between the hulls about two regions' places, each flown as straight lines: who flies around what
-may not be flown over, or dodges, leaves its own by less than half of that.
+ORDER_COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
+MAX_FLEET_NAME_LENGTH = 32
+NEIGHBOUR_DISTANCE_M = 2000.0
+"""Minimum distance of two regions' convex hulls of straight flights: detours around obstacles and
+avoidance leave a hull by less than half of it.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class RegionDay:
-    """One truck's day. `work_s`: of its driver, by the measure that the division balances."""
+    """Day of one truck. `work_s`: driver's work by the measure that the division balances."""
 
     name: str
     data: DayData
@@ -53,17 +53,17 @@ class RegionDay:
 
 
 @dataclass(frozen=True, slots=True)
-class RegionPlanned:
-    """A region's plan, and the CPU seconds that it took; `plan` None: `lost` says why."""
+class RegionResult:
+    """Plan of a region and its CPU time in seconds; `plan` None: `error_text` states the reason."""
 
     region: RegionDay
     plan: DayPlan | None
     cpu_s: float
-    lost: str = ""
+    error_text: str = ""
 
 
-class PlanWork(msgspec.Struct, frozen=True):
-    """What a worker is sent: the region's day file, and how to search."""
+class PlanTask(msgspec.Struct, frozen=True):
+    """Task of a worker: the region's day file and the search settings."""
 
     path: str
     policy: Literal["search", "dynamic"]
@@ -71,158 +71,181 @@ class PlanWork(msgspec.Struct, frozen=True):
     seed: int
 
 
-def divided(
-    days: Sequence[DayData],
-    trucks: Sequence[int],
-    share: Floats | None = None,
-    before: Sequence[RegionDay] = (),
+def divide_days_among_trucks(
+    days: Sequence[DayData], truck_counts: Sequence[int]
 ) -> list[RegionDay]:
-    """A day for each truck. `trucks`: how many start from each of the days' depots. `share`
-    (trucks,): of all drivers' work, by truck, 1 in all; each the same by default. `before`: these
-    days divided already, to be changed as little as that asks.
+    """Return a day for each truck. `truck_counts`: number of trucks from each of the days' depots.
 
-    The days' orders are pooled; one that several days name is one order where it is the same.
-    Raises LeewayError where the days cannot be divided together.
+    The days' orders are pooled; equal orders of several days count once. Raises LeewayError if the
+    days cannot be divided together.
     """
-    _check(days, trucks)
-    orders = _pooled(days)
-    frame = frame_at(days[0].day.depot.place)
-    orders_ne_m = np.array([place_ned(frame, place_of(order))[:2] for order in orders])
+    _check_days_can_be_split_by_truck(days, truck_counts)
+    orders = _pool_orders(days)
+    frame = depot_frame(days[0].day.depot.location)
+    orders_ne_m = np.array(
+        [location_to_ground_ned_m(frame, order_location(order))[:2] for order in orders]
+    )
     truck = days[0].day.truck
     problem = RegionProblem(
-        depots_ne_m=np.array([place_ned(frame, data.day.depot.place)[:2] for data in days]),
-        trucks=tuple(trucks),
+        depots_ne_m=np.array(
+            [location_to_ground_ned_m(frame, data.day.depot.location)[:2] for data in days]
+        ),
+        trucks=tuple(truck_counts),
         orders_ne_m=orders_ne_m,
-        work_s=_work_s(days, sum(trucks), orders, orders_ne_m),
+        work_s=_driver_work_s_by_order(days, sum(truck_counts), orders, orders_ne_m),
         metres_per_s=truck.speed_mps / truck.detour_factor,
     )
-    number_of = {order.id: k for k, one in enumerate(before) for order in one.data.orders}
-    now = np.array([number_of[order.id] for order in orders]) if before else None
-    region = regions_of(problem, share, now)
+    region = truck_by_order_with_equal_work(problem)
     found: list[RegionDay] = []
-    for data, count in zip(days, trucks, strict=True):
+    for data, count in zip(days, truck_counts, strict=True):
         for number in range(count):
-            mine = region == len(found)
+            in_region = region == len(found)
             drones = data.day.drones[number::count]
             suffix = f"-{number + 1}"
             day = msgspec.structs.replace(
                 data.day,
                 name=f"{data.day.name}{suffix}",
-                fleet=f"{data.day.fleet[: LONGEST_NAME - len(suffix)]}{suffix}",
+                fleet=f"{data.day.fleet[: MAX_FLEET_NAME_LENGTH - len(suffix)]}{suffix}",
                 drones=drones,
             )
-            own = [order for order, is_mine in zip(orders, mine.tolist(), strict=True) if is_mine]
-            region_data = replace(data, day=day, orders=own)
-            found.append(RegionDay(day.name, region_data, float(problem.work_s[mine].sum())))
-    return _with_neighbours(found, {data.day.fleet for data in days})
+            region_orders = [
+                order
+                for order, is_in_region in zip(orders, in_region.tolist(), strict=True)
+                if is_in_region
+            ]
+            region_data = replace(data, day=day, orders=region_orders)
+            found.append(RegionDay(day.name, region_data, float(problem.work_s[in_region].sum())))
+    return _with_neighbour_fleets(found, {data.day.fleet for data in days})
 
 
-def _with_neighbours(regions: Sequence[RegionDay], divided_up: set[str]) -> list[RegionDay]:
-    """Each with the others that it may meet in the air, beside those that its day names already;
-    fleets that are divided up are no more.
+def _with_neighbour_fleets(
+    regions: Sequence[RegionDay], divided_fleets: set[str]
+) -> list[RegionDay]:
+    """Add to each region the fleets that it may meet in the air, in addition to those that its day
+    names; fleets that have been divided are removed.
     """
-    frame = frame_at(regions[0].data.day.depot.place)
+    frame = depot_frame(regions[0].data.day.depot.location)
     areas_ne_m = [
-        np.array([place_ned(frame, place)[:2] for place in _places(region.data)])
+        np.array(
+            [
+                location_to_ground_ned_m(frame, location)[:2]
+                for location in _flight_locations(region.data)
+            ]
+        )
         for region in regions
     ]
     found: list[RegionDay] = []
-    for region, near in zip(regions, meeting(areas_ne_m, MEET_M), strict=True):
+    for region, near in zip(
+        regions, adjacent_area_indices_by_area(areas_ne_m, NEIGHBOUR_DISTANCE_M), strict=True
+    ):
         day = region.data.day
-        others = [name for name in day.neighbours if name not in divided_up]
+        others = [name for name in day.neighbours if name not in divided_fleets]
         names = dict.fromkeys([*others, *(regions[k].data.day.fleet for k in near)])
         day = msgspec.structs.replace(day, neighbours=list(names))
-        check_neighbours(f"{day.name}: neighbours", day.neighbours)
+        check_neighbour_fleets(f"{day.name}: neighbours", day.neighbours)
         found.append(replace(region, data=replace(region.data, day=day)))
     return found
 
 
-def _places(data: DayData) -> list[Place]:
-    """Where its drones take off, deliver and may land."""
-    return [data.day.depot.place, *data.day.rally, *(place_of(order) for order in data.orders)]
+def _flight_locations(data: DayData) -> list[Location]:
+    """Return the positions where its drones take off, deliver and may land."""
+    return [
+        data.day.depot.location,
+        *data.day.rally,
+        *(order_location(order) for order in data.orders),
+    ]
 
 
-def _check(days: Sequence[DayData], trucks: Sequence[int]) -> None:
-    for data, count in zip(days, trucks, strict=True):
+def _check_days_can_be_split_by_truck(days: Sequence[DayData], truck_counts: Sequence[int]) -> None:
+    """Raise LeewayError unless each truck can have a drone and names and fleets are unique."""
+    for data, count in zip(days, truck_counts, strict=True):
         if len(data.day.drones) < count:
             raise LeewayError(
                 f"{data.day.name}: {len(data.day.drones)} drones for {count} trucks:"
                 " expected one or more for each"
             )
-        if data.roads_s is not None:
+        if data.road_times_s is not None:
             raise LeewayError(
-                f"{data.day.name}: a road matrix is of one truck's day; expected speed and detour"
+                f"{data.day.name}: a road matrix fits one truck only; expected speed and detour"
             )
     names = [data.day.name for data in days]
     fleets = [data.day.fleet for data in days]
-    for what, found in (("name", names), ("fleet", fleets)):
+    for field_name, found in (("name", names), ("fleet", fleets)):
         if len(set(found)) < len(found):
-            raise LeewayError(f"{what}: expected another in each day, not {', '.join(found)}")
+            raise LeewayError(
+                f"{field_name}: expected a different one in each day, not {', '.join(found)}"
+            )
 
 
-def _pooled(days: Sequence[DayData]) -> list[Order]:
+def _pool_orders(days: Sequence[DayData]) -> list[Order]:
     orders: dict[str, Order] = {}
     for data in days:
         for order in data.orders:
             if orders.setdefault(order.id, order) != order:
-                raise LeewayError(f"{data.day.name}: order {order.id} is another in another day")
+                raise LeewayError(
+                    f"{data.day.name}: order {order.id} differs from the one in another day"
+                )
     return list(orders.values())
 
 
-def _work_s(
-    days: Sequence[DayData], trucks: int, orders: Sequence[Order], orders_ne_m: Floats
+def _driver_work_s_by_order(
+    days: Sequence[DayData], truck_count: int, orders: Sequence[Order], orders_ne_m: Floats
 ) -> Floats:
-    """By the first day's truck: what a door and what a drone cost its driver."""
+    """Return the driver's work of each order, by truck or drone, with the first day's truck."""
     truck = days[0].day.truck
     most_kg = max(
         airframe.mass.max_payload_kg for data in days for airframe in data.airframes.values()
     )
-    flies = [order.service is not Service.TRUCK and order.mass_kg <= most_kg for order in orders]
-    return order_work_s(
+    can_fly = [order.service is not Service.TRUCK and order.mass_kg <= most_kg for order in orders]
+    return driver_work_by_order_s(
         truck.deliver_s,
         truck.launch_s + truck.recover_s,
-        np.array(flies, bool),
+        np.array(can_fly, bool),
         orders_ne_m,
         truck.speed_mps / truck.detour_factor,
-        sum(len(data.day.drones) for data in days) / trucks,
+        sum(len(data.day.drones) for data in days) / truck_count,
     )
 
 
-def write_region(folder: Path, region: RegionDay, beside: Path) -> Path:
-    """Write a region's day and its orders; `beside`: the day file that it came from.
+def write_region_day_and_orders(folder: Path, region: RegionDay, source_path: Path) -> Path:
+    """Write a region's day and its orders; `source_path`: the day file of its origin.
 
-    Returns the day's file. Files that the day names are named from where it is now.
+    Returns the path of the day's file. Paths in the day are relative to its new folder.
     """
     orders = f"{region.name}_orders.csv"
-    write_text(folder / orders, _orders_csv(region.data.orders))
+    write_file_atomically(folder / orders, _orders_csv(region.data.orders).encode())
     changed: dict[str, Any] = {"orders": [orders]}
     day = region.data.day
     if day.no_fly is not None:
-        changed["no_fly"] = _from(folder, beside.parent / day.no_fly)
+        changed["no_fly"] = _relative_path(folder, source_path.parent / day.no_fly)
     if day.forecast.file is not None:
-        file = _from(folder, beside.parent / day.forecast.file)
+        file = _relative_path(folder, source_path.parent / day.forecast.file)
         changed["forecast"] = msgspec.structs.replace(day.forecast, file=file)
-    changed["elevation"] = [_from(folder, beside.parent / one) for one in day.elevation]
+    changed["elevation"] = [
+        _relative_path(folder, source_path.parent / one) for one in day.elevation
+    ]
     drones = [
         drone
         if not drone.airframe.endswith(".toml")
-        else msgspec.structs.replace(drone, airframe=_from(folder, beside.parent / drone.airframe))
+        else msgspec.structs.replace(
+            drone, airframe=_relative_path(folder, source_path.parent / drone.airframe)
+        )
         for drone in day.drones
     ]
     table = msgspec.to_builtins(msgspec.structs.replace(day, drones=drones, **changed))
     path = folder / f"{region.name}.toml"
-    write_text(path, msgspec.toml.encode(_without_none(table)).decode())
+    write_file_atomically(path, msgspec.toml.encode(_without_none(table)))
     return path
 
 
-def _from(folder: Path, path: Path) -> str:
+def _relative_path(folder: Path, path: Path) -> str:
     return os.path.relpath(path, folder)
 
 
 def _orders_csv(orders: Sequence[Order]) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(COLUMNS)
+    rows.writerow(ORDER_COLUMNS)
     for order in orders:
         rows.writerow(
             (
@@ -246,43 +269,44 @@ def _without_none(value: Any) -> Any:
     return value
 
 
-def planned(
+def plan_and_write_regions(
     regions: Sequence[RegionDay],
-    work: Sequence[PlanWork],
-    workers: Workers,
-    tell: Callable[[RegionPlanned], None],
-    say: Callable[[str], None] = lambda words: None,
-) -> list[RegionPlanned]:
-    """Plan each region's day from its file, side by side; `tell` is told each as it ends.
+    plan_tasks: Sequence[PlanTask],
+    workers: WorkerOptions,
+    on_finished_region: Callable[[RegionResult], None],
+    log: Callable[[str], None] = lambda words: None,
+) -> list[RegionResult]:
+    """Plan each region's day from its file in parallel; `on_finished_region` is called for each
+    finished one.
 
-    Plans are written beside the day files as `NAME_plan.json`, and are the same whoever makes them.
+    Plans are written next to the day files as `NAME_plan.json`, independent of the worker.
     """
-    found: dict[int, RegionPlanned] = {}
-    for ended in side_by_side(work, plan_region, workers, say):
-        region = regions[ended.index]
-        if isinstance(ended, PieceLost):
-            done = RegionPlanned(region, None, 0.0, ended.why)
+    found: dict[int, RegionResult] = {}
+    for outcome in run_parallel(plan_tasks, plan_region_and_measure_cpu_time, workers, log):
+        region = regions[outcome.index]
+        if isinstance(outcome, ItemLost):
+            done = RegionResult(region, None, 0.0, outcome.reason)
         else:
-            plan, cpu_s = ended.result
-            path = Path(work[ended.index].path)
+            plan, cpu_s = outcome.result
+            path = Path(plan_tasks[outcome.index].path)
             write_day_plan(path.with_name(f"{path.stem}_plan.json"), plan)
-            done = RegionPlanned(region, plan, cpu_s)
-        found[ended.index] = done
-        tell(done)
+            done = RegionResult(region, plan, cpu_s)
+        found[outcome.index] = done
+        on_finished_region(done)
     return [found[index] for index in range(len(regions))]
 
 
-def plan_region(work: PlanWork) -> tuple[DayPlan, float]:
-    """The plan, and the CPU seconds from the read day to it, without compiling."""
-    keep_compiled_code()  # before the planner's first import
-    from ground_station.adapters.clock import cpu_s
+def plan_region_and_measure_cpu_time(plan_task: PlanTask) -> tuple[DayPlan, float]:
+    """Return the plan and its CPU time in seconds after reading the day, without compiling."""
+    enable_compile_cache_and_check_if_known()  # before the planner's first import
+    from ground_station.adapters.clock import process_cpu_time_s
     from ground_station.core.planning.day_planner import PlanParams, plan_day
-    from ground_station.core.schema.day_state import first_state
+    from ground_station.core.schema.day_state import initial_state
 
-    data = read_day(Path(work.path))
-    few = replace(data, orders=data.orders[:3])
-    plan_day(few, first_state(few), PlanParams(trials=20))  # loads what is compiled
-    begun_s = cpu_s()
-    params = PlanParams(work.policy, work.trials, work.seed)
-    plan = plan_day(data, first_state(data), params)
-    return plan, cpu_s() - begun_s
+    data = read_day(Path(plan_task.path))
+    sample_data = replace(data, orders=data.orders[:3])
+    plan_day(sample_data, initial_state(sample_data), PlanParams(trials=20))  # loads compiled code
+    start_s = process_cpu_time_s()
+    params = PlanParams(plan_task.policy, plan_task.trials, plan_task.seed)
+    plan = plan_day(data, initial_state(data), params)
+    return plan, process_cpu_time_s() - start_s

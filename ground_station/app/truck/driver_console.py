@@ -1,4 +1,4 @@
-"""The driver's terminal: shows the tasks, takes what the driver types."""
+"""The driver's terminal: shows the tasks and processes typed input."""
 
 import queue
 import sys
@@ -14,79 +14,90 @@ from companion.fleet.service_manager import Watchdog
 from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import Task
 
-TURN_S = 0.1
-HELP = "Enter: the first is done. 2: the second is. x 1 nobody at home: it cannot be done. q: leave"
-GONE, ABOARD = "gone", "aboard"
-LOOK = f"1 {GONE}, 1 {ABOARD}: where its parcel is"
+CYCLE_S = 0.1
+HELP = "Enter: first task done. 2: second task done. x 1 REASON: task 1 not possible. q: quit"
+PARCEL_MISSING, ABOARD = "gone", "aboard"
+PARCEL_HELP = f"1 {PARCEL_MISSING}, 1 {ABOARD}: where its parcel is"
 
 
-def run_console(
+def run_driver_console(
     truck: TruckMember,
     console: Console,
-    woken: threading.Event,
-    stopped: Sequence[int],
-    mark: str = "",
+    input_event: threading.Event,
+    stop_signals: Sequence[int],
+    prefix: str = "",
 ) -> None:
-    """Answer the desk and take the driver's words, until `stopped` or the driver leaves. `mark`:
-    what stands before each line that says where the truck is.
+    """Respond to the desk and process typed input until `stop_signals` or the driver quits.
+    `prefix`: prefix of each line with the truck's location.
     """
     lines: queue.Queue[str] = queue.Queue()
-    threading.Thread(target=_read, args=(sys.stdin, lines, woken), daemon=True).start()
-    shown: list[Task] | None = None
+    threading.Thread(
+        target=_queue_input_lines, args=(sys.stdin, lines, input_event), daemon=True
+    ).start()
+    shown_tasks: list[Task] | None = None
     watchdog = Watchdog()
-    while not stopped:
-        watchdog.turn(truck.member.clock_s())
-        truck.turn()
-        truck.publish()
-        if truck.todo != shown:
-            shown = truck.todo
-            _show(truck, console, mark)
-        woken.wait(TURN_S)
-        woken.clear()
+    while not stop_signals:
+        watchdog.notify_systemd_if_due(truck.member.clock_s())
+        truck.process_commands()
+        truck.publish_state_if_due()
+        if truck.tasks != shown_tasks:
+            shown_tasks = truck.tasks
+            _show_tasks(truck, console, prefix)
+        input_event.wait(CYCLE_S)
+        input_event.clear()
         while not lines.empty():
             line = lines.get().strip()
             if line == "q":
                 return
-            obey(truck, line, console)
-            shown = None
+            execute_driver_input(truck, line, console)
+            shown_tasks = None
 
 
-def _read(source: TextIO, lines: "queue.Queue[str]", woken: threading.Event) -> None:
-    for line in source:
+def _queue_input_lines(
+    input_stream: TextIO, lines: "queue.Queue[str]", input_event: threading.Event
+) -> None:
+    for line in input_stream:
         lines.put(line)
-        woken.set()
+        input_event.set()
 
 
-def _show(member: TruckMember, console: Console, mark: str) -> None:
-    truck = member.truck
-    where = f"driving to {truck.stop}" if truck.driving else f"at {truck.stop}"
-    where = f"{mark} {where}" if mark else where
+def _show_tasks(truck_member: TruckMember, console: Console, prefix: str) -> None:
+    truck = truck_member.state
+    location_text = f"driving to {truck.stop}" if truck.is_en_route else f"at {truck.stop}"
+    location_text = f"{prefix} {location_text}" if prefix else location_text
     if not truck.tasks:
-        console.print(f"{where}: nothing to do, wait for the dispatcher", highlight=False)
+        console.print(f"{location_text}: no tasks, wait for the dispatcher", highlight=False)
         return
     console.bell()
-    looks = any(task.parcel for task in truck.tasks)
-    table = Table("", "task", title=where, caption=f"{HELP}; {LOOK}" if looks else HELP)
+    has_parcel_check = any(task.parcel for task in truck.tasks)
+    table = Table(
+        "",
+        "task",
+        title=location_text,
+        caption=f"{HELP}; {PARCEL_HELP}" if has_parcel_check else HELP,
+    )
     for number, task in enumerate(truck.tasks, 1):
-        table.add_row(str(number), task.words)
+        table.add_row(str(number), task.driver_instruction)
     console.print(table)
 
 
-def obey(truck: TruckMember, line: str, console: Console) -> None:
-    """Do what the driver has typed, or say what was expected."""
-    cannot = line.startswith("x")
-    number, _, more = (line[1:] if cannot else line).strip().partition(" ")
-    tasks = truck.todo
+def execute_driver_input(truck: TruckMember, line: str, console: Console) -> None:
+    """Execute a typed line, or print the expected input."""
+    is_refusal = line.startswith("x")
+    number, _, argument = (line[1:] if is_refusal else line).strip().partition(" ")
+    tasks = truck.tasks
     index = int(number) if number.isdecimal() else (0 if number else 1)
     task = tasks[index - 1] if 1 <= index <= len(tasks) else None
-    gone = {GONE: True, ABOARD: False}.get(more) if task and task.parcel else None
-    if task is None or (more and not cannot and gone is None):
+    parcel_is_missing = (
+        {PARCEL_MISSING: True, ABOARD: False}.get(argument) if task and task.parcel else None
+    )
+    if task is None or (argument and not is_refusal and parcel_is_missing is None):
         console.print(f"expected 1 to {len(tasks)}. {HELP}", highlight=False)
         return
     try:
-        if cannot:
-            truck.cannot(task, more or "no reason given")
+        if is_refusal:
+            truck.report_task_not_possible(task, argument or "no reason given")
         else:
-            truck.confirm(task, gone=gone)
+            truck.report_task_done(task, parcel_is_missing=parcel_is_missing)
     except LeewayError as error:
         console.print(str(error), highlight=False)

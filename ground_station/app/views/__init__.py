@@ -1,1 +1,1 @@
-"""What commands print: the live view, the day's report, plans."""
+"""Output of commands: the live view, the day's report, plans."""

@@ -1,47 +1,50 @@
-"""What a running desk says of certificates that end: it may run across the day that one is due."""
+"""Reminders of a running desk that certificates expire, since it may run past an expiry date."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from ground_station.app.views.attention import CERTIFICATES, ending_certificates
-from ground_station.core.fleet.desk_figures import CertificateFigures
+from ground_station.app.views.operator_alerts import (
+    CERTIFICATES_SUBJECT,
+    expiring_certificates_text,
+)
+from ground_station.core.fleet.certificate_ends import CertificateExpiry
 
-DAY_S = 86_400.0
+REMINDER_INTERVAL_S = 86_400.0
 
 
-class Certified(Protocol):
-    """Who knows when certificates end."""
+class CertificateSource(Protocol):
+    """Source of expiry dates of certificates."""
 
     @property
-    def warning(self) -> str:
-        """What a person should know about this end's own standing; empty: nothing."""
+    def own_certificate_warning(self) -> str:
+        """Warning on this end's own certificate; empty: no warning."""
         ...
 
-    def certificates(self) -> CertificateFigures | None:
-        """When they end, the same object while nothing of it changes; None: there are none."""
+    def certificate_expiry_dates(self) -> CertificateExpiry | None:
+        """Return the expiry dates, the same object until one changes; None: no certificates."""
         ...
 
 
 @dataclass(slots=True)
 class CertificateReminder:
-    """Says it at the start, when something of it changes, and again every day."""
+    """Logs expiring certificates at the start, after each change, and daily."""
 
-    network: Certified
-    say: Callable[[str], None]
+    network: CertificateSource
+    log: Callable[[str], None]
     epoch_us: Callable[[], int]
-    _seen: CertificateFigures | None = None
-    _said_s: float | None = None
+    _last_ends: CertificateExpiry | None = None
+    _last_log_s: float | None = None
 
-    def turn(self, now_s: float) -> None:
-        """Say what is due. Of the own one the network's opener has spoken at the start."""
-        found = self.network.certificates()
-        due = self._said_s is None or now_s - self._said_s >= DAY_S
-        if found is None or (found is self._seen and not due):
+    def log_expiring_certificates_if_due(self, now_s: float) -> None:
+        """Log what is due. The network's opener logs the own certificate at the start."""
+        found = self.network.certificate_expiry_dates()
+        due = self._last_log_s is None or now_s - self._last_log_s >= REMINDER_INTERVAL_S
+        if found is None or (found is self._last_ends and not due):
             return
-        own = self.network.warning if self._seen is not None else ""
-        self._seen, self._said_s = found, now_s
-        ending = ending_certificates(found, self.epoch_us())
-        for words in (own, f"{CERTIFICATES}: {ending}" if ending else ""):
-            if words:
-                self.say(words)
+        own_warning = self.network.own_certificate_warning if self._last_ends is not None else ""
+        self._last_ends, self._last_log_s = found, now_s
+        expiring = expiring_certificates_text(found, self.epoch_us())
+        for message in (own_warning, f"{CERTIFICATES_SUBJECT}: {expiring}" if expiring else ""):
+            if message:
+                self.log(message)

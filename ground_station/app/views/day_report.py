@@ -1,4 +1,4 @@
-"""The day in figures: a report as JSON and as tables."""
+"""Figures of the day: a report as JSON and as tables."""
 
 import math
 from collections import Counter
@@ -9,22 +9,30 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.views.terminal import listing
-from ground_station.core.schema.orders import TAKEN, OrderState
-from ground_station.core.schema.sortie_rows import SortieRow, Visit
+from ground_station.app.views.terminal import plain_table
+from ground_station.core.schema.orders import OVERRIDE_OUTCOME, OrderState
+from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
-MONITOR = "monitor: "
-"""How a companion begins what its monitor of the service has found."""
+FIGURE_LABELS = {
+    "margin_wh_mean": "mean energy above the reserve, Wh",
+    "margin_wh_min": "least energy above the reserve, Wh",
+    "p_home_decided_min": "least P(home) of a decision",
+    "fleet_evidence_nats": "evidence against the energy models, nats",
+    "launch_late_s_median": "median launch delay, s",
+    "wh_planned": "planned energy, Wh",
+    "wh_used": "used energy, Wh",
+}
 
 
-def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
-    """The figures, JSON-safe; with `day` those of a day with a truck too."""
+def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
+    """Return the figures as JSON types; with `day` also those of a day with a truck."""
     orders, assignments = store.orders(), store.assignments()
     commands, events = store.commands(), store.events()
-    outcomes = _outcomes(events)
+    outcomes = _first_outcome_events(events)
     margins = [e.margin_wh for e in outcomes if e.margin_wh is not None]
     p_home = [e.p_home for e in events if e.p_home is not None and e.assignment]
     return {
@@ -33,45 +41,46 @@ def report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "assignments": dict(Counter(row.state.value for row in assignments)),
         "outcomes": dict(Counter(e.outcome for e in outcomes if e.outcome)),
         "deliveries_by_vehicle": dict(Counter(e.vehicle for e in outcomes if e.delivered)),
-        "vehicles_not_home": sorted(e.vehicle for e in outcomes if _is_lost(e)),
-        "vehicles_taken_over": sorted(e.vehicle for e in outcomes if e.outcome == TAKEN),
+        "vehicles_not_home": sorted(e.vehicle for e in outcomes if _has_not_returned(e)),
+        "vehicles_taken_over": sorted(e.vehicle for e in outcomes if e.outcome == OVERRIDE_OUTCOME),
         "margin_wh_mean": fmean(margins) if margins else None,
         "margin_wh_min": min(margins, default=None),
         "p_home_decided_min": min(p_home, default=None),
-        "commands": dict(Counter(c.answer.value if c.answer else "waiting" for c in commands)),
+        "commands": dict(Counter(c.response.value if c.response else "waiting" for c in commands)),
         "events": len(events),
-        "fleet_evidence_nats": fleet_evidence_nats(outcomes),
-        "monitors": sorted(_said_by_monitors(events)),
-        "held": [hold.words for hold in store.holds()],
-        "by_vehicle": _by_vehicle(outcomes),
+        "fleet_evidence_nats": log_mean_evidence_against_energy_models_nats(outcomes),
+        "monitors": sorted(_monitor_alert_texts(events)),
+        "held": [hold.text for hold in store.holds_in_force()],
+        "by_vehicle": _flight_statistics_by_vehicle(outcomes),
         "left": [
-            {"order": row.order.id, "state": row.state.value, "why": row.why}
+            {"order": row.order.id, "state": row.state.value, "why": row.reason}
             for row in orders
             if row.state not in (OrderState.DELIVERED, OrderState.CANCELLED)
         ],
-        **(_truck_figures(day) if day is not None else {}),
+        **(_truck_statistics(day) if day is not None else {}),
     }
 
 
-def _truck_figures(day: DayStore) -> dict[str, Any]:
-    """Plan against actual, and the outcome of promises; nothing for a day without a truck."""
-    plans, began_us = day.plans(), day.began_us()
-    if not plans or began_us is None:
+def _truck_statistics(day: DayStore) -> dict[str, Any]:
+    """Compare plan and actual values, and count promise outcomes; empty for a day without truck."""
+    plans, start_us = day.plans_with_reasons(), day.day_start_us()
+    if not plans or start_us is None:
         return {}
-    rows, visits = day.sorties(), {visit.stop: visit for visit in day.visits()}
+    rows = day.sorties()
+    times_by_stop = {stop_times.stop: stop_times for stop_times in day.truck_stop_visits()}
     flown = [row for row in rows if row.launched_us is not None]
     used = [(row.sortie.energy_wh, row.used_wh) for row in flown if row.used_wh is not None]
     late_s = [
-        (row.launched_us - began_us) / 1e6 - row.sortie.launch_s
+        (row.launched_us - start_us) / 1e6 - row.sortie.launch_s
         for row in flown
         if row.launched_us is not None
     ]
-    last = [*(v.arrived_us for v in visits.values()), *(r.landed_us or 0 for r in flown)]
-    minutes = (max(last, default=began_us) - began_us) / 6e7
+    last = [*(v.arrived_us for v in times_by_stop.values()), *(r.landed_us or 0 for r in flown)]
+    minutes = (max(last, default=start_us) - start_us) / 6e7
     return {
         "flights": len(flown),
-        "promises": dict(Counter(_kept(row, visits) for row in flown)),
-        "plans": [why for _, why in plans],
+        "promises": dict(Counter(_promise_outcome(row, times_by_stop) for row in flown)),
+        "plans": [reason for _, reason in plans],
         "minutes_planned": plans[0][0].makespan_s / 60.0,
         "minutes": minutes,
         "launch_late_s_median": median(late_s) if late_s else None,
@@ -80,58 +89,62 @@ def _truck_figures(day: DayStore) -> dict[str, Any]:
     }
 
 
-def _kept(row: SortieRow, visits: dict[str, Visit]) -> str:
-    """The outcome of the last promise to a flight."""
-    visit = visits.get(row.promised)
-    if row.lapsed or row.landed_us is None:
-        return "lapsed" if row.lapsed else "open"
-    if row.away:
+def _promise_outcome(row: SortieRow, times_by_stop: dict[str, StopTimes]) -> str:
+    """Return the outcome of the last promise to a flight."""
+    stop_times = times_by_stop.get(row.promised_stop)
+    if row.is_overdue or row.landed_us is None:
+        return "lapsed" if row.is_overdue else "open"
+    if row.is_off_site:
         return "landed elsewhere"
-    left_us = visit.left_us if visit is not None else None
+    left_us = stop_times.departed_us if stop_times is not None else None
     return "kept" if left_us is None or left_us >= row.landed_us else "BROKEN"
 
 
-def _by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
-    """What each vehicle has ended, and its smallest margin above the reserve."""
+def _flight_statistics_by_vehicle(outcomes: list[FleetEvent]) -> dict[str, dict[str, Any]]:
+    """Return each vehicle's completed flights and its smallest margin above the reserve."""
     found: dict[str, dict[str, Any]] = {}
     for name in sorted({event.vehicle for event in outcomes}):
-        mine = [event for event in outcomes if event.vehicle == name]
-        margins = [event.margin_wh for event in mine if event.margin_wh is not None]
+        own_outcomes = [event for event in outcomes if event.vehicle == name]
+        margins = [event.margin_wh for event in own_outcomes if event.margin_wh is not None]
         found[name] = {
-            "ended": len(mine),
-            "delivered": sum(bool(event.delivered) for event in mine),
-            "not_home": sum(map(_is_lost, mine)),
+            "ended": len(own_outcomes),
+            "delivered": sum(bool(event.delivered) for event in own_outcomes),
+            "not_home": sum(map(_has_not_returned, own_outcomes)),
             "margin_wh_min": min(margins, default=None),
         }
     return found
 
 
-def fleet_evidence_nats(outcomes: list[FleetEvent]) -> float | None:
-    """Log of the mean e-value over the fleet's vehicles, against "all energy models hold".
+def log_mean_evidence_against_energy_models_nats(outcome_events: list[FleetEvent]) -> float | None:
+    """Return the log of the mean e-value of the fleet's vehicles against "all energy models hold".
 
-    A mean of e-processes is one, however the vehicles' days hang together; their product would be
-    none, as they fly in the same air. From 4.6 (log of 100) on the fleet is in doubt.
+    A mean of e-processes is an e-process even if they are dependent; their product is not, since
+    the vehicles fly in the same air. From 4.6 (log of 100) on the fleet is in doubt.
     """
-    newest = {e.vehicle: e.evidence_nats for e in outcomes if e.evidence_nats is not None}
+    newest = {e.vehicle: e.evidence_nats for e in outcome_events if e.evidence_nats is not None}
     if not newest:
         return None
-    most = max(newest.values())
-    return most + math.log(fmean(math.exp(nats - most) for nats in newest.values()))
+    max_nats = max(newest.values())
+    return max_nats + math.log(fmean(math.exp(nats - max_nats) for nats in newest.values()))
 
 
-def _said_by_monitors(events: list[FleetEvent]) -> set[str]:
-    said = (e for e in events if e.kind is EventKind.SAID and e.text.startswith(MONITOR))
-    return {f"{event.vehicle}: {event.text}" for event in said}
+def _monitor_alert_texts(events: list[FleetEvent]) -> set[str]:
+    alerts = (e for e in events if e.kind is EventKind.TEXT)
+    return {
+        f"{e.vehicle}: {e.text}"
+        for e in alerts
+        if is_text_of_any_alert(e.text, Alert.MONITOR_DOUBT)
+    }
 
 
-def _is_lost(event: FleetEvent) -> bool:
-    """Not home; one that a person has landed is counted apart."""
-    return event.home is False and event.outcome != TAKEN
+def _has_not_returned(event: FleetEvent) -> bool:
+    """Whether it did not return; flights that a pilot has landed are counted separately."""
+    return event.home is False and event.outcome != OVERRIDE_OUTCOME
 
 
-def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
-    """The first outcome of each assignment: a companion that was killed at the end may report it
-    twice.
+def _first_outcome_events(events: list[FleetEvent]) -> list[FleetEvent]:
+    """Return the first outcome of each assignment: a companion that is killed at the end may report
+    it twice.
     """
     first: dict[str, FleetEvent] = {}
     for event in events:
@@ -140,10 +153,10 @@ def _outcomes(events: list[FleetEvent]) -> list[FleetEvent]:
     return list(first.values())
 
 
-def report_view(figures: dict[str, Any]) -> RenderableType:
-    """The figures as tables."""
-    table = listing("what", "figure", title="the day")
-    for name, value in figures.items():
+def report_tables(report: dict[str, Any]) -> RenderableType:
+    """Return the figures as tables."""
+    table = plain_table("what", "figure", title="the day")
+    for name, value in report.items():
         if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):
             continue
         if isinstance(value, dict):
@@ -152,12 +165,13 @@ def report_view(figures: dict[str, Any]) -> RenderableType:
             value = ", ".join(value) or "none"
         elif isinstance(value, float):
             value = f"{value:.4g}"
-        table.add_row(name.replace("_", " "), "-" if value is None else str(value))
-    return Group(table, _vehicles_table(figures["by_vehicle"]), *_left_lines(figures["left"]))
+        label = FIGURE_LABELS.get(name, name.replace("_", " "))
+        table.add_row(label, "-" if value is None else str(value))
+    return Group(table, _vehicles_table(report["by_vehicle"]), *_undelivered_lines(report["left"]))
 
 
 def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:
-    table = listing("vehicle")
+    table = plain_table("vehicle")
     for name in ("ended", "delivered", "not home", "least margin Wh"):
         table.add_column(name, justify="right")
     for name, row in by_vehicle.items():
@@ -168,7 +182,10 @@ def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:
     return table
 
 
-def _left_lines(left: list[dict[str, str]]) -> list[Text]:
-    if not left:
+def _undelivered_lines(undelivered_orders: list[dict[str, str]]) -> list[Text]:
+    if not undelivered_orders:
         return [Text("every order is delivered or cancelled")]
-    return [Text(f"left: {row['order']} {row['state']} {row['why']}".rstrip()) for row in left]
+    return [
+        Text(f"left: {row['order']} {row['state']} {row['why']}".rstrip())
+        for row in undelivered_orders
+    ]

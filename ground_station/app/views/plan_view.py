@@ -1,57 +1,65 @@
-"""A day plan as tables: stops, sorties, and the orders that nobody can bring.
+"""A day plan as tables: stops, sorties, and orders that cannot be delivered.
 
-Made for 80 columns: names are never cut off, since `depot` and `depot-end` would look alike.
+The layout fits 80 columns: names are never truncated, since `depot` and `depot-end` would be equal.
 """
 
 from rich.console import Console
 from rich.table import Table
 
-from ground_station.app.views.terminal import listing
+from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.day_plan import DayPlan, since_start
+from ground_station.core.schema.day_plan import DayPlan, format_minutes_and_seconds
 
 
-def show_plan(console: Console, data: DayData, plan: DayPlan) -> None:
+def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
     """Print the plan."""
-    stops = _table(f"{plan.day}: {plan.makespan_s / 60.0:.1f} min; times are min:s from its start")
+    stops = _compact_table(
+        f"{plan.day}: {plan.makespan_s / 60.0:.1f} min; times are min:s from its start"
+    )
     stops.add_column("stop", overflow="fold")
     for name in ("from", "to", "launches", "recoveries"):
         stops.add_column(name, justify="right", no_wrap=True)
     stops.add_column("by truck", overflow="fold")
     for stop in plan.stops:
         launches = sum(s.launch == stop.id for s in plan.sorties)
-        homes = sum(s.home == stop.id for s in plan.sorties)
-        times = (since_start(stop.arrive_s), since_start(stop.depart_s))
-        stops.add_row(stop.id, *times, str(launches), str(homes), ", ".join(stop.serves))
+        landings = sum(s.home == stop.id for s in plan.sorties)
+        times = (
+            format_minutes_and_seconds(stop.arrive_s),
+            format_minutes_and_seconds(stop.depart_s),
+        )
+        stops.add_row(stop.id, *times, str(launches), str(landings), ", ".join(stop.serves))
     console.print(stops)
-    sorties = _table(None)
+    sorties = _compact_table(None)
     for name in ("order", "drone", "launched\nat", "lands\nat"):
         sorties.add_column(name, overflow="fold")
     for name in ("starts", "lands", "layer\nm", "mean\nWh", "sure\nWh", "pack\nWh"):
         sorties.add_column(name, justify="right", no_wrap=True)
     for sortie in plan.sorties:
         names = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
-        times = (since_start(sortie.launch_s), since_start(sortie.land_s))
-        figures = (sortie.outbound_height_m, sortie.energy_wh, sortie.sure_wh, sortie.usable_wh)
-        sorties.add_row(*names, *times, *(f"{figure:.0f}" for figure in figures))
+        times = (
+            format_minutes_and_seconds(sortie.launch_s),
+            format_minutes_and_seconds(sortie.land_s),
+        )
+        values = (sortie.outbound_height_m, sortie.energy_wh, sortie.required_wh, sortie.usable_wh)
+        sorties.add_row(*names, *times, *(f"{figure:.0f}" for figure in values))
     console.print(sorties)
     by_truck = sum(len(stop.serves) for stop in plan.stops)
-    spare = [100.0 * (1.0 - s.sure_wh / s.usable_wh) for s in plan.sorties]
-    least = f"; at least {min(spare):.0f} % of a pack to spare" if spare else ""
+    spare = [100.0 * (1.0 - s.required_wh / s.usable_wh) for s in plan.sorties]
+    reserve_text = f"; at least {min(spare):.0f} % of a pack to spare" if spare else ""
     console.print(
         f"{len(plan.sorties)} orders by drone, {by_truck} by truck,"
-        f" {len(plan.unplanned)} by nobody{least}"
-        f" (accepted loss {data.day.mission.max_loss:g})",
+        f" {len(plan.unplanned)} unplanned{reserve_text}"
+        f" (accepted probability of losing a drone: {data.day.mission.max_loss:g} per flight)",
         highlight=False,
     )
     if plan.unplanned:
-        left = listing("order", "nobody can bring it", "possible with")
+        unplanned_table = plain_table("order", "reason", "possible with")
         for line in plan.unplanned:
-            left.add_row(line.order, line.why, line.remedy)
-        console.print(left)
+            unplanned_table.add_row(line.order, line.reason, line.remedy)
+        console.print(unplanned_table)
 
 
-def _table(title: str | None) -> Table:
-    table = listing(title=title)
+def _compact_table(title: str | None) -> Table:
+    table = plain_table(title=title)
     table.padding = (0, 1, 0, 0)
     return table

@@ -1,4 +1,4 @@
-"""The desk's terminal: words are shown as they are, never obeyed."""
+"""The desk's terminal: text is shown verbatim, without markup."""
 
 from typing import IO
 
@@ -7,13 +7,13 @@ from rich.console import Console
 from rich.table import Table
 
 
-def terminal(file: IO[str] | None = None, width: int | None = None) -> Console:
-    """A console that takes no word for markup, an emoji's name or a number to colour."""
+def plain_console(file: IO[str] | None = None, width: int | None = None) -> Console:
+    """Return a console that does not interpret markup, emoji names or numbers to highlight."""
     return Console(file=file, width=width, markup=False, emoji=False, highlight=False)
 
 
-def listing(*columns: str, title: str | None = None) -> Table:
-    """An empty table in which nothing is cut: a cell without room goes on in its next line."""
+def plain_table(*columns: str, title: str | None = None) -> Table:
+    """Return an empty table that truncates no text: long cells continue on the next line."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     table.show_edge = table.pad_edge = False
     for name in columns:

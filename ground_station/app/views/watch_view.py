@@ -1,7 +1,7 @@
-"""The live view of a fleet: one line for each vehicle, then what needs attention and what comes
-next.
+"""The live view of a fleet: one line for each vehicle, then items for attention, then upcoming
+sorties.
 
-Made for 80 columns: only what a vehicle last reported is cut off there. Long names go on in a
+The layout fits 80 columns: only the vehicle's last message is truncated. Long names continue on a
 second line.
 """
 
@@ -14,157 +14,189 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ground_station.app.views.attention import expected_silence, stuck_orders, vehicle_alarms
-from ground_station.app.views.terminal import listing
-from ground_station.app.views.watched_rows import NEXT, DayShown, WatchRows, minutes
+from ground_station.app.views.day_content import (
+    MAX_NEXT_SORTIES,
+    DayShown,
+    DisplayRows,
+    format_minutes_and_seconds,
+)
+from ground_station.app.views.operator_alerts import (
+    prelaunch_silence_reason,
+    stuck_order_texts,
+    vehicle_alarm_texts,
+)
+from ground_station.app.views.terminal import plain_table
+from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
-from ground_station.core.fleet.truck_state import DRIVING, TRUCK
+from ground_station.core.fleet.truck_state import EN_ROUTE, TRUCK
+from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 
 COLUMNS = ("\n", "\nphase", "\norder", "\nends at", "left\nWh", "P\nhome", "P\ndone", "s\nago")
-FIGURES_FROM = 4
-ROOM = 80 - 2 * len(COLUMNS) - 8
-"""Characters for these columns together: of 80, less the gaps and the least for what it says."""
+FIRST_NUMERIC_COLUMN = 4
+FIXED_COLUMNS_WIDTH = 80 - 2 * len(COLUMNS) - 8
+"""Total width of these columns: 80 less the gaps and the minimum for the last message."""
 
 
 def watch_view(
-    status: FleetStatus, rows: WatchRows, t_s: float, notes: Sequence[str] = ()
+    status: FleetStatus, rows: DisplayRows, t_s: float, notes: Sequence[str] = ()
 ) -> RenderableType:
-    """Every vehicle with its state, then notes, holds and alarms, then what comes next."""
+    """Return every vehicle with its state, then notes, holds and alarms, then upcoming sorties."""
     day, orders = rows.day, rows.orders
-    held = {row.vehicle: row for row in rows.assignments if row.state in IN_FORCE}
-    names = {*status.vehicles, *held, *(row.vehicle for row in (day.sorties if day else []))}
+    assignments = {row.vehicle: row for row in rows.assignments if row.state in IN_FORCE}
+    names = {*status.vehicles, *assignments, *(row.vehicle for row in (day.sorties if day else []))}
     lines: list[tuple[tuple[str, ...], bool]] = []
-    wrong: list[str] = []
+    alarm_lines: list[str] = []
+    has_open_orders = any(row.state is OrderState.OPEN for row in orders)
     for name in sorted(names, key=lambda name: (name != TRUCK, name)):
-        line = _Line(status.of(name), held.get(name), day, t_s)
-        alarms = [f"{name}: {words}" for words in vehicle_alarms(line.seen, day, t_s)]
+        line = _VehicleLine(status.status_of(name), assignments.get(name), day, t_s)
+        alarms = [f"{name}: {words}" for words in vehicle_alarm_texts(line.status, day, t_s)]
         lines.append((line.cells(), bool(alarms)))
-        wrong += alarms
-    table = _table(_title(orders, day), lines)
-    below = [
+        alarm_lines += alarms
+        state = line.status.state
+        is_free = name not in assignments and not hold_of_vehicle_or_of_all(rows.hold_list, name)
+        is_expected = day is None and has_open_orders and line.status.can_take_assignment(t_s)
+        if state and rows.depot and is_free and is_expected:
+            text = off_pad_text(state.lat_deg, state.lon_deg, rows.depot)
+            alarm_lines += [f"{name}: no order: {text}"] if text else []
+    table = _vehicle_table(_table_title(orders, day), lines)
+    lines_below = [
         *notes,
-        *(hold.words for hold in rows.holds),
-        *_confirmed(rows),
-        *_below(status, orders, day, wrong),
+        *(hold.text for hold in rows.hold_list),
+        *_confirmed_launch_lines(rows),
+        *_attention_and_next_sortie_lines(status, orders, day, alarm_lines),
     ]
-    return Group(table, *map(Text, below))
+    return Group(table, *map(Text, lines_below))
 
 
-def _table(title: str, lines: list[tuple[tuple[str, ...], bool]]) -> Table:
-    """Columns as wide as their content; the last one gives way."""
-    table = listing(title=title)
+def _vehicle_table(title: str, cells_and_alarm_flags: list[tuple[tuple[str, ...], bool]]) -> Table:
+    """Return a table with columns as wide as their content; the last column is shortened."""
+    table = plain_table(title=title)
     table.padding = (0, 1, 0, 0)
-    table.expand = True  # and the last column takes what room the others leave
-    rows = _folded([cells[:-1] for cells, _ in lines])
-    for k, (name, widest) in enumerate(zip(COLUMNS, _widths(rows), strict=True)):
-        justify = "right" if k >= FIGURES_FROM else "left"
+    table.expand = True  # the last column uses the remaining width
+    rows = _wrap_rows_to_total_width([cells[:-1] for cells, _ in cells_and_alarm_flags])
+    for k, (name, widest) in enumerate(zip(COLUMNS, _column_widths(rows), strict=True)):
+        justify = "right" if k >= FIRST_NUMERIC_COLUMN else "left"
         table.add_column(name, justify=justify, no_wrap=True, min_width=widest)
     table.add_column("\nsays", no_wrap=True, overflow="ellipsis", ratio=1)
-    for row, (cells, alarming) in zip(rows, lines, strict=True):
+    for row, (cells, alarming) in zip(rows, cells_and_alarm_flags, strict=True):
         table.add_row(*row, cells[-1], style="bold red" if alarming else None)
     return table
 
 
-def _folded(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """The rows, with cells in as many lines as it takes for all columns to fit."""
+def _wrap_rows_to_total_width(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return the rows with cells wrapped until all columns fit."""
     folded = rows
     for width in range(40, 5, -1):
-        folded = [tuple(_lines(cell, width) for cell in row) for row in rows]
-        if sum(_widths(folded)) <= ROOM:
+        folded = [tuple(_wrap_cell(cell, width) for cell in row) for row in rows]
+        if sum(_column_widths(folded)) <= FIXED_COLUMNS_WIDTH:
             break
     return folded
 
 
-def _lines(cell: str, width: int) -> str:
+def _wrap_cell(cell: str, width: int) -> str:
     return cell if len(cell) <= width else "\n".join(wrap(cell, width, break_on_hyphens=False))
 
 
-def _widths(rows: list[tuple[str, ...]]) -> list[int]:
+def _column_widths(rows: list[tuple[str, ...]]) -> list[int]:
     columns = [[name, *(row[k] for row in rows)] for k, name in enumerate(COLUMNS)]
     return [max(len(part) for text in texts for part in text.split("\n")) for texts in columns]
 
 
-def _title(orders: Sequence[OrderRow], day: DayShown | None) -> str:
+def _table_title(orders: Sequence[OrderRow], day: DayShown | None) -> str:
     counts = Counter(row.state.value for row in orders)
     counted = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
-    return counted if day is None else f"{counted}; {day.title}"
+    return counted if day is None else f"{counted}; {day.plan_and_time_title}"
 
 
-def _confirmed(rows: WatchRows) -> Iterator[str]:
+def _confirmed_launch_lines(rows: DisplayRows) -> Iterator[str]:
     for row in rows.assignments:
         if row.confirmed_by is not None:
             yield f"{row.vehicle}: launch of {row.order_id} confirmed by {row.confirmed_by}"
 
 
-def _below(
-    status: FleetStatus, orders: Sequence[OrderRow], day: DayShown | None, wrong: list[str]
+def _attention_and_next_sortie_lines(
+    status: FleetStatus, orders: Sequence[OrderRow], day: DayShown | None, alarm_lines: list[str]
 ) -> Iterator[str]:
-    yield from (f"LOOK: {words}" for words in wrong)
-    yield from (f"LOOK: {order} {words}" for order, words in stuck_orders(orders))
+    yield from (f"WARNING: {words}" for words in alarm_lines)
+    yield from (f"WARNING: {order} {words}" for order, words in stuck_order_texts(orders))
     waiting = [row.order.id for row in orders if row.state is OrderState.OPEN]
     if day is None:
-        yield f"next: {', '.join(waiting[:NEXT]) or 'nothing'}"
+        yield f"next: {', '.join(waiting[:MAX_NEXT_SORTIES]) or 'nothing'}"
         return
-    state = status.of(TRUCK).state
-    here = None if state is None or state.phase == DRIVING else state.stop
-    if here is not None and (binding := day.binding(here)):
+    state = status.status_of(TRUCK).state
+    here = None if state is None or state.phase == EN_ROUTE else state.stop
+    if here is not None and (binding := day.binding_sortie_texts(here)):
         yield f"the truck waits at {here} for:"
-        yield from (f"  {why}" for why in binding)
-    for sortie in day.following(set(waiting)):
+        yield from (f"  {reason}" for reason in binding)
+    for sortie in day.next_unassigned_sorties(set(waiting)):
         where = f"from {sortie.launch} to {sortie.home}"
-        yield f"next: {minutes(sortie.launch_s):>5}  {sortie.order} by {sortie.vehicle} {where}"
+        yield (
+            f"next: {format_minutes_and_seconds(sortie.launch_s):>5}  {sortie.order} by"
+            f" {sortie.vehicle}"
+            f" {where}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class _Line:
-    """One vehicle."""
+class _VehicleLine:
+    """Line of one vehicle."""
 
-    seen: VehicleStatus
+    status: VehicleStatus
     row: AssignmentRow | None
     day: DayShown | None
     t_s: float
 
     @property
     def _sortie(self) -> SortieRow | None:
-        return self.day.sortie(self.seen.vehicle) if self.day is not None else None
+        return self.day.active_sortie_of(self.status.vehicle) if self.day is not None else None
 
     @property
-    def _off(self) -> str | None:
-        return expected_silence(self.seen, self.day)
+    def _silence_reason(self) -> str | None:
+        return prelaunch_silence_reason(self.status, self.day)
 
     def cells(self) -> tuple[str, ...]:
-        """The cells of its line."""
-        seen, state, sortie = self.seen, self.seen.state, self._sortie
-        silent_s = seen.silent_s(self.t_s)
-        heard = "-" if silent_s is None or self._off else f"{silent_s:.0f}"
+        """Return the cells of its line."""
+        seen, state, sortie = self.status, self.status.state, self._sortie
+        silent_s = seen.seconds_since_last_state(self.t_s)
+        silence_text = "-" if silent_s is None or self._silence_reason else f"{silent_s:.0f}"
         order = "-" if self.row is None else self.row.order_id
-        home = "-" if sortie is None else sortie.promised
-        if sortie is not None and sortie.asked:
-            home += f" > {sortie.asked}"
-        if state is None or self._off is not None:
-            return (seen.vehicle, self._off or "-", order, home, "-", "-", "-", heard, "")
+        home = "-" if sortie is None else sortie.promised_stop
+        if sortie is not None and sortie.requested_stop:
+            home += f" > {sortie.requested_stop}"
+        if state is None or self._silence_reason is not None:
+            return (
+                seen.vehicle,
+                self._silence_reason or "-",
+                order,
+                home,
+                "-",
+                "-",
+                "-",
+                silence_text,
+                "",
+            )
         return (
             seen.vehicle,
-            self._phase(state.phase, state.stop),
+            self._phase_text(state.phase, state.stop),
             order,
             home,
-            _figure(state.margin_wh, ".1f"),
-            _figure(state.p_home, ".4f"),
-            _figure(state.p_success, ".3f"),
-            heard,
+            _format_number(state.margin_wh, ".1f"),
+            _format_number(state.p_home, ".4f"),
+            _format_number(state.p_success, ".3f"),
+            silence_text,
             state.text,
         )
 
-    def _phase(self, phase: str, stop: str | None) -> str:
+    def _phase_text(self, phase: str, stop: str | None) -> str:
         sortie = self._sortie
         if stop:
-            return f"{'driving to' if phase == DRIVING else 'at'} {stop}"
-        if sortie is not None and sortie.over:
-            return "down, take it in"
+            return f"{'driving to' if phase == EN_ROUTE else 'at'} {stop}"
+        if sortie is not None and sortie.is_finished:
+            return "landed, recover it"
         return phase
 
 
-def _figure(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+def _format_number(value: float | None, format_spec: str) -> str:
+    return "-" if value is None else format(value, format_spec)

@@ -1,28 +1,32 @@
-"""The wind that the fleet tells, in lines for people: what the field is, and fronts that come."""
+"""Wind measured by the fleet as lines of text: the current field, and approaching fronts."""
 
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_words import field_words, front_words
+from ground_station.core.site_wind.wind_texts import format_front, format_site_wind
 
-FRONT_SHOWN_S = 300.0
-"""A front wants a person's eye so long."""
+FRONT_DISPLAY_S = 300.0
+"""Time for which a front is shown after its detection."""
 
 
-def front_notes(wind: SiteWind, status: FleetStatus, now_s: float) -> tuple[str, ...]:
-    """Fronts of the last minutes, and whom they have not reached."""
-    places = [
-        (name, wind.place_ne_m(state.lat_deg, state.lon_deg))
+def recent_front_texts(wind: SiteWind, status: FleetStatus, now_s: float) -> tuple[str, ...]:
+    """Return fronts of the last minutes, with the members that they have not reached."""
+    positions = [
+        (name, wind.position_ne_m(state.lat_deg, state.lon_deg))
         for name, seen in sorted(status.vehicles.items())
         if (state := seen.state) is not None
         and state.lat_deg is not None
         and state.lon_deg is not None
     ]
-    fronts = (one for one in wind.fronts_now(now_s) if now_s - one.noticed_s <= FRONT_SHOWN_S)
-    return tuple(front_words(one, now_s, places) for one in fronts)
+    fronts = (
+        one
+        for one in wind.drop_expired_and_get_fronts(now_s)
+        if now_s - one.detected_s <= FRONT_DISPLAY_S
+    )
+    return tuple(format_front(one, now_s, positions) for one in fronts)
 
 
-def wind_notes(wind: SiteWind, status: FleetStatus, now_s: float) -> list[str]:
-    """The field in a line, where somebody tells it, and fronts."""
-    field = field_words(wind, now_s)
-    looks = [f"LOOK: {words}" for words in front_notes(wind, status, now_s)]
-    return ([field] if field else []) + looks
+def wind_field_and_front_lines(wind: SiteWind, status: FleetStatus, now_s: float) -> list[str]:
+    """Return the field in one line, if a member reports it, and fronts."""
+    field_text = format_site_wind(wind, now_s)
+    front_lines = [f"WARNING: {words}" for words in recent_front_texts(wind, status, now_s)]
+    return ([field_text] if field_text else []) + front_lines

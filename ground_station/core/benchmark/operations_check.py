@@ -1,56 +1,61 @@
-"""An independent check of a reported plan of one truck and one drone: is it allowed, and does it
-cost what it says?
+"""Independent check of a reported plan of one truck and one drone: validity and cost.
 
-Written from the rules alone, on purpose without numpy, numba or anything of the planner.
+Written from the rules alone, deliberately without numpy, numba or code of the planner.
 """
 
 import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-ABOARD = -1
-"""In an operation: the drone serves nobody."""
+NO_DRONE_NODE = -1
+"""Value in an operation in which the drone serves no node."""
 TOLERANCE_FRAC = 1e-9
 
-Place = tuple[float, float]
+Point = tuple[float, float]
 ReportedOperation = tuple[int, int, int, Sequence[int]]
-"""Start, end, the node that the drone serves or ABOARD, the truck's nodes between."""
+"""Start, end, the drone's node or ABOARD, and the truck's nodes between."""
 
 
-def operation_violations(
-    places: Sequence[Place],
-    truck_cost: float,
-    drone_cost: float,
+def plan_violations(
+    positions: Sequence[Point],
+    truck_cost_per_distance: float,
+    drone_cost_per_distance: float,
     operations: Sequence[ReportedOperation],
-    cost: float,
+    reported_cost: float,
 ) -> list[str]:
-    """Every rule that this plan breaks; empty where it is right. Costs per unit of distance."""
+    """Return every rule that this plan breaks; empty: valid. Costs are per unit of distance."""
     faults: list[str] = []
     served = {0}
-    here, total = 0, 0.0
-    for number, (start, end, fly, between) in enumerate(operations, start=1):
-        named = [start, end, *between, *([] if fly == ABOARD else [fly])]
-        unknown = [node for node in named if not 0 <= node < len(places)]
+    current_node, total = 0, 0.0
+    for number, (start, end, drone_node, between) in enumerate(operations, start=1):
+        named = [start, end, *between, *([] if drone_node == NO_DRONE_NODE else [drone_node])]
+        unknown = [node for node in named if not 0 <= node < len(positions)]
         if unknown:
             return [*faults, f"operation {number}: there is no node {unknown[0]}"]
-        if start != here:
-            faults.append(f"operation {number}: begins at {start}, the last one ended at {here}")
-        if fly in (start, end, *between, 0):
-            faults.append(f"operation {number}: the drone serves {fly}, where the truck comes by")
+        if start != current_node:
+            faults.append(
+                f"operation {number}: begins at {start}, the last one ended at {current_node}"
+            )
+        if drone_node in (start, end, *between, 0):
+            faults.append(f"operation {number}: the drone serves {drone_node}, a node of the truck")
         served.update(named)
-        here = end
-        truck = truck_cost * _length(places, [start, *between, end])
-        drone = 0.0 if fly == ABOARD else drone_cost * _length(places, [start, fly, end])
-        total += max(truck, drone)
-    if here != 0:
-        faults.append(f"the plan ends at {here}, expected the depot, 0")
-    missed = [node for node in range(len(places)) if node not in served]
-    if missed:
-        faults.append(f"not served: {len(missed)}, the first is node {missed[0]}")
-    if not abs(total - cost) <= TOLERANCE_FRAC * max(1.0, total):
-        faults.append(f"costs {total:.9g}, but {cost:.9g} is reported")
+        current_node = end
+        truck_leg_cost = truck_cost_per_distance * _path_length(positions, [start, *between, end])
+        drone_leg_cost = (
+            0.0
+            if drone_node == NO_DRONE_NODE
+            else drone_cost_per_distance * _path_length(positions, [start, drone_node, end])
+        )
+        total += max(truck_leg_cost, drone_leg_cost)
+    if current_node != 0:
+        faults.append(f"the plan ends at {current_node}, expected the depot, 0")
+    unserved = [node for node in range(len(positions)) if node not in served]
+    if unserved:
+        faults.append(f"not served: {len(unserved)}, the first is node {unserved[0]}")
+    if not abs(total - reported_cost) <= TOLERANCE_FRAC * max(1.0, total):
+        faults.append(f"costs {total:.9g}, but {reported_cost:.9g} is reported")
     return faults
 
 
-def _length(places: Sequence[Place], nodes: Sequence[int]) -> float:
-    return sum(math.dist(places[one], places[other]) for one, other in pairwise(nodes))
+def _path_length(positions: Sequence[Point], nodes: Sequence[int]) -> float:
+    return sum(math.dist(positions[one], positions[other]) for one, other in pairwise(nodes))

@@ -1,7 +1,7 @@
 """The energy of each delivery from each possible stop, for hundreds of customers at once.
 
 Over flat ground the energy of a sortie is a constant plus its length times a rate that depends on
-the course. Both come from `Reach`, for each payload step and a set of courses.
+the course. `SortieFeasibility` provides both, for each payload step and a set of courses.
 """
 
 import math
@@ -9,80 +9,88 @@ import math
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, Reach, SortieNeed
+from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, SortieFeasibility, SortieNeed
 
 COURSES = 36
-"""Every 10 degrees; between two courses the rate is interpolated."""
+"""One course every 10 degrees; the rate is interpolated between courses."""
 
 SHORT_M, LONG_M = 100.0, 1100.0
 
 
-def energy_matrix(
-    reach: Reach,
-    places_ne_m: Floats,
+def delivery_energy_matrix_wh(
+    feasibility: SortieFeasibility,
+    positions_ne_m: Floats,
     mass_kg: Floats,
-    detour: Floats,
+    detour_factor: Floats,
     charge_frac: float | None = None,
 ) -> Floats:
-    """(n, n): mean Wh of a delivery to j from a stop at i; infinite where it is infeasible.
+    """Return (n, n): mean energy of a delivery to j from a stop at i, Wh; infinite if infeasible.
 
-    `detour` (n, n) multiplies a sortie's energy where obstacles are in its way.
+    `detour_factor` (n, n) multiplies the energy of sorties whose straight line an obstacle blocks.
     """
-    away = places_ne_m[None, :, :] - places_ne_m[:, None, :]
+    away = positions_ne_m[None, :, :] - positions_ne_m[:, None, :]
     length_m = np.hypot(away[..., 0], away[..., 1])
-    course = np.arctan2(away[..., 1], away[..., 0])
+    course_rad = np.arctan2(away[..., 1], away[..., 0])
     energy = np.empty_like(length_m)
     classes = np.ceil(mass_kg / PAYLOAD_STEP_KG - 1e-9) * PAYLOAD_STEP_KG
     for payload_kg in np.unique(classes):
-        mine = classes == payload_kg
-        energy[:, mine] = _of_class(
-            reach,
+        in_class = classes == payload_kg
+        energy[:, in_class] = _payload_class_energy_wh(
+            feasibility,
             float(payload_kg),
-            length_m[:, mine],
-            course[:, mine],
-            detour[:, mine],
+            length_m[:, in_class],
+            course_rad[:, in_class],
+            detour_factor[:, in_class],
             charge_frac,
         )
     np.fill_diagonal(energy, 0.0)
     return energy
 
 
-def _of_class(
-    reach: Reach,
+def _payload_class_energy_wh(
+    feasibility: SortieFeasibility,
     payload_kg: float,
     length_m: Floats,
-    course: Floats,
-    detour: Floats,
+    course_rad: Floats,
+    detour_factor: Floats,
     charge_frac: float | None,
 ) -> Floats:
-    if payload_kg > reach.airframe.mass.max_payload_kg:
+    if payload_kg > feasibility.airframe.mass.max_payload_kg:
         return np.full_like(length_m, np.inf)
-    fan = np.linspace(-math.pi, math.pi, COURSES + 1)
-    short = [_sortie(reach, payload_kg, SHORT_M, angle) for angle in fan]
-    long = [_sortie(reach, payload_kg, LONG_M, angle) for angle in fan]
-    mean_wh = detour * _along(fan, course, length_m, short, long, "mean_wh")
-    std_wh = detour * _along(fan, course, length_m, short, long, "std_wh")
-    flyable = np.interp(course, fan, [float(n.flyable) for n in long]) > 0.999
-    budget_wh, budget_std_wh = reach.budget_wh(payload_kg, charge_frac)
-    spare_wh = budget_wh - mean_wh - reach.sigmas * np.hypot(std_wh, budget_std_wh)
+    courses_rad = np.linspace(-math.pi, math.pi, COURSES + 1)
+    short = [_sortie_need(feasibility, payload_kg, SHORT_M, angle) for angle in courses_rad]
+    long = [_sortie_need(feasibility, payload_kg, LONG_M, angle) for angle in courses_rad]
+    mean_wh = detour_factor * _interpolate_sortie_need(
+        courses_rad, course_rad, length_m, short, long, "mean_wh"
+    )
+    std_wh = detour_factor * _interpolate_sortie_need(
+        courses_rad, course_rad, length_m, short, long, "std_wh"
+    )
+    flyable = np.interp(course_rad, courses_rad, [float(n.flyable) for n in long]) > 0.999
+    budget_wh, budget_std_wh = feasibility.usable_above_reserve_wh_and_std(payload_kg, charge_frac)
+    spare_wh = budget_wh - mean_wh - feasibility.sigmas * np.hypot(std_wh, budget_std_wh)
     return np.where(flyable & (spare_wh >= 0.0), mean_wh, np.inf)
 
 
-def _sortie(reach: Reach, payload_kg: float, length_m: float, course_rad: float) -> SortieNeed:
-    there = (length_m * math.cos(course_rad), length_m * math.sin(course_rad), 0.0)
-    return reach.need(payload_kg, (0.0, 0.0, 0.0), there, (0.0, 0.0, 0.0))
+def _sortie_need(
+    feasibility: SortieFeasibility, payload_kg: float, length_m: float, course_rad: float
+) -> SortieNeed:
+    customer_ned_m = (length_m * math.cos(course_rad), length_m * math.sin(course_rad), 0.0)
+    return feasibility.sortie_need(payload_kg, (0.0, 0.0, 0.0), customer_ned_m, (0.0, 0.0, 0.0))
 
 
-def _along(
-    fan: Floats,
-    course: Floats,
+def _interpolate_sortie_need(
+    sampled_courses_rad: Floats,
+    course_rad: Floats,
     length_m: Floats,
-    short: list[SortieNeed],
-    long: list[SortieNeed],
-    name: str,
+    short_sortie_needs: list[SortieNeed],
+    long_sortie_needs: list[SortieNeed],
+    need_field: str,
 ) -> Floats:
-    """A straight line in length through both sorties of each course."""
-    near = np.array([getattr(need, name) for need in short])
-    far = np.array([getattr(need, name) for need in long])
+    """Interpolate linearly in length between the short and the long sortie of each course."""
+    near = np.array([getattr(need, need_field) for need in short_sortie_needs])
+    far = np.array([getattr(need, need_field) for need in long_sortie_needs])
     rate = (far - near) / (LONG_M - SHORT_M)
-    return np.interp(course, fan, near) + np.interp(course, fan, rate) * (length_m - SHORT_M)
+    return np.interp(course_rad, sampled_courses_rad, near) + np.interp(
+        course_rad, sampled_courses_rad, rate
+    ) * (length_m - SHORT_M)

@@ -1,4 +1,4 @@
-"""The clustering problem, its answer, and the check and repair of an answer."""
+"""The clustering problem, its solution, and check and repair of a solution."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -10,11 +10,11 @@ from companion.core.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class ClusteringConditions:
     """The four conditions of arXiv 2604.13441, section IV-A.
 
-    `coverage_m`: how far from a stop a drone serves at the accepted loss. `wind_to_ne_mps`: the
-    forecast. `voltage_v`: resting voltage of the weakest drone, None where unknown.
+    `coverage_m`: radius around a stop that a drone serves at the accepted loss. `wind_to_ne_mps`:
+    the forecast. `voltage_v`: resting voltage of the weakest drone, None if unknown.
     `obstacle_frac`: share of straight lines between customers that an obstacle blocks.
     """
 
@@ -26,58 +26,60 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class ClusteringProblem:
-    """Customers by id: `places_ne_m` (n, 2), `mass_kg` (n,), and `energy_wh` (n, n).
+    """Customers by id: `positions_ne_m` (n, 2), `mass_kg` (n,), and `energy_wh` (n, n).
 
-    `energy_wh[i, j]`: a delivery to j launched and landed at i; infinite where it is infeasible
-    at the accepted loss. `count`: number of groups to aim at.
+    `energy_wh[i, j]`: a delivery to j that starts and lands at i; infinite if infeasible at the
+    accepted loss. `count`: desired number of groups.
     """
 
     ids: tuple[str, ...]
-    places_ne_m: Floats
+    positions_ne_m: Floats
     mass_kg: Floats
     energy_wh: Floats
-    conditions: Conditions
+    conditions: ClusteringConditions
     count: int
     capacity_kg: float
 
-    def index(self) -> dict[str, int]:
-        """The number of each id."""
+    def customer_index_by_id(self) -> dict[str, int]:
+        """Return the index of each id."""
         return {id_: i for i, id_ in enumerate(self.ids)}
 
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Customers that are served from a stop at one of them."""
+    """Customers served from a stop at one of them."""
 
     stop: str
     customers: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Clustered:
-    """Groups with every customer once. `method` made them.
+class Clustering:
+    """Groups that contain each customer once. `method`: the method that formed them.
 
-    `notes` say what had to be repaired, or why another method was used.
+    `notes`: repairs, or the reason for a fallback to another method.
     """
 
     clusters: tuple[Cluster, ...]
     method: str
     notes: tuple[str, ...] = ()
 
-    def noting(self, *notes: str) -> "Clustered":
-        """The same with more notes."""
+    def with_notes(self, *notes: str) -> "Clustering":
+        """Return a copy with additional notes."""
         return replace(self, notes=(*self.notes, *notes))
 
 
-class Method(Protocol):
-    """A clustering method; the same problem gives the same answer."""
+class ClusteringMethod(Protocol):
+    """A deterministic clustering method."""
 
-    def __call__(self, problem: ClusteringProblem) -> Clustered: ...
+    def __call__(self, problem: ClusteringProblem) -> Clustering: ...
 
 
-def faults(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> list[str]:
-    """Everything that is wrong with clusters: each customer once, capacity, reach."""
-    known = problem.index()
+def describe_cluster_violations(
+    problem: ClusteringProblem, clusters: tuple[Cluster, ...]
+) -> list[str]:
+    """Return all violations: customers not exactly once, capacity, unreachable customers."""
+    known = problem.customer_index_by_id()
     found: list[str] = []
     seen: set[str] = set()
     for number, cluster in enumerate(clusters, start=1):
@@ -91,13 +93,13 @@ def faults(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> list[st
         if cluster.stop not in cluster.customers or cluster.stop not in known:
             found.append(f"{where}: its stop {cluster.stop[:40]!r} is not one of its customers")
             continue
-        mine = [known[id_] for id_ in cluster.customers if id_ in known]
-        mass_kg = float(problem.mass_kg[mine].sum())
-        if len(mine) > 1 and mass_kg > problem.capacity_kg:
+        indices = [known[id_] for id_ in cluster.customers if id_ in known]
+        mass_kg = float(problem.mass_kg[indices].sum())
+        if len(indices) > 1 and mass_kg > problem.capacity_kg:
             found.append(f"{where}: {mass_kg:g} kg, at most {problem.capacity_kg:g}")
-        far = [i for i in mine if not np.isfinite(problem.energy_wh[known[cluster.stop], i])]
+        far = [i for i in indices if not np.isfinite(problem.energy_wh[known[cluster.stop], i])]
         found += [
-            f"{where}: {problem.ids[i]} is out of reach of its stop"
+            f"{where}: {problem.ids[i]} cannot be served from its stop"
             for i in far
             if problem.ids[i] != cluster.stop
         ]
@@ -105,75 +107,81 @@ def faults(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> list[st
     return found
 
 
-def repair(problem: ClusteringProblem, clusters: tuple[Cluster, ...]) -> tuple[Cluster, ...]:
-    """The nearest valid clusters: what is wrong is taken out, and put where it costs least.
+def repair_clusters(
+    problem: ClusteringProblem, clusters: tuple[Cluster, ...]
+) -> tuple[Cluster, ...]:
+    """Return valid clusters: remove each violation and reinsert the customer at the lowest cost.
 
-    A customer that no stop reaches within capacity gets a cluster of its own.
+    A customer that no stop can serve within capacity gets its own cluster.
     """
-    known = problem.index()
+    known = problem.customer_index_by_id()
     groups: list[tuple[int, list[int]]] = []
-    placed: set[int] = set()
+    assigned: set[int] = set()
     for cluster in clusters:
-        mine = [known[i] for i in dict.fromkeys(cluster.customers) if i in known]
-        mine = [i for i in mine if i not in placed]
-        if not mine:
+        indices = [known[i] for i in dict.fromkeys(cluster.customers) if i in known]
+        indices = [i for i in indices if i not in assigned]
+        if not indices:
             continue
         named = known.get(cluster.stop)
-        stop = named if named in mine else _medoid(problem, mine)
-        kept = _that_fit(problem, stop, mine)
-        placed.update(kept)
+        stop = named if named in indices else _lowest_energy_stop_index(problem, indices)
+        kept = _stop_and_cheapest_feasible_members(problem, stop, indices)
+        assigned.update(kept)
         groups.append((stop, kept))
     for i in range(len(problem.ids)):
-        if i not in placed:
-            _put(problem, groups, i)
+        if i not in assigned:
+            _add_customer_to_cheapest_group(problem, groups, i)
     return tuple(
         Cluster(problem.ids[stop], tuple(problem.ids[i] for i in sorted(members)))
         for stop, members in groups
     )
 
 
-def _that_fit(problem: ClusteringProblem, stop: int, members: list[int]) -> list[int]:
-    """The stop itself, then the cheapest others, as far as reach and capacity allow."""
-    kept, mass_kg = [stop], float(problem.mass_kg[stop])
-    for i in sorted(members, key=lambda i: (problem.energy_wh[stop, i], i)):
-        if i == stop:
+def _stop_and_cheapest_feasible_members(
+    problem: ClusteringProblem, stop_index: int, customer_indices: list[int]
+) -> list[int]:
+    """Return the stop and the cheapest feasible members within capacity."""
+    kept, mass_kg = [stop_index], float(problem.mass_kg[stop_index])
+    for i in sorted(customer_indices, key=lambda i: (problem.energy_wh[stop_index, i], i)):
+        if i == stop_index:
             continue
         heavier_kg = mass_kg + float(problem.mass_kg[i])
-        if np.isfinite(problem.energy_wh[stop, i]) and heavier_kg <= problem.capacity_kg:
+        if np.isfinite(problem.energy_wh[stop_index, i]) and heavier_kg <= problem.capacity_kg:
             kept.append(i)
             mass_kg = heavier_kg
     return kept
 
 
-def _put(problem: ClusteringProblem, groups: list[tuple[int, list[int]]], i: int) -> None:
-    """Into the cheapest cluster that can take it, else into one of its own."""
+def _add_customer_to_cheapest_group(
+    problem: ClusteringProblem, groups: list[tuple[int, list[int]]], customer_index: int
+) -> None:
+    """Add customer `customer_index` to the cheapest cluster with capacity, or to a new cluster."""
     best, best_wh = None, np.inf
     for number, (stop, members) in enumerate(groups):
-        mass_kg = float(problem.mass_kg[members].sum() + problem.mass_kg[i])
-        cost_wh = problem.energy_wh[stop, i]
+        mass_kg = float(problem.mass_kg[members].sum() + problem.mass_kg[customer_index])
+        cost_wh = problem.energy_wh[stop, customer_index]
         if mass_kg <= problem.capacity_kg and cost_wh < best_wh:
             best, best_wh = number, cost_wh
     if best is None:
-        groups.append((i, [i]))
+        groups.append((customer_index, [customer_index]))
     else:
-        groups[best][1].append(i)
+        groups[best][1].append(customer_index)
 
 
-def _medoid(problem: ClusteringProblem, members: list[int]) -> int:
-    """The member from which serving all others costs least; infeasible ones cost a lot."""
-    energy = problem.energy_wh[np.ix_(members, members)]
+def _lowest_energy_stop_index(problem: ClusteringProblem, customer_indices: list[int]) -> int:
+    """Return the member that serves all others at the lowest cost; infeasible costs 1e9 Wh."""
+    energy = problem.energy_wh[np.ix_(customer_indices, customer_indices)]
     costly = np.where(np.isfinite(energy), energy, 1e9).sum(axis=1)
-    return members[int(np.argmin(costly))]
+    return customer_indices[int(np.argmin(costly))]
 
 
-def clusters_of(
-    problem: ClusteringProblem, stops: list[int], label: NDArray[np.intp]
+def clusters_from_labels(
+    problem: ClusteringProblem, stop_indices: list[int], cluster_index_by_customer: NDArray[np.intp]
 ) -> tuple[Cluster, ...]:
-    """Clusters from labels of customers; empty ones are left out."""
+    """Return clusters from customer labels, without empty clusters."""
     found: list[Cluster] = []
-    for number, stop in enumerate(stops):
-        mine = [int(i) for i in np.flatnonzero(label == number)]
-        if mine:
-            at = stop if stop in mine else _medoid(problem, mine)
-            found.append(Cluster(problem.ids[at], tuple(problem.ids[i] for i in mine)))
+    for number, stop in enumerate(stop_indices):
+        indices = [int(i) for i in np.flatnonzero(cluster_index_by_customer == number)]
+        if indices:
+            at = stop if stop in indices else _lowest_energy_stop_index(problem, indices)
+            found.append(Cluster(problem.ids[at], tuple(problem.ids[i] for i in indices)))
     return tuple(found)

@@ -1,8 +1,8 @@
-"""The question to an LLM, and the strict reading of its answer: numbers and aliases only.
+"""The prompt for an LLM and the strict decoding of its response: numbers and aliases only.
 
-No text of an order reaches the model: customers are `c1`, `c2`, ..., so an order cannot steer it.
-No text of the model reaches anything: its answer is parsed into aliases, and unknown ones are
-refused.
+The prompt contains no text of an order: customers are `c1`, `c2`, ..., so an order cannot
+influence the model. No text of the model is passed on: its response is decoded into aliases, and
+unknown aliases are rejected.
 """
 
 import json
@@ -49,51 +49,63 @@ class _Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     customers: list[str]
 
 
-class _Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _Response(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clusters: list[_Group]
 
 
-def user_message(problem: ClusteringProblem) -> str:
-    """The problem as JSON: conditions, and alias, place and mass of each customer."""
-    seen = problem.conditions
+def clustering_prompt_json(problem: ClusteringProblem) -> str:
+    """Return the problem as JSON: conditions, and alias, position and mass of each customer."""
+    conditions = problem.conditions
     table = {
         "groups": problem.count,
         "capacity_kg": problem.capacity_kg,
-        "coverage_m": round(seen.coverage_m),
-        "wind_to_ne_mps": [round(w, 1) for w in seen.wind_to_ne_mps],
-        "voltage_v": None if seen.voltage_v is None else round(seen.voltage_v, 2),
-        "obstacle_frac": round(seen.obstacle_frac, 2),
+        "coverage_m": round(conditions.coverage_m),
+        "wind_to_ne_mps": [round(w, 1) for w in conditions.wind_to_ne_mps],
+        "voltage_v": None if conditions.voltage_v is None else round(conditions.voltage_v, 2),
+        "obstacle_frac": round(conditions.obstacle_frac, 2),
         "customers": [
-            {"id": alias(i), "north_m": round(n), "east_m": round(e), "kg": round(float(kg), 2)}
-            for i, ((n, e), kg) in enumerate(zip(problem.places_ne_m, problem.mass_kg, strict=True))
+            {
+                "id": customer_alias(i),
+                "north_m": round(n),
+                "east_m": round(e),
+                "kg": round(float(kg), 2),
+            }
+            for i, ((n, e), kg) in enumerate(
+                zip(problem.positions_ne_m, problem.mass_kg, strict=True)
+            )
         ],
     }
     return json.dumps(table, separators=(",", ":"))
 
 
-def alias(index: int) -> str:
-    """The name of a customer for the model."""
+def customer_alias(index: int) -> str:
+    """Return the alias of a customer in the prompt."""
     return f"c{index + 1}"
 
 
-def clusters_from(text: str, problem: ClusteringProblem) -> tuple[Cluster, ...] | str:
-    """The model's groups with the real ids; or, as text, why its answer is not usable.
+def decode_clusters_or_rejection_reason(
+    response_text: str, problem: ClusteringProblem
+) -> tuple[Cluster, ...] | str:
+    """Return the model's groups with real ids, or the reason (text) to reject its response.
 
-    Unknown aliases stay: `faults` names them and `repair` takes them out.
+    Unknown aliases are kept: `faults` reports them and `repair_clusters` removes them.
     """
     try:
-        answer = msgspec.json.decode(text.encode(), type=_Answer)
+        response = msgspec.json.decode(response_text.encode(), type=_Response)
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
-        return f"not the JSON that was asked for: {error}"[:200]
+        return f"response does not match the JSON schema: {error}"[:200]
     limit = 4 * len(problem.ids) + 4
-    if len(answer.clusters) > limit or sum(len(g.customers) for g in answer.clusters) > limit:
+    if len(response.clusters) > limit or sum(len(g.customers) for g in response.clusters) > limit:
         return f"more than {limit} groups or customers for {len(problem.ids)} customers"
-    real = {alias(i): id_ for i, id_ in enumerate(problem.ids)}
+    real = {customer_alias(i): id_ for i, id_ in enumerate(problem.ids)}
 
-    def known(name: str) -> str:
-        return real.get(name, f"?{name}")  # never an order id: those begin with a letter or digit
+    def customer_id_of_alias(alias: str) -> str:
+        return real.get(alias, f"?{alias}")  # never an order id: ids start with a letter or digit
 
     return tuple(
-        Cluster(known(group.stop), tuple(known(name) for name in group.customers))
-        for group in answer.clusters
+        Cluster(
+            customer_id_of_alias(group.stop),
+            tuple(customer_id_of_alias(name) for name in group.customers),
+        )
+        for group in response.clusters
     )

@@ -1,4 +1,4 @@
-"""Pads of drones at a stop: rings around the truck, each drone on the side that it flies to."""
+"""Pads of drones at a stop: rings around the truck, each drone on the side of its destination."""
 
 import math
 from dataclasses import dataclass, field
@@ -7,61 +7,76 @@ import shapely
 
 from companion.core.base.geo import Ned, ObstacleMap
 
-PAD_APART_M = 21.0
-"""Two drones may climb and descend at once: 20 m between them, and 1 m for placing a pad by
-hand."""
-RING_PADS = 8
-LEAST_RADIUS_M = 15.0
-"""Least distance from the truck, where people work."""
-RINGS = 3
+PAD_SPACING_M = 21.0
+"""Spacing for two drones that climb and descend at once: 20 m, and 1 m for placement."""
+FIRST_RING_PADS = 8
+MIN_RADIUS_M = 15.0
+"""Minimum distance from the truck, where people work."""
+RING_COUNT = 3
 
 
-def ring_radius_m() -> float:
-    """The first ring's radius: neighbours stand `PAD_APART_M` apart."""
-    return max(LEAST_RADIUS_M, PAD_APART_M / (2.0 * math.sin(math.pi / RING_PADS)))
+def first_ring_radius_m() -> float:
+    """Return the first ring's radius, at which neighbours are `PAD_SPACING_M` from each other."""
+    return max(MIN_RADIUS_M, PAD_SPACING_M / (2.0 * math.sin(math.pi / FIRST_RING_PADS)))
 
 
-def pad_places(stop_ned_m: Ned, obstacles: ObstacleMap) -> list[Ned]:
-    """Places for pads, nearest ring first, clear of all obstacles around the stop."""
-    grown = obstacles.grown_at(0.0)
+def unobstructed_pad_positions(stop_ned_m: Ned, obstacles: ObstacleMap) -> list[Ned]:
+    """Return pad positions, nearest ring first, clear of all obstacles around the stop."""
+    inflated_outlines = obstacles.buffered_outlines_at(0.0)
     found: list[Ned] = []
-    for ring in range(RINGS):
-        radius_m = ring_radius_m() + ring * PAD_APART_M
-        count = int(math.pi / math.asin(PAD_APART_M / (2.0 * radius_m)) + 1e-9)
+    for ring in range(RING_COUNT):
+        radius_m = first_ring_radius_m() + ring * PAD_SPACING_M
+        count = int(math.pi / math.asin(PAD_SPACING_M / (2.0 * radius_m)) + 1e-9)
         for number in range(count):
             angle = 2.0 * math.pi * number / count
             north = stop_ned_m[0] + radius_m * math.cos(angle)
             east = stop_ned_m[1] + radius_m * math.sin(angle)
-            if not any(shapely.intersects_xy(outline, north, east) for outline in grown):
+            if not any(
+                shapely.intersects_xy(outline, north, east) for outline in inflated_outlines
+            ):
                 found.append((north, east, stop_ned_m[2]))
     return found
 
 
 @dataclass(slots=True)
 class StopPads:
-    """The pads of one stop, and which drone has which."""
+    """The pads of one stop and their drones."""
 
     stop_ned_m: Ned
-    places: list[Ned]
-    of: dict[str, Ned] = field(default_factory=dict[str, Ned])
+    positions: list[Ned]
+    pad_by_drone: dict[str, Ned] = field(default_factory=dict[str, Ned])
 
-    def best(self, drone: str, to_ned_m: Ned) -> tuple[float, Ned] | None:
-        """The pad that this drone has or would get, and its angle off the direct way, rad."""
-        return next(iter(self.ranked(drone, to_ned_m)), None)
+    def best_pad_with_route_angle_rad(
+        self, drone: str, destination_ned_m: Ned
+    ) -> tuple[float, Ned] | None:
+        """Return the first of `pads_ranked_by_route_angle_rad`: angle, pad; None: no pad."""
+        return next(iter(self.pads_ranked_by_route_angle_rad(drone, destination_ned_m)), None)
 
-    def ranked(self, drone: str, to_ned_m: Ned) -> list[tuple[float, Ned]]:
-        """The pads that this drone has or could get, with their angles off the direct way, rad;
-        the least first.
+    def pads_ranked_by_route_angle_rad(
+        self, drone: str, destination_ned_m: Ned
+    ) -> list[tuple[float, Ned]]:
+        """Return the pads that this drone has or could get, with their angles off the direct route,
+        rad; smallest first.
         """
-        if drone in self.of:
-            return [(self._off_rad(self.of[drone], to_ned_m), self.of[drone])]
-        taken = set(self.of.values())
-        free = [place for place in self.places if place not in taken]
-        near = free[: max(RING_PADS - len(taken), 0)] or free
-        return sorted((self._off_rad(place, to_ned_m), place) for place in near)
+        if drone in self.pad_by_drone:
+            return [
+                (
+                    self._route_angle_off_pad_bearing_rad(
+                        self.pad_by_drone[drone], destination_ned_m
+                    ),
+                    self.pad_by_drone[drone],
+                )
+            ]
+        occupied = set(self.pad_by_drone.values())
+        free = [position for position in self.positions if position not in occupied]
+        inner_pads = free[: max(FIRST_RING_PADS - len(occupied), 0)] or free
+        return sorted(
+            (self._route_angle_off_pad_bearing_rad(position, destination_ned_m), position)
+            for position in inner_pads
+        )
 
-    def _off_rad(self, pad: Ned, to_ned_m: Ned) -> float:
-        """How far the way from the pad turns back over the stop and the other pads."""
-        out = math.atan2(pad[1] - self.stop_ned_m[1], pad[0] - self.stop_ned_m[0])
-        way = math.atan2(to_ned_m[1] - pad[1], to_ned_m[0] - pad[0])
-        return abs((way - out + math.pi) % (2.0 * math.pi) - math.pi)
+    def _route_angle_off_pad_bearing_rad(self, pad: Ned, destination_ned_m: Ned) -> float:
+        """Return the angle by which the route from the pad turns back over stop and pads."""
+        pad_bearing_rad = math.atan2(pad[1] - self.stop_ned_m[1], pad[0] - self.stop_ned_m[0])
+        route_bearing_rad = math.atan2(destination_ned_m[1] - pad[1], destination_ned_m[0] - pad[0])
+        return abs((route_bearing_rad - pad_bearing_rad + math.pi) % (2.0 * math.pi) - math.pi)

@@ -1,24 +1,24 @@
-"""One moment of a day with a truck: the store's rows and the fleet's status."""
+"""Snapshot of a day with a truck: rows of the store and status of the fleet."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, AssignmentState
-from ground_station.core.schema.sortie_rows import SortieRow, Visit
+from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
-CLOSED = "closed by the forecast"
-"""Why an assignment was withdrawn that says nothing of its drone."""
+CLOSED_PREFIX = "closed by the forecast"
+"""Prefix of the reason of a withdrawal that does not count against the drone."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruckStatus:
-    """The truck by its last state. Once it is told to drive on it counts as driving there, whether
-    it has heard so or not.
+    """The truck by its last state. After a drive command `is_en_route` is True and `stop` the
+    commanded stop, whether the truck has received the command or not.
     """
 
     present: bool
-    driving: bool
+    is_en_route: bool
     stop: str
 
 
@@ -27,7 +27,7 @@ class DroneStatus:
     """A drone by its last state.
 
     `idle`: on standby, disarmed. `ready`: its assignment waits for the launch. `off_ground`: it has
-    left its pad. `silent_s`: since its last state; None: there was none.
+    left its pad. `silent_s`: time since its last state; None: no state received.
     """
 
     vehicle: str
@@ -46,150 +46,184 @@ class DroneStatus:
 
 @dataclass(frozen=True, slots=True)
 class DaySnapshot:
-    """The day now; `now_s` counts from its beginning.
+    """Snapshot of the day; `now_s` counts from the start of the day.
 
-    `open`: orders without an assignment. `serves`: the driver's own deliveries. `replanning`: a new
-    plan is being made. `tried_s`: when the last re-planning ended, and `tried`: from which
-    `situation`. `waited_s`: by assignment, how long a drone on its pad has not been ready.
-    `wind_off_sigmas`: distance of the measured wind from the planned one, in the forecast's
-    standard deviations. `desk_from_s`: since when this desk listens. `held`: drones that are under
-    a hold. `closed`: assignments on the ground whose launch the forecast has closed for good, and
-    why. `closing`: what it closes of the plan; empty: nothing.
+    `open_orders`: orders without an assignment. `truck_assignments`: the driver's own deliveries.
+    `replanning`: a new plan is being computed. `last_replan_s`: time of the end of the last
+    re-planning, `last_replan_key`: its `plan_inputs_comparison_key`. `pad_wait_s`: by assignment,
+    how long a drone on its pad has not been ready. `wind_deviation_sigmas`: distance of the
+    measured wind from the planned one, in the forecast's standard deviations. `desk_start_s`: start
+    of this desk. `drones_on_hold`: drones under a hold. `closed_assignments`: assignments on the
+    ground whose launch the forecast has closed for the rest of the day, with the reason.
+    `plan_closing_text`: the part of the plan that the forecast closes; empty: none.
     """
 
     now_s: float
-    began_us: int
+    start_us: int
     plan: DayPlan
     truck: TruckStatus | None
     drones: Mapping[str, DroneStatus]
-    open: frozenset[str]
+    open_orders: frozenset[str]
     sorties: tuple[SortieRow, ...]
-    serves: tuple[AssignmentRow, ...]
-    visits: Mapping[str, Visit] = field(default_factory=dict)
+    truck_assignments: tuple[AssignmentRow, ...]
+    stop_times: Mapping[str, StopTimes] = field(default_factory=dict)
     replanning: bool = False
-    plan_made_s: float = 0.0
-    tried_s: float | None = None
-    tried: object = None
-    waited_s: Mapping[str, float] = field(default_factory=dict)
-    wind_off_sigmas: float = 0.0
-    desk_from_s: float = 0.0
-    held: frozenset[str] = frozenset()
-    closed: Mapping[str, str] = field(default_factory=dict)
-    closing: str = ""
+    plan_created_s: float = 0.0
+    last_replan_s: float | None = None
+    last_replan_key: object = None
+    pad_wait_s: Mapping[str, float] = field(default_factory=dict)
+    wind_deviation_sigmas: float = 0.0
+    desk_start_s: float = 0.0
+    drones_on_hold: frozenset[str] = frozenset()
+    closed_assignments: Mapping[str, str] = field(default_factory=dict)
+    plan_closing_text: str = ""
 
-    def drone(self, vehicle: str) -> DroneStatus:
-        """The status of a drone, heard or not."""
+    def drone_status(self, vehicle: str) -> DroneStatus:
+        """Return the status of a drone; the default status if no state was received."""
         return self.drones.get(vehicle) or DroneStatus(vehicle)
 
-    def day_s(self, epoch_us: int) -> float:
-        """A time stamp as seconds of the day."""
-        return (epoch_us - self.began_us) / 1e6
+    def epoch_us_to_day_s(self, epoch_us: int) -> float:
+        """Convert a time stamp to seconds of the day."""
+        return (epoch_us - self.start_us) / 1e6
 
     @property
-    def index(self) -> int | None:
-        """The number of the stop where the truck is or drives to; None: not in the plan."""
+    def truck_stop_or_destination_index(self) -> int | None:
+        """Index of the stop where the truck is or to which it drives; None: not in the plan."""
         if self.truck is None:
             return None
         ids = [stop.id for stop in self.plan.stops]
         return ids.index(self.truck.stop) if self.truck.stop in ids else None
 
     @property
-    def here(self) -> PlannedStop | None:
-        """The stop where the truck stands: heard just now and not told to leave; else None."""
-        truck, index = self.truck, self.index
-        if truck is None or index is None or not truck.present or truck.driving:
+    def current_stop(self) -> PlannedStop | None:
+        """The stop where the truck is present and not commanded to leave; None: no such stop."""
+        truck, index = self.truck, self.truck_stop_or_destination_index
+        if truck is None or index is None or not truck.present or truck.is_en_route:
             return None
         return self.plan.stops[index]
 
-    def why_out(self, vehicle: str) -> str | None:
-        """Why a drone is out of service; None: it is in service."""
-        if self.drone(vehicle).doubtful:
+    def out_of_service_reason(self, vehicle: str) -> str | None:
+        """Return the cause of a drone's removal from service; None: it is in service."""
+        if self.drone_status(vehicle).doubtful:
             return "doubtful"
-        mine = [row for row in self.sorties if row.vehicle == vehicle]
-        if any(row.gone for row in mine):
-            return "lost, or away from the truck"
+        own_sorties = [row for row in self.sorties if row.vehicle == vehicle]
+        for row in own_sorties:
+            if row.unavailability_reason:
+                return row.unavailability_reason
         unflown = (AssignmentState.REFUSED, AssignmentState.WITHDRAWN)
-        last = [row.row for row in mine if not row.row.why.startswith(CLOSED)][-2:]
+        last = [
+            row.assignment
+            for row in own_sorties
+            if not row.assignment.reason.startswith(CLOSED_PREFIX)
+        ][-2:]
         if len(last) == 2 and all(row.state in unflown for row in last):
-            return "came to nothing twice"
+            return "last two assignments refused or withdrawn"
         return None
 
-    def free(self, vehicle: str) -> bool:
-        """Whether a drone is on the truck, with a fresh pack, and in service."""
-        mine = [row for row in self.sorties if row.vehicle == vehicle]
-        return all(row.aboard for row in mine) and self.why_out(vehicle) is None
+    def is_drone_available_on_truck(self, vehicle: str) -> bool:
+        """Return True if a drone is on the truck, with a charged pack, and in service."""
+        own_sorties = [row for row in self.sorties if row.vehicle == vehicle]
+        return (
+            all(row.is_drone_on_truck for row in own_sorties)
+            and self.out_of_service_reason(vehicle) is None
+        )
 
-    def pending(self) -> list[PlannedSortie]:
-        """Planned sorties that are not begun, in order of launch."""
-        begun = [row.sortie for row in self.sorties]
-        left = [s for s in self.plan.sorties if s.order in self.open and s not in begun]
-        return sorted(left, key=lambda s: s.launch_s)
+    def unassigned_sorties_by_launch_time(self) -> list[PlannedSortie]:
+        """Return the planned sorties that are not assigned yet, in order of launch."""
+        assigned = [row.sortie for row in self.sorties]
+        remaining = [
+            s for s in self.plan.sorties if s.order in self.open_orders and s not in assigned
+        ]
+        return sorted(remaining, key=lambda s: s.launch_s)
 
     @property
-    def situation(self) -> object:
-        """Everything that a plan depends on, except the time: to compare, nothing else."""
+    def plan_inputs_comparison_key(self) -> object:
+        """Everything that a plan depends on, except the time. Only for comparison."""
         truck = self.truck
         flights = [
-            (row.id, row.row.state, row.aboard, row.gone, row.promised, row.asked)
+            (
+                row.id,
+                row.assignment.state,
+                row.is_drone_on_truck,
+                row.is_drone_lost_off_site_or_overdue,
+                row.promised_stop,
+                row.requested_stop,
+            )
             for row in self.sorties
         ]
-        out = frozenset(vehicle for vehicle in self.drones if self.why_out(vehicle) is not None)
-        where = None if truck is None else (truck.stop, truck.driving)
-        return where, self.open, tuple(flights), out
+        out_of_service = frozenset(
+            vehicle for vehicle in self.drones if self.out_of_service_reason(vehicle) is not None
+        )
+        truck_state = None if truck is None else (truck.stop, truck.is_en_route)
+        return truck_state, self.open_orders, tuple(flights), out_of_service
 
-    def lands_s(self, row: SortieRow) -> float:
-        """Expected touchdown of a sortie: as long after its launch as planned."""
+    def expected_landing_s(self, row: SortieRow) -> float:
+        """Return the expected touchdown of a sortie: its launch plus the planned duration."""
         if row.launched_us is None:
-            return self._would_land_s(row.sortie)
-        return self.day_s(row.launched_us) + row.sortie.land_s - row.sortie.launch_s
+            return self._earliest_landing_s(row.sortie)
+        return self.epoch_us_to_day_s(row.launched_us) + row.sortie.land_s - row.sortie.launch_s
 
-    def _would_land_s(self, sortie: PlannedSortie) -> float:
+    def _earliest_landing_s(self, sortie: PlannedSortie) -> float:
         return max(self.now_s, sortie.launch_s) + sortie.land_s - sortie.launch_s
 
-    def serving(self) -> bool:
-        """Whether the driver is bringing an order."""
-        return any(row.state in IN_FORCE for row in self.serves)
+    def is_driver_delivering(self) -> bool:
+        """Return True if the driver is delivering an order."""
+        return any(row.state in IN_FORCE for row in self.truck_assignments)
 
-    def held_s(self) -> float:
-        """How much later than planned the truck leaves its stop because of drones that still land
-        there: in the air, on their pads, or planned. Negative: they land earlier than that.
+    def departure_delay_for_landings_s(self) -> float:
+        """Return the delay of the truck at its stop due to drones that still land there (in the
+        air, on their pads, or planned). Negative: all land before the planned departure.
         """
-        here = self.here
+        here = self.current_stop
         if here is None:
             return 0.0
-        rows = [row for row in self.sorties if not (row.over or row.gone)]
-        lands_s = [self.lands_s(row) for row in rows if row.promised == here.id]
-        again = [s for s in self.pending() if s.launch == s.home == here.id]
-        lands_s += [self._would_land_s(s) for s in again if self._is_or_comes(s.vehicle, here.id)]
+        rows = [
+            row
+            for row in self.sorties
+            if not (row.is_finished or row.is_drone_lost_off_site_or_overdue)
+        ]
+        lands_s = [self.expected_landing_s(row) for row in rows if row.promised_stop == here.id]
+        later_sorties = [
+            s for s in self.unassigned_sorties_by_launch_time() if s.launch == s.home == here.id
+        ]
+        lands_s += [
+            self._earliest_landing_s(s)
+            for s in later_sorties
+            if self._is_in_service_on_truck_or_due_at(s.vehicle, here.id)
+        ]
         return max(lands_s, default=here.depart_s) - here.depart_s
 
-    def _is_or_comes(self, vehicle: str, stop: str) -> bool:
-        """Whether a drone is on the truck or lands at this stop: nothing may wait for another."""
-        mine = [row for row in self.sorties if row.vehicle == vehicle and not row.aboard]
-        return self.why_out(vehicle) is None and all(row.promised == stop for row in mine)
+    def _is_in_service_on_truck_or_due_at(self, vehicle: str, stop: str) -> bool:
+        """Return True if a drone is on the truck or lands at this stop next."""
+        own_sorties = [
+            row for row in self.sorties if row.vehicle == vehicle and not row.is_drone_on_truck
+        ]
+        return self.out_of_service_reason(vehicle) is None and all(
+            row.promised_stop == stop for row in own_sorties
+        )
 
-    def delay_s(self) -> float:
-        """Delay of the truck against the plan; negative: it is early.
+    def truck_delay_s(self) -> float:
+        """Return the delay of the truck against the plan; negative: it is early.
 
-        From its last stop it leaves for nowhere: however long it stands there, it is not late.
+        A long stay at the last stop is no delay, because the truck does not leave it.
         """
-        index = self.index
+        index = self.truck_stop_or_destination_index
         if self.truck is None or index is None:
             return 0.0
         stop = self.plan.stops[index]
-        if not self.truck.driving:
-            visit = self.visits.get(stop.id)
-            arrived_us = visit.arrived_us if visit is not None else None
-            begun_s = self._after_plan(arrived_us, stop.arrive_s)
+        if not self.truck.is_en_route:
+            times = self.stop_times.get(stop.id)
+            arrived_us = times.arrived_us if times is not None else None
+            start_delay_s = self._delay_against_plan_s(arrived_us, stop.arrive_s)
             is_last = index + 1 == len(self.plan.stops)
-            return begun_s if is_last else max(begun_s, self.now_s - stop.depart_s)
-        before = self.plan.stops[max(index - 1, 0)]
-        visit = self.visits.get(before.id)
-        left_us = visit.left_us if visit is not None else None
-        begun_s = self._after_plan(left_us, before.depart_s)
-        return max(begun_s, self.now_s - stop.arrive_s)
+            return start_delay_s if is_last else max(start_delay_s, self.now_s - stop.depart_s)
+        previous_stop = self.plan.stops[max(index - 1, 0)]
+        times = self.stop_times.get(previous_stop.id)
+        left_us = times.departed_us if times is not None else None
+        start_delay_s = self._delay_against_plan_s(left_us, previous_stop.depart_s)
+        return max(start_delay_s, self.now_s - stop.arrive_s)
 
-    def _after_plan(self, at_us: int | None, planned_s: float) -> float:
-        if at_us is None or self.day_s(at_us) < self.plan_made_s:
+    def _delay_against_plan_s(self, actual_epoch_us: int | None, planned_s: float) -> float:
+        if actual_epoch_us is None or self.epoch_us_to_day_s(actual_epoch_us) < self.plan_created_s:
             return 0.0
-        return self.day_s(at_us) - planned_s
+        return self.epoch_us_to_day_s(actual_epoch_us) - planned_s

@@ -1,7 +1,7 @@
-"""Assignment from the depot: who flies which order next.
+"""Assignment of orders to the drones of a depot.
 
 The rule of arXiv 2604.13441, section IV-A: the nearest customer that a free drone can reach at the
-accepted loss goes to the drone that is back first.
+accepted loss is assigned to the drone with the shortest flight.
 """
 
 import math
@@ -12,22 +12,22 @@ from typing import Any
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import Ned, place_ned
-from companion.core.base.place import Place
-from companion.core.mission.flight_plan import frame_at
+from companion.core.base.geo import Ned, location_to_ground_ned_m
+from companion.core.base.location import Location
+from companion.core.mission.flight_plan import depot_frame
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.deconfliction.depot_layers import DepotLayers
-from ground_station.core.dispatch.dispatch_rules import ON_PAD_M, distance_m
-from ground_station.core.dispatch.flight_tables import delivery_table
+from ground_station.core.dispatch.dispatch_rules import off_pad_text
+from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.reach import (
     Feasible,
     Infeasible,
-    Reach,
+    SortieFeasibility,
     SortieNeed,
-    day_energy,
+    route_energy_model_for_day,
 )
-from ground_station.core.planning.day_problem import TOP_M
+from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M
 from ground_station.core.schema.day import Day, Drone, Forecast
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import (
@@ -38,41 +38,41 @@ from ground_station.core.schema.orders import (
     OrderRow,
     OrderState,
     Service,
-    place_of,
+    order_location,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class FreeDrone:
-    """A drone that may be given work. `charge_frac`: by its resting voltage, None where not
-    known. `stand`: where it stands; None: where the day's depot is.
+    """A drone available for an assignment. `charge_frac`: from its resting voltage; None: unknown.
+    `position`: its position on the ground; None: the day's depot.
     """
 
     vehicle: str
     charge_frac: float | None
-    stand: Place | None = None
+    position: Location | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class DroneAssignment:
-    """This order goes to this drone, in this layer over the depot; it lands where it stands."""
+    """An order assigned to a drone, in a layer over the depot. The drone lands at `position`."""
 
     order: Order
     vehicle: str
     layer: int = 0
-    stand: Place | None = None
+    launch_position: Location | None = None
 
 
-_Kind = tuple[str, float | None, float, float]
-"""Airframe, temperature, health and charge of a drone: all that what it can bring depends on."""
+_DroneKind = tuple[str, float | None, float, float]
+"""Airframe, temperature, health and charge of a drone; they determine feasibility."""
 
 
 class DepotAssigner:
     """Assigns the orders of one day.
 
-    What a delivery takes is worked out once for each airframe and order and kept, since it takes a
-    thousand times as long as to ask whether a pack pays for it; and what is possible at all once
-    for each kind of drone. A day may have a hundred drones of one kind.
+    The need of a delivery is cached for each airframe, order and layer, because it takes a thousand
+    times as long to compute as the check against a pack. Feasibility with a full pack is cached for
+    each kind of drone: a day may have a hundred drones of one kind.
     """
 
     def __init__(
@@ -83,37 +83,43 @@ class DepotAssigner:
     ) -> None:
         self._day = day
         self._elevation = elevation
-        self._frame = frame_at(day.depot.place)
-        energies = {name: day_energy(day, airframe) for name, airframe in airframes.items()}
+        self._frame = depot_frame(day.depot.location)
+        energies = {
+            name: route_energy_model_for_day(day, airframe) for name, airframe in airframes.items()
+        }
         hills = hills_of(day, elevation)
-        self._reach = {
-            d.id: Reach(
+        self._feasibility = {
+            d.id: SortieFeasibility(
                 d, airframes[d.airframe], day.mission, day.forecast, energies[d.airframe], hills
             )
             for d in day.drones
         }
-        self._of_kind: dict[_Kind, Reach] = {_kind(r.drone): r for r in self._reach.values()}
-        self._ned: dict[str, Ned] = {}
-        self._need: dict[tuple[str, str, int], SortieNeed] = {}
-        self.layers = DepotLayers(day.mission, TOP_M)
-        self._at_best: dict[tuple[_Kind, str], bool] = {}
+        self._feasibility_by_kind: dict[_DroneKind, SortieFeasibility] = {
+            _kind_of(r.drone): r for r in self._feasibility.values()
+        }
+        self._order_ned: dict[str, Ned] = {}
+        self._sortie_needs: dict[tuple[str, str, int], SortieNeed] = {}
+        self.layers = DepotLayers(day.mission, MAX_HEIGHT_AGL_M)
+        self._feasible_when_full: dict[tuple[_DroneKind, str], bool] = {}
 
-    def plan_in(self, wind: Forecast) -> None:
-        """Price all in this wind from now on."""
-        self._reach = {name: reach.in_wind(wind) for name, reach in self._reach.items()}
-        self._of_kind = {_kind(r.drone): r for r in self._reach.values()}
-        self._need.clear()
-        self._at_best.clear()
+    def set_wind_and_clear_caches(self, wind: Forecast) -> None:
+        """Compute all needs in this wind from now on."""
+        self._feasibility = {
+            name: feasibility.copy_for_wind(wind) for name, feasibility in self._feasibility.items()
+        }
+        self._feasibility_by_kind = {_kind_of(r.drone): r for r in self._feasibility.values()}
+        self._sortie_needs.clear()
+        self._feasible_when_full.clear()
 
-    def assign(
+    def assign_orders_to_free_drones(
         self,
         orders: list[OrderRow],
         assignments: list[AssignmentRow],
-        free: list[FreeDrone],
-        first: Sequence[str] = (),
+        free_drones: list[FreeDrone],
+        priority_orders: Sequence[str] = (),
     ) -> list[DroneAssignment]:
-        """New assignments for free drones, at most one order each; `first`: orders that go before
-        nearer ones, in this order.
+        """Return new assignments for free drones, at most one order each; `priority_orders`: orders
+        that take precedence over nearer ones, in this order.
         """
         waiting = [
             row.order
@@ -125,136 +131,167 @@ class DepotAssigner:
             for row in assignments
             if row.state is AssignmentState.REFUSED
         }
-        rank = {id_: number for number, id_ in enumerate(first)}
+        rank = {id_: number for number, id_ in enumerate(priority_orders)}
         last = len(rank)
-        away_m = {order.id: math.hypot(*self.ground_ned(order)[:2]) for order in waiting}
-        waiting.sort(key=lambda o: (rank.get(o.id, last), away_m[o.id], o.id))
-        return self._next(waiting, refused, list(free), _taken(assignments))
+        distance_m_by_order = {
+            order.id: math.hypot(*self.order_ground_ned(order)[:2]) for order in waiting
+        }
+        waiting.sort(key=lambda o: (rank.get(o.id, last), distance_m_by_order[o.id], o.id))
+        return self._assign_orders_in_given_order(
+            waiting, refused, list(free_drones), _occupied_layers(assignments)
+        )
 
-    def is_full(self, assignments: list[AssignmentRow]) -> bool:
-        """Whether every layer is taken over ground as high as the depot's."""
-        return self.layers.lowest_free(_taken(assignments), 0.0) is None
+    def are_all_depot_layers_occupied(self, assignments: list[AssignmentRow]) -> bool:
+        """Return True if every layer is occupied over ground at the depot's height."""
+        return (
+            self.layers.lowest_free_layer_below_max_height(_occupied_layers(assignments), 0.0)
+            is None
+        )
 
-    def _next(
+    def _assign_orders_in_given_order(
         self,
-        waiting: list[Order],
-        refused: set[tuple[str, str]],
-        free: list[FreeDrone],
-        taken: set[int],
+        ranked_orders: list[Order],
+        refused_order_vehicle_pairs: set[tuple[str, str]],
+        free_drones: list[FreeDrone],
+        occupied_layers: set[int],
     ) -> list[DroneAssignment]:
-        chosen: list[DroneAssignment] = []
-        for order in waiting:
-            if not free:
+        new_assignments: list[DroneAssignment] = []
+        for order in ranked_orders:
+            if not free_drones:
                 break
-            layer = self.layers.lowest_free(taken, -self.ground_ned(order)[2])
+            layer = self.layers.lowest_free_layer_below_max_height(
+                occupied_layers, -self.order_ground_ned(order)[2]
+            )
             if layer is None:
                 continue
-            able: list[tuple[float, str, FreeDrone]] = []
-            for drone in free:
-                time_s = self._time_s(order, drone, layer)
-                if time_s is not None and (order.id, drone.vehicle) not in refused:
-                    able.append((time_s, drone.vehicle, drone))
-            if able:
-                _, vehicle, drone = min(able, key=lambda a: a[:2])
-                free.remove(drone)
-                taken.add(layer)
-                chosen.append(DroneAssignment(order, vehicle, layer, drone.stand))
-        return chosen
+            candidates: list[tuple[float, str, FreeDrone]] = []
+            for drone in free_drones:
+                time_s = self._flight_time_if_feasible_s(order, drone, layer)
+                if (
+                    time_s is not None
+                    and (order.id, drone.vehicle) not in refused_order_vehicle_pairs
+                ):
+                    candidates.append((time_s, drone.vehicle, drone))
+            if candidates:
+                _, vehicle, drone = min(candidates, key=lambda a: a[:2])
+                free_drones.remove(drone)
+                occupied_layers.add(layer)
+                new_assignments.append(DroneAssignment(order, vehicle, layer, drone.position))
+        return new_assignments
 
-    def _time_s(self, order: Order, drone: FreeDrone, layer: int) -> float | None:
-        """How long this drone takes to bring it in a layer; None: it cannot, as it is charged."""
-        reach = self._reach.get(drone.vehicle)
-        if reach is None or not self._can_when_full(order, reach):
+    def _flight_time_if_feasible_s(
+        self, order: Order, drone: FreeDrone, layer: int
+    ) -> float | None:
+        """Return the flight time of this drone in a layer; None: not feasible with its charge."""
+        feasibility = self._feasibility.get(drone.vehicle)
+        if feasibility is None or not self._is_feasible_when_full(order, feasibility):
             return None
-        need = self._need_of(order, reach, layer)
-        return need.time_s if reach.pays(need, order.mass_kg, drone.charge_frac) else None
+        need = self._cached_depot_sortie_need(order, feasibility, layer)
+        return (
+            need.time_s
+            if feasibility.is_within_energy_budget(need, order.mass_kg, drone.charge_frac)
+            else None
+        )
 
-    def _can_when_full(self, order: Order, reach: Reach) -> bool:
-        """Whether a drone of this kind could bring it with a full pack."""
-        key = (_kind(reach.drone), order.id)
-        if key not in self._at_best:
+    def _is_feasible_when_full(self, order: Order, feasibility: SortieFeasibility) -> bool:
+        """Return True if a drone of this kind can deliver the order with a full pack."""
+        key = (_kind_of(feasibility.drone), order.id)
+        if key not in self._feasible_when_full:
             mass_kg = order.mass_kg
-            can = reach.lifts(mass_kg) and reach.pays(self._need_of(order, reach), mass_kg, 1.0)
-            self._at_best[key] = can
-        return self._at_best[key]
+            is_feasible = feasibility.can_lift(mass_kg) and feasibility.is_within_energy_budget(
+                self._cached_depot_sortie_need(order, feasibility), mass_kg, 1.0
+            )
+            self._feasible_when_full[key] = is_feasible
+        return self._feasible_when_full[key]
 
-    def _need_of(self, order: Order, reach: Reach, layer: int = 0) -> SortieNeed:
-        """What its delivery takes from the depot and back, of drones of this airframe."""
-        key = (reach.drone.airframe, order.id, layer)
-        if key not in self._need:
-            depot, there = (0.0, 0.0, 0.0), self.ground_ned(order)
-            up_m = self.layers.mission_in(layer).cruise_height_m
-            self._need[key] = reach.need(order.mass_kg, depot, there, depot, up_m)
-        return self._need[key]
+    def _cached_depot_sortie_need(
+        self, order: Order, feasibility: SortieFeasibility, layer: int = 0
+    ) -> SortieNeed:
+        """Return the need of a delivery from the depot and back for the airframe of this drone."""
+        key = (feasibility.drone.airframe, order.id, layer)
+        if key not in self._sortie_needs:
+            depot, customer_ned = (0.0, 0.0, 0.0), self.order_ground_ned(order)
+            up_m = self.layers.mission_in_layer(layer).cruise_height_m
+            self._sortie_needs[key] = feasibility.sortie_need(
+                order.mass_kg, depot, customer_ned, depot, up_m
+            )
+        return self._sortie_needs[key]
 
-    def ground_ned(self, order: Order) -> Ned:
-        """The ground at an order's place, NED about the depot."""
-        if order.id not in self._ned:
-            self._ned[order.id] = place_ned(self._frame, place_of(order))
-        return self._ned[order.id]
+    def order_ground_ned(self, order: Order) -> Ned:
+        """Return the ground position of an order, NED about the depot."""
+        if order.id not in self._order_ned:
+            self._order_ned[order.id] = location_to_ground_ned_m(self._frame, order_location(order))
+        return self._order_ned[order.id]
 
-    def can_bring(
+    def check_delivery(
         self, order: Order, vehicle: str, charge_frac: float | None = None
     ) -> Feasible | Infeasible:
-        """Whether a drone can bring an order from the depot and come home to it."""
-        reach = self._reach.get(vehicle)
-        if reach is None:
+        """Check whether a drone can deliver an order from the depot and return."""
+        feasibility = self._feasibility.get(vehicle)
+        if feasibility is None:
             return Infeasible("not in the day's fleet", "name it under [[drones]]")
-        return self._can_bring(order, reach, charge_frac)
+        return self._check_delivery(order, feasibility, charge_frac)
 
-    def _can_bring(
-        self, order: Order, reach: Reach, charge_frac: float | None = None
+    def _check_delivery(
+        self, order: Order, feasibility: SortieFeasibility, charge_frac: float | None = None
     ) -> Feasible | Infeasible:
-        need = self._need_of(order, reach) if reach.lifts(order.mass_kg) else None
-        ned = self.ground_ned(order)
-        return reach.can_bring(order.mass_kg, ned, charge_frac=charge_frac, need=need)
+        need = (
+            self._cached_depot_sortie_need(order, feasibility)
+            if feasibility.can_lift(order.mass_kg)
+            else None
+        )
+        ned = self.order_ground_ned(order)
+        return feasibility.check_delivery(order.mass_kg, ned, charge_frac=charge_frac, need=need)
 
-    def impossible(self, order: Order) -> Infeasible | None:
-        """Why no drone of the day can bring an order from the depot: the reason that is easiest to
-        mend.
+    def infeasibility_for_all_drones(self, order: Order) -> Infeasible | None:
+        """Return the obstacle to delivery of an order by any drone of the depot; of several, the
+        one that is easiest to remove. None: some drone can deliver it.
         """
         if order.service is Service.TRUCK:
             return None
-        found = [self._can_bring(order, reach) for reach in self._of_kind.values()]
-        cannot = [f for f in found if isinstance(f, Infeasible)]
-        if len(cannot) < len(found) or not cannot:
+        found = [
+            self._check_delivery(order, feasibility)
+            for feasibility in self._feasibility_by_kind.values()
+        ]
+        infeasible = [f for f in found if isinstance(f, Infeasible)]
+        if len(infeasible) < len(found) or not infeasible:
             return None
-        # A stop of the truck can mend "out of reach", not "too heavy".
-        return max(cannot, key=lambda f: "short" in f.why)
+        return max(infeasible, key=lambda found: found.is_energy_short)
 
-    def flight_of(
-        self, order: Order, vehicle: str, layer: int = 0, stand: Place | None = None
+    def flight_table(
+        self, order: Order, vehicle: str, layer: int = 0, take_off_position: Location | None = None
     ) -> dict[str, Any]:
-        """The `flight/1` table of an order for a drone, in a layer over the depot.
+        """Return the `flight/1` table of an order for a drone, in a layer over the depot.
 
-        It lands at `stand`, where it takes off: each drone of a depot has a landing place of its
-        own, as far from others as it stands from them. None: where the day's depot is.
+        The drone lands at `take_off_position`, its take-off position, so landing positions of a
+        depot keep the distances of the parked drones. None: the day's depot.
         """
-        drone = self._day.drone(vehicle)
+        drone = self._day.find_drone(vehicle)
         if drone is None:
             raise LeewayError(f"{vehicle}: not in the day's fleet")
-        mission = self.layers.mission_in(layer)
+        mission = self.layers.mission_in_layer(layer)
         depot = self._day.depot
-        if stand is not None:
-            depot = msgspec.structs.replace(depot, lat_deg=stand.lat_deg, lon_deg=stand.lon_deg)
+        if take_off_position is not None:
+            depot = msgspec.structs.replace(
+                depot, lat_deg=take_off_position.lat_deg, lon_deg=take_off_position.lon_deg
+            )
         day = msgspec.structs.replace(self._day, mission=mission, depot=depot)
-        return delivery_table(day, drone, order, self._elevation)
+        return depot_delivery_flight_table(day, drone, order, self._elevation)
 
-    def stand_of(self, lat_deg: float | None, lon_deg: float | None) -> Place | None:
-        """Where a drone stands that is seen at the depot; None where it is not."""
-        depot = self._day.depot.place
-        away_m = distance_m(lat_deg, lon_deg, depot)
-        if away_m is None or away_m > ON_PAD_M:
+    def position_if_at_depot(self, lat_deg: float | None, lon_deg: float | None) -> Location | None:
+        """Return the ground position of a drone at the depot; None: it is not at the depot."""
+        depot = self._day.depot.location
+        if off_pad_text(lat_deg, lon_deg, depot):
             return None
-        return Place(lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=depot.alt_amsl_m)
+        return Location(lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=depot.alt_amsl_m)
 
 
-def _taken(assignments: list[AssignmentRow]) -> set[int]:
-    """Layers that are taken; an assignment without one is of a time before there were layers, and
+def _occupied_layers(assignments: list[AssignmentRow]) -> set[int]:
+    """Return the occupied layers. An assignment without a layer was written by an older version and
     flies at the mission's own heights.
     """
     return {row.layer or 0 for row in assignments if row.state in IN_FORCE}
 
 
-def _kind(drone: Drone) -> _Kind:
+def _kind_of(drone: Drone) -> _DroneKind:
     return drone.airframe, drone.temperature_c, drone.battery_health_frac, drone.charge_frac

@@ -1,13 +1,13 @@
-"""What the dispatcher of a day with a truck can decide. Each action becomes one transaction."""
+"""Actions of the dispatcher for a day with a truck. Each action becomes one transaction."""
 
 from dataclasses import dataclass
 
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
 
 
 @dataclass(frozen=True, slots=True)
-class PutDroneOut:
+class DeployDrone:
     """Assign this sortie and have the driver put its drone on the launch pad."""
 
     sortie: PlannedSortie
@@ -15,7 +15,7 @@ class PutDroneOut:
 
 @dataclass(frozen=True, slots=True)
 class SendMission:
-    """The drone stands on its pad: send it its mission."""
+    """Send the mission to a drone that is on its pad."""
 
     assignment: str
 
@@ -29,40 +29,40 @@ class AuthoriseLaunch:
 
 @dataclass(frozen=True, slots=True)
 class WithdrawAssignment:
-    """Withdraw it before its launch, and why."""
+    """Withdraw an assignment before its launch, with a reason."""
 
     assignment: str
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class RecoverDrone:
-    """Have the driver take the drone aboard from this pad."""
+    """Have the driver collect the drone from this pad."""
 
     assignment: str
-    pad: Place
+    pad: Location
 
 
 @dataclass(frozen=True, slots=True)
 class RequestHomeChange:
-    """Ask a flight to end at another stop."""
+    """Request a flight to land at another stop."""
 
     assignment: str
     stop: str
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class ConfirmHomeChange:
-    """The flight has confirmed that it ends there: the old promise is void."""
+    """Record that the flight confirmed the new landing stop: the old promise is void."""
 
     assignment: str
     stop: str
 
 
 @dataclass(frozen=True, slots=True)
-class ForgetHomeChange:
-    """The flight is over, and did not end where it was asked to: nothing waits there any more."""
+class CancelHomeChange:
+    """Cancel the home change of a finished flight that did not land at the requested stop."""
 
     assignment: str
     stop: str
@@ -70,21 +70,21 @@ class ForgetHomeChange:
 
 @dataclass(frozen=True, slots=True)
 class DeclareOverdue:
-    """Not heard for longer than it can fly: the truck waits for it no more."""
+    """Declare a flight overdue (silent for longer than it can fly): the truck no longer waits."""
 
     assignment: str
 
 
 @dataclass(frozen=True, slots=True)
 class DeclareOffSite:
-    """It is down where the truck does not come: people fetch it."""
+    """Declare a drone landed off site, where the truck does not come: staff collect it."""
 
     assignment: str
 
 
 @dataclass(frozen=True, slots=True)
 class ServeOrder:
-    """Have the driver bring this order to its customer."""
+    """Have the driver deliver this order to its customer."""
 
     order: str
 
@@ -93,19 +93,19 @@ class ServeOrder:
 class DriveToStop:
     """Send the truck from here to its next stop."""
 
-    here: str
+    from_stop: str
     stop: PlannedStop
 
 
 DispatchAction = (
-    PutDroneOut
+    DeployDrone
     | SendMission
     | AuthoriseLaunch
     | WithdrawAssignment
     | RecoverDrone
     | RequestHomeChange
     | ConfirmHomeChange
-    | ForgetHomeChange
+    | CancelHomeChange
     | DeclareOverdue
     | DeclareOffSite
     | ServeOrder

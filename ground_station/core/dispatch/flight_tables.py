@@ -1,4 +1,4 @@
-"""The `flight/1` of an order or a planned sortie, as its vehicle is assigned it."""
+"""The `flight/1` table of an order or a planned sortie, as assigned to its vehicle."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -6,117 +6,128 @@ from typing import Any
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from companion.core.mission.flight_file import (
     Flight,
     Mission,
     NeighbourFleet,
     Site,
     Vehicle,
-    with_heights,
+    with_terrain_heights,
 )
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.orders import Order, place_of
+from ground_station.core.schema.orders import Order, order_location
 
-ANY_CHARGE = [0.05, 1.0]
-"""The desk does not know the charge of a pack: the companion measures it at rest."""
+UNKNOWN_CHARGE_RANGE = [0.05, 1.0]
+"""Charge range for an unknown pack: the companion measures the charge at rest."""
 
 NeighbourKeys = Callable[[str], Mapping[str, str]]
 """The public keys of a neighbouring fleet's vehicles, by name."""
 
 
-def no_keys(fleet: str) -> Mapping[str, str]:
-    """Without identities nobody has one."""
+def no_neighbour_keys(fleet: str) -> Mapping[str, str]:
+    """Return no keys, for a network without identities."""
     return {}
 
 
-def delivery_table(
+def depot_delivery_flight_table(
     day: Day, drone: Drone, order: Order, elevation: SiteElevation | None = None
 ) -> dict[str, Any]:
-    """A delivery from the depot and back, as the table of an `Assign` command.
+    """Return a delivery from the depot and back as the table of an `Assign` command.
 
-    With `elevation` it carries the ground along its way.
+    With `elevation` it contains the ground along its route.
     """
-    site = {"depot": day.depot.place, "customer": place_of(order), "rally": day.rally}
-    stated_c = day.forecast.air_temperature_c
-    air = {} if stated_c is None else {"air_temperature_c": stated_c}
+    site = {"depot": day.depot.location, "customer": order_location(order), "rally": day.rally}
+    air_temperature_c = day.forecast.air_temperature_c
+    air = {} if air_temperature_c is None else {"air_temperature_c": air_temperature_c}
     return {
         "format": "flight/1",
         "name": order.id,
-        "site": {key: _plain(value) for key, value in site.items()}
+        "site": {key: _to_builtins_without_unset_fields(value) for key, value in site.items()}
         | air
-        | _terrain(elevation, day.depot.place, [place_of(order), *day.rally]),
+        | _terrain_table(elevation, day.depot.location, [order_location(order), *day.rally]),
         "vehicle": {
             "airframe": drone.airframe,
             "payload_kg": order.mass_kg,
-            "charge_frac": ANY_CHARGE,
+            "charge_frac": UNKNOWN_CHARGE_RANGE,
             "temperature_c": drone.temperature_c,
             "battery_health_frac": drone.battery_health_frac,
         },
-        "mission": _mission(day.mission, elevation),
+        "mission": _mission_table(day.mission, elevation),
     } | ({"neighbours": [{"fleet": name} for name in day.neighbours]} if day.neighbours else {})
 
 
-def with_neighbour_keys(table: dict[str, Any], keys_of: NeighbourKeys) -> dict[str, Any]:
-    """The same with what the desk knows now of its neighbours' vehicles: whose tracks are believed
-    on this flight.
+def with_neighbour_keys(
+    flight_table: dict[str, Any], get_neighbour_keys: NeighbourKeys
+) -> dict[str, Any]:
+    """Return the table with the neighbours' current public keys: the flight accepts the tracks that
+    these vehicles sign.
     """
-    told = [one | {"keys": dict(keys_of(one["fleet"]))} for one in table.get("neighbours", [])]
-    return table | {"neighbours": told} if told else table
+    neighbour_tables = [
+        one | {"keys": dict(get_neighbour_keys(one["fleet"]))}
+        for one in flight_table.get("neighbours", [])
+    ]
+    return flight_table | {"neighbours": neighbour_tables} if neighbour_tables else flight_table
 
 
-def sortie_table(
+def sortie_flight_table(
     day: Day,
     drone: Drone,
     order: Order,
     sortie: PlannedSortie,
-    pads: Mapping[str, Place],
+    pad_by_stop: Mapping[str, Location],
     elevation: SiteElevation | None = None,
 ) -> dict[str, Any]:
-    """A sortie from a stop of the truck to the stop that it promises, as the table of an `Assign`.
+    """Return a sortie from a stop to its promised stop as the table of an `Assign` command.
 
-    `pads`: where it may land, by stop.
+    `pad_by_stop`: candidate landing pads, by stop.
     """
-    table = delivery_table(day, drone, order)
+    table = depot_delivery_flight_table(day, drone, order)
     mission = msgspec.structs.replace(
         day.mission,
         cruise_height_m=sortie.outbound_height_m,
         return_height_m=sortie.return_height_m,
     )
-    stops = [msgspec.structs.replace(place, name=stop) for stop, place in pads.items()]
-    places = [place_of(order), *day.rally, *stops]
+    stops = [msgspec.structs.replace(location, name=stop) for stop, location in pad_by_stop.items()]
+    locations = [order_location(order), *day.rally, *stops]
     site = table["site"] | {
-        "depot": _plain(msgspec.structs.replace(pads[sortie.launch], name="pad")),
-        "stops": _plain(stops),
+        "depot": _to_builtins_without_unset_fields(
+            msgspec.structs.replace(pad_by_stop[sortie.launch], name="pad")
+        ),
+        "stops": _to_builtins_without_unset_fields(stops),
         "home": sortie.home,
     }
-    site |= _terrain(elevation, pads[sortie.launch], places)
-    return table | {"site": site, "mission": _mission(mission, elevation)}
+    site |= _terrain_table(elevation, pad_by_stop[sortie.launch], locations)
+    return table | {"site": site, "mission": _mission_table(mission, elevation)}
 
 
-def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Flight:
-    """A sortie as the plan has it: from its launch pad, in its layer, home to the promised stop.
+def flight_from_planned_sortie(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Flight:
+    """Return a planned sortie as a flight: from its launch pad, in its layer, to the promised stop.
 
-    Its pads at home and at `others` are the stops aboard. Obstacles travel beside the flight.
+    Its uploaded stops are the pads at home and at `alternative_stops`. Obstacles are sent
+    separately.
     """
     day, elevation = data.day, data.elevation
-    drone = day.drone(sortie.vehicle)
+    drone = day.find_drone(sortie.vehicle)
     order = next((order for order in data.orders if order.id == sortie.order), None)
     if drone is None or order is None:
         raise LeewayError(f"{sortie.vehicle} with {sortie.order}: not in the day's files")
-    pads = [(id_, plan.stop(id_).pads[sortie.vehicle]) for id_ in (sortie.home, *sortie.others)]
-    launch = plan.stop(sortie.launch).pads[sortie.vehicle]
-    places = [place_of(order), *day.rally, *(pad for _, pad in pads)]
+    pads = [
+        (id_, plan.get_stop(id_).pads[sortie.vehicle])
+        for id_ in (sortie.home, *sortie.alternative_stops)
+    ]
+    launch = plan.get_stop(sortie.launch).pads[sortie.vehicle]
+    locations = [order_location(order), *day.rally, *(pad for _, pad in pads)]
     flight = Flight(
         format="flight/1",
         name=order.id,
         neighbours=[NeighbourFleet(fleet=name) for name in day.neighbours],
         site=Site(
             depot=msgspec.structs.replace(launch, name=""),
-            customer=place_of(order),
+            customer=order_location(order),
             rally=day.rally,
             stops=[msgspec.structs.replace(pad, name=id_) for id_, pad in pads],
             home=sortie.home,
@@ -125,7 +136,7 @@ def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
         vehicle=Vehicle(
             airframe=drone.airframe,
             payload_kg=order.mass_kg,
-            charge_frac=ANY_CHARGE,
+            charge_frac=UNKNOWN_CHARGE_RANGE,
             temperature_c=drone.temperature_c,
             battery_health_frac=drone.battery_health_frac,
         ),
@@ -135,23 +146,25 @@ def planned_flight(data: DayData, plan: DayPlan, sortie: PlannedSortie) -> Fligh
             return_height_m=sortie.return_height_m,
         ),
     )
-    return with_heights(flight, None if elevation is None else elevation.strip(launch, places))
+    return with_terrain_heights(
+        flight, None if elevation is None else elevation.ground_table_along_route(launch, locations)
+    )
 
 
-def _terrain(
-    elevation: SiteElevation | None, depot: Place, places: Sequence[Place]
+def _terrain_table(
+    elevation: SiteElevation | None, depot: Location, locations: Sequence[Location]
 ) -> dict[str, Any]:
     if elevation is None:
         return {}
-    heights = elevation.strip(depot, places)
+    heights = elevation.ground_table_along_route(depot, locations)
     return {"terrain": {"kind": "grid", "heights": msgspec.to_builtins(heights)}}
 
 
-def _mission(mission: Mission, elevation: SiteElevation | None) -> dict[str, Any]:
-    """Without a clearance where no ground is told, and leave for no geo-zone: older vehicles do not
-    know the keys.
+def _mission_table(mission: Mission, elevation: SiteElevation | None) -> dict[str, Any]:
+    """Return the mission table, without clearance if no ground is known and without an empty list
+    of authorised geo-zones: older vehicles do not know these keys.
     """
-    table = _plain(mission)
+    table = _to_builtins_without_unset_fields(mission)
     if not mission.authorised_zones:
         del table["authorised_zones"]
     if elevation is None:
@@ -159,9 +172,9 @@ def _mission(mission: Mission, elevation: SiteElevation | None) -> dict[str, Any
     return table
 
 
-def _plain(value: Any) -> Any:
-    """Plain values, without what is not set."""
+def _to_builtins_without_unset_fields(value: Any) -> Any:
+    """Return built-in values, without unset fields."""
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_to_builtins_without_unset_fields(item) for item in value]
     table = msgspec.to_builtins(value)
     return {k: v for k, v in table.items() if v is not None and (k, v) != ("up_m", 0.0)}

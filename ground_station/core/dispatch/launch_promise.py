@@ -1,131 +1,205 @@
-"""Which launches the forecast promises: now, until when, and again from when.
+"""Launch windows that the forecast permits: now, until when, and from when again.
 
-Each is priced in the wind of its own launch, drop and landing, at its height, with what the fleet
-felt against the forecast.
+Each sortie is priced in the wind of its own launch, drop and landing, at its height, with the
+fleet's measured deviation from the forecast.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from companion.core.base.geo import Ned, ObstacleMap
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from ground_station.core.deconfliction.depot_layers import DepotLayers
 from ground_station.core.feasibility.hills import hills_of
-from ground_station.core.feasibility.reach import Reach, day_energy
-from ground_station.core.feasibility.wind_limit import limit_of
-from ground_station.core.planning.day_problem import TOP_M, obstacle_map
-from ground_station.core.planning.forecast_check import Flown
-from ground_station.core.planning.launch_windows import SortieInForecast, flown_by_plan
+from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.wind_limit import launch_wind_limit_mps
+from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M, obstacle_map
+from ground_station.core.planning.forecast_check import SortieGeometry
+from ground_station.core.planning.launch_windows import SortieInForecast, geometry_of_planned_sortie
 from ground_station.core.schema.day import Drone, Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_forecast import DayForecast
-from ground_station.core.schema.day_plan import PlannedSortie
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
 from ground_station.core.schema.orders import Order
-from ground_station.core.weather.forecast_field import utc_words
+from ground_station.core.weather.forecast_field import format_utc
 
-AHEAD_S = 4.0 * 3600.0
-"""Closings are looked for so far ahead: a later one is another forecast's."""
+ORDER_HORIZON_S = 4.0 * 3600.0
+"""Horizon of the search for closings of an order: later ones are left to a later forecast."""
 
-LONGEST_S = 3600.0
-"""No flight takes longer; one against more wind than it can fly has no time of its own."""
+MAX_FLIGHT_S = 3600.0
+"""Upper limit of a flight time; also used for a flight that cannot make headway."""
 
-STEP_S, FINE_S = 1800.0, 300.0
-"""Looked at by the half hour, then to five minutes: less is not known of a front."""
+PLAN_HORIZON_S = 24.0 * 3600.0
+"""Horizon of the search for closings of a plan: a later day has a newer forecast."""
+
+COARSE_STEP_S, FINE_STEP_S = 1800.0, 300.0
+"""Coarse and fine step of the search: fronts are not known to less than five minutes."""
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
-    """When a launch is no longer promised: after `until_s` (None: it is promised to the end of the
-    look), and again from `again_s` (None: not in what was looked at). `wind`: what closes it.
+class LaunchClosing:
+    """When a launch is no longer promised: after `until_s` (None: promised to the end of the
+    horizon), and again from `reopens_s` (None: beyond the horizon). `wind`: the closing wind.
     """
 
     order: str
     until_s: float | None
-    again_s: float | None = None
+    reopens_s: float | None = None
     wind: str = ""
 
-    def is_shut(self, t_s: float) -> bool:
-        """Whether it is not promised at a time that was looked at."""
+    def is_closed_at(self, t_s: float) -> bool:
+        """Return True if the launch is closed at a time within the horizon."""
         if self.until_s is None or t_s <= self.until_s:
             return False
-        return self.again_s is None or t_s < self.again_s
+        return self.reopens_s is None or t_s < self.reopens_s
 
 
-class PromisedSorties:
-    """The sorties of a day as they would be flown, for a forecast to price."""
+class ForecastSorties:
+    """Prices the sorties of a day in a forecast, as they would be flown."""
 
     def __init__(self, data: DayData) -> None:
         self._data = data
-        self.limit_mps = limit_of(data)
-        self._layers = DepotLayers(data.day.mission, TOP_M)
-        self._energies = {name: day_energy(data.day, one) for name, one in data.airframes.items()}
+        self.limit_mps = launch_wind_limit_mps(data)
+        self._layers = DepotLayers(data.day.mission, MAX_HEIGHT_AGL_M)
+        self._energies = {
+            name: route_energy_model_for_day(data.day, one) for name, one in data.airframes.items()
+        }
         self._hills = hills_of(data.day, data.elevation)
         self._obstacles: ObstacleMap | None = None
-        self._flown: dict[tuple[str, str, str, str], Flown] = {}
+        self._flown: dict[tuple[str, str, str, str], SortieGeometry] = {}
 
-    def from_depot(
-        self, order: Order, ground: Ned, drone: Drone, layer: int, in_: DayForecast, wind: Forecast
+    def depot_sortie_in_forecast(
+        self,
+        order: Order,
+        customer_ned_m: Ned,
+        drone: Drone,
+        layer: int,
+        day_forecast: DayForecast,
+        duration_estimate_wind: Forecast,
     ) -> SortieInForecast:
-        """From the depot and back, in a layer. `wind` says about how long it takes."""
+        """Return a sortie in a layer; `duration_estimate_wind` gives its rough duration."""
         depot = (0.0, 0.0, 0.0)
-        height_m = self._layers.mission_in(layer).cruise_height_m
-        reach = self._reach(drone, wind)
-        flown = Flown(order.mass_kg, depot, ground, depot, height_m)
-        need = reach.need(order.mass_kg, depot, ground, depot, height_m)
-        takes_s = min(need.time_s, LONGEST_S) if need.flyable else LONGEST_S
-        return SortieInForecast(order.id, reach, flown, in_, 0.0, takes_s, self.limit_mps)
+        height_m = self._layers.mission_in_layer(layer).cruise_height_m
+        feasibility = self._feasibility_of(drone, duration_estimate_wind)
+        flown = SortieGeometry(order.mass_kg, depot, customer_ned_m, depot, height_m)
+        need = feasibility.sortie_need(order.mass_kg, depot, customer_ned_m, depot, height_m)
+        duration_s = min(need.time_s, MAX_FLIGHT_S) if need.flyable else MAX_FLIGHT_S
+        return SortieInForecast(
+            order.id, feasibility, flown, day_forecast, duration_s, self.limit_mps
+        )
 
-    def by_plan(
-        self, order: Order, sortie: PlannedSortie, pads: tuple[Place, Place], in_: DayForecast
+    def planned_sortie_in_forecast(
+        self,
+        order: Order,
+        sortie: PlannedSortie,
+        launch_and_home_pads: tuple[Location, Location],
+        day_forecast: DayForecast,
     ) -> SortieInForecast | None:
-        """As it is planned, from one pad to the other; None: its drone is not in the day."""
-        drone = self._data.day.drone(sortie.vehicle)
+        """Return a sortie as planned, between its two pads; None: its drone is not in the day."""
+        drone = self._data.day.find_drone(sortie.vehicle)
         if drone is None:
             return None
         key = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
         if key not in self._flown:
             self._obstacles = self._obstacles or obstacle_map(self._data)
-            flown = flown_by_plan(self._data, order, pads, sortie, self._obstacles)
+            flown = geometry_of_planned_sortie(
+                self._data, order, launch_and_home_pads, sortie, self._obstacles
+            )
             self._flown[key] = flown
-        takes_s = sortie.land_s - sortie.launch_s
-        reach = self._reach(drone, self._data.day.forecast)
+        duration_s = sortie.land_s - sortie.launch_s
+        feasibility = self._feasibility_of(drone, self._data.day.forecast)
         return SortieInForecast(
-            order.id, reach, self._flown[key], in_, 0.0, takes_s, self.limit_mps
+            order.id, feasibility, self._flown[key], day_forecast, duration_s, self.limit_mps
         )
 
-    def _reach(self, drone: Drone, wind: Forecast) -> Reach:
+    def _feasibility_of(self, drone: Drone, wind: Forecast) -> SortieFeasibility:
         airframe = self._data.airframes[drone.airframe]
         energy = self._energies[drone.airframe]
-        return Reach(drone, airframe, self._data.day.mission, wind, energy, self._hills)
+        return SortieFeasibility(drone, airframe, self._data.day.mission, wind, energy, self._hills)
 
 
-def closing_of(sortie: SortieInForecast, now_s: float) -> Closing:
-    """When the next launch of this order is closed, looked at from now on."""
-    times = np.arange(now_s, now_s + AHEAD_S + 1.0, STEP_S).tolist()
-    words: str | None = ""
-    open_s, shut_s = now_s, None
+def find_launch_closing(
+    sortie: SortieInForecast, search_start_s: float, horizon_s: float = ORDER_HORIZON_S
+) -> LaunchClosing:
+    """Return the closing of the next launch of this order, searched from now on."""
+    times = [
+        *np.arange(search_start_s, search_start_s + horizon_s, COARSE_STEP_S).tolist(),
+        search_start_s + horizon_s,
+    ]
+    wind_text: str | None = ""
+    open_s, closed_s = search_start_s, None
     for t_s in times:
-        if words := sortie.forbidden_by(t_s):
-            shut_s = t_s
+        if wind_text := sortie.launch_restriction_text(t_s):
+            closed_s = t_s
             break
         open_s = t_s
-    if shut_s is None:
-        return Closing(sortie.order, None)
-    until_s = _last_open(sortie, open_s, shut_s) if shut_s > now_s else now_s - 1.0
-    later = (t for t in times if t > shut_s and sortie.forbidden_by(t) == "")
-    return Closing(sortie.order, until_s, next(later, None), words or "")
+    if closed_s is None:
+        return LaunchClosing(sortie.order, None)
+    until_s = (
+        _last_permitted_launch_s(sortie, open_s, closed_s)
+        if closed_s > search_start_s
+        else search_start_s - 1.0
+    )
+    later = (t for t in times if t > closed_s and sortie.launch_restriction_text(t) == "")
+    return LaunchClosing(sortie.order, until_s, next(later, None), wind_text or "")
 
 
-def _last_open(sortie: SortieInForecast, open_s: float, shut_s: float) -> float:
+def _last_permitted_launch_s(sortie: SortieInForecast, open_s: float, closed_s: float) -> float:
     last_s = open_s
-    for t_s in np.arange(open_s + FINE_S, shut_s, FINE_S).tolist():
-        if sortie.forbidden_by(t_s):
+    for t_s in np.arange(open_s + FINE_STEP_S, closed_s, FINE_STEP_S).tolist():
+        if sortie.launch_restriction_text(t_s):
             break
         last_s = t_s
     return last_s
 
 
-def hour_words(forecast: DayForecast, t_s: float) -> str:
-    """A time of the day for people, without its date."""
-    return utc_words(forecast.at_s + t_s).partition(" ")[2]
+def launch_closings_of_plan(
+    data: DayData, plan: DayPlan, forecast: DayForecast
+) -> list[LaunchClosing]:
+    """Return the closing of each sortie of a plan as planned, within the forecast's range."""
+    sorties, found = ForecastSorties(data), list[LaunchClosing]()
+    orders = {order.id: order for order in data.orders}
+    for sortie in plan.sorties:
+        pads = tuple(
+            plan.get_stop(id_).pads[sortie.vehicle] for id_ in (sortie.launch, sortie.home)
+        )
+        flown = sorties.planned_sortie_in_forecast(
+            orders[sortie.order], sortie, (pads[0], pads[1]), forecast
+        )
+        assert flown is not None
+        horizon_s = forecast.forecast_end_day_s - flown.duration_s - sortie.launch_s
+        found.append(
+            find_launch_closing(flown, sortie.launch_s, min(max(horizon_s, 0.0), PLAN_HORIZON_S))
+        )
+    return found
+
+
+def format_utc_time_of_day(forecast: DayForecast, day_s: float) -> str:
+    """Format a time of the day without its date."""
+    return format_utc(forecast.day_start_s + day_s).partition(" ")[2]
+
+
+def format_closing_of_orders(
+    forecast: DayForecast,
+    until_s: float,
+    reopens_s: float | None,
+    closings_at_same_time: Sequence[LaunchClosing],
+    now_s: float,
+) -> str:
+    """Format a line for orders that close at one time."""
+    names = [one.order for one in closings_at_same_time]
+    shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    subject = f"order{'' if len(names) == 1 else 's'} {shown}"
+    reopening = format_reopening_suffix(forecast, reopens_s)
+    wind = closings_at_same_time[0].wind
+    text = f"{subject} may not be launched: the forecast has {wind}{reopening}"
+    return text if until_s < now_s else f"after {format_utc_time_of_day(forecast, until_s)} {text}"
+
+
+def format_reopening_suffix(forecast: DayForecast, reopens_s: float | None) -> str:
+    """Format the time from which a launch is permitted again; empty: not within the horizon."""
+    return (
+        "" if reopens_s is None else f"; again from {format_utc_time_of_day(forecast, reopens_s)}"
+    )

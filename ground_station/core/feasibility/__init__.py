@@ -1,1 +1,1 @@
-"""What a drone can bring, by the energy model that it flies with."""
+"""Feasibility of deliveries by the energy model of the vehicle."""

@@ -1,9 +1,9 @@
-"""What a drone can bring, by the energy model that it flies with: out, drop, home, landed.
+"""Feasibility of a delivery by the vehicle's own energy model: flight out, drop, return, landing.
 
-This is the desk's filter, not the promise: a straight line each way in the forecast wind, over the
-hills that the day's elevation has, priced by `RouteEnergy` and widened to the accepted loss. Routes
-around obstacles and the decisions of the return budget in flight are the companion's: it may still
-refuse, and then says why.
+This is the desk's filter, not the promise: straight lines in the forecast wind, over the terrain of
+the day's elevation, priced by `RouteEnergy` with a margin for the accepted loss. The companion
+plans routes around obstacles and decides by its return budget in flight: it may still reject the
+delivery, with a reason.
 """
 
 import copy
@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from companion.core.base.arrays import Floats
 from companion.core.base.geo import Ned
 from companion.core.mission.flight_file import Mission
-from companion.core.mission.flight_plan import DROP_S, SETTLE_SLACK_S
+from companion.core.mission.flight_plan import DROP_TOTAL_S, SETTLE_MARGIN_S
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.feasibility.hills import Hills
@@ -27,18 +27,16 @@ from ground_station.core.schema.day import Day, Drone, Forecast
 Waypoints = tuple[tuple[float, float], ...]
 """Points (north, east) of a route around obstacles."""
 
-FITS_M = 1.0
-"""A distance that people read, in whole metres."""
+DISTANCE_TOLERANCE_M = 1.0
+"""Tolerance of distances in messages, which show whole metres."""
 
 PAYLOAD_STEP_KG = 0.1
-"""Payloads are rounded up to this step, so that few power tables are made."""
+"""Payloads are rounded up to this step, to limit the number of power tables."""
 
 
 @dataclass(frozen=True, slots=True)
 class SortieNeed:
-    """Energy and time of a delivery: mean and standard deviation of the energy, and the mean
-    time.
-    """
+    """Mean and standard deviation of a delivery's energy, and its mean time."""
 
     mean_wh: float
     std_wh: float
@@ -48,7 +46,7 @@ class SortieNeed:
 
 @dataclass(frozen=True, slots=True)
 class Feasible:
-    """The drone can bring it, with this much energy to spare at the accepted loss."""
+    """The drone can deliver, with this energy margin at the accepted loss."""
 
     spare_wh: float
     time_s: float
@@ -56,19 +54,21 @@ class Feasible:
 
 @dataclass(frozen=True, slots=True)
 class Infeasible:
-    """The drone cannot bring it: why, and what would make it possible."""
+    """The drone cannot deliver: the reason, and the condition that would make it possible."""
 
-    why: str
+    reason: str
     remedy: str
+    is_energy_short: bool = False
+    """A launch and landing closer to the customer may resolve it."""
 
 
-def day_energy(day: Day, airframe: Airframe) -> RouteEnergy:
-    """The energy model of one airframe on a day: its limits, its air."""
-    return RouteEnergy.for_mission(airframe, day.mission, day.air.density_kgpm3)
+def route_energy_model_for_day(day: Day, airframe: Airframe) -> RouteEnergy:
+    """Return the energy model of an airframe with the day's limits and air density."""
+    return RouteEnergy.for_mission(airframe, day.mission, day.standard_air_at_depot.density_kgpm3)
 
 
-class Reach:
-    """What one drone can bring under a forecast."""
+class SortieFeasibility:
+    """Delivery feasibility of one drone under a forecast."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class Reach:
         route_energy: RouteEnergy,
         hills: Hills | None = None,
     ) -> None:
-        """`hills`: what the flights climb over; None: level ground, or none that is known."""
+        """`hills`: the terrain below the flights; None if level or unknown."""
         self.drone = drone
         self.hills = hills
         self.airframe = airframe
@@ -89,58 +89,70 @@ class Reach:
         self.energy = route_energy
         self.sigmas = float(ndtri(1.0 - mission.max_loss))
 
-    def in_wind(self, forecast: Forecast) -> "Reach":
-        """The same drone in another wind."""
+    def copy_for_wind(self, forecast: Forecast) -> "SortieFeasibility":
+        """Return a copy for another wind."""
         other = copy.copy(self)
         other.wind_to_ne_mps = np.array(forecast.to_ne_mps)
         other.wind_cov_ne_m2ps2 = forecast.std_mps**2 * np.eye(2)
         return other
 
-    def budget_wh(self, payload_kg: float, charge_frac: float | None = None) -> tuple[float, float]:
-        """Usable energy above the reserve, and its standard deviation."""
-        full_wh = self.full_wh(payload_kg)
+    def usable_above_reserve_wh_and_std(
+        self, payload_kg: float, charge_frac: float | None = None
+    ) -> tuple[float, float]:
+        """Return the usable energy above the reserve, and its standard deviation."""
+        full_wh = self.full_pack_usable_wh(payload_kg)
         left_wh = full_wh * (self.drone.charge_frac if charge_frac is None else charge_frac)
         std_wh = self.airframe.battery.usable_std_frac * left_wh
         return left_wh - self.mission.reserve_frac * full_wh, std_wh
 
-    def full_wh(self, payload_kg: float) -> float:
-        """Usable energy of its full pack."""
-        draw_w = self.energy.hover_power_w(rounded_up(payload_kg))
-        return self.airframe.battery.usable_wh(
+    def full_pack_usable_wh(self, payload_kg: float) -> float:
+        """Return the usable energy of the full pack."""
+        draw_w = self.energy.hover_power_w(round_up_payload_kg(payload_kg))
+        return self.airframe.battery.usable_energy_of_full_pack_wh(
             draw_w, self.drone.temperature_c, self.drone.battery_health_frac
         )
 
-    def need(
+    def sortie_need(
         self,
         payload_kg: float,
         start: Ned,
         customer: Ned,
         end: Ned,
-        height_m: float | None = None,
-        out_via: Waypoints = (),
-        back_via: Waypoints = (),
+        height_above_depot_m: float | None = None,
+        outbound_waypoints: Waypoints = (),
+        return_waypoints: Waypoints = (),
     ) -> SortieNeed:
-        """Energy and time of a delivery. `customer` is the ground point there, NED about the
+        """Compute energy and time of a delivery. `customer` is its ground point, NED about the
         depot.
 
         `start` and `end` are ground points too: the depot, or stops of the truck. The flight is
-        `height_m` above the depot (None: the mission's cruise height), or higher over hills, by the
-        points (north, east) given.
+        `height_above_depot_m` above the depot (None: the mission's cruise height), or higher over
+        hills, along the given waypoints (north, east).
         """
-        level_m = self.mission.cruise_height_m if height_m is None else height_m
-        up_m = (
-            self._over_hills_m(level_m, (start, *out_via, customer)),
-            self._over_hills_m(level_m, (customer, *back_via, end)),
+        level_m = (
+            self.mission.cruise_height_m if height_above_depot_m is None else height_above_depot_m
         )
-        legs = self._legs(rounded_up(payload_kg), (start, customer, end), up_m, out_via, back_via)
-        costs = self.energy.costs(legs, self.wind_to_ne_mps[None, :])
+        up_m = (
+            self._flight_height_over_hills_m(level_m, (start, *outbound_waypoints, customer)),
+            self._flight_height_over_hills_m(level_m, (customer, *return_waypoints, end)),
+        )
+        leg_list = self._delivery_legs(
+            round_up_payload_kg(payload_kg),
+            (start, customer, end),
+            up_m,
+            outbound_waypoints,
+            return_waypoints,
+        )
+        costs = self.energy.leg_costs_wind_major(leg_list, self.wind_to_ne_mps[None, :])
         mean_wh = float(costs.energy_wh.sum())
-        wind_wh = self.energy.route_std_wh(legs, self.wind_to_ne_mps, self.wind_cov_ne_m2ps2)
+        wind_wh = self.energy.route_energy_std_wh(
+            leg_list, self.wind_to_ne_mps, self.wind_cov_ne_m2ps2
+        )
         model_wh = self.airframe.power_rotor.model_std_frac * mean_wh
         std_wh = math.hypot(wind_wh, model_wh)
         return SortieNeed(mean_wh, std_wh, float(costs.time_s.sum()), bool(costs.feasible.all()))
 
-    def can_bring(
+    def check_delivery(
         self,
         payload_kg: float,
         customer: Ned,
@@ -149,9 +161,9 @@ class Reach:
         charge_frac: float | None = None,
         need: SortieNeed | None = None,
     ) -> Feasible | Infeasible:
-        """Whether payload, wind and energy allow this delivery at the accepted loss.
+        """Check whether payload, wind and energy allow this delivery at the accepted loss.
 
-        `need`: what it takes, where that is known already.
+        `need`: its energy and time if already computed.
         """
         most_kg = self.airframe.mass.max_payload_kg
         if payload_kg > most_kg:
@@ -159,43 +171,51 @@ class Reach:
                 f"{payload_kg:g} kg, {self.drone.airframe} carries {most_kg:g} kg",
                 f"a parcel of at most {most_kg:g} kg, or the truck",
             )
-        if trouble := self.energy.lift_trouble(payload_kg):
-            return Infeasible(trouble, "a lighter parcel, cooler air, or the truck")
-        need = need or self.need(payload_kg, start, customer, end)
-        spare_wh = self._spare_wh(need, payload_kg, charge_frac)
+        if lift_error := self.energy.overload_reason_or_empty(payload_kg):
+            return Infeasible(lift_error, "a lighter parcel, cooler air, or the truck")
+        need = need or self.sortie_need(payload_kg, start, customer, end)
+        spare_wh = self._energy_margin_wh(need, payload_kg, charge_frac)
         if need.flyable and spare_wh >= 0.0:
             return Feasible(spare_wh, need.time_s)
-        return self._cannot(need, spare_wh, payload_kg, customer, charge_frac)
+        return self._infeasible_result(need, spare_wh, payload_kg, customer, charge_frac)
 
-    def lifts(self, payload_kg: float) -> bool:
-        """Whether it may carry this parcel, and can in this air."""
+    def can_lift(self, payload_kg: float) -> bool:
+        """Return whether the payload limit and the air density allow this parcel."""
         too_heavy = payload_kg > self.airframe.mass.max_payload_kg
-        return not (too_heavy or self.energy.lift_trouble(payload_kg))
+        return not (too_heavy or self.energy.overload_reason_or_empty(payload_kg))
 
-    def pays(self, need: SortieNeed, payload_kg: float, charge_frac: float | None) -> bool:
-        """Whether a pack with this charge pays for a delivery at the accepted loss."""
-        return need.flyable and self._spare_wh(need, payload_kg, charge_frac) >= 0.0
+    def is_within_energy_budget(
+        self, need: SortieNeed, payload_kg: float, charge_frac: float | None
+    ) -> bool:
+        """Return whether a pack with this charge suffices at the accepted loss."""
+        return need.flyable and self._energy_margin_wh(need, payload_kg, charge_frac) >= 0.0
 
-    def affordable(
+    def sortie_need_if_feasible(
         self,
         payload_kg: float,
         start: Ned,
         customer: Ned,
         end: Ned,
         height_m: float,
-        out_via: Waypoints = (),
-        back_via: Waypoints = (),
+        outbound_waypoints: Waypoints = (),
+        return_waypoints: Waypoints = (),
     ) -> SortieNeed | None:
-        """What a delivery takes, where the energy is there at the accepted loss."""
-        need = self.need(payload_kg, start, customer, end, height_m, out_via, back_via)
-        return need if need.flyable and self._spare_wh(need, payload_kg, None) >= 0.0 else None
+        """Return energy and time of a delivery; None if infeasible at the accepted loss."""
+        need = self.sortie_need(
+            payload_kg, start, customer, end, height_m, outbound_waypoints, return_waypoints
+        )
+        return (
+            need if need.flyable and self._energy_margin_wh(need, payload_kg, None) >= 0.0 else None
+        )
 
-    def _spare_wh(self, need: SortieNeed, payload_kg: float, charge_frac: float | None) -> float:
-        budget_wh, budget_std_wh = self.budget_wh(payload_kg, charge_frac)
+    def _energy_margin_wh(
+        self, need: SortieNeed, payload_kg: float, charge_frac: float | None
+    ) -> float:
+        budget_wh, budget_std_wh = self.usable_above_reserve_wh_and_std(payload_kg, charge_frac)
         return budget_wh - need.mean_wh - self.sigmas * math.hypot(need.std_wh, budget_std_wh)
 
     @property
-    def upwind_ne(self) -> tuple[float, float]:
+    def upwind_unit_vector_ne(self) -> tuple[float, float]:
         """Unit vector against the wind; north in a calm."""
         speed_mps = float(np.hypot(*self.wind_to_ne_mps))
         if speed_mps < 0.1:
@@ -204,118 +224,155 @@ class Reach:
             self.wind_to_ne_mps[1]
         ) / speed_mps
 
-    def _cannot(
+    def _infeasible_result(
         self,
         need: SortieNeed,
         spare_wh: float,
         payload_kg: float,
         customer: Ned,
-        charge: float | None,
+        charge_frac: float | None,
     ) -> Infeasible:
         if not need.flyable:
-            return Infeasible("the wind is too strong to make way", "less wind, or the truck")
-        why = f"{-spare_wh:.0f} Wh short at the accepted loss of {self.mission.max_loss:g}"
-        full = self._spare_wh(need, payload_kg, 1.0)
-        at = self.drone.charge_frac if charge is None else charge
+            return Infeasible("the wind is too strong to fly against", "less wind, or the truck")
+        reason = f"{-spare_wh:.0f} Wh short at the accepted loss of {self.mission.max_loss:g}"
+        full = self._energy_margin_wh(need, payload_kg, 1.0)
+        at = self.drone.charge_frac if charge_frac is None else charge_frac
         if at < 1.0 and full >= 0.0:
-            return Infeasible(why, "a full battery")
-        stop_m = self.radius_m(payload_kg, customer)
-        if stop_m <= 0.0:
-            return Infeasible(why, "less wind, or the truck")
-        return Infeasible(why, f"a launch and landing within {stop_m:.0f} m of it, or the truck")
+            return Infeasible(reason, "a full battery", is_energy_short=True)
+        stop_m = self.max_stop_distance_from_customer_m(payload_kg, customer)
+        remedy = (
+            "less wind" if stop_m <= 0.0 else f"a launch and landing within {stop_m:.0f} m of it"
+        )
+        return Infeasible(reason, f"{remedy}, or the truck", is_energy_short=True)
 
-    def radius_m(self, payload_kg: float, customer: Ned, charge_frac: float = 1.0) -> float:
-        """How far from this customer, towards the depot, it may start and land."""
+    def max_stop_distance_from_customer_m(
+        self, payload_kg: float, customer: Ned, charge_frac: float = 1.0
+    ) -> float:
+        """Return the greatest distance from the customer, towards the depot, to start and land."""
         far_m = math.hypot(customer[0], customer[1])
 
-        def spare_wh(middle_m: float) -> float:
-            share = 1.0 - middle_m / far_m
+        def energy_margin_at_wh(stop_distance_m: float) -> float:
+            share = 1.0 - stop_distance_m / far_m
             stop = (share * customer[0], share * customer[1], customer[2])
-            need = self.need(payload_kg, stop, customer, stop)
-            return self._spare_wh(need, payload_kg, charge_frac) if need.flyable else -math.inf
+            need = self.sortie_need(payload_kg, stop, customer, stop)
+            return (
+                self._energy_margin_wh(need, payload_kg, charge_frac) if need.flyable else -math.inf
+            )
 
-        return last_that_fits(spare_wh, far_m) if far_m > 0.0 else 0.0
+        return find_max_feasible_distance_m(energy_margin_at_wh, far_m) if far_m > 0.0 else 0.0
 
-    def _legs(
+    def _delivery_legs(
         self,
         payload_kg: float,
-        grounds: tuple[Ned, Ned, Ned],
-        up_m: tuple[float, float],
-        out_via: Waypoints,
-        back_via: Waypoints,
+        start_customer_end_ned_m: tuple[Ned, Ned, Ned],
+        outbound_and_return_height_m: tuple[float, float],
+        outbound_waypoints: Waypoints,
+        return_waypoints: Waypoints,
     ) -> tuple[Leg, ...]:
-        """`up_m`: heights of the way out and of the way back above the depot."""
-        start, customer, end = grounds
-        out, back = (-height_m for height_m in up_m)
+        """`outbound_and_return_height_m`: outbound and return heights above the depot."""
+        start, customer, end = start_customer_end_ned_m
+        out, back = (-height_m for height_m in outbound_and_return_height_m)
         drop = customer[2] - self.mission.drop_height_m
         over_start, over = (start[0], start[1], out), (customer[0], customer[1], out)
         over_again, over_end = (customer[0], customer[1], back), (end[0], end[1], back)
         low = (customer[0], customer[1], drop)
         return (
             Leg(LegKind.CLIMB, start, over_start, payload_kg),
-            Leg(LegKind.HOVER, over_start, over_start, payload_kg, duration_s=self.settle_s),
-            *_cruise(over_start, out_via, over, payload_kg),
+            Leg(
+                LegKind.HOVER,
+                over_start,
+                over_start,
+                payload_kg,
+                duration_s=self.loiter_before_departure_s,
+            ),
+            *_cruise_legs(over_start, outbound_waypoints, over, payload_kg),
             Leg(LegKind.DESCEND, over, low, payload_kg),
-            Leg(LegKind.HOVER, low, low, payload_kg, duration_s=DROP_S),
+            Leg(LegKind.HOVER, low, low, payload_kg, duration_s=DROP_TOTAL_S),
             Leg(LegKind.CLIMB, low, over_again, 0.0),
-            *_cruise(over_again, back_via, over_end, 0.0),
+            *_cruise_legs(over_again, return_waypoints, over_end, 0.0),
             Leg(LegKind.LAND, over_end, end, 0.0),
         )
 
-    def _over_hills_m(self, level_m: float, way: Sequence[Sequence[float]]) -> float:
-        """The height of a way by these points, above the depot, over the hills below it."""
+    def _flight_height_over_hills_m(
+        self, layer_height_m: float, route: Sequence[Sequence[float]]
+    ) -> float:
+        """Return the height above the depot of a route over the hills below it."""
         if self.hills is None:
-            return level_m
-        points = np.array([point[:2] for point in way])
-        least_m = float(self.hills.least_height_m(points[:-1], points[1:]).max())
-        return float(over_hills_m(self.mission, level_m, least_m))
+            return layer_height_m
+        points = np.array([point[:2] for point in route])
+        least_m = float(self.hills.min_flight_height_above_depot_m(points[:-1], points[1:]).max())
+        return float(flight_height_over_hills_m(self.mission, layer_height_m, least_m))
 
     @property
-    def settle_s(self) -> float:
-        """How long it loiters over its pad before it leaves."""
-        return self.mission.wind_settle_s + SETTLE_SLACK_S
+    def loiter_before_departure_s(self) -> float:
+        """Loiter time over the pad before departure."""
+        return self.mission.wind_settle_s + SETTLE_MARGIN_S
 
 
-def over_hills_m(mission: Mission, level_m: Floats | float, least_m: Floats | float) -> Floats:
-    """The height of a flight in the layer at `level_m`, where the ground asks for `least_m`: a
-    higher layer keeps as much more over the ground as over the depot.
+def flight_height_over_hills_m(
+    mission: Mission, layer_height_m: Floats | float, min_height_over_terrain_m: Floats | float
+) -> Floats:
+    """Return the flight height in the layer at `layer_height_m` where the terrain requires
+    `min_height_over_terrain_m`. The height of a layer above the cruise height is added over terrain
+    as over the depot.
     """
-    return np.asarray(np.maximum(level_m, np.add(least_m, level_m) - mission.cruise_height_m))
+    return np.asarray(
+        np.maximum(
+            layer_height_m,
+            np.add(min_height_over_terrain_m, layer_height_m) - mission.cruise_height_m,
+        )
+    )
 
 
-def last_that_fits(spare: Callable[[float], float], far: float) -> float:
-    """Where `spare`, which falls over 0 to `far`, reaches zero: `FITS_M` below that at most.
+def find_max_feasible_distance_m(
+    energy_margin_at: Callable[[float], float], max_distance_m: float
+) -> float:
+    """Find the zero of falling `energy_margin_at`, up to `max_distance_m`, `DISTANCE_TOLERANCE_M`
+    below it.
 
-    Energy is almost linear in the distance, so the chord finds the place and a step beyond it
-    proves it; where that does not halve what is left, the middle does.
+    Energy is almost linear in the distance, so the chord's zero and a step past it bracket the
+    result; where that does not halve the bracket, bisection does.
     """
-    low, high = (0.0, spare(0.0)), (far, spare(far))
+    low, high = (0.0, energy_margin_at(0.0)), (max_distance_m, energy_margin_at(max_distance_m))
     if low[1] < 0.0 or high[1] >= 0.0:
-        return 0.0 if low[1] < 0.0 else far
+        return 0.0 if low[1] < 0.0 else max_distance_m
     halves = False
-    while (width := high[0] - low[0]) > FITS_M:
-        middle = 0.5 * (low[0] + high[0]) if halves else _beside_chord(low, high)
-        at = (middle, spare(middle))
+    while (width := high[0] - low[0]) > DISTANCE_TOLERANCE_M:
+        middle = 0.5 * (low[0] + high[0]) if halves else _near_chord_zero(low, high)
+        at = (middle, energy_margin_at(middle))
         low, high = (at, high) if at[1] >= 0.0 else (low, at)
         halves = high[0] - low[0] > 0.5 * width
     return low[0]
 
 
-def _beside_chord(low: tuple[float, float], high: tuple[float, float]) -> float:
-    """Half of `FITS_M` beside the chord's zero, on the side of the end that is farther from it."""
-    width = high[0] - low[0]
-    if not math.isfinite(high[1]):
-        return low[0] + 0.5 * width
-    chord = low[0] + width * low[1] / (low[1] - high[1])
-    beside = 0.5 * FITS_M if chord - low[0] < high[0] - chord else -0.5 * FITS_M
-    return min(max(chord + beside, low[0] + 0.25 * FITS_M), high[0] - 0.25 * FITS_M)
+def _near_chord_zero(
+    low_distance_and_margin: tuple[float, float], high_distance_and_margin: tuple[float, float]
+) -> float:
+    """Return the chord's zero, shifted by half of `DISTANCE_TOLERANCE_M` towards the more distant
+    end.
+    """
+    width = high_distance_and_margin[0] - low_distance_and_margin[0]
+    if not math.isfinite(high_distance_and_margin[1]):
+        return low_distance_and_margin[0] + 0.5 * width
+    chord = low_distance_and_margin[0] + width * low_distance_and_margin[1] / (
+        low_distance_and_margin[1] - high_distance_and_margin[1]
+    )
+    offset_m = (
+        0.5 * DISTANCE_TOLERANCE_M
+        if chord - low_distance_and_margin[0] < high_distance_and_margin[0] - chord
+        else -0.5 * DISTANCE_TOLERANCE_M
+    )
+    return min(
+        max(chord + offset_m, low_distance_and_margin[0] + 0.25 * DISTANCE_TOLERANCE_M),
+        high_distance_and_margin[0] - 0.25 * DISTANCE_TOLERANCE_M,
+    )
 
 
-def _cruise(start: Ned, via: Waypoints, end: Ned, payload_kg: float) -> list[Leg]:
-    points = [start, *((north, east, start[2]) for north, east in via), end]
+def _cruise_legs(start: Ned, waypoints: Waypoints, end: Ned, payload_kg: float) -> list[Leg]:
+    points = [start, *((north, east, start[2]) for north, east in waypoints), end]
     return [Leg(LegKind.CRUISE, a, b, payload_kg) for a, b in pairwise(points)]
 
 
-def rounded_up(payload_kg: float) -> float:
-    """The payload that a parcel is priced as."""
+def round_up_payload_kg(payload_kg: float) -> float:
+    """Round a payload up to `PAYLOAD_STEP_KG`."""
     return math.ceil(payload_kg / PAYLOAD_STEP_KG - 1e-9) * PAYLOAD_STEP_KG

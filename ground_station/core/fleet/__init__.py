@@ -1,1 +1,1 @@
-"""The members of the fleet as the desk sees them, and the interface of their network."""
+"""The members of the fleet as the desk receives them, and the interface of their network."""

@@ -1,4 +1,4 @@
-"""What the desk needs of a network and of a clock: zenoh, or a bus within one process."""
+"""Interfaces of the desk to a network (zenoh, or a bus within one process) and to a clock."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from ground_station.core.fleet.station_message import StationWind
 
 @dataclass(frozen=True, slots=True)
 class LivelinessChanged:
-    """A life of a member (one run of its process) has joined (`up`) or left the network."""
+    """A process instance of a member has joined (`has_joined`) or left the network."""
 
     vehicle: str
-    life: str
-    up: bool
+    instance_id: str
+    has_joined: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +27,14 @@ class StateReceived:
 
 @dataclass(frozen=True, slots=True)
 class StationWindReceived:
-    """A wind station has told what it measures."""
+    """A wind station has published a measurement."""
 
     wind: StationWind
 
 
 @dataclass(frozen=True, slots=True)
 class EventsReceived:
-    """Events as they happened, or (`replayed`) all that were asked for, in order."""
+    """Events as they happened, or (`replayed`) all requested ones, in order."""
 
     vehicle: str
     events: list[FleetEvent]
@@ -42,8 +42,8 @@ class EventsReceived:
 
 
 @dataclass(frozen=True, slots=True)
-class CommandAnswered:
-    """The answer to a command; `result` None: nobody answered in time."""
+class CommandResponse:
+    """The response to a command; `result` None: no response in time."""
 
     command_id: str
     result: Result | None
@@ -51,7 +51,7 @@ class CommandAnswered:
 
 @dataclass(frozen=True, slots=True)
 class MessageRejected:
-    """Bytes that are no valid message, and why; `count` of them since the last time."""
+    """An invalid message and the reason; `count`: rejections since the last report."""
 
     key: str
     reason: str
@@ -63,36 +63,36 @@ FleetInput = (
     | StateReceived
     | StationWindReceived
     | EventsReceived
-    | CommandAnswered
+    | CommandResponse
     | MessageRejected
 )
 
 
 class FleetLink(Protocol):
-    """The desk's end of one fleet's network. Nothing that asks blocks: answers are received."""
+    """The desk's end of a fleet's network. Requests do not block: `receive` returns responses."""
 
     def receive(self, wait_s: float) -> list[FleetInput]:
-        """Everything that has come; waits this long for the first."""
+        """Return all received inputs; wait up to `wait_s` for the first."""
         ...
 
-    def ask_states(self, wait_s: float) -> None:
-        """Ask every member for its newest state, and the network for who is there."""
+    def request_states(self, wait_s: float) -> None:
+        """Request the latest state of every member, and the network's list of members."""
         ...
 
-    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
-        """Ask a member for the events that it keeps after this number."""
+    def request_events(self, vehicle: str, after: int, wait_s: float) -> None:
+        """Request a member's stored events after this number."""
         ...
 
     def send(self, command: Command, wait_s: float) -> None:
-        """Send a command. Its answer, or the time-out, is received."""
+        """Send a command. Its response or time-out arrives by `receive`."""
         ...
 
-    def tell_winds(self, winds: SharedWinds) -> None:
-        """Tell one vehicle the winds that others feel; what is lost is told anew soon."""
+    def send_winds(self, winds: SharedWinds) -> None:
+        """Send one vehicle the winds that others measure; the next message replaces a lost one."""
         ...
 
     def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
-        """The public keys of a neighbouring fleet's vehicles, by name; none without identities."""
+        """Return the public keys of a neighbouring fleet's vehicles, by name (may be empty)."""
         ...
 
     def close(self) -> None:
@@ -101,31 +101,32 @@ class FleetLink(Protocol):
 
 
 class Clock(Protocol):
-    """The desk's two clocks; a simulated day brings its own."""
+    """The desk's two clocks; a simulated day provides its own."""
 
     def monotonic_s(self) -> float:
-        """Seconds of a clock that never goes back, for silences and time-outs."""
+        """Return the seconds of a monotonic clock, for silence and time-outs."""
         ...
 
     def epoch_us(self) -> int:
-        """Microseconds since 1970: for people, and for the day's time through restarts."""
+        """Return microseconds since 1970, for display and for the day's time through restarts."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class OffsetClock:
-    """A clock whose time stamps are later by an offset.
+    """A clock with an offset on its time stamps.
 
-    After a restart the wall clock may be behind the store's last entry; the day's time must go on.
+    After a restart the wall clock may be behind the store's last entry; the day's time may not go
+    back.
     """
 
     clock: Clock
     offset_us: int
 
     def monotonic_s(self) -> float:
-        """The clock's own."""
+        """Return the clock's monotonic time."""
         return self.clock.monotonic_s()
 
     def epoch_us(self) -> int:
-        """The clock's, and the offset."""
+        """Return the clock's time stamp plus the offset."""
         return self.clock.epoch_us() + self.offset_us

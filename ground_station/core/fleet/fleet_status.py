@@ -1,8 +1,8 @@
-"""The fleet's status now: who is alive, what each member last reported, and what is doubtful.
+"""Status of the fleet: members online, their last reports, and doubtful members.
 
-Silence is counted on the desk's own clock; the vehicles' clocks are only shown. A doubtful vehicle
-(two companions of one name, an impossible battery) gets no new work until a person has looked at
-it. It can always be recalled.
+Silence is counted on the desk's own clock; the vehicles' clocks are only displayed. A doubtful
+vehicle (two companions of one name, an impossible battery) gets no assignment until an operator has
+checked it. It can always be recalled.
 """
 
 from collections.abc import Mapping
@@ -13,136 +13,161 @@ from companion.core.vehicle.airframe import Airframe
 from companion.fleet.messages import State
 from ground_station.core.fleet.truck_state import TRUCK
 
-SILENT_S = 5.0
-"""States come every second: after so many are missed a vehicle is called silent."""
+SILENT_AFTER_S = 5.0
+"""A vehicle without a state for so long is silent; states are sent every second."""
 
 STANDBY = "standby"
-BEFORE_TAKE_OFF = frozenset(phase.value for phase in GROUND_PHASES)
-IN_THE_AIR = frozenset(phase.value for phase in FLIGHT_PHASES)
-RISE_FRAC = 0.02
-"""Energy left is an estimate: it may rise in flight by this share of the pack, not by more."""
+GROUND_PHASE_NAMES = frozenset(phase.value for phase in GROUND_PHASES)
+FLIGHT_PHASE_NAMES = frozenset(phase.value for phase in FLIGHT_PHASES)
+MAX_ENERGY_RISE_FRAC = 0.02
+"""Energy left is an estimate: in flight it may rise by at most this share of the pack."""
 
-OVER_FRAC = 1.05
-CELL_V = (2.0, 4.5)
-"""Voltages of a lithium cell: a reading outside is not of a pack of this airframe."""
+MAX_ENERGY_FRAC = 1.05
+CELL_RANGE_V = (2.0, 4.5)
+"""Voltage range of a lithium cell: a reading outside does not fit the airframe's pack."""
 
-CLOCK_OFF_S = 5.0
+CLOCK_TOLERANCE_S = 5.0
 
 
 @dataclass(slots=True)
 class VehicleStatus:
-    """One vehicle. `doubts` are the reasons why it gets no new work."""
+    """Status of one vehicle. `doubts`: conditions that bar it from assignments."""
 
     vehicle: str
-    lives: set[str] = field(default_factory=set)
+    instance_ids: set[str] = field(default_factory=set)
     state: State | None = None
-    heard_s: float | None = None
+    received_s: float | None = None
     doubts: list[str] = field(default_factory=list)
-    clock_off_s: float = 0.0
+    clock_offset_s: float = 0.0
 
-    def silent_s(self, t_s: float) -> float | None:
-        """Seconds since its last state; None: there was none."""
-        return None if self.heard_s is None else t_s - self.heard_s
+    def seconds_since_last_state(self, now_s: float) -> float | None:
+        """Return the seconds since its last state; None: no state received."""
+        return None if self.received_s is None else now_s - self.received_s
 
-    def present(self, t_s: float) -> bool:
-        """Exactly one companion of this name is alive, and its states arrive."""
-        silent_s = self.silent_s(t_s)
-        return len(self.lives) == 1 and silent_s is not None and silent_s <= SILENT_S
+    def is_uniquely_online_and_reporting(self, now_s: float) -> bool:
+        """Return True if exactly one companion of this name is online and its states arrive."""
+        silent_s = self.seconds_since_last_state(now_s)
+        return len(self.instance_ids) == 1 and silent_s is not None and silent_s <= SILENT_AFTER_S
 
-    def has_left(self, life: str) -> bool:
-        """A life that is not on the network while the one that spoke last is: its states are old
-        ones, played again.
+    def is_stale_instance(self, instance_id: str) -> bool:
+        """Return True if this instance is off the network while the one of the last state is on it:
+        its states are replayed old ones.
         """
         before = self.state
-        return before is not None and before.life in self.lives and life not in self.lives
+        return (
+            before is not None
+            and before.instance_id in self.instance_ids
+            and instance_id not in self.instance_ids
+        )
 
-    def free(self, t_s: float) -> bool:
-        """It may be given work."""
+    def can_take_assignment(self, now_s: float) -> bool:
+        """Return True if it can take an assignment."""
         state = self.state
         idle = state is not None and state.phase == STANDBY and not state.armed
-        return self.present(t_s) and idle and not self.doubts
+        return self.is_uniquely_online_and_reporting(now_s) and idle and not self.doubts
 
 
 @dataclass(slots=True)
 class FleetStatus:
-    """All vehicles of a fleet. `airframes` by name: what their batteries can hold."""
+    """Status of all vehicles of a fleet. `airframes` by name, for the limits of their batteries."""
 
     airframes: Mapping[str, Airframe] = field(default_factory=dict)
     vehicles: dict[str, VehicleStatus] = field(default_factory=dict)
 
-    def of(self, vehicle: str) -> VehicleStatus:
-        """The status of a vehicle, heard or not."""
+    def status_of(self, vehicle: str) -> VehicleStatus:
+        """Return the status of a vehicle; a new one if no state was received."""
         return self.vehicles.setdefault(vehicle, VehicleStatus(vehicle))
 
     def charge_frac_at_rest(self, vehicle: str) -> float | None:
-        """Its charge by its resting voltage; None where that is not known, or it is armed."""
-        state = self.of(vehicle).state
+        """Return the charge by resting voltage; None if unknown or armed."""
+        state = self.status_of(vehicle).state
         airframe = self.airframes.get(state.airframe) if state is not None else None
         if state is None or airframe is None or not state.voltage_v or state.armed is not False:
             return None
-        return airframe.battery.charge_frac_at_rest(state.voltage_v)
+        return airframe.battery.charge_frac_from_resting_voltage(state.voltage_v)
 
-    def on_liveliness(self, vehicle: str, life: str, *, up: bool) -> str | None:
-        """A life has joined or left the network; returns what the operator should be told."""
-        seen = self.of(vehicle)
-        (seen.lives.add if up else seen.lives.discard)(life)
-        twins = "two companions announce themselves as it"
-        if len(seen.lives) > 1 and twins not in seen.doubts:
-            seen.doubts.append(twins)
-            return f"{vehicle}: {twins}: no new work for it"
-        if len(seen.lives) == 1 and twins in seen.doubts:
-            seen.doubts.remove(twins)
+    def record_liveliness_change(
+        self, vehicle: str, instance_id: str, *, has_joined: bool
+    ) -> str | None:
+        """Process an instance that joined or left the network; return the operator's message."""
+        status = self.status_of(vehicle)
+        (status.instance_ids.add if has_joined else status.instance_ids.discard)(instance_id)
+        duplicate_text = "two companions use this name"
+        if len(status.instance_ids) > 1 and duplicate_text not in status.doubts:
+            status.doubts.append(duplicate_text)
+            return f"{vehicle}: {duplicate_text}: no new assignments"
+        if len(status.instance_ids) == 1 and duplicate_text in status.doubts:
+            status.doubts.remove(duplicate_text)
             return f"{vehicle}: one companion again"
         return None
 
-    def on_state(self, state: State, t_s: float, epoch_us: int) -> list[str]:
-        """Take a state; returns new doubts about the vehicle, in words."""
-        seen = self.of(state.vehicle)
-        if seen.has_left(state.life):
+    def record_state_and_new_doubts(
+        self, state: State, received_s: float, epoch_us: int
+    ) -> list[str]:
+        """Process a state; return messages on new doubts about the vehicle."""
+        status = self.status_of(state.vehicle)
+        if status.is_stale_instance(state.instance_id):
             return []
-        said = [f"{state.vehicle}: {doubt}" for doubt in self._doubts(seen.state, state)]
-        seen.doubts += [doubt.partition(": ")[2] for doubt in said]
-        before = seen.state
-        if before is None or before.life != state.life or before.uptime_s <= state.uptime_s:
-            seen.state, seen.heard_s = state, t_s
-        off_s = (state.epoch_us - epoch_us) / 1e6
-        if abs(off_s) > CLOCK_OFF_S >= abs(seen.clock_off_s):
-            said.append(f"{state.vehicle}: its clock is off by {off_s:.0f} s (nothing rests on it)")
-        seen.clock_off_s = off_s
-        return said
+        before = status.state
+        new_doubts = self._new_doubts(before, state)
+        messages = [f"{state.vehicle}: {reason}" for reason in new_doubts]
+        status.doubts += new_doubts
+        if (
+            before is None
+            or before.instance_id != state.instance_id
+            or before.uptime_s <= state.uptime_s
+        ):
+            status.state, status.received_s = state, received_s
+        offset_s = (state.epoch_us - epoch_us) / 1e6
+        if abs(offset_s) > CLOCK_TOLERANCE_S >= abs(status.clock_offset_s):
+            messages.append(f"{state.vehicle}: its clock is off by {offset_s:.0f} s (display only)")
+        status.clock_offset_s = offset_s
+        return messages
 
-    def _doubts(self, before: State | None, state: State) -> list[str]:
-        known = self.of(state.vehicle).doubts
+    def _new_doubts(self, previous_state: State | None, state: State) -> list[str]:
+        known = self.status_of(state.vehicle).doubts
         found: list[str] = []
         airframe = self.airframes.get(state.airframe)
         if self.airframes and airframe is None and state.airframe != TRUCK:
             found.append(f"airframe {state.airframe} is not in the day's fleet")
         if airframe is not None:
             found += _battery_doubts(airframe, state)
-        if before is not None and before.life == state.life and before.airframe != state.airframe:
+        if (
+            previous_state is not None
+            and previous_state.instance_id == state.instance_id
+            and previous_state.airframe != state.airframe
+        ):
             found.append("changed its airframe without a restart")
-        if airframe is not None and _rose(before, state, airframe.battery.nominal_wh):
+        if airframe is not None and _has_energy_risen_in_flight(
+            previous_state, state, airframe.battery.nominal_wh
+        ):
             found.append("its energy rose in flight")
-        return [doubt for doubt in found if doubt not in known]
+        return [reason for reason in found if reason not in known]
 
 
 def _battery_doubts(airframe: Airframe, state: State) -> list[str]:
     battery = airframe.battery
     found: list[str] = []
     left_wh, voltage_v = state.energy_left_wh, state.voltage_v
-    if left_wh is not None and left_wh > OVER_FRAC * battery.nominal_wh:
+    if left_wh is not None and left_wh > MAX_ENERGY_FRAC * battery.nominal_wh:
         found.append(f"reports more energy than its pack of {battery.nominal_wh:g} Wh holds")
-    low_v, high_v = (battery.cells * v for v in CELL_V)
+    low_v, high_v = (battery.cells * v for v in CELL_RANGE_V)
     if voltage_v is not None and voltage_v > 0.0 and not low_v <= voltage_v <= high_v:
         found.append(f"reports a voltage that no pack of {battery.cells} cells has")
     return found
 
 
-def _rose(before: State | None, state: State, nominal_wh: float) -> bool:
-    if before is None or before.assignment != state.assignment or not state.assignment:
+def _has_energy_risen_in_flight(
+    previous_state: State | None, state: State, nominal_wh: float
+) -> bool:
+    if (
+        previous_state is None
+        or previous_state.assignment != state.assignment
+        or not state.assignment
+    ):
         return False
-    if not (before.armed and state.armed):
+    if not (previous_state.armed and state.armed):
         return False
-    if before.energy_left_wh is None or state.energy_left_wh is None:
+    if previous_state.energy_left_wh is None or state.energy_left_wh is None:
         return False
-    return state.energy_left_wh - before.energy_left_wh > RISE_FRAC * nominal_wh
+    return state.energy_left_wh - previous_state.energy_left_wh > MAX_ENERGY_RISE_FRAC * nominal_wh

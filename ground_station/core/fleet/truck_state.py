@@ -1,8 +1,8 @@
-"""The truck as a member of the fleet: where it stands or drives to, and its driver's tasks.
+"""The truck as a member of the fleet: its stop or destination, and its driver's tasks.
 
-A command adds a task; the driver confirms it or says that it cannot be done. Both are functions
+A command adds a task; the driver confirms it or reports that it cannot be done. Both are functions
 from one `TruckState` to the next. So the driver's terminal and the simulated truck behave alike,
-and a restart takes up the tasks that were kept.
+and a restart resumes the stored tasks.
 """
 
 from enum import Enum
@@ -11,20 +11,20 @@ from typing import Literal
 import msgspec
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.command_log import Verdict
+from companion.fleet.command_log import CommandReply
 from companion.fleet.messages import (
-    Answered,
     Assign,
-    Deed,
+    CommandAction,
+    CommandStatus,
     Drive,
     EventKind,
-    HandBack,
-    HandsOff,
     Launch,
     MoveHome,
     PutOut,
     Recall,
     Recover,
+    ReleaseControl,
+    ReturnControl,
     Serve,
     SetLimits,
     Withdraw,
@@ -33,13 +33,13 @@ from companion.fleet.messages import (
 TRUCK = "truck"
 """Airframe name of every truck, and the member's name of the day's truck."""
 
-DRIVING, AT_STOP = "driving", "at_stop"
-KEPT = 2000
-"""Tasks remembered as done: many times a day's work."""
+EN_ROUTE, AT_STOP = "driving", "at_stop"
+MAX_DONE_TASKS = 2000
+"""Completed tasks that are stored: many times a day's work."""
 
 
 class TaskKind(Enum):
-    """What the driver does."""
+    """Kind of a driver's task."""
 
     ARRIVE = "arrive"
     SERVE = "serve"
@@ -48,7 +48,7 @@ class TaskKind(Enum):
 
 
 class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One task. `id` is the assignment; of an arrival it is the stop."""
+    """One task. `id`: the assignment, or the stop of an arrival."""
 
     kind: TaskKind
     id: str
@@ -57,35 +57,38 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     lat_deg: float | None = None
     lon_deg: float | None = None
     parcel: str | None = None
-    """To be looked for on the drone: it is not known whether it was dropped."""
+    """Parcel to look for on the drone: it is unknown whether it was dropped."""
 
     @property
-    def words(self) -> str:
-        """For the driver."""
-        where = ""
+    def driver_instruction(self) -> str:
+        """Instruction to the driver."""
+        position_text = ""
         if self.lat_deg is not None and self.lon_deg is not None:
-            where = f" at {self.lat_deg:.6f}, {self.lon_deg:.6f}"
+            position_text = f" at {self.lat_deg:.6f}, {self.lon_deg:.6f}"
         match self.kind:
             case TaskKind.ARRIVE:
-                return f"drive to {self.id}{where}"
+                return f"drive to {self.id}{position_text}"
             case TaskKind.SERVE:
-                return f"bring order {self.order} to its customer"
+                return f"deliver order {self.order} to its customer"
             case TaskKind.PUT_OUT:
-                return f"put {self.vehicle} with parcel {self.order} on its pad{where}; step back"
+                return (
+                    f"put {self.vehicle} with parcel {self.order} on its pad{position_text};"
+                    " step back"
+                )
             case TaskKind.RECOVER:
-                look = f"; is the parcel {self.parcel} still on it?" if self.parcel else ""
-                return f"take {self.vehicle} aboard{where}; swap its pack{look}"
+                parcel_query = f"; is the parcel {self.parcel} still on it?" if self.parcel else ""
+                return f"collect {self.vehicle}{position_text}; swap its pack{parcel_query}"
 
 
 class TruckState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The truck (`truck/1`, the file in its folder). `stop`: where it stands or drives to.
+    """The truck (`truck/1`, the file in its folder). `stop`: its stop or destination.
 
-    While it drives its position is known only by a receiver on board.
+    While it drives, its position is known only with an onboard receiver.
     """
 
     format: Literal["truck/1"] = "truck/1"
     stop: str
-    driving: bool = False
+    is_en_route: bool = msgspec.field(default=False, name="driving")
     lat_deg: float | None = None
     lon_deg: float | None = None
     tasks: list[Task] = []
@@ -93,12 +96,12 @@ class TruckState(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def phase(self) -> str:
-        """As its state reports it."""
-        return DRIVING if self.driving else AT_STOP
+        """Phase in its state message."""
+        return EN_ROUTE if self.is_en_route else AT_STOP
 
 
 class DriverReport(msgspec.Struct, frozen=True):
-    """The event that follows from the driver's word."""
+    """The event that follows from the driver's report."""
 
     kind: EventKind
     text: str
@@ -109,111 +112,131 @@ class DriverReport(msgspec.Struct, frozen=True):
     home: bool | None = None
 
 
-def after_command(truck: TruckState, deed: Deed) -> tuple[TruckState, Verdict]:
-    """The truck after a command, and the answer. The same command twice is the same as once."""
-    match deed:
+def apply_command(truck: TruckState, command: CommandAction) -> tuple[TruckState, CommandReply]:
+    """Return the truck after a command, and the response. A repeated command is idempotent."""
+    match command:
         case Drive():
-            return _driven(truck, deed)
+            return _try_start_drive(truck, command)
         case Serve():
-            task = Task(kind=TaskKind.SERVE, id=deed.assignment, order=deed.order)
-            return _with(truck, task)
+            task = Task(kind=TaskKind.SERVE, id=command.assignment, order=command.order)
+            return _try_add_task(truck, task)
         case PutOut() | Recover():
-            return _with(truck, _pad_task(deed))
+            return _try_add_task(truck, _pad_task(command))
         case Withdraw():
-            # Not its recovery: that may have been ordered before this command got through.
-            left = [t for t in truck.tasks if t.id != deed.assignment or t.kind is TaskKind.RECOVER]
-            return _replace(truck, tasks=left), Verdict(Answered.DONE, "no longer to be done")
+            # Keep its recovery: it may have been ordered before this command arrived.
+            remaining_tasks = [
+                t for t in truck.tasks if t.id != command.assignment or t.kind is TaskKind.RECOVER
+            ]
+            return _replace(truck, tasks=remaining_tasks), CommandReply(
+                CommandStatus.DONE, "task removed"
+            )
         case Recall():
-            return truck, Verdict(Answered.DONE, "a truck stays where it is")
-        case Assign() | Launch() | MoveHome() | HandsOff() | HandBack() | SetLimits():
-            return truck, Verdict(Answered.REFUSED, "this is a truck")
+            return truck, CommandReply(CommandStatus.DONE, "no effect on a truck")
+        case Assign() | Launch() | MoveHome() | ReleaseControl() | ReturnControl() | SetLimits():
+            return truck, CommandReply(CommandStatus.REFUSED, "not supported by a truck")
 
 
-def _pad_task(deed: PutOut | Recover) -> Task:
-    out = isinstance(deed, PutOut)
+def _pad_task(command: PutOut | Recover) -> Task:
+    is_launch = isinstance(command, PutOut)
     return Task(
-        kind=TaskKind.PUT_OUT if out else TaskKind.RECOVER,
-        id=deed.assignment,
-        order=deed.order if isinstance(deed, PutOut) else None,
-        parcel=deed.parcel if isinstance(deed, Recover) else None,
-        vehicle=deed.vehicle,
-        lat_deg=deed.lat_deg,
-        lon_deg=deed.lon_deg,
+        kind=TaskKind.PUT_OUT if is_launch else TaskKind.RECOVER,
+        id=command.assignment,
+        order=command.order if isinstance(command, PutOut) else None,
+        parcel=command.parcel if isinstance(command, Recover) else None,
+        vehicle=command.vehicle,
+        lat_deg=command.lat_deg,
+        lon_deg=command.lon_deg,
     )
 
 
-def _driven(truck: TruckState, deed: Drive) -> tuple[TruckState, Verdict]:
-    if not truck.driving and truck.stop == deed.stop:
-        return truck, Verdict(Answered.DONE, "it stands there")
-    left = [task for task in truck.tasks if task.kind is not TaskKind.ARRIVE]
-    if left:
-        return truck, Verdict(Answered.REFUSED, f"still to do here: {left[0].words}"[:400])
-    arrive = Task(kind=TaskKind.ARRIVE, id=deed.stop, lat_deg=deed.lat_deg, lon_deg=deed.lon_deg)
+def _try_start_drive(truck: TruckState, command: Drive) -> tuple[TruckState, CommandReply]:
+    if not truck.is_en_route and truck.stop == command.stop:
+        return truck, CommandReply(CommandStatus.DONE, "already at this stop")
+    remaining_tasks = [task for task in truck.tasks if task.kind is not TaskKind.ARRIVE]
+    if remaining_tasks:
+        return truck, CommandReply(
+            CommandStatus.REFUSED, f"unfinished task: {remaining_tasks[0].driver_instruction}"[:400]
+        )
+    arrive = Task(
+        kind=TaskKind.ARRIVE, id=command.stop, lat_deg=command.lat_deg, lon_deg=command.lon_deg
+    )
     after = _replace(
-        truck, stop=deed.stop, driving=True, tasks=[arrive], lat_deg=None, lon_deg=None
+        truck, stop=command.stop, is_en_route=True, tasks=[arrive], lat_deg=None, lon_deg=None
     )
-    return after, Verdict(Answered.DONE, f"driving to {deed.stop}")
+    return after, CommandReply(CommandStatus.DONE, f"driving to {command.stop}")
 
 
-def _with(truck: TruckState, task: Task) -> tuple[TruckState, Verdict]:
-    if _key(task) in truck.done:
-        return truck, Verdict(Answered.DONE, "done before")
+def _try_add_task(truck: TruckState, task: Task) -> tuple[TruckState, CommandReply]:
+    if _task_key(task) in truck.done:
+        return truck, CommandReply(CommandStatus.DONE, "already done")
     if task in truck.tasks:
-        return truck, Verdict(Answered.DONE, "being done")
-    if truck.driving:
-        return truck, Verdict(Answered.LATER, f"driving to {truck.stop}")
-    return _replace(truck, tasks=[*truck.tasks, task]), Verdict(Answered.DONE, "to be done")
+        return truck, CommandReply(CommandStatus.DONE, "in progress")
+    if truck.is_en_route:
+        return truck, CommandReply(CommandStatus.LATER, f"driving to {truck.stop}")
+    return _replace(truck, tasks=[*truck.tasks, task]), CommandReply(
+        CommandStatus.DONE, "task added"
+    )
 
 
-def confirmed(
-    truck: TruckState, task: Task, *, gone: bool | None = None
+def confirm_task(
+    truck: TruckState, task: Task, *, is_parcel_dropped: bool | None = None
 ) -> tuple[TruckState, DriverReport]:
-    """The truck after a task that the driver has done, and the report.
+    """Return the truck after a completed task, and the report.
 
-    `gone`: whether the parcel that was to be looked for has left the drone. Raises LeewayError
-    where there is no such task, or `gone` is missing.
+    `is_parcel_dropped`: whether the parcel to look for has left the drone. Raises LeewayError if
+    there is no such task, or `is_parcel_dropped` is missing.
     """
-    after = _without(truck, task)
-    if task.parcel is not None and gone is None:
-        raise LeewayError(f"expected whether the parcel {task.parcel} is gone or still on it")
+    after = _remove_task(truck, task)
+    if task.parcel is not None and is_parcel_dropped is None:
+        raise LeewayError(f"parcel {task.parcel}: expected whether it is gone or still on it")
     match task.kind:
         case TaskKind.ARRIVE:
-            told = DriverReport(EventKind.PHASE, f"{DRIVING} -> {AT_STOP}: {task.id}")
+            report = DriverReport(EventKind.PHASE, f"{EN_ROUTE} -> {AT_STOP}: {task.id}")
             at = {"lat_deg": task.lat_deg, "lon_deg": task.lon_deg}
-            return _replace(after, driving=False, **at), told
+            return _replace(after, is_en_route=False, **at), report
         case TaskKind.SERVE:
             outcome = {"outcome": "SUC", "delivered": True, "home": True}
-            told = DriverReport(EventKind.OUTCOME, "handed over", task.id, task.order, **outcome)
+            report = DriverReport(EventKind.OUTCOME, "handed over", task.id, task.order, **outcome)
         case TaskKind.PUT_OUT:
-            told = DriverReport(EventKind.PLACED, f"{task.vehicle} on its pad", task.id, task.order)
+            report = DriverReport(
+                EventKind.DRONE_ON_PAD, f"{task.vehicle} on its pad", task.id, task.order
+            )
         case TaskKind.RECOVER:
-            found = {} if task.parcel is None else {"order": task.parcel, "delivered": gone}
-            told = DriverReport(EventKind.RECOVERED, f"{task.vehicle} aboard", task.id, **found)
-    return _replace(after, done=[*after.done, _key(task)][-KEPT:]), told
+            found = (
+                {}
+                if task.parcel is None
+                else {"order": task.parcel, "delivered": is_parcel_dropped}
+            )
+            report = DriverReport(
+                EventKind.RECOVERED, f"{task.vehicle} recovered", task.id, **found
+            )
+    return _replace(after, done=[*after.done, _task_key(task)][-MAX_DONE_TASKS:]), report
 
 
-def cannot_do(truck: TruckState, task: Task, why: str) -> tuple[TruckState, DriverReport]:
-    """The truck after a task that the driver cannot do, and the report.
+def reject_task(truck: TruckState, task: Task, reason: str) -> tuple[TruckState, DriverReport]:
+    """Return the truck after a task that the driver cannot do, and the report.
 
-    Raises LeewayError where there is no such task.
+    Raises LeewayError if there is no such task.
     """
     if task.kind is TaskKind.ARRIVE:
-        raise LeewayError("a truck that cannot reach its stop waits: call the dispatcher")
-    after = _without(truck, task)
-    after = _replace(after, done=[*after.done, _key(task)][-KEPT:])
+        raise LeewayError("an unreachable stop cannot be skipped: call the dispatcher")
+    after = _remove_task(truck, task)
+    after = _replace(after, done=[*after.done, _task_key(task)][-MAX_DONE_TASKS:])
     if task.kind is TaskKind.SERVE:
         outcome = {"outcome": "ABRT", "delivered": False, "home": True}
-        return after, DriverReport(EventKind.OUTCOME, why, task.id, task.order, **outcome)
-    return after, DriverReport(EventKind.CANNOT, f"{task.kind.value}: {why}", task.id, task.order)
+        return after, DriverReport(EventKind.OUTCOME, reason, task.id, task.order, **outcome)
+    return after, DriverReport(
+        EventKind.TASK_FAILED, f"{task.kind.value}: {reason}", task.id, task.order
+    )
 
 
-def _without(truck: TruckState, task: Task) -> TruckState:
+def _remove_task(truck: TruckState, task: Task) -> TruckState:
     if task not in truck.tasks:
-        raise LeewayError(f"{task.words}: not to be done")
+        raise LeewayError(f"{task.driver_instruction}: no such task")
     return _replace(truck, tasks=[t for t in truck.tasks if t != task])
 
 
-def _key(task: Task) -> str:
+def _task_key(task: Task) -> str:
     return f"{task.kind.value}:{task.id}"
 
 

@@ -1,1 +1,1 @@
-"""Who does something at the desk, and the record of what was done."""
+"""Operators of the desk, and the audit of their actions."""

@@ -1,7 +1,7 @@
-"""The audit: each row holds the digest of the one before, so none is altered unnoticed.
+"""The audit: each row holds the digest of the row before, so that alterations are detected.
 
-This finds a row that was altered, removed or put in, by a mistake or by hand. Who may write the
-whole database can also write a whole new chain: so `head` is worth keeping elsewhere.
+Detects a row that was altered, removed or inserted by mistake or by hand. With write access to the
+whole database a new chain can be written: so keep `head` elsewhere.
 """
 
 import hashlib
@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import msgspec
 
-FIRST = "0" * 64
-"""What the first row follows."""
+INITIAL_DIGEST = "0" * 64
+"""Digest before the first row."""
 
 
 @dataclass(frozen=True, slots=True)
 class AuditEntry:
-    """Who did what to what, when, and how it was answered.
+    """Actor, action, subject, time and response.
 
-    `who`: a person, a desk or a vehicle. `login`: the account and machine that wrote it.
+    `who`: an operator, a desk or a vehicle. `login`: the account and computer that wrote it.
     """
 
     at_us: int
@@ -31,7 +31,7 @@ class AuditEntry:
 
 @dataclass(frozen=True, slots=True)
 class AuditRow:
-    """An entry in its place. `before`: the digest of the row before it."""
+    """An entry with its number. `before`: the digest of the row before it."""
 
     n: int
     entry: AuditEntry
@@ -41,37 +41,37 @@ class AuditRow:
 
 @dataclass(frozen=True, slots=True)
 class AuditHead:
-    """The newest row's number and digest."""
+    """Number and digest of the last row."""
 
     n: int = 0
-    digest: str = FIRST
+    digest: str = INITIAL_DIGEST
 
 
-def digest_of(n: int, before: str, entry: AuditEntry) -> str:
-    """SHA-256 of a row's number, its entry and the digest before it, as hexadecimal digits."""
-    return hashlib.sha256(msgspec.json.encode([n, before, entry])).hexdigest()
+def row_digest(row_number: int, previous_digest: str, entry: AuditEntry) -> str:
+    """Return the SHA-256 of a row (number, digest before it, entry) as hexadecimal digits."""
+    return hashlib.sha256(msgspec.json.encode([row_number, previous_digest, entry])).hexdigest()
 
 
-def following(head: AuditHead, entries: Iterable[AuditEntry]) -> Iterator[AuditRow]:
-    """The rows of these entries behind `head`."""
+def build_chained_rows(head: AuditHead, entries: Iterable[AuditEntry]) -> Iterator[AuditRow]:
+    """Yield the rows of these entries after `head`."""
     n, before = head.n, head.digest
     for entry in entries:
         n += 1
-        digest = digest_of(n, before, entry)
+        digest = row_digest(n, before, entry)
         yield AuditRow(n, entry, before, digest)
         before = digest
 
 
-def faults(rows: Iterable[AuditRow], head: AuditHead) -> Iterator[str]:
-    """What is wrong with the chain, by row; nothing where it is whole."""
+def find_chain_faults(rows: Iterable[AuditRow], expected_head: AuditHead) -> Iterator[str]:
+    """Yield the faults of the chain, by row."""
     last = AuditHead()
     for row in rows:
         if row.n != last.n + 1:
             yield f"row {row.n}: follows row {last.n}, expected row {last.n + 1}"
-        if row.digest != digest_of(row.n, row.before, row.entry):
-            yield f"row {row.n}: altered: its content is not what was written"
+        if row.digest != row_digest(row.n, row.before, row.entry):
+            yield f"row {row.n}: altered: its content does not match its digest"
         if row.before != last.digest:
-            yield f"row {row.n}: does not fit what is now row {last.n}"
+            yield f"row {row.n}: does not match the present row {last.n}"
         last = AuditHead(row.n, row.digest)
-    if last != head:
-        yield f"row {last.n}: is the newest there, row {head.n} was written last"
+    if last != expected_head:
+        yield f"row {last.n}: last row found, expected row {expected_head.n}"

@@ -1,4 +1,4 @@
-"""The people of a desk: a name and a role, made in one place."""
+"""The operators of a desk: a name and a role."""
 
 import re
 from dataclasses import dataclass
@@ -6,50 +6,52 @@ from dataclasses import dataclass
 from companion.core.base.errors import LeewayError
 from companion.fleet.roles import Role
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,39}\Z")
-"""As login names and mail addresses are; it fits into `Command.by` behind `desk/`."""
+NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,39}\Z")
+"""Pattern of login names and mail addresses; fits into `Command.by` after `desk/`."""
 
-LONGEST = 59
-"""Of a name and the member behind it: the 64 characters of `Command.by`, less `desk/`."""
+MAX_NAME_LENGTH = 59
+"""Maximum length of a name with its member: the 64 characters of `Command.by`, less `desk/`."""
 
-BY_WAY_OF = " by way of "
-"""As vehicles tell it (`companion.fleet.member`): who is said, and behind it who signed."""
+MEMBER_SEPARATOR = " by way of "
+"""Separator as in `companion.fleet.member`: the claimed name, then the signing member."""
 
 
 @dataclass(frozen=True, slots=True)
-class Person:
-    """Somebody who acts at a desk. `name` is as the audit keeps it; the role is the roster's where
-    an identity proved it.
+class DeskOperator:
+    """An operator of a desk. `name`: as recorded in the audit; `role`: of the roster, if an
+    identity proved it.
     """
 
     name: str
     role: Role
 
 
-def person_of(name: str) -> Person:
-    """A person by name. Without identities on the network whoever has the machine may do all."""
-    return Person(_checked(name), Role.SUPERVISOR)
+def local_supervisor_operator(name: str) -> DeskOperator:
+    """Return an operator by name. Without network identities every user is a supervisor."""
+    return DeskOperator(_validated_operator_name(name), Role.SUPERVISOR)
 
 
-def person_behind(member: str, role: Role, said: str | None = None) -> Person:
-    """Who acts with the identity of this member. Another name that was said is not proven: it
-    stands before the member's, which is.
+def member_operator(member: str, role: Role, claimed_user_name: str | None = None) -> DeskOperator:
+    """Return the operator acting with this member's identity. A different claimed name is not
+    proven: it precedes the member's proven name.
     """
-    if said is None or said == member:
-        return Person(member, role)
-    name = f"{_checked(said)}{BY_WAY_OF}{member}"
-    if len(name) > LONGEST:
-        most = LONGEST - len(BY_WAY_OF) - len(member)
-        raise LeewayError(f"user {said!r}: expected at most {most} characters beside {member}")
-    return Person(name, role)
+    if claimed_user_name is None or claimed_user_name == member:
+        return DeskOperator(member, role)
+    name = f"{_validated_operator_name(claimed_user_name)}{MEMBER_SEPARATOR}{member}"
+    if len(name) > MAX_NAME_LENGTH:
+        max_length = MAX_NAME_LENGTH - len(MEMBER_SEPARATOR) - len(member)
+        raise LeewayError(
+            f"user {claimed_user_name!r}: expected at most {max_length} characters with {member}"
+        )
+    return DeskOperator(name, role)
 
 
-def desk_of(person: Person) -> str:
-    """What a desk that this person has started signs its own decisions with."""
-    return person.name if person.role is Role.DESK else f"desk/{person.name}"
+def desk_signing_name(operator: DeskOperator) -> str:
+    """Return the name with which a desk started by this operator signs its own decisions."""
+    return operator.name if operator.role is Role.DESK else f"desk/{operator.name}"
 
 
-def _checked(name: str) -> str:
-    if NAME.match(name) is None:
+def _validated_operator_name(name: str) -> str:
+    if NAME_PATTERN.match(name) is None:
         raise LeewayError(f"user {name!r}: expected 1 to 40 letters, digits and . _ @ -")
     return name

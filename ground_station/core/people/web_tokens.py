@@ -1,6 +1,6 @@
-"""Tokens of the people who may use the map: kept as digests, never as they are.
+"""Tokens of the users of the map, stored as digests only.
 
-A token has 256 random bits, so a plain SHA-256 of it can be neither guessed nor looked up.
+A token has 256 random bits, so its plain SHA-256 can be neither guessed nor looked up.
 """
 
 import hashlib
@@ -11,11 +11,11 @@ import msgspec
 from msgspec import Meta
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.roles import COMMANDS, Role
-from ground_station.core.people.person import Person, person_of
+from companion.fleet.roles import COMMANDERS, Role
+from ground_station.core.people.person import DeskOperator, local_supervisor_operator
 
-ROLES = (Role.SUPERVISOR, Role.DISPATCHER, Role.VIEWER)
-"""Of a person; only the last may order nothing."""
+USER_ROLES = (Role.SUPERVISOR, Role.DISPATCHER, Role.VIEWER)
+"""Roles of users; a viewer may not command."""
 
 TOKEN_BYTES = 32
 FORMAT = "map-tokens/1"
@@ -23,56 +23,63 @@ Sha256 = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 
 
 class TokenHolder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A named user of the map. `made`: on which day, for people."""
+    """A named user of the map. `created`: day of issue, for display."""
 
     name: str
     role: Literal["supervisor", "dispatcher", "viewer"]
     sha256: Sha256
-    made: Annotated[str, Meta(max_length=10)]
+    created: Annotated[str, Meta(max_length=10)] = msgspec.field(name="made")
 
     @property
-    def person(self) -> Person:
-        """Who acts with this token. Raises LeewayError for an impossible name."""
-        return Person(person_of(self.name).name, Role(self.role))
+    def operator(self) -> DeskOperator:
+        """The operator of this token. Raises LeewayError for an invalid name."""
+        return DeskOperator(local_supervisor_operator(self.name).name, Role(self.role))
 
 
-class TokenBook(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All holders of tokens (`map-tokens/1`)."""
+class TokenRegistry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """All token holders (`map-tokens/1`)."""
 
     format: Literal["map-tokens/1"] = FORMAT
-    people: tuple[TokenHolder, ...] = ()
+    holders: tuple[TokenHolder, ...] = msgspec.field(default=(), name="people")
 
-    def person(self, token: str) -> Person | None:
-        """Whose token this is; None: nobody's."""
-        digest = digest_of(token)
-        found = [one for one in self.people if hmac.compare_digest(one.sha256, digest)]
-        return found[0].person if found else None
+    def find_operator(self, token: str) -> DeskOperator | None:
+        """Return the operator with this token; None: unknown token."""
+        digest = token_digest(token)
+        found = [one for one in self.holders if hmac.compare_digest(one.sha256, digest)]
+        return found[0].operator if found else None
 
-    def added(self, name: str, role: Role, token: str, made: str) -> "TokenBook":
-        """With one more. Raises LeewayError where the name has a token, or is none."""
-        if role not in ROLES:
-            raise LeewayError(f"role {role.value}: expected {' or '.join(r.value for r in ROLES)}")
-        if any(one.name == name for one in self.people):
+    def with_holder(self, name: str, role: Role, token: str, created: str) -> "TokenRegistry":
+        """Return the list with one more. Raises LeewayError for an invalid or existing name."""
+        if role not in USER_ROLES:
+            raise LeewayError(
+                f"role {role.value}: expected {' or '.join(r.value for r in USER_ROLES)}"
+            )
+        if any(one.name == name for one in self.holders):
             raise LeewayError(f"{name} has a token: revoke it first")
-        sha256 = digest_of(token)
-        holder = TokenHolder(name=person_of(name).name, role=role.value, sha256=sha256, made=made)
-        return TokenBook(people=(*self.people, holder))
+        sha256 = token_digest(token)
+        holder = TokenHolder(
+            name=local_supervisor_operator(name).name,
+            role=role.value,
+            sha256=sha256,
+            created=created,
+        )
+        return TokenRegistry(holders=(*self.holders, holder))
 
-    def without(self, name: str) -> "TokenBook":
-        """Without this one's. Raises LeewayError where there is none."""
-        if all(one.name != name for one in self.people):
-            known = ", ".join(one.name for one in self.people) or "nobody"
-            raise LeewayError(f"{name} has no token; these have: {known}")
-        return TokenBook(people=tuple(one for one in self.people if one.name != name))
+    def without_holder(self, name: str) -> "TokenRegistry":
+        """Return the list without this holder. Raises LeewayError if there is none."""
+        if all(one.name != name for one in self.holders):
+            known = ", ".join(one.name for one in self.holders) or "none"
+            raise LeewayError(f"{name} has no token; token holders: {known}")
+        return TokenRegistry(holders=tuple(one for one in self.holders if one.name != name))
 
 
-def digest_of(token: str) -> str:
-    """SHA-256 of a token, hexadecimal."""
+def token_digest(token: str) -> str:
+    """Return the SHA-256 of a token, hexadecimal."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-def deed_trouble(person: Person) -> str:
-    """Why this person may order nothing; empty: they may."""
-    if person.role in COMMANDS:
+def command_refusal_reason(operator: DeskOperator) -> str:
+    """Return the refusal of a command by this operator; empty: permitted."""
+    if operator.role in COMMANDERS:
         return ""
-    return f"{person.name} is a {person.role.value}: may not command"
+    return f"{operator.name} is a {operator.role.value}: may not command"

@@ -1,1 +1,1 @@
-"""Day plans: from the day's data and its present state to stops and sorties."""
+"""Day plans: stops and sorties from the day's data and current state."""

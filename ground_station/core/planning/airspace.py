@@ -1,44 +1,50 @@
-"""The operational volumes of planned sorties: for the planner, and for the desk's last check."""
+"""Operational volumes of planned sorties, for the planner and the desk's launch check."""
 
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from companion.core.base.geo import Ned, place_ned
-from companion.core.mission.flight_plan import frame_at
-from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict
+from companion.core.base.geo import Ned, location_to_ground_ned_m
+from companion.core.mission.flight_plan import depot_frame
+from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict_reason
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import place_of
+from ground_station.core.schema.orders import order_location
 
 
 class Airspace:
-    """The airspace of one day. Routes around obstacles are laid as the planner lays them."""
+    """The airspace of one day. Obstacle routes are the same as in the planner."""
 
     def __init__(self, data: DayData) -> None:
-        self.frame = frame_at(data.day.depot.place)
+        self.frame = depot_frame(data.day.depot.location)
         self._orders = {order.id: order for order in data.orders}
         self._obstacles = obstacle_map(data)
         self._cruise_m = data.day.mission.cruise_height_m
 
-    def volume(self, sortie: PlannedSortie, stops: Mapping[str, PlannedStop]) -> OperationalVolume:
-        """The operational volume of a sortie: all ways between its pads and its customer."""
+    def operational_volume(
+        self, sortie: PlannedSortie, stop_by_id: Mapping[str, PlannedStop]
+    ) -> OperationalVolume:
+        """Return the operational volume of a sortie: all routes between pads and customer."""
         here, home = (
-            place_ned(self.frame, stops[id_].pads[sortie.vehicle])
+            location_to_ground_ned_m(self.frame, stop_by_id[id_].pads[sortie.vehicle])
             for id_ in (sortie.launch, sortie.home)
         )
-        customer = place_ned(self.frame, place_of(self._orders[sortie.order]))
+        customer = location_to_ground_ned_m(self.frame, order_location(self._orders[sortie.order]))
         points = [here, customer, home]
-        ways = ObstacleRoutes(self._obstacles, np.array(points)[:, :2], self._cruise_m)
-        ground = [*map(_ne, points), *ways.via(0, 1), *ways.via(1, 2)]
+        routes = ObstacleRoutes(self._obstacles, np.array(points)[:, :2], self._cruise_m)
+        ground = [
+            *map(_north_east_m, points),
+            *routes.waypoints_between(0, 1),
+            *routes.waypoints_between(1, 2),
+        ]
         heights_m = [-here[2] + h for h in (sortie.outbound_height_m, sortie.return_height_m)]
         return OperationalVolume(
             sortie.vehicle,
             sortie.order,
             tuple(ground),
-            tuple(_ne(point) for point in dict.fromkeys(points)),
+            tuple(_north_east_m(point) for point in dict.fromkeys(points)),
             min(heights_m),
             max(heights_m),
             sortie.launch_s,
@@ -48,18 +54,20 @@ class Airspace:
     def launch_conflict(
         self,
         sortie: PlannedSortie,
-        in_air_now: Iterable[PlannedSortie],
-        stops: Mapping[str, PlannedStop],
+        airborne_sorties: Iterable[PlannedSortie],
+        stop_by_id: Mapping[str, PlannedStop],
     ) -> str | None:
-        """The desk's last check: why this sortie must wait; None: it may go.
+        """Return the reason that this sortie must wait; None if it may launch.
 
-        `in_air_now`: each sortie with its promised home. One that was asked to move and has not
-        answered is in it twice, once for each home. Before a home is moved the same is asked of
-        the sortie with its new home, beside all others in the air.
+        `airborne_sorties`: each airborne sortie with its promised home. A sortie with an unanswered
+        request to move its home is listed twice, once per home. The desk also calls this with the
+        new home, against all other airborne sorties, before it moves a home.
         """
-        mine = self.volume(sortie, stops)
-        return launch_conflict(mine, [self.volume(other, stops) for other in in_air_now])
+        own_volume = self.operational_volume(sortie, stop_by_id)
+        return launch_conflict_reason(
+            own_volume, [self.operational_volume(other, stop_by_id) for other in airborne_sorties]
+        )
 
 
-def _ne(point: Ned) -> tuple[float, float]:
+def _north_east_m(point: Ned) -> tuple[float, float]:
     return point[0], point[1]

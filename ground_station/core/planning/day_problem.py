@@ -1,7 +1,7 @@
-"""A day as a truck-and-drones problem: places, road times, kinds of drones, who may bring what.
+"""A day as a truck-and-drones problem: positions, road times, drone kinds, permitted services.
 
-Node 0 is where the truck is (the depot, or the last stop that it has promised), then come the
-orders, then the depot where the day ends.
+Node 0 is the truck's position (the depot, or its last promised stop), followed by the orders and
+the depot at the end of the day.
 """
 
 from dataclasses import dataclass, replace
@@ -9,79 +9,96 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.base.arrays import Floats, ShortInts
-from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, place_ned
-from companion.core.mission.flight_plan import CLEARANCE_M, CLEARANCE_UP_M, frame_at
-from ground_station.core.deconfliction.pads import PAD_APART_M, RING_PADS
-from ground_station.core.deconfliction.separation import APART_M, LAYER_GAP_M, SLACK_S
+from companion.core.base.arrays import Floats, Ints
+from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, location_to_ground_ned_m
+from companion.core.mission.flight_plan import CLEARANCE_M, VERTICAL_CLEARANCE_M, depot_frame
+from ground_station.core.deconfliction.pads import FIRST_RING_PADS, PAD_SPACING_M
+from ground_station.core.deconfliction.separation import (
+    HORIZONTAL_SEPARATION_M,
+    LATE_MARGIN_S,
+    LAYER_GAP_M,
+)
 from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
-from ground_station.core.feasibility.reach import Reach, day_energy
-from ground_station.core.feasibility.sortie_model import WindSorties
+from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.sortie_model import WindSortieModel
 from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
-from ground_station.core.schema.orders import Order, Service, place_of
-from ground_station.core.truck_drones.problem import Air, DroneKind, Legs, TruckAndDrones
+from ground_station.core.schema.orders import Order, Service, order_location
+from ground_station.core.truck_drones.problem import (
+    DroneKind,
+    LayeredAirspace,
+    LegTables,
+    TruckAndDrones,
+)
 
 LEAD_S = 30.0
-"""A drone lands at least this long after the planned arrival of the truck."""
-TOP_M = 120.0
+"""Minimum time from the planned arrival of the truck to a landing."""
+MAX_HEIGHT_AGL_M = 120.0
 """Greatest height above ground: EU 2019/947, UAS.OPEN.010; 14 CFR 107.51 (400 ft)."""
-LEAST_ROOM_M = 10.0
+MIN_LAYER_CLEARANCE_M = 10.0
 """Least height of a layer above pads and customers."""
 PRICED_LAYER = 2
-"""Sorties are priced in the third layer until each has its own."""
+"""Sorties are priced in the third layer until a layer is assigned."""
 
 
 @dataclass(frozen=True, slots=True)
 class DroneClass:
-    """Drones that are alike: same airframe and pack, available from the same time."""
+    """Identical drones: same airframe and pack, available from the same time."""
 
     ids: tuple[str, ...]
-    reach: Reach
+    feasibility: SortieFeasibility
     from_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class DayProblem:
-    """The day's places (NED about the depot) and the problem over them."""
+    """The day's positions (NED about the depot) and the problem over them."""
 
     frame: LocalFrame
     obstacles: ObstacleMap
     orders: tuple[Order, ...]
     ned_m: Floats
     classes: tuple[DroneClass, ...]
-    ways: ObstacleRoutes
+    routes: ObstacleRoutes
     problem: TruckAndDrones
     cruise_height_m: float
 
-    def ned(self, node: int) -> Ned:
-        """The ground point of a node."""
+    def ground_ned_m(self, node: int) -> Ned:
+        """Return the ground point of a node."""
         north, east, down = self.ned_m[node].tolist()
         return north, east, down
 
 
 def obstacle_map(data: DayData) -> ObstacleMap:
-    """The day's obstacles, with the companion's own clearances. Geo-zones count from the ground up:
+    """Return the day's obstacles with the companion's clearances. Geo-zones extend from the ground:
     a sortie is planned before its layer is known.
     """
-    return ObstacleMap(data.obstacles(frame_at(data.day.depot.place)), CLEARANCE_M, CLEARANCE_UP_M)
+    return ObstacleMap(
+        data.obstacles_to_avoid(depot_frame(data.day.depot.location)),
+        CLEARANCE_M,
+        VERTICAL_CLEARANCE_M,
+    )
 
 
-def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneClass, ...]:
-    """The available drones, grouped by what makes them alike."""
+def group_identical_drones(
+    data: DayData, available_from_s_by_drone: dict[str, float]
+) -> tuple[DroneClass, ...]:
+    """Group the available drones into identical ones."""
     day = data.day
-    energies = {name: day_energy(day, airframe) for name, airframe in data.airframes.items()}
+    energies = {
+        name: route_energy_model_for_day(day, airframe) for name, airframe in data.airframes.items()
+    }
     hills = hills_of(day, data.elevation)
-    alike: dict[tuple[Drone, float], list[str]] = {}
+    grouped: dict[tuple[Drone, float], list[str]] = {}
     for drone in day.drones:
-        if drone.id in free_from_s:
-            key = (_nameless(drone), free_from_s[drone.id])
-            alike.setdefault(key, []).append(drone.id)
+        if drone.id in available_from_s_by_drone:
+            key = (_anonymous_drone(drone), available_from_s_by_drone[drone.id])
+            grouped.setdefault(key, []).append(drone.id)
     return tuple(
         DroneClass(
             tuple(ids),
-            Reach(
+            SortieFeasibility(
                 drone,
                 data.airframes[drone.airframe],
                 day.mission,
@@ -91,11 +108,11 @@ def drone_classes(data: DayData, free_from_s: dict[str, float]) -> tuple[DroneCl
             ),
             from_s,
         )
-        for (drone, from_s), ids in alike.items()
+        for (drone, from_s), ids in grouped.items()
     )
 
 
-def _nameless(drone: Drone) -> Drone:
+def _anonymous_drone(drone: Drone) -> Drone:
     return Drone(
         id="any",
         airframe=drone.airframe,
@@ -110,96 +127,106 @@ def build_day_problem(
     orders: list[Order],
     start_ned_m: Ned,
     start_name: str,
-    free_from_s: dict[str, float],
-    hold_s: float,
-    pads_m: float,
+    available_from_s_by_drone: dict[str, float],
+    first_stop_hold_s: float,
+    pad_offset_m: float,
 ) -> DayProblem:
-    """The problem of bringing these orders. `start_name`: the start's name in the road matrix.
+    """Build the problem for these orders. `start_name`: the start's name in the road matrix.
 
-    Times count from the truck's arrival at the start.
+    Times are relative to the truck's arrival at the start.
     """
-    frame = frame_at(data.day.depot.place)
-    places = [
+    frame = depot_frame(data.day.depot.location)
+    positions_ned_m = [
         start_ned_m,
-        *(place_ned(frame, place_of(order)) for order in orders),
+        *(location_to_ground_ned_m(frame, order_location(order)) for order in orders),
         (0.0, 0.0, 0.0),
     ]
-    ned_m = np.array(places)
+    ned_m = np.array(positions_ned_m)
     obstacles = obstacle_map(data)
-    classes = drone_classes(data, free_from_s)
+    classes = group_identical_drones(data, available_from_s_by_drone)
     mission = data.day.mission
-    height_m = np.full(len(places), layer_height_m(mission.cruise_height_m, PRICED_LAYER))
-    ways = ObstacleRoutes(obstacles, ned_m[:, :2], mission.cruise_height_m)
+    height_m = np.full(len(positions_ned_m), layer_height_m(mission.cruise_height_m, PRICED_LAYER))
+    routes = ObstacleRoutes(obstacles, ned_m[:, :2], mission.cruise_height_m)
     mass_kg = np.array([0.0, *(order.mass_kg for order in orders), 0.0])
-    most_kg = max((c.reach.airframe.mass.max_payload_kg for c in classes), default=0.0)
-    sorties = WindSorties(
-        ned_m, np.minimum(mass_kg, most_kg), height_m, [c.reach for c in classes], ways, pads_m
+    most_kg = max((c.feasibility.airframe.mass.max_payload_kg for c in classes), default=0.0)
+    sorties = WindSortieModel(
+        ned_m,
+        np.minimum(mass_kg, most_kg),
+        height_m,
+        [c.feasibility for c in classes],
+        routes,
+        pad_offset_m,
     )
     truck = data.day.truck
-    by_truck = _flags(orders, [order.service is not Service.DRONE for order in orders])
+    by_truck = _flags_by_node(orders, [order.service is not Service.DRONE for order in orders])
     kinds = tuple(
-        DroneKind(len(c.ids), truck.launch_s, truck.recover_s, _can_fly(orders, c), c.from_s)
+        DroneKind(
+            len(c.ids), truck.launch_s, truck.recover_s, _can_fly_by_node(orders, c), c.from_s
+        )
         for c in classes
     )
-    rises = [sorties.rise(number, LAYER_GAP_M) for number in range(len(classes))]
+    rises = [
+        sorties.extra_climb_time_and_hover_s(number, LAYER_GAP_M) for number in range(len(classes))
+    ]
     problem = TruckAndDrones(
-        travel_s=_travel_s(data, orders, ned_m, start_name),
-        deliver_s=np.where(_flags(orders, [True] * len(orders)), truck.deliver_s, 0.0),
-        kinds=kinds or (_nobody(len(places)),),
-        legs=tuple(
-            _ready_first(sorties.legs(number), truck.ready_s) for number in range(len(classes))
+        travel_s=_truck_travel_matrix_s(data, orders, ned_m, start_name),
+        deliver_s=np.where(_flags_by_node(orders, [True] * len(orders)), truck.deliver_s, 0.0),
+        kinds=kinds or (_empty_drone_kind(len(positions_ned_m)),),
+        leg_tables=tuple(
+            _with_ready_time(sorties.leg_tables(number), truck.ready_s)
+            for number in range(len(classes))
         )
-        or (_nowhere(len(places)),),
+        or (_infeasible_leg_tables(len(positions_ned_m)),),
         truck_can_serve=by_truck,
         pads=True,
         lead_s=LEAD_S,
-        stay_s=truck.ready_s,
-        hold_s=hold_s,
-        air=Air(
+        takeoff_wait_s=truck.ready_s,
+        hold_s=first_stop_hold_s,
+        air=LayeredAirspace(
             ned_m[:, :2],
-            *layers_over(-ned_m[:, 2], mission.cruise_height_m),
-            RING_PADS,
-            pads_m,
-            PAD_APART_M,
+            *layer_range_by_position(-ned_m[:, 2], mission.cruise_height_m),
+            FIRST_RING_PADS,
+            pad_offset_m,
+            PAD_SPACING_M,
             truck.ready_s,
-            APART_M,
-            SLACK_S,
+            HORIZONTAL_SEPARATION_M,
+            LATE_MARGIN_S,
             PRICED_LAYER,
             tuple(one[0] for one in rises),
             tuple(one[1] for one in rises),
-            ways.bends(),
-            ways.corners_ne_m,
+            routes.corner_indices_by_start_and_end(),
+            routes.corners_ne_m,
         ),
     )
     cruise_m = mission.cruise_height_m
-    return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, ways, problem, cruise_m)
+    return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m)
 
 
-def _nobody(nodes: int) -> DroneKind:
-    """The kind of a fleet without drones."""
-    return DroneKind(0, 1.0, 1.0, np.zeros(nodes, dtype=np.bool_))
+def _empty_drone_kind(node_count: int) -> DroneKind:
+    """Return the placeholder kind of a fleet without drones."""
+    return DroneKind(0, 1.0, 1.0, np.zeros(node_count, dtype=np.bool_))
 
 
-def _nowhere(nodes: int) -> Legs:
-    never = np.full((nodes, nodes), np.inf)
-    return Legs(never, never, never, never, 0.0)
+def _infeasible_leg_tables(node_count: int) -> LegTables:
+    infinite = np.full((node_count, node_count), np.inf)
+    return LegTables(infinite, infinite, infinite, infinite, 0.0)
 
 
-def _ready_first(legs: Legs, ready_s: float) -> Legs:
-    """The same, with the time on the pad before each flight."""
-    return replace(legs, out_s=legs.out_s + ready_s)
+def _with_ready_time(leg_tables: LegTables, ready_s: float) -> LegTables:
+    """Add the time on the pad before each flight."""
+    return replace(leg_tables, out_s=leg_tables.out_s + ready_s)
 
 
-def without(nodes: DayProblem, lost: set[str]) -> DayProblem:
-    """The same without these orders."""
+def without_orders(nodes: DayProblem, order_ids: set[str]) -> DayProblem:
+    """Return a copy without these orders."""
     keep = [
         0,
-        *(i for i, o in enumerate(nodes.orders, 1) if o.id not in lost),
+        *(i for i, o in enumerate(nodes.orders, 1) if o.id not in order_ids),
         len(nodes.ned_m) - 1,
     ]
     at = np.ix_(keep, keep)
     problem = nodes.problem
-    legs = tuple(
+    leg_tables = tuple(
         replace(
             of,
             out_s=of.out_s[at],
@@ -207,61 +234,63 @@ def without(nodes: DayProblem, lost: set[str]) -> DayProblem:
             out_hover_s=of.out_hover_s[at],
             back_hover_s=of.back_hover_s[at],
         )
-        for of in problem.legs
+        for of in problem.leg_tables
     )
-    smaller = replace(
+    filtered = replace(
         problem,
         travel_s=problem.travel_s[at],
         deliver_s=problem.deliver_s[keep],
         kinds=tuple(replace(kind, can_serve=kind.can_serve[keep]) for kind in problem.kinds),
-        legs=legs,
+        leg_tables=leg_tables,
         truck_can_serve=problem.truck_can_serve[keep],
-        air=None if problem.air is None else _air_of(problem.air, keep),
+        air=None if problem.air is None else _select_air_nodes(problem.air, keep),
     )
-    orders = tuple(order for order in nodes.orders if order.id not in lost)
+    orders = tuple(order for order in nodes.orders if order.id not in order_ids)
     ned_m = nodes.ned_m[keep]
-    ways = ObstacleRoutes(nodes.obstacles, ned_m[:, :2], nodes.ways.height_m)
-    return replace(nodes, orders=orders, ned_m=ned_m, ways=ways, problem=smaller)
+    routes = ObstacleRoutes(nodes.obstacles, ned_m[:, :2], nodes.routes.height_m)
+    return replace(nodes, orders=orders, ned_m=ned_m, routes=routes, problem=filtered)
 
 
-def _air_of(air: Air, keep: list[int]) -> Air:
+def _select_air_nodes(air: LayeredAirspace, node_indices: list[int]) -> LayeredAirspace:
     return replace(
         air,
-        ne_m=air.ne_m[keep],
-        lowest=air.lowest[keep],
-        layers=air.layers[keep],
-        bends=air.bends[np.ix_(keep, keep)] if len(air.bends) else air.bends,
+        ne_m=air.ne_m[node_indices],
+        lowest=air.lowest[node_indices],
+        layers=air.layers[node_indices],
+        bends=air.bends[np.ix_(node_indices, node_indices)] if len(air.bends) else air.bends,
     )
 
 
-def layer_height_m(cruise_height_m: float, number: int) -> float:
-    """The height of a layer above the depot."""
-    return cruise_height_m + LAYER_GAP_M * number
+def layer_height_m(cruise_height_m: float, layer: int) -> float:
+    """Return the height of a layer above the depot."""
+    return cruise_height_m + LAYER_GAP_M * layer
 
 
-def layers_over(ground_up_m: Floats, cruise_height_m: float) -> tuple[ShortInts, ShortInts]:
-    """By place: the lowest layer with room above the ground, and the first that is too high."""
-    lowest = np.ceil((ground_up_m + LEAST_ROOM_M - cruise_height_m) / LAYER_GAP_M - 1e-9)
-    layers = np.floor((TOP_M + ground_up_m - cruise_height_m) / LAYER_GAP_M) + 1
-    return np.maximum(lowest, 0).astype(np.int32), np.maximum(layers, 0).astype(np.int32)
+def layer_range_by_position(ground_up_m: Floats, cruise_height_m: float) -> tuple[Ints, Ints]:
+    """Return by position: the lowest layer with ground clearance, and the first too high."""
+    lowest = np.ceil((ground_up_m + MIN_LAYER_CLEARANCE_M - cruise_height_m) / LAYER_GAP_M - 1e-9)
+    layers = np.floor((MAX_HEIGHT_AGL_M + ground_up_m - cruise_height_m) / LAYER_GAP_M) + 1
+    return np.maximum(lowest, 0).astype(np.int64), np.maximum(layers, 0).astype(np.int64)
 
 
-def _flags(orders: list[Order], each: list[bool]) -> NDArray[np.bool_]:
-    assert len(each) == len(orders)
-    return np.array([False, *each, False], dtype=np.bool_)
+def _flags_by_node(orders: list[Order], flag_by_order: list[bool]) -> NDArray[np.bool_]:
+    assert len(flag_by_order) == len(orders)
+    return np.array([False, *flag_by_order, False], dtype=np.bool_)
 
 
-def _can_fly(orders: list[Order], drones: DroneClass) -> NDArray[np.bool_]:
-    most_kg = drones.reach.airframe.mass.max_payload_kg
+def _can_fly_by_node(orders: list[Order], drone_class: DroneClass) -> NDArray[np.bool_]:
+    most_kg = drone_class.feasibility.airframe.mass.max_payload_kg
     can = [o.service is not Service.TRUCK and o.mass_kg <= most_kg for o in orders]
-    return _flags(orders, can)
+    return _flags_by_node(orders, can)
 
 
-def _travel_s(data: DayData, orders: list[Order], ned_m: Floats, start_name: str) -> Floats:
-    """The truck's times, by the road matrix or by its speed; 0 from a place to itself."""
+def _truck_travel_matrix_s(
+    data: DayData, orders: list[Order], ned_m: Floats, start_name: str
+) -> Floats:
+    """Return truck travel times by road matrix or speed; 0 from a node to itself."""
     names = [start_name, *(order.id for order in orders), DEPOT]
-    if data.roads_s is not None:
-        roads_s = data.roads_s
+    if data.road_times_s is not None:
+        roads_s = data.road_times_s
         table = [[0.0 if a == b else roads_s[a, b] for b in names] for a in names]
         return np.array(table)
     away = ned_m[None, :, :2] - ned_m[:, None, :2]

@@ -1,7 +1,7 @@
-"""Launch slots: a pad, a drone and a layer for each launch, separated from everybody in the air.
+"""Launch slots: pad, drone and layer of each launch, separated from all airborne flights.
 
-Of the drones aboard, the one whose pads lie best on the way. Of the layers, the lowest in which the
-sortie is separated from all others in the air and for which its energy suffices.
+Of the drones on the truck, select the one whose pads deviate least from the route. Of the layers,
+select the lowest with separation from all airborne sorties and sufficient energy.
 """
 
 from collections.abc import Iterator
@@ -10,34 +10,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.core.base.geo import Ned
-from ground_station.core.deconfliction.pads import StopPads, pad_places
+from ground_station.core.deconfliction.pads import StopPads, unobstructed_pad_positions
 from ground_station.core.deconfliction.separation import OperationalVolume, Proximity, proximity
 from ground_station.core.feasibility.reach import SortieNeed
-from ground_station.core.planning.day_problem import DayProblem, layer_height_m, layers_over
+from ground_station.core.planning.day_problem import (
+    DayProblem,
+    layer_height_m,
+    layer_range_by_position,
+)
 
-MOST_CREWS = 24
-"""So many pairs of pads are tried for a launch."""
+MAX_PAD_CANDIDATES = 24
+"""Maximum number of drone and pad combinations that are tried for a launch."""
 
 Points = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class SortieRequest:
-    """A sortie as the search wants it: nodes of launch and rendezvous, and the kind of drone."""
+    """A sortie as requested by the search: launch and rendezvous nodes, and drone kind."""
 
     customer: int
     kind: int
     launch: int
-    meet: int
+    rendezvous: int
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchSlot:
-    """A sortie with its drone, pads, times and volume; times from the truck's arrival at the
-    start.
-    """
+    """A sortie with drone, pads, times (from the truck's arrival at the start) and volume."""
 
-    wish: SortieRequest
+    request: SortieRequest
     drone: str
     from_pad_ned_m: Ned
     to_pad_ned_m: Ned
@@ -47,145 +49,161 @@ class LaunchSlot:
 
 
 @dataclass(frozen=True, slots=True)
-class Blocked:
-    """No slot now. `until_s`: when the first blocked layer is free; None: no layer has energy or
-    room.
-    """
+class NoSlot:
+    """No slot now. `until_s`: time at which a layer becomes free; None: no layer is feasible."""
 
     until_s: float | None
 
 
 class SlotFinder:
-    """Finds launch slots for one problem; keeps what it has worked out."""
+    """Finds launch slots for one problem; caches proximities, needs and pads."""
 
     def __init__(self, nodes: DayProblem, t0_s: float, start_pads: dict[str, Ned]) -> None:
-        """`t0_s`: when the truck is at the start, in the day's time."""
+        """`t0_s`: day time at which the truck is at the start."""
         self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
         self._cruise_m = nodes.cruise_height_m
-        self._near: dict[tuple[Points, Points, Points, Points], Proximity] = {}
+        self._proximities: dict[tuple[Points, Points, Points, Points], Proximity] = {}
         self._needs: dict[tuple[SortieRequest, Ned, Ned, int], SortieNeed | None] = {}
-        self._places: dict[int, list[Ned]] = {}
+        self._pad_positions: dict[int, list[Ned]] = {}
 
-    def pads_at(self, node: int, *, first: bool) -> StopPads:
-        """The pads of a stop, still free; at the start with those that are promised already."""
-        ned = self._nodes.ned(node)
-        if node not in self._places:
-            self._places[node] = pad_places(ned, self._nodes.obstacles)
-        return StopPads(ned, self._places[node], dict(self._start_pads) if first else {})
+    def stop_pads_at_node(self, node: int, *, is_start: bool) -> StopPads:
+        """Return the pads of a stop: all free; at the start with the promised ones assigned."""
+        ned = self._nodes.ground_ned_m(node)
+        if node not in self._pad_positions:
+            self._pad_positions[node] = unobstructed_pad_positions(ned, self._nodes.obstacles)
+        return StopPads(ned, self._pad_positions[node], dict(self._start_pads) if is_start else {})
 
-    def find(
+    def find_slot(
         self,
-        wish: SortieRequest,
+        request: SortieRequest,
         launched_s: float,
         drones: list[str],
-        pads: dict[int, StopPads],
-        in_air: list[OperationalVolume],
-        layer: int | None = None,
-    ) -> LaunchSlot | Blocked:
-        """A slot for a launch now, beside these: in this layer where it is free, otherwise as low
-        as can be. Whoever takes it assigns its pads.
+        stop_pads_by_node: dict[int, StopPads],
+        airborne_volumes: list[OperationalVolume],
+        preferred_layer: int | None = None,
+    ) -> LaunchSlot | NoSlot:
+        """Find a slot for a launch now, separated from `airborne_volumes`: in `preferred_layer` if
+        free, else in the lowest free layer. The caller assigns the pads.
         """
         best: LaunchSlot | None = None
         until_s: float | None = None
-        for crew in self._crews(wish, drones, pads):
-            found = self._slot(wish, launched_s, crew, in_air, layer)
-            if isinstance(found, Blocked):
+        for candidate in self._drone_and_pad_candidates(request, drones, stop_pads_by_node):
+            found = self._slot_for_candidate(
+                request, launched_s, candidate, airborne_volumes, preferred_layer
+            )
+            if isinstance(found, NoSlot):
                 if found.until_s is not None:
                     until_s = found.until_s if until_s is None else min(until_s, found.until_s)
                 continue
-            if found.volume.low_m == layer_height_m(self._cruise_m, layer or 0):
+            if found.volume.low_m == layer_height_m(self._cruise_m, preferred_layer or 0):
                 return found
             if best is None or found.volume.low_m < best.volume.low_m:
                 best = found
-        return best or Blocked(until_s)
+        return best or NoSlot(until_s)
 
-    def _slot(
+    def _slot_for_candidate(
         self,
-        wish: SortieRequest,
+        request: SortieRequest,
         launched_s: float,
-        crew: tuple[str, Ned, Ned],
-        in_air: list[OperationalVolume],
-        first: int | None,
-    ) -> LaunchSlot | Blocked:
-        drone, here, there = crew
-        shape = self._filled(wish, drone, here, there)
-        beside = [(other, self._near_to(shape, other)) for other in in_air]
+        drone_and_pads: tuple[str, Ned, Ned],
+        airborne_volumes: list[OperationalVolume],
+        preferred_layer: int | None,
+    ) -> LaunchSlot | NoSlot:
+        drone, start_pad, end_pad = drone_and_pads
+        shape = self._volume_without_layer_and_times(request, drone, start_pad, end_pad)
+        proximities = [(other, self._cached_proximity(shape, other)) for other in airborne_volumes]
         until_s: float | None = None
-        for layer in self._layers(wish, here, there, first):
+        for layer in self._candidate_layers(request, start_pad, end_pad, preferred_layer):
             up_m = layer_height_m(self._cruise_m, layer)
             blocking = [
                 other.to_s
-                for other, near_to in beside
-                if near_to.conflict((up_m, up_m), (other.low_m, other.high_m))
+                for other, near_to in proximities
+                if near_to.conflict_reason((up_m, up_m), (other.low_m, other.high_m))
             ]
             if blocking:
                 free_s = max(blocking)
                 until_s = free_s if until_s is None else min(until_s, free_s)
                 continue
-            need = self._need(wish, here, there, layer)
+            need = self._cached_sortie_need_if_feasible(request, start_pad, end_pad, layer)
             if need is None:
                 continue
             from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
             to_s = self._t0_s + landed_s
             volume = replace(shape, low_m=up_m, high_m=up_m, from_s=from_s, to_s=to_s)
-            return LaunchSlot(wish, drone, here, there, launched_s, landed_s, volume)
-        return Blocked(until_s)
+            return LaunchSlot(request, drone, start_pad, end_pad, launched_s, landed_s, volume)
+        return NoSlot(until_s)
 
-    def _crews(
-        self, wish: SortieRequest, drones: list[str], pads: dict[int, StopPads]
+    def _drone_and_pad_candidates(
+        self, request: SortieRequest, drones: list[str], stop_pads_by_node: dict[int, StopPads]
     ) -> list[tuple[str, Ned, Ned]]:
-        """Drones with their pads, those that lie best on the way first."""
-        ned = self._nodes.ned(wish.customer)
-        able: list[tuple[float, str, Ned, Ned]] = []
-        placed = pads[wish.launch].of.keys() | pads[wish.meet].of.keys()
-        fresh = [drone for drone in sorted(drones) if drone not in placed]
-        for drone in [*fresh[:1], *placed.intersection(drones)]:  # without pads all are alike
-            for off_rad, here in pads[wish.launch].ranked(drone, ned):
-                if wish.meet == wish.launch:
-                    able.append((2.0 * off_rad, drone, here, here))
+        """Return drones with pads, sorted by deviation from the direct route."""
+        ned = self._nodes.ground_ned_m(request.customer)
+        candidates: list[tuple[float, str, Ned, Ned]] = []
+        assigned = (
+            stop_pads_by_node[request.launch].pad_by_drone.keys()
+            | stop_pads_by_node[request.rendezvous].pad_by_drone.keys()
+        )
+        unassigned = [drone for drone in sorted(drones) if drone not in assigned]
+        for drone in [
+            *unassigned[:1],
+            *assigned.intersection(drones),
+        ]:  # drones without pads are interchangeable
+            for off_rad, start_pad in stop_pads_by_node[
+                request.launch
+            ].pads_ranked_by_route_angle_rad(drone, ned):
+                if request.rendezvous == request.launch:
+                    candidates.append((2.0 * off_rad, drone, start_pad, start_pad))
                     continue
-                for back_rad, there in pads[wish.meet].ranked(drone, ned):
-                    able.append((off_rad + back_rad, drone, here, there))
-        able.sort()
-        return [one[1:] for one in able[:MOST_CREWS]]
+                for back_rad, end_pad in stop_pads_by_node[
+                    request.rendezvous
+                ].pads_ranked_by_route_angle_rad(drone, ned):
+                    candidates.append((off_rad + back_rad, drone, start_pad, end_pad))
+        candidates.sort()
+        return [one[1:] for one in candidates[:MAX_PAD_CANDIDATES]]
 
-    def _layers(
-        self, wish: SortieRequest, here: Ned, there: Ned, first: int | None
+    def _candidate_layers(
+        self, request: SortieRequest, start_pad: Ned, end_pad: Ned, preferred_layer: int | None
     ) -> Iterator[int]:
-        """Layers with room for this sortie: the first, and the others from the lowest up."""
-        grounds_m = np.array([-p[2] for p in (here, self._nodes.ned(wish.customer), there)])
-        lowest, layers = layers_over(grounds_m, self._cruise_m)
+        """Yield the sortie's available layers: `preferred_layer`, then the lowest first."""
+        grounds_m = np.array(
+            [-p[2] for p in (start_pad, self._nodes.ground_ned_m(request.customer), end_pad)]
+        )
+        lowest, layers = layer_range_by_position(grounds_m, self._cruise_m)
         fit = range(int(lowest.max()), int(layers.min()))
-        if first is not None and first in fit:
-            yield first
-        yield from (layer for layer in fit if layer != first)
+        if preferred_layer is not None and preferred_layer in fit:
+            yield preferred_layer
+        yield from (layer for layer in fit if layer != preferred_layer)
 
-    def _need(self, wish: SortieRequest, here: Ned, there: Ned, layer: int) -> SortieNeed | None:
-        """Its need in this layer; None where that is more than there is."""
-        key = (wish, here, there, layer)
+    def _cached_sortie_need_if_feasible(
+        self, request: SortieRequest, start_pad: Ned, end_pad: Ned, layer: int
+    ) -> SortieNeed | None:
+        """Return the sortie's need in this layer; None if the energy is insufficient."""
+        key = (request, start_pad, end_pad, layer)
         if key not in self._needs:
             nodes = self._nodes
-            reach = nodes.classes[wish.kind].reach
-            self._needs[key] = reach.affordable(
-                nodes.orders[wish.customer - 1].mass_kg,
-                here,
-                nodes.ned(wish.customer),
-                there,
+            feasibility = nodes.classes[request.kind].feasibility
+            self._needs[key] = feasibility.sortie_need_if_feasible(
+                nodes.orders[request.customer - 1].mass_kg,
+                start_pad,
+                nodes.ground_ned_m(request.customer),
+                end_pad,
                 layer_height_m(self._cruise_m, layer),
-                nodes.ways.via(wish.launch, wish.customer),
-                nodes.ways.via(wish.customer, wish.meet),
+                nodes.routes.waypoints_between(request.launch, request.customer),
+                nodes.routes.waypoints_between(request.customer, request.rendezvous),
             )
         return self._needs[key]
 
-    def _filled(self, wish: SortieRequest, drone: str, here: Ned, there: Ned) -> OperationalVolume:
-        """Its volume on the ground, without layer and times yet."""
+    def _volume_without_layer_and_times(
+        self, request: SortieRequest, drone: str, start_pad: Ned, end_pad: Ned
+    ) -> OperationalVolume:
+        """Return the sortie's ground shape as a volume without layer and times."""
         nodes = self._nodes
-        points = (here, nodes.ned(wish.customer), there)
-        out = nodes.ways.via(wish.launch, wish.customer)
-        back = nodes.ways.via(wish.customer, wish.meet)
+        points = (start_pad, nodes.ground_ned_m(request.customer), end_pad)
+        out = nodes.routes.waypoints_between(request.launch, request.customer)
+        back = nodes.routes.waypoints_between(request.customer, request.rendezvous)
         return OperationalVolume(
             vehicle=drone,
-            order=nodes.orders[wish.customer - 1].id,
+            order=nodes.orders[request.customer - 1].id,
             ground_ne_m=tuple(p[:2] for p in points) + out + back,
             columns_ne_m=tuple(p[:2] for p in dict.fromkeys(points)),
             low_m=0.0,
@@ -194,8 +212,8 @@ class SlotFinder:
             to_s=0.0,
         )
 
-    def _near_to(self, one: OperationalVolume, other: OperationalVolume) -> Proximity:
+    def _cached_proximity(self, one: OperationalVolume, other: OperationalVolume) -> Proximity:
         key = (one.ground_ne_m, one.columns_ne_m, other.ground_ne_m, other.columns_ne_m)
-        if key not in self._near:
-            self._near[key] = proximity(one, other)
-        return self._near[key]
+        if key not in self._proximities:
+            self._proximities[key] = proximity(one, other)
+        return self._proximities[key]

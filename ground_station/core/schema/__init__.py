@@ -1,14 +1,19 @@
-"""The data of a day: its file, its orders, its plan, and what has become of them."""
+"""The data of a day: its file, its orders, its plan, and their states."""
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_exports
+from companion.core.base.lazy_exports import lazy_import_getattr
 
 if TYPE_CHECKING:
     from ground_station.core.schema.day import Day, DayFilesError, Depot, Drone, Forecast, Truck
     from ground_station.core.schema.day_data import DayData
-    from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, Unplanned
-    from ground_station.core.schema.day_state import DayState, first_state
+    from ground_station.core.schema.day_plan import (
+        DayPlan,
+        PlannedSortie,
+        PlannedStop,
+        UnplannedOrder,
+    )
+    from ground_station.core.schema.day_state import DayState, initial_state
     from ground_station.core.schema.order_states import OrderState, Service
     from ground_station.core.schema.orders import Order
 
@@ -27,11 +32,11 @@ __all__ = [
     "PlannedStop",
     "Service",
     "Truck",
-    "Unplanned",
-    "first_state",
+    "UnplannedOrder",
+    "initial_state",
 ]
 
-__getattr__ = lazy_exports(
+__getattr__ = lazy_import_getattr(
     __name__,
     {
         "Day": "day",
@@ -48,7 +53,7 @@ __getattr__ = lazy_exports(
         "PlannedStop": "day_plan",
         "Service": "order_states",
         "Truck": "day",
-        "Unplanned": "day_plan",
-        "first_state": "day_state",
+        "UnplannedOrder": "day_plan",
+        "initial_state": "day_state",
     },
 )

@@ -7,31 +7,31 @@ from typing import Literal
 import msgspec
 
 from companion.core.base.errors import LeewayError, check_range
-from companion.core.base.place import Place
-from companion.core.base.safe_text import one_line
+from companion.core.base.location import Location
+from companion.core.base.safe_text import flatten_to_one_line
 from companion.core.base.wire_message import Name
-from companion.core.mission.flight_file import Mission, Terrain, check_neighbours
+from companion.core.mission.flight_file import Mission, Terrain, check_neighbour_fleets
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C, Air, standard_air
-from companion.fleet.topics import checked_name
+from companion.fleet.topics import require_valid_name
 
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
-    """One mistake in a file: where (row 1 is the header) and what was expected."""
+    """One error in a file: position (row 1 is the header) and expected content."""
 
     file: str
     row: int | None
     column: str | None
-    words: str
+    text: str
 
     def __str__(self) -> str:
         row = f", row {self.row}" if self.row is not None else ""
         column = f", column {self.column}" if self.column else ""
-        return one_line(f"{self.file}{row}{column}: {self.words}")
+        return flatten_to_one_line(f"{self.file}{row}{column}: {self.text}")
 
 
 class DayFilesError(LeewayError):
-    """Everything that is wrong in the day's files, one line each."""
+    """All errors in the day's files, one line each."""
 
     def __init__(self, problems: list[FileProblem]) -> None:
         self.problems = problems
@@ -50,17 +50,17 @@ class Drone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     temperature_c: float = 20.0
     """The pack's temperature."""
     battery_health_frac: float = 1.0
-    """What is left of the pack's capacity, of a new one's."""
+    """Remaining capacity of the pack as a fraction of a new one's."""
 
     def __post_init__(self) -> None:
         check_range(f"drones.{self.id}.charge_frac", self.charge_frac, 0.05, 1.0)
         check_range(f"drones.{self.id}.temperature_c", self.temperature_c, -30.0, 60.0)
         check_range(f"drones.{self.id}.battery_health_frac", self.battery_health_frac, 0.3, 1.0)
-        checked_name("drones.id", self.id)
+        require_valid_name("drones.id", self.id)
 
 
 class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The truck, and the times of its driver, who does one thing at a time.
+    """The truck, and the times of its driver, who does one task at a time.
 
     Launch and recovery times are as in Murray and Raj, Transportation Research C 110, 2020.
     """
@@ -68,19 +68,17 @@ class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     speed_mps: float = 8.0
     """Speed on the road."""
     detour_factor: float = 1.3
-    """Length of the road over the straight line, where no road matrix is given."""
+    """Length of the road over the straight line, used without a road matrix."""
     capacity_kg: float = 800.0
-    """All that rides on the truck: the drones' parcels too."""
+    """Maximum load of the truck, including the drones' parcels."""
     deliver_s: float = 90.0
-    """The driver brings a parcel to the door."""
+    """Time for the driver to deliver a parcel to the door."""
     launch_s: float = 60.0
-    """The driver puts a drone with its parcel onto its pad."""
+    """Time for the driver to put a drone with its parcel on its pad."""
     recover_s: float = 30.0
-    """The driver takes a drone aboard again and gives it a fresh pack."""
+    """Time for the driver to collect a drone and swap its pack."""
     ready_s: float = 60.0
-    """From the pad to take-off, without the driver: the drone finds its position, takes its
-    mission and checks it.
-    """
+    """Time from the pad to take-off, without the driver: position fix, mission upload, checks."""
 
     def __post_init__(self) -> None:
         check_range("truck.speed_mps", self.speed_mps, 0.5, 40.0)
@@ -93,21 +91,21 @@ class Truck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The wind at cruise height that the desk plans with: of a file, or else constant."""
+    """The wind at cruise height that the desk plans with: from a file, or constant."""
 
     file: str | None = None
-    """A forecast: GRIB2 (needs the extra `weather`), or Open-Meteo's JSON. Not beside `speed_mps`,
+    """A forecast: GRIB2 (needs the extra `weather`), or Open-Meteo's JSON. Excludes `speed_mps`,
     `from_deg` and `std_mps`.
     """
     speed_mps: float = 0.0
     """Mean wind at cruise height."""
     from_deg: float = 0.0
-    """Where it blows from, clockwise from north."""
+    """Direction that the wind blows from, clockwise from north."""
     std_mps: float = 2.0
-    """How wrong the forecast may be (one sigma)."""
+    """Standard error of the forecast (one sigma)."""
     air_temperature_c: float | None = None
-    """Of the air at the depot; every flight file states it. Absent: the standard atmosphere's at
-    the depot's height, and vehicles go by their own barometers.
+    """Air temperature at the depot; every flight file states it. Absent: the standard atmosphere at
+    the depot's height, and vehicles use their own barometers.
     """
 
     def __post_init__(self) -> None:
@@ -120,25 +118,25 @@ class Forecast(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     @property
     def to_ne_mps(self) -> tuple[float, float]:
-        """Where the air moves to, north and east."""
+        """Direction of air motion, north and east."""
         angle = math.radians(self.from_deg)
         return -self.speed_mps * math.cos(angle), -self.speed_mps * math.sin(angle)
 
 
 class WindStation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A fixed place where the wind is measured."""
+    """A fixed site where the wind is measured."""
 
     id: Name
-    """Its name: on the fleet's network it is its identity's."""
+    """Name of the station; on the fleet's network, the name of its identity."""
     lat_deg: float
     """Latitude."""
     lon_deg: float
     """Longitude."""
     height_m: float
-    """Of its anemometer above the ground."""
+    """Height of the anemometer above the ground."""
     file: str | None = None
-    """A CSV file that it appends to (`docs/how-to/wind-stations.md`). Absent: it tells on the
-    fleet's network.
+    """A CSV file to which the station appends (`docs/how-to/wind-stations.md`). Absent: it
+    publishes on the fleet's network.
     """
 
     def __post_init__(self) -> None:
@@ -148,7 +146,7 @@ class WindStation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where truck and drones start."""
+    """Start of the truck and the drones."""
 
     lat_deg: float
     """Latitude."""
@@ -157,7 +155,7 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     alt_amsl_m: float
     """Height of the ground above mean sea level."""
     terrain: Terrain | None = None
-    """Ground height around the depot, for orders that state none; `elevation` goes before it."""
+    """Ground height around the depot, for orders without one; `elevation` takes precedence."""
 
     def __post_init__(self) -> None:
         check_range("depot.lat_deg", self.lat_deg, -85.0, 85.0)
@@ -167,29 +165,29 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             raise LeewayError('depot.terrain.kind: expected "flat" or "plane"')
 
     @property
-    def place(self) -> Place:
-        """As a flight file's place."""
-        return Place(
+    def location(self) -> Location:
+        """The depot as a position of a flight file."""
+        return Location(
             name="depot", lat_deg=self.lat_deg, lon_deg=self.lon_deg, alt_amsl_m=self.alt_amsl_m
         )
 
 
 class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `day/1` file: a day of deliveries. The files that it names lie beside it."""
+    """A `day/1` file: a day of deliveries. Its files are in the same folder."""
 
     format: Literal["day/1"]
     """The kind of file and its version."""
     depot: Depot
-    """Where truck and drones start."""
+    """Start of the truck and the drones."""
     drones: list[Drone]
-    """The drones, each with an `id` of its own."""
+    """The drones, each with a unique `id`."""
     name: str = "day"
     """The day's name."""
     fleet: str = "fleet"
-    """The fleet's name, as companions are started with."""
+    """The fleet's name, as in the start command of the companions."""
     neighbours: list[Name] = []
-    """Other fleets whose drones may be near in the air, and name this one in their day: vehicles
-    hear their tracks and, with `--keep-apart`, keep apart from their drones.
+    """Other fleets whose drones may be nearby in the air, and whose day names this fleet: vehicles
+    receive their tracks and, with `--keep-apart`, avoid their drones.
     """
     orders: list[str] = []
     """Files of orders, CSV or GeoJSON."""
@@ -198,8 +196,8 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     (`docs/how-to/geo-zones.md`).
     """
     elevation: list[str] = []
-    """GeoTIFF tiles of the ground (needs the extra `terrain`): heights of orders that state none,
-    and each flight's strip of ground.
+    """GeoTIFF tiles of the ground (needs the extra `terrain`): heights of orders without one, and
+    each flight's strip of ground.
     """
     roads: str | None = None
     """CSV matrix of driving times in seconds between the depot and the orders."""
@@ -210,39 +208,39 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     forecast: Forecast = Forecast()
     """The wind that the desk plans with."""
     stations: list[WindStation] = []
-    """Wind stations that the desk hears."""
+    """Wind stations that the desk uses."""
     wind_limit_mps: float | None = None
-    """Wind aloft, as drones in the air tell it, at which the desk launches nothing. Absent: three
-    quarters of the top airspeed of the slowest drone.
+    """Wind aloft, as reported by airborne drones, at which the desk launches no drone. Absent:
+    three quarters of the top airspeed of the slowest drone.
     """
     watch_fronts: bool = True
-    """Whether the desk looks for fronts in what drones tell. False over steep ground: the wind
-    behind a hill would be taken for one. `watch` knows no day, and looks all the same.
+    """Whether the desk detects fronts in the wind reports. False over steep ground, where the wind
+    behind a hill resembles a front. `watch` knows no day and always detects fronts.
     """
-    rally: list[Place] = []
-    """Places where a drone may land if it cannot come home."""
+    rally: list[Location] = []
+    """Positions where a drone may land if it cannot return home."""
 
     def __post_init__(self) -> None:
-        checked_name("fleet", self.fleet)
-        check_neighbours("neighbours", self.neighbours)
+        require_valid_name("fleet", self.fleet)
+        check_neighbour_fleets("neighbours", self.neighbours)
         if self.fleet in self.neighbours:
             raise LeewayError(f"neighbours: {self.fleet} is this day's own fleet")
         if self.wind_limit_mps is not None:
             check_range("wind_limit_mps", self.wind_limit_mps, 1.0, 40.0)
         names = [drone.id for drone in self.drones]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise LeewayError(f"drones.id: {', '.join(twice)} more than once")
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise LeewayError(f"drones.id: {', '.join(duplicates)} more than once")
         names += [station.id for station in self.stations]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise LeewayError(f"stations.id: {', '.join(twice)} more than once, or a drone's")
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise LeewayError(f"stations.id: {', '.join(duplicates)} more than once, or a drone's")
 
     @property
-    def air(self) -> Air:
-        """The air that the desk prices flights in: nobody at the depot has measured it."""
+    def standard_air_at_depot(self) -> Air:
+        """The air that the desk prices flights in; no measurement at the depot exists."""
         return standard_air(self.depot.alt_amsl_m, self.forecast.air_temperature_c)
 
-    def drone(self, id_: str) -> Drone | None:
-        """The drone of this name."""
+    def find_drone(self, id_: str) -> Drone | None:
+        """Return the drone of this name."""
         return next((drone for drone in self.drones if drone.id == id_), None)

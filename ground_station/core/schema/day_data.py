@@ -1,12 +1,12 @@
-"""A day with everything that its files contain."""
+"""A day with the contents of its files."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from companion.core.base.geo import LocalFrame, Obstacle
-from companion.core.base.obstacle_document import obstacles_of, reach_note
-from companion.core.mission.flight_plan import frame_at
+from companion.core.base.obstacle_document import features_within_reach_note, parse_obstacles
+from companion.core.mission.flight_plan import depot_frame
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast
@@ -19,31 +19,31 @@ DEPOT = "depot"
 
 @dataclass(frozen=True, slots=True)
 class DayData:
-    """The day and its files. `no_fly` is the document: GeoJSON, ED-269 or ED-318.
+    """The day and its files. `no_fly`: the document, GeoJSON, ED-269 or ED-318.
 
-    `roads_s`: seconds from one place (`depot`, or an order's id) to another; None: by the truck's
-    speed. `elevation`: of the ground about the depot, where the day names tiles. `forecast`: of a
-    file; `day.forecast` is its wind at the day's beginning. `folder`: where the files lie.
+    `road_times_s`: seconds between sites (`depot`, or an order's id); None: computed from the
+    truck's speed. `elevation`: the ground about the depot, where the day names tiles. `forecast`:
+    of a file; `day.forecast` is its wind at the start of the day. `folder`: folder of the files.
     """
 
     day: Day
     orders: list[Order]
     no_fly: dict[str, Any] | None
     airframes: dict[str, Airframe]
-    roads_s: dict[tuple[str, str], float] | None
+    road_times_s: dict[tuple[str, str], float] | None
     elevation: SiteElevation | None = None
     forecast: DayForecast | None = None
     folder: Path = Path()
 
-    def obstacles(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
-        """What the day's flights must keep out of, on the day's terms."""
+    def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
+        """Return the obstacles that the day's flights must avoid under the day's zone terms."""
         if self.no_fly is None:
             return ()
-        return obstacles_of(frame, self.no_fly, self.day.mission.zone_terms)
+        return parse_obstacles(frame, self.no_fly, self.day.mission.zone_authorisation)
 
-    def reach_note(self) -> str:
-        """State how many of the day's zones and obstacles lie within reach; `""`: all do."""
+    def nearby_feature_note(self) -> str:
+        """State how many of the day's zones and obstacles are within reach; `""`: all."""
         if self.no_fly is None:
             return ""
-        note = reach_note(frame_at(self.day.depot.place), self.no_fly)
+        note = features_within_reach_note(depot_frame(self.day.depot.location), self.no_fly)
         return note and f"{self.day.no_fly}: {note}"

@@ -1,4 +1,4 @@
-"""The forecast of a day's file: the wind at a time of the day, as the planner prices with it."""
+"""The forecast of a day's file: the wind at a time of the day, as used by the planner."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,125 +12,131 @@ from ground_station.core.weather.forecast_field import (
     ForecastField,
     OutsideForecast,
     WindAt,
-    utc_words,
+    format_utc,
 )
 
-LEAST_STD_MPS, MOST_STD_MPS, MOST_SPEED_MPS = 0.1, 10.0, 40.0
-"""What `day/1` can state; nothing of ours flies in a stronger wind."""
+MIN_STD_MPS, MAX_STD_MPS, MAX_SPEED_MPS = 0.1, 10.0, 40.0
+"""Ranges of `day/1`; no supported drone flies in a stronger wind."""
 
 
-FORGOTTEN_S = 3.0 * 3600.0
-"""What a forecast is off by now says less of later: its share falls by e in so long. Stated by us:
-errors of the wind of limited-area models go together over some hours.
+BIAS_DECAY_S = 3.0 * 3600.0
+"""Decay time of a forecast's bias: its weight falls by a factor e. An assumption of this project;
+errors of limited-area models correlate over some hours.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class ForecastBias:
-    """How far a forecast is off: what was felt less what was forecast, north and east.
+    """Bias of a forecast: measured minus forecast wind, north and east.
 
-    Known at the day's time `t_s` to within `std_mps` (one sigma of each component). `lasts`: it is
-    more than the forecast's own error, so it is taken to stay.
+    Known at the day's time `day_s` to within `std_mps` (one sigma of each component).
+    `is_persistent`: it exceeds the forecast's own error, so it is assumed to persist.
     """
 
     t_s: float
     ne_mps: tuple[float, float]
     std_mps: float
-    lasts: bool = False
+    is_persistent: bool = False
 
-    def corrected(self, wind: WindAt, t_s: float) -> WindAt:
-        """The wind forecast for a time, less the bias as far as it still says something.
+    def corrected_wind(self, wind: WindAt, t_s: float) -> WindAt:
+        """Return the wind forecast for a time, corrected by the bias with its weight at that time.
 
-        The forecast's error is an Ornstein-Uhlenbeck process that was seen at `t_s` (Gardiner,
-        Handbook of Stochastic Methods, 1985, 4.4.4): mean and variance of it, given that.
+        The forecast's error is an Ornstein-Uhlenbeck process observed at `day_s` (Gardiner,
+        Handbook of Stochastic Methods, 1985, 4.4.4): its conditional mean and variance.
         """
-        share = math.exp(-abs(t_s - self.t_s) / FORGOTTEN_S)
-        carried = 1.0 if self.lasts else share
-        north, east = (w + carried * b for w, b in zip(wind.to_ne_mps, self.ne_mps, strict=True))
-        fresh_mps = max(wind.std_mps, math.hypot(*self.ne_mps)) if self.lasts else wind.std_mps
-        std_mps = math.hypot(share * self.std_mps, math.sqrt(1.0 - share**2) * fresh_mps)
+        share = math.exp(-abs(t_s - self.t_s) / BIAS_DECAY_S)
+        bias_weight = 1.0 if self.is_persistent else share
+        north, east = (
+            w + bias_weight * b for w, b in zip(wind.to_ne_mps, self.ne_mps, strict=True)
+        )
+        stationary_std_mps = (
+            max(wind.std_mps, math.hypot(*self.ne_mps)) if self.is_persistent else wind.std_mps
+        )
+        std_mps = math.hypot(share * self.std_mps, math.sqrt(1.0 - share**2) * stationary_std_mps)
         return WindAt((north, east), std_mps)
 
 
 @dataclass(frozen=True, slots=True)
 class DayForecast:
-    """A forecast at the day's depot. `at_s`: when the day begins, Unix seconds.
+    """A forecast at the day's depot. `day_start_s`: start of the day, Unix seconds.
 
-    `air_temperature_c`: as the day states it. `bias`: what the fleet felt against it. `file`: where
-    it was read from.
+    `air_temperature_c`: as the day states it. `bias`: from the fleet's measurements. `file`: its
+    source.
     """
 
     field: ForecastField
-    at_s: float
+    day_start_s: float
     lat_deg: float
     lon_deg: float
     air_temperature_c: float | None = None
     bias: ForecastBias | None = None
     file: str = ""
 
-    def wind(
-        self, t_s: float, height_m: float, ne_m: tuple[float, float] = (0.0, 0.0)
+    def wind_at_day_time(
+        self, day_s: float, height_m: float, ne_m: tuple[float, float] = (0.0, 0.0)
     ) -> WindAt | OutsideForecast:
-        """The wind `t_s` after the day's beginning, at a height above ground, over a place in
-        metres about the depot. A forecast of a single point is the whole site's.
+        """Return the wind `day_s` after the start of the day, at a height above ground, at a
+        position in metres about the depot. A forecast of a single point applies to the whole site.
         """
-        lat_deg, lon_deg = self._place_deg(ne_m)
-        found = self.field.at(self.at_s + t_s, height_m, lat_deg, lon_deg)
+        lat_deg, lon_deg = self._lat_lon_deg(ne_m)
+        found = self.field.wind_at_unix_time(self.day_start_s + day_s, height_m, lat_deg, lon_deg)
         if found is None:
-            when = utc_words(self.at_s + t_s)
+            when = format_utc(self.day_start_s + day_s)
             return OutsideForecast(f"no wind at {height_m:.0f} m is forecast for {when}")
         if isinstance(found, OutsideForecast) or self.bias is None:
             return found
-        return self.bias.corrected(found, t_s)
+        return self.bias.corrected_wind(found, day_s)
 
-    def _place_deg(self, ne_m: tuple[float, float]) -> tuple[float, float]:
-        if self.field.is_point or ne_m == (0.0, 0.0):
+    def _lat_lon_deg(self, ne_m: tuple[float, float]) -> tuple[float, float]:
+        if self.field.has_single_position or ne_m == (0.0, 0.0):
             return self.lat_deg, self.lon_deg
         frame = LocalFrame(math.radians(self.lat_deg), math.radians(self.lon_deg), 0.0)
         lat_rad, lon_rad, _ = frame.to_geodetic((ne_m[0], ne_m[1], 0.0))
         return math.degrees(lat_rad), math.degrees(lon_rad)
 
-    def constant(
-        self, t_s: float, height_m: float, ne_m: tuple[float, float] = (0.0, 0.0)
+    def constant_wind_at_day_time(
+        self, day_s: float, height_m: float, ne_m: tuple[float, float] = (0.0, 0.0)
     ) -> Forecast | OutsideForecast:
-        """The same as the constant wind of a day."""
-        found = self.wind(t_s, height_m, ne_m)
+        """Return the same as the constant wind of a day."""
+        found = self.wind_at_day_time(day_s, height_m, ne_m)
         if isinstance(found, OutsideForecast):
             return found
         return Forecast(
-            speed_mps=min(found.speed_mps, MOST_SPEED_MPS),
+            speed_mps=min(found.speed_mps, MAX_SPEED_MPS),
             from_deg=found.from_deg,
-            std_mps=min(max(found.std_mps, LEAST_STD_MPS), MOST_STD_MPS),
+            std_mps=min(max(found.std_mps, MIN_STD_MPS), MAX_STD_MPS),
             air_temperature_c=self.air_temperature_c,
         )
 
     @property
-    def left_s(self) -> float:
-        """From the day's beginning to the forecast's end."""
-        return self.field.until_s - self.at_s
+    def forecast_end_day_s(self) -> float:
+        """Time from the start of the day to the forecast's end."""
+        return self.field.end_unix_s - self.day_start_s
 
-    def counted_from(self, at_s: float) -> "DayForecast":
-        """The same by a day that begins at another time (Unix seconds)."""
-        bias, later_s = self.bias, self.at_s - at_s
-        moved = None if bias is None else replace(bias, t_s=bias.t_s + later_s)
-        return replace(self, at_s=at_s, bias=moved)
+    def with_day_start(self, day_start_unix_s: float) -> "DayForecast":
+        """Return the same for a day that starts at another time (Unix seconds)."""
+        bias, shift_s = self.bias, self.day_start_s - day_start_unix_s
+        moved = None if bias is None else replace(bias, t_s=bias.t_s + shift_s)
+        return replace(self, day_start_s=day_start_unix_s, bias=moved)
 
-    def clock(self, t_s: float) -> str:
-        """A time of the day for people: its date and time of day, UTC."""
-        return utc_words(self.at_s + t_s)
+    def format_utc_date_and_time(self, day_s: float) -> str:
+        """Format a time of the day: date and time, UTC."""
+        return format_utc(self.day_start_s + day_s)
 
 
-def forecast_of(
-    day: Day, field: ForecastField, at_s: float, file: str = ""
+def day_with_forecast_field(
+    day: Day, field: ForecastField, day_start_unix_s: float, file: str = ""
 ) -> tuple[Day, DayForecast]:
-    """The day with the wind at its beginning, at cruise height, and the forecast for later.
+    """Return the day with the wind at its start, at cruise height, and the forecast for later.
 
-    LeewayError where the forecast does not reach the depot, the height or the time.
+    Raises LeewayError if the forecast does not cover the depot, the height or the time.
     """
     depot = day.depot
-    stated_c = day.forecast.air_temperature_c
-    forecast = DayForecast(field, at_s, depot.lat_deg, depot.lon_deg, stated_c, file=file)
-    wind = forecast.constant(0.0, day.mission.cruise_height_m)
+    air_temperature_c = day.forecast.air_temperature_c
+    forecast = DayForecast(
+        field, day_start_unix_s, depot.lat_deg, depot.lon_deg, air_temperature_c, file=file
+    )
+    wind = forecast.constant_wind_at_day_time(0.0, day.mission.cruise_height_m)
     if isinstance(wind, OutsideForecast):
-        raise LeewayError(wind.why)
+        raise LeewayError(wind.reason)
     return msgspec.structs.replace(day, forecast=wind), forecast

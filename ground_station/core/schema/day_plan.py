@@ -1,9 +1,9 @@
-"""The day plan (`day-plan/1`, JSON) that planner, desk, simulator and people share.
+"""The day plan (`day-plan/1`, JSON) shared by planner, desk, simulator and operators.
 
-Times are seconds after the truck leaves the depot for the first time. Stops are in the order of the
-truck's route; the first and the last are the depot. A sortie's home is a stop that the truck
-promises (safety rule 3): the truck is there before the drone lands, and stays until the drone is
-down or has confirmed another home.
+Times are seconds after the truck first leaves the depot. Stops are in the order of the truck's
+route; the first and the last are the depot. A sortie's home is a stop that the truck promises
+(safety rule 3): the truck is there before the drone lands, and stays until the drone has landed or
+has confirmed another home.
 """
 
 from typing import Annotated, Literal
@@ -11,44 +11,44 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from companion.core.base.wire_message import Name
-from companion.fleet.messages import Id, Words
+from companion.fleet.messages import Id, OperatorText
 
 Seconds = Annotated[float, Meta(ge=0.0)]
 Metres = Annotated[float, Meta(gt=0.0)]
 
 
-class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Unknown fields are refused."""
+class _StrictStruct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base class that refuses unknown fields."""
 
 
-class PlannedStop(_Part, frozen=True, kw_only=True):
-    """A place where the truck stands for a while."""
+class PlannedStop(_StrictStruct, frozen=True, kw_only=True):
+    """A stop of the truck."""
 
     id: Id
     """The stop's name."""
-    place: Place
-    """Where the truck stands."""
+    location: Location = msgspec.field(name="place")
+    """Position of the truck."""
     arrive_s: Seconds
-    """When the truck comes."""
+    """Arrival of the truck."""
     depart_s: Seconds
-    """When it leaves."""
+    """Departure of the truck."""
     serves: list[Id] = []
-    """Orders that the driver brings from here."""
-    pads: dict[Name, Place] = {}
-    """Where each drone stands for launch and landing, apart enough for two to go up and down
-    at once.
+    """Orders that the driver delivers from here."""
+    pads: dict[Name, Location] = {}
+    """Pad of each drone for launch and landing. The spacing lets two drones climb and descend at
+    once.
     """
 
 
-class PlannedSortie(_Part, frozen=True, kw_only=True):
+class PlannedSortie(_StrictStruct, frozen=True, kw_only=True):
     """One flight: `order` by `vehicle`, from the pad at stop `launch` to that at stop `home`."""
 
     order: Id
-    """The order that is brought."""
+    """The delivered order."""
     vehicle: Name
-    """The drone that brings it."""
+    """The drone that delivers it."""
     launch: Id
     """The stop where it takes off."""
     home: Id
@@ -58,35 +58,35 @@ class PlannedSortie(_Part, frozen=True, kw_only=True):
     land_s: Seconds
     """Expected touchdown."""
     outbound_height_m: Metres
-    """Layer of the way out, above the launch pad (safety rule 7)."""
+    """Layer of the outbound route, above the launch pad (safety rule 7)."""
     return_height_m: Metres
-    """Layer of the way back, above the launch pad (safety rule 7)."""
+    """Layer of the return route, above the launch pad (safety rule 7)."""
     energy_wh: Seconds
-    """What the flight is expected to use."""
-    sure_wh: Seconds
-    """What it uses at the accepted loss."""
+    """Expected energy use."""
+    required_wh: Seconds = msgspec.field(name="sure_wh")
+    """Energy use at the accepted loss."""
     usable_wh: Seconds
-    """What it may use."""
-    others: list[Id] = []
-    """Further stops that it could land at, should the truck promise them."""
+    """Usable energy."""
+    alternative_stops: list[Id] = msgspec.field(default_factory=list, name="others")
+    """Alternative landing stops, in case the truck promises them."""
 
 
-class Unplanned(_Part, frozen=True, kw_only=True):
-    """An order that nobody can bring as things are, and what would make it possible."""
+class UnplannedOrder(_StrictStruct, frozen=True, kw_only=True):
+    """An order that cannot be delivered under present conditions, and the remedy."""
 
     order: Id
     """The order."""
-    why: Words
-    """Why nobody can bring it."""
-    remedy: Words
-    """What would make it possible."""
+    reason: OperatorText = msgspec.field(name="why")
+    """Cause that prevents the delivery."""
+    remedy: OperatorText
+    """Change that would make the delivery possible."""
 
 
-class DayPlan(_Part, frozen=True, kw_only=True):
+class DayPlan(_StrictStruct, frozen=True, kw_only=True):
     """A `day-plan/1` file: the truck's stops and the drones' flights of a day.
 
-    Times are seconds after the truck first leaves the depot. `policy`, `seed` and `trials` make it
-    again.
+    Times are seconds after the truck first leaves the depot. `policy`, `seed` and `trials`
+    reproduce it.
     """
 
     format: Literal["day-plan/1"]
@@ -94,31 +94,31 @@ class DayPlan(_Part, frozen=True, kw_only=True):
     day: str
     """The day's name."""
     policy: str
-    """What made the plan."""
+    """The planning policy."""
     seed: int
     """Seed of the search."""
     trials: int
     """Trials of the search."""
     makespan_s: Seconds
-    """When the truck is back with everything done."""
+    """Return of the truck with all orders delivered."""
     stops: list[PlannedStop]
     """The truck's route; the first and the last stop are the depot."""
     sorties: list[PlannedSortie]
     """The drones' flights."""
-    unplanned: list[Unplanned] = []
-    """Orders that nobody can bring."""
+    unplanned: list[UnplannedOrder] = []
+    """Orders that cannot be delivered."""
     revision: Annotated[int, Meta(ge=0)] = 0
-    """Counts re-plans of one day."""
+    """Number of re-plans of this day."""
 
-    def stop(self, id_: str) -> PlannedStop:
-        """The stop of this id. Raises KeyError where there is none."""
+    def get_stop(self, id_: str) -> PlannedStop:
+        """Return the stop with this id. Raises KeyError if there is none."""
         for stop in self.stops:
             if stop.id == id_:
                 return stop
         raise KeyError(id_)
 
 
-def since_start(t_s: float) -> str:
-    """A time of the plan for people: minutes and seconds since its start, as 4:05."""
-    minutes, seconds = divmod(round(t_s), 60)
+def format_minutes_and_seconds(plan_time_s: float) -> str:
+    """Format a time of the plan: minutes and seconds since its start, as 4:05."""
+    minutes, seconds = divmod(round(plan_time_s), 60)
     return f"{minutes}:{seconds:02d}"

@@ -1,4 +1,4 @@
-"""Holds: vehicles that are given no work and are not launched until a person releases them."""
+"""Holds: vehicles that get no assignment and no launch until an operator releases them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ import msgspec
 from companion.core.base.errors import LeewayError
 from companion.core.base.wire_message import Name
 
-ALL = "*"
-"""The scope of a hold of every drone, those that join later included. No vehicle has this name."""
+ALL_DRONES = "*"
+"""Scope of a hold of every drone, including later members. No vehicle has this name."""
 
 
-def check_vehicle(name: str) -> None:
-    """Raise LeewayError where this cannot be a vehicle's name."""
+def raise_if_invalid_vehicle_name(name: str) -> None:
+    """Raise LeewayError if this is no valid vehicle name."""
     try:
         msgspec.convert(name, Name)
     except msgspec.ValidationError as error:
@@ -22,7 +22,7 @@ def check_vehicle(name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """One hold in force. `scope`: a vehicle, or `ALL`."""
+    """One hold in force. `scope`: a vehicle, or `ALL_DRONES`."""
 
     scope: str
     reason: str
@@ -30,18 +30,17 @@ class Hold:
     set_us: int
 
     @property
-    def is_of_one(self) -> bool:
-        """Whether it holds one vehicle only."""
-        return self.scope != ALL
+    def subject(self) -> str:
+        """The held drones as text."""
+        return "every drone" if self.scope == ALL_DRONES else self.scope
 
     @property
-    def words(self) -> str:
-        """The hold in words."""
-        name = "every drone" if self.scope == ALL else self.scope
-        return f"{name} is held by {self.by}: {self.reason}"
+    def text(self) -> str:
+        """The hold as text."""
+        return f"{self.subject} is held by {self.by}: {self.reason}"
 
 
-def holding(holds: Iterable[Hold], vehicle: str) -> Hold | None:
-    """The hold that a vehicle is under; its own before one of all. None: it may be launched."""
-    mine = [hold for hold in holds if hold.scope in (vehicle, ALL)]
-    return min(mine, key=lambda hold: hold.scope == ALL, default=None)
+def hold_of_vehicle_or_of_all(hold_list: Iterable[Hold], vehicle: str) -> Hold | None:
+    """Return the hold of a vehicle, its own before one of all drones; None: it may be launched."""
+    applicable = [hold for hold in hold_list if hold.scope in (vehicle, ALL_DRONES)]
+    return min(applicable, key=lambda hold: hold.scope == ALL_DRONES, default=None)

@@ -1,18 +1,18 @@
-"""Who may deliver an order, and what has become of it; light, for options of the command line."""
+"""Services and states of an order; few imports, for options of the command line."""
 
 from enum import Enum
 
 
 class Service(Enum):
-    """Who may deliver an order."""
+    """Members that may deliver an order."""
 
     ANY = "any"
     DRONE = "drone"
     TRUCK = "truck"
 
 
-class Settled(Enum):
-    """What a person says has become of a parcel, where no vehicle can tell it any more."""
+class ParcelOutcome(Enum):
+    """Outcome of a parcel as reported by an operator, if no vehicle can report it."""
 
     DELIVERED = "delivered"
     LOST = "lost"
@@ -20,8 +20,8 @@ class Settled(Enum):
 
 
 class OrderState(Enum):
-    """`stuck` waits for a person: too many attempts, its vehicle was lost or landed by a person
-    elsewhere, or nothing proved the drop.
+    """State of an order. `stuck` needs an operator: too many attempts, vehicle lost or landed
+    elsewhere by a pilot, or no proof of the drop.
     """
 
     OPEN = "open"

@@ -8,16 +8,16 @@ import msgspec
 from msgspec import Meta
 
 from companion.core.base.errors import LeewayError, check_range
-from companion.core.base.place import Place
-from companion.fleet.messages import Answered, Deed
-from ground_station.core.schema.order_states import OrderState, Service, Settled
+from companion.core.base.location import Location
+from companion.fleet.messages import CommandAction, CommandStatus
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
 
 OrderId = Annotated[
     str, Meta(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*\Z")
 ]
 
 
-BOUNDS = {
+ORDER_BOUNDS = {
     "lat_deg": (-85.0, 85.0),
     "lon_deg": (-180.0, 180.0),
     "alt_amsl_m": (-500.0, 9000.0),
@@ -27,9 +27,9 @@ BOUNDS = {
 
 
 class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One parcel to one place. `alt_amsl_m`: height of the ground there (safety rule 8).
+    """One parcel to one destination. `alt_amsl_m`: height of the ground there (safety rule 8).
 
-    `note` is for people: nothing decides by it.
+    `note` is for operators and has no effect on decisions.
     """
 
     id: OrderId
@@ -41,14 +41,14 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     note: Annotated[str, Meta(max_length=500)] = ""
 
     def __post_init__(self) -> None:
-        for key, (low, high) in BOUNDS.items():
+        for key, (low, high) in ORDER_BOUNDS.items():
             check_range(key, getattr(self, key), low, high)
 
 
-def place_of(order: Order) -> Place:
-    """Where an order goes, as the customer of a flight file."""
+def order_location(order: Order) -> Location:
+    """Return the destination of an order, as the customer of a flight file."""
     try:
-        return Place(
+        return Location(
             name=order.id, lat_deg=order.lat_deg, lon_deg=order.lon_deg, alt_amsl_m=order.alt_amsl_m
         )
     except LeewayError as error:
@@ -56,14 +56,14 @@ def place_of(order: Order) -> Place:
 
 
 class AssignmentState(Enum):
-    """From the order to the vehicle until the end.
+    """States of an assignment, from its creation to its end.
 
-    While it is in force (`IN_FORCE`) it holds its order and its vehicle.
+    An assignment in force (`IN_FORCE`) reserves its order and its vehicle.
     """
 
     ORDERED = "ordered"
-    ABOARD = "aboard"
-    FLYING = "flying"
+    UPLOADED = "aboard"
+    IN_FLIGHT = "flying"
     WITHDRAWING = "withdrawing"
     DELIVERED = "delivered"
     RETURNED = "returned"
@@ -74,16 +74,16 @@ class AssignmentState(Enum):
 
 IN_FORCE = (
     AssignmentState.ORDERED,
-    AssignmentState.ABOARD,
-    AssignmentState.FLYING,
+    AssignmentState.UPLOADED,
+    AssignmentState.IN_FLIGHT,
     AssignmentState.WITHDRAWING,
 )
 
-TAKEN = "TAKEN"
-"""The outcome of a flight that a person took over and landed elsewhere."""
+OVERRIDE_OUTCOME = "TAKEN"
+"""Outcome of a flight that a pilot took over and landed elsewhere."""
 
-ATTEMPTS = 3
-"""Flights that an order gets before a person has to look at it."""
+MAX_ATTEMPTS = 3
+"""Flights of an order until an operator must check it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +93,12 @@ class OrderRow:
     order: Order
     state: OrderState
     attempts: int
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class AssignmentRow:
-    """An assignment: which vehicle brings which order. `confirmed_by`: who lets it be launched.
+    """An assignment of an order to a vehicle. `confirmed_by`: the operator who permits the launch.
 
     `layer`: over the depot, from 0; None: its plan has the height.
     """
@@ -108,69 +108,74 @@ class AssignmentRow:
     vehicle: str
     state: AssignmentState
     delivered: bool
-    why: str
+    reason: str
     confirmed_by: str | None = None
     layer: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CommandRow:
-    """A command in the outbox (no answer yet), or answered by the life `life`.
+    """A command in the outbox: without a response yet, or answered by the instance `instance_id`.
 
-    `made_us`: when it was written down.
+    `created_us`: time of its creation.
     """
 
     id: str
     vehicle: str
     assignment: str | None
-    deed: Deed
-    by: str
-    answer: Answered | None
+    command: CommandAction
+    issuer: str
+    response: CommandStatus | None
     reason: str
-    life: str | None
-    made_us: int
+    instance_id: str | None
+    created_us: int
 
 
 def assignment_id(order: str, attempt: int) -> str:
-    """One for each attempt at an order: two desks that try at once use the same."""
+    """Return one id for each attempt at an order: two desks that try at once use the same."""
     return f"{order}.{attempt}"
 
 
-def ends_as(outcome: str, delivered: bool, home: bool) -> AssignmentState:
-    """How an assignment ends, by the outcome of its flight (docs/reference/outcomes.md).
+def final_assignment_state(outcome: str, delivered: bool, is_home: bool) -> AssignmentState:
+    """Return the end of an assignment by the outcome of its flight (docs/reference/outcomes.md).
 
-    A drone that a person has taken over and landed is no loss: that person has it.
+    A drone that a pilot took over and landed is not lost: the pilot has it.
     """
-    if outcome != TAKEN and (outcome in ("DEL", "FAIL") or not home):
+    if outcome != OVERRIDE_OUTCOME and (outcome in ("DEL", "FAIL") or not is_home):
         return AssignmentState.LOST
     return AssignmentState.DELIVERED if delivered else AssignmentState.RETURNED
 
 
-def settled_as(settled: Settled) -> tuple[AssignmentState, OrderState]:
-    """How a person's word ends an assignment and its order.
+def assignment_and_order_state_after_outcome(
+    parcel_outcome: ParcelOutcome,
+) -> tuple[AssignmentState, OrderState]:
+    """Return the end of an assignment and its order by an operator's report.
 
-    A parcel that is lost is not stuck: nobody is asked any more. One that is back goes out again.
+    The order of a lost parcel is cancelled, not stuck. A returned parcel is sent again.
     """
     return {
-        Settled.DELIVERED: (AssignmentState.DELIVERED, OrderState.DELIVERED),
-        Settled.LOST: (AssignmentState.LOST, OrderState.CANCELLED),
-        Settled.BACK: (AssignmentState.RETURNED, OrderState.OPEN),
-    }[settled]
+        ParcelOutcome.DELIVERED: (AssignmentState.DELIVERED, OrderState.DELIVERED),
+        ParcelOutcome.LOST: (AssignmentState.LOST, OrderState.CANCELLED),
+        ParcelOutcome.BACK: (AssignmentState.RETURNED, OrderState.OPEN),
+    }[parcel_outcome]
 
 
-def order_after(
-    state: AssignmentState, delivered: bool, attempts: int, elsewhere: bool = False
+def order_state_after_assignment(
+    assignment_state: AssignmentState,
+    delivered: bool,
+    attempts: int,
+    is_not_known_home: bool = False,
 ) -> OrderState:
-    """The state of an order when its assignment has ended.
+    """Return the state of an order after the end of its assignment.
 
-    A parcel aboard a lost vehicle, or one that is not known to be home (`elsewhere`: it may have
-    been dropped, or lies where a person landed it), is not sent again by itself: a person looks,
-    and decides.
+    A parcel on a lost vehicle, or one not known to be home (`is_not_known_home`: it may have been
+    dropped, or is where a pilot landed it), is not sent again automatically: an operator checks and
+    decides.
     """
-    if delivered or state is AssignmentState.DELIVERED:
+    if delivered or assignment_state is AssignmentState.DELIVERED:
         return OrderState.DELIVERED
-    if state is AssignmentState.LOST or elsewhere:
+    if assignment_state is AssignmentState.LOST or is_not_known_home:
         return OrderState.STUCK
-    if state is AssignmentState.WITHDRAWN:
+    if assignment_state is AssignmentState.WITHDRAWN:
         return OrderState.OPEN
-    return OrderState.OPEN if attempts < ATTEMPTS else OrderState.STUCK
+    return OrderState.OPEN if attempts < MAX_ATTEMPTS else OrderState.STUCK

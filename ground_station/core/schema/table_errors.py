@@ -1,4 +1,4 @@
-"""All errors in a table that people wrote; msgspec by itself stops at the first."""
+"""All errors in a table written by people; msgspec alone stops at the first."""
 
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -9,41 +9,41 @@ from msgspec import Struct, structs
 from companion.core.base.errors import LeewayError, RangeError
 
 
-def table_errors(table: dict[str, Any], kind: type[Struct], where: str = "") -> list[str]:
-    """Every key that is unknown, missing, of the wrong type or out of range, in words."""
-    fields = {field.encode_name: field for field in structs.fields(kind)}
+def table_errors(table: dict[str, Any], struct_type: type[Struct], key_path: str = "") -> list[str]:
+    """Return a message for each key that is unknown, missing, mistyped or out of range."""
+    fields = {field.encode_name: field for field in structs.fields(struct_type)}
     found: list[str] = []
-    good: dict[str, Any] = {}
+    valid: dict[str, Any] = {}
     for key, value in table.items():
         if key not in fields:
-            found.append(f"{where}{key}: unknown key, expected {', '.join(sorted(fields))}")
+            found.append(f"{key_path}{key}: unknown key, expected {', '.join(sorted(fields))}")
             continue
-        mine = _value_errors(value, fields[key].type, f"{where}{key}")
-        found += mine
-        if not mine:
-            good[key] = value
+        value_errors = _value_errors(value, fields[key].type, f"{key_path}{key}")
+        found += value_errors
+        if not value_errors:
+            valid[key] = value
     required = [name for name, field in fields.items() if field.required]
-    found += [f"{where}{name}: missing" for name in required if name not in table]
-    if all(name in good for name in required):
-        found += _range_errors(good, kind, where)
+    found += [f"{key_path}{name}: missing" for name in required if name not in table]
+    if all(name in valid for name in required):
+        found += _range_errors(valid, struct_type, key_path)
     return found
 
 
-def _value_errors(value: Any, kind: Any, where: str) -> list[str]:
-    if get_origin(kind) in (Union, UnionType):
-        structures = [one for one in get_args(kind) if _is_struct(one)]
+def _value_errors(value: Any, expected_type: Any, key_path: str) -> list[str]:
+    if get_origin(expected_type) in (Union, UnionType):
+        structures = [one for one in get_args(expected_type) if _is_struct(one)]
         if len(structures) == 1 and isinstance(value, dict):
-            kind = structures[0]
-    if _is_struct(kind) and isinstance(value, dict):
-        return table_errors(value, kind, f"{where}.")
-    inner = get_args(kind)[0] if get_origin(kind) is list else None
-    if _is_struct(inner) and isinstance(value, list):
-        lines = [_value_errors(one, inner, f"{where}[{n}]") for n, one in enumerate(value)]
+            expected_type = structures[0]
+    if _is_struct(expected_type) and isinstance(value, dict):
+        return table_errors(value, expected_type, f"{key_path}.")
+    item_kind = get_args(expected_type)[0] if get_origin(expected_type) is list else None
+    if _is_struct(item_kind) and isinstance(value, list):
+        lines = [_value_errors(one, item_kind, f"{key_path}[{n}]") for n, one in enumerate(value)]
         return [words for line in lines for words in line]
     try:
-        msgspec.convert(value, kind)
+        msgspec.convert(value, expected_type)
     except (msgspec.ValidationError, LeewayError) as error:
-        return [f"{where}: {error}"]
+        return [f"{key_path}: {error}"]
     return []
 
 
@@ -51,27 +51,27 @@ def _is_struct(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, Struct)
 
 
-def _range_errors(good: dict[str, Any], kind: type[Struct], where: str) -> list[str]:
-    """What the structure's own checks say. A number out of its range is then replaced by the least
-    allowed one, so that the next error is found.
+def _range_errors(valid: dict[str, Any], struct_type: type[Struct], key_path: str) -> list[str]:
+    """Return the errors of the structure's own checks. A number out of its range is then replaced
+    by the lower limit, so that the next error is found.
     """
     found: list[str] = []
     while True:
         try:
-            msgspec.convert(good, kind)
+            msgspec.convert(valid, struct_type)
         except RangeError as error:
-            found.append(_placed(error, where))
+            found.append(_error_text_with_key_path(error, key_path))
             name = error.key.rpartition(".")[2]
-            if good.get(name) in (None, error.low):
+            if valid.get(name) in (None, error.low):
                 return found
-            good = good | {name: error.low}
+            valid = valid | {name: error.low}
         except (msgspec.ValidationError, LeewayError) as error:
-            return [*found, _placed(error, where)]
+            return [*found, _error_text_with_key_path(error, key_path)]
         else:
             return found
 
 
-def _placed(error: Exception, where: str) -> str:
-    """With the path of the key: the error names it as `depot.lat_deg`, or only as `lat_deg`."""
-    words, outermost = str(error), where.partition(".")[0].partition("[")[0]
-    return words if words.startswith(f"{outermost}.") else f"{where}{words}"
+def _error_text_with_key_path(error: Exception, key_path: str) -> str:
+    """Return the error with its key's path: it names `depot.lat_deg`, or only `lat_deg`."""
+    words, outermost = str(error), key_path.partition(".")[0].partition("[")[0]
+    return words if words.startswith(f"{outermost}.") else f"{key_path}{words}"

@@ -1,1 +1,1 @@
-"""The wind over a site as one listener believes it: tellings, who is believed, fronts, forecast."""
+"""The wind over a site, estimated by one receiver: reports, excluded members, fronts, forecast."""

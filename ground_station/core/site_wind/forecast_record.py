@@ -1,4 +1,4 @@
-"""A forecast against what the fleet then felt: its bias and the spread about it, lately."""
+"""Comparison of a forecast with the wind then measured: recent bias and spread."""
 
 import math
 from dataclasses import dataclass, field
@@ -7,96 +7,103 @@ import numpy as np
 
 from ground_station.core.schema.day_forecast import ForecastBias
 
-KEPT_S = 1800.0
-"""What was felt over the last half hour counts."""
+WINDOW_S = 1800.0
+"""Measurements of the last half hour count."""
 
-EVERY_S = 60.0
-"""Between two looks. Gusts of a minute are averaged by the belief that is looked at."""
+INTERVAL_S = 60.0
+"""Interval of comparisons. The compared wind field averages gusts of a minute."""
 
-LEAST_LOOKS = 5
-"""Fewer are one gust."""
+MIN_COMPARISONS = 5
+"""Minimum number of comparisons: fewer may be a single gust."""
 
 STALE_S = 3600.0
-"""Nobody has felt anything for so long: the forecast stands alone again."""
+"""Age of the last measurement after which the forecast is used without correction."""
 
 
 @dataclass(frozen=True, slots=True)
-class ForecastLook:
-    """One comparison: felt less forecast (north, east), the error of what was felt, and the
-    forecast's own error; each one sigma of each component.
+class ForecastComparison:
+    """One comparison: measured minus forecast wind (north, east), error of the measurement, error
+    of the forecast; each one sigma of each component.
     """
 
     t_s: float
-    off_ne_mps: tuple[float, float]
-    felt_std_mps: float
+    error_ne_mps: tuple[float, float]
+    measured_std_mps: float
     forecast_std_mps: float
 
 
 @dataclass(frozen=True, slots=True)
 class ForecastScore:
-    """The last half hour: the mean of felt less forecast, the spread about it, and the forecast's
-    own error as it was stated.
+    """Score of the last half hour: mean of measured minus forecast wind, the spread about it, and
+    the forecast's stated error.
     """
 
-    looks: int
+    comparison_count: int
     bias: ForecastBias
     spread_mps: float
-    stated_mps: float
+    forecast_std_mps: float
 
     @property
-    def is_off(self) -> bool:
-        """Whether the forecast is off by more than its own error, on the mean of both axes."""
-        return self.bias.lasts
+    def is_bias_above_stated_error(self) -> bool:
+        """True if the bias exceeds the forecast's stated error, on the mean of both axes."""
+        return self.bias.is_persistent
 
     @property
-    def words(self) -> str:
-        """For people."""
+    def score_text(self) -> str:
+        """Score as text."""
         north, east = self.bias.ne_mps
         off = (
             f"off by {math.hypot(north, east):.1f} m/s (north {north:+.1f}, east {east:+.1f}),"
-            f" spread {self.spread_mps:.1f}, its own error {self.stated_mps:.1f}"
+            f" spread {self.spread_mps:.1f}, its own error {self.forecast_std_mps:.1f}"
         )
-        if self.is_off:
-            return f"FORECAST OFF: {off}: the fleet is believed"
+        if self.is_bias_above_stated_error:
+            return f"FORECAST OFF: {off}: using the fleet's wind"
         return f"the forecast of the last half hour: {off}"
 
 
 @dataclass(slots=True)
 class ForecastRecord:
-    """Comparisons of the last half hour, on the listener's clock."""
+    """Comparisons of the last half hour, on the receiver's clock."""
 
-    _looks: list[ForecastLook] = field(default_factory=list)
+    _comparisons: list[ForecastComparison] = field(default_factory=list)
 
-    def is_due(self, now_s: float) -> bool:
-        """Whether the next comparison may be noted."""
-        return not self._looks or now_s - self._looks[-1].t_s >= EVERY_S
+    def is_comparison_due(self, now_s: float) -> bool:
+        """Return True if the next comparison is due."""
+        return not self._comparisons or now_s - self._comparisons[-1].t_s >= INTERVAL_S
 
-    def note(self, look: ForecastLook) -> None:
-        """Take a comparison. What is not finite is left out."""
-        numbers = (*look.off_ne_mps, look.felt_std_mps, look.forecast_std_mps, look.t_s)
+    def add_comparison(self, comparison: ForecastComparison) -> None:
+        """Add a comparison. Values that are not finite are ignored."""
+        numbers = (
+            *comparison.error_ne_mps,
+            comparison.measured_std_mps,
+            comparison.forecast_std_mps,
+            comparison.t_s,
+        )
         if not all(map(math.isfinite, numbers)):
             return
-        self._looks = [one for one in self._looks if look.t_s - one.t_s < KEPT_S]
-        self._looks.append(look)
+        self._comparisons = [
+            one for one in self._comparisons if comparison.t_s - one.t_s < WINDOW_S
+        ]
+        self._comparisons.append(comparison)
 
-    def forget(self) -> None:
-        """Another forecast has come: what was felt against the old one says nothing of it."""
-        self._looks.clear()
+    def clear_comparisons(self) -> None:
+        """Discard all comparisons, because another forecast applies."""
+        self._comparisons.clear()
 
-    def score(self, now_s: float) -> ForecastScore | None:
-        """How good the forecast was; None: too little is known, or it is long ago."""
-        if len(self._looks) < LEAST_LOOKS or now_s - self._looks[-1].t_s > STALE_S:
+    def score_of_recent_comparisons(self, now_s: float) -> ForecastScore | None:
+        """Return the score of the forecast; None: too few or only old comparisons."""
+        if len(self._comparisons) < MIN_COMPARISONS or now_s - self._comparisons[-1].t_s > STALE_S:
             return None
-        off = np.array([look.off_ne_mps for look in self._looks])
+        off = np.array([comparison.error_ne_mps for comparison in self._comparisons])
         north, east = (float(x) for x in off.mean(axis=0))
         spread_mps = float(np.sqrt(off.var(axis=0, ddof=1).mean()))
-        felt_mps = _rms([look.felt_std_mps for look in self._looks])
-        stated_mps = _rms([look.forecast_std_mps for look in self._looks])
-        # Not over the square root of their number: what differs for minutes meets a whole flight.
-        std_mps = max(spread_mps, felt_mps)
-        is_off = math.hypot(north, east) / math.sqrt(2.0) > stated_mps
-        bias = ForecastBias(self._looks[-1].t_s, (north, east), std_mps, is_off)
-        return ForecastScore(len(self._looks), bias, spread_mps, stated_mps)
+        measured_std_mps = _rms([comparison.measured_std_mps for comparison in self._comparisons])
+        forecast_std_mps = _rms([comparison.forecast_std_mps for comparison in self._comparisons])
+        # Not divided by the square root of the count: slow deviations affect a whole flight.
+        std_mps = max(spread_mps, measured_std_mps)
+        is_biased = math.hypot(north, east) / math.sqrt(2.0) > forecast_std_mps
+        bias = ForecastBias(self._comparisons[-1].t_s, (north, east), std_mps, is_biased)
+        return ForecastScore(len(self._comparisons), bias, spread_mps, forecast_std_mps)
 
 
 def _rms(values: list[float]) -> float:

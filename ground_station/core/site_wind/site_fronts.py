@@ -1,56 +1,58 @@
-"""Fronts over a site: who may raise one, and those of the last half hour."""
+"""Fronts over a site: which members may report one, and the fronts of the last half hour."""
 
 from dataclasses import dataclass, field
 
-from companion.core.wind_field.fronts import FrontAhead, FrontNews, FrontWatch, FrontWithdrawn
-from companion.core.wind_field.tellings import WindTelling
-from ground_station.core.site_wind.tellers import Teller, Tellers
+from companion.core.wind_field.fronts import FrontMonitor, FrontUpdate, FrontWithdrawn, WindFront
+from companion.core.wind_field.wind_reports import MemberWindReport
+from ground_station.core.site_wind.wind_reporters import ReportingMember, ReportingMembers
 
-FRONT_HEIGHT_SHARE = 0.5
-"""Of cruise height: who comes down into weaker wind feels no front. A landing in 15 m/s looks like
-a change of 16 m/s.
+MIN_HEIGHT_FRACTION = 0.5
+"""Minimum height, as a share of cruise height: a descent into weaker wind is no front. A landing in
+15 m/s looks like a change of 16 m/s.
 """
 
-OUT_S = 60.0
-"""Who has been left out so long raises no alert. Not sooner: who meets a front first contradicts
-the others, too.
+EXCLUSION_GRACE_S = 60.0
+"""A member excluded for longer cannot report a front. Not sooner, because the first member inside a
+front also contradicts the others.
 """
 
 FRONT_KEPT_S = 1800.0
-"""A front has left any site by then."""
+"""Time after which a front has left any site."""
 
 
 @dataclass(slots=True)
 class SiteFronts:
-    """One listener's. `height_m`: cruise height above ground."""
+    """The fronts of one receiver. `height_m`: cruise height above ground."""
 
-    watch: FrontWatch
-    tellers: Tellers
+    monitor: FrontMonitor
+    members: ReportingMembers
     height_m: float
-    known: list[FrontAhead] = field(default_factory=list)
-    """Each as it is known best, oldest first."""
+    fronts: list[WindFront] = field(default_factory=list)
+    """Latest estimate of each front, oldest front first."""
 
-    def hear(self, telling: WindTelling, teller: Teller, t_s: float) -> FrontNews | None:
-        """Take a telling; a front that is new, better known or withdrawn by it, else None."""
-        low = telling.height_m < FRONT_HEIGHT_SHARE * self.height_m
-        if low or (teller.out and t_s - teller.out_s > OUT_S):
+    def update_fronts_with_report(
+        self, report: MemberWindReport, member: ReportingMember, t_s: float
+    ) -> FrontUpdate | None:
+        """Process a wind report. Returns a new, updated or withdrawn front, else None."""
+        low = report.height_m < MIN_HEIGHT_FRACTION * self.height_m
+        if low or (member.exclusion_reason and t_s - member.excluded_s > EXCLUSION_GRACE_S):
             return None
-        found = self.watch.hear(telling)
+        found = self.monitor.add_report_and_update_front(report)
         if isinstance(found, FrontWithdrawn):
-            before = len(self.known)
-            self.known = [one for one in self.known if one.noticed_s != found.front.noticed_s]
-            return found if len(self.known) < before else None
-        if found is None or self._by_one_station(found):
+            before = len(self.fronts)
+            self.fronts = [one for one in self.fronts if one.detected_s != found.front.detected_s]
+            return found if len(self.fronts) < before else None
+        if found is None or self._is_detected_by_single_station(found):
             return None
-        self.known = [*(one for one in self.known if one.noticed_s != found.noticed_s), found]
+        self.fronts = [*(one for one in self.fronts if one.detected_s != found.detected_s), found]
         return found
 
-    def now(self, now_s: float) -> list[FrontAhead]:
-        """Those that may still be on the site."""
-        self.known = [one for one in self.known if now_s - one.noticed_s <= FRONT_KEPT_S]
-        return self.known
+    def drop_expired_and_get_fronts(self, now_s: float) -> list[WindFront]:
+        """Return the fronts that may still be on the site."""
+        self.fronts = [one for one in self.fronts if now_s - one.detected_s <= FRONT_KEPT_S]
+        return self.fronts
 
-    def _by_one_station(self, front: FrontAhead) -> bool:
-        """One station alone may be broken: a second one, or a drone, has to feel it."""
-        felt = {one.member for one in front.felt}
-        return len(felt) == 1 and felt <= self.tellers.stations
+    def _is_detected_by_single_station(self, front: WindFront) -> bool:
+        """Return True if one station alone detected the front: it may be faulty."""
+        detecting_members = {one.member for one in front.detections}
+        return len(detecting_members) == 1 and detecting_members <= self.members.stations

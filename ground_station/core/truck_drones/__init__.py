@@ -1,1 +1,1 @@
-"""The truck-and-drones problem and its solvers. Compiled by numba: import it late."""
+"""The truck-and-drones problem and its solvers. Compiled by numba: import it lazily."""

@@ -1,30 +1,31 @@
-"""The makespan of a plan that differs little from another one, whose simulation is at hand.
+"""Incremental makespan of a plan that differs little from a simulated plan.
 
-The pass along the route begins where the first change is felt, and ends where the truck arrives
-with everything as it was there before but for a shift of time: from there on the old plan's times
-hold, shifted. The result is that of `simulate` (to rounding), after a part of the work.
+The pass along the route begins where the first change takes effect, and ends where the truck
+arrives in the old plan's state except for a time shift: from there the old plan's times hold,
+shifted. The result equals that of `simulate` (to rounding) at a fraction of the cost.
 """
 
-from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.compiled import compiled_inner
 from ground_station.core.truck_drones.layers.changed_air import (
     SAME_SHIFT_S,
-    adopt_log,
-    air_alike,
-    differs,
-    take_log,
+    copy_earlier_launch_log,
+    has_same_airborne_sorties,
+    merge_launch_log_into_base,
+    sortie_differs,
 )
 from ground_station.core.truck_drones.simulate import (
-    IMPOSSIBLE,
-    ON_THE_GROUND_S,
-    board,
-    simulate,
-    visit,
+    GROUND_WAIT_S,
+    INFEASIBLE_S,
+    initialise_drones_on_truck,
+    simulate_makespan_s,
+    simulate_stop_and_next_arrival,
 )
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
+    DELAYS,
     DEPART,
     FIRST_LAUNCH,
-    FIRST_MEET,
+    FIRST_RECOVERY,
     FLY,
     FURTHEST,
     HOVER_LEFT,
@@ -33,14 +34,13 @@ from ground_station.core.truck_drones.tables import (
     LAUNCH,
     LAUNCHED,
     LEVEL,
-    MEET,
-    MET,
     NEXT_LAUNCH,
-    NEXT_MEET,
+    NEXT_RECOVERY,
     NOWHERE,
-    PLACE,
-    PUSHES,
+    POSITION,
+    RECOVERED,
     RELEASE,
+    RENDEZVOUS,
     RESTART,
     ROUTE,
     SPANNED,
@@ -49,322 +49,450 @@ from ground_station.core.truck_drones.tables import (
 )
 
 
-@compiled
-def note_simulation(t, plan, w):
-    """The makespan, with all that `changed_makespan_s` needs of this plan's simulation in `w`."""
-    makespan_s = simulate(t, plan, w, IMPOSSIBLE)
-    _note_spans(plan, w.whole)
+@compiled_inner
+def simulate_and_store(tables, plan, work_arrays):
+    """Simulate a plan and store the state for `incremental_makespan_s` in `work_arrays`; return the
+    makespan.
+    """
+    makespan_s = simulate_makespan_s(tables, plan, work_arrays, INFEASIBLE_S)
+    _store_restart_and_span_rows(plan, work_arrays.whole)
     return makespan_s
 
 
-@compiled
-def _note_spans(plan, whole):
-    """By place: where a pass must begin so that all before it stays (RESTART), whether a sortie
-    that was put off is in the air (SPANNED), and the last meeting of those in the air (FURTHEST).
+@compiled_inner
+def _store_restart_and_span_rows(plan, int_rows):
+    """Compute by route position: where a pass must begin to leave earlier positions unchanged
+    (RESTART), whether a delayed sortie is airborne (SPANNED), and the last rendezvous of the
+    airborne sorties (FURTHEST).
     """
     end = plan.shape[1] - 1
-    places = whole[PLACE, end] + 1
-    for at in range(places):
-        whole[RESTART, at] = at
-        whole[SPANNED, at] = 0
-        whole[FURTHEST, at] = NOWHERE
+    position_count = int_rows[POSITION, end] + 1
+    for at in range(position_count):
+        int_rows[RESTART, at] = at
+        int_rows[SPANNED, at] = 0
+        int_rows[FURTHEST, at] = NOWHERE
     for customer in range(1, end):
         launch = plan[LAUNCH, customer]
         if launch == NOWHERE:
             continue
-        first, last = whole[PLACE, launch], whole[PLACE, plan[MEET, customer]]
-        pushed = whole[PUSHES, customer] > 0
-        # The order of two launches of one stop depends on where they are met.
-        several = whole[NEXT_LAUNCH, customer] != NOWHERE or whole[FIRST_LAUNCH, launch] != customer
+        first, last = int_rows[POSITION, launch], int_rows[POSITION, plan[RENDEZVOUS, customer]]
+        pushed = int_rows[DELAYS, customer] > 0
+        # The order of two launches at one stop depends on their rendezvous.
+        shared_launch_stop = (
+            int_rows[NEXT_LAUNCH, customer] != NOWHERE or int_rows[FIRST_LAUNCH, launch] != customer
+        )
         for at in range(first + 1, last + 1):
-            whole[FURTHEST, at] = max(whole[FURTHEST, at], last)
-            if pushed or several:
-                whole[RESTART, at] = min(whole[RESTART, at], first)
+            int_rows[FURTHEST, at] = max(int_rows[FURTHEST, at], last)
+            if pushed or shared_launch_stop:
+                int_rows[RESTART, at] = min(int_rows[RESTART, at], first)
             if pushed:
-                whole[SPANNED, at] = 1
-    for at in range(places):
-        whole[RESTART, at] = whole[RESTART, whole[RESTART, at]]
+                int_rows[SPANNED, at] = 1
+    for at in range(position_count):
+        int_rows[RESTART, at] = int_rows[RESTART, int_rows[RESTART, at]]
 
 
-@compiled
-def _met_s(plan, kept, w, begin, at, shift_s, customer):
-    """When a customer's drone is met in a simulation of `changed_makespan_s`."""
-    meet = w.whole[PLACE, plan[MEET, customer]]
-    if meet < begin:
-        return kept.times_s[MET, customer]
-    return w.times_s[MET, customer] if meet < at else kept.times_s[MET, customer] + shift_s
+@compiled_inner
+def _recovery_time_of_customer_s(
+    plan,
+    base_work_arrays,
+    work_arrays,
+    first_simulated_index,
+    end_simulated_index,
+    shift_s,
+    customer,
+):
+    """Return the recovery time of a customer's drone after `incremental_makespan_s`."""
+    rendezvous = work_arrays.whole[POSITION, plan[RENDEZVOUS, customer]]
+    if rendezvous < first_simulated_index:
+        return base_work_arrays.times_s[RECOVERED, customer]
+    return (
+        work_arrays.times_s[RECOVERED, customer]
+        if rendezvous < end_simulated_index
+        else base_work_arrays.times_s[RECOVERED, customer] + shift_s
+    )
 
 
-@compiled
-def changed_away_s(plan, kept, w, begin, at, shift_s):
-    """After `changed_makespan_s`: the time that all drones together are away from the truck."""
+@compiled_inner
+def changed_drone_time_away_s(
+    plan, base_work_arrays, work_arrays, first_simulated_index, end_simulated_index, shift_s
+):
+    """Return the total time of all drones away from the truck, after `incremental_makespan_s`."""
     away_s = 0.0
     for customer in range(1, plan.shape[1] - 1):
         launch = plan[LAUNCH, customer]
         if launch == NOWHERE:
             continue
-        place = w.whole[PLACE, launch]
-        if place < begin:
-            launched_s = kept.times_s[LAUNCHED, customer]
-        elif place < at:
-            launched_s = w.times_s[LAUNCHED, customer]
+        position = work_arrays.whole[POSITION, launch]
+        if position < first_simulated_index:
+            launched_s = base_work_arrays.times_s[LAUNCHED, customer]
+        elif position < end_simulated_index:
+            launched_s = work_arrays.times_s[LAUNCHED, customer]
         else:
-            launched_s = kept.times_s[LAUNCHED, customer] + shift_s
-        away_s += _met_s(plan, kept, w, begin, at, shift_s, customer) - launched_s
+            launched_s = base_work_arrays.times_s[LAUNCHED, customer] + shift_s
+        away_s += (
+            _recovery_time_of_customer_s(
+                plan,
+                base_work_arrays,
+                work_arrays,
+                first_simulated_index,
+                end_simulated_index,
+                shift_s,
+                customer,
+            )
+            - launched_s
+        )
     return away_s
 
 
-@compiled
-def away_s(plan, w):
-    """After a whole simulation: the time that all drones together are away from the truck."""
+@compiled_inner
+def total_drone_time_away_s(plan, work_arrays):
+    """Return the total time of all drones away from the truck, after a full simulation."""
     total_s = 0.0
     for customer in range(1, plan.shape[1] - 1):
         if plan[LAUNCH, customer] != NOWHERE:
-            total_s += w.times_s[MET, customer] - w.times_s[LAUNCHED, customer]
+            total_s += (
+                work_arrays.times_s[RECOVERED, customer] - work_arrays.times_s[LAUNCHED, customer]
+            )
     return total_s
 
 
-@compiled
-def adopt(t, plan, kept, w, begin, at, shift_s):
-    """Make a simulation of `changed_makespan_s`, which passed the places from `begin` to before
-    `at`, that of the new plan, in `kept`: what came before is as it was, what follows is shifted.
+@compiled_inner
+def commit_changed_simulation(
+    tables, plan, base_work_arrays, work_arrays, first_simulated_index, end_simulated_index, shift_s
+):
+    """Commit a simulation of `incremental_makespan_s`, which covered positions
+    `first_simulated_index` to `end_simulated_index` - 1, to `base_work_arrays`: earlier positions
+    are unchanged, later ones shifted.
     """
-    whole, times_s, free = w.whole, w.times_s, w.free
-    was, was_s, had = kept.whole, kept.times_s, kept.free
+    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
+    old_whole, old_times_s, old_free = (
+        base_work_arrays.whole,
+        base_work_arrays.times_s,
+        base_work_arrays.free,
+    )
     end = plan.shape[1] - 1
-    places = whole[PLACE, end] + 1
-    longer = places - 1 - was[PLACE, end]
-    for to in range(begin):
-        times_s[ARRIVE, to], times_s[DEPART, to] = was_s[ARRIVE, to], was_s[DEPART, to]
+    position_count = whole[POSITION, end] + 1
+    added_positions = position_count - 1 - old_whole[POSITION, end]
+    for to in range(first_simulated_index):
+        times_s[ARRIVE, to], times_s[DEPART, to] = old_times_s[ARRIVE, to], old_times_s[DEPART, to]
         for kind in range(free.shape[1]):
-            free[to, kind] = had[to, kind]
-    for to in range(at, places):
-        times_s[ARRIVE, to] = was_s[ARRIVE, to - longer] + shift_s
-        times_s[DEPART, to] = was_s[DEPART, to - longer] + shift_s
+            free[to, kind] = old_free[to, kind]
+    for to in range(end_simulated_index, position_count):
+        times_s[ARRIVE, to] = old_times_s[ARRIVE, to - added_positions] + shift_s
+        times_s[DEPART, to] = old_times_s[DEPART, to - added_positions] + shift_s
         for kind in range(free.shape[1]):
-            free[to, kind] = had[to - longer, kind]
+            free[to, kind] = old_free[to - added_positions, kind]
     for customer in range(1, end):
         launch = plan[LAUNCH, customer]
         if launch == NOWHERE:
             continue
-        if whole[PLACE, launch] < begin:
-            whole[PUSHES, customer] = was[PUSHES, customer]
-            times_s[RELEASE, customer] = was_s[RELEASE, customer]
-        elif whole[PLACE, launch] >= at:
-            times_s[LAUNCHED, customer] = was_s[LAUNCHED, customer] + shift_s
-            whole[PUSHES, customer] = was[PUSHES, customer]
-            if was[PUSHES, customer] > 0:
-                times_s[RELEASE, customer] = was_s[RELEASE, customer] + shift_s
-        times_s[MET, customer] = _met_s(plan, kept, w, begin, at, shift_s, customer)
-    if t.air.priced:
-        adopt_log(plan, kept, w, begin, at, places)
+        if whole[POSITION, launch] < first_simulated_index:
+            whole[DELAYS, customer] = old_whole[DELAYS, customer]
+            times_s[RELEASE, customer] = old_times_s[RELEASE, customer]
+        elif whole[POSITION, launch] >= end_simulated_index:
+            times_s[LAUNCHED, customer] = old_times_s[LAUNCHED, customer] + shift_s
+            whole[DELAYS, customer] = old_whole[DELAYS, customer]
+            if old_whole[DELAYS, customer] > 0:
+                times_s[RELEASE, customer] = old_times_s[RELEASE, customer] + shift_s
+        times_s[RECOVERED, customer] = _recovery_time_of_customer_s(
+            plan,
+            base_work_arrays,
+            work_arrays,
+            first_simulated_index,
+            end_simulated_index,
+            shift_s,
+            customer,
+        )
+    if tables.air.priced:
+        merge_launch_log_into_base(
+            plan,
+            base_work_arrays,
+            work_arrays,
+            first_simulated_index,
+            end_simulated_index,
+            position_count,
+        )
     for node in range(end + 1):
-        for row in (PLACE, PUSHES, FIRST_LAUNCH, NEXT_LAUNCH):
-            was[row, node] = whole[row, node]
-        for row in (ARRIVE, DEPART, LAUNCHED, MET, FLY, SPARE, RELEASE, LEVEL, HOVER_LEFT):
-            was_s[row, node] = times_s[row, node]
+        for row in (POSITION, DELAYS, FIRST_LAUNCH, NEXT_LAUNCH):
+            old_whole[row, node] = whole[row, node]
+        for row in (ARRIVE, DEPART, LAUNCHED, RECOVERED, FLY, SPARE, RELEASE, LEVEL, HOVER_LEFT):
+            old_times_s[row, node] = times_s[row, node]
         for kind in range(free.shape[1]):
-            had[node, kind] = free[node, kind]
-    _note_spans(plan, was)
+            old_free[node, kind] = free[node, kind]
+    _store_restart_and_span_rows(plan, old_whole)
 
 
-@compiled
-def _index_sorties(t, old, was, was_s, plan, whole, times_s, first, last):
-    """Sorties by node, as `simulate` does it, but flights that have not changed are copied.
+@compiled_inner
+def _index_changed_sorties(
+    tables,
+    base_plan,
+    base_int_rows,
+    base_times_s,
+    plan,
+    int_rows,
+    times_s,
+    first_changed_index,
+    last_changed_index,
+):
+    """Index sorties by node, as simulate.py does, but copy unchanged flights.
 
-    `first`, `last`: places of the route from and up to which it differs. Returns them with the
-    sorties' changes taken in; (-1, -1) where a sortie is impossible.
+    `first_changed_index`, `last_changed_index`: first and last changed route positions. Returns
+    them extended by the changed sorties; (-1, -1) if a sortie is infeasible.
     """
-    launch_s, recover_s, out_s, back_s = t.launch_s, t.recover_s, t.out_s, t.back_s
-    out_hover_s, back_hover_s, endurance_s = t.out_hover_s, t.back_hover_s, t.endurance_hover_s
-    release_s, from_s = t.release_s, t.from_s
+    launch_s, recover_s, out_s, back_s = (
+        tables.launch_s,
+        tables.recover_s,
+        tables.out_s,
+        tables.back_s,
+    )
+    out_hover_s, back_hover_s, endurance_s = (
+        tables.out_hover_s,
+        tables.back_hover_s,
+        tables.endurance_hover_s,
+    )
+    release_s, from_s = tables.release_s, tables.from_s
     end = plan.shape[1] - 1
-    shorter = whole[PLACE, end] - was[PLACE, end]
+    added_positions = int_rows[POSITION, end] - base_int_rows[POSITION, end]
     for customer in range(1, end):
         launch = plan[LAUNCH, customer]
-        changed = differs(old, plan, customer)
-        if changed and old[LAUNCH, customer] != NOWHERE:
-            first = min(first, was[PLACE, old[LAUNCH, customer]])
-            last = max(last, was[PLACE, old[MEET, customer]] + shorter)
+        changed = sortie_differs(base_plan, plan, customer)
+        if changed and base_plan[LAUNCH, customer] != NOWHERE:
+            first_changed_index = min(
+                first_changed_index, base_int_rows[POSITION, base_plan[LAUNCH, customer]]
+            )
+            last_changed_index = max(
+                last_changed_index,
+                base_int_rows[POSITION, base_plan[RENDEZVOUS, customer]] + added_positions,
+            )
         if launch == NOWHERE:
             continue
-        meet, kind = plan[MEET, customer], plan[KIND, customer]
-        at, to = whole[PLACE, launch], whole[PLACE, meet]
+        rendezvous, kind = plan[RENDEZVOUS, customer], plan[KIND, customer]
+        at, to = int_rows[POSITION, launch], int_rows[POSITION, rendezvous]
         if at < 0 or to < at:
             return -1, -1
         if changed:
-            first, last = min(first, at), max(last, to)
-            if (launch == meet and not t.pads) or (launch != meet and t.loops_only):
+            first_changed_index, last_changed_index = (
+                min(first_changed_index, at),
+                max(last_changed_index, to),
+            )
+            if (launch == rendezvous and not tables.pads) or (
+                launch != rendezvous and tables.loops_only
+            ):
                 return -1, -1
             spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
-                kind, customer, meet
+                kind, customer, rendezvous
             ]
             if not spare_s >= 0.0:
                 return -1, -1
-            times_s[SPARE, customer] = ON_THE_GROUND_S if t.pads else spare_s
-            times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, meet]
+            times_s[SPARE, customer] = GROUND_WAIT_S if tables.pads else spare_s
+            times_s[FLY, customer] = (
+                out_s[kind, launch, customer] + back_s[kind, customer, rendezvous]
+            )
             times_s[LEVEL, customer], times_s[HOVER_LEFT, customer] = (
                 times_s[FLY, customer],
                 spare_s,
             )
         else:
-            times_s[SPARE, customer] = was_s[SPARE, customer]
-            times_s[FLY, customer] = was_s[FLY, customer]
-            times_s[LEVEL, customer] = was_s[LEVEL, customer]
-            times_s[HOVER_LEFT, customer] = was_s[HOVER_LEFT, customer]
-        whole[PUSHES, customer] = 0
+            times_s[SPARE, customer] = base_times_s[SPARE, customer]
+            times_s[FLY, customer] = base_times_s[FLY, customer]
+            times_s[LEVEL, customer] = base_times_s[LEVEL, customer]
+            times_s[HOVER_LEFT, customer] = base_times_s[HOVER_LEFT, customer]
+        int_rows[DELAYS, customer] = 0
         times_s[RELEASE, customer] = max(release_s[customer], from_s[kind])
-        whole[NEXT_LAUNCH, customer] = whole[FIRST_LAUNCH, launch]
-        whole[FIRST_LAUNCH, launch] = customer
-        whole[NEXT_MEET, customer] = whole[FIRST_MEET, meet]
-        whole[FIRST_MEET, meet] = customer
+        int_rows[NEXT_LAUNCH, customer] = int_rows[FIRST_LAUNCH, launch]
+        int_rows[FIRST_LAUNCH, launch] = customer
+        int_rows[NEXT_RECOVERY, customer] = int_rows[FIRST_RECOVERY, rendezvous]
+        int_rows[FIRST_RECOVERY, rendezvous] = customer
         times_s[WORK_AFTER, at] += launch_s[kind]
         times_s[WORK_AFTER, to] += recover_s[kind]
-    return first, last
+    return first_changed_index, last_changed_index
 
 
-@compiled
-def _index_route(t, old, was, plan, whole, times_s):
-    """Places of the nodes, as `simulate` does it; the number of places, how many of them are the
-    old plan's from the depot on, and the last place that is not the old plan's from the end on.
+@compiled_inner
+def _index_route_and_changed_range(tables, base_plan, base_int_rows, plan, int_rows, times_s):
+    """Index node positions, as simulate.py does. Returns the number of positions, the length of the
+    prefix equal to the old plan's, and the last position before the equal suffix.
     """
-    deliver_s = t.deliver_s
+    deliver_s = tables.deliver_s
     end = plan.shape[1] - 1
     for node in range(end + 1):
-        whole[PLACE, node] = NOWHERE
-        whole[FIRST_LAUNCH, node] = NOWHERE
-        whole[FIRST_MEET, node] = NOWHERE
+        int_rows[POSITION, node] = NOWHERE
+        int_rows[FIRST_LAUNCH, node] = NOWHERE
+        int_rows[FIRST_RECOVERY, node] = NOWHERE
     at, first = 0, 0
     while True:
         node = plan[ROUTE, at]
-        whole[PLACE, node] = at
+        int_rows[POSITION, node] = at
         times_s[WORK_AFTER, at] = deliver_s[node]
-        if first == at and old[ROUTE, at] == node:
+        if first == at and base_plan[ROUTE, at] == node:
             first = at + 1
         if node == end:
             break
         at += 1
     if first > at:
         return at + 1, first, NOWHERE
-    last, before = at, was[PLACE, end]
-    while plan[ROUTE, last] == old[ROUTE, before]:
+    last, before = at, base_int_rows[POSITION, end]
+    while plan[ROUTE, last] == base_plan[ROUTE, before]:
         last -= 1
         before -= 1
     return at + 1, first, last
 
 
-@compiled
-def _sum_work(t, plan, times_s, first, last):
-    """The work still to do from each of these places on."""
-    travel_s = t.travel_s
-    for at in range(last, first - 1, -1):
+@compiled_inner
+def _accumulate_remaining_work(tables, plan, times_s, first_index, last_index):
+    """Accumulate the remaining work from each of these positions."""
+    travel_s = tables.travel_s
+    for at in range(last_index, first_index - 1, -1):
         hop_s = travel_s[plan[ROUTE, at], plan[ROUTE, at + 1]]
         times_s[WORK_AFTER, at] += times_s[WORK_AFTER, at + 1] + hop_s
 
 
-@compiled
-def _take_back(t, kept, plan, w, first, begin):
-    """A launch before the place where the pass began is put off: what was before comes back."""
-    whole, times_s, free = w.whole, w.times_s, w.free
-    was, was_s, had = kept.whole, kept.times_s, kept.free
-    for at in range(first, begin):
-        times_s[ARRIVE, at] = was_s[ARRIVE, at]
+@compiled_inner
+def _restore_base_state_in_range(
+    tables, base_work_arrays, plan, work_arrays, first_index, end_index
+):
+    """Restore the old state before `end_index`, since a launch before it is delayed."""
+    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
+    old_whole, old_times_s, old_free = (
+        base_work_arrays.whole,
+        base_work_arrays.times_s,
+        base_work_arrays.free,
+    )
+    for at in range(first_index, end_index):
+        times_s[ARRIVE, at] = old_times_s[ARRIVE, at]
         for kind in range(free.shape[1]):
-            free[at, kind] = had[at, kind]
-    if t.air.priced:
-        take_log(t.air, kept, w, first)
-    _sum_work(t, plan, times_s, first, begin - 1)
+            free[at, kind] = old_free[at, kind]
+    if tables.air.priced:
+        copy_earlier_launch_log(tables.air, base_work_arrays, work_arrays, first_index)
+    _accumulate_remaining_work(tables, plan, times_s, first_index, end_index - 1)
     for customer in range(1, plan.shape[1] - 1):
-        if plan[LAUNCH, customer] != NOWHERE and whole[PLACE, plan[MEET, customer]] < begin:
-            whole[PUSHES, customer] = was[PUSHES, customer]
-            times_s[RELEASE, customer] = was_s[RELEASE, customer]
+        if (
+            plan[LAUNCH, customer] != NOWHERE
+            and whole[POSITION, plan[RENDEZVOUS, customer]] < end_index
+        ):
+            whole[DELAYS, customer] = old_whole[DELAYS, customer]
+            times_s[RELEASE, customer] = old_times_s[RELEASE, customer]
 
 
-@compiled
-def _aboard_alike(free, at, had, before):
+@compiled_inner
+def _has_same_available_drones(
+    drones_on_truck, route_index, base_drones_on_truck, base_route_index
+):
     alike = True
-    for kind in range(free.shape[1]):
-        alike = alike and free[at, kind] == had[before, kind]
+    for kind in range(drones_on_truck.shape[1]):
+        alike = (
+            alike
+            and drones_on_truck[route_index, kind] == base_drones_on_truck[base_route_index, kind]
+        )
     return alike
 
 
-@compiled
-def changed_makespan_s(t, old, kept, old_s, plan, w, give_up_s):
-    """`simulate` of a plan near `old`, whose makespan is `old_s` and whose simulation in `kept`
-    was made by `note_simulation` or `adopt`.
+@compiled_inner
+def incremental_makespan_s(
+    tables, base_plan, base_work_arrays, base_makespan_s, plan, work_arrays, makespan_limit_s
+):
+    """Simulate a plan near `base_plan`, whose makespan is `base_makespan_s`, simulation in
+    `base_work_arrays` (by `simulate_and_store` or `commit_changed_simulation`).
 
-    Returns the makespan, and for `adopt` the first place passed and the one after the last, and
-    the shift of time there. Both are 0 where nothing has changed.
+    Returns the makespan, and for `commit_changed_simulation` the first simulated position, the one
+    after the last, and the time shift there. The positions are 0 if nothing has changed.
     """
-    whole, times_s, free = w.whole, w.times_s, w.free
-    was, was_s, had = kept.whole, kept.times_s, kept.free
-    launch_s, recover_s = t.launch_s, t.recover_s
-    places, first, last = _index_route(t, old, was, plan, whole, times_s)
-    first, last = _index_sorties(t, old, was, was_s, plan, whole, times_s, first, last)
+    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
+    old_whole, old_times_s, old_free = (
+        base_work_arrays.whole,
+        base_work_arrays.times_s,
+        base_work_arrays.free,
+    )
+    launch_s, recover_s = tables.launch_s, tables.recover_s
+    position_count, first, last = _index_route_and_changed_range(
+        tables, base_plan, old_whole, plan, whole, times_s
+    )
+    first, last = _index_changed_sorties(
+        tables, base_plan, old_whole, old_times_s, plan, whole, times_s, first, last
+    )
     if first < 0:
-        return IMPOSSIBLE, 0, 0, 0.0
+        return INFEASIBLE_S, 0, 0, 0.0
     end = plan.shape[1] - 1
     for kind in range(min(free.shape[1], end + 1)):
-        if plan[IDLE, kind] != old[IDLE, kind]:
-            first, last = 0, places
-    if first == places:
-        return old_s, 0, 0, 0.0
-    begin = was[RESTART, first]
-    _sum_work(t, plan, times_s, begin, places - 2)
+        if plan[IDLE, kind] != base_plan[IDLE, kind]:
+            first, last = 0, position_count
+    if first == position_count:
+        return base_makespan_s, 0, 0, 0.0
+    begin = old_whole[RESTART, first]
+    _accumulate_remaining_work(tables, plan, times_s, begin, position_count - 2)
     if begin == 0:
         times_s[ARRIVE, 0] = 0.0
-        board(t, plan, free)
+        initialise_drones_on_truck(tables, plan, free)
     else:
-        hop_s = t.travel_s[plan[ROUTE, begin - 1], plan[ROUTE, begin]]
-        times_s[ARRIVE, begin] = was_s[DEPART, begin - 1] + hop_s
+        hop_s = tables.travel_s[plan[ROUTE, begin - 1], plan[ROUTE, begin]]
+        times_s[ARRIVE, begin] = old_times_s[DEPART, begin - 1] + hop_s
         for kind in range(free.shape[1]):
-            free[begin, kind] = had[begin, kind]
+            free[begin, kind] = old_free[begin, kind]
         for customer in range(1, end):
-            times_s[LAUNCHED, customer] = was_s[LAUNCHED, customer]
-    if t.air.priced:
-        take_log(t.air, kept, w, begin)
+            times_s[LAUNCHED, customer] = old_times_s[LAUNCHED, customer]
+    if tables.air.priced:
+        copy_earlier_launch_log(tables.air, base_work_arrays, work_arrays, begin)
 
-    # A drone in the air at the tail of the route was launched with a shift of time. `uniform` is
-    # the furthest meeting of those with the latest shift, `others` of those with another one.
-    longer = places - 1 - was[PLACE, end]
-    uniform = NOWHERE if was[FURTHEST, begin] < 0 else max(last, was[FURTHEST, begin] + longer)
+    # A drone airborne at the tail of the route was launched with a time shift. `uniform` is the
+    # furthest rendezvous of drones with the latest shift, `others` of drones with another one.
+    added_positions = position_count - 1 - old_whole[POSITION, end]
+    uniform = (
+        NOWHERE
+        if old_whole[FURTHEST, begin] < 0
+        else max(last, old_whole[FURTHEST, begin] + added_positions)
+    )
     shift_s, others, furthest = 0.0, NOWHERE, uniform
     at = begin
-    while at < places:
-        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > give_up_s:
-            return IMPOSSIBLE, 0, 0, 0.0
+    while at < position_count:
+        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > makespan_limit_s:
+            return INFEASIBLE_S, 0, 0, 0.0
         if at > last:
-            arrived_s = was_s[ARRIVE, at - longer]
+            arrived_s = old_times_s[ARRIVE, at - added_positions]
             now_s = times_s[ARRIVE, at] - arrived_s
             if abs(now_s - shift_s) > SAME_SHIFT_S:
                 shift_s, others, uniform = now_s, max(others, uniform), NOWHERE
             if (
                 others < at
-                and was[SPANNED, at - longer] == 0
-                and min(arrived_s, arrived_s + now_s) >= t.fixed_until_s
-                and _aboard_alike(free, at, had, at - longer)
-                and (not t.air.priced or air_alike(t.air, old, kept, plan, w, at, at - longer))
+                and old_whole[SPANNED, at - added_positions] == 0
+                and min(arrived_s, arrived_s + now_s) >= tables.fixed_until_s
+                and _has_same_available_drones(free, at, old_free, at - added_positions)
+                and (
+                    not tables.air.priced
+                    or has_same_airborne_sorties(
+                        tables.air,
+                        base_plan,
+                        base_work_arrays,
+                        plan,
+                        work_arrays,
+                        at,
+                        at - added_positions,
+                    )
+                )
             ):
-                return old_s + now_s, begin, at, now_s
-        go_on = visit(t, plan, whole, times_s, free, launch_s, recover_s, at)
-        if go_on < 0:
-            return IMPOSSIBLE, 0, 0, 0.0
-        if go_on <= at:
-            if go_on < begin:
-                _take_back(t, kept, plan, w, go_on, begin)
-                begin = go_on
+                return base_makespan_s + now_s, begin, at, now_s
+        next_position = simulate_stop_and_next_arrival(
+            tables, plan, whole, times_s, free, launch_s, recover_s, at
+        )
+        if next_position < 0:
+            return INFEASIBLE_S, 0, 0, 0.0
+        if next_position <= at:
+            if next_position < begin:
+                _restore_base_state_in_range(
+                    tables, base_work_arrays, plan, work_arrays, next_position, begin
+                )
+                begin = next_position
             others, uniform = max(others, furthest), NOWHERE
         else:
             customer = whole[FIRST_LAUNCH, plan[ROUTE, at]]
             while customer >= 0:
-                to = whole[PLACE, plan[MEET, customer]]
+                to = whole[POSITION, plan[RENDEZVOUS, customer]]
                 furthest = max(furthest, to)
                 if to > last:
-                    now_s = times_s[LAUNCHED, customer] - was_s[LAUNCHED, customer]
+                    now_s = times_s[LAUNCHED, customer] - old_times_s[LAUNCHED, customer]
                     if abs(now_s - shift_s) > SAME_SHIFT_S:
                         shift_s, others, uniform = now_s, max(others, uniform), to
                     else:
                         uniform = max(uniform, to)
                 customer = whole[NEXT_LAUNCH, customer]
-        at = go_on
-    return times_s[DEPART, places - 1], begin, places, 0.0
+        at = next_position
+    return times_s[DEPART, position_count - 1], begin, position_count, 0.0

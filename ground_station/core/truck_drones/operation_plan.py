@@ -1,22 +1,22 @@
-"""Plans of one truck and one drone: operations, what they cost, and a tour to begin with."""
+"""Plans of one truck and one drone: operations, their cost, and an initial tour."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.tour import improve_tour
+from ground_station.core.truck_drones.tour import improve_tour_in_place
 
 NEAR = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """From `start`, where both are, to `stop`; `fly` None: the drone stays aboard. The truck drives
-    by `between`.
+    """Truck and drone from joint `start` to joint `stop`. `fly`: node that the drone serves; None:
+    the drone stays on the truck. `between`: nodes of the truck's route.
     """
 
     start: int
@@ -25,30 +25,38 @@ class Operation:
     between: tuple[int, ...]
 
 
-class CooledSearch(ABC):
-    """A search that cools in steps of at most `step_trials`."""
+class AnnealingSearch(ABC):
+    """A simulated annealing search in steps of at most `step_trials`."""
 
     step_trials: int
 
     @abstractmethod
-    def step(self, trials: int, from_frac: float, to_frac: float) -> None:
-        """This many trials, cooling over this part of a round (0: its start, 1: its end)."""
+    def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
+        """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
 
-    def round(self, trials: int, begin_frac: float = 0.0) -> None:
-        """One cooling of this many trials, from this part of a round on."""
+    def run_cooling(
+        self,
+        trials: int,
+        begin_frac: float = 0.0,
+        on_progress: Callable[[float], None] = lambda done_frac: None,
+    ) -> None:
+        """Run trials from this part of the schedule to its end; pass the progress to
+        `on_progress`.
+        """
         done = 0
         while done < trials:
             now = min(self.step_trials, trials - done)
             parts = (done / trials, (done + now) / trials)
-            self.step(now, *(begin_frac + (1.0 - begin_frac) * part for part in parts))
+            self.run_trials(now, *(begin_frac + (1.0 - begin_frac) * part for part in parts))
             done += now
+            on_progress(done / trials)
 
 
-def plan_cost(
+def total_cost_of_operations(
     drive: NDArray[np.float64], fly: NDArray[np.float64], operations: Sequence[Operation]
 ) -> float:
-    """The sum over the operations of the longer of the truck's and the drone's cost. `drive`,
-    `fly`: costs from node to node, (n, n).
+    """Return the sum over the operations of the greater of truck cost and drone cost. `drive`,
+    `fly`: costs between nodes, (n, n).
     """
     return sum(_operation_cost(drive, fly, operation) for operation in operations)
 
@@ -64,25 +72,27 @@ def _operation_cost(
     return max(truck, float(out + back))
 
 
-def near_nodes(drive: NDArray[np.float64]) -> NDArray[np.int32]:
-    """By node, the nearest others, nearest first: at most NEAR."""
-    apart = drive.copy()
-    np.fill_diagonal(apart, np.inf)
-    return np.argsort(apart, axis=1, kind="stable")[:, : min(NEAR, len(drive) - 1)].astype(np.int32)
+def nearest_nodes_by_node(drive: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the nearest other nodes of each node, nearest first: at most NEAR."""
+    distances = drive.copy()
+    np.fill_diagonal(distances, np.inf)
+    return np.argsort(distances, axis=1, kind="stable")[:, : min(NEAR, len(drive) - 1)].astype(
+        np.int64
+    )
 
 
-def short_tour(drive: NDArray[np.float64]) -> NDArray[np.int32]:
-    """A short tour of the truck alone, from node 0 to its copy `n`."""
+def build_short_tour(drive: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return a short truck tour from node 0 to its copy `n`."""
     end = len(drive)
     left, tour = list(range(1, end)), [0]
     while left:
         tour.append(left.pop(int(np.argmin(drive[tour[-1], left]))))
-    route = np.array([*tour, end], dtype=np.int32)
-    improve_tour(with_copy(drive), near_nodes(drive), route)
+    route = np.array([*tour, end], dtype=np.int64)
+    improve_tour_in_place(with_depot_copy(drive), nearest_nodes_by_node(drive), route)
     return route
 
 
-def with_copy(costs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same costs with a copy of node 0 behind the last node, (n + 1, n + 1)."""
+def with_depot_copy(costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Append a copy of node 0 to the cost matrix, (n + 1, n + 1)."""
     both = [*range(len(costs)), 0]
     return costs[np.ix_(both, both)].copy()

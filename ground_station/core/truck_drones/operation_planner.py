@@ -1,6 +1,6 @@
-"""One truck, one drone: coolings over orders of visits, then over chains of operations.
+"""One truck, one drone: coolings over visit orders, then over chains of operations.
 
-Orders find operations of many visits, chains alone second visits and loops.
+Orders find operations of many visits; only chains allow second visits and loops.
 """
 
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from ground_station.core.truck_drones.operation_search import OperationSearch
 from ground_station.core.truck_drones.order_search import OrderSearch
 
 SMALL_NODES = 25
-"""Small instances settle in different plans, so they get more coolings."""
+"""Small instances converge to different plans, so they get more coolings."""
 
 
 @dataclass(frozen=True, slots=True)
 class OperationCooling:
-    """One cooling: of orders, else of the chain."""
+    """One cooling, of visit orders or of the chain."""
 
     of_orders: bool
     share: float
-    """Of the seconds, where there is a limit of seconds."""
+    """Share of the time limit, if one is set."""
     trials_per_node: int
-    """Where there is none."""
+    """Trials without a time limit."""
     begin_frac: float = 0.0
-    """The part of a round to begin at: 0: hot, whatever was found before is left."""
+    """Start within the schedule; 0: hot, which discards the previous plan."""
 
 
 SMALL_COOLINGS = (
@@ -34,24 +34,24 @@ SMALL_COOLINGS = (
     *[OperationCooling(False, 0.08, 40_000, 0.5)] * 2,
     *[OperationCooling(False, 0.08, 40_000)] * 6,
 )
-"""[est] Orders first; then chains for the loops and second visits that no order has, some from the
-orders' best plan and some from a hot start."""
+"""[est] Orders first; then chains for loops and second visits, some from the best plan of the
+orders and some from a hot start."""
 ORDER_COOLINGS = (
     OperationCooling(True, 0.9, 4_000),
     OperationCooling(False, 0.1, 4_000, 0.7),
 )
 CHAIN_COOLINGS = (OperationCooling(False, 1.0, 40_000),)
 MOST_NODES_OF_ORDERS = 75
-"""[est] A trial of orders takes the longer the more nodes there are, one of chains does not."""
+"""[est] The time of an order trial grows with the node count, that of a chain trial does not."""
 MOST_ALPHA_OF_ORDERS = 2.5
-"""[est] Of the speed of the drone over the truck's: a fast drone leaves the truck few visits, which
-chains arrange as well."""
+"""[est] Limit of drone speed over truck speed: a fast drone leaves few visits to the truck, for
+which chains are equally good."""
 
 
 def default_coolings(
     drive: NDArray[np.float64], fly: NDArray[np.float64]
 ) -> tuple[OperationCooling, ...]:
-    """What to cool, in this order: `drive`, `fly` as for `OperationPlanner`."""
+    """Return the sequence of coolings; `drive`, `fly` as for `OperationPlanner`."""
     nodes = len(drive)
     if nodes <= SMALL_NODES:
         return SMALL_COOLINGS
@@ -60,40 +60,40 @@ def default_coolings(
 
 
 class OperationPlanner:
-    """Both searches of one problem: `begin` a cooling, then cool what it gives."""
+    """Both searches of one problem: `prepare_search` returns the search to cool."""
 
     def __init__(
         self, drive: NDArray[np.float64], fly: NDArray[np.float64], rng: np.random.Generator
     ) -> None:
-        """`drive`, `fly`: costs from node to node, (n, n), symmetric; node 0 is the depot."""
+        """`drive`, `fly`: costs between nodes, (n, n), symmetric; node 0 is the depot."""
         self._chain = OperationSearch(drive, fly, rng)
         self._orders = OrderSearch(drive, fly, rng)
         self._cooled_orders = 0
         self._is_chain_begun = False
 
-    def begin(self, cooling: OperationCooling) -> OrderSearch | OperationSearch:
-        """The search to cool. Orders are cooled from a tour first, then from random orders; the
-        chain's first cooling takes over the best plan of the orders.
+    def prepare_search(self, cooling: OperationCooling) -> OrderSearch | OperationSearch:
+        """Return the search to cool. Order coolings start from a tour, then from random orders; the
+        chain's first cooling starts from the best plan of the orders.
         """
         if cooling.of_orders:
             if self._cooled_orders:
-                self._orders.begin_anew()
+                self._orders.begin_from_random_order()
             self._cooled_orders += 1
             return self._orders
         if self._cooled_orders and not self._is_chain_begun:
-            self._chain.begin_with(self._orders.best())
+            self._chain.begin_from_plan(self._orders.best_operations())
         self._is_chain_begun = True
         return self._chain
 
     @property
     def best_cost(self) -> float:
-        """Cost of the best plan so far."""
+        """Cost of the best plan found."""
         if self._is_chain_begun or not self._cooled_orders:
             return self._chain.best_cost
         return self._orders.best_cost
 
-    def best(self) -> list[Operation]:
-        """The best plan so far."""
+    def best_operations(self) -> list[Operation]:
+        """Return the best plan found."""
         if self._is_chain_begun or not self._cooled_orders:
-            return self._chain.best()
-        return self._orders.best()
+            return self._chain.best_operations()
+        return self._orders.best_operations()

@@ -1,12 +1,11 @@
 """A plan of one truck and one drone as a chain of operations, and random changes of it.
 
 The chain is a sequence of visits from the depot to its copy. Each visit has a role. Truck and drone
-are together at a SYNC visit. Between two of them the truck drives through the ALONE visits and the
-drone may serve one FLOWN visit, wherever in between it stands. A LOOP visit is flown from the
-nearer of the two SYNC visits around it while the truck waits. An OFF visit is not made; spare
-nodes stand for a second visit of some other node, and most of them are OFF. The cost of an
-operation is the longer of the truck's and the drone's, so a change costs only the operations that
-it touches.
+are together at a SYNC visit. Between two SYNC visits the truck makes the ALONE visits and the drone
+may make one FLOWN visit, at any position between them. A LOOP visit is flown from the nearer of the
+two adjacent SYNC visits while the truck waits. An OFF visit is skipped; spare nodes represent a
+second visit of some other node, and most of them are OFF. The cost of an operation is the greater
+of truck cost and drone cost, so a change is evaluated over the affected operations only.
 """
 
 from typing import NamedTuple
@@ -14,40 +13,42 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.random_stream import below, uniform
+from ground_station.core.truck_drones.compiled import compiled, compiled_inner
+from ground_station.core.truck_drones.random_stream import draw_integer_below, draw_uniform
+from ground_station.core.truck_drones.tuple_reference import passed_by_reference
 
-SYNC, ALONE, FLOWN, LOOP, OFF = range(5)
-REFUSED = np.inf
-"""The change of cost of a move that was not made."""
+SYNC, TRUCK_ONLY, FLOWN, LOOP, OFF = range(5)
+REJECTED = np.inf
+"""Cost change of a rejected move."""
 
 
-class Chain(NamedTuple):
-    """The problem and a plan under search. The last visit is the copy of the depot where the plan
-    ends; nodes above it are spare.
+@passed_by_reference
+class OperationChain(NamedTuple):
+    """The problem and the current plan. The last visit is the copy of the depot at the end of the
+    plan; nodes above it are spare.
     """
 
     drive: NDArray[np.float64]
     """Cost of the truck from node to node, symmetric."""
     fly: NDArray[np.float64]
     """Cost of the drone from node to node, symmetric."""
-    near: NDArray[np.int32]
+    near: NDArray[np.int64]
     """By node, the nearest others, nearest first."""
-    visits: NDArray[np.int32]
-    """Nodes in their order."""
-    place: NDArray[np.int32]
-    """Where each node stands among the visits."""
+    visits: NDArray[np.int64]
+    """Nodes in order of visit."""
+    position: NDArray[np.int64]
+    """Position of each node among the visits."""
     role: NDArray[np.int8]
     """By node."""
-    same_as: NDArray[np.int32]
-    """By node, the node whose place it has: another one for spare nodes only."""
-    spare: NDArray[np.int32]
-    """Room for two stretches of visits."""
+    same_as: NDArray[np.int64]
+    """By node, the node at the same location: a different one for spare nodes only."""
+    spare: NDArray[np.int64]
+    """Buffer for two stretches of visits."""
 
 
-@compiled
-def _loops_cost(fly, role, visits, first, last):
-    """Cost of the LOOP visits between two SYNC visits."""
+@compiled_inner
+def _loop_visits_cost(fly, role, visits, first, last):
+    """Return the cost of the LOOP visits between two SYNC visits."""
     cost = 0.0
     one, other = visits[first], visits[last]
     for at in range(first + 1, last):
@@ -58,15 +59,15 @@ def _loops_cost(fly, role, visits, first, last):
 
 
 @compiled
-def stretch_cost(drive, fly, role, visits, first, last):
-    """Cost of the operations between two SYNC places; inf where one of them flies twice."""
+def operations_cost_between_syncs(drive, fly, role, visits, first_index, last_index):
+    """Return the cost of the operations between two SYNC positions; inf if one flies twice."""
     cost, truck, loops = 0.0, 0.0, False
-    start_at, flown = first, -1
-    start = stop = visits[first]
-    for at in range(first + 1, last + 1):
+    start_at, flown = first_index, -1
+    start = stop = visits[first_index]
+    for at in range(first_index + 1, last_index + 1):
         node = visits[at]
-        what = role[node]
-        if what == SYNC:
+        node_role = role[node]
+        if node_role == SYNC:
             truck += drive[stop, node]
             if flown >= 0:
                 drone = fly[start, flown] + fly[flown, node]
@@ -74,330 +75,377 @@ def stretch_cost(drive, fly, role, visits, first, last):
             else:
                 cost += truck
             if loops:
-                cost += _loops_cost(fly, role, visits, start_at, at)
+                cost += _loop_visits_cost(fly, role, visits, start_at, at)
             start_at, flown, truck, loops = at, -1, 0.0, False
             start = stop = node
-        elif what == ALONE:
+        elif node_role == TRUCK_ONLY:
             truck += drive[stop, node]
             stop = node
-        elif what == FLOWN:
+        elif node_role == FLOWN:
             if flown >= 0:
                 return np.inf
             flown = node
-        elif what == LOOP:
+        elif node_role == LOOP:
             loops = True
     return cost
 
 
-@compiled
-def _sync_before(c, at):
-    """The last SYNC place at or before this one."""
+@compiled_inner
+def _last_sync_index_until(chain, at):
+    """Return the last SYNC position at or before this one."""
     at = max(at, 0)
-    while c.role[c.visits[at]] != SYNC:
+    while chain.role[chain.visits[at]] != SYNC:
         at -= 1
     return at
 
 
-@compiled
-def _sync_after(c, at):
-    """The first SYNC place at or after this one."""
-    at = min(at, len(c.visits) - 1)
-    while c.role[c.visits[at]] != SYNC:
+@compiled_inner
+def _first_sync_index_from(chain, at):
+    """Return the first SYNC position at or after this one."""
+    at = min(at, len(chain.visits) - 1)
+    while chain.role[chain.visits[at]] != SYNC:
         at += 1
     return at
 
 
-@compiled
-def _near_node(c, node, stream):
-    """A node near this one; nearer ones are more likely."""
-    drawn = uniform(stream)
-    return c.near[node, int(drawn * drawn * c.near.shape[1])]
+@compiled_inner
+def _draw_near_node(chain, node, stream):
+    """Draw a node near this one; nearer nodes are more likely."""
+    drawn = draw_uniform(stream)
+    return chain.near[node, int(drawn * drawn * chain.near.shape[1])]
 
 
-@compiled
-def _shift(c, first, last, to, back):
-    """Move the places first .. last right behind `to`, outside of them; `back`: reversed."""
+@compiled_inner
+def _move_positions(chain, first, last, to, is_reversed):
+    """Move positions first .. last to directly after `to`, outside them, or `is_reversed`."""
     count = last - first + 1
-    visits, place, kept = c.visits, c.place, c.spare
+    visits, position, kept = chain.visits, chain.position, chain.spare
     for at in range(count):
-        kept[at] = visits[last - at] if back else visits[first + at]
+        kept[at] = visits[last - at] if is_reversed else visits[first + at]
     if to > last:
         for at in range(last + 1, to + 1):
             visits[at - count] = visits[at]
-            place[visits[at]] = at - count
+            position[visits[at]] = at - count
         begin = to - count + 1
     else:
         for at in range(first - 1, to, -1):
             visits[at + count] = visits[at]
-            place[visits[at]] = at + count
+            position[visits[at]] = at + count
         begin = to + 1
     for at in range(count):
         visits[begin + at] = kept[at]
-        place[kept[at]] = begin + at
+        position[kept[at]] = begin + at
 
 
-@compiled
-def _copy_moved(c, low, high, first, last, to, back, begin):
-    """Write low .. high into the spare room from `begin` as the move leaves it; the end of it."""
+@compiled_inner
+def _write_moved_range_to_spare(chain, low, high, first, last, to, is_reversed, begin):
+    """Write low .. high as after the move to the spare buffer from `begin`; return its end."""
     for at in range(low, high + 1):
         if at < first or at > last:
-            c.spare[begin] = c.visits[at]
+            chain.spare[begin] = chain.visits[at]
             begin += 1
         if at == to:
             for step in range(last - first + 1):
-                c.spare[begin] = c.visits[last - step] if back else c.visits[first + step]
+                chain.spare[begin] = (
+                    chain.visits[last - step] if is_reversed else chain.visits[first + step]
+                )
                 begin += 1
     return begin
 
 
-@compiled
-def _is_spare(c, node):
-    return node > c.visits[len(c.visits) - 1]
+@compiled_inner
+def _is_spare(chain, node):
+    return node > chain.visits[len(chain.visits) - 1]
 
 
-@compiled
-def _place_spare(c, node, stream):
-    """Let a spare node that is OFF stand for a random node."""
-    same = c.same_as[c.visits[below(stream, len(c.visits))]]
-    c.same_as[node] = same
-    for other in range(len(c.drive)):
-        c.drive[node, other] = c.drive[other, node] = c.drive[same, other]
-        c.fly[node, other] = c.fly[other, node] = c.fly[same, other]
-    c.drive[node, node] = c.fly[node, node] = 0.0
-    for column in range(c.near.shape[1]):
-        c.near[node, column] = c.near[same, column]
+@compiled_inner
+def _represent_random_node_by_spare(chain, node, stream):
+    """Let a spare node that is OFF represent a random node."""
+    same = chain.same_as[chain.visits[draw_integer_below(stream, len(chain.visits))]]
+    chain.same_as[node] = same
+    for other in range(len(chain.drive)):
+        chain.drive[node, other] = chain.drive[other, node] = chain.drive[same, other]
+        chain.fly[node, other] = chain.fly[other, node] = chain.fly[same, other]
+    chain.drive[node, node] = chain.fly[node, node] = 0.0
+    for column in range(chain.near.shape[1]):
+        chain.near[node, column] = chain.near[same, column]
 
 
-@compiled
-def _change_role(c, node, stream):
-    """Another role for a node; the roles of customers with the truck are drawn more often."""
-    drawn = uniform(stream)
-    if _is_spare(c, node):
-        c.role[node] = SYNC if drawn < 0.5 else OFF
+@compiled_inner
+def _set_random_role(chain, node, stream):
+    """Draw a role for a node; roles with the truck are more likely."""
+    drawn = draw_uniform(stream)
+    if _is_spare(chain, node):
+        chain.role[node] = SYNC if drawn < 0.5 else OFF
     elif drawn < 0.35:
-        c.role[node] = SYNC
+        chain.role[node] = SYNC
     elif drawn < 0.65:
-        c.role[node] = ALONE
+        chain.role[node] = TRUCK_ONLY
     elif drawn < 0.97:
-        c.role[node] = FLOWN
+        chain.role[node] = FLOWN
     else:
-        c.role[node] = LOOP
+        chain.role[node] = LOOP
 
 
-@compiled
-def move_visits(c, stream, allowed):
-    """Move one to three visits next to a near one, with new roles for those at the seams.
+@compiled_inner
+def try_random_move_of_visits(chain, stream, allowed_cost_increase):
+    """Move one to three visits next to a near visit, with new roles at the seams.
 
-    The change of cost, REFUSED where it is above `allowed`.
+    Returns the cost change; REFUSED if it exceeds `allowed_cost_increase`.
     """
-    end = len(c.visits) - 1
-    count = 1 if below(stream, 3) else min(1 + below(stream, 3), end - 1)
-    first = 1 + below(stream, end - count)
+    end = len(chain.visits) - 1
+    count = 1 if draw_integer_below(stream, 3) else min(1 + draw_integer_below(stream, 3), end - 1)
+    first = 1 + draw_integer_below(stream, end - count)
     last = first + count - 1
-    node = c.visits[first]
-    if c.role[node] == OFF and count == 1:
-        _place_spare(c, node, stream)
+    node = chain.visits[first]
+    if chain.role[node] == OFF and count == 1:
+        _represent_random_node_by_spare(chain, node, stream)
     to = first - 1
-    if below(stream, 4):
-        to = c.place[_near_node(c, node, stream)] - below(stream, 2)
+    if draw_integer_below(stream, 4):
+        to = chain.position[_draw_near_node(chain, node, stream)] - draw_integer_below(stream, 2)
         to = max(0, min(to, end - 1))
         if first - 1 <= to <= last:
             to = first - 1
-    back = count > 1 and below(stream, 2) == 0
-    changed = below(stream, 3)
+    back = count > 1 and draw_integer_below(stream, 2) == 0
+    changed = draw_integer_below(stream, 3)
     margin = 1 if changed else 0
-    low, high = _sync_before(c, first - 1 - margin), _sync_after(c, last + 1 + margin)
+    low, high = (
+        _last_sync_index_until(chain, first - 1 - margin),
+        _first_sync_index_from(chain, last + 1 + margin),
+    )
     low_to, high_to, joined = low, high, True
     if to != first - 1:
-        low_to, high_to = _sync_before(c, to - margin), _sync_after(c, to + 1 + margin)
+        low_to, high_to = (
+            _last_sync_index_until(chain, to - margin),
+            _first_sync_index_from(chain, to + 1 + margin),
+        )
         joined = low < high_to and low_to < high
         if joined:
             low, high = min(low, low_to), max(high, high_to)
-    cost = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
+    cost = operations_cost_between_syncs(
+        chain.drive, chain.fly, chain.role, chain.visits, low, high
+    )
     if not joined:
-        cost += stretch_cost(c.drive, c.fly, c.role, c.visits, low_to, high_to)
+        cost += operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
+        )
 
-    role = c.role[node]
-    if count == 1 and below(stream, 4):
-        _change_role(c, node, stream)
+    role = chain.role[node]
+    if count == 1 and draw_integer_below(stream, 4):
+        _set_random_role(chain, node, stream)
     others = (node, node)
     roles = (role, role)
     for step in range(changed):
-        drawn = below(stream, 4)
+        drawn = draw_integer_below(stream, 4)
         at = first - 1 if drawn == 0 else last + 1 if drawn == 1 else to if drawn == 2 else to + 1
-        other = c.visits[max(0, min(at, end))]
-        if other == 0 or other == c.visits[end]:
+        other = chain.visits[max(0, min(at, end))]
+        if other == 0 or other == chain.visits[end]:
             continue
         if step == 0:
-            others, roles = (other, others[1]), (c.role[other], roles[1])
+            others, roles = (other, others[1]), (chain.role[other], roles[1])
         else:
-            others, roles = (others[0], other), (roles[0], c.role[other])
-        _change_role(c, other, stream)
+            others, roles = (others[0], other), (roles[0], chain.role[other])
+        _set_random_role(chain, other, stream)
 
     if joined:
-        stop = _copy_moved(c, low, high, first, last, to, back, 0)
-        now = stretch_cost(c.drive, c.fly, c.role, c.spare, 0, stop - 1)
+        stop = _write_moved_range_to_spare(chain, low, high, first, last, to, back, 0)
+        now = operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
+        )
     else:
-        stop = _copy_moved(c, low, high, first, last, -1, back, 0)
-        now = stretch_cost(c.drive, c.fly, c.role, c.spare, 0, stop - 1)
-        if now - cost <= allowed:
-            stop = _copy_moved(c, low_to, high_to, first, last, to, back, 0)
-            now += stretch_cost(c.drive, c.fly, c.role, c.spare, 0, stop - 1)
-    if not now - cost <= allowed:
-        c.role[others[1]] = roles[1]
-        c.role[others[0]] = roles[0]
-        c.role[node] = role
-        return REFUSED
+        stop = _write_moved_range_to_spare(chain, low, high, first, last, -1, back, 0)
+        now = operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
+        )
+        if now - cost <= allowed_cost_increase:
+            stop = _write_moved_range_to_spare(chain, low_to, high_to, first, last, to, back, 0)
+            now += operations_cost_between_syncs(
+                chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
+            )
+    if not now - cost <= allowed_cost_increase:
+        chain.role[others[1]] = roles[1]
+        chain.role[others[0]] = roles[0]
+        chain.role[node] = role
+        return REJECTED
     if to != first - 1:
-        _shift(c, first, last, to, back)
+        _move_positions(chain, first, last, to, back)
     elif back:
-        _turn(c, first, last)
+        _reverse_positions(chain, first, last)
     return now - cost
 
 
-@compiled
-def _turn(c, first, last):
-    """Reverse these places."""
+@compiled_inner
+def _reverse_positions(chain, first, last):
+    """Reverse these positions."""
     while first < last:
-        one, other = c.visits[first], c.visits[last]
-        c.visits[first], c.visits[last] = other, one
-        c.place[other], c.place[one] = first, last
+        one, other = chain.visits[first], chain.visits[last]
+        chain.visits[first], chain.visits[last] = other, one
+        chain.position[other], chain.position[one] = first, last
         first += 1
         last -= 1
 
 
-@compiled
-def _exchange(c, one, other, with_roles):
-    """Exchange the places of two nodes, or places and roles."""
-    at, to = c.place[one], c.place[other]
-    c.visits[at], c.visits[to] = other, one
-    c.place[one], c.place[other] = to, at
+@compiled_inner
+def _swap_nodes(chain, first_node, second_node, with_roles):
+    """Swap the positions of two nodes, and optionally their roles."""
+    at, to = chain.position[first_node], chain.position[second_node]
+    chain.visits[at], chain.visits[to] = second_node, first_node
+    chain.position[first_node], chain.position[second_node] = to, at
     if with_roles:
-        c.role[one], c.role[other] = c.role[other], c.role[one]
+        chain.role[first_node], chain.role[second_node] = (
+            chain.role[second_node],
+            chain.role[first_node],
+        )
 
 
-@compiled
-def exchange_visits(c, stream, allowed):
-    """Exchange two near visits; see `move_visits`."""
-    end = len(c.visits) - 1
-    one = c.visits[1 + below(stream, end - 1)]
-    other = _near_node(c, one, stream)
-    at, to = c.place[one], c.place[other]
+@compiled_inner
+def try_random_swap_of_visits(chain, stream, allowed_cost_increase):
+    """Swap two near visits; see `try_random_move_of_visits`."""
+    end = len(chain.visits) - 1
+    one = chain.visits[1 + draw_integer_below(stream, end - 1)]
+    other = _draw_near_node(chain, one, stream)
+    at, to = chain.position[one], chain.position[other]
     if to == 0 or to == end:
-        return REFUSED
+        return REJECTED
     at, to = min(at, to), max(at, to)
-    low, high = _sync_before(c, at - 1), _sync_after(c, at + 1)
-    low_to, high_to = _sync_before(c, to - 1), _sync_after(c, to + 1)
+    low, high = _last_sync_index_until(chain, at - 1), _first_sync_index_from(chain, at + 1)
+    low_to, high_to = _last_sync_index_until(chain, to - 1), _first_sync_index_from(chain, to + 1)
     joined = low_to < high
     if joined:
         high = max(high, high_to)
-    with_roles = below(stream, 3) > 0 and not _is_spare(c, one)
-    cost = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
+    with_roles = draw_integer_below(stream, 3) > 0 and not _is_spare(chain, one)
+    cost = operations_cost_between_syncs(
+        chain.drive, chain.fly, chain.role, chain.visits, low, high
+    )
     if not joined:
-        cost += stretch_cost(c.drive, c.fly, c.role, c.visits, low_to, high_to)
-    _exchange(c, one, other, with_roles)
-    now = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
+        cost += operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
+        )
+    _swap_nodes(chain, one, other, with_roles)
+    now = operations_cost_between_syncs(chain.drive, chain.fly, chain.role, chain.visits, low, high)
     if not joined:
-        now += stretch_cost(c.drive, c.fly, c.role, c.visits, low_to, high_to)
-    if not now - cost <= allowed:
-        _exchange(c, one, other, with_roles)
-        return REFUSED
+        now += operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
+        )
+    if not now - cost <= allowed_cost_increase:
+        _swap_nodes(chain, one, other, with_roles)
+        return REJECTED
     return now - cost
 
 
-@compiled
-def _copy(c, first, last, begin):
-    """Write first .. last, also downwards, into the spare room from `begin`; the end of it."""
+@compiled_inner
+def _write_range_to_spare(chain, first, last, begin):
+    """Write first .. last (either direction) to the spare buffer from `begin`; return its end."""
     step = 1 if last >= first else -1
     for at in range(first, last + step, step):
-        c.spare[begin] = c.visits[at]
+        chain.spare[begin] = chain.visits[at]
         begin += 1
     return begin
 
 
-@compiled
-def reverse_visits(c, stream, allowed):
-    """Reverse a part of the chain (2-opt), so that two near nodes meet; see `move_visits`."""
-    end = len(c.visits) - 1
-    at = below(stream, end + 1)
-    to = c.place[_near_node(c, c.visits[at], stream)]
+@compiled_inner
+def try_random_reversal_of_visits(chain, stream, allowed_cost_increase):
+    """Reverse part of the chain (2-opt), joining near nodes; see `try_random_move_of_visits`."""
+    end = len(chain.visits) - 1
+    at = draw_integer_below(stream, end + 1)
+    to = chain.position[_draw_near_node(chain, chain.visits[at], stream)]
     first, last = (at + 1, to) if to > at else (to, at - 1)
     if first < 1 or last > end - 1 or first >= last:
-        return REFUSED
-    low, high = _sync_before(c, first - 1), _sync_after(c, first)
-    low_to, high_to = _sync_before(c, last), _sync_after(c, last + 1)
+        return REJECTED
+    low, high = _last_sync_index_until(chain, first - 1), _first_sync_index_from(chain, first)
+    low_to, high_to = _last_sync_index_until(chain, last), _first_sync_index_from(chain, last + 1)
     joined = high > low_to
-    cost = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high_to if joined else high)
+    cost = operations_cost_between_syncs(
+        chain.drive, chain.fly, chain.role, chain.visits, low, high_to if joined else high
+    )
     if not joined:
-        cost += stretch_cost(c.drive, c.fly, c.role, c.visits, low_to, high_to)
-    drawn = below(stream, 8)
+        cost += operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
+        )
+    drawn = draw_integer_below(stream, 8)
     seam = first - 1 if drawn == 0 else first if drawn == 1 else last if drawn == 2 else last + 1
-    node = c.visits[seam]
-    role = c.role[node]
+    node = chain.visits[seam]
+    role = chain.role[node]
     if drawn < 4:
-        c.role[node] = SYNC
-    stop = _copy(c, low, first - 1, 0)
+        chain.role[node] = SYNC
+    stop = _write_range_to_spare(chain, low, first - 1, 0)
     if joined:
-        stop = _copy(c, last, first, stop)
-        stop = _copy(c, last + 1, high_to, stop)
-        now = stretch_cost(c.drive, c.fly, c.role, c.spare, 0, stop - 1)
+        stop = _write_range_to_spare(chain, last, first, stop)
+        stop = _write_range_to_spare(chain, last + 1, high_to, stop)
+        now = operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
+        )
     else:
-        stop = _copy(c, last, low_to, stop)
-        now = stretch_cost(c.drive, c.fly, c.role, c.spare, 0, stop - 1)
-        if now - cost <= allowed:
-            stop = _copy(c, high, first, 0)
-            stop = _copy(c, last + 1, high_to, stop)
-            now += stretch_cost(c.drive, c.fly, c.role, c.spare, 0, stop - 1)
-    if not now - cost <= allowed:
-        c.role[node] = role
-        return REFUSED
-    _turn(c, first, last)
+        stop = _write_range_to_spare(chain, last, low_to, stop)
+        now = operations_cost_between_syncs(
+            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
+        )
+        if now - cost <= allowed_cost_increase:
+            stop = _write_range_to_spare(chain, high, first, 0)
+            stop = _write_range_to_spare(chain, last + 1, high_to, stop)
+            now += operations_cost_between_syncs(
+                chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
+            )
+    if not now - cost <= allowed_cost_increase:
+        chain.role[node] = role
+        return REJECTED
+    _reverse_positions(chain, first, last)
     return now - cost
 
 
-@compiled
-def _join(c, first, last, keep, role):
-    """Roles of one operation: of those flown, keep the `keep`-th; the truck's get this role."""
+@compiled_inner
+def _merge_roles_and_count_flown(chain, first, last, kept_flown_number, merged_role):
+    """Keep FLOWN visit `kept_flown_number`, set others to `merged_role`; return the FLOWN count."""
     flown = 0
     for at in range(first, last + 1):
-        node = c.visits[at]
-        what = c.role[node]
-        if (what == FLOWN and flown != keep) or what in (SYNC, ALONE):
-            c.role[node] = role
-        flown += what == FLOWN
+        node = chain.visits[at]
+        node_role = chain.role[node]
+        if (node_role == FLOWN and flown != kept_flown_number) or node_role in (SYNC, TRUCK_ONLY):
+            chain.role[node] = merged_role
+        flown += node_role == FLOWN
     return flown
 
 
-@compiled
-def join_visits(c, stream, allowed):
-    """Let the truck alone make two to six visits in a row, or both vehicles; see `move_visits`."""
-    end = len(c.visits) - 1
-    first = 1 + below(stream, end - 1)
-    last = min(first + 1 + below(stream, 5), end - 1)
-    low, high = _sync_before(c, first - 1), _sync_after(c, last + 1)
-    cost = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
+@compiled_inner
+def try_random_merge_of_visits(chain, stream, allowed_cost_increase):
+    """Assign two to six consecutive visits to the truck alone or to both; see
+    `try_random_move_of_visits`.
+    """
+    end = len(chain.visits) - 1
+    first = 1 + draw_integer_below(stream, end - 1)
+    last = min(first + 1 + draw_integer_below(stream, 5), end - 1)
+    low, high = _last_sync_index_until(chain, first - 1), _first_sync_index_from(chain, last + 1)
+    cost = operations_cost_between_syncs(
+        chain.drive, chain.fly, chain.role, chain.visits, low, high
+    )
     for at in range(first, last + 1):
-        c.spare[at] = c.role[c.visits[at]]
-    flown = _join(c, first, last, below(stream, 2), ALONE if below(stream, 3) else SYNC)
-    node = c.visits[first + below(stream, last - first + 1)]
-    if flown == 0 and not _is_spare(c, node):
-        c.role[node] = FLOWN
-    now = stretch_cost(c.drive, c.fly, c.role, c.visits, low, high)
-    if not now - cost <= allowed:
+        chain.spare[at] = chain.role[chain.visits[at]]
+    flown = _merge_roles_and_count_flown(
+        chain,
+        first,
+        last,
+        draw_integer_below(stream, 2),
+        TRUCK_ONLY if draw_integer_below(stream, 3) else SYNC,
+    )
+    node = chain.visits[first + draw_integer_below(stream, last - first + 1)]
+    if flown == 0 and not _is_spare(chain, node):
+        chain.role[node] = FLOWN
+    now = operations_cost_between_syncs(chain.drive, chain.fly, chain.role, chain.visits, low, high)
+    if not now - cost <= allowed_cost_increase:
         for at in range(first, last + 1):
-            c.role[c.visits[at]] = c.spare[at]
-        return REFUSED
+            chain.role[chain.visits[at]] = chain.spare[at]
+        return REJECTED
     return now - cost
 
 
-@compiled
-def any_move(c, stream, allowed):
-    """A random move, by fixed shares; see `move_visits`."""
-    drawn = uniform(stream)
+@compiled_inner
+def try_random_move(chain, stream, allowed_cost_increase):
+    """Apply a random move, by fixed probabilities; see `try_random_move_of_visits`."""
+    drawn = draw_uniform(stream)
     if drawn < 0.55:
-        return move_visits(c, stream, allowed)
+        return try_random_move_of_visits(chain, stream, allowed_cost_increase)
     if drawn < 0.75:
-        return exchange_visits(c, stream, allowed)
+        return try_random_swap_of_visits(chain, stream, allowed_cost_increase)
     if drawn < 0.85:
-        return join_visits(c, stream, allowed)
-    return reverse_visits(c, stream, allowed)
+        return try_random_merge_of_visits(chain, stream, allowed_cost_increase)
+    return try_random_reversal_of_visits(chain, stream, allowed_cost_increase)

@@ -1,9 +1,9 @@
 """Simulated annealing over the order of visits: one truck, one drone, each node visited once.
 
-An order is worth what its best split into operations costs, which a dynamic programme finds (Agatz,
+The cost of an order is that of its best split into operations, by a dynamic programme (Agatz,
 Bouman and Schmidt, Transportation Science 52, 2018, "exact partitioning"). One move of the order
-may so change many operations at once, which no single move of a chain of operations does
-(`operation_search`); the chain alone knows second visits and loops.
+can change many operations at once, unlike a move of a chain of operations (`operation_search`);
+only the chain allows second visits and loops.
 """
 
 import math
@@ -13,137 +13,145 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.compiled import compiled, compiled_inner
 from ground_station.core.truck_drones.operation_plan import (
-    CooledSearch,
+    AnnealingSearch,
     Operation,
-    near_nodes,
-    plan_cost,
-    short_tour,
-    with_copy,
+    build_short_tour,
+    nearest_nodes_by_node,
+    total_cost_of_operations,
+    with_depot_copy,
 )
-from ground_station.core.truck_drones.random_stream import below, random_stream, uniform
+from ground_station.core.truck_drones.random_stream import (
+    draw_integer_below,
+    draw_uniform,
+    seeded_stream_from_generator,
+)
+from ground_station.core.truck_drones.tuple_reference import passed_by_reference
 
 
 @dataclass(frozen=True, slots=True)
 class OrderParams:
-    """Temperatures as shares of a short tour's mean leg; a round cools from hot to cold."""
+    """Temperatures as shares of a short tour's mean leg; cooling from hot to cold."""
 
-    hot_legs: float = 0.3
-    cold_legs: float = 0.02
+    start_temperature_frac: float = 0.3
+    end_temperature_frac: float = 0.02
     step_trials: int = 50_000
-    most_legs: int = 25
-    """Of one operation, counted along the order; longer ones are not looked for."""
+    max_operation_length: int = 25
+    """Maximum length of an operation, in legs along the order."""
 
 
-class Split(NamedTuple):
-    """An order from node 0 to its copy, and its best split into operations. All by place."""
+@passed_by_reference
+class SplitOrder(NamedTuple):
+    """A visit order from node 0 to its copy, and its best split into operations, by position."""
 
-    order: NDArray[np.int32]
+    order: NDArray[np.int64]
     """Nodes."""
-    along: NDArray[np.float64]
-    """Cost of driving through the order up to here."""
+    cumulative_cost: NDArray[np.float64]
+    """Cost of driving along the order up to this position."""
     saved: NDArray[np.float64]
-    """Cost of driving that is saved where the truck leaves out this place alone."""
+    """Driving cost saved if the truck skips only this position."""
     cost: NDArray[np.float64]
-    """Least cost of serving all up to here and being both here."""
-    start: NDArray[np.int32]
-    """The place where the last operation of that plan starts."""
-    flown: NDArray[np.int32]
-    """The place that the drone serves in it; -1: none."""
+    """Least cost of serving all up to this position with both vehicles here at the end."""
+    start: NDArray[np.int64]
+    """Start position of the last operation of that plan."""
+    flown: NDArray[np.int64]
+    """Position that the drone serves in that operation; -1: none."""
 
 
-def new_split(order: NDArray[np.int32]) -> Split:
-    """An order that is not split yet."""
-    places = len(order)
-    return Split(
+def create_uncomputed_split(order: NDArray[np.int64]) -> SplitOrder:
+    """Return an order without a computed split."""
+    position_count = len(order)
+    return SplitOrder(
         order.copy(),
-        along=np.zeros(places),
-        saved=np.zeros(places),
-        cost=np.zeros(places),
-        start=np.zeros(places, dtype=np.int32),
-        flown=np.zeros(places, dtype=np.int32),
+        cumulative_cost=np.zeros(position_count),
+        saved=np.zeros(position_count),
+        cost=np.zeros(position_count),
+        start=np.zeros(position_count, dtype=np.int64),
+        flown=np.zeros(position_count, dtype=np.int64),
     )
 
 
 @compiled
-def split_order(drive, fly, s, first, most_legs):
-    """The cost of the best split of the order, which is split right before the place `first`."""
-    order, along, saved, cost = s.order, s.along, s.saved, s.cost
+def update_best_split_cost(drive, fly, split, first_changed_index, max_operation_length):
+    """Return the cost of the best split, valid before position `first_changed_index`."""
+    order, cumulative, saved, cost = split.order, split.cumulative_cost, split.saved, split.cost
     end = len(order) - 1
-    for at in range(max(first, 1), end + 1):
-        along[at] = along[at - 1] + drive[order[at - 1], order[at]]
-    for at in range(max(first - 1, 1), end):
-        saved[at] = along[at + 1] - along[at - 1] - drive[order[at - 1], order[at + 1]]
-    for stop in range(max(first, 1), end + 1):
-        least = cost[stop - 1] + along[stop] - along[stop - 1]
-        from_place, flown = stop - 1, -1
+    for at in range(max(first_changed_index, 1), end + 1):
+        cumulative[at] = cumulative[at - 1] + drive[order[at - 1], order[at]]
+    for at in range(max(first_changed_index - 1, 1), end):
+        saved[at] = cumulative[at + 1] - cumulative[at - 1] - drive[order[at - 1], order[at + 1]]
+    for stop in range(max(first_changed_index, 1), end + 1):
+        least = cost[stop - 1] + cumulative[stop] - cumulative[stop - 1]
+        from_position, flown = stop - 1, -1
         node = order[stop]
         most_saved = -np.inf
-        for start in range(stop - 2, max(stop - most_legs, 0) - 1, -1):
+        for start in range(stop - 2, max(stop - max_operation_length, 0) - 1, -1):
             most_saved = max(most_saved, saved[start + 1])
             allowed = least - cost[start]
-            driven = along[stop] - along[start]
+            driven = cumulative[stop] - cumulative[start]
             if driven - most_saved >= allowed:
                 continue
             origin = order[start]
             for at in range(start + 1, stop):
-                longer = max(fly[origin, order[at]] + fly[order[at], node], driven - saved[at])
-                if longer < allowed:
-                    allowed = longer
-                    least = cost[start] + longer
-                    from_place, flown = start, at
-        cost[stop], s.start[stop], s.flown[stop] = least, from_place, flown
+                operation_cost = max(
+                    fly[origin, order[at]] + fly[order[at], node], driven - saved[at]
+                )
+                if operation_cost < allowed:
+                    allowed = operation_cost
+                    least = cost[start] + operation_cost
+                    from_position, flown = start, at
+        cost[stop], split.start[stop], split.flown[stop] = least, from_position, flown
     return cost[end]
 
 
-@compiled
-def _move(old, new, first, last, to, back):
-    """Write the order into `new` with the places first .. last right behind `to`, outside of them;
-    `back`: reversed. The first and the last changed place.
+@compiled_inner
+def _write_moved_order(order, new_order, first, last, to, is_reversed):
+    """Write to `new_order` the order with positions first .. last moved to after `to`, outside of
+    them; `is_reversed`: reversed. Returns the first and the last changed position.
     """
     count = last - first + 1
     if to > last:
         low, high, begin = first, to, to - count + 1
         for at in range(last + 1, to + 1):
-            new[at - count] = old[at]
+            new_order[at - count] = order[at]
     else:
         low, high, begin = to + 1, last, to + 1
         for at in range(to + 1, first):
-            new[at + count] = old[at]
+            new_order[at + count] = order[at]
     for at in range(count):
-        new[begin + at] = old[last - at] if back else old[first + at]
+        new_order[begin + at] = order[last - at] if is_reversed else order[first + at]
     return low, high
 
 
-@compiled
-def _change(s, place, near, new, stream):
-    """Write a random change of the order into `new`: its first and last place, the last before the
-    first where it is none. Of `new` only these are written.
+@compiled_inner
+def _write_random_order_change(split, order_index_by_node, near, new_order, stream):
+    """Write a random change of the order to `new_order`. Returns the first and last changed
+    position (last before first: no change). Only these positions of `new_order` are written.
     """
-    old = s.order
+    old = split.order
     end = len(old) - 1
-    at = 1 + below(stream, end - 1)
-    drawn = uniform(stream)
-    to = place[near[old[at], int(drawn * drawn * near.shape[1])]]
-    if to == 0 and below(stream, 2):
+    at = 1 + draw_integer_below(stream, end - 1)
+    drawn = draw_uniform(stream)
+    to = order_index_by_node[near[old[at], int(drawn * drawn * near.shape[1])]]
+    if to == 0 and draw_integer_below(stream, 2):
         to = end
-    drawn = uniform(stream)
+    drawn = draw_uniform(stream)
     if drawn < 0.4:
-        last = at if drawn < 0.25 else min(at + 1 + below(stream, 2), end - 1)
-        to = min(to - below(stream, 2), end - 1)
+        last = at if drawn < 0.25 else min(at + 1 + draw_integer_below(stream, 2), end - 1)
+        to = min(to - draw_integer_below(stream, 2), end - 1)
         if at - 1 <= to <= last or to < 0:
             return 1, 0
-        return _move(old, new, at, last, to, below(stream, 2) > 0)
+        return _write_moved_order(old, new_order, at, last, to, draw_integer_below(stream, 2) > 0)
     if drawn < 0.7:
         if to == 0 or to == end:
             return 1, 0
         low, high = min(at, to), max(at, to)
         for step in range(low, high + 1):
-            new[step] = old[step]
-        new[low], new[high] = old[high], old[low]
+            new_order[step] = old[step]
+        new_order[low], new_order[high] = old[high], old[low]
         return low, high
-    # Reversed so that the two meet, on one side of `at` or on the other.
+    # Reverse to join the two nodes, on either side of `at`.
     low, high = min(at, to), max(at, to)
     if drawn < 0.85:
         low += 1
@@ -151,51 +159,70 @@ def _change(s, place, near, new, stream):
         high -= 1
     low, high = max(low, 1), min(high, end - 1)
     for step in range(low, high + 1):
-        new[step] = old[high + low - step]
+        new_order[step] = old[high + low - step]
     return low, high
 
 
-@compiled
-def _copy(s, to, first, last):
-    """Copy these places of the order, and all else from the first on."""
+@compiled_inner
+def _copy_split(split, target_split, first, last):
+    """Copy these positions of the order, and all other fields from the first on."""
     for at in range(first, last + 1):
-        to.order[at] = s.order[at]
-    for at in range(max(first - 1, 0), len(s.order)):
-        to.along[at], to.saved[at], to.cost[at] = s.along[at], s.saved[at], s.cost[at]
+        target_split.order[at] = split.order[at]
+    for at in range(max(first - 1, 0), len(split.order)):
+        target_split.cumulative_cost[at], target_split.saved[at], target_split.cost[at] = (
+            split.cumulative_cost[at],
+            split.saved[at],
+            split.cost[at],
+        )
 
 
 @compiled
-def anneal_order(drive, fly, near, s, new, place, best, costs, stream, trials, hot, cold, most):
-    """Try `trials` changes while the temperature falls from `hot` to `cold`, units of cost.
+def anneal_order_in_place(
+    drive,
+    fly,
+    near,
+    split,
+    candidate_split,
+    order_index_by_node,
+    best,
+    costs,
+    stream,
+    trials,
+    start_temperature,
+    end_temperature,
+    max_operation_length,
+):
+    """Try `trials` changes, temperature from `start_temperature` to `end_temperature`, units of
+    cost.
 
-    `new` equals `s` before and after. Changes these, `place` (by node), `best` and `costs` (of the
-    order and of the best one).
+    `candidate_split` equals `split` before and after. Changes these, `order_index_by_node`, `best`
+    and `costs` (of the order and of the best one).
     """
-    cooling = (cold / hot) ** (1.0 / trials)
-    temperature = hot
+    cooling = (end_temperature / start_temperature) ** (1.0 / trials)
+    temperature = start_temperature
     for _ in range(trials):
         temperature *= cooling
-        first, last = _change(s, place, near, new.order, stream)
+        first, last = _write_random_order_change(
+            split, order_index_by_node, near, candidate_split.order, stream
+        )
         if first >= last:
             continue
-        cost = split_order(drive, fly, new, first, most)
-        if cost - costs[0] > -temperature * math.log(1.0 - uniform(stream)):
-            _copy(s, new, first, last)
+        cost = update_best_split_cost(drive, fly, candidate_split, first, max_operation_length)
+        if cost - costs[0] > -temperature * math.log(1.0 - draw_uniform(stream)):
+            _copy_split(split, candidate_split, first, last)
             continue
-        _copy(new, s, first, last)
+        _copy_split(candidate_split, split, first, last)
         for at in range(first, last + 1):
-            place[s.order[at]] = at
+            order_index_by_node[split.order[at]] = at
         costs[0] = cost
         if cost < costs[1] - 1e-9:
             costs[1] = cost
             for at in range(len(best)):
-                best[at] = s.order[at]
+                best[at] = split.order[at]
 
 
-class OrderSearch(CooledSearch):
-    """A search under way: `step` as often as wanted; `best` is valid at any time. `now` is the
-    order that it goes on from.
-    """
+class OrderSearch(AnnealingSearch):
+    """A resumable search: `run_trials` repeatedly; `best_operations` is always valid."""
 
     def __init__(
         self,
@@ -204,68 +231,73 @@ class OrderSearch(CooledSearch):
         rng: np.random.Generator,
         params: OrderParams = OrderParams(),
     ) -> None:
-        """`drive`, `fly`: costs from node to node, (n, n), symmetric; node 0 is the depot."""
+        """`drive`, `fly`: costs between nodes, (n, n), symmetric; node 0 is the depot."""
         self._drive, self._fly, self._rng, self._params = drive, fly, rng, params
         self.step_trials = params.step_trials
-        self._costs_of = with_copy(drive), with_copy(fly)
-        self._near = near_nodes(drive)
-        tour = short_tour(drive)
+        self._costs_of = with_depot_copy(drive), with_depot_copy(fly)
+        self._near = nearest_nodes_by_node(drive)
+        tour = build_short_tour(drive)
         self._leg = float(self._costs_of[0][tour[:-1], tour[1:]].mean())
         self._best = tour.copy()
         self._costs = np.full(2, np.inf)
-        self._stream = random_stream(rng)
-        self._begin(tour)
+        self._stream = seeded_stream_from_generator(rng)
+        self._begin_from_order(tour)
 
-    def _begin(self, order: NDArray[np.int32]) -> None:
-        """Go on from this order."""
-        self.now, self._new = new_split(order), new_split(order)
-        most = self._params.most_legs
-        split_order(*self._costs_of, self._new, 0, most)
-        cost = float(split_order(*self._costs_of, self.now, 0, most))
-        self._place = np.argsort(order).astype(np.int32)
+    def _begin_from_order(self, order: NDArray[np.int64]) -> None:
+        """Continue from this order."""
+        self.current, self._new = create_uncomputed_split(order), create_uncomputed_split(order)
+        max_operation_length = self._params.max_operation_length
+        update_best_split_cost(*self._costs_of, self._new, 0, max_operation_length)
+        cost = float(update_best_split_cost(*self._costs_of, self.current, 0, max_operation_length))
+        self._position = np.argsort(order).astype(np.int64)
         self._costs[0] = cost
         if cost < self._costs[1]:
             self._costs[1] = cost
             self._best[:] = order
 
-    def begin_anew(self) -> None:
-        """Go on from a random order; the best one so far is kept."""
+    def begin_from_random_order(self) -> None:
+        """Continue from a random order; keep the best order found."""
         end = len(self._drive)
         middle = 1 + self._rng.permutation(end - 1)
-        self._begin(np.array([0, *middle, end], dtype=np.int32))
+        self._begin_from_order(np.array([0, *middle, end], dtype=np.int64))
 
     @property
     def best_cost(self) -> float:
-        """Cost of the best plan so far, summed anew."""
-        return plan_cost(self._drive, self._fly, self.best())
+        """Cost of the best plan found, recomputed."""
+        return total_cost_of_operations(self._drive, self._fly, self.best_operations())
 
-    def step(self, trials: int, from_frac: float, to_frac: float) -> None:
-        """This many trials, cooling over this part of a round (0: its start, 1: its end)."""
-        hot, cold = self._params.hot_legs, self._params.cold_legs
-        anneal_order(
+    def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
+        """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
+        start_temperature = self._params.start_temperature_frac
+        end_temperature = self._params.end_temperature_frac
+        anneal_order_in_place(
             *self._costs_of,
             self._near,
-            self.now,
+            self.current,
             self._new,
-            self._place,
+            self._position,
             self._best,
             self._costs,
             self._stream,
             trials,
-            self._leg * hot * (cold / hot) ** from_frac,
-            self._leg * hot * (cold / hot) ** to_frac,
-            self._params.most_legs,
+            self._leg
+            * start_temperature
+            * (end_temperature / start_temperature) ** schedule_from_frac,
+            self._leg
+            * start_temperature
+            * (end_temperature / start_temperature) ** schedule_to_frac,
+            self._params.max_operation_length,
         )
 
-    def best(self) -> list[Operation]:
-        """The best plan so far."""
-        split = new_split(self._best)
-        split_order(*self._costs_of, split, 0, self._params.most_legs)
-        return operations_of(split)
+    def best_operations(self) -> list[Operation]:
+        """Return the best plan found."""
+        split = create_uncomputed_split(self._best)
+        update_best_split_cost(*self._costs_of, split, 0, self._params.max_operation_length)
+        return operations_of_split(split)
 
 
-def operations_of(split: Split) -> list[Operation]:
-    """The operations of an order that is split, from the depot to the depot."""
+def operations_of_split(split: SplitOrder) -> list[Operation]:
+    """Return the operations of a split order, from depot to depot."""
     end = len(split.order) - 1
     nodes = [*(int(node) for node in split.order[:-1]), 0]
     found: list[Operation] = []

@@ -1,4 +1,4 @@
-"""The interface of the policies: who serves whom."""
+"""Interface of the policies that assign customers to vehicles."""
 
 from typing import Protocol
 
@@ -9,8 +9,8 @@ from ground_station.core.truck_drones.tables import Plan
 
 
 class Policy(Protocol):
-    """Makes a plan that serves every customer once; LeewayError says why there is none."""
+    """Plans the service of each customer once; raises LeewayError if no plan exists."""
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
-        """A feasible plan (`schedule_of` tells its times)."""
+        """Return a feasible plan; `simulate_schedule` computes its times."""
         ...

@@ -5,7 +5,7 @@ from typing import Literal
 
 from companion.core.base.errors import LeewayError
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     DELIVERED,
@@ -15,21 +15,21 @@ from ground_station.core.truck_drones.tables import (
     LAUNCH,
     LAUNCHED,
     LAYER,
-    MEET,
-    MET,
     NOWHERE,
-    PLACE,
+    POSITION,
+    RECOVERED,
+    RENDEZVOUS,
     ROUTE,
     Plan,
-    Work,
+    WorkArrays,
+    allocate_work_arrays,
     tables_of,
-    work_for,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Sortie:
-    """A drone (numbered over the whole fleet, from 0) takes one parcel from stop to stop."""
+    """Flight of one drone (numbered over the fleet, from 0) via a customer to a rendezvous."""
 
     drone: int
     launch: int
@@ -39,7 +39,7 @@ class Sortie:
 
 @dataclass(frozen=True, slots=True)
 class DriverTask:
-    """What the driver does at a stop; `drone` is None for the truck's own delivery."""
+    """A task of the driver at a stop; `drone` is None for the truck's own delivery."""
 
     what: Literal["deliver", "launch", "recover"]
     node: int
@@ -49,8 +49,8 @@ class DriverTask:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
-    """The truck at a node."""
+class TruckStop:
+    """Stop of the truck at a node."""
 
     node: int
     arrive_s: float
@@ -59,123 +59,127 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """A whole day; it ends when the truck and every drone are back."""
+    """A complete day; it ends when the truck and all drones are back."""
 
     makespan_s: float
-    stops: tuple[Stop, ...]
+    stops: tuple[TruckStop, ...]
     sorties: tuple[Sortie, ...]
     driver: tuple[DriverTask, ...]
 
     @property
     def truck_route(self) -> tuple[int, ...]:
-        """The nodes in the order of the truck."""
+        """Nodes in the order of the truck's route."""
         return tuple(stop.node for stop in self.stops)
 
 
 @dataclass(frozen=True, slots=True)
 class FlightTimes:
-    """Times of one customer's drone: take-off from its pad, landing, recovery by the driver. Its
-    layer: None where the problem has none.
-    """
+    """Times of one customer's sortie: launch, landing, recovery. `layer`: None without layers."""
 
     customer: int
     kind: int
     launch: int
-    meet: int
+    rendezvous: int
     launched_s: float
     landed_s: float
-    met_s: float
+    recovered_s: float
     layer: int | None
 
 
-def flights_of(problem: TruckAndDrones, plan: Plan) -> tuple[tuple[Stop, ...], list[FlightTimes]]:
-    """The truck's stops, and the flights in order of launch."""
+def stops_and_flights_in_launch_order(
+    problem: TruckAndDrones, plan: Plan
+) -> tuple[tuple[TruckStop, ...], list[FlightTimes]]:
+    """Return the truck's stops, and the flights in order of launch."""
     tables = tables_of(problem)
-    work = work_for(tables)
-    if simulate(tables, plan, work, IMPOSSIBLE) == IMPOSSIBLE:
-        raise LeewayError("truck and drones: a plan that cannot be carried out")
+    work = allocate_work_arrays(tables)
+    if simulate_makespan_s(tables, plan, work, INFEASIBLE_S) == INFEASIBLE_S:
+        raise LeewayError("truck and drones: infeasible plan")
     found: list[FlightTimes] = []
-    for customer in range(1, problem.end):
+    for customer in range(1, problem.end_node):
         if plan[LAUNCH, customer] == NOWHERE:
             continue
-        launched_s, fly_s, met_s = (
-            float(work.times_s[row, customer]) for row in (LAUNCHED, FLY, MET)
+        launched_s, fly_s, recovered_s = (
+            float(work.times_s[row, customer]) for row in (LAUNCHED, FLY, RECOVERED)
         )
-        kind, launch, meet = (int(plan[row, customer]) for row in (KIND, LAUNCH, MEET))
+        kind, launch, rendezvous = (int(plan[row, customer]) for row in (KIND, LAUNCH, RENDEZVOUS))
         layer = int(work.whole[LAYER, customer]) if problem.air is not None else None
         flight = FlightTimes(
-            customer, kind, launch, meet, launched_s, launched_s + fly_s, met_s, layer
+            customer, kind, launch, rendezvous, launched_s, launched_s + fly_s, recovered_s, layer
         )
         found.append(flight)
     found.sort(key=lambda flight: (flight.launched_s, flight.customer))
-    return _stops(plan, work, problem.end), found
+    return _truck_stops(plan, work, problem.end_node), found
 
 
-def schedule_of(problem: TruckAndDrones, plan: Plan) -> Schedule:
-    """When everything in this plan happens, and which drone flies what."""
+def simulate_schedule(problem: TruckAndDrones, plan: Plan) -> Schedule:
+    """Return the times of all tasks of a plan, and the drone of each sortie."""
     tables = tables_of(problem)
-    work = work_for(tables)
-    makespan_s = float(simulate(tables, plan, work, IMPOSSIBLE))
-    if makespan_s == IMPOSSIBLE:
-        raise LeewayError("truck and drones: a plan that cannot be carried out")
-    stops = _stops(plan, work, problem.end)
-    drone_of = _drones(problem, plan, work)
+    work = allocate_work_arrays(tables)
+    makespan_s = float(simulate_makespan_s(tables, plan, work, INFEASIBLE_S))
+    if makespan_s == INFEASIBLE_S:
+        raise LeewayError("truck and drones: infeasible plan")
+    stops = _truck_stops(plan, work, problem.end_node)
+    drone_of = _drone_by_customer(problem, plan, work)
     sorties = tuple(
-        Sortie(drone, int(plan[LAUNCH, customer]), customer, int(plan[MEET, customer]))
+        Sortie(drone, int(plan[LAUNCH, customer]), customer, int(plan[RENDEZVOUS, customer]))
         for customer, drone in drone_of.items()
     )
     tasks = [
-        *_deliveries(problem, stops, work),
-        *_drone_tasks(problem, plan, work, drone_of),
+        *_delivery_tasks(problem, stops, work),
+        *_launch_and_recovery_tasks(problem, plan, work, drone_of),
     ]
     tasks.sort(key=lambda task: (task.start_s, task.end_s))
     return Schedule(makespan_s, stops, sorties, tuple(tasks))
 
 
-def _stops(plan: Plan, work: Work, end: int) -> tuple[Stop, ...]:
+def _truck_stops(plan: Plan, work: WorkArrays, end: int) -> tuple[TruckStop, ...]:
     times_s = work.times_s
     return tuple(
-        Stop(int(plan[ROUTE, at]), float(times_s[ARRIVE, at]), float(times_s[DEPART, at]))
-        for at in range(int(work.whole[PLACE, end]) + 1)
+        TruckStop(int(plan[ROUTE, at]), float(times_s[ARRIVE, at]), float(times_s[DEPART, at]))
+        for at in range(int(work.whole[POSITION, end]) + 1)
     )
 
 
-def _deliveries(problem: TruckAndDrones, stops: tuple[Stop, ...], work: Work) -> list[DriverTask]:
-    found = []
-    for stop in stops:
-        lasts_s = float(problem.deliver_s[stop.node])
-        if lasts_s > 0.0:
-            start_s = float(work.times_s[DELIVERED, stop.node])
-            found.append(DriverTask("deliver", stop.node, None, start_s, start_s + lasts_s))
-    return found
-
-
-def _drone_tasks(
-    problem: TruckAndDrones, plan: Plan, work: Work, drone_of: dict[int, int]
+def _delivery_tasks(
+    problem: TruckAndDrones, stops: tuple[TruckStop, ...], work: WorkArrays
 ) -> list[DriverTask]:
     found = []
-    for customer, drone in drone_of.items():
-        kind = problem.kinds[int(plan[KIND, customer])]
-        launched_s = float(work.times_s[LAUNCHED, customer])
-        met_s = float(work.times_s[MET, customer])
-        launch, meet = int(plan[LAUNCH, customer]), int(plan[MEET, customer])
-        start_s = launched_s - kind.launch_s
-        found.append(DriverTask("launch", launch, drone, start_s, launched_s))
-        found.append(DriverTask("recover", meet, drone, met_s, met_s + kind.recover_s))
+    for stop in stops:
+        duration_s = float(problem.deliver_s[stop.node])
+        if duration_s > 0.0:
+            start_s = float(work.times_s[DELIVERED, stop.node])
+            found.append(DriverTask("deliver", stop.node, None, start_s, start_s + duration_s))
     return found
 
 
-def _drones(problem: TruckAndDrones, plan: Plan, work: Work) -> dict[int, int]:
-    """The drone of each customer: of those aboard, the one with the lowest number.
+def _launch_and_recovery_tasks(
+    problem: TruckAndDrones, plan: Plan, work: WorkArrays, drone_by_customer: dict[int, int]
+) -> list[DriverTask]:
+    found = []
+    for customer, drone in drone_by_customer.items():
+        kind = problem.kinds[int(plan[KIND, customer])]
+        launched_s = float(work.times_s[LAUNCHED, customer])
+        recovered_s = float(work.times_s[RECOVERED, customer])
+        launch, rendezvous = int(plan[LAUNCH, customer]), int(plan[RENDEZVOUS, customer])
+        start_s = launched_s - kind.launch_s
+        found.append(DriverTask("launch", launch, drone, start_s, launched_s))
+        found.append(
+            DriverTask("recover", rendezvous, drone, recovered_s, recovered_s + kind.recover_s)
+        )
+    return found
 
-    In order of launches; a drone is aboard again when its recovery has ended.
+
+def _drone_by_customer(problem: TruckAndDrones, plan: Plan, work: WorkArrays) -> dict[int, int]:
+    """Assign to each customer the available drone with the lowest number.
+
+    In order of launch; a drone is available again after its recovery.
     """
     first = 0
     idle: list[list[tuple[int, float]]] = []
     for kind in problem.kinds:
         idle.append([(first + number, 0.0) for number in range(kind.count)])
         first += kind.count
-    flown = [int(j) for j in range(1, problem.end) if plan[LAUNCH, j] != NOWHERE]
+    flown = [int(j) for j in range(1, problem.end_node) if plan[LAUNCH, j] != NOWHERE]
     flown.sort(key=lambda j: (work.times_s[LAUNCHED, j], j))
     drone_of: dict[int, int] = {}
     for customer in flown:
@@ -184,7 +188,7 @@ def _drones(problem: TruckAndDrones, plan: Plan, work: Work) -> dict[int, int]:
         start_s = work.times_s[LAUNCHED, customer] - kind.launch_s
         drone, since_s = next(one for one in drones if one[1] <= start_s + 1e-6)
         drones.remove((drone, since_s))
-        drones.append((drone, float(work.times_s[MET, customer]) + kind.recover_s))
+        drones.append((drone, float(work.times_s[RECOVERED, customer]) + kind.recover_s))
         drones.sort()
         drone_of[customer] = drone
     return drone_of

@@ -1,4 +1,4 @@
-"""The default policy: simulated annealing over tour, sorties and the driver's order, in steps."""
+"""The default policy: simulated annealing over tour, sorties and the driver's task order."""
 
 import math
 from collections.abc import Callable
@@ -7,56 +7,59 @@ from typing import Literal
 
 import numpy as np
 
-from ground_station.core.truck_drones.building.built_plans import built_plans
-from ground_station.core.truck_drones.building.insertion import Insertion
-from ground_station.core.truck_drones.building.rebuild import rebuild
+from ground_station.core.truck_drones.building.built_plans import construct_plan_per_flight_price
+from ground_station.core.truck_drones.building.insertion import InsertionParams
+from ground_station.core.truck_drones.building.rebuild import try_random_removal_and_reinsertion
 from ground_station.core.truck_drones.changed_plan import (
-    adopt,
-    away_s,
-    changed_away_s,
-    changed_makespan_s,
-    note_simulation,
+    changed_drone_time_away_s,
+    commit_changed_simulation,
+    incremental_makespan_s,
+    simulate_and_store,
+    total_drone_time_away_s,
 )
-from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.edits import index_route
-from ground_station.core.truck_drones.first_plan import first_plan
-from ground_station.core.truck_drones.moves import any_move
+from ground_station.core.truck_drones.compiled import compiled, compiled_inner
+from ground_station.core.truck_drones.edits import store_route_index_by_node
+from ground_station.core.truck_drones.first_plan import build_first_plan
+from ground_station.core.truck_drones.moves import try_random_move
+from ground_station.core.truck_drones.operation_plan import AnnealingSearch
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.random_stream import random_stream, uniform
-from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
-from ground_station.core.truck_drones.tables import IDLE, Plan, tables_of, work_for
+from ground_station.core.truck_drones.random_stream import (
+    draw_uniform,
+    seeded_stream_from_generator,
+)
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+from ground_station.core.truck_drones.tables import IDLE, Plan, allocate_work_arrays, tables_of
 
-INSERTION = Insertion(stops=4, reach=3, ahead=3, skip_frac=0.02, air_price=0.03)
+INSERTION = InsertionParams(
+    near_stops=4, launch_range=3, rendezvous_range=3, skip_frac=0.02, air_price=0.03
+)
 
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """Temperatures as shares of the first plan's time for each node; a round cools from hot to
-    cold.
+    """Temperatures as shares of the initial plan's time per node; cooling from hot to cold.
 
-    Above 0.4 a plan becomes worse than the first one and stays so; below 0.04 it no longer
+    Above 0.4 a plan becomes permanently worse than the initial one; below 0.04 it no longer
     changes (docs/explanation/truck-and-drones.md).
     """
 
-    hot_legs: float = 0.4
-    cold_legs: float = 0.04
+    start_temperature_frac: float = 0.4
+    end_temperature_frac: float = 0.04
     step_trials: int = 20_000
     rebuild_frac: float = 0.05
-    """Share of the changes that take out several customers and serve them anew."""
-    insertion: Insertion = INSERTION
+    """Share of the changes that remove several customers and reinsert them."""
+    insertion: InsertionParams = INSERTION
 
 
-MOST_SAVED_AWAY_S = 1000.0
-"""No change is hoped to save more of the drones' time than this: its timing is given up."""
+MAX_SAVED_TIME_AWAY_S = 1000.0
+"""Limit of drone time saved by a change, in the abort threshold of its simulation."""
 TRIALS_PER_CUSTOMER = (4_000, 100_000)
 FULL_TRIALS_CUSTOMERS = 70
 LEAST_TRIALS = 1_200_000
 
 
 def default_trials(customers: int) -> int:
-    """Trials of one search. With more customers fewer for each of them, since each trial takes
-    longer.
-    """
+    """Return the trials of one search: fewer per customer in large problems (slower trials)."""
     least, most = TRIALS_PER_CUSTOMER
     for_each = most * min(1.0, (FULL_TRIALS_CUSTOMERS / max(1, customers)) ** 2)
     return max(LEAST_TRIALS, customers * max(least, int(for_each)))
@@ -64,139 +67,167 @@ def default_trials(customers: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Cooling:
-    """One cooling of a search: its share of the trials, the part of a round at which it begins
-    (0: hot), and the plan.
-    """
+    """One cooling: share of the trials, start within the schedule (0: hot), and initial plan."""
 
     share: float
     begin_frac: float
     start: Literal["first", "built", "best", "offered", "here"]
 
 
-SMALL_CUSTOMERS = 25
-TINY_CUSTOMERS = 12
-ROUNDS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
-"""For small problems, which settle in different plans."""
-ONCE = (Cooling(1.0, 0.0, "here"),)
-"""One slow cooling, where there are few trials for each customer."""
-BUILT = (
+SMALL_MAX_CUSTOMERS = 25
+SMALLEST_MAX_CUSTOMERS = 12
+SMALL_COOLINGS = {count: (Cooling(1 / count, 0.0, "here"),) * count for count in (3, 6)}
+"""For small problems, which converge to different plans."""
+SINGLE_COOLING = (Cooling(1.0, 0.0, "here"),)
+"""One slow cooling, for few trials per customer."""
+LARGE_COOLINGS = (
     *(Cooling(0.08, 0.5, "built"),) * 2,
     Cooling(0.42, 0.0, "first"),
     Cooling(0.42, 0.5, "best"),
 )
-"""For large problems: two plans with tours of different shapes, not hot enough to lose them, and a
-hot cooling; the best of them once more. Two coolings of one problem may end ten per cent apart."""
-BUILT_AND_OFFERED = (
+"""For large problems: warm coolings of two built plans with different tours, one hot cooling, and
+another of the best result. Results of two coolings of one problem may differ by ten per cent."""
+LARGE_COOLINGS_WITH_START = (
     *(Cooling(0.1, 0.5, "built"),) * 3,
     Cooling(0.1, 0.5, "offered"),
     Cooling(0.6, 0.5, "best"),
 )
-"""With a plan for fewer drones at hand, which is cooled in turn."""
+"""For large problems with a plan for fewer drones, which is cooled too."""
 FIRST_SHARE, NEXT_SHARE = 1.4, 0.6
-"""Of the trials of large problems: for the fewest drones, and for each number of them after."""
+"""Shares of the trials of large problems: for the fewest drones, and for each larger number."""
 
 
-def trials_of(customers: int, trials: int, fewer: bool) -> int:
-    """Of one search among those for each number of drones; `fewer`: after one for fewer drones."""
-    if customers <= SMALL_CUSTOMERS:
+def trials_for_fleet(customers: int, trials: int, is_smaller_fleet_searched: bool) -> int:
+    """Return the trials for one number of drones; `is_smaller_fleet_searched`: a search with fewer
+    drones preceded.
+    """
+    if customers <= SMALL_MAX_CUSTOMERS:
         return trials
-    return max(1, int(trials * (NEXT_SHARE if fewer else FIRST_SHARE)))
+    return max(1, int(trials * (NEXT_SHARE if is_smaller_fleet_searched else FIRST_SHARE)))
 
 
-def default_coolings(customers: int, fewer: bool = False) -> tuple[Cooling, ...]:
-    """The coolings of one search; `fewer`: after one for fewer drones."""
-    if customers > SMALL_CUSTOMERS:
-        return BUILT_AND_OFFERED if fewer else BUILT
-    return ROUNDS[3 if customers > TINY_CUSTOMERS else 6]
+def default_coolings(
+    customers: int, is_smaller_fleet_searched: bool = False
+) -> tuple[Cooling, ...]:
+    """Return the coolings of one search; `is_smaller_fleet_searched`: a search with fewer drones
+    preceded.
+    """
+    if customers > SMALL_MAX_CUSTOMERS:
+        return LARGE_COOLINGS_WITH_START if is_smaller_fleet_searched else LARGE_COOLINGS
+    return SMALL_COOLINGS[3 if customers > SMALLEST_MAX_CUSTOMERS else 6]
 
 
-@compiled
-def _copy(source, target):
+@compiled_inner
+def _copy_array(source, target):
     for row in range(source.shape[0]):
         for column in range(source.shape[1]):
             target[row, column] = source[row, column]
 
 
 @compiled
-def anneal(
-    t,
-    kept,
-    w,
+def anneal_plan_in_place(
+    tables,
+    base_work_arrays,
+    work_arrays,
     plan,
     best,
-    place,
-    spare_plan,
-    spare_place,
+    route_index_by_node,
+    candidate_plan,
+    candidate_position,
     costs_s,
     stream,
     trials,
-    hot_s,
-    cold_s,
-    how,
+    start_temperature_s,
+    end_temperature_s,
+    insertion,
     rebuild_frac,
 ):
-    """Try changes while the temperature falls from `hot_s` to `cold_s`, s of makespan; a rebuild
-    counts for as many trials as plans are timed for it.
+    """Try changes while the temperature falls from `start_temperature_s` to `end_temperature_s`, s
+    of makespan; a rebuild counts as one trial per simulated plan.
 
-    Changes `plan`, `best`, `place` and `costs_s` (of plan and best). A change is accepted when the
-    makespan, and a small share of the drones' time away, rise by no more than temperature x
-    Exp(1), so hopeless simulations stop early. Where layers are priced there are small moves only.
-    `kept`: work of the plan's own simulation; `w`: that of the changes.
+    Changes `plan`, `best`, `route_index_by_node` and `costs_s` (of plan and best). A change is
+    accepted if the makespan plus a small share of the drones' time away rises by at most
+    temperature x Exp(1), so bad simulations stop early. With priced layers only small moves are
+    made. `base_work_arrays`: work arrays of the current plan's simulation; `work_arrays`: of the
+    changed plan's.
     """
-    whole_only = costs_s[0] == IMPOSSIBLE
+    whole_only = costs_s[0] == INFEASIBLE_S
     now_away_s, price = 0.0, 0.0
     if not whole_only:
-        costs_s[0] = note_simulation(t, plan, kept)  # sums of shifts drift by rounding
-        now_away_s, price = away_s(plan, kept), how.air_price
-    cooling = math.log(cold_s / hot_s) / trials
+        costs_s[0] = simulate_and_store(
+            tables, plan, base_work_arrays
+        )  # sums of shifts drift by rounding errors
+        now_away_s, price = total_drone_time_away_s(plan, base_work_arrays), insertion.air_price
+    cooling = math.log(end_temperature_s / start_temperature_s) / trials
     begin, at, shift_s, new_away_s = 0, 0, 0.0, 0.0
     done = 0
     while done < trials:
-        worse_s = -hot_s * math.exp(cooling * done) * math.log(1.0 - uniform(stream))
+        allowed_s = (
+            -start_temperature_s * math.exp(cooling * done) * math.log(1.0 - draw_uniform(stream))
+        )
         done += 1
-        _copy(plan, spare_plan)
-        for node in range(len(place)):
-            spare_place[node] = place[node]
-        give_up_s = costs_s[0] + worse_s + price * min(now_away_s, MOST_SAVED_AWAY_S)
-        if not (whole_only or t.air.priced) and uniform(stream) < rebuild_frac:
-            changed, timed = rebuild(
-                t, plan, kept, costs_s[0], spare_plan, spare_place, w, give_up_s, how, stream
+        _copy_array(plan, candidate_plan)
+        for node in range(len(route_index_by_node)):
+            candidate_position[node] = route_index_by_node[node]
+        makespan_limit_s = costs_s[0] + allowed_s + price * min(now_away_s, MAX_SAVED_TIME_AWAY_S)
+        if not (whole_only or tables.air.priced) and draw_uniform(stream) < rebuild_frac:
+            changed, evaluated = try_random_removal_and_reinsertion(
+                tables,
+                plan,
+                base_work_arrays,
+                costs_s[0],
+                candidate_plan,
+                candidate_position,
+                work_arrays,
+                makespan_limit_s,
+                insertion,
+                stream,
             )
-            done += timed
+            done += evaluated
         else:
-            changed = any_move(t, spare_plan, spare_place, stream)
+            changed = try_random_move(tables, candidate_plan, candidate_position, stream)
         if not changed:
             continue
         if whole_only:
-            makespan_s = simulate(t, spare_plan, w, give_up_s)
+            makespan_s = simulate_makespan_s(tables, candidate_plan, work_arrays, makespan_limit_s)
         else:
-            makespan_s, begin, at, shift_s = changed_makespan_s(
-                t, plan, kept, costs_s[0], spare_plan, w, give_up_s
+            makespan_s, begin, at, shift_s = incremental_makespan_s(
+                tables,
+                plan,
+                base_work_arrays,
+                costs_s[0],
+                candidate_plan,
+                work_arrays,
+                makespan_limit_s,
             )
             if at == 0:
                 continue
-        if makespan_s > give_up_s:
+        if makespan_s > makespan_limit_s:
             continue
         if not whole_only:
-            new_away_s = changed_away_s(spare_plan, kept, w, begin, at, shift_s)
-            if makespan_s - costs_s[0] + price * (new_away_s - now_away_s) > worse_s:
+            new_away_s = changed_drone_time_away_s(
+                candidate_plan, base_work_arrays, work_arrays, begin, at, shift_s
+            )
+            if makespan_s - costs_s[0] + price * (new_away_s - now_away_s) > allowed_s:
                 continue
-        _copy(spare_plan, plan)
-        index_route(plan, place)
+        _copy_array(candidate_plan, plan)
+        store_route_index_by_node(plan, route_index_by_node)
         if not whole_only:
-            adopt(t, plan, kept, w, begin, at, shift_s)
+            commit_changed_simulation(
+                tables, plan, base_work_arrays, work_arrays, begin, at, shift_s
+            )
             now_away_s = new_away_s
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
             if not whole_only:
-                makespan_s = simulate(t, plan, w, IMPOSSIBLE)
+                makespan_s = simulate_makespan_s(tables, plan, work_arrays, INFEASIBLE_S)
             if makespan_s < costs_s[1]:
                 costs_s[1] = makespan_s
-                _copy(plan, best)
+                _copy_array(plan, best)
 
 
-class Search:
-    """A search under way: `step` as often as wanted; `best` is valid at any time."""
+class PlanSearch(AnnealingSearch):
+    """A resumable search: `run_trials` repeatedly; `best` is always valid."""
 
     def __init__(
         self,
@@ -205,110 +236,102 @@ class Search:
         params: SearchParams,
         start: Plan | None = None,
     ) -> None:
-        """`start`: a plan to begin with, instead of the first plan."""
+        """`start`: initial plan, instead of `build_first_plan`."""
         self._problem, self._params = problem, params
+        self.step_trials = params.step_trials
         self._tables = tables_of(problem)
-        self._kept, self._work = work_for(self._tables), work_for(self._tables)
-        first = first_plan(problem, self._tables, self._work) if start is None else start
+        self._plan_work, self._work = (
+            allocate_work_arrays(self._tables),
+            allocate_work_arrays(self._tables),
+        )
+        first = build_first_plan(problem, self._tables, self._work) if start is None else start
         self._plan = first.copy()
-        self._place = np.zeros(problem.nodes, dtype=np.int32)
-        index_route(self._plan, self._place)
-        self._spare_plan, self._spare_place = self._plan.copy(), self._place.copy()
+        self._position = np.zeros(problem.nodes, dtype=np.int64)
+        store_route_index_by_node(self._plan, self._position)
+        self._candidate_plan, self._candidate_position = self._plan.copy(), self._position.copy()
         self.best: Plan = self._plan.copy()
-        first_s = simulate(self._tables, self._plan, self._work, IMPOSSIBLE)
+        first_s = simulate_makespan_s(self._tables, self._plan, self._work, INFEASIBLE_S)
         self._first: Plan = self._plan.copy()
         self._costs_s = np.full(2, first_s)
-        self._leg_s = first_s / problem.nodes
-        self._chance = random_stream(rng)
-        self._built: list[Plan] | None = None
-        self._offered: Plan | None = None
+        self._mean_leg_s = first_s / problem.nodes
+        self._stream = seeded_stream_from_generator(rng)
+        self._constructed: list[Plan] | None = None
+        self._start_plan: Plan | None = None
 
     @property
-    def best_s(self) -> float:
-        """Makespan of the best plan so far."""
+    def best_makespan_s(self) -> float:
+        """Makespan of the best plan found."""
         return float(self._costs_s[1])
 
-    def step(self, trials: int, from_frac: float, to_frac: float) -> None:
-        """This many trials, cooling over this part of a round (0: its start, 1: its end)."""
+    def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
+        """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
         params = self._params
-        anneal(
+        anneal_plan_in_place(
             self._tables,
-            self._kept,
+            self._plan_work,
             self._work,
             self._plan,
             self.best,
-            self._place,
-            self._spare_plan,
-            self._spare_place,
+            self._position,
+            self._candidate_plan,
+            self._candidate_position,
             self._costs_s,
-            self._chance,
+            self._stream,
             trials,
-            self._leg_s * _temperature(params, from_frac),
-            self._leg_s * _temperature(params, to_frac),
+            self._mean_leg_s * _temperature_frac_at(params, schedule_from_frac),
+            self._mean_leg_s * _temperature_frac_at(params, schedule_to_frac),
             params.insertion,
             params.rebuild_frac,
         )
 
-    def offer(self, plan: Plan) -> None:
-        """A plan from elsewhere, which is the best one where none better is known."""
-        self._offered = plan.copy()
-        makespan_s = simulate(self._tables, plan, self._work, IMPOSSIBLE)
-        if makespan_s < self.best_s:
+    def add_start_plan(self, plan: Plan) -> None:
+        """Add an external plan as a start of coolings; it becomes `best` if it is better."""
+        self._start_plan = plan.copy()
+        makespan_s = simulate_makespan_s(self._tables, plan, self._work, INFEASIBLE_S)
+        if makespan_s < self.best_makespan_s:
             self._costs_s[1] = makespan_s
             self.best[:] = plan
 
-    def begin(self, cooling: Cooling) -> None:
-        """Go on from the plan with which this cooling starts."""
+    def start_from_plan_of_cooling(self, cooling: Cooling) -> None:
+        """Continue from the initial plan of this cooling."""
         if cooling.start == "here":
             return
-        plan = self._start_of(cooling)
+        plan = self._start_plan_of_cooling(cooling)
         self._plan[:] = plan
-        index_route(self._plan, self._place)
-        self._costs_s[0] = simulate(self._tables, self._plan, self._work, IMPOSSIBLE)
+        store_route_index_by_node(self._plan, self._position)
+        self._costs_s[0] = simulate_makespan_s(self._tables, self._plan, self._work, INFEASIBLE_S)
         if self._costs_s[0] < self._costs_s[1]:
             self._costs_s[1] = self._costs_s[0]
             self.best[:] = plan
 
-    def _start_of(self, cooling: Cooling) -> Plan:
+    def _start_plan_of_cooling(self, cooling: Cooling) -> Plan:
         if cooling.start == "first":
             return self._first
-        if cooling.start == "offered" and self._offered is not None:
-            return self._offered
+        if cooling.start == "offered" and self._start_plan is not None:
+            return self._start_plan
         if cooling.start == "built":
-            if self._built is None:
-                self._built = self.built()
-            if self._built:
-                return self._built.pop(0)
+            if self._constructed is None:
+                self._constructed = self.construct_plans()
+            if self._constructed:
+                return self._constructed.pop(0)
         return self.best
 
-    def built(self) -> list[Plan]:
-        """Plans to begin with, of tours of different shapes, best first."""
-        return built_plans(
-            self._problem, self._tables, self._kept, self._work, self._leg_s, self._chance
+    def construct_plans(self) -> list[Plan]:
+        """Return initial plans with different tours, best first."""
+        return construct_plan_per_flight_price(
+            self._problem, self._tables, self._plan_work, self._work, self._mean_leg_s, self._stream
         )
 
-    def cool(
-        self,
-        trials: int,
-        begin_frac: float = 0.0,
-        tell: Callable[[float], None] = lambda done_frac: None,
-    ) -> None:
-        """So many trials, from this part of a round to its end; `tell` the share that is done."""
-        done = 0
-        while done < trials:
-            now = min(self._params.step_trials, trials - done)
-            fracs = [begin_frac + (1.0 - begin_frac) * n / trials for n in (done, done + now)]
-            self.step(now, *fracs)
-            done += now
-            tell(done / trials)
+
+def _temperature_frac_at(params: SearchParams, schedule_frac: float) -> float:
+    return (
+        params.start_temperature_frac
+        * (params.end_temperature_frac / params.start_temperature_frac) ** schedule_frac
+    )
 
 
-def _temperature(params: SearchParams, frac: float) -> float:
-    return params.hot_legs * (params.cold_legs / params.hot_legs) ** frac
-
-
-def with_fewer_drones(problem: TruckAndDrones) -> list[TruckAndDrones]:
-    """The problem with one drone of each kind, with one more each time, and at last as it is."""
+def problems_with_growing_fleets(problem: TruckAndDrones) -> list[TruckAndDrones]:
+    """Return the problem with one drone of each kind, then one more each, up to the full fleet."""
     found = [problem]
     while max(kind.count for kind in found[0].kinds) > 1:
         kinds = list(found[0].kinds)
@@ -318,54 +341,56 @@ def with_fewer_drones(problem: TruckAndDrones) -> list[TruckAndDrones]:
     return found
 
 
-def with_more_drones(plan: Plan, one: TruckAndDrones, other: TruckAndDrones) -> Plan:
-    """A plan of the first problem for the second, with more drones: those stay aboard."""
+def plan_for_larger_fleet(
+    plan: Plan, source_problem: TruckAndDrones, target_problem: TruckAndDrones
+) -> Plan:
+    """Convert a plan to a problem with more drones: the additional ones stay unused."""
     plan = plan.copy()
-    for number, (few, many) in enumerate(zip(one.kinds, other.kinds, strict=True)):
-        if number < plan.shape[1]:  # there is no room for more kinds than nodes
-            plan[IDLE, number] += many.count - few.count
+    for number, (source_kind, target_kind) in enumerate(
+        zip(source_problem.kinds, target_problem.kinds, strict=True)
+    ):
+        if number < plan.shape[1]:  # plan arrays hold at most one kind per node
+            plan[IDLE, number] += target_kind.count - source_kind.count
     return plan
 
 
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
-    """`Policy`: a search for each number of drones, fewest first, each offered the plan of the one
-    before. So with the same seed and trials more drones never end the day later. `trials`: of a
-    search; None: by the number of customers.
+    """`Policy`: a search for each number of drones, fewest first, each with the previous plan as a
+    start. With the same seed and trials more drones therefore never increase the makespan.
+    `trials`: of a search; None: by the number of customers.
     """
 
     params: SearchParams = SearchParams()
     trials: int | None = None
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
-        """The best plan found."""
+        """Return the best plan found."""
         trials = self.trials or default_trials(problem.customers)
 
-        def searched(search: Search, fewer: bool) -> None:
-            share = trials_of(problem.customers, trials, fewer)
-            for cooling in default_coolings(problem.customers, fewer):
-                search.begin(cooling)
-                search.cool(max(1, int(share * cooling.share)), cooling.begin_frac)
+        def run_search(search: PlanSearch, is_smaller_fleet_searched: bool) -> None:
+            share = trials_for_fleet(problem.customers, trials, is_smaller_fleet_searched)
+            for cooling in default_coolings(problem.customers, is_smaller_fleet_searched):
+                search.start_from_plan_of_cooling(cooling)
+                search.run_cooling(max(1, int(share * cooling.share)), cooling.begin_frac)
 
-        return best_of_fleets(problem, rng, self.params, searched)
+        return best_plan_over_growing_fleets(problem, rng, self.params, run_search)
 
 
-def best_of_fleets(
+def best_plan_over_growing_fleets(
     problem: TruckAndDrones,
     rng: np.random.Generator,
     params: SearchParams,
-    searched: Callable[[Search, bool], None],
+    run_search: Callable[[PlanSearch, bool], None],
 ) -> Plan:
-    """The best plan, after `searched` was called with a search for each number of drones, and
-    whether there was one for fewer before.
-    """
-    fleets = with_fewer_drones(problem)
+    """Call `run_search(search, is_smaller_fleet_searched)` per fleet size; return the best plan."""
+    fleets = problems_with_growing_fleets(problem)
     plan: Plan | None = None
     for number, fleet in enumerate(fleets):
-        search = Search(fleet, rng, params)
+        search = PlanSearch(fleet, rng, params)
         if plan is not None:
-            search.offer(with_more_drones(plan, fleets[number - 1], fleet))
-        searched(search, plan is not None)
+            search.add_start_plan(plan_for_larger_fleet(plan, fleets[number - 1], fleet))
+        run_search(search, plan is not None)
         plan = search.best
-    assert plan is not None  # there is at least the problem itself
+    assert plan is not None  # the list contains at least the problem itself
     return plan

@@ -1,31 +1,32 @@
 """The times of a plan: truck, driver and drones, in one pass along the route.
 
-At a node the driver takes, of what can be done now: a recovery that cannot wait for a launch; else
-the launch that is recovered first; else a recovery; else the truck's own delivery; else a launch
-that is marked LATE. Where nothing can be done, or nothing that ends before a drone marked AT_ONCE
-comes, the driver waits. A drone that would hover too long before its recovery is launched later by
-as much (this costs nothing where the truck waits on the way), and the pass is repeated from there.
-With the order of launches and recoveries thus given, these are the earliest times. Where drones
-have pads of their own, the same is done with one that would land before the truck has come. Where
-drones must be separated, a launch without a free layer waits until the first drone that blocks it
-has landed. The truck stays until what it has launched has taken off.
+At a node the driver selects the first possible task of: a recovery that cannot wait for a launch;
+the launch with the earliest recovery; a recovery; the truck's own delivery; a launch marked LATE.
+If no task is possible, or none that ends before a drone marked AT_ONCE arrives, the driver waits. A
+drone that would hover too long before its recovery is launched later by the excess (at no cost if
+the truck waits on the route), and the pass is repeated from that launch. For the resulting order of
+launches and recoveries these are the earliest times. If drones have their own pads, a drone that
+would land before the truck's arrival is delayed likewise. If drones must be separated, a launch
+without a free layer waits until the first blocking drone has landed. The truck stays until its
+launched drones have taken off.
 """
 
 import math
 
-from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.layers.layer_pricing import layer_for
+from ground_station.core.truck_drones.compiled import compiled, compiled_inner
+from ground_station.core.truck_drones.layers.layer_pricing import find_free_layer_and_store_geometry
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
-    AT_ONCE,
     BLOCKED,
+    DELAYS,
     DELIVERED,
     DEPART,
     FIRST_LAUNCH,
-    FIRST_MEET,
+    FIRST_RECOVERY,
     FLY,
     HOVER_LEFT,
     IDLE,
+    IMMEDIATE,
     KIND,
     LATE,
     LAUNCH,
@@ -34,85 +35,94 @@ from ground_station.core.truck_drones.tables import (
     LEVEL,
     LOG,
     LOGGED,
-    MEET,
-    MET,
     NEXT_LAUNCH,
-    NEXT_MEET,
+    NEXT_RECOVERY,
     NOWHERE,
     ORDER,
     PENDING,
-    PLACE,
-    PUSHES,
+    POSITION,
+    RECOVERED,
     RELEASE,
+    RENDEZVOUS,
     ROUTE,
     SPARE,
     WORK_AFTER,
 )
 
 EPSILON_S = 1e-7
-MOST_PUSHES = 3
-"""How often one launch is put off before the plan counts as impossible."""
+MAX_DELAYS = 3
+"""Maximum delays of one launch before the plan is infeasible."""
 
-IMPOSSIBLE = math.inf
-ON_THE_GROUND_S = 1e7
-"""How long a landed drone can wait: longer than any day."""
+INFEASIBLE_S = math.inf
+GROUND_WAIT_S = 1e7
+"""Permitted waiting time of a landed drone: longer than any day."""
 
 
-@compiled
-def _index_sorties(t, plan, whole, times_s):
-    """Sorties by node, with their flight and spare times; False where one is impossible."""
-    launch_s, recover_s, out_s, back_s = t.launch_s, t.recover_s, t.out_s, t.back_s
-    out_hover_s, back_hover_s, endurance_s = t.out_hover_s, t.back_hover_s, t.endurance_hover_s
-    release_s, from_s = t.release_s, t.from_s
+@compiled_inner
+def _index_sorties_if_feasible(tables, plan, int_rows, times_s):
+    """Index sorties by node with flight and spare times; return False if one is infeasible."""
+    launch_s, recover_s, out_s, back_s = (
+        tables.launch_s,
+        tables.recover_s,
+        tables.out_s,
+        tables.back_s,
+    )
+    out_hover_s, back_hover_s, endurance_s = (
+        tables.out_hover_s,
+        tables.back_hover_s,
+        tables.endurance_hover_s,
+    )
+    release_s, from_s = tables.release_s, tables.from_s
     for customer in range(1, plan.shape[1] - 1):
         launch = plan[LAUNCH, customer]
         if launch == NOWHERE:
             continue
-        meet, kind = plan[MEET, customer], plan[KIND, customer]
-        if whole[PLACE, launch] < 0 or whole[PLACE, meet] < whole[PLACE, launch]:
+        recovery, kind = plan[RENDEZVOUS, customer], plan[KIND, customer]
+        if (
+            int_rows[POSITION, launch] < 0
+            or int_rows[POSITION, recovery] < int_rows[POSITION, launch]
+        ):
             return False
-        if (launch == meet and not t.pads) or (launch != meet and t.loops_only):
+        if (launch == recovery and not tables.pads) or (launch != recovery and tables.loops_only):
             return False
         spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
-            kind, customer, meet
+            kind, customer, recovery
         ]
         if not spare_s >= 0.0:
             return False
-        times_s[SPARE, customer] = ON_THE_GROUND_S if t.pads else spare_s
-        times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, meet]
+        times_s[SPARE, customer] = GROUND_WAIT_S if tables.pads else spare_s
+        times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, recovery]
         times_s[RELEASE, customer] = max(release_s[customer], from_s[kind])
-        whole[PUSHES, customer] = 0
-        whole[NEXT_LAUNCH, customer] = whole[FIRST_LAUNCH, launch]
-        whole[FIRST_LAUNCH, launch] = customer
-        whole[NEXT_MEET, customer] = whole[FIRST_MEET, meet]
-        whole[FIRST_MEET, meet] = customer
-        times_s[WORK_AFTER, whole[PLACE, launch]] += launch_s[kind]
-        times_s[WORK_AFTER, whole[PLACE, meet]] += recover_s[kind]
+        int_rows[DELAYS, customer] = 0
+        int_rows[NEXT_LAUNCH, customer] = int_rows[FIRST_LAUNCH, launch]
+        int_rows[FIRST_LAUNCH, launch] = customer
+        int_rows[NEXT_RECOVERY, customer] = int_rows[FIRST_RECOVERY, recovery]
+        int_rows[FIRST_RECOVERY, recovery] = customer
+        times_s[WORK_AFTER, int_rows[POSITION, launch]] += launch_s[kind]
+        times_s[WORK_AFTER, int_rows[POSITION, recovery]] += recover_s[kind]
         times_s[LEVEL, customer] = times_s[FLY, customer]
         times_s[HOVER_LEFT, customer] = spare_s
     return True
 
 
-@compiled
-def index_plan(t, plan, whole, times_s):
-    """Places, sorties by node, sum of work; the number of places, or 0 where a sortie is
-    impossible.
-    """
-    travel_s, deliver_s = t.travel_s, t.deliver_s
+@compiled_inner
+def index_plan(tables, plan, int_rows, times_s):
+    """Index positions, sorties and work; return the position count, 0 if a sortie is infeasible."""
+    travel_s, deliver_s = tables.travel_s, tables.deliver_s
     end = plan.shape[1] - 1
     for node in range(end + 1):
-        whole[PLACE, node] = NOWHERE
-        whole[FIRST_LAUNCH, node] = NOWHERE
-        whole[FIRST_MEET, node] = NOWHERE
+        int_rows[POSITION, node] = NOWHERE
+        int_rows[FIRST_LAUNCH, node] = NOWHERE
+        int_rows[FIRST_RECOVERY, node] = NOWHERE
     at = 0
     while True:
         node = plan[ROUTE, at]
-        whole[PLACE, node] = at
+        int_rows[POSITION, node] = at
         times_s[WORK_AFTER, at] = deliver_s[node]
         if node == end:
             break
         at += 1
-    if not _index_sorties(t, plan, whole, times_s):
+    if not _index_sorties_if_feasible(tables, plan, int_rows, times_s):
         return 0
     for before in range(at - 1, -1, -1):
         hop_s = travel_s[plan[ROUTE, before], plan[ROUTE, before + 1]]
@@ -120,238 +130,269 @@ def index_plan(t, plan, whole, times_s):
     return at + 1
 
 
-@compiled
-def _mark_pending(plan, whole, times_s, node):
-    """Mark the sorties of this node: 1 to be launched, 2 to be recovered; loops first 1."""
-    customer = whole[FIRST_LAUNCH, node]
+@compiled_inner
+def _mark_pending_sorties_of_node(plan, int_rows, times_s, node):
+    """Mark the sorties of this node: 1 pending launch (loops too), 2 pending recovery."""
+    customer = int_rows[FIRST_LAUNCH, node]
     while customer >= 0:
-        whole[PENDING, customer] = 1
+        int_rows[PENDING, customer] = 1
         times_s[BLOCKED, customer] = 0.0
-        customer = whole[NEXT_LAUNCH, customer]
-    customer = whole[FIRST_MEET, node]
+        customer = int_rows[NEXT_LAUNCH, customer]
+    customer = int_rows[FIRST_RECOVERY, node]
     while customer >= 0:
         if plan[LAUNCH, customer] != node:
-            whole[PENDING, customer] = 2
-        customer = whole[NEXT_MEET, customer]
+            int_rows[PENDING, customer] = 2
+        customer = int_rows[NEXT_RECOVERY, customer]
 
 
-@compiled
-def _put_off(plan, whole, times_s, launch_s, customer, launched_s):
-    """Launch this drone later; whether that is allowed once more."""
-    whole[PUSHES, customer] += 1
-    if whole[PUSHES, customer] > MOST_PUSHES:
+@compiled_inner
+def _delay_launch_within_limit(plan, int_rows, times_s, launch_s, customer, launched_s):
+    """Delay the launch of this drone; return False at the limit of delays."""
+    int_rows[DELAYS, customer] += 1
+    if int_rows[DELAYS, customer] > MAX_DELAYS:
         return False
     times_s[RELEASE, customer] = launched_s - launch_s[plan[KIND, customer]]
     return True
 
 
-@compiled
-def _launch_before(plan, whole, times_s, one, other):
-    """Whether this launch is done before that one: LATE ones last, then by place and time of
-    recovery.
-    """
-    late = (plan[ORDER, one] & LATE) - (plan[ORDER, other] & LATE)
+@compiled_inner
+def _launch_precedes(plan, int_rows, times_s, first_customer, second_customer):
+    """Return whether the first launch precedes: LATE last, then by recovery stop and time."""
+    late = (plan[ORDER, first_customer] & LATE) - (plan[ORDER, second_customer] & LATE)
     if late != 0:
         return late < 0
-    sooner = whole[PLACE, plan[MEET, one]] - whole[PLACE, plan[MEET, other]]
+    sooner = (
+        int_rows[POSITION, plan[RENDEZVOUS, first_customer]]
+        - int_rows[POSITION, plan[RENDEZVOUS, second_customer]]
+    )
     if sooner != 0:
         return sooner < 0
-    return times_s[LEVEL, one] > times_s[LEVEL, other]
+    return times_s[LEVEL, first_customer] > times_s[LEVEL, second_customer]
 
 
-@compiled
-def _launch_to_do(plan, whole, times_s, aboard, node, now_s):
-    """The launch to do now (or NOWHERE), when else one could be done, how many are left."""
-    chosen, later_s, left = NOWHERE, IMPOSSIBLE, 0
-    customer = whole[FIRST_LAUNCH, node]
+@compiled_inner
+def _next_launch_and_times(plan, int_rows, times_s, available, node, now_s):
+    """Return the launch to do now (or NOWHERE), time of the next possible one, number left."""
+    selected, later_s, left = NOWHERE, INFEASIBLE_S, 0
+    customer = int_rows[FIRST_LAUNCH, node]
     while customer >= 0:
-        if whole[PENDING, customer] == 1:
+        if int_rows[PENDING, customer] == 1:
             left += 1
-            if aboard[plan[KIND, customer]] > 0:
+            if available[plan[KIND, customer]] > 0:
                 from_s = max(times_s[RELEASE, customer], times_s[BLOCKED, customer])
                 if from_s > now_s + EPSILON_S:
                     later_s = min(later_s, from_s)
-                elif chosen < 0 or _launch_before(plan, whole, times_s, customer, chosen):
-                    chosen = customer
-        customer = whole[NEXT_LAUNCH, customer]
-    return chosen, later_s, left
+                elif selected < 0 or _launch_precedes(plan, int_rows, times_s, customer, selected):
+                    selected = customer
+        customer = int_rows[NEXT_LAUNCH, customer]
+    return selected, later_s, left
 
 
-@compiled
-def _meeting_to_do(plan, whole, times_s, node, now_s):
-    """The recovery to do now (or NOWHERE), its deadline, when else one could be done, when one
-    comes that is marked AT_ONCE, how many are left."""
-    chosen, deadline_s, left = NOWHERE, IMPOSSIBLE, 0
-    later_s, at_once_s = IMPOSSIBLE, IMPOSSIBLE
-    customer = whole[FIRST_MEET, node]
+@compiled_inner
+def _next_recovery_and_times(plan, int_rows, times_s, node, now_s):
+    """Return the recovery to do now (or NOWHERE), its deadline, time of the next possible one,
+    arrival of the next marked AT_ONCE, number left."""
+    selected, deadline_s, left = NOWHERE, INFEASIBLE_S, 0
+    later_s, immediate_s = INFEASIBLE_S, INFEASIBLE_S
+    customer = int_rows[FIRST_RECOVERY, node]
     while customer >= 0:
-        if whole[PENDING, customer] == 2:
+        if int_rows[PENDING, customer] == 2:
             left += 1
             ready_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
             if ready_s > now_s + EPSILON_S:
                 later_s = min(later_s, ready_s)
-                if plan[ORDER, customer] & AT_ONCE:
-                    at_once_s = min(at_once_s, ready_s)
+                if plan[ORDER, customer] & IMMEDIATE:
+                    immediate_s = min(immediate_s, ready_s)
             elif ready_s + times_s[SPARE, customer] < deadline_s:
-                chosen, deadline_s = customer, ready_s + times_s[SPARE, customer]
-        customer = whole[NEXT_MEET, customer]
-    return chosen, deadline_s, later_s, at_once_s, left
+                selected, deadline_s = customer, ready_s + times_s[SPARE, customer]
+        customer = int_rows[NEXT_RECOVERY, customer]
+    return selected, deadline_s, later_s, immediate_s, left
 
 
-@compiled
-def _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
-    """Whether this launch is done before what else can be done now."""
-    if meet >= 0 and (deadline_s < ends_s or plan[ORDER, meet] & AT_ONCE):
+@compiled_inner
+def _is_launch_first(plan, launch, recovery, is_delivery_pending, ends_s, deadline_s):
+    """Return whether this launch precedes the other possible tasks."""
+    if recovery >= 0 and (deadline_s < ends_s or plan[ORDER, recovery] & IMMEDIATE):
         return False
-    return not (plan[ORDER, launch] & LATE and (meet >= 0 or deliver))
+    return not (plan[ORDER, launch] & LATE and (recovery >= 0 or is_delivery_pending))
 
 
-@compiled
-def _too_early(whole, times_s, node, from_s):
-    """A drone that would land at this node before `from_s`, or NOWHERE."""
-    customer = whole[FIRST_MEET, node]
+@compiled_inner
+def _drone_landing_before(int_rows, times_s, node, earliest_landing_s):
+    """Return a drone that would land at this node before `earliest_landing_s`, or NOWHERE."""
+    customer = int_rows[FIRST_RECOVERY, node]
     while customer >= 0:
         landed_s = times_s[LAUNCHED, customer] + times_s[FLY, customer]
-        if whole[PENDING, customer] == 2 and landed_s < from_s - EPSILON_S:
+        if int_rows[PENDING, customer] == 2 and landed_s < earliest_landing_s - EPSILON_S:
             return customer
-        customer = whole[NEXT_MEET, customer]
+        customer = int_rows[NEXT_RECOVERY, customer]
     return NOWHERE
 
 
-@compiled
-def _stop_here(air, plan, whole, times_s, aboard, launch_s, recover_s, deliver_s, stay_s, at):
-    """Do everything at this place. Returns (departure, place to go on from; -1: impossible)."""
-    node, now_s = plan[ROUTE, at], times_s[ARRIVE, at]
-    taken_off_s = now_s
-    _mark_pending(plan, whole, times_s, node)
-    deliver, logged = deliver_s > 0.0, whole[LOGGED, at]
+@compiled_inner
+def _process_driver_tasks_at_stop(
+    air,
+    plan,
+    int_rows,
+    times_s,
+    available,
+    launch_s,
+    recover_s,
+    deliver_s,
+    takeoff_wait_s,
+    route_index,
+):
+    """Process all tasks at this position. Returns (departure, next position; -1: infeasible)."""
+    node, now_s = plan[ROUTE, route_index], times_s[ARRIVE, route_index]
+    airborne_s = now_s
+    _mark_pending_sorties_of_node(plan, int_rows, times_s, node)
+    deliver, logged = deliver_s > 0.0, int_rows[LOGGED, route_index]
     while True:
-        launch, launch_later_s, launches = _launch_to_do(plan, whole, times_s, aboard, node, now_s)
-        meet, deadline_s, meet_later_s, at_once_s, meetings = _meeting_to_do(
-            plan, whole, times_s, node, now_s
+        launch, later_launch_s, launches = _next_launch_and_times(
+            plan, int_rows, times_s, available, node, now_s
         )
-        if launches == 0 and meetings == 0 and not deliver:
-            if at + 1 < whole.shape[1]:
-                whole[LOGGED, at + 1] = logged
-            return max(now_s, taken_off_s), at + 1
+        recovery, deadline_s, later_recovery_s, immediate_s, recoveries = _next_recovery_and_times(
+            plan, int_rows, times_s, node, now_s
+        )
+        if launches == 0 and recoveries == 0 and not deliver:
+            if route_index + 1 < int_rows.shape[1]:
+                int_rows[LOGGED, route_index + 1] = logged
+            return max(now_s, airborne_s), route_index + 1
         if launch >= 0:
             ends_s = now_s + launch_s[plan[KIND, launch]]
-            if not _launch_goes_first(plan, launch, meet, deliver, ends_s, deadline_s):
+            if not _is_launch_first(plan, launch, recovery, deliver, ends_s, deadline_s):
                 launch = NOWHERE
         if launch >= 0:
-            lasts_s = launch_s[plan[KIND, launch]]
-        elif meet >= 0:
-            lasts_s = recover_s[plan[KIND, meet]]
+            duration_s = launch_s[plan[KIND, launch]]
+        elif recovery >= 0:
+            duration_s = recover_s[plan[KIND, recovery]]
         elif deliver:
-            lasts_s = deliver_s
+            duration_s = deliver_s
         else:
-            now_s = min(launch_later_s, meet_later_s)
-            if now_s == IMPOSSIBLE:
-                return IMPOSSIBLE, -1
+            now_s = min(later_launch_s, later_recovery_s)
+            if now_s == INFEASIBLE_S:
+                return INFEASIBLE_S, -1
             continue
-        if now_s + lasts_s > at_once_s + EPSILON_S:
-            now_s = at_once_s
+        if now_s + duration_s > immediate_s + EPSILON_S:
+            now_s = immediate_s
             continue
         if launch >= 0:
             if air.priced:
-                layer, free_s = layer_for(
+                layer, free_s = find_free_layer_and_store_geometry(
                     air,
                     plan,
-                    whole,
+                    int_rows,
                     times_s,
                     launch,
-                    now_s + lasts_s,
-                    aboard[plan[KIND, launch]],
+                    now_s + duration_s,
+                    available[plan[KIND, launch]],
                     logged,
                 )
                 if layer < 0:
-                    if free_s == IMPOSSIBLE:
-                        return IMPOSSIBLE, -1
-                    times_s[BLOCKED, launch] = max(free_s - lasts_s, now_s + 2.0 * EPSILON_S)
+                    if free_s == INFEASIBLE_S:
+                        return INFEASIBLE_S, -1
+                    times_s[BLOCKED, launch] = max(free_s - duration_s, now_s + 2.0 * EPSILON_S)
                     continue
-                whole[LAYER, launch], whole[LOG, logged] = layer, launch
+                int_rows[LAYER, launch], int_rows[LOG, logged] = layer, launch
                 logged += 1
-            times_s[LAUNCHED, launch] = now_s + lasts_s
-            taken_off_s = now_s + lasts_s + stay_s
-            aboard[plan[KIND, launch]] -= 1
-            whole[PENDING, launch] = 2 if plan[MEET, launch] == node else 0
-        elif meet >= 0:
+            times_s[LAUNCHED, launch] = now_s + duration_s
+            airborne_s = now_s + duration_s + takeoff_wait_s
+            available[plan[KIND, launch]] -= 1
+            int_rows[PENDING, launch] = 2 if plan[RENDEZVOUS, launch] == node else 0
+        elif recovery >= 0:
             if now_s > deadline_s + EPSILON_S:
-                launched_s = now_s - times_s[FLY, meet] - times_s[SPARE, meet]
-                if not _put_off(plan, whole, times_s, launch_s, meet, launched_s):
-                    return IMPOSSIBLE, -1
-                return now_s, whole[PLACE, plan[LAUNCH, meet]]
-            times_s[MET, meet] = now_s
-            aboard[plan[KIND, meet]] += 1
-            whole[PENDING, meet] = 0
+                launched_s = now_s - times_s[FLY, recovery] - times_s[SPARE, recovery]
+                if not _delay_launch_within_limit(
+                    plan, int_rows, times_s, launch_s, recovery, launched_s
+                ):
+                    return INFEASIBLE_S, -1
+                return now_s, int_rows[POSITION, plan[LAUNCH, recovery]]
+            times_s[RECOVERED, recovery] = now_s
+            available[plan[KIND, recovery]] += 1
+            int_rows[PENDING, recovery] = 0
         else:
             times_s[DELIVERED, node] = now_s
             deliver = False
-        now_s += lasts_s
+        now_s += duration_s
 
 
-@compiled
-def visit(t, plan, whole, times_s, free, launch_s, recover_s, at):
-    """Everything at this place, from its arrival on; its departure and the next arrival.
+@compiled_inner
+def simulate_stop_and_next_arrival(
+    tables, plan, int_rows, times_s, drones_on_truck, launch_s, recover_s, route_index
+):
+    """Process this position from arrival to departure, and set the next arrival.
 
-    Returns the place to go on from: the next one, an earlier one where a launch was put off, or
-    -1: impossible.
+    Returns the position to continue from: the next one, an earlier one if a launch was delayed, or
+    -1: infeasible.
     """
-    aboard = free[free.shape[0] - 1]
-    for kind in range(len(aboard)):
-        aboard[kind] = free[at, kind]
-    node = plan[ROUTE, at]
-    if t.pads:
-        _mark_pending(plan, whole, times_s, node)
-        landed_s = times_s[ARRIVE, at] + t.lead_s
-        early = _too_early(whole, times_s, node, landed_s)
+    available = drones_on_truck[drones_on_truck.shape[0] - 1]
+    for kind in range(len(available)):
+        available[kind] = drones_on_truck[route_index, kind]
+    node = plan[ROUTE, route_index]
+    if tables.pads:
+        _mark_pending_sorties_of_node(plan, int_rows, times_s, node)
+        landed_s = times_s[ARRIVE, route_index] + tables.lead_s
+        early = _drone_landing_before(int_rows, times_s, node, landed_s)
         if early >= 0:
             launched_s = landed_s - times_s[FLY, early]
-            if not _put_off(plan, whole, times_s, launch_s, early, launched_s):
+            if not _delay_launch_within_limit(plan, int_rows, times_s, launch_s, early, launched_s):
                 return -1
-            return whole[PLACE, plan[LAUNCH, early]]
-    depart_s, go_on = _stop_here(
-        t.air, plan, whole, times_s, aboard, launch_s, recover_s, t.deliver_s[node], t.stay_s, at
+            return int_rows[POSITION, plan[LAUNCH, early]]
+    depart_s, next_position = _process_driver_tasks_at_stop(
+        tables.air,
+        plan,
+        int_rows,
+        times_s,
+        available,
+        launch_s,
+        recover_s,
+        tables.deliver_s[node],
+        tables.takeoff_wait_s,
+        route_index,
     )
-    if go_on > at:
-        if at == 0:
-            depart_s = max(depart_s, t.hold_s)
-        times_s[DEPART, at] = depart_s
+    if next_position > route_index:
+        if route_index == 0:
+            depart_s = max(depart_s, tables.hold_s)
+        times_s[DEPART, route_index] = depart_s
         if node != plan.shape[1] - 1:
-            times_s[ARRIVE, go_on] = depart_s + t.travel_s[node, plan[ROUTE, go_on]]
-            for kind in range(len(aboard)):
-                free[go_on, kind] = aboard[kind]
-    return go_on
+            times_s[ARRIVE, next_position] = (
+                depart_s + tables.travel_s[node, plan[ROUTE, next_position]]
+            )
+            for kind in range(len(available)):
+                drones_on_truck[next_position, kind] = available[kind]
+    return next_position
 
 
-@compiled
-def board(t, plan, free):
-    """All drones that the plan uses are aboard at first."""
-    for kind in range(free.shape[1]):
-        free[0, kind] = t.fleet[kind] - left_behind(plan, kind)
+@compiled_inner
+def initialise_drones_on_truck(tables, plan, drones_on_truck):
+    """Initialise the drones on the truck: all that the plan uses."""
+    for kind in range(drones_on_truck.shape[1]):
+        drones_on_truck[0, kind] = tables.fleet[kind] - unused_drone_count(plan, kind)
 
 
-@compiled
-def left_behind(plan, kind):
-    """How many drones of this kind the plan never launches."""
+@compiled_inner
+def unused_drone_count(plan, kind):
+    """Return the number of unused drones of this kind."""
     return plan[IDLE, kind] if kind < plan.shape[1] else 0
 
 
 @compiled
-def simulate(t, plan, w, give_up_s):
-    """The makespan, s; inf where the plan is impossible or must end after `give_up_s`."""
-    whole, times_s, free = w.whole, w.times_s, w.free
-    launch_s, recover_s = t.launch_s, t.recover_s
-    places = index_plan(t, plan, whole, times_s)
-    if places == 0:
-        return IMPOSSIBLE
-    board(t, plan, free)
+def simulate_makespan_s(tables, plan, work_arrays, makespan_limit_s):
+    """Return the makespan, s; inf if the plan is infeasible or exceeds `makespan_limit_s`."""
+    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
+    launch_s, recover_s = tables.launch_s, tables.recover_s
+    position_count = index_plan(tables, plan, whole, times_s)
+    if position_count == 0:
+        return INFEASIBLE_S
+    initialise_drones_on_truck(tables, plan, free)
     times_s[ARRIVE, 0], whole[LOGGED, 0] = 0.0, 0
     at = 0
-    while at < places:
-        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > give_up_s:
-            return IMPOSSIBLE
-        at = visit(t, plan, whole, times_s, free, launch_s, recover_s, at)
+    while at < position_count:
+        if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > makespan_limit_s:
+            return INFEASIBLE_S
+        at = simulate_stop_and_next_arrival(
+            tables, plan, whole, times_s, free, launch_s, recover_s, at
+        )
         if at < 0:
-            return IMPOSSIBLE
-    return times_s[DEPART, places - 1]
+            return INFEASIBLE_S
+    return times_s[DEPART, position_count - 1]

@@ -1,9 +1,8 @@
-"""The problem and a plan as flat arrays: what the compiled search reads and writes.
+"""The problem and a plan as flat arrays for the compiled search.
 
-A plan under search is an int32 array of six rows and one column for each node: the truck's route;
-for each customer served by a drone its launch node, its recovery node, its kind of drone, and
-flags on when the driver launches and recovers it; and, by kind, how many drones are left aboard
-all day.
+A plan is an int64 array of six rows and one column per node: the truck's route; for each customer
+served by a drone its launch node, rendezvous node, kind of drone, and flags for the driver's launch
+and recovery; and, by kind, the number of unused drones.
 """
 
 from typing import NamedTuple
@@ -11,25 +10,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ground_station.core.truck_drones.problem import Air, TruckAndDrones
+from ground_station.core.truck_drones.problem import LayeredAirspace, TruckAndDrones
+from ground_station.core.truck_drones.tuple_reference import passed_by_reference
 
-ROUTE, LAUNCH, MEET, KIND, ORDER, IDLE = range(6)
-AT_ONCE, LATE = 1, 2
-"""Bits of ORDER: recovered as soon as it comes, the driver begins nothing that would delay it;
-launched after deliveries and recoveries."""
+ROUTE, LAUNCH, RENDEZVOUS, KIND, ORDER, IDLE = range(6)
+IMMEDIATE, LATE = 1, 2
+"""Bits of ORDER: recover on arrival (the driver begins no task that would delay it); launch after
+deliveries and recoveries."""
 NOWHERE = -1
-"""In a plan's arrays: not on the truck's route, not flown."""
+"""Value of a plan's arrays: not on the truck's route, not flown."""
 
-Plan = NDArray[np.int32]
+Plan = NDArray[np.int64]
 
 
-class Tables(NamedTuple):
+@passed_by_reference
+class ProblemTables(NamedTuple):
     """`TruckAndDrones`, with the kinds of drones stacked along the first axis."""
 
     travel_s: NDArray[np.float64]
     deliver_s: NDArray[np.float64]
     truck_can: NDArray[np.bool_]
-    fleet: NDArray[np.int32]
+    fleet: NDArray[np.int64]
     """Drones of each kind."""
     launch_s: NDArray[np.float64]
     recover_s: NDArray[np.float64]
@@ -39,25 +40,26 @@ class Tables(NamedTuple):
     out_hover_s: NDArray[np.float64]
     back_hover_s: NDArray[np.float64]
     endurance_hover_s: NDArray[np.float64]
-    near: NDArray[np.int32]
-    """By node, the other nodes, nearest by road first; as many as moves ever look at."""
+    near: NDArray[np.int64]
+    """By node, the nearest nodes by road, nearest first, as many as moves use."""
     from_s: NDArray[np.float64]
     release_s: NDArray[np.float64]
     fixed_until_s: float
-    """The latest of `from_s` and `release_s`: from then on a plan may be shifted in time."""
+    """The latest of `from_s` and `release_s`: after it a plan may be shifted in time."""
     hold_s: float
     pads: bool
     lead_s: float
-    stay_s: float
+    takeoff_wait_s: float
     loops_only: bool
     air: "AirTable"
 
 
+@passed_by_reference
 class AirTable(NamedTuple):
-    """`Air` for the compiled rule, in one array, for the reason that `Work` gives."""
+    """`LayeredAirspace` for the compiled rule, in few arrays (see `WorkArrays`)."""
 
     priced: bool
-    """Is rule 7 priced? What follows is empty where it is not."""
+    """Whether rule 7 is priced; if not, the other fields are empty."""
     at: NDArray[np.float64]
     """Rows NORTH and EAST (m), LOWEST and LAYERS by node."""
     fleet: int
@@ -66,13 +68,13 @@ class AirTable(NamedTuple):
     pads_m: float
     rings_m: float
     ready_s: float
-    apart_m: float
+    separation_m: float
     slack_s: float
-    of_layer: NDArray[np.float64]
-    """Rows LAYER_S and LAYER_HOVER_S by kind of drone: what each layer above `of_priced` adds."""
-    of_priced: int
-    bends: NDArray[np.int32]
-    """From node to node: the corners, by number, around which the way goes; -1: no more."""
+    layer_costs: NDArray[np.float64]
+    """Rows LAYER_S and LAYER_HOVER_S by drone kind: addition per layer above `priced_layer`."""
+    priced_layer: int
+    bends: NDArray[np.int64]
+    """From node to node: indices of the corners on the route; -1 after the last."""
     corners_ne_m: NDArray[np.float64]
 
 
@@ -80,128 +82,131 @@ LAYER_S, LAYER_HOVER_S = range(2)
 NORTH, EAST, LOWEST, LAYERS = range(4)
 
 
-class Work(NamedTuple):
-    """Where one simulation writes: two arrays of rows (below) by node, and who is aboard.
+@passed_by_reference
+class WorkArrays(NamedTuple):
+    """Work arrays of one simulation: rows (below) by node, and the drones on the truck.
 
-    Few arrays and plain ones: each array that compiled code takes out of a tuple is counted
-    atomically, which had been most of the time of a simulation.
+    Few plain arrays: compiled code counts references atomically for each array that it reads from
+    a tuple, which dominates the time of a simulation.
     """
 
-    whole: NDArray[np.int32]
+    whole: NDArray[np.int64]
     times_s: NDArray[np.float64]
-    free: NDArray[np.int32]
-    """By place on the route and kind: drones aboard when the truck arrives; last row: right now."""
-    taken: NDArray[np.int32]
-    """No simulation writes here. Row TAKEN: customers taken out of the plan; rows from WAYS on, by
-    kind: drones away on the way from each place to the next."""
+    free: NDArray[np.int64]
+    """By route position and kind: drones on the truck at arrival; last row: current."""
+    scratch: NDArray[np.int64]
+    """Not written by simulations. Row TAKEN: customers removed from the plan; rows from WAYS on, by
+    kind: drones away from the truck between each position and the next."""
 
 
-# Rows of `Work.whole`, by node;
-PLACE, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_MEET, NEXT_MEET, PENDING, PUSHES, LAYER = range(8)
-# by number of the launch: whose; by place on the route: how many launches came before it;
+# Rows of `WorkArrays.whole`, by node;
+POSITION, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_RECOVERY, NEXT_RECOVERY, PENDING, DELAYS, LAYER = range(
+    8
+)
+# by launch number: its customer; by route position: number of earlier launches;
 LOG, LOGGED = range(8, 10)
-# by place on the route, of a plan from whose simulation others are gone on (`changed_plan`).
+# by route position, of a plan that incremental simulations start from (`changed_plan`).
 RESTART, SPANNED, FURTHEST = range(10, 13)
-# by node: the pads of launch and landing, by their number in the ring, and how many corners its
-# ground has.
+# by node: launch and landing pads, by number in the ring, and corner count of the sortie's ground
+# shape.
 PAD, HOME, CORNERS = range(13, 16)
-# Rows of `Work.times_s`; by node: earliest launch, flight, hover to spare, end of the launch, start
-# of the recovery, start of the truck's own delivery;
-RELEASE, FLY, SPARE, LAUNCHED, MET, DELIVERED = range(6)
-# by place on the route: arrival, departure, and what truck and driver have to do from arriving
-# there to the end, waiting aside.
+# Rows of `WorkArrays.times_s`; by node: earliest launch, flight time, spare hover time, end of
+# launch, start of recovery, start of the truck's own delivery;
+RELEASE, FLY, SPARE, LAUNCHED, RECOVERED, DELIVERED = range(6)
+# by route position: arrival, departure, and the work of truck and driver from there to the end,
+# without waiting.
 ARRIVE, DEPART, WORK_AFTER = range(6, 9)
-# by node: blocked by others in the air until then; its flight in the layer in which the legs are
-# priced, and how long it could hover there besides;
+# by node: end of blocking by airborne drones; flight time in the priced layer, and spare hover time
+# there;
 BLOCKED, LEVEL, HOVER_LEFT = range(9, 12)
-# the corners of the ground that a sortie flies over, m: pads and customer, then bends around
-# obstacles, as many as there are (CORNERS).
+# corners of the ground shape of a sortie, m: pads and customer, then bends around obstacles
+# (CORNERS in total).
 PAD_N, PAD_E, CUSTOMER_N, CUSTOMER_E, HOME_N, HOME_E, BENDS = range(12, 19)
 LEG_BENDS = 3
-"""Of each way, out and back, so many bends are looked at."""
+"""Number of bends considered on each of the outbound and return routes."""
 TIMES_ROWS = BENDS + 4 * LEG_BENDS
 
-# Rows of `Work.taken`.
-TAKEN, WAYS = 0, 1
+# Rows of `WorkArrays.scratch`.
+REMOVED, AWAY = 0, 1
 
-NEAR = 30
+NEAR_COUNT = 30
 
 
-def tables_of(problem: TruckAndDrones) -> Tables:
-    """The arrays of a problem."""
-    kinds, legs = problem.kinds, problem.legs
-    both_ways_s = problem.travel_s + problem.travel_s.T
-    np.fill_diagonal(both_ways_s, np.inf)
-    near = np.argsort(both_ways_s, axis=1, kind="stable")[:, : min(NEAR, problem.nodes - 1)]
+def tables_of(problem: TruckAndDrones) -> ProblemTables:
+    """Return the arrays of a problem."""
+    kinds, leg_tables = problem.kinds, problem.leg_tables
+    round_trip_s = problem.travel_s + problem.travel_s.T
+    np.fill_diagonal(round_trip_s, np.inf)
+    near = np.argsort(round_trip_s, axis=1, kind="stable")[:, : min(NEAR_COUNT, problem.nodes - 1)]
     from_s = np.array([kind.from_s for kind in kinds])
     release_s = np.zeros(problem.nodes) if problem.release_s is None else problem.release_s
-    return Tables(
+    return ProblemTables(
         travel_s=np.ascontiguousarray(problem.travel_s, dtype=np.float64),
         deliver_s=np.ascontiguousarray(problem.deliver_s, dtype=np.float64),
         truck_can=np.ascontiguousarray(problem.truck_can_serve),
-        fleet=np.array([kind.count for kind in kinds], dtype=np.int32),
+        fleet=np.array([kind.count for kind in kinds], dtype=np.int64),
         launch_s=np.array([kind.launch_s for kind in kinds]),
         recover_s=np.array([kind.recover_s for kind in kinds]),
         drone_can=np.stack([kind.can_serve for kind in kinds]),
-        out_s=np.stack([of.out_s for of in legs]),
-        back_s=np.stack([of.back_s for of in legs]),
-        out_hover_s=np.stack([of.out_hover_s for of in legs]),
-        back_hover_s=np.stack([of.back_hover_s for of in legs]),
-        endurance_hover_s=np.array([of.endurance_hover_s for of in legs]),
-        near=np.ascontiguousarray(near, dtype=np.int32),
+        out_s=np.stack([of.out_s for of in leg_tables]),
+        back_s=np.stack([of.back_s for of in leg_tables]),
+        out_hover_s=np.stack([of.out_hover_s for of in leg_tables]),
+        back_hover_s=np.stack([of.back_hover_s for of in leg_tables]),
+        endurance_hover_s=np.array([of.endurance_hover_s for of in leg_tables]),
+        near=np.ascontiguousarray(near, dtype=np.int64),
         from_s=from_s,
         release_s=release_s,
         fixed_until_s=float(max(from_s.max(), release_s.max())),
         hold_s=problem.hold_s,
         pads=problem.pads,
         lead_s=problem.lead_s,
-        stay_s=problem.stay_s,
+        takeoff_wait_s=problem.takeoff_wait_s,
         loops_only=problem.loops_only,
-        air=_air_of(problem.air, sum(kind.count for kind in kinds)),
+        air=_air_table(problem.air, sum(kind.count for kind in kinds)),
     )
 
 
-def _air_of(air: Air | None, fleet: int) -> AirTable:
+def _air_table(air: LayeredAirspace | None, drone_count: int) -> AirTable:
     if air is None:
         none = np.zeros((2, 0))
-        bends = np.zeros((0, 0, 0), dtype=np.int32)
+        bends = np.zeros((0, 0, 0), dtype=np.int64)
         return AirTable(
-            False, np.zeros((4, 0)), fleet, 0, 0.0, 0.0, 0.0, 0.0, 0.0, none, 0, bends, none
+            False, np.zeros((4, 0)), drone_count, 0, 0.0, 0.0, 0.0, 0.0, 0.0, none, 0, bends, none
         )
     at = np.ascontiguousarray(np.vstack([air.ne_m.T, air.lowest, air.layers]), dtype=np.float64)
     of_layer = np.array([air.layer_s, air.layer_hover_s], dtype=np.float64)
     return AirTable(
         True,
         at,
-        fleet,
+        drone_count,
         air.pads,
         air.pads_m,
         air.rings_m,
         air.ready_s,
-        air.apart_m,
+        air.separation_m,
         air.slack_s,
         of_layer,
         air.priced,
-        np.ascontiguousarray(air.bends[:, :, :LEG_BENDS], dtype=np.int32),
+        np.ascontiguousarray(air.bends[:, :, :LEG_BENDS], dtype=np.int64),
         np.ascontiguousarray(air.corners_ne_m, dtype=np.float64),
     )
 
 
-def work_for(tables: Tables) -> Work:
-    """Room for simulations of this problem."""
+def allocate_work_arrays(tables: ProblemTables) -> WorkArrays:
+    """Allocate the work arrays for simulations of this problem."""
     nodes, kinds = len(tables.travel_s), len(tables.fleet)
-    return Work(
-        whole=np.full((16, nodes), NOWHERE, dtype=np.int32),
+    return WorkArrays(
+        whole=np.full((16, nodes), NOWHERE, dtype=np.int64),
         times_s=np.zeros((TIMES_ROWS, nodes)),
-        free=np.zeros((nodes + 1, kinds), dtype=np.int32),
-        taken=np.zeros((WAYS + kinds, nodes), dtype=np.int32),
+        free=np.zeros((nodes + 1, kinds), dtype=np.int64),
+        scratch=np.zeros((AWAY + kinds, nodes), dtype=np.int64),
     )
 
 
-def empty_plan(nodes: int) -> Plan:
-    """A plan in which the truck goes from the depot to the depot, and nobody is served."""
-    plan = np.full((6, nodes), NOWHERE, dtype=np.int32)
+def empty_plan(node_count: int) -> Plan:
+    """Return a plan without customers: the truck drives from depot to depot."""
+    plan = np.full((6, node_count), NOWHERE, dtype=np.int64)
     plan[[ORDER, IDLE]] = 0
     plan[ROUTE, 0] = 0
-    plan[ROUTE, 1] = nodes - 1
+    plan[ROUTE, 1] = node_count - 1
     return plan

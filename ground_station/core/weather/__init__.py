@@ -1,1 +1,1 @@
-"""Forecasts of the wind over time, height and place."""
+"""Forecasts of the wind over time, height and position."""

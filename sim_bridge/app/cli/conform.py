@@ -7,18 +7,20 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.app.options.program_options import command_class_with_options
+from sim_bridge.app.cli.options import run_options
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
 
-class As(StrEnum):
+class ReferenceAutopilot(StrEnum):
     """Whose recorded answers to judge by."""
 
     px4 = "px4"
     ardupilot = "ardupilot"
 
 
-@app.command()
+@app.command(cls=command_class_with_options("json_out"))
 def conform(
     link: Annotated[
         str | None,
@@ -29,21 +31,18 @@ def conform(
         ),
     ] = None,
     as_: Annotated[
-        As | None,
+        ReferenceAutopilot | None,
         typer.Option("--as", help="Judge by the recorded answers of the real one."),
     ] = None,
     reference: Annotated[
         Path | None, typer.Option(help="Judge by this result in place of the recorded one.")
-    ] = None,
-    json_out: Annotated[
-        Path | None, typer.Option("--json", help="Write what was seen here as JSON.")
     ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(help="A family (mission), a name (mission/nan) or a pattern; repeatable."),
     ] = None,
     reboots: Annotated[
-        bool, typer.Option("--reboots", help="Also what needs the autopilot to reboot by itself.")
+        bool, typer.Option("--reboots", help="Include reboots; the autopilot must restart itself.")
     ] = False,
     list_them: Annotated[bool, typer.Option("--list", help="Name the behaviours.")] = False,
     compare: Annotated[
@@ -51,20 +50,21 @@ def conform(
         typer.Option(help="Print the parity matrix of two results, the reference first."),
     ] = None,
     not_a_simulator: Annotated[
-        bool, typer.Option("--not-a-simulator", help="The link does not stay on this machine.")
+        bool, typer.Option("--not-a-simulator", help="Permit a --link that leaves this machine.")
     ] = False,
     yes_it_may_fly: Annotated[
-        bool, typer.Option("--yes-it-may-fly", help="And what is there may take off.")
+        bool, typer.Option("--yes-it-may-fly", help="Permit the vehicle on that link to take off.")
     ] = False,
 ) -> None:
-    """Ask a vehicle how it behaves: telemetry, missions, modes, set-points, acknowledgements.
+    """Test how a vehicle behaves: telemetry, missions, modes, set-points, acknowledgements.
 
     Takes a PX4 or ArduCopter multirotor on the ground, disarmed, with some 350 m of room, flies it
     at 20 m and puts everything back: missions cleared, parameters and message rates as they were,
-    landed and disarmed, also after Ctrl-C. All times are the vehicle's, so simulators may run fast.
+    landed and disarmed, also after Ctrl-C. A --link that leaves this machine (127.0.0.1) needs
+    --not-a-simulator and --yes-it-may-fly. All times are the vehicle's: simulators may run fast.
 
     With --as, each behaviour is judged: exit code 1 if one differs that differences.toml does not
-    explain. 2 is a mistake in what was asked.
+    explain. 2: invalid input.
 
         sim-bridge conform --link tcp:127.0.0.1:5760 --json mine.json
 
@@ -74,21 +74,25 @@ def conform(
     """
     from sim_bridge.app.cli import conforming
     from sim_bridge.conform.errors import ConformError
-    from sim_bridge.conform.suite import select
+    from sim_bridge.conform.suite import select_behaviours
 
     try:
         if compare is not None:
-            conforming.compare_results(*compare, autopilot=as_)
+            conforming.print_parity_matrix(*compare, autopilot=as_)
         elif list_them:
-            conforming.print_names(select(only or (), reboots=True))
+            conforming.print_behaviour_names(select_behaviours(only or (), include_reboots=True))
         elif link is None:
             raise ConformError("give --link URL, --compare A.json B.json or --list")
         else:
-            conforming.refuse_far(link, told=not_a_simulator, told_twice=yes_it_may_fly)
-            chosen = select(only or (), reboots=reboots)
-            judge_by = None
+            conforming.raise_if_link_leaves_machine(
+                link, not_simulated=not_a_simulator, flight_permitted=yes_it_may_fly
+            )
+            selected = select_behaviours(only or (), include_reboots=reboots)
+            verdict_reference = None
             if as_ is not None or reference is not None:
-                judge_by = conforming.Reference(as_.value if as_ else "", reference)
-            conforming.conform_vehicle(link, chosen, judge_by, json_out)
+                verdict_reference = conforming.Reference(as_.value if as_ else "", reference)
+            conforming.run_behaviours_and_print_verdicts(
+                link, selected, verdict_reference, run_options().json_out
+            )
     except ConformError as error:
         raise LeewayError(str(error)) from error

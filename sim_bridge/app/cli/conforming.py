@@ -9,33 +9,37 @@ import typer
 from rich.console import Console
 from rich.status import Status
 
-from sim_bridge.conform.behaviour import Behaviour
+from sim_bridge.conform.behaviour import Behaviour, Observation
 from sim_bridge.conform.client import Client
-from sim_bridge.conform.errors import CannotSee, ConformError
+from sim_bridge.conform.errors import ConformError, ObservationError
 from sim_bridge.conform.link import is_on_loopback, open_link
 from sim_bridge.conform.reference import (
     ConformanceResult,
     Parity,
-    as_result,
-    judge,
-    judge_all,
-    matrix,
-    read_differences,
+    compare_behaviour,
+    compare_results,
+    format_parity_matrix,
+    format_verdict_counts,
+    read_known_difference_reasons,
     read_result,
     reference_folder,
-    tally,
     write_result,
 )
 from sim_bridge.conform.subject import Subject
-from sim_bridge.conform.suite import BehaviourRecord, Observer, VehicleIdentity, identify, run_suite
+from sim_bridge.conform.suite import (
+    Observer,
+    VehicleIdentity,
+    request_vehicle_identity,
+    run_suite,
+)
 
-_FLIES = (
+_SAFETY_NOTE = (
     "the suite arms, flies and lands what is behind it; it is meant for simulators on this"
     " machine (127.0.0.1). To run it elsewhere give --not-a-simulator and --yes-it-may-fly"
 )
 
 
-class _View:
+class _ProgressView:
     """One line for each behaviour as it ends; the one under way on the last line."""
 
     def __init__(self, console: Console, total: int, reference: "Reference | None") -> None:
@@ -45,30 +49,30 @@ class _View:
         self._number = 0
         self._status = Status("", console=console)
 
-    def __enter__(self) -> "_View":
+    def __enter__(self) -> "_ProgressView":
         self._status.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._status.stop()
 
-    def begins(self, behaviour: Behaviour) -> None:
+    def on_behaviour_start(self, behaviour: Behaviour) -> None:
         """Show what is looked at."""
         self._number += 1
         self._status.update(f"{self._number} of {self._total}: {behaviour.name}")
 
-    def ended(self, row: BehaviourRecord) -> None:
+    def on_behaviour_end(self, behaviour: Behaviour, seen: Observation) -> None:
         """Print what was seen, and the verdict where there is one."""
-        verdict = "" if self._reference is None else self._reference.word(row)
-        seen = row.problem and f"not seen: {row.problem}"
-        value = seen or f"{row.value} {row.behaviour.unit}".strip()
-        note = f"  ({row.note})" if row.note else ""
-        line = f"{verdict}{row.behaviour.name}: {row.behaviour.says} {value}{note}"
+        verdict = "" if self._reference is None else self._reference.verdict_prefix(behaviour, seen)
+        problem_text = seen.problem and f"not seen: {seen.problem}"
+        value = problem_text or f"{seen.value} {behaviour.unit}".strip()
+        note = f"  ({seen.note})" if seen.note else ""
+        line = f"{verdict}{behaviour.name}: {behaviour.description} {value}{note}"
         self._console.print(line, highlight=False, markup=False)
 
-    def says(self, words: str) -> None:
+    def show_status(self, text: str) -> None:
         """Show a state."""
-        self._status.update(words)
+        self._status.update(text)
 
 
 class Reference:
@@ -77,88 +81,102 @@ class Reference:
     def __init__(self, autopilot: str, path: Path | None) -> None:
         folder = reference_folder() if path is None else path.parent
         self.result = read_result(path or folder / f"{autopilot}.json")
-        self.reasons = read_differences(folder, autopilot)
+        self.differences = read_known_difference_reasons(folder, autopilot)
 
-    def word(self, row: BehaviourRecord) -> str:
-        """The verdict on one row, as a mark in front of its line."""
-        answer = as_result(self.result.vehicle, [row]).answers[row.behaviour.name]
-        reference = self.result.answers.get(row.behaviour.name)
-        verdict = judge(row.behaviour, answer, reference, self.reasons)
+    def verdict_prefix(self, behaviour: Behaviour, seen: Observation) -> str:
+        """The verdict on one behaviour, as a mark in front of its line."""
+        reference = self.result.results.get(behaviour.name)
+        verdict = compare_behaviour(behaviour, seen, reference, self.differences)
         if verdict in (Parity.SAME, Parity.NO_REFERENCE):
             return "= " if verdict is Parity.SAME else "? "
         expected = None if reference is None else reference.value
         return f"{verdict.value.upper()} from {expected!r}: "
 
 
-def refuse_far(link: str, *, told: bool, told_twice: bool) -> None:
+def raise_if_link_leaves_machine(link: str, *, not_simulated: bool, flight_permitted: bool) -> None:
     """ConformError for a link that leaves this machine, unless both switches were given."""
-    if not is_on_loopback(link) and not (told and told_twice):
-        raise ConformError(f"--link {link} leaves this machine: {_FLIES}")
+    if not is_on_loopback(link) and not (not_simulated and flight_permitted):
+        raise ConformError(f"--link {link} leaves this machine: {_SAFETY_NOTE}")
 
 
-def print_names(behaviours: list[Behaviour]) -> None:
+def print_behaviour_names(behaviours: list[Behaviour]) -> None:
     """One line for each behaviour."""
     for behaviour in behaviours:
-        print(f"{behaviour.name:36} {behaviour.says} ... ({behaviour.where.value})")
+        print(f"{behaviour.name:36} {behaviour.description} ... ({behaviour.where.value})")
 
 
-def compare_results(a: Path, b: Path, autopilot: str | None) -> None:
+def print_parity_matrix(a: Path, b: Path, autopilot: str | None) -> None:
     """Print the parity matrix of two results, the reference first."""
     left, right = read_result(a), read_result(b)
-    reasons = read_differences(reference_folder(), autopilot or left.vehicle.autopilot)
-    names = (f"{a.stem} ({_name(left.vehicle)})", f"{b.stem} ({_name(right.vehicle)})")
-    print(matrix(left, right, reasons, names), end="")
-    print(tally(judge_all(right, left, reasons).values()), file=sys.stderr)
+    differences = read_known_difference_reasons(
+        reference_folder(), autopilot or left.vehicle.autopilot
+    )
+    names = (
+        f"{a.stem} ({_vehicle_label(left.vehicle)})",
+        f"{b.stem} ({_vehicle_label(right.vehicle)})",
+    )
+    print(format_parity_matrix(left, right, differences, names), end="")
+    print(
+        format_verdict_counts(compare_results(right, left, differences).values()), file=sys.stderr
+    )
 
 
-def conform_vehicle(
+def run_behaviours_and_print_verdicts(
     url: str, behaviours: list[Behaviour], reference: Reference | None, json_out: Path | None
 ) -> None:
     """Run the behaviours on the vehicle at `url`; exit code 1 where one differs unexplained."""
     console = Console(stderr=True, soft_wrap=True)
-    client = Client(open_link(url))
+    vehicle_link = open_link(url)
     try:
-        with _View(console, len(behaviours), reference) as view:
-            result = ask(client, behaviours, view, may_force=is_on_loopback(url))
+        with _ProgressView(console, len(behaviours), reference) as view:
+            result = run_behaviours_and_restore_vehicle(
+                Client(vehicle_link), behaviours, view, allow_force_disarm=is_on_loopback(url)
+            )
     finally:
-        client.close()
+        vehicle_link.close()
     if json_out is not None:
         write_result(json_out, result)
     if reference is None:
-        console.print(f"{len(result.answers)} behaviours of {_name(result.vehicle)}")
+        console.print(f"{len(result.results)} behaviours of {_vehicle_label(result.vehicle)}")
         return
-    verdicts = judge_all(result, reference.result, reference.reasons).values()
-    console.print(f"{tally(verdicts)}; judged by {_name(reference.result.vehicle)}")
-    if Parity.DIFFERENT in verdicts or Parity.NOT_SEEN in verdicts:
+    verdicts = compare_results(result, reference.result, reference.differences).values()
+    console.print(
+        f"{format_verdict_counts(verdicts)}; judged by {_vehicle_label(reference.result.vehicle)}"
+    )
+    if Parity.DIFFERENT in verdicts or Parity.NOT_OBSERVED in verdicts:
         raise typer.Exit(1)
 
 
-def _name(vehicle: VehicleIdentity) -> str:
+def _vehicle_label(vehicle: VehicleIdentity) -> str:
     return f"{vehicle.autopilot} {vehicle.firmware} {vehicle.hash}".strip()
 
 
-class View(Observer, Protocol):
+class StatusObserver(Observer, Protocol):
     """Whoever watches, and is told what is under way besides."""
 
-    def says(self, words: str) -> None: ...
+    def show_status(self, text: str) -> None: ...
 
 
-def ask(
-    client: Client, behaviours: Sequence[Behaviour], view: View, *, may_force: bool
+def run_behaviours_and_restore_vehicle(
+    client: Client,
+    behaviours: Sequence[Behaviour],
+    view: StatusObserver,
+    *,
+    allow_force_disarm: bool,
 ) -> ConformanceResult:
     """Run the behaviours and leave the vehicle as it was found, whatever happens."""
-    view.says("waiting for a HEARTBEAT")
+    view.show_status("waiting for a HEARTBEAT")
     try:
-        subject = Subject(client, may_force=may_force)
-        vehicle = identify(subject)
-    except CannotSee as error:
+        subject = Subject(client, allow_force_disarm=allow_force_disarm)
+        vehicle = request_vehicle_identity(subject)
+    except ObservationError as error:
         raise ConformError(str(error)) from error
     try:
-        rows = run_suite(subject, behaviours, view)
+        results = run_suite(subject, behaviours, view)
     finally:
-        view.says("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
+        view.show_status("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
         try:
-            subject.clean_up()
-        except CannotSee as error:
+            subject.restore_initial_state()
+        except ObservationError as error:
             print(f"sim-bridge: NOT left as found: {error}", file=sys.stderr)
-    return as_result(vehicle, rows)
+    return ConformanceResult(vehicle, results)

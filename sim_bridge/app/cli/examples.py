@@ -39,14 +39,16 @@ def examples(
 
     params = params_dir()
     found = [path for name in FOLDERS for path in sorted((params / name).iterdir())]
-    texts = {path.relative_to(params): _text(path) for path in found}
-    _copy(texts, folder)
-    shown = Table("file", "what it is for", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    texts = {path.relative_to(params): _read_without_schema_line(path) for path in found}
+    _write_files_unless_any_exists(texts, folder)
+    summary_table = Table(
+        "file", "what it is for", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False
+    )
     for name, text in texts.items():
         if name.suffix == ".toml":
-            shown.add_row(str(name), _purpose(text))
+            summary_table.add_row(str(name), _first_comment_sentence(text))
     console = Console()
-    console.print(shown)
+    console.print(summary_table)
     console.print(f"\n{folder}: {len(texts)} files. Change one, and run it:", highlight=False)
     for command in (
         f"sim-bridge fly {folder}/flights/default.toml",
@@ -57,7 +59,7 @@ def examples(
         typer.echo(f"  {command}")  # not wrapped: it is to be copied
 
 
-def _text(path: Path) -> str:
+def _read_without_schema_line(path: Path) -> str:
     return "".join(
         line
         for line in path.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -65,12 +67,14 @@ def _text(path: Path) -> str:
     )
 
 
-def _copy(texts: dict[Path, str], folder: Path) -> None:
+def _write_files_unless_any_exists(texts: dict[Path, str], folder: Path) -> None:
     """Raises LeewayError where a file is there already, before anything is written."""
-    there = [str(name) for name in texts if (folder / name).exists()]
-    if there:
-        listed = ", ".join(there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
-        raise LeewayError(f"{folder}: {listed}: there already; name another folder")
+    existing = [str(name) for name in texts if (folder / name).exists()]
+    if existing:
+        file_list = ", ".join(existing[:3]) + (
+            f" and {len(existing) - 3} more" if len(existing) > 3 else ""
+        )
+        raise LeewayError(f"{folder}: {file_list}: there already; name another folder")
     try:
         for name, text in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -79,14 +83,14 @@ def _copy(texts: dict[Path, str], folder: Path) -> None:
         raise LeewayError(f"{folder}: {error.strerror}") from error
 
 
-def _purpose(text: str) -> str:
+def _first_comment_sentence(text: str) -> str:
     """The first sentence of the comment that a file begins with."""
     lines = text.splitlines()
-    comment = " ".join(line.removeprefix("#").strip() for line in _while_comment(lines))
+    comment = " ".join(line.removeprefix("#").strip() for line in _leading_comment_lines(lines))
     sentence = comment.split(". ")[0].removesuffix(".")
     return f"{sentence}."
 
 
-def _while_comment(lines: list[str]) -> list[str]:
+def _leading_comment_lines(lines: list[str]) -> list[str]:
     end = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
     return lines[:end]

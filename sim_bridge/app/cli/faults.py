@@ -1,116 +1,96 @@
 """`sim-bridge faults`: the standing suite of faults that must cost no vehicle."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.cli.options import ClusterOption
+from ground_station.app.options.program_options import command_class_with_options
+from sim_bridge.app.cli.options import SeedsOption, run_options, seed_range, selected_or_all
 
 app = typer.Typer()
 
-ALL = "all"
-
-INTERRUPTED = 130
+EXIT_INTERRUPTED = 130
 """The shell's exit code for a program that Ctrl-C ended."""
 
 
-@app.command()
+@app.command(cls=command_class_with_options("jobs", "cluster", "minutes", "json_out", "runs"))
 def faults(
     names: Annotated[
-        list[str] | None, typer.Argument(help="Faults by name or number; without one, all.")
+        list[str] | None, typer.Argument(help="Faults by name or number, see --list. Default: all.")
     ] = None,
-    show: Annotated[bool, typer.Option("--list", help="Name the faults and fly nothing.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List the faults and fly nothing.")] = False,
     only: Annotated[
-        list[str] | None, typer.Option(help="The same: --only NAME ..., or once for each.")
+        list[str] | None, typer.Option(help="Another fault, by name or number; repeatable.")
     ] = None,
-    autopilot: Annotated[str, typer.Option(help="px4, ardupilot or all.")] = ALL,
+    autopilot: Annotated[str, typer.Option(help="Autopilot: px4, ardupilot or all.")] = "all",
     phase: Annotated[
         str,
-        typer.Option(help="ready, climb, outbound, drop, return, land or all: where it begins."),
-    ] = ALL,
-    seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:1",
-    jobs: Annotated[int, typer.Option(min=1, help="Flights side by side.")] = 2,
-    cluster: ClusterOption = None,
-    minutes: Annotated[
-        float | None, typer.Option(min=0.1, help="Begin no flight after so many minutes.")
-    ] = None,
+        typer.Option(help="Phase of the fault: ready, climb, outbound, drop, return, land or all."),
+    ] = "all",
+    seeds: SeedsOption = "1:1",
     tight: Annotated[
         bool,
         typer.Option(
             "--tight",
             help="Draw each pack's charge from too little to plenty, and judge P(home) over all"
-            " flights: rows 21 to 39, which the model does not know.",
+            " flights. Only faults 21 to 39, which the model does not know.",
         ),
     ] = False,
-    json_out: Annotated[Path | None, typer.Option("--json", help="Every row goes here.")] = None,
-    runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs/faults"),
 ) -> None:
-    """Inject one fault into each of many short flights, and judge by truth what came of it.
+    """Inject one fault into each of many short flights, and judge the outcome by true state.
 
     Example: sim-bridge faults --only 7 packs-5-apart --seeds 1:5 --json faults.json
 
-    A fault begins in the phase that is named, at a moment drawn by seed. A row holds where the
-    vehicle is home with its reserve (or what else the fault leaves to be asked), nothing is
-    commanded after a person has taken over, nothing false is promised and no exception is raised.
-    With --json it can be flown in pieces: after Ctrl-C, or --minutes, the same command goes on
-    where it stopped. With --minutes the order is drawn by seed: what has been flown is a sample.
-    A flight whose process is killed (out of memory) is flown once more, and lost if that is, too.
+    A fault begins in the stated phase, at a moment drawn by seed. A row, one flight, holds if the
+    vehicle is home with its reserve (or as the fault permits), nothing is commanded after a person
+    has taken over, nothing false is promised and no exception is raised. With --json it can be
+    flown in pieces: after Ctrl-C, or --minutes, the same command continues there. With
+    --minutes the order is drawn by seed: what has been flown is a sample. A flight whose process is
+    killed (out of memory) is flown once more, and lost if that is, too.
 
     With --tight a flight need not come home: of those that went on with a P(home) of 0.99 or more
     at least 95 % have to, in each group.
 
-    Exit code 0 where all rows hold, 1 where one does not or is lost, 130 after Ctrl-C.
+    Exit codes: 0 all rows hold; 1 one does not, or is lost; 130 after Ctrl-C.
     """
     from sim_bridge.app.fault_suite import report, suite
-    from sim_bridge.app.fault_suite.catalogue import chosen, tight_enough
-    from sim_bridge.app.fault_suite.promises import by_group
-    from sim_bridge.app.fault_suite.session import Session
-    from sim_bridge.app.faults.case import BOTH, PHASES
-    from sim_bridge.app.trials.trial import Bounds
+    from sim_bridge.app.fault_suite.catalogue import select_cases, select_tight_cases
+    from sim_bridge.app.fault_suite.promises import p_home_calibration
+    from sim_bridge.app.fault_suite.session import FaultSuiteSession
+    from sim_bridge.app.faults.fault import PHASES
+    from sim_bridge.app.trials.trial import TrialLimits
+    from sim_bridge.autopilot.kinds import AUTOPILOTS
 
-    cases = chosen([*(only or []), *(names or [])])
+    cases = select_cases([*(only or []), *(names or [])])
     if tight:
-        cases = tight_enough(cases, named=bool(only or names))
+        cases = select_tight_cases(cases, named_explicitly=bool(only or names))
     if show:
-        for line in report.listing(cases):
+        for line in report.case_description_lines(cases):
             typer.echo(line)
         return
-    todo = suite.tasks(
+    run = run_options()
+    todo = suite.list_tasks(
         cases,
-        _of(autopilot, BOTH, "autopilot"),
-        _of(phase, PHASES, "phase"),
-        _range(seeds),
-        runs,
+        selected_or_all(autopilot, AUTOPILOTS, "autopilot"),
+        selected_or_all(phase, PHASES, "phase"),
+        seed_range(seeds),
+        run.run_root_or_default("logs/faults"),
         tight=tight,
     )
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    session = Session(todo, Bounds(jobs, minutes, cluster), json_out)
+    session = FaultSuiteSession(
+        todo, TrialLimits(run.process_count(), run.minutes, run.cluster), run.json_out
+    )
     try:
-        rows = session.run()
+        rows = session.fly_and_store_remaining_flights()
     except KeyboardInterrupt:
-        if session.journal is None:
+        path = session.progress_log.path
+        if path is None:
             raise
-        path = session.journal.path
-        typer.echo(f"stopped; {path} keeps what was flown, the same command goes on")
-        raise typer.Exit(INTERRUPTED) from None
-    kept = not tight or all(group.is_kept for group in by_group(rows))
-    if session.lost or not kept or not all(row.held for row in rows):
+        typer.echo(f"stopped; {path} keeps what was flown; run the same command to continue")
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    kept = not tight or all(group.is_high_p_home_reliable for group in p_home_calibration(rows))
+    if session.lost_flights or not kept or not all(row.passed for row in rows):
         raise typer.Exit(1)
-
-
-def _of(asked: str, known: tuple[str, ...], option: str) -> tuple[str, ...]:
-    if asked == ALL:
-        return known
-    if asked not in known:
-        raise LeewayError(f"--{option} {asked}: expected {', '.join(known)} or {ALL}")
-    return (asked,)
-
-
-def _range(seeds: str) -> range:
-    first, _, last = seeds.partition(":")
-    if not (first.isdecimal() and (last or first).isdecimal()):
-        raise LeewayError(f"--seeds {seeds}: expected FIRST:LAST, such as 1:5")
-    return range(int(first), int(last or first) + 1)

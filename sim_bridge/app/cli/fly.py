@@ -1,4 +1,4 @@
-"""The command lines of `sim-bridge fly` and `sim-bridge series`; what they do is imported then."""
+"""The command line of `sim-bridge fly`. What it does is imported when it runs."""
 
 import json
 import math
@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.cli.cross import cross
+from ground_station.app.options.program_options import (
+    command_class_with_options,
+    require_options_not_given,
+)
+from sim_bridge.app.cli.options import (
+    PictureOption,
+    WindLogOption,
+    run_options,
+    seed_range,
+)
+from sim_bridge.autopilot.kinds import AUTOPILOTS
 
 app = typer.Typer()
 
@@ -22,21 +32,29 @@ class AutopilotChoice(StrEnum):
     mixed = "mixed"
 
 
-class Switch(StrEnum):
+class OnOff(StrEnum):
     """On or off."""
 
     on = "on"
     off = "off"
 
 
-def _flight_file(flight: Path | None, wind_log: Path | None) -> Path:
-    from companion.adapters.files.params import flight_path
+SIMULATED = ("autopilot", "seed", "wind_log", "vehicles", "speedup")
+"""Options of vehicles that are simulated here."""
 
-    return flight_path(flight or ("default" if wind_log is None else "recorded"))
+ONE_FLIGHT = ("seed", "link", "configure", "here", "steady_wind", "vehicles", "speedup", "picture")
+"""Options that a series does not use."""
 
 
-@app.command()
+def _flight_path_or_default(flight: Path | None, wind_log: Path | None) -> Path:
+    from companion.adapters.files.params import flight_file_path
+
+    return flight_file_path(flight or ("default" if wind_log is None else "recorded"))
+
+
+@app.command(cls=command_class_with_options("seed", "jobs", "json_out", "runs"))
 def fly(
+    context: typer.Context,
     flight: Annotated[
         Path | None,
         typer.Argument(
@@ -47,139 +65,133 @@ def fly(
     ] = None,
     autopilot: Annotated[
         AutopilotChoice | None,
-        typer.Option(help="Of the simulated vehicles; mixed takes turns. Default: px4."),
+        typer.Option(help="Autopilot of the simulated vehicles; mixed: in turn. Default: px4."),
     ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Winds, gusts and sensor errors follow it. Default: 1."),
-    ] = None,
-    wind_log: Annotated[
-        Path | None,
-        typer.Option(
-            help="Recording (t_s, wind_speed_mps, wind_from_deg) in place of the file's wind;"
-            " it starts where the seed says."
-        ),
-    ] = None,
+    wind_log: WindLogOption = None,
     gate: Annotated[
-        Switch,
-        typer.Option(help="off: the return budget never turns it back; to compare."),
-    ] = Switch.on,
-    vehicles: Annotated[
-        int | None, typer.Option(min=1, max=100, help="How many fly at once. Default: 1.")
+        OnOff | None,
+        typer.Option(help="off: the gate never turns back; for comparison only. Default: on."),
     ] = None,
-    crossing: Annotated[
-        bool,
+    seeds: Annotated[
+        str | None,
         typer.Option(
-            "--cross",
-            help="All leave one truck and cross each other's paths, companions keep them apart"
-            " (see sim-bridge cross; takes --vehicles, --autopilot, --seed, --json, --runs).",
+            metavar="FIRST:LAST",
+            help="Fly each of these seeds by both autopilots, with and without the gate, unless"
+            " --autopilot or --gate chooses; --jobs flights at once.",
         ),
-    ] = False,
+    ] = None,
+    vehicles: Annotated[
+        int | None, typer.Option(min=1, max=100, help="Number of vehicles. Default: 1.")
+    ] = None,
     link: Annotated[
         list[str] | None,
         typer.Option(
-            help="Fly somebody else's vehicle, on udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT"
-            " or serial:DEVICE:BAUD; once for each. It takes off as soon as it is ready."
+            help="Fly a vehicle that is not simulated here, on udpin:HOST:PORT, udpout:HOST:PORT,"
+            " tcp:HOST:PORT or serial:DEVICE:BAUD; repeat for each."
+            " CAUTION: that vehicle takes off by itself as soon as it is ready."
         ),
     ] = None,
     configure: Annotated[
         bool,
         typer.Option(
             "--configure",
-            help="With --link: set the autopilot parameters that `companion check` finds missing,"
-            " and put the old ones back after landing.",
+            help="With --link: set autopilot parameters that P(home) depends on, verify them, and"
+            " restore the original values after landing.",
         ),
     ] = False,
     here: Annotated[
         bool,
-        typer.Option("--here", help="With --link: lay the site about where the vehicle stands."),
+        typer.Option("--here", help="With --link: put the site's depot at the vehicle's position."),
     ] = False,
     steady_wind: Annotated[
         str | None,
         typer.Option(
             metavar="SPEED,FROM",
-            help="With --link: the wind that is set in the simulator there, m/s and degrees it"
-            " blows from, the same at every height; the wind estimate is judged by it.",
+            help="With --link: the wind set in that vehicle's simulator, m/s and degrees it blows"
+            " from, the same at every height; the wind estimate is compared with it.",
         ),
     ] = None,
     speedup: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Hold this multiple of real time; default: all it can."),
+        typer.Option(min=0.01, help="Multiple of real time; default: as fast as possible."),
     ] = None,
-    json_out: Annotated[
-        Path | None, typer.Option("--json", help="Write the verdicts here as JSON.")
-    ] = None,
-    runs: Annotated[Path, typer.Option(help="Where the run folder goes.")] = Path("logs"),
-    picture: Annotated[bool, typer.Option(help="Draw flight.png into the run folder.")] = True,
+    picture: PictureOption = True,
 ) -> None:
     """Fly a mission to its end: simulated vehicles, a companion process for each, one table.
 
-    Vehicle and companion know each other only by MAVLink over UDP on loopback, or over --link. The
-    run folder holds decisions.mcap (Foxglove), stream.tlog (MAVExplorer, QGroundControl),
-    companion.log and flight.png. Exit code 0 whatever the outcome;
-    1 where a companion died (with --link); 2 for a mistake in the input.
-    """
-    if crossing:
-        _refuse_with_cross({"FLIGHT": flight, "--wind-log": wind_log, "--link": link})
-        cross(
-            vehicles=vehicles or 8,
-            autopilot=autopilot.value if autopilot else "mixed",
-            seeds=str(1 if seed is None else seed),
-            json_out=json_out,
-            runs=runs,
-        )
-        return
+    Vehicle and companion communicate only by MAVLink over UDP on loopback, or over --link. The run
+    folder holds decisions.mcap (Foxglove), stream.tlog (MAVExplorer, QGroundControl),
+    companion.log and flight.png. Exit codes: 0 flown, any outcome; 1 a companion died (--link), or
+    a flight's process was killed twice (--seeds); 2 invalid input.
 
+    With --seeds and --json the results are kept after each flight, and the same command continues
+    after Ctrl-C.
+    """
     from rich.console import Console
 
     from sim_bridge.app.flight.fly import FlyOptions
-    from sim_bridge.app.flight.fly import fly as fly_now
-    from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
+    from sim_bridge.app.flight.fly import fly_vehicles_and_evaluate as fly_now
+    from sim_bridge.app.flight.foreign_flight import ExternalFlightOptions, fly_external_vehicles
     from sim_bridge.app.flight.report import (
         LiveView,
-        ending_words,
-        grounded_words,
+        end_reason_and_settings_messages,
+        grounding_findings_or_kill_messages,
         results_table,
     )
 
-    console = Console()
-    file = _flight_file(flight, wind_log)
-    gate_on = gate is Switch.on
+    console, run = Console(), run_options()
+    run_root, json_out = run.run_root_or_default("logs"), run.json_out
+    file = _flight_path_or_default(flight, wind_log)
+    gate_on = gate is not OnOff.off
+    if seeds is not None:
+        require_options_not_given(context, ONE_FLIGHT, "not with --seeds")
+        if autopilot is AutopilotChoice.mixed:
+            raise LeewayError("--autopilot mixed: not with --seeds")
+        _fly_series_and_print_report(file, wind_log, seeds, autopilot, gate)
+        return
+    require_options_not_given(context, ("jobs",), "expected with --seeds")
     if link:
-        simulators = {
-            "--autopilot": autopilot,
-            "--seed": seed,
-            "--wind-log": wind_log,
-            "--vehicles": vehicles,
-            "--speedup": speedup,
-        }
-        _refuse_with_link([name for name, value in simulators.items() if value is not None])
-        foreign = ForeignOptions(
-            file, tuple(link), gate_on, configure, here, runs, picture, _towards(steady_wind)
+        require_options_not_given(
+            context, SIMULATED, "not with --link: the vehicle is not simulated here"
+        )
+        link_options = ExternalFlightOptions(
+            file,
+            tuple(link),
+            gate_on,
+            configure,
+            here,
+            run_root,
+            _parse_steady_wind_to_ne_mps(steady_wind),
         )
         with LiveView(console=console) as view:
-            result = fly_foreign(foreign, view.show, view.tell)
+            result = fly_external_vehicles(
+                link_options, view.show_vehicles_at_limited_rate, view.print_line
+            )
     else:
-        if configure or here or steady_wind:
-            name = "--configure" if configure else "--here" if here else "--steady-wind"
-            raise LeewayError(f"{name}: for vehicles of somebody else's, with --link")
+        foreign_only = ("configure", "here", "steady_wind")
+        require_options_not_given(
+            context, foreign_only, "expected --link, for a vehicle not simulated here"
+        )
         options = FlyOptions(
             flight_file=file,
             autopilot=autopilot.value if autopilot else "px4",
-            seed=1 if seed is None else seed,
+            seed=run.seed_or_1,
             wind_log=wind_log,
             gate=gate_on,
             vehicles=vehicles or 1,
             speedup=speedup,
-            run_root=runs,
+            run_root=run_root,
             picture=picture,
         )
         with LiveView(console=console) as view:
             result = fly_now(options, view)
-    console.print(results_table(result, gate=gate_on))
+    console.print(results_table(result, gate_enabled=gate_on))
     for row in result["flights"]:
-        for words in [*ending_words(row), *grounded_words(row)]:
-            console.print(words, highlight=False, soft_wrap=True)
+        for text in [
+            *end_reason_and_settings_messages(row),
+            *grounding_findings_or_kill_messages(row),
+        ]:
+            console.print(text, highlight=False, soft_wrap=True)
         console.print(f"run folder: {row['run']}", highlight=False)
     if json_out is not None:
         json_out.write_text(json.dumps(result, indent=1) + "\n")
@@ -187,95 +199,56 @@ def fly(
         raise typer.Exit(1)
 
 
-def _towards(steady_wind: str | None) -> tuple[float, float] | None:
+def _parse_steady_wind_to_ne_mps(steady_wind: str | None) -> tuple[float, float] | None:
     """Towards north and east (m/s), of SPEED,FROM."""
     if steady_wind is None:
         return None
     try:
         speed_mps, from_deg = map(float, steady_wind.split(","))
     except ValueError as error:
-        words = "expected SPEED,FROM in m/s and degrees, such as 5,80"
-        raise LeewayError(f"--steady-wind {steady_wind}: {words}") from error
+        text = "expected SPEED,FROM in m/s and degrees, such as 5,80"
+        raise LeewayError(f"--steady-wind {steady_wind}: {text}") from error
     to_rad = math.radians(from_deg + 180.0)
     return speed_mps * math.cos(to_rad), speed_mps * math.sin(to_rad)
 
 
-def _refuse_with_cross(told: dict[str, object]) -> None:
-    given = [name for name, value in told.items() if value is not None]
-    if given:
-        raise LeewayError(f"{', '.join(given)}: not with --cross, whose scene is its own")
-
-
-def _refuse_with_link(given: list[str]) -> None:
-    if given:
-        raise LeewayError(
-            f"{', '.join(given)}: for simulated vehicles; with --link the vehicle, its air and its"
-            " clock are somebody else's"
-        )
-
-
-@app.command()
-def series(
-    flight: Annotated[Path | None, typer.Argument(help="A file or a name, as for fly.")] = None,
-    seeds: Annotated[str, typer.Option(help="FIRST:LAST, both included.")] = "1:20",
-    autopilot: Annotated[
-        list[str] | None, typer.Option(help="px4, ardupilot; once or more. Default: both.")
-    ] = None,
-    gate: Annotated[
-        list[Switch] | None, typer.Option(help="on, off; once or more. Default: both.")
-    ] = None,
-    wind_log: Annotated[
-        Path | None, typer.Option(help="Recording in place of the file's wind.")
-    ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Flights at once.")] = 2,
-    json_out: Annotated[
-        Path | None,
-        typer.Option(
-            "--json",
-            help="Every row goes here as soon as it is flown. A flight that is in it, with the"
-            " same settings and the same program, is not flown again.",
-        ),
-    ] = None,
-    runs: Annotated[Path, typer.Option(help="Where the run folders go.")] = Path("logs"),
-    picture: Annotated[bool, typer.Option(help="Draw each flight.")] = False,
+def _fly_series_and_print_report(
+    file: Path,
+    wind_log: Path | None,
+    seeds: str,
+    autopilot: AutopilotChoice | None,
+    gate: OnOff | None,
 ) -> None:
-    """Fly the same flight over many seeds and both autopilots, with and without the gate.
-
-    Ctrl-C and SIGTERM end it, its workers and their companions; with --json the same command
-    goes on where it was. A flight whose process is killed (out of memory) is flown once more; if
-    that is, too, it is named as lost: exit code 1.
-    """
     from rich.console import Console
 
-    from sim_bridge.app.flight.fly import AUTOPILOTS, FlyOptions
-    from sim_bridge.app.flight.series import SeriesFile, planned, report, run_series, settings_of
-
-    first, _, last = seeds.partition(":")
-    if not (first.isdecimal() and (last or first).isdecimal()):
-        raise LeewayError(f"--seeds {seeds}: expected FIRST:LAST, such as 1:20")
-    unknown = set(autopilot or ()) - set(AUTOPILOTS)
-    if unknown:
-        raise LeewayError(f"--autopilot {', '.join(sorted(unknown))}: expected px4 or ardupilot")
-    base = FlyOptions(
-        flight_file=_flight_file(flight, wind_log),
-        wind_log=wind_log,
-        run_root=runs,
-        picture=picture,
+    from sim_bridge.app.flight.fly import FlyOptions
+    from sim_bridge.app.flight.series import (
+        SeriesFile,
+        compute_flight_inputs_digest,
+        fly_missing_flights,
+        list_flights,
+        print_summary_and_flights_not_home,
     )
-    flights = planned(
+
+    run = run_options()
+    json_out = run.json_out
+    base = FlyOptions(
+        flight_file=file, wind_log=wind_log, run_root=run.run_root_or_default("logs"), picture=False
+    )
+    flights = list_flights(
         base,
-        seeds=list(range(int(first), int(last or first) + 1)),
-        autopilots=list(autopilot or AUTOPILOTS),
-        gates=[g is Switch.on for g in gate or (Switch.on, Switch.off)],
+        seeds=list(seed_range(seeds)),
+        autopilots=list(AUTOPILOTS) if autopilot is None else [autopilot.value],
+        gate_states=[True, False] if gate is None else [gate is OnOff.on],
     )
     console = Console()
-    file = SeriesFile.open(json_out, settings_of(base))
+    series = SeriesFile.open_with_matching_rows(json_out, compute_flight_inputs_digest(base))
     if json_out is not None and json_out.exists():
-        known = sum(map(file.has, flights))
-        console.print(f"{json_out}: {known} of {len(flights)} flights are flown", highlight=False)
-    flown = run_series(flights, file, jobs)
-    report(console, flown.rows)
-    for words in flown.lost:
-        console.print(f"lost: {words}", highlight=False, markup=False)
-    if flown.lost:
+        known = sum(map(series.has_flight, flights))
+        console.print(f"{json_out}: {known} of {len(flights)} flights are done", highlight=False)
+    flown = fly_missing_flights(flights, series, run.process_count())
+    print_summary_and_flights_not_home(console, flown.rows)
+    for reason in flown.lost_flights:
+        console.print(f"not flown: {reason}", highlight=False, markup=False)
+    if flown.lost_flights:
         raise typer.Exit(1)

@@ -1,266 +1,270 @@
-"""`sim-bridge trials`: long trials that look for what nobody thought of."""
+"""`sim-bridge trials`: long randomised trials. What a trial does is imported when it runs."""
 
 from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from enum import StrEnum
+from itertools import islice
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.cli.options import ClusterOption
+from ground_station.app.options.program_options import (
+    command_class_with_options,
+    require_options_not_given,
+)
+from sim_bridge.app.cli.options import RunOptions, run_options, selected_or_all
+from sim_bridge.autopilot.kinds import AUTOPILOTS
 
 if TYPE_CHECKING:
-    from sim_bridge.app.trials.trial import TrialRow
+    from sim_bridge.app.trials.trial import TrialLimits, TrialRow
 
-app = typer.Typer(no_args_is_help=True)
-group = typer.Typer()
-group.add_typer(
-    app,
-    name="trials",
-    help="Long trials: lies on the wire, stalls, damaged logs, half a day of flights, whole days.",
+app = typer.Typer()
+
+RUN_ROOT = "logs/trials"
+SOAK_PANEL = "Options of soak"
+DAYS_PANEL = "Options of days"
+
+
+class Kind(StrEnum):
+    """The trials."""
+
+    FUZZ = "fuzz"
+    STALL = "stall"
+    LOGS = "logs"
+    SOAK = "soak"
+    DAYS = "days"
+
+
+USED_BY: dict[str, frozenset[Kind]] = {
+    "count": frozenset(Kind) - {Kind.SOAK},
+    "minutes": frozenset(Kind) - {Kind.SOAK},
+    "jobs": frozenset(Kind) - {Kind.SOAK},
+    "cluster": frozenset({Kind.FUZZ, Kind.STALL, Kind.DAYS}),
+    "autopilot": frozenset({Kind.STALL}),
+    **dict.fromkeys(("hours", "every_minutes"), frozenset({Kind.SOAK})),
+    **dict.fromkeys(
+        ("vehicle_hours", "store", "truck", "all_faults", "most_drones", "most_orders"),
+        frozenset({Kind.DAYS}),
+    ),
+}
+"""Options that only some trials use."""
+
+
+@app.command(
+    cls=command_class_with_options("seed", "case", "json_out", "runs", "minutes", "jobs", "cluster")
 )
-
-SeedOption = Annotated[int, typer.Option(min=0, help="What is drawn, all of it, follows from it.")]
-MinutesOption = Annotated[
-    float | None, typer.Option(min=0.1, help="Begin nothing new after so many minutes.")
-]
-JobsOption = Annotated[int, typer.Option(min=1, help="How many side by side.")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Every row goes here.")]
-RunsOption = Annotated[
-    Path, typer.Option(help="Folder for what did not hold; cases/ in it holds the cases.")
-]
-CaseOption = Annotated[
-    list[Path] | None, typer.Option(help="Try this case again, not drawn ones; once for each.")
-]
-RUNS = Path("logs/trials")
-AUTOPILOTS = ("px4", "ardupilot")
-
-
-@app.command()
-def fuzz(
-    count: Annotated[int, typer.Option(min=1, help="Flights.")] = 500,
-    seed: SeedOption = 1,
-    minutes: MinutesOption = None,
-    jobs: JobsOption = 2,
-    cluster: ClusterOption = None,
-    case: CaseOption = None,
-    json_out: JsonOption = None,
-    runs: RunsOption = RUNS,
-) -> None:
-    """Fly with an autopilot whose messages lie, field by field.
-
-    Example: sim-bridge trials fuzz --count 20 --seed 7 --json fuzz.json
-
-    Each flight has a real companion in lockstep. From a drawn time on, for a while or for good, a
-    drawn share of the autopilot's messages is extreme, not a number, off by a bit, negated,
-    swapped, stale, at a wild time, lost, doubled, or made up; in some a pilot takes over. The
-    vehicle need not come home: where it does not, that is counted. What must hold: no exception,
-    an answer always, energy left never rises, nothing is commanded after hands off, nothing is
-    armed or set in the air, every P is within 0 and 1.
-
-    Exit code 0 where all hold, 1 where one does not, 2 for a mistake in the options. About five
-    seconds of CPU a flight.
-    """
-    from sim_bridge.app.trials import fuzz as trial
-    from sim_bridge.app.trials.trial import Bounds, case_lost, read_case, tried
-
-    again = [read_case(path, trial.FuzzCase) for path in case or []]
-    cases = again or [trial.drawn(seed, number) for number in range(count)]
-    rows = tried(cases, trial.FuzzFlyer(runs), Bounds(jobs, minutes, cluster), case_lost, _say)
-    _report("fuzz", seed, rows, len(cases), runs, json_out)
-
-
-@app.command()
-def stall(
+def trials(
+    context: typer.Context,
+    kind: Annotated[Kind, typer.Argument(help="The trial.")],
     count: Annotated[
-        int | None, typer.Option(min=1, help="So many drawn instants; default: all.")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Number of cases; soak has one.",
+            show_default="fuzz 500, logs 30000, stall: all; days: no limit",
+        ),
     ] = None,
-    autopilot: Annotated[str, typer.Option(help="px4, ardupilot or all.")] = "all",
-    seed: SeedOption = 1,
-    minutes: MinutesOption = None,
-    jobs: JobsOption = 2,
-    cluster: ClusterOption = None,
-    case: CaseOption = None,
-    json_out: JsonOption = None,
-    runs: RunsOption = RUNS,
-) -> None:
-    """Let the companion stand still, and a pilot take over meanwhile.
-
-    Example: sim-bridge trials stall --count 40 --json stall.json
-
-    For 2, 6 and 20 s at every second of a flight, by both autopilots. One flight is shared: it is
-    copied (fork) at each instant. The companion is the flight code in this process; it stops where
-    it next asks what time it is, so that a stall may fall between a decision and its orders. The
-    pilot's switch is moved at a drawn moment in the stall. What must hold: not one command after
-    the companion could know of it, thus none based on what it knew before.
-
-    Exit code 0 where all hold, 1 where one does not, 2 for a mistake in the options. About half a
-    second of CPU a stall. Linux and macOS.
-    """
-    from sim_bridge.app.trials import stall as trial
-    from sim_bridge.app.trials.trial import Bounds, read_case, tried
-
-    if autopilot not in (*AUTOPILOTS, "all"):
-        raise LeewayError(f"--autopilot {autopilot}: expected {', '.join(AUTOPILOTS)} or all")
-    kinds = AUTOPILOTS if autopilot == "all" else (autopilot,)
-    cases = [read_case(path, trial.StallCase) for path in case or []]
-    if not cases and count is None:
-        cases = trial.every_case(seed, kinds)
-    elif not cases:
-        cases = trial.some_cases(seed, kinds, count or 0)
-    bounds = Bounds(jobs, minutes, cluster)
-    rows = tried(trial.flights(cases), trial.StallFlyer(runs), bounds, trial.flight_lost, _say)
-    _report("stall", seed, rows, len(cases), runs, json_out)
-
-
-@app.command()
-def logs(
-    count: Annotated[int, typer.Option(min=1, help="Damaged logs.")] = 30_000,
-    seed: SeedOption = 1,
-    minutes: MinutesOption = None,
-    jobs: JobsOption = 2,
-    case: CaseOption = None,
-    json_out: JsonOption = None,
-    runs: RunsOption = RUNS,
-) -> None:
-    """Damage logs of five formats, and give them to `companion replay`.
-
-    Example: sim-bridge trials logs --count 200 --seed 3
-
-    MCAP, CSV, ULog, dataflash and .tlog of a made flight are torn, flipped, zeroed, swapped,
-    repeated, cut, and given wild numbers and lengths. What must hold: the log is replayed as far
-    as it goes, or refused in one line that names the file; no other exception, nothing printed
-    beside it, no more than 512 MB, no more than 20 s of CPU. A log that was not taken well stays in
-    the folder of --runs.
-
-    Exit code 0 where all hold, 1 where one does not, 2 for a mistake in the options. About a
-    quarter of a second of CPU a log.
-    """
-    from sim_bridge.app.trials import logs as trial
-    from sim_bridge.app.trials.trial import Bounds, in_time, read_case
-
-    again = [read_case(path, trial.LogCase) for path in case or []]
-    cases = again or [trial.drawn(seed, number) for number in range(count)]
-    rows = trial.attempts(in_time(cases, Bounds(jobs, minutes)), runs / "damaged", jobs)
-    _report("logs", seed, rows, len(cases), runs, json_out)
-
-
-@app.command()
-def soak(
-    hours: Annotated[float, typer.Option(min=0.1, help="Simulated hours.")] = 12.0,
+    autopilot: Annotated[
+        str, typer.Option(help="Autopilot of stall: px4, ardupilot or all.")
+    ] = "all",
+    hours: Annotated[
+        float, typer.Option(min=0.1, help="Simulated hours.", rich_help_panel=SOAK_PANEL)
+    ] = 12.0,
     every_minutes: Annotated[
-        float, typer.Option(min=3.2, help="A flight so often; between them it stands by.")
+        float,
+        typer.Option(min=3.2, help="Interval between take-offs.", rich_help_panel=SOAK_PANEL),
     ] = 10.0,
-    seed: SeedOption = 1,
-    case: CaseOption = None,
-    json_out: JsonOption = None,
-    runs: RunsOption = RUNS,
-) -> None:
-    """Let one companion process stand by and fly for half a day.
-
-    Example: sim-bridge trials soak --hours 1 --every-minutes 5 --json soak.json
-
-    A `companion run --fleet` process is assigned and launched over zenoh, PX4 and ArduPilot by
-    turns, a fresh pack for each flight. What must hold after two flights to warm up: at most 250 MB
-    of memory; from 2 hours on it grows by less than 2 MB/h (before, by less than 10 MB in all); no
-    more files and threads at standby; less than 100 MB of disk for each hour assigned; every flight
-    ends at standby; no exception.
-
-    Exit code 0 where all holds, 1 where not, 2 for a mistake in the options. About four minutes of
-    CPU a simulated hour.
-    """
-    from sim_bridge.app.trials import soak as trial
-    from sim_bridge.app.trials.trial import Bounds, case_lost, read_case, tried
-
-    again = [read_case(path, trial.SoakCase) for path in case or []]
-    cases = again or [trial.SoakCase(seed=seed, hours=hours, every_minutes=every_minutes)]
-    rows = tried(cases, trial.SoakRunner(runs), Bounds(jobs=1, minutes=None), case_lost)
-    _report("soak", seed, rows, len(cases), runs, json_out)
-
-
-@app.command()
-def days(
     vehicle_hours: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Until vehicles were switched on for so many hours in all."),
+        typer.Option(
+            min=0.01,
+            help="End after this operating time, all vehicles.",
+            rich_help_panel=DAYS_PANEL,
+        ),
     ] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="So many days at most.")] = None,
     store: Annotated[
-        str, typer.Option(help="sqlite, postgresql (a server of each day's own), or both by turns.")
+        str,
+        typer.Option(
+            help="Database: sqlite, postgresql (one server per day), or both in turn.",
+            rich_help_panel=DAYS_PANEL,
+        ),
     ] = "sqlite",
     truck: Annotated[
         bool | None,
-        typer.Option("--truck/--depot", help="Only days with a truck, or without; default: both."),
+        typer.Option(
+            "--truck/--depot",
+            help="Only days with a truck, or only without; default: both.",
+            rich_help_panel=DAYS_PANEL,
+        ),
     ] = None,
     all_faults: Annotated[
         bool,
         typer.Option(
-            "--all-faults", help="Each day with every kill, and its network cut for a minute."
+            "--all-faults",
+            help="Inject each kind of kill and a network outage of a minute into each day.",
+            rich_help_panel=DAYS_PANEL,
         ),
     ] = False,
-    most_drones: Annotated[int, typer.Option(min=1, max=6, help="Of a day, at most.")] = 6,
+    most_drones: Annotated[
+        int, typer.Option(min=1, max=6, help="Most drones of a day.", rich_help_panel=DAYS_PANEL)
+    ] = 6,
     most_orders: Annotated[
-        int, typer.Option(min=1, help="Of a day for each of its drones, at most.")
+        int, typer.Option(min=1, help="Most orders of a drone and day.", rich_help_panel=DAYS_PANEL)
     ] = 4,
-    seed: SeedOption = 1,
-    minutes: MinutesOption = None,
-    jobs: JobsOption = 2,
-    cluster: ClusterOption = None,
-    case: CaseOption = None,
-    json_out: JsonOption = None,
-    runs: RunsOption = RUNS,
 ) -> None:
-    """Fly whole days: desk, store, truck or depot, drones, network, under drawn faults.
+    """Run randomised trials: false telemetry, stalls, damaged logs, long operation, whole days.
 
-    Example: sim-bridge trials days --count 10 --store both --all-faults --most-drones 3
+    fuzz: flights with false autopilot messages, about 5 s of CPU each. stall: the companion stops
+    for 2 to 20 s while a pilot takes over, 0.5 s each. logs: damaged recordings for `companion
+    replay`, 0.25 s each. soak: one companion process stands by and flies for half a day, 4 minutes
+    of CPU per hour. days: whole days of desk, truck and drones with injected faults, one minute of
+    CPU per vehicle-hour.
 
-    Each day is one of `sim-bridge day`, in one process on one clock: a shipped site, one to six
-    drones on a truck or at a depot, some of its orders, a forecast, packs; and drawn with them a
-    loss of messages, cuts of the network and of one member, companions and desk killed, the store
-    away (PostgreSQL killed, SQLite locked), a late truck, a front, a person who takes a drone over.
-    What must hold: the day ends; no vehicle is lost, no order lost or brought twice; the store
-    equals the truth; the truck keeps its promises; no two come near; nothing is commanded after
-    hands off; energy left never rises in flight; neither desk nor companion ends by itself; no
-    exception.
+    A failed case is written to the run folder; --case FILE runs it again. Ctrl-C ends all
+    processes. Exit code 0: all passed, 1: a failure, 2: invalid options.
 
-    Without a bound: until Ctrl-C. Exit code 0 where all hold, 1 where one does not, 2 for a mistake
-    in the options. About one minute of CPU a vehicle-hour.
+    Example: sim-bridge trials fuzz --count 20 --seed 7 --json fuzz.json
     """
-    from itertools import islice
+    unused = [name for name, kinds in USED_BY.items() if kind not in kinds]
+    require_options_not_given(context, unused, f"`trials {kind}` does not use it")
+    run = run_options()
+    if kind is Kind.FUZZ:
+        rows, total = _fuzz_trial_rows(run, count or 500)
+    elif kind is Kind.STALL:
+        rows, total = _stall_trial_rows(run, count, autopilot)
+    elif kind is Kind.LOGS:
+        rows, total = _damaged_log_trial_rows(run, count or 30_000)
+    elif kind is Kind.SOAK:
+        rows, total = _soak_trial_rows(run, hours, every_minutes)
+    else:
+        bounds = {"max_vehicles": most_drones, "max_orders_per_vehicle": most_orders}
+        draw = {"truck": truck, "all_faults": all_faults, **bounds}
+        rows, total = _days_trial_rows(run, count, vehicle_hours, store, draw)
+    _report_trial_and_exit_on_failure(kind, run, rows, total)
 
-    from sim_bridge.adapters.postgres_server import PostgresPrograms
+
+Trial = tuple["Iterable[TrialRow]", int | None]
+"""Rows as they are finished, and their number if it is known."""
+
+
+def _fuzz_trial_rows(run: RunOptions, count: int) -> Trial:
+    from sim_bridge.app.trials import fuzz as trial
+    from sim_bridge.app.trials.trial import (
+        FolderRunner,
+        failed_rows_for_lost_worker,
+        read_case_file,
+        run_trial,
+    )
+
+    recorded_cases = [read_case_file(path, trial.FuzzCase) for path in run.case or []]
+    cases = recorded_cases or [trial.draw_case(run.seed_or_1, number) for number in range(count)]
+    attempt = FolderRunner(trial.run_case, run.run_root_or_default(RUN_ROOT))
+    return run_trial(
+        cases, attempt, _trial_limits(run), failed_rows_for_lost_worker, _print_message
+    ), len(cases)
+
+
+def _stall_trial_rows(run: RunOptions, count: int | None, autopilot: str) -> Trial:
+    from sim_bridge.app.trials import stall as trial
+    from sim_bridge.app.trials.trial import read_case_file, run_trial
+
+    kinds = selected_or_all(autopilot, AUTOPILOTS, "autopilot")
+    cases = [read_case_file(path, trial.StallCase) for path in run.case or []]
+    if not cases and count is None:
+        cases = trial.draw_cases_for_every_second(run.seed_or_1, kinds)
+    elif not cases:
+        cases = trial.draw_random_subset_of_cases(run.seed_or_1, kinds, count or 0)
+    flyer = trial.StallFlightRunner(run.run_root_or_default(RUN_ROOT))
+    rows = run_trial(
+        trial.group_cases_into_shared_flights(cases),
+        flyer,
+        _trial_limits(run),
+        trial.lost_flight_rows,
+        _print_message,
+    )
+    return rows, len(cases)
+
+
+def _damaged_log_trial_rows(run: RunOptions, count: int) -> Trial:
+    from sim_bridge.app.trials import logs as trial
+    from sim_bridge.app.trials.trial import cases_until_time_limit, read_case_file
+
+    recorded_cases = [read_case_file(path, trial.LogCase) for path in run.case or []]
+    cases = recorded_cases or [trial.draw_case(run.seed_or_1, number) for number in range(count)]
+    todo = cases_until_time_limit(cases, _trial_limits(run))
+    return trial.read_damaged_logs_in_parallel(
+        todo, run.run_root_or_default(RUN_ROOT) / "damaged", run.process_count()
+    ), len(cases)
+
+
+def _soak_trial_rows(run: RunOptions, hours: float, every_minutes: float) -> Trial:
+    from sim_bridge.app.trials import soak as trial
+    from sim_bridge.app.trials.trial import (
+        FolderRunner,
+        TrialLimits,
+        failed_rows_for_lost_worker,
+        read_case_file,
+        run_trial,
+    )
+
+    recorded_cases = [read_case_file(path, trial.SoakCase) for path in run.case or []]
+    cases = recorded_cases or [
+        trial.SoakCase(seed=run.seed_or_1, hours=hours, flight_interval_min=every_minutes)
+    ]
+    attempt = FolderRunner(trial.run_case, run.run_root_or_default(RUN_ROOT))
+    return run_trial(
+        cases, attempt, TrialLimits(jobs=1, minutes=None), failed_rows_for_lost_worker
+    ), len(cases)
+
+
+def _days_trial_rows(
+    run: RunOptions,
+    count: int | None,
+    vehicle_hours: float | None,
+    store: str,
+    case_generator_options: dict[str, Any],
+) -> Trial:
+    from sim_bridge.adapters.postgres_server import PostgresExecutables
     from sim_bridge.app.trials import days as trial
-    from sim_bridge.app.trials.day_case import POSTGRESQL, STORES, DayCase
-    from sim_bridge.app.trials.trial import Bounds, case_lost, read_case, tried
+    from sim_bridge.app.trials.day_case import POSTGRESQL, STORE_KINDS, DayCase
+    from sim_bridge.app.trials.trial import (
+        FolderRunner,
+        failed_rows_for_lost_worker,
+        read_case_file,
+        run_trial,
+    )
 
-    if store not in (*STORES, "both"):
-        raise LeewayError(f"--store {store}: expected {', '.join(STORES)} or both")
-    stores = STORES if store == "both" else (store,)
-    again = [read_case(path, DayCase) for path in case or []]
-    if POSTGRESQL in (*stores, *(one.store for one in again)):
-        PostgresPrograms.find()  # before the first day, not in it
-    draw = trial.DayDraw(seed, stores, truck, all_faults, most_drones, most_orders)
-    cases = again or islice(draw.cases(), count)
-    rows = tried(cases, trial.DayFlyer(runs), Bounds(jobs, minutes, cluster), case_lost, _say)
-    total = len(again) or count
-    _report("days", seed, trial.until_hours(rows, vehicle_hours), total, runs, json_out)
+    if store not in (*STORE_KINDS, "both"):
+        raise LeewayError(f"--store {store}: expected {', '.join(STORE_KINDS)} or both")
+    store_kinds = STORE_KINDS if store == "both" else (store,)
+    recorded_cases = [read_case_file(path, DayCase) for path in run.case or []]
+    if POSTGRESQL in (*store_kinds, *(one.store for one in recorded_cases)):
+        PostgresExecutables.find()  # before the first day, not in it
+    drawn = trial.DayCaseGenerator(run.seed_or_1, store_kinds, **case_generator_options)
+    cases = recorded_cases or islice(drawn.generate_endless_cases(), count)
+    attempt = FolderRunner(trial.run_case, run.run_root_or_default(RUN_ROOT))
+    rows = run_trial(
+        cases, attempt, _trial_limits(run), failed_rows_for_lost_worker, _print_message
+    )
+    return trial.rows_until_vehicle_hours(rows, vehicle_hours), len(recorded_cases) or count
 
 
-def _say(words: str) -> None:
-    typer.echo(words, err=True)
+def _print_message(message: str) -> None:
+    typer.echo(message, err=True)
 
 
-def _report(
-    trial: str,
-    seed: int,
-    rows: "Iterable[TrialRow]",
-    total: int | None,
-    runs: Path,
-    json_out: Path | None,
+def _trial_limits(run: RunOptions) -> "TrialLimits":
+    from sim_bridge.app.trials.trial import TrialLimits
+
+    return TrialLimits(run.process_count(), run.minutes, run.cluster)
+
+
+def _report_trial_and_exit_on_failure(
+    kind: Kind, run: RunOptions, rows: "Iterable[TrialRow]", total: int | None
 ) -> None:
-    """Follow a trial to its end; exit code 1 where something did not hold."""
+    """Follow a trial to its end; exit code 1 after a failed case."""
     from sim_bridge.app.trials.report import TrialReport
 
-    done = TrialReport(trial, seed, runs, json_out).follow(rows, total)
-    if not all(row.held for row in done):
+    report = TrialReport(kind.value, run.seed_or_1, run.run_root_or_default(RUN_ROOT), run.json_out)
+    if not all(row.passed for row in report.show_and_save_rows(rows, total)):
         raise typer.Exit(1)

@@ -1,13 +1,13 @@
-"""Vehicles that leave one truck at once, in one layer, and cross each other's paths.
+"""Scene of vehicles that take off from one truck simultaneously, in one layer, on crossing paths.
 
-Slots and layers are left out on purpose. Only the tracks that companions exchange, and the
-set-points that they fly near neighbours, keep the vehicles apart (docs/explanation/avoidance.md).
-The drones, the network and the stepped clock are those of the simulated day; there is no desk.
+Launch slots and layers are deliberately disabled. Separation depends only on the tracks that
+companions exchange and on their avoidance set-points (docs/explanation/avoidance.md).
+Drones, network and stepped clock are those of the simulated day; there is no desk.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,199 +16,166 @@ import numpy as np
 
 from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
-from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
-from companion.app.flight.run import Run
-from companion.core.base.geo import LocalFrame, moved_deg
-from companion.core.mission.events import Authorised
+from companion.core.base.geo import LocalFrame, offset_position_deg
+from companion.core.mission.events import MissionAuthorised
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.separation.track import Track as Told
-from companion.fleet.messages import decode_track, encode
+from companion.fleet.messages import decode_message, encode_message
 from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
-from sim_bridge.app.day.companion import MemoryLink
-from sim_bridge.app.day.drone import Companion, DayDrone, DroneWorld
-from sim_bridge.app.day.faults import AUTOPILOTS
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
+from sim_bridge.app.day.companion import SteppedCompanion
+from sim_bridge.app.day.drone import DayDrone, DroneWorld
+from sim_bridge.app.day.judge import VehicleTrack
+from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE
+from sim_bridge.autopilot.kinds import AUTOPILOTS
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
-from sim_bridge.truth.wind_params import RampedWindParams, WindPoint, mean_wind
+from sim_bridge.truth.wind_params import RampedWindParams, WindPoint, build_mean_wind
 
 SITE = (55.47, 8.45, 12.0)
 AIRFRAME = "m100"
-RING_M = 46.0
-"""From the truck to each pad; eight are then 35 m from each other."""
+RING_RADIUS_M = 46.0
+"""Distance from the truck to each pad; eight pads are then 35 m from each other."""
 
-CUSTOMER_M = 100.0
-"""From the truck to each customer, on the far side: all ways lead past the truck."""
+CUSTOMER_DISTANCE_M = 100.0
+"""Distance from the truck to each customer, on the far side: all routes pass the truck."""
 
-ASTRAY_RAD = math.radians(20.0)
-"""How far a customer may lie from straight across."""
+CUSTOMER_BEARING_SPREAD_RAD = math.radians(20.0)
+"""Largest deviation of a customer's bearing from the direction opposite to the pad."""
 
 WIND_MAX_MPS = 6.0
-WANDER_S = 30.0
-"""Correlation time of the errors in neighbours' tracks: GNSS errors wander slowly, so averaging
-does not help."""
+TRACK_DELAY_S, TRACK_ERROR_STD_M = 0.2, 2.0
+"""Delay of the tracks that neighbours receive, and their 1-sigma error per axis."""
 
-VERTICAL_SHARE = 0.25
-"""Of the horizontal error: heights come from barometers."""
+ERROR_CORRELATION_S = 30.0
+"""Correlation time of the errors in neighbours' tracks. GNSS errors change slowly, so averaging
+does not reduce them."""
 
-PAYLOAD_KG = 0.3
-STEP_S = 0.1
-STEPS = 10
-LIMIT_S = 420.0
+VERTICAL_ERROR_FRAC = 0.25
+"""Vertical error as a fraction of the horizontal error: heights come from barometers."""
+
+PAYLOAD_KG, DROP_HEIGHT_M, RESERVE_FRAC = 0.3, 15.0, 0.15
+TIME_LIMIT_S = 420.0
 
 
 @dataclass(frozen=True, slots=True)
 class CrossOptions:
-    """`late_s`, `off_m`: delay and error of neighbours' tracks (1 sigma a horizontal axis).
+    """Options of a crossing.
 
-    `fleets`: how many they are of, by turns; each fleet has a network and names of its own, and
-    (`neighbours`) hears the others'. `keep_apart` False: missions only. `separation_filter` False:
-    set-points that are what is wished, by `policy` (a learned actor) or straight on. Pads and
-    customers lie so far from the truck, customers at most so far from straight across.
+    `fleets`: number of fleets; vehicles are assigned in rotation. Each fleet has its own network
+    and receives the others' tracks if `neighbours`. Without `separation_filter` set-points ignore
+    traffic. `ring_radius_m`, `customer_distance_m`: distances from the truck.
+    `customer_bearing_spread_rad`: spread of bearings.
     """
 
     vehicles: int = 8
-    autopilot: str = "mixed"
     seed: int = 1
-    late_s: float = 0.2
-    off_m: float = 2.0
     fleets: int = 1
     neighbours: bool = True
-    keep_apart: bool = True
     separation_filter: bool = True
-    policy: str | None = None
-    ring_m: float = RING_M
-    customer_m: float = CUSTOMER_M
-    astray_rad: float = ASTRAY_RAD
+    ring_radius_m: float = RING_RADIUS_M
+    customer_distance_m: float = CUSTOMER_DISTANCE_M
+    customer_bearing_spread_rad: float = CUSTOMER_BEARING_SPREAD_RAD
     cruise_height_m: float = 30.0
     run_root: Path = Path("logs")
 
 
 @dataclass(slots=True)
-class LoneCompanion:
-    """A companion of the fleet with a mission of its own, stepped in this process."""
-
-    port: FleetPort
-    link: MemoryLink
-    run: Run
-    ended: int | None = None
-    running: bool = True
-    """For the drone: this companion is not started again when its mission is over."""
-
-    @property
-    def phase(self) -> Phase:
-        """What it does."""
-        return self.run.pilot.phase
-
-    def authorise(self) -> None:
-        """The operator authorises the mission."""
-        self.run.loop.ask(Authorised(self.run.loop.clock.t_s, "the truck"))
-
-    def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Take these datagrams; the datagrams for the autopilot in answer."""
-        self.link.heard.extend(datagrams)
-        while self.ended is None:
-            code = self.run.step()
-            if code is not None:
-                self.run.end(code)
-                self.ended = code
-                self.port.close()
-            if not self.link.heard:
-                break
-        said, self.link.said = self.link.said, []
-        return said
-
-    def kill(self) -> None:
-        """As a computer that loses its power."""
-        if self.ended is None:
-            self.ended = 9
-            self.port.close()
-            self.run.recorder.close()
-            self.run.lock.release()
-
-    def stop(self) -> None:
-        """In order."""
-        if self.ended is None:
-            self.run.end(0)
-            self.ended = 0
-            self.port.close()
-
-
-@dataclass(slots=True)
-class Crosser:
-    """One vehicle of the scene; `truth` has a row (t, north, east, down, airborne) each step."""
+class CrossingVehicle:
+    """One vehicle of the scene."""
 
     drone: DayDrone
     fleet: str
     pad_ne_m: tuple[float, float]
     customer_ne_m: tuple[float, float]
-    companion: LoneCompanion | None = None
-    truth: list[tuple[float, float, float, float, float]] = field(default_factory=list)
-    aside_s: float = 0.0
-    dead: bool = False
+    companion: SteppedCompanion | None = None
+    setpoint_time_s: float = 0.0
+    is_killed: bool = False
 
     @property
     def name(self) -> str:
-        """Among all fleets."""
+        """Name that is unique among all fleets."""
         return self.drone.folder.name
+
+    def build_vehicle_track(self) -> VehicleTrack:
+        """Return its true track, under the name that is unique among all fleets."""
+        assert self.drone.power_cycle is not None
+        track = self.drone.build_vehicle_track(self.drone.power_cycle, RESERVE_FRAC)
+        return replace(track, vehicle=self.name, order=self.name)
 
     @property
     def is_ready(self) -> bool:
-        """Mission aboard and read back."""
-        return self.companion is not None and self.companion.phase is Phase.READY
+        """Whether the mission is uploaded and verified."""
+        run = None if self.companion is None else self.companion.run
+        return run is not None and run.pilot.phase is Phase.READY
+
+    def submit_mission_authorisation(self) -> None:
+        """Authorise the mission as its operator."""
+        if self.companion is not None and self.companion.run is not None:
+            loop = self.companion.run.loop
+            loop.submit_event(MissionAuthorised(loop.clock.t_s, "the truck"))
 
     @property
-    def is_over(self) -> bool:
-        """It stands on the ground and will not fly again."""
-        ended = self.dead or (self.companion is not None and self.companion.ended is not None)
+    def has_ended_on_ground(self) -> bool:
+        """Whether the vehicle is on the ground and its companion has ended."""
+        ended = self.is_killed or (
+            self.companion is not None and self.companion.exit_code is not None
+        )
         return ended and not self.drone.is_airborne
 
 
-class Spoiler:
-    """Adds wandering errors to the tracks that neighbours receive."""
+class TrackErrorModel:
+    """Adds time-correlated position errors to the tracks that neighbours receive."""
 
-    def __init__(self, off_m: float, rng: np.random.Generator) -> None:
-        self._std = np.array([off_m, off_m, VERTICAL_SHARE * off_m])
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._std = TRACK_ERROR_STD_M * np.array([1.0, 1.0, VERTICAL_ERROR_FRAC])
         self._rng = rng
-        self._off: dict[str, tuple[float, np.ndarray]] = {}
+        self._error_by_vehicle: dict[str, tuple[float, np.ndarray]] = {}
 
     def __call__(self, raw: bytes, t_s: float) -> bytes:
-        """The same track with its sender's present GNSS error."""
-        told = decode_track(raw)
-        if not isinstance(told, Told):
+        """Return the track with the current GNSS error of its sender added."""
+        track = decode_message(Told, raw)
+        if not isinstance(track, Told):
             return raw
-        before_s, off = self._off.get(told.vehicle, (t_s, self._std * self._rng.standard_normal(3)))
-        keep = math.exp(-(t_s - before_s) / WANDER_S)
-        off = keep * off + math.sqrt(1.0 - keep**2) * self._std * self._rng.standard_normal(3)
-        self._off[told.vehicle] = (t_s, off)
-        north, east, down = (float(x) for x in off)
-        lat, lon = (float(x) for x in moved_deg(told.lat_deg, told.lon_deg, north, east))
-        return encode(
+        previous_s, error_ned_m = self._error_by_vehicle.get(
+            track.vehicle, (t_s, self._std * self._rng.standard_normal(3))
+        )
+        correlation = math.exp(-(t_s - previous_s) / ERROR_CORRELATION_S)
+        error_ned_m = correlation * error_ned_m + math.sqrt(
+            1.0 - correlation**2
+        ) * self._std * self._rng.standard_normal(3)
+        self._error_by_vehicle[track.vehicle] = (t_s, error_ned_m)
+        north, east, down = (float(x) for x in error_ned_m)
+        lat, lon = (
+            float(x) for x in offset_position_deg(track.lat_deg, track.lon_deg, north, east)
+        )
+        return encode_message(
             msgspec.structs.replace(
-                told, lat_deg=lat, lon_deg=lon, alt_amsl_m=told.alt_amsl_m - down
+                track, lat_deg=lat, lon_deg=lon, alt_amsl_m=track.alt_amsl_m - down
             )
         )
 
 
 class Crossing:
-    """The scene: `run` it to its end, then look at `crossers`."""
+    """The scene. Call `run_until_over`, then read the results from `crossers`."""
 
     def __init__(self, options: CrossOptions, folder: Path) -> None:
         self.options, self.folder = options, folder
         self.clock = DayClock()
         seeds = np.random.SeedSequence(options.seed).spawn(4)
         scene_seed, bus_seed, error_seed, drone_seed = seeds
-        self.buses = _networks(options, bus_seed, error_seed)
+        self.buses = _build_networks(options, bus_seed, error_seed)
         self.airframe = read_airframe(AIRFRAME)
         self.authorised_s: float | None = None
-        self.crossers = self._crossers(np.random.default_rng(scene_seed), drone_seed)
+        self.crossers = self._build_vehicles(np.random.default_rng(scene_seed), drone_seed)
         self._steps = 0
 
     # --- building ------------------------------------------------------------------------------
 
-    def _crossers(self, rng: np.random.Generator, seed: np.random.SeedSequence) -> list[Crosser]:
+    def _build_vehicles(
+        self, rng: np.random.Generator, seed: np.random.SeedSequence
+    ) -> list[CrossingVehicle]:
         count = self.options.vehicles
         speed = float(rng.uniform(0.0, WIND_MAX_MPS))
         wind = RampedWindParams(
@@ -219,87 +186,72 @@ class Crossing:
             site=SITE,
             terrain=PlaneTerrain(),
             wind=wind,
-            mean=mean_wind(wind, Path()),
-            parameters={
-                f: read_parameters(params_dir() / "autopilots" / f"{f}.toml") for f in AUTOPILOTS
-            },
+            mean=build_mean_wind(wind, Path()),
         )
         truth = load_airframe(params_dir() / "truth" / f"{AIRFRAME}.toml")
-        turn = float(rng.uniform(0.0, 2.0 * math.pi))
-        found: list[Crosser] = []
-        for k, own in enumerate(seed.spawn(count)):
-            angle = turn + 2.0 * math.pi * k / count
-            across = angle + math.pi + float(rng.uniform(-1.0, 1.0)) * self.options.astray_rad
+        start_angle_rad = float(rng.uniform(0.0, 2.0 * math.pi))
+        found: list[CrossingVehicle] = []
+        for k, child_seed in enumerate(seed.spawn(count)):
+            angle = start_angle_rad + 2.0 * math.pi * k / count
+            customer_bearing_rad = (
+                angle
+                + math.pi
+                + float(rng.uniform(-1.0, 1.0)) * self.options.customer_bearing_spread_rad
+            )
             fleet = list(self.buses)[k % len(self.buses)]
-            name = f"d{k // len(self.buses) + 1}"  # the same in each fleet
-            alone = len(self.buses) == 1
+            name = f"d{k // len(self.buses) + 1}"  # fleets use the same names
+            is_single_fleet = len(self.buses) == 1
             drone = DayDrone(
                 name=name,
                 number=k + 1,
-                autopilot_kind=self._autopilot_kind(k),
+                autopilot_kind=AUTOPILOTS[k % 2],
                 airframe=truth,
                 temperature_c=20.0,
                 battery_health_frac=1.0,
-                shelf_frac=(0.9, 0.95),
+                pack_charge_range_frac=(0.9, 0.95),
                 world=world,
-                folder=self.folder / (name if alone else f"{fleet}-{name}"),
-                seeds=own,
-                start_companion=self._start,
+                folder=self.folder / (name if is_single_fleet else f"{fleet}-{name}"),
+                seeds=child_seed,
+                start_companion=self._start_companion,
             )
             found.append(
-                Crosser(
+                CrossingVehicle(
                     drone,
                     fleet,
-                    _polar(self.options.ring_m, angle),
-                    _polar(self.options.customer_m, across),
+                    _polar_to_ne_m(self.options.ring_radius_m, angle),
+                    _polar_to_ne_m(self.options.customer_distance_m, customer_bearing_rad),
                 )
             )
         for crosser in found:
             drone = crosser.drone
-            drone.switch_on(0.0, crosser.pad_ne_m, PAYLOAD_KG, drone.name, booted=True)
+            drone.switch_on_at_pad(
+                0.0, crosser.pad_ne_m, PAYLOAD_KG, drone.name, already_booted=True
+            )
         return found
 
-    def _autopilot_kind(self, k: int) -> str:
-        return AUTOPILOTS[k % 2] if self.options.autopilot == "mixed" else self.options.autopilot
-
-    def _start(self, drone: DayDrone) -> Companion:
+    def _start_companion(self, drone: DayDrone) -> SteppedCompanion:
         crosser = next(c for c in self.crossers if c.drone is drone)
-        link = MemoryLink()
         port = FleetPort.open(
             drone.name,
             AIRFRAME,
             self.airframe,
             drone.folder,
-            lambda life: self.buses[crosser.fleet].join(drone.name, life),
+            lambda instance_id: self.buses[crosser.fleet].join(drone.name, instance_id),
             self.clock.monotonic_s,
             self.clock.epoch_us,
         )
-        options = RunOptions(
-            link="memory",
-            airframe=AIRFRAME,
-            mission=self._flight_file(crosser),
-            run_dir=drone.folder,
-            policy=self.options.policy,
-            plan_at_once=True,
-            record_at_once=True,
-            pilot=PilotOptions(
-                configure=True,
-                keep_apart=self.options.keep_apart,
-                separation_filter=self.options.separation_filter,
-                name=drone.name,
-                fleet=crosser.fleet,
-            ),
+        pilot = PilotOptions(
+            configure=True,
+            separation_enabled=True,
+            separation_filter=self.options.separation_filter,
+            name=drone.name,
+            fleet=crosser.fleet,
         )
-        run = Run.begin(
-            LoadedFlight.read(options),
-            lambda url: link,
-            port=port,
-            wall_clock_s=self.clock.monotonic_s,
-        )
-        crosser.companion = LoneCompanion(port, link, run)
+        mission, clock_s = self._write_flight_file(crosser), self.clock.monotonic_s
+        crosser.companion = SteppedCompanion(port, AIRFRAME, clock_s, pilot, mission)
         return crosser.companion
 
-    def _flight_file(self, crosser: Crosser) -> Path:
+    def _write_flight_file(self, crosser: CrossingVehicle) -> Path:
         frame = LocalFrame(math.radians(SITE[0]), math.radians(SITE[1]), SITE[2])
         lat, lon, _ = frame.to_geodetic((*crosser.pad_ne_m, 0.0))
         north, east = (c - p for c, p in zip(crosser.customer_ne_m, crosser.pad_ne_m, strict=True))
@@ -317,7 +269,8 @@ class Crossing:
             "vehicle": {"airframe": AIRFRAME, "payload_kg": PAYLOAD_KG, "charge_frac": [0.9, 0.95]},
             "mission": {
                 "cruise_height_m": self.options.cruise_height_m,
-                "drop_height_m": 15.0,
+                "drop_height_m": DROP_HEIGHT_M,
+                "reserve_frac": RESERVE_FRAC,
                 "leg_length_m": 100.0,
                 "wind_settle_s": 4.0,
             },
@@ -332,74 +285,71 @@ class Crossing:
 
     # --- time ----------------------------------------------------------------------------------
 
-    def run(self, goes_on: Callable[["Crossing"], bool] = lambda _: True) -> None:
-        """Until all are down, or `LIMIT_S`; `goes_on` is asked once a second."""
+    def run_until_over(
+        self, should_continue: Callable[["Crossing"], bool] = lambda _: True
+    ) -> None:
+        """Run until all vehicles are over, `TIME_LIMIT_S`, or `should_continue` returns False (each
+        second).
+        """
         try:
-            while self.clock.t_s < LIMIT_S and not all(c.is_over for c in self.crossers):
-                self.step()
-                if self._steps % 10 == 0 and not goes_on(self):
+            while self.clock.t_s < TIME_LIMIT_S and not all(
+                c.has_ended_on_ground for c in self.crossers
+            ):
+                self.advance_one_step()
+                if self._steps % 10 == 0 and not should_continue(self):
                     return
         finally:
-            self.close()
+            self.stop_companions()
 
-    def close(self) -> None:
-        """End every companion, in order."""
+    def stop_companions(self) -> None:
+        """Stop every companion in an orderly way."""
         for crosser in self.crossers:
             if crosser.companion is not None:
                 crosser.companion.stop()
 
-    def step(self) -> None:
-        """A tenth of a second."""
+    def advance_one_step(self) -> None:
+        """Advance the scene by EXCHANGE_S (0.1 s)."""
         self._steps += 1
-        t_s = self.clock.t_s = self._steps * STEP_S
+        t_s = self.clock.t_s = self._steps * EXCHANGE_S
         for bus in self.buses.values():
-            bus.deliver(t_s)
+            bus.advance_and_run_due_calls(t_s)
         for crosser in self.crossers:
-            if not crosser.is_over:
-                crosser.drone.advance(t_s, STEPS)
-                self._look(crosser, t_s)
+            if not crosser.has_ended_on_ground:
+                crosser.drone.advance_and_exchange_messages(t_s, STEPS_PER_EXCHANGE)
+                if crosser.companion is not None and crosser.companion.run is not None:
+                    pilot = crosser.companion.run.pilot
+                    crosser.setpoint_time_s += EXCHANGE_S * pilot.is_on_setpoints
         if self.authorised_s is None and all(c.is_ready for c in self.crossers):
             self.authorised_s = t_s
         if self.authorised_s is not None:
             for crosser in self.crossers:
-                if crosser.is_ready and crosser.companion is not None:
-                    crosser.companion.authorise()
+                if crosser.is_ready:
+                    crosser.submit_mission_authorisation()
 
-    def kill(self, number: int) -> None:
-        """A companion dies, and is not started again."""
-        crosser = self.crossers[number]
-        crosser.drone.kill_companion(self.clock.t_s)
+    def kill_companion(self, vehicle_index: int) -> None:
+        """Kill a companion without restarting it."""
+        crosser = self.crossers[vehicle_index]
+        crosser.drone.kill_companion_and_schedule_restart(self.clock.t_s)
         crosser.drone.companion_due_s = None
-        crosser.dead = True
-
-    def _look(self, crosser: Crosser, t_s: float) -> None:
-        up = crosser.drone.up
-        if up is None:
-            return
-        vehicle = up.vehicle
-        north, east, down = vehicle.pos_ned_m
-        crosser.truth.append((t_s, north, east, down, float(vehicle.is_airborne)))
-        if crosser.companion is not None and crosser.companion.ended is None:
-            crosser.aside_s += STEP_S * crosser.companion.run.pilot.on_setpoints
+        crosser.is_killed = True
 
 
-def _networks(
+def _build_networks(
     options: CrossOptions, bus_seed: np.random.SeedSequence, error_seed: np.random.SeedSequence
 ) -> dict[str, Bus]:
-    """A network for each fleet, by its name."""
-    several, buses = options.fleets > 1, dict[str, Bus]()
-    own_seeds = bus_seed.spawn(options.fleets) if several else [bus_seed]
-    error_seeds = error_seed.spawn(options.fleets) if several else [error_seed]
-    for number, (own, errors) in enumerate(zip(own_seeds, error_seeds, strict=True)):
-        bus = Bus(np.random.default_rng(own), fleet=f"fleet-{number + 1}")
-        bus.track_delay_s = options.late_s
-        if options.off_m > 0.0:
-            bus.spoil = Spoiler(options.off_m, np.random.default_rng(errors))
+    """Create one network per fleet, keyed by fleet name."""
+    is_multi_fleet, buses = options.fleets > 1, dict[str, Bus]()
+    own_seeds = bus_seed.spawn(options.fleets) if is_multi_fleet else [bus_seed]
+    error_seeds = error_seed.spawn(options.fleets) if is_multi_fleet else [error_seed]
+    for number, (child_seed, errors) in enumerate(zip(own_seeds, error_seeds, strict=True)):
+        bus = Bus(np.random.default_rng(child_seed), fleet=f"fleet-{number + 1}")
+        bus.track_delay_s = TRACK_DELAY_S
+        bus.distort_track = TrackErrorModel(np.random.default_rng(errors))
         buses[bus.fleet] = bus
     for bus in buses.values():
-        bus.beside = [other for other in buses.values() if other is not bus]
+        bus.neighbour_buses = [other for other in buses.values() if other is not bus]
     return buses
 
 
-def _polar(radius_m: float, angle_rad: float) -> tuple[float, float]:
+def _polar_to_ne_m(radius_m: float, angle_rad: float) -> tuple[float, float]:
     return radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad)

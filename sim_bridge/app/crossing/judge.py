@@ -1,27 +1,26 @@
-"""The verdict on a crossing, from truth alone: least separations and each vehicle's outcome."""
+"""Minimum separation in a crossing from ground truth, in units of the required one."""
 
-import math
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.base.arrays import Floats
+from sim_bridge.app.day.judge import VehicleTrack, relative_motion_while_both_airborne
 
 SPAN_M = 1.0
-"""DJI Matrice 100: 0.65 m between motors across, 13 inch propellers; told by its maker."""
+"""DJI Matrice 100: 0.65 m diagonal between motors, 13 inch propellers (manufacturer's data)."""
 
-HORIZONTAL_M, VERTICAL_M = 5.0 + SPAN_M, 4.0 + SPAN_M
-"""Between centres, the span added: one or the other is kept (docs/explanation/avoidance.md)."""
+MIN_HORIZONTAL_M, MIN_VERTICAL_M = 5.0 + SPAN_M, 4.0 + SPAN_M
+"""Required centre distances with the span; one of both is kept: docs/explanation/avoidance.md."""
 
-BETWEEN = 10
-"""Instants looked at between two rows, a tenth of a second apart, on the straight between them."""
-
-HOME_M, DELIVERED_M = 10.0, 10.0
+INTERPOLATION_STEPS = 20
+"""Instants evaluated by linear interpolation between two samples, 0.2 s from each other."""
 
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """The least separation: 1 is what must be kept; where and when that was."""
+    """Minimum separation, in units of the required one, with its distances, time and vehicles."""
 
     separations: float
     horizontal_m: float
@@ -30,60 +29,27 @@ class Nearest:
     who: tuple[str, str]
 
 
-def nearest_of(flown: dict[str, Floats]) -> Nearest | None:
-    """Of all pairs while both fly; rows are (t, north, east, down, airborne), of the same times."""
-    names = list(flown)
-    found: list[Nearest] = []
-    for k, one in enumerate(names):
-        for other in names[:k]:
-            near = _pair(flown[one], flown[other], (other, one))
-            if near is not None:
-                found.append(near)
-    return min(found, key=lambda near: near.separations, default=None)
+def find_minimum_separation(tracks: Sequence[VehicleTrack]) -> Nearest | None:
+    """Return the minimum of all pairs while both fly."""
+    found = [_pair_minimum_separation(*pair) for pair in itertools.combinations(tracks, 2)]
+    return min((near for near in found if near), key=lambda near: near.separations, default=None)
 
 
-def _pair(a: Floats, b: Floats, who: tuple[str, str]) -> Nearest | None:
-    times, of_a, of_b = np.intersect1d(
-        np.round(a[:, 0], 3), np.round(b[:, 0], 3), return_indices=True
-    )
-    a, b = a[of_a], b[of_b]
-    both = (a[:, 4] > 0.0) & (b[:, 4] > 0.0)
-    fly = both[:-1] & both[1:]
-    if not fly.any():
+def _pair_minimum_separation(first: VehicleTrack, second: VehicleTrack) -> Nearest | None:
+    motion = relative_motion_while_both_airborne(first, second)
+    if motion is None:
         return None
-    away = a[:, 1:4] - b[:, 1:4]
-    share = np.linspace(0.0, 1.0, BETWEEN + 1)[:, None, None]
-    between = away[:-1] + share * (away[1:] - away[:-1])
+    times_s, start_ned_m, change_ned_m = motion
+    share = np.linspace(0.0, 1.0, INTERPOLATION_STEPS + 1)[:, None, None]
+    between = start_ned_m + share * change_ned_m
     horizontal = np.hypot(between[..., 0], between[..., 1])
     vertical = np.abs(between[..., 2])
-    apart = np.maximum(horizontal / HORIZONTAL_M, vertical / VERTICAL_M)
-    apart = np.where(fly, apart, np.inf)
-    at = np.unravel_index(apart.argmin(), apart.shape)
+    separation = np.maximum(horizontal / MIN_HORIZONTAL_M, vertical / MIN_VERTICAL_M)
+    at = np.unravel_index(separation.argmin(), separation.shape)
     return Nearest(
-        float(apart[at]),
+        float(separation[at]),
         float(horizontal[at]),
         float(vertical[at]),
-        float(times[at[1]]),
-        who,
+        float(times_s[at[1]]),
+        (first.vehicle, second.vehicle),
     )
-
-
-def outcome_of(
-    rows: Floats,
-    pad_ne_m: tuple[float, float],
-    customer_ne_m: tuple[float, float],
-    released_ned_m: tuple[float, float, float] | None,
-    *,
-    crashed: bool,
-) -> str:
-    """SUC, DEL, ABRT or FAIL (docs/reference/outcomes.md); NONE: it never took off."""
-    if not (rows[:, 4] > 0.0).any():
-        return "NONE"
-    down = rows[-1, 4] == 0.0 and not crashed
-    home = down and math.dist(rows[-1, 1:3], pad_ne_m) <= HOME_M
-    brought = (
-        released_ned_m is not None and math.dist(released_ned_m[:2], customer_ne_m) <= DELIVERED_M
-    )
-    if home:
-        return "SUC" if brought else "ABRT"
-    return "DEL" if brought else "FAIL"

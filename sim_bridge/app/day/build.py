@@ -1,13 +1,12 @@
-"""Build a day's world from its file: wind, drones with their companions, truck, network, faults.
+"""Build the world of a day from its file: wind, drones, companions, truck, network and faults.
 
 All random draws derive from the seed, with an independent stream for each part.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -15,26 +14,24 @@ import numpy as np
 from companion.adapters.files.params import params_dir
 from companion.app.flight.fleet_port import FleetPort
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import LocalFrame, Ned, place_ned
-from companion.core.mission.flight_plan import frame_at
+from companion.core.base.geo import LocalFrame, location_to_ground_ned_m
+from companion.core.mission.flight_plan import depot_frame
 from companion.core.pilot.context import PilotOptions
-from companion.fleet.messages import State
-from companion.fleet.network import MemberLink
 from ground_station.app.truck.truck_member import TruckMember
-from ground_station.core.fleet.truck_state import TRUCK
+from ground_station.core.fleet.truck_state import TRUCK, TaskKind
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.orders import place_of
+from ground_station.core.schema.orders import order_location
 from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
-from sim_bridge.app.day.companion import MemoryLink, SteppedCompanion
-from sim_bridge.app.day.crew import DepotCrew, GroundCrew
-from sim_bridge.app.day.drone import Companion, DayDrone, DroneWorld
-from sim_bridge.app.day.faults import AUTOPILOTS, DayWish, Faults, draw_faults
-from sim_bridge.app.day.truck import DayTruck, DriverTimes
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
+from sim_bridge.app.day.companion import SteppedCompanion
+from sim_bridge.app.day.crew import DepotHandling, GroundHandling
+from sim_bridge.app.day.drone import DayDrone, DroneWorld
+from sim_bridge.app.day.faults import DayWorldOptions, draw_faults
+from sim_bridge.app.day.truck import DayTruck
+from sim_bridge.app.day.world import DayWorld
 from sim_bridge.truth.errors import TruthError
-from sim_bridge.truth.fields.front import PassingFront, drawn_front
+from sim_bridge.truth.fields.front import LinearFront, draw_front
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.wind_field import MeanWind
@@ -43,119 +40,84 @@ from sim_bridge.truth.wind_params import (
     RampedWindParams,
     WindParams,
     WindPoint,
-    mean_wind,
+    build_mean_wind,
     parse_wind,
 )
 
-SHELF_SPREAD_FRAC = 0.03
-"""Packs wait after charging: their charge is below the day's by up to this fraction."""
+PACK_CHARGE_SPREAD_FRAC = 0.03
+"""Packs are stored after charging: their charge is up to this fraction below the day's value."""
 
-FORECAST_FROM_S = 600.0
-"""The forecast of a recorded day is the mean of the ten minutes before it began, as a dispatcher
-with an anemometer at the depot has it."""
+FORECAST_WINDOW_S = 600.0
+"""The forecast of a recorded day is the mean of the ten minutes before its start, as measured by
+an anemometer at the depot."""
 
-FRONT_WITHIN = (0.2, 0.6)
-FRONT_TAKES_S = 120.0
-"""A front comes within this share of the wind's time, and the mean wind changes over two minutes:
-a vehicle that is out meets it in flight."""
-
-WIND_EVERY_S = 300.0
-WANDER_FRAC = 0.5
-"""Synthetic wind: its mean differs from the forecast by the forecast's std. Every five minutes a
+WIND_POINT_INTERVAL_S = 300.0
+DEVIATION_STEP_FRAC = 0.5
+"""Synthetic wind: the mean differs from the forecast by the forecast's std. Every five minutes a
 step of half that std is added to a deviation that decays towards that mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class DayWind:
-    """The true wind, and the forecast of it that the desk has."""
+    """The true wind, and the forecast that the desk uses."""
 
     params: WindParams
     mean: MeanWind
     forecast: Forecast
 
 
-class Network(Protocol):
-    """What the world needs of the fleet's network: stepping, vehicle states, message counts."""
+def build_day_wind(
+    data: DayData,
+    world_options: DayWorldOptions,
+    rng: np.random.Generator,
+    required_duration_s: float,
+) -> DayWind:
+    """Return wind from a recording (with a drawn start), from a table, or drawn about the forecast.
 
-    @property
-    def states(self) -> dict[str, State]: ...
-    @property
-    def sent(self) -> int: ...
-    @property
-    def lost(self) -> int: ...
-    def deliver(self, t_s: float) -> None:
-        """Advance time to `t_s` and deliver what is due."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Plumbing:
-    """How world, companions and truck connect: in this process (`bus`), or between processes."""
-
-    network: Network
-    start: Callable[[DayDrone], Companion]
-    truck_link: Callable[[str], MemberLink]
-    epoch_us: Callable[[], int]
-    pace: Callable[[float], None] = lambda t_s: None
-    close: Callable[[], None] = lambda: None
-    bus: Bus | None = None
-
-
-Plumb = Callable[[DayData, DayClock, np.random.Generator], Plumbing]
-
-
-@dataclass(slots=True)
-class BuiltDay:
-    """Everything of a day except its desk."""
-
-    data: DayData
-    frame: LocalFrame
-    clock: DayClock
-    plumbing: Plumbing
-    drones: list[DayDrone]
-    crew: GroundCrew
-    faults: Faults
-    customers: dict[str, Ned] = field(default_factory=dict)
-    front: PassingFront | None = None
-    shares_wind: bool = True
-
-
-def day_wind(data: DayData, wish: DayWish, rng: np.random.Generator, need_s: float) -> DayWind:
-    """Wind from a recording (start drawn from the seed), from a table, or drawn about the forecast.
-
-    Raises LeewayError for wind that cannot be read or a recording that is too short.
+    Raises LeewayError if the wind cannot be read or the recording is too short.
     """
     forecast = data.day.forecast
     try:
-        if wish.wind_log is not None:
-            return _recorded(wish.wind_log.absolute(), forecast, rng, need_s)
-        if wish.wind_table is not None:
-            table = msgspec.toml.decode(wish.wind_table.read_bytes())
+        if world_options.wind_log is not None:
+            return _recorded_wind_with_random_start(
+                world_options.wind_log.absolute(), forecast, rng, required_duration_s
+            )
+        if world_options.wind_table is not None:
+            table = msgspec.toml.decode(world_options.wind_table.read_bytes())
             params = parse_wind(table.get("wind", table))
-            return DayWind(params, mean_wind(params, wish.wind_table.parent), forecast)
+            return DayWind(
+                params, build_mean_wind(params, world_options.wind_table.parent), forecast
+            )
     except (TruthError, OSError, msgspec.DecodeError) as error:
         raise LeewayError(f"wind: {error}") from error
-    params = _made(forecast, rng, need_s)
-    if wish.front_mps > 0.0:
-        params = with_front(params, wish.front_mps, rng, need_s)
-    return DayWind(params, mean_wind(params, Path()), forecast)
+    params = _draw_wind(forecast, rng, required_duration_s)
+    return DayWind(params, build_mean_wind(params, Path()), forecast)
 
 
-def _recorded(path: Path, forecast: Forecast, rng: np.random.Generator, need_s: float) -> DayWind:
+def _recorded_wind_with_random_start(
+    path: Path, forecast: Forecast, rng: np.random.Generator, required_duration_s: float
+) -> DayWind:
     log = load_wind_log(path)
-    first, last = log.t_s[0] + FORECAST_FROM_S, log.t_s[-1] - need_s
+    first, last = log.t_s[0] + FORECAST_WINDOW_S, log.t_s[-1] - required_duration_s
     if last < first:
         raise LeewayError(
-            f"{path}: {log.t_s[-1] - log.t_s[0]:.0f} s, expected {need_s + FORECAST_FROM_S:.0f}"
+            f"{path}: recording of {log.t_s[-1] - log.t_s[0]:.0f} s, expected at least"
+            f" {required_duration_s + FORECAST_WINDOW_S:.0f} s"
         )
     start_s = float(rng.uniform(first, last))
     params = parse_wind({"kind": "log", "log": str(path), "start_s": start_s})
-    return DayWind(params, mean_wind(params, Path()), _persisting(log, start_s, forecast))
+    return DayWind(
+        params,
+        build_mean_wind(params, Path()),
+        _forecast_from_preceding_mean_wind(log, start_s, forecast),
+    )
 
 
-def _persisting(log: WindLog, start_s: float, forecast: Forecast) -> Forecast:
+def _forecast_from_preceding_mean_wind(
+    log: WindLog, start_s: float, forecast: Forecast
+) -> Forecast:
     t = np.asarray(log.t_s)
-    before = (t >= start_s - FORECAST_FROM_S) & (t < start_s)
+    before = (t >= start_s - FORECAST_WINDOW_S) & (t < start_s)
     north = float(np.mean(np.asarray(log.to_north_mps)[before]))
     east = float(np.mean(np.asarray(log.to_east_mps)[before]))
     from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
@@ -164,23 +126,25 @@ def _persisting(log: WindLog, start_s: float, forecast: Forecast) -> Forecast:
     )
 
 
-def _made(forecast: Forecast, rng: np.random.Generator, need_s: float) -> RampedWindParams:
+def _draw_wind(
+    forecast: Forecast, rng: np.random.Generator, required_duration_s: float
+) -> RampedWindParams:
     mean = np.asarray(forecast.to_ne_mps) + rng.normal(0.0, forecast.std_mps, 2) / math.sqrt(2.0)
-    off = np.zeros(2)
+    deviation_ne_mps = np.zeros(2)
     winds: list[np.ndarray] = []
-    for _ in range(math.ceil(need_s / WIND_EVERY_S) + 1):
-        winds.append(mean + off)
-        step = rng.normal(0.0, WANDER_FRAC * forecast.std_mps, 2) / math.sqrt(2.0)
-        off = 0.7 * off + step
-    times_s = [k * WIND_EVERY_S for k in range(len(winds))]
-    return RampedWindParams(points=_points(times_s, winds), turbulence="dryden")
+    for _ in range(math.ceil(required_duration_s / WIND_POINT_INTERVAL_S) + 1):
+        winds.append(mean + deviation_ne_mps)
+        step = rng.normal(0.0, DEVIATION_STEP_FRAC * forecast.std_mps, 2) / math.sqrt(2.0)
+        deviation_ne_mps = 0.7 * deviation_ne_mps + step
+    times_s = [k * WIND_POINT_INTERVAL_S for k in range(len(winds))]
+    return RampedWindParams(points=_wind_points(times_s, winds), turbulence="dryden")
 
 
-def _points(times_s: list[float], winds_to_ne_mps: list[np.ndarray]) -> list[WindPoint]:
+def _wind_points(times_s: list[float], winds_to_ne_mps: list[np.ndarray]) -> list[WindPoint]:
     points: list[WindPoint] = []
     for t_s, (north, east) in zip(times_s, winds_to_ne_mps, strict=True):
         from_deg = math.degrees(math.atan2(-east, -north)) % 360.0
-        if points:  # directions are interpolated as the numbers stand: the short way round
+        if points:  # directions are interpolated numerically: unwrap them
             turn = (from_deg - points[-1].from_deg + 180.0) % 360.0 - 180.0
             from_deg = points[-1].from_deg + turn
         speed_mps = float(np.hypot(north, east))
@@ -188,175 +152,175 @@ def _points(times_s: list[float], winds_to_ne_mps: list[np.ndarray]) -> list[Win
     return points
 
 
-def with_front(
-    wind: RampedWindParams, change_mps: float, rng: np.random.Generator, need_s: float
-) -> RampedWindParams:
-    """This wind; from a drawn time on another of `change_mps` to a drawn side is added to it."""
-    at_s = float(rng.uniform(*FRONT_WITHIN)) * need_s
-    towards_rad = float(rng.uniform(0.0, 2.0 * math.pi))
-    change = change_mps * np.array([math.cos(towards_rad), math.sin(towards_rad)])
-    mean = mean_wind(wind, Path())
-    times_s = sorted({*(point.t_s for point in wind.points), at_s, at_s + FRONT_TAKES_S})
-    winds = [
-        np.asarray(mean.to_ne_mps(t_s)) + np.clip((t_s - at_s) / FRONT_TAKES_S, 0.0, 1.0) * change
-        for t_s in times_s
-    ]
-    return RampedWindParams(points=_points(times_s, winds), turbulence=wind.turbulence)
+def _companion_starter(
+    data: DayData, bus: Bus, clock: DayClock, folder: Path
+) -> Callable[[DayDrone], SteppedCompanion]:
+    """Return a function that starts a drone's companion on the day's network and clock."""
+    airframe_of = {drone.id: drone.airframe for drone in data.day.drones}
+    has_neighbours = bool(data.day.neighbours)
 
+    def start_companion(drone: DayDrone) -> SteppedCompanion:
+        name = airframe_of[drone.name]
+        port = FleetPort.open(
+            drone.name,
+            name,
+            data.airframes[name],
+            folder / drone.name,
+            lambda instance_id: bus.join(drone.name, instance_id),
+            clock.monotonic_s,
+            lambda: clock.epoch_us() + round(drone.wall_clock_offset_s * 1e6),
+        )
+        pilot = PilotOptions(
+            configure=True, separation_enabled=has_neighbours, name=drone.name, fleet=data.day.fleet
+        )
+        return SteppedCompanion(port, name, clock.monotonic_s, pilot)
 
-def here(loss: float, folder: Path) -> Plumb:
-    """Everything in this process, on simulated time."""
-
-    def plumb(data: DayData, clock: DayClock, rng: np.random.Generator) -> Plumbing:
-        bus = Bus(rng, loss)
-        airframe_of = {drone.id: drone.airframe for drone in data.day.drones}
-
-        def start(drone: DayDrone) -> Companion:
-            name = airframe_of[drone.name]
-            port = FleetPort.open(
-                drone.name,
-                name,
-                data.airframes[name],
-                folder / drone.name,
-                lambda life: bus.join(drone.name, life),
-                clock.monotonic_s,
-                lambda: clock.epoch_us() + round(drone.wall_off_s * 1e6),
-            )
-            beside = bool(data.day.neighbours)
-            pilot = PilotOptions(
-                configure=True, keep_apart=beside, name=drone.name, fleet=data.day.fleet
-            )
-            return SteppedCompanion(port, name, MemoryLink(), clock.monotonic_s, pilot)
-
-        def truck_link(life: str) -> MemberLink:
-            return bus.join(TRUCK, life)
-
-        return Plumbing(bus, start, truck_link, clock.epoch_us, bus=bus)
-
-    return plumb
+    return start_companion
 
 
 def build_day(
-    data: DayData, wish: DayWish, seed: int, folder: Path, need_s: float, plumb: Plumb
-) -> BuiltDay:
-    """Build the world of one day. The returned `data` holds the forecast in force."""
+    data: DayData,
+    world_options: DayWorldOptions,
+    seed: int,
+    folder: Path,
+    required_duration_s: float,
+) -> DayWorld:
+    """Build the world of one day without its desk. Its `data` holds the forecast in use."""
     seeds = np.random.SeedSequence(seed).spawn(6)
     wind_seed, bus_seed, truck_seed, fault_seed, drone_seed, front_seed = seeds
-    wind = day_wind(data, wish, np.random.default_rng(wind_seed), need_s)
+    wind = build_day_wind(
+        data, world_options, np.random.default_rng(wind_seed), required_duration_s
+    )
     data = replace(data, day=msgspec.structs.replace(data.day, forecast=wind.forecast))
     depot = data.day.depot
-    frame = frame_at(depot.place)
+    frame = depot_frame(depot.location)
     clock = DayClock()
-    plumbing = plumb(data, clock, np.random.default_rng(bus_seed))
+    bus = Bus(np.random.default_rng(bus_seed), world_options.loss)
     world = DroneWorld(
         site=(depot.lat_deg, depot.lon_deg, depot.alt_amsl_m),
-        terrain=_terrain(data),
+        terrain=_build_terrain(data),
         wind=wind.params,
         mean=wind.mean,
-        parameters={
-            f: read_parameters(params_dir() / "autopilots" / f"{f}.toml") for f in AUTOPILOTS
-        },
-        mavlink_loss=wish.loss,
+        mavlink_loss=world_options.loss,
         air_temperature_c=data.day.forecast.air_temperature_c,
     )
-    drones = _drones(data, wish, world, folder, drone_seed, plumbing.start)
-    crew: GroundCrew = _depot_crew(data, drones, plumbing)
-    if wish.truck:
+    drones = _build_drones(
+        data, world_options, world, folder, drone_seed, _companion_starter(data, bus, clock, folder)
+    )
+    ground_handling: GroundHandling = _build_depot_handling(data, drones, bus)
+    if world_options.truck:
         truck_rng = np.random.default_rng(truck_seed)
-        crew = _truck(data, frame, drones, plumbing, clock, folder, truck_rng)
-        crew.late_s = wish.truck_late_s
-    faults = draw_faults(wish, np.random.default_rng(fault_seed))
-    customers = {order.id: place_ned(frame, place_of(order)) for order in data.orders}
-    front = _passing_front(wish, wind, np.random.default_rng(front_seed))
-    return BuiltDay(
-        data, frame, clock, plumbing, drones, crew, faults, customers, front, wish.shares_wind
+        ground_handling = _build_truck(data, frame, drones, bus, clock, folder, truck_rng)
+        ground_handling.second_drive_delay_s = world_options.truck_late_s
+    faults = draw_faults(world_options, np.random.default_rng(fault_seed))
+    customers = {
+        order.id: location_to_ground_ned_m(frame, order_location(order)) for order in data.orders
+    }
+    front = _draw_passing_front(world_options, wind, np.random.default_rng(front_seed))
+    return DayWorld(
+        data,
+        frame,
+        clock,
+        bus,
+        drones,
+        ground_handling,
+        faults,
+        customers,
+        front,
+        world_options.shares_wind,
     )
 
 
-def _passing_front(wish: DayWish, wind: DayWind, rng: np.random.Generator) -> PassingFront | None:
-    size_mps = wish.passing_front_mps
+def _draw_passing_front(
+    world_options: DayWorldOptions, wind: DayWind, rng: np.random.Generator
+) -> LinearFront | None:
+    size_mps = world_options.passing_front_mps
     if size_mps <= 0.0:
         return None
-    mean_ne_mps = np.asarray(wind.mean.to_ne_mps(wish.front_at_s))
-    return drawn_front(wish.front_at_s, mean_ne_mps, size_mps, size_mps, rng)
+    mean_ne_mps = np.asarray(wind.mean.to_ne_mps(world_options.front_at_s))
+    return draw_front(world_options.front_at_s, mean_ne_mps, size_mps, size_mps, rng)
 
 
-def _terrain(data: DayData) -> PlaneTerrain:
+def _build_terrain(data: DayData) -> PlaneTerrain:
     ground = data.day.depot.terrain
     if ground is None:
         return PlaneTerrain()
     return PlaneTerrain(ground.slope_north_frac, ground.slope_east_frac)
 
 
-def _drones(
+def _build_drones(
     data: DayData,
-    wish: DayWish,
+    world_options: DayWorldOptions,
     world: DroneWorld,
     folder: Path,
     seed: np.random.SeedSequence,
-    start: Callable[[DayDrone], Companion],
+    start_companion: Callable[[DayDrone], SteppedCompanion],
 ) -> list[DayDrone]:
-    made: list[DayDrone] = []
-    for k, (drone, own) in enumerate(
+    day_drones: list[DayDrone] = []
+    for k, (drone, child_seed) in enumerate(
         zip(data.day.drones, seed.spawn(len(data.day.drones)), strict=True)
     ):
-        made.append(
+        day_drones.append(
             DayDrone(
                 name=drone.id,
                 number=k + 1,
-                autopilot_kind=wish.autopilots[k % len(wish.autopilots)],
+                autopilot_kind=world_options.autopilots[k % len(world_options.autopilots)],
                 airframe=load_airframe(params_dir() / "truth" / f"{drone.airframe}.toml"),
                 temperature_c=drone.temperature_c,
                 battery_health_frac=drone.battery_health_frac,
-                shelf_frac=(
-                    max(0.05, drone.charge_frac - SHELF_SPREAD_FRAC),
+                pack_charge_range_frac=(
+                    max(0.05, drone.charge_frac - PACK_CHARGE_SPREAD_FRAC),
                     drone.charge_frac,
                 ),
                 world=world,
                 folder=folder / drone.id,
-                seeds=own,
-                start_companion=start,
+                seeds=child_seed,
+                start_companion=start_companion,
             )
         )
-    return made
+    return day_drones
 
 
-def _depot_crew(data: DayData, drones: list[DayDrone], plumbing: Plumbing) -> DepotCrew:
-    """The times are those of the day's driver for a drone that is taken in and one put out."""
+def _build_depot_handling(data: DayData, drones: list[DayDrone], bus: Bus) -> DepotHandling:
+    """Build the depot's ground handling; turnaround is the driver's recovery plus launch time."""
     payload_kg = {order.id: order.mass_kg for order in data.orders}
     change_s = data.day.truck.recover_s + data.day.truck.launch_s
-    return DepotCrew(drones, payload_kg, plumbing.network.states, change_s)
+    return DepotHandling(drones, payload_kg, bus.states, change_s)
 
 
-def _truck(
+def _build_truck(
     data: DayData,
     frame: LocalFrame,
     drones: list[DayDrone],
-    plumbing: Plumbing,
+    bus: Bus,
     clock: DayClock,
     folder: Path,
     rng: np.random.Generator,
 ) -> DayTruck:
     day = data.day
-    port = TruckMember.open(
+    port = TruckMember.load_or_create(
         TRUCK,
         folder / TRUCK,
-        plumbing.truck_link,
-        stop="depot",
+        lambda instance_id: bus.join(TRUCK, instance_id),
+        initial_stop="depot",
         lat_deg=day.depot.lat_deg,
         lon_deg=day.depot.lon_deg,
         capacity_kg=day.truck.capacity_kg,
         clock_s=clock.monotonic_s,
-        epoch_us=plumbing.epoch_us,
+        epoch_us=clock.epoch_us,
     )
-    times = DriverTimes(day.truck.launch_s, day.truck.recover_s, day.truck.deliver_s)
+    task_s = {
+        TaskKind.PUT_OUT: day.truck.launch_s,
+        TaskKind.RECOVER: day.truck.recover_s,
+        TaskKind.SERVE: day.truck.deliver_s,
+    }
     return DayTruck(
         port=port,
         frame=frame,
         drones={drone.name: drone for drone in drones},
         payload_kg={order.id: order.mass_kg for order in data.orders},
-        times=times,
-        drive_s=lambda before, after, metres: metres / day.truck.speed_mps,
+        task_s=task_s,
+        speed_mps=day.truck.speed_mps,
         detour_factor=day.truck.detour_factor,
         rng=rng,
     )

@@ -1,21 +1,21 @@
-"""The fleet's network in one process: desk and members exchange messages on simulated time.
+"""In-process fleet network: desks and members exchange messages on simulated time.
 
 Semantics follow zenoh. States and events go to every desk. Commands and queries go to every session
-of a vehicle; each is answered or visibly times out. Every desk sees a member's liveliness. A
-message takes `DELAY_S` and is dropped with probability `loss`. Liveliness is never dropped, because
-zenoh maintains it itself. The same generator gives the same losses.
+of a vehicle; each is answered or times out. Every desk receives a member's liveliness. A message
+takes `DELAY_S` and is dropped with probability `loss`. Liveliness is never dropped, because zenoh
+maintains it itself. The same generator gives the same losses.
 """
 
 import heapq
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any
 
 import numpy as np
 
 from companion.core.mission.flight_file import NeighbourFleet
-from companion.core.separation.track_cells import HeardCells, cell_of
+from companion.core.separation.track import Track
+from companion.core.separation.track_cells import SubscribedCells, cell_name_or_none
 from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.messages import (
     Command,
@@ -23,15 +23,12 @@ from companion.fleet.messages import (
     Refused,
     Result,
     State,
-    decode_event,
-    decode_result,
-    decode_state,
-    decode_track,
-    encode,
+    decode_message,
+    encode_message,
 )
-from companion.fleet.network import Ask, Asked, Told
+from companion.fleet.network import MemberRequest, ReceivedTrack, RequestKind
 from ground_station.core.fleet.fleet_link import (
-    CommandAnswered,
+    CommandResponse,
     EventsReceived,
     FleetInput,
     LivelinessChanged,
@@ -40,18 +37,18 @@ from ground_station.core.fleet.fleet_link import (
 )
 
 DELAY_S = 0.02
-"""Message delay: a few hops of a radio network, less than a step of the simulated day."""
+"""Message delay: a few hops in a radio network, shorter than a step of the simulated day."""
 
-LEASE_S = 10.0
-"""A session that is not heard is taken for gone: zenoh's lease (transport/link/tx/lease)."""
+LEASE_TIMEOUT_S = 10.0
+"""A silent session is dropped after this time: zenoh's lease (transport/link/tx/lease)."""
 
-Answers = Callable[[list[bytes]], None]
+ReplyCallback = Callable[[list[bytes]], None]
 
 
 @dataclass(slots=True)
 class Bus:
-    """The network. `t_s` is the day's time, set by the caller that steps it; `deliver` after each
-    step.
+    """The network. `t_s`: time of the day, set by the caller, which calls
+    `advance_and_run_due_calls` after each step.
     """
 
     rng: np.random.Generator
@@ -60,85 +57,93 @@ class Bus:
     sent: int = 0
     lost: int = 0
     track_delay_s: float = DELAY_S
-    spoil: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
+    distort_track: Callable[[bytes, float], bytes] = lambda raw, t_s: raw
     states: dict[str, State] = field(default_factory=dict)
-    """Each vehicle's last published state, delivered or not; for the judge."""
+    """Last published state of each vehicle, delivered or not, for the verdict."""
     fleet: str = "fleet"
-    beside: list["Bus"] = field(default_factory=list)
-    """Networks of other fleets: vehicles there may hear the tracks that are told here."""
-    cut_until_s: float = 0.0
-    """Until then nothing passes between the desk and the members."""
-    _cut_off_until_s: dict[str, float] = field(default_factory=dict)
-    """Until then nothing passes to or from this member."""
+    neighbour_buses: list["Bus"] = field(default_factory=list)
+    """Networks of other fleets whose vehicles may receive the tracks published here."""
+    network_cut_until_s: float = 0.0
+    """Until this time no message passes between desks and members."""
+    _member_cut_until_s: dict[str, float] = field(default_factory=dict)
+    """Until this time no message passes to or from the member."""
     _links: list["BusLink"] = field(default_factory=list)
     _desks: list["BusFleet"] = field(default_factory=list)
-    _under_way: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
-    _numbers: "count[int]" = field(default_factory=count)
+    _scheduled_calls: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
+    _call_numbers: "count[int]" = field(default_factory=count)
 
-    def join(self, vehicle: str, life: str) -> "BusLink":
-        """Add a member session; every desk sees it come alive."""
-        link = BusLink(self, vehicle, life)
+    def join(self, vehicle: str, instance_id: str) -> "BusLink":
+        """Add a member session and notify every desk of it."""
+        link = BusLink(self, vehicle, instance_id)
         for other in self.links_of(vehicle):
-            self._twin(other, link)
-            self._twin(link, other)
+            self._notify_duplicate(other, link)
+            self._notify_duplicate(link, other)
         self._links.append(link)
-        self._all_see(link, up=True)
+        self._publish_liveliness(link, up=True)
         return link
 
-    def _twin(self, who: "BusLink", twin: "BusLink") -> None:
-        asked = Asked(Ask.TWIN, lambda replies: None, twin.life.encode())
-        self.later(DELAY_S, lambda: who.hear(asked))
+    def _notify_duplicate(self, member_link: "BusLink", duplicate: "BusLink") -> None:
+        request = MemberRequest(
+            RequestKind.DUPLICATE, lambda replies: None, duplicate.instance_id.encode()
+        )
+        self.schedule_call(DELAY_S, lambda: member_link.queue_request(request))
 
-    def leave(self, link: "BusLink") -> None:
+    def remove_link(self, link: "BusLink") -> None:
         """Remove a member session, closed or killed; its liveliness token is dropped."""
         if link in self._links:
             self._links.remove(link)
-            self._all_see(link, up=False)
+            self._publish_liveliness(link, up=False)
 
-    def _all_see(self, link: "BusLink", *, up: bool) -> None:
+    def _publish_liveliness(self, link: "BusLink", *, up: bool) -> None:
         for desk in list(self._desks):
-            self.tell_alive(desk, link, up=up)
+            self.send_liveliness(desk, link, up=up)
 
-    def tell_alive(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
-        """Notify a desk that a member session came or went."""
-        alive = LivelinessChanged(link.vehicle, link.life, up=up)
-        open_s = self._open_s(link.vehicle)
-        self.later(max(DELAY_S, open_s - self.t_s), lambda: desk.hear(alive))
+    def send_liveliness(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
+        """Notify a desk that a member session has joined or left."""
+        liveliness = LivelinessChanged(link.vehicle, link.instance_id, has_joined=up)
+        reachable_from_s = self._messages_pass_from_s(link.vehicle)
+        self.schedule_call(
+            max(DELAY_S, reachable_from_s - self.t_s), lambda: desk.queue_input(liveliness)
+        )
 
-    def cut(self, for_s: float) -> None:
-        """Lose every message for so long; past the lease members are gone, and come back."""
-        self.cut_until_s = max(self.cut_until_s, self.t_s + for_s)
-        self._let_lease_end(self.cut_until_s, None)
+    def cut_network(self, duration_s: float) -> None:
+        """Drop all messages for `duration_s`. Beyond the lease, members leave and rejoin."""
+        self.network_cut_until_s = max(self.network_cut_until_s, self.t_s + duration_s)
+        self._schedule_lease_expiry(self.network_cut_until_s, None)
 
-    def cut_off(self, vehicle: str, for_s: float) -> None:
-        """Lose every message to and from one member for so long, as where its radio is off."""
-        until_s = max(self._open_s(vehicle), self.t_s + for_s)
-        self._cut_off_until_s[vehicle] = until_s
-        self._let_lease_end(until_s, vehicle)
+    def cut_member(self, vehicle: str, duration_s: float) -> None:
+        """Drop all messages to and from one member for `duration_s`, as if its radio were off."""
+        until_s = max(self._messages_pass_from_s(vehicle), self.t_s + duration_s)
+        self._member_cut_until_s[vehicle] = until_s
+        self._schedule_lease_expiry(until_s, vehicle)
 
-    def _open_s(self, vehicle: str) -> float:
-        """From when on messages pass to and from this member."""
-        return max(self.cut_until_s, self._cut_off_until_s.get(vehicle, 0.0))
+    def _messages_pass_from_s(self, vehicle: str) -> float:
+        """Return the time from which messages pass to and from this member."""
+        return max(self.network_cut_until_s, self._member_cut_until_s.get(vehicle, 0.0))
 
-    def _let_lease_end(self, until_s: float, vehicle: str | None) -> None:
-        if until_s - self.t_s > LEASE_S:
-            self.later(LEASE_S, lambda: self._all_told(vehicle, up=False))
-            self.later(until_s - self.t_s, lambda: self._all_told(vehicle, up=True))
+    def _schedule_lease_expiry(self, until_s: float, vehicle: str | None) -> None:
+        if until_s - self.t_s > LEASE_TIMEOUT_S:
+            self.schedule_call(
+                LEASE_TIMEOUT_S, lambda: self._queue_liveliness_at_desks(vehicle, up=False)
+            )
+            self.schedule_call(
+                until_s - self.t_s, lambda: self._queue_liveliness_at_desks(vehicle, up=True)
+            )
 
-    def _all_told(self, vehicle: str | None, *, up: bool) -> None:
+    def _queue_liveliness_at_desks(self, vehicle: str | None, *, up: bool) -> None:
         for desk in list(self._desks):
             for link in self.links_of(vehicle):
-                desk.hear(LivelinessChanged(link.vehicle, link.life, up=up))
+                desk.queue_input(LivelinessChanged(link.vehicle, link.instance_id, has_joined=up))
 
-    def desk(self) -> "BusFleet":
-        """Add a desk; it is told which members are alive."""
+    def add_desk(self) -> "BusFleet":
+        """Add a desk and notify it of the members that are alive."""
         desk = BusFleet(self)
         self._desks.append(desk)
         for link in self._links:
-            self.tell_alive(desk, link, up=True)
+            self.send_liveliness(desk, link, up=True)
         return desk
 
-    def leave_desk(self, desk: "BusFleet") -> None:
+    def remove_desk(self, desk: "BusFleet") -> None:
         """Remove a desk."""
         if desk in self._desks:
             self._desks.remove(desk)
@@ -149,246 +154,282 @@ class Bus:
         return list(self._desks)
 
     def links_of(self, vehicle: str | None = None) -> list["BusLink"]:
-        """The sessions of one vehicle, or of all."""
+        """Return the sessions of one vehicle, or of all vehicles."""
         return [link for link in self._links if vehicle in (None, link.vehicle)]
 
-    def post(self, member: str, deliver: Callable[[], None]) -> None:
-        """Send a message of or to a member: it arrives after `DELAY_S`, or is lost."""
-        if not self._is_lost(member):
-            self.later(DELAY_S, deliver)
+    def send_with_delay_or_loss(self, member: str, deliver: Callable[[], None]) -> None:
+        """Send a message from or to a member; it arrives after `DELAY_S` or is lost."""
+        if not self._count_message_and_draw_loss(member):
+            self.schedule_call(DELAY_S, deliver)
 
-    def post_track(self, sender: "BusLink", raw: bytes) -> None:
-        """Send a track to every other vehicle that listens to the sender's cell, with this
-        network's delay and distortion: a place that is wrong is told in the cell where it is.
+    def send_track_to_subscribers(self, sender: "BusLink", raw: bytes) -> None:
+        """Send a track, with this network's delay and distortion, to every other vehicle that
+        subscribes to its cell. The cell is that of the distorted position.
         """
-        raw = self.spoil(raw, self.t_s)
-        track = decode_track(raw)
-        cell = None if isinstance(track, Refused) else cell_of(track.lat_deg, track.lon_deg)
+        raw = self.distort_track(raw, self.t_s)
+        track = decode_message(Track, raw)
+        cell = (
+            None if isinstance(track, Refused) else cell_name_or_none(track.lat_deg, track.lon_deg)
+        )
         if cell is None:
             return
-        told = Told(sender.vehicle, cell, raw)
+        received_track = ReceivedTrack(sender.vehicle, cell, raw)
         for link in self.links_of():
-            near = link.vehicle != sender.vehicle and link.listens_to(cell)
-            if near and not self._is_lost(sender.vehicle, link.vehicle):
-                self.later(self.track_delay_s, lambda link=link: link.hear_track(told))
-        foreign = Told(sender.vehicle, cell, raw, self.fleet)
-        for bus in self.beside:
+            is_subscribed = link.vehicle != sender.vehicle and link.is_subscribed_to_cell(cell)
+            if is_subscribed and not self._count_message_and_draw_loss(
+                sender.vehicle, link.vehicle
+            ):
+                self.schedule_call(
+                    self.track_delay_s, lambda link=link: link.queue_track(received_track)
+                )
+        neighbour_track = ReceivedTrack(sender.vehicle, cell, raw, self.fleet)
+        for bus in self.neighbour_buses:
             for link in bus.links_of():
-                near = link.hears(self.fleet) and link.listens_to(cell)
-                if near and not self._is_lost(sender.vehicle):
-                    self.later(self.track_delay_s, lambda link=link: link.hear_track(foreign))
+                is_subscribed = link.is_subscribed_to_fleet(
+                    self.fleet
+                ) and link.is_subscribed_to_cell(cell)
+                if is_subscribed and not self._count_message_and_draw_loss(sender.vehicle):
+                    self.schedule_call(
+                        self.track_delay_s, lambda link=link: link.queue_track(neighbour_track)
+                    )
 
-    def _is_lost(self, *members: str) -> bool:
+    def _count_message_and_draw_loss(self, *members: str) -> bool:
         self.sent += 1
-        if self.t_s < max(map(self._open_s, members)):
+        if self.t_s < max(map(self._messages_pass_from_s, members)):
             self.lost += 1
             return True
         lost = self.loss > 0.0 and self.rng.random() < self.loss
         self.lost += lost
         return lost
 
-    def later(self, after_s: float, do: Callable[[], None]) -> None:
-        """Schedule a call `after_s` from now."""
-        heapq.heappush(self._under_way, (self.t_s + after_s, next(self._numbers), do))
+    def schedule_call(self, delay_s: float, callback: Callable[[], None]) -> None:
+        """Schedule a call in `delay_s` seconds."""
+        heapq.heappush(
+            self._scheduled_calls, (self.t_s + delay_s, next(self._call_numbers), callback)
+        )
 
-    def deliver(self, t_s: float) -> None:
-        """Advance time to `t_s` and make the calls that are due."""
-        while self._under_way and self._under_way[0][0] <= t_s:
-            self.t_s, _, do = heapq.heappop(self._under_way)
-            do()
+    def advance_and_run_due_calls(self, t_s: float) -> None:
+        """Advance time to `t_s` and execute the calls that are due."""
+        while self._scheduled_calls and self._scheduled_calls[0][0] <= t_s:
+            self.t_s, _, callback = heapq.heappop(self._scheduled_calls)
+            callback()
         self.t_s = t_s
 
 
 @dataclass(slots=True)
 class BusLink:
-    """A member's end (`companion.fleet.network.MemberLink`); one per session (`life`)."""
+    """Member side (`companion.fleet.network.MemberLink`) of one session (`instance_id`)."""
 
     bus: Bus
     vehicle: str
-    life: str
+    instance_id: str
     state: bytes = b""
-    _waiting: list[Asked] = field(default_factory=list)
-    _tracks: list[Told] = field(default_factory=list)
+    _pending_requests: list[MemberRequest] = field(default_factory=list)
+    _tracks: list[ReceivedTrack] = field(default_factory=list)
     _winds: list[bytes] = field(default_factory=list)
-    _cells: HeardCells = field(default_factory=HeardCells)
+    _cells: SubscribedCells = field(default_factory=SubscribedCells)
     _neighbours: frozenset[str] = frozenset()
 
-    def asked(self) -> list[Asked]:
-        """Take all pending commands and queries."""
-        waiting, self._waiting = self._waiting, []
-        return waiting
+    def drain_requests(self) -> list[MemberRequest]:
+        """Return and remove all pending commands and queries."""
+        pending_requests, self._pending_requests = self._pending_requests, []
+        return pending_requests
 
-    def hear(self, asked: Asked) -> None:
+    def queue_request(self, request: MemberRequest) -> None:
         """Queue an incoming command or query."""
-        self._waiting.append(asked)
+        self._pending_requests.append(request)
 
-    def be_woken(self, wake: Callable[[], None]) -> None:
-        """No effect: every member is stepped."""
+    def set_request_callback(self, on_request: Callable[[], None]) -> None:
+        """Do nothing: every member is stepped."""
 
-    def publish_state(self, raw: bytes) -> None:
-        """Publish the newest state; it also answers later queries."""
-        self.state = raw
-        state = decode_state(raw)
+    def publish_state(self, state_bytes: bytes) -> None:
+        """Publish the latest state, which also serves later queries."""
+        self.state = state_bytes
+        state = decode_message(State, state_bytes)
         if isinstance(state, State):
             self.bus.states[self.vehicle] = state
         for desk in self.bus.desks:
-            self.bus.post(self.vehicle, lambda desk=desk: desk.hear_state(self.vehicle, raw))
+            self.bus.send_with_delay_or_loss(
+                self.vehicle,
+                lambda desk=desk: desk.decode_and_queue_state(self.vehicle, state_bytes),
+            )
 
-    def publish_event(self, raw: bytes) -> None:
+    def publish_event(self, event_bytes: bytes) -> None:
         """Publish an event to every desk."""
         for desk in self.bus.desks:
-            self.bus.post(self.vehicle, lambda desk=desk: desk.hear_event(self.vehicle, raw))
+            self.bus.send_with_delay_or_loss(
+                self.vehicle, lambda desk=desk: desk.on_event(self.vehicle, event_bytes)
+            )
 
-    def publish_track(self, raw: bytes, cell: str) -> None:
-        """Send the own position to the neighbours."""
-        self.bus.post_track(self, raw)
+    def publish_track(self, track_bytes: bytes, cell: str) -> None:
+        """Send this member's track to its neighbours."""
+        self.bus.send_track_to_subscribers(self, track_bytes)
 
-    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
-        """Listen to the cells about this place."""
-        self._cells = self._cells.at(lat_deg, lon_deg, self.bus.t_s)
+    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
+        """Subscribe to the track cells about this position."""
+        self._cells = self._cells.updated_for_position(lat_deg, lon_deg, self.bus.t_s)
 
-    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
-        """Listen to these fleets, too."""
+    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        """Subscribe to the tracks of these neighbouring fleets."""
         self._neighbours = frozenset(one.fleet for one in neighbours)
 
-    def hears(self, fleet: str) -> bool:
-        """Whether it listens to this neighbouring fleet."""
+    def is_subscribed_to_fleet(self, fleet: str) -> bool:
+        """Return whether this member subscribes to a neighbouring fleet."""
         return fleet in self._neighbours
 
-    def listens_to(self, cell: str) -> bool:
-        """Whether this cell is near, or was of late."""
+    def is_subscribed_to_cell(self, cell: str) -> bool:
+        """Return whether this member subscribes to a track cell."""
         return cell in self._cells.near_s
 
-    def tracks(self) -> list[Told]:
-        """Neighbours' tracks received since the last call."""
+    def drain_tracks(self) -> list[ReceivedTrack]:
+        """Return and remove the tracks received since the last call."""
         tracks, self._tracks = self._tracks, []
         return tracks
 
-    def winds(self) -> list[bytes]:
-        """What desks told of the winds of others since the last call."""
+    def drain_wind_messages(self) -> list[bytes]:
+        """Return and remove the wind reports received from desks since the last call."""
         winds, self._winds = self._winds, []
         return winds
 
-    def hear_winds(self, raw: bytes) -> None:
-        """Queue what a desk told."""
+    def queue_winds(self, raw: bytes) -> None:
+        """Queue a wind report from a desk."""
         self._winds.append(raw)
 
-    def wind_cov_is_read(self) -> bool:
-        """Every desk here is of this version."""
+    def do_all_clients_read_wind_cov(self) -> bool:
+        """Return True: all desks of a simulated day decode wind covariances."""
         return True
 
-    def hear_track(self, told: Told) -> None:
+    def queue_track(self, received_track: ReceivedTrack) -> None:
         """Queue a neighbour's track."""
-        self._tracks.append(told)
+        self._tracks.append(received_track)
 
     def close(self) -> None:
         """Leave the network."""
-        self.bus.leave(self)
+        self.bus.remove_link(self)
 
 
 @dataclass(slots=True)
 class BusFleet:
-    """A desk's end (`ground_station.core.fleet.fleet_link.Fleet`)."""
+    """Desk side (`ground_station.core.fleet.fleet_link.FleetLink`)."""
 
     bus: Bus
-    _heard: list[FleetInput] = field(default_factory=list)
+    _received: list[FleetInput] = field(default_factory=list)
 
     def receive(self, wait_s: float) -> list[FleetInput]:
-        """Take what has arrived; never waits."""
-        heard, self._heard = self._heard, []
-        return heard
+        """Return and remove the inputs received; never waits."""
+        received, self._received = self._received, []
+        return received
 
-    def hear(self, heard: FleetInput) -> None:
+    def queue_input(self, received: FleetInput) -> None:
         """Queue an input for the desk."""
-        self._heard.append(heard)
+        self._received.append(received)
 
-    def hear_state(self, vehicle: str, raw: bytes) -> None:
+    def decode_and_queue_state(self, vehicle: str, raw: bytes) -> None:
         """Decode and queue a vehicle's state."""
-        state = self._decoded(vehicle, raw, decode_state)
+        state = self._decode_or_queue_rejection(vehicle, raw, State)
         if isinstance(state, State):
-            self.hear(StateReceived(state))
+            self.queue_input(StateReceived(state))
 
-    def hear_event(self, vehicle: str, raw: bytes) -> None:
+    def on_event(self, vehicle: str, raw: bytes) -> None:
         """Decode and queue a vehicle's event."""
-        event = self._decoded(vehicle, raw, decode_event)
+        event = self._decode_or_queue_rejection(vehicle, raw, FleetEvent)
         if isinstance(event, FleetEvent):
-            self.hear(EventsReceived(vehicle, [event]))
+            self.queue_input(EventsReceived(vehicle, [event]))
 
-    def ask_states(self, wait_s: float) -> None:
-        """Query every vehicle for its newest state."""
+    def request_states(self, wait_s: float) -> None:
+        """Request the latest state of every vehicle."""
         for link in self.bus.links_of():
-            self.bus.post(link.vehicle, lambda link=link: self._reply_state(link))
-
-    def _reply_state(self, link: BusLink) -> None:
-        if link.state:
-            self.bus.post(link.vehicle, lambda: self.hear_state(link.vehicle, link.state))
-
-    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
-        """Query a vehicle for its stored events after this number."""
-        for link in self.bus.links_of(vehicle):
-            asked = Asked(
-                Ask.EVENTS, self._once(vehicle, lambda raw: self._replay(vehicle, raw)), b"", after
+            self.bus.send_with_delay_or_loss(
+                link.vehicle, lambda link=link: self._post_state_reply(link)
             )
-            self.bus.post(link.vehicle, lambda link=link, asked=asked: link.hear(asked))
 
-    def _once(self, vehicle: str, take: Answers) -> Answers:
-        """Callback that sends all replies as one message; further calls do nothing."""
-        gone: list[bool] = []
+    def _post_state_reply(self, link: BusLink) -> None:
+        if link.state:
+            self.bus.send_with_delay_or_loss(
+                link.vehicle, lambda: self.decode_and_queue_state(link.vehicle, link.state)
+            )
 
-        def answer(replies: list[bytes]) -> None:
-            if not gone:
-                gone.append(True)
-                self.bus.post(vehicle, lambda: take(replies))
+    def request_events(self, vehicle: str, after: int, wait_s: float) -> None:
+        """Request a vehicle's stored events after this sequence number."""
+        for link in self.bus.links_of(vehicle):
+            request = MemberRequest(
+                RequestKind.EVENTS,
+                self._single_reply_callback(
+                    vehicle, lambda raw: self._queue_replayed_events(vehicle, raw)
+                ),
+                b"",
+                after,
+            )
+            self.bus.send_with_delay_or_loss(
+                link.vehicle, lambda link=link, request=request: link.queue_request(request)
+            )
 
-        return answer
+    def _single_reply_callback(self, vehicle: str, on_replies: ReplyCallback) -> ReplyCallback:
+        """Return a callback that posts its first replies as one message and ignores later calls."""
+        replied: list[bool] = []
 
-    def _replay(self, vehicle: str, replies: list[bytes]) -> None:
-        events = [self._decoded(vehicle, raw, decode_event) for raw in replies]
+        def post_reply(replies: list[bytes]) -> None:
+            if not replied:
+                replied.append(True)
+                self.bus.send_with_delay_or_loss(vehicle, lambda: on_replies(replies))
+
+        return post_reply
+
+    def _queue_replayed_events(self, vehicle: str, replies: list[bytes]) -> None:
+        events = [self._decode_or_queue_rejection(vehicle, raw, FleetEvent) for raw in replies]
         found = sorted((e for e in events if isinstance(e, FleetEvent)), key=lambda e: e.seq)
         if found:
-            self.hear(EventsReceived(vehicle, found, replayed=True))
+            self.queue_input(EventsReceived(vehicle, found, replayed=True))
 
     def send(self, command: Command, wait_s: float) -> None:
-        """Send a command; queues its answer, or None if there is no answer within `wait_s`."""
+        """Send a command; queue its result, or None if there is no reply within `wait_s`."""
         done: list[bool] = []
 
-        def conclude(result: Result | None) -> None:
+        def queue_response(result: Result | None) -> None:
             if not done:
                 done.append(True)
-                self.hear(CommandAnswered(command.id, result))
+                self.queue_input(CommandResponse(command.id, result))
 
-        def take(replies: list[bytes]) -> None:
+        def on_replies(replies: list[bytes]) -> None:
             for raw in replies:
-                result = self._decoded(command.vehicle, raw, decode_result)
+                result = self._decode_or_queue_rejection(command.vehicle, raw, Result)
                 if isinstance(result, Result) and result.id == command.id:
-                    conclude(result)
+                    queue_response(result)
 
-        payload = encode(command)
+        payload = encode_message(command)
         for link in self.bus.links_of(command.vehicle):
-            asked = Asked(Ask.COMMAND, self._once(command.vehicle, take), payload)
-            self.bus.post(link.vehicle, lambda link=link, asked=asked: link.hear(asked))
-        self.bus.later(wait_s, lambda: conclude(None))
+            request = MemberRequest(
+                RequestKind.COMMAND,
+                self._single_reply_callback(command.vehicle, on_replies),
+                payload,
+            )
+            self.bus.send_with_delay_or_loss(
+                link.vehicle, lambda link=link, request=request: link.queue_request(request)
+            )
+        self.bus.schedule_call(wait_s, lambda: queue_response(None))
 
-    def tell_winds(self, winds: SharedWinds) -> None:
-        """Tell a vehicle the winds that others feel."""
-        raw = encode(winds)
+    def send_winds(self, winds: SharedWinds) -> None:
+        """Send a vehicle the winds measured by others."""
+        raw = encode_message(winds)
         for link in self.bus.links_of(winds.vehicle):
-            self.bus.post(winds.vehicle, lambda link=link: link.hear_winds(raw))
+            self.bus.send_with_delay_or_loss(winds.vehicle, lambda link=link: link.queue_winds(raw))
 
     def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
-        """No identities here."""
+        """Return no keys: this network has no identities."""
         return {}
 
-    def _decoded(self, vehicle: str, raw: bytes, decode: Callable[[bytes], Any]) -> Any:
-        message = decode(raw)
+    def _decode_or_queue_rejection(
+        self, vehicle: str, raw: bytes, message_type: type[State | FleetEvent | Result]
+    ) -> State | FleetEvent | Result | None:
+        message = decode_message(message_type, raw)
         if isinstance(message, Refused):
-            self.hear(MessageRejected(vehicle, message.reason))
+            self.queue_input(MessageRejected(vehicle, message.reason))
             return None
         if message.vehicle != vehicle:
-            self.hear(MessageRejected(vehicle, f"speaks for {message.vehicle}"))
+            self.queue_input(MessageRejected(vehicle, f"message names vehicle {message.vehicle}"))
             return None
         return message
 
     def close(self) -> None:
         """Leave the network."""
-        self.bus.leave_desk(self)
+        self.bus.remove_desk(self)

@@ -1,4 +1,4 @@
-"""The single clock of a simulated day, for desk, companions, truck and judge."""
+"""Common clock of a simulated day for desk, companions, truck and verdict."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ class DayClock:
     t_s: float = 0.0
 
     def monotonic_s(self) -> float:
-        """Seconds since the day began."""
+        """Return the seconds since the start of the day."""
         return self.t_s
 
     def epoch_us(self) -> int:
-        """Microseconds since 1970-01-01, UTC."""
+        """Return microseconds since 1970-01-01, UTC."""
         return EPOCH_US + round(self.t_s * 1e6)

@@ -1,155 +1,136 @@
-"""A companion inside the simulated day's process: the flight code, stepped.
+"""Companion inside the simulated day's process: the flight code, run in steps.
 
-It stands by and flies assignments, and is restarted after kills. It uses the same parts as
-`companion run --fleet` (`companion.app.flight.fleet_run`), with an in-memory link and the day's
+It waits in standby, flies assignments and can be restarted after a kill. It uses the components
+of `companion run --fleet` (`companion.app.flight.fleet_run`) with an in-memory link and the day's
 clock.
 """
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from companion.adapters.autopilots.codec import MavlinkCodec
-from companion.adapters.autopilots.link import Incoming, Link
-from companion.app.flight.assignment import take_up
+from companion.adapters.autopilots.link import Link
+from companion.app.flight.assignment import load_current_assignment
 from companion.app.flight.fleet_port import FleetPort
-from companion.app.flight.loaded_flight import RunOptions, Settings
+from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
 from companion.app.flight.run import DONE, GROUNDED, Run
 from companion.app.flight.standby import Standby
 from companion.core.pilot.context import PilotOptions
-
-
-@dataclass(slots=True)
-class MemoryLink:
-    """Two datagram queues: `heard` for the companion, `said` by it."""
-
-    datagrams: bool = True
-    strangers: int = 0
-    heard: deque[bytes] = field(default_factory=deque)
-    said: list[bytes] = field(default_factory=list)
-
-    def receive(self, timeout_s: float) -> Incoming | None:
-        """The next datagram or None; never waits."""
-        return Incoming(self.heard.popleft()) if self.heard else None
-
-    def send(self, data: bytes) -> None:
-        """Queue a datagram for the autopilot."""
-        self.said.append(data)
-
-    def waiting(self) -> int:
-        """Always 0: no decision needs to wait for datagrams, since the world waits for the
-        companion.
-        """
-        return 0
-
-    def settle(self) -> None:
-        """No effect: there is no reader beside us."""
-
-    def wake(self) -> None:
-        """No effect: nothing blocks here."""
-
-    def answer_to(self, peer: object) -> None:
-        """No effect: there is only one peer."""
-
-    def close(self) -> None:
-        """Drop pending datagrams; the link's next user starts with an empty queue."""
-        self.heard.clear()
+from sim_bridge.app.world.memory_link import MemoryLink
 
 
 @dataclass(slots=True)
 class SteppedCompanion:
-    """One companion process's life. `ended` is its exit code, once it has ended."""
+    """One companion process. `exit_code`: exit code, or None while it runs.
 
-    port: FleetPort
+    With a `mission` (a flight file in its run folder) it flies that flight and ends. Otherwise it
+    waits in standby for assignments.
+    """
+
+    port: FleetPort | None
+    """None: no fleet, which needs a mission."""
     airframe: str
-    link: MemoryLink
     clock_s: Callable[[], float]
     pilot: PilotOptions
-    ended: int | None = None
+    mission: Path | None = None
+    link: MemoryLink = field(default_factory=MemoryLink)
+    exit_code: int | None = None
+    run: Run | None = None
+    """The current flight."""
     _standby: Standby | None = None
-    _run: Run | None = None
     _options: RunOptions = field(init=False)
     _settings: Settings = field(init=False)
 
     def __post_init__(self) -> None:
+        if self.port is not None:
+            folder = self.port.member.folder
+        else:
+            assert self.mission is not None
+            folder = self.mission.parent
         self._options = RunOptions(
             link="memory",
             airframe=self.airframe,
-            mission=self.port.folder,
-            run_dir=self.port.folder,
-            plan_at_once=True,
-            record_at_once=True,
+            mission=self.mission or folder,
+            run_dir=folder,
+            plan_synchronously=True,
+            record_synchronously=True,
             pilot=self.pilot,
         )
-        self._settings = Settings.read(self._options)
+        self._settings = Settings.read_settings_files(self._options)
+        if self.mission is not None:
+            self._begin_flight_if_loaded(LoadedFlight.read_and_validate(self._options))
 
     @property
-    def running(self) -> bool:
-        """False once it has ended."""
-        return self.ended is None
+    def is_running(self) -> bool:
+        """Whether the process has not ended."""
+        return self.exit_code is None
 
-    def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Process all these datagrams and talk to the desk; returns the replies to the
-        autopilot.
+    def process_datagrams(self, datagrams: list[bytes]) -> list[bytes]:
+        """Process all these datagrams, exchange messages with the desk and return the replies
+        to the autopilot.
         """
-        self.link.heard.extend(datagrams)
-        self._once()
-        while self.link.heard and self.ended is None:
-            self._once()
-        said, self.link.said = self.link.said, []
-        return said
+        self.link.queue_received_within_limit(datagrams)
+        sent = self.run_cycle()
+        while self.link.received and self.exit_code is None:
+            sent += self.run_cycle()
+        return sent
+
+    def run_cycle(self) -> list[bytes]:
+        """Process one queued datagram and return the replies to the autopilot."""
+        if self.run is not None:
+            self._run_flight_cycle(self.run)
+        elif self.port is not None:
+            self._load_assignment_or_run_standby_cycle(self.port)
+        return self.link.take_sent_datagrams()
 
     def kill(self) -> None:
-        """End as at a power loss: only what is on disk remains."""
-        self.ended = 9
-        self.port.close()  # its liveliness token ends with the process
-        if self._run is not None:
-            self._run.recorder.close()
-            self._run.lock.release()  # as the system does at the end of a process
+        """End as after a power loss: only data on disk remains."""
+        self._end(9)
+        if self.run is not None:
+            self.run.recorder.close()
+            self.run.lock.release()  # the operating system does so when a process ends
 
     def stop(self) -> None:
-        """Orderly shutdown: records are closed."""
-        if self._run is not None:
-            self._run.end(self.ended or 0)
-            self._run = None
-        if self.ended is None:
-            self.ended = 0
-            self.port.close()
+        """Shut down in an orderly way and close the records."""
+        if self.run is not None:
+            self.run.write_result_and_close(self.exit_code or 0)
+            self.run = None
+        if self.exit_code is None:
+            self._end(0)
 
-    def _once(self) -> None:
-        if self._run is not None:
-            self._fly(self._run)
-        elif self.port.current is not None:
-            self._begin()
-        else:
-            self._stand_by()
+    def _end(self, exit_code: int) -> None:
+        self.exit_code = exit_code
+        if self.port is not None:
+            self.port.close()  # the liveliness token ends with the process
 
-    def _stand_by(self) -> None:
+    def _load_assignment_or_run_standby_cycle(self, port: FleetPort) -> None:
+        options, settings = self._options, self._settings
+        if port.current is not None:
+            self._begin_flight_if_loaded(load_current_assignment(port, options, settings))
+            return
         if self._standby is None:
             codec = MavlinkCodec(datagrams=True)
-            options, settings = self._options, self._settings
-            self._standby = Standby(
-                self.port, self.link, codec, options, settings, clock_s=self.clock_s
-            )
-        if self._standby.turn() is not None:
+            self._standby = Standby(port, self.link, codec, options, settings, clock_s=self.clock_s)
+        if self._standby.run_receive_cycle() is not None:
             self._standby = None
 
-    def _begin(self) -> None:
-        loaded = take_up(self.port, self._options, self._settings)
+    def _begin_flight_if_loaded(self, loaded: LoadedFlight | None) -> None:
         if loaded is not None:
-            self._run = Run.begin(loaded, self._opened, port=self.port, wall_clock_s=self.clock_s)
+            self.run = Run.begin(
+                loaded, self._get_memory_link, port=self.port, wall_clock_s=self.clock_s
+            )
 
-    def _opened(self, url: str) -> Link:
+    def _get_memory_link(self, url: str) -> Link:
         return self.link
 
-    def _fly(self, run: Run) -> None:
-        code = run.step()
+    def _run_flight_cycle(self, run: Run) -> None:
+        code = run.run_cycle_and_get_exit_code()
         if code is None:
             return
-        run.end(code)
-        self._run = None
-        if code in (DONE, GROUNDED):
-            self.port.put_ashore()
+        run.write_result_and_close(code)
+        self.run = None
+        if code in (DONE, GROUNDED) and self.mission is None and self.port is not None:
+            self.port.unload_assignment()
         else:
-            self.ended = code
-            self.port.close()
+            self._end(code)

@@ -1,4 +1,4 @@
-"""The people of a simulated day who handle drones on the ground, and those of a depot.
+"""Ground handling of a simulated day: its interface, and the staff of a depot.
 
 Positions are NED metres about the day's depot.
 """
@@ -12,135 +12,153 @@ from companion.app.flight.fleet_port import STANDBY
 from companion.core.pilot.transitions import GROUND_PHASES, Phase
 from companion.fleet.messages import State
 from sim_bridge.app.day.clock import EPOCH_US
-from sim_bridge.app.day.drone import BY_HAND_AFTER_S, DayDrone
-from sim_bridge.app.day.truck import ON_PAD_M, Drive, DriverTask
+from sim_bridge.app.day.drone import MANUAL_DISARM_DELAY_S, DayDrone
+from sim_bridge.app.day.judge import Handover
+from sim_bridge.app.day.truck import PAD_SEARCH_RADIUS_M, Drive, DriverTask
 
-STANDS_RADIUS_M = 21.0
-"""Drones stand on a ring about the depot, six of them 21 m apart, so that two may climb and descend
-at once (`ground_station.core.deconfliction.pads`); a desk takes 30 m for being there."""
+PAD_RING_RADIUS_M = 21.0
+"""Radius of the ring of pads about the depot. Six pads are 21 m from each other, so that two drones
+may climb and descend at once (`ground_station.core.deconfliction.pads`; a pad's radius is 30 m)."""
 
-EVERY_S = 0.5
-"""They look so often; a companion takes seconds from its assignment until it is ready."""
+CHECK_INTERVAL_S = 0.5
+"""Interval of checks; a companion takes seconds from its assignment until it is ready."""
 
-BEFORE_ARMING = frozenset({STANDBY, *(p.value for p in GROUND_PHASES if p is not Phase.ARM)})
-"""What a companion tells while hands may be on its drone."""
+PRE_ARM_PHASES = frozenset({STANDBY, *(p.value for p in GROUND_PHASES if p is not Phase.ARM)})
+"""Reported phases in which a drone may be handled."""
 
-FETCH_MPS = 3.0
-"""People fetch a drone that is down elsewhere: through fields on foot, or around them by car."""
+FETCH_SPEED_MPS = 3.0
+"""Average speed to a drone that landed off its pad: on foot across fields, or by road."""
 
-NOTICED_S = 30.0
-"""A drone that is down and tells nothing is fetched after so long beyond `BY_HAND_AFTER_S`."""
+SILENT_DRONE_DELAY_S = 30.0
+"""A landed drone without a state report is fetched this long after `MANUAL_DISARM_DELAY_S`."""
 
 
-class GroundCrew(Protocol):
-    """Who puts drones out, loads parcels, fetches what is down; a truck's driver or a depot's."""
+class GroundHandling(Protocol):
+    """Places drones, loads parcels, fetches landed drones: a truck driver or depot staff."""
 
     drives: list[Drive]
-    done: list[DriverTask]
-    delivered: list[tuple[float, str]]
-    """When which order was handed over by the crew itself."""
+    finished_tasks: list[DriverTask]
+    delivered: list[Handover]
+    """Orders that the staff delivered without a drone."""
 
-    def turn(self, t_s: float) -> None:
-        """Do what is due now."""
+    def run_due_tasks(self, t_s: float) -> None:
+        """Carry out the tasks that are due at `t_s`."""
         ...
 
     @property
-    def at_rest(self) -> bool:
-        """Whether nothing is asked of them."""
+    def is_idle(self) -> bool:
+        """Whether no task is open."""
         ...
 
     def close(self) -> None:
-        """The day is over."""
+        """Release resources at the end of the day."""
         ...
 
 
 @dataclass(slots=True)
-class DepotCrew:
-    """Two hands for each drone of a depot without a truck.
+class DepotHandling:
+    """Staff of a depot without a truck; each drone has its own attendant.
 
-    A drone waits at its stand, switched on with a fresh pack. Somebody stands beside it who reads
-    the desk's screen: the parcel is on it as soon as it has taken an assignment, for with
-    `--auto-launch` the desk waits for nobody. What has flown is switched off where it is down and
-    is back at its stand, with another pack, `change_s` and the way later. No drone flies twice on
-    one pack. `states`: what drones tell, by name. `gone`: by order, whether its parcel was gone
-    from the drone that was fetched.
+    A drone waits on its pad, powered on with a charged pack. Its parcel is loaded as soon as it
+    has an assignment, because with `--auto-launch` the desk waits for no confirmation. After a
+    flight it is powered off where it landed. It is back on its pad, with another pack, after
+    `turnaround_s` plus the transport time. Each pack is used for one flight. `states`: last
+    reported states by name. `parcel_missing_by_order`: by order, whether the parcel was missing
+    from the fetched drone.
     """
 
     drones: list[DayDrone]
     payload_kg: Mapping[str, float]
     states: Mapping[str, State]
-    change_s: float
+    turnaround_s: float
     drives: list[Drive] = field(default_factory=list)
-    done: list[DriverTask] = field(default_factory=list)
-    delivered: list[tuple[float, str]] = field(default_factory=list)
-    gone: dict[str, bool] = field(default_factory=dict)
-    _back_s: dict[str, float] = field(default_factory=dict)
-    """When each drone that is switched off stands at its stand again."""
-    _due_s: float = 0.0
+    finished_tasks: list[DriverTask] = field(default_factory=list)
+    delivered: list[Handover] = field(default_factory=list)
+    parcel_missing_by_order: dict[str, bool] = field(default_factory=dict)
+    _return_due_s: dict[str, float] = field(default_factory=dict)
+    """Time at which each powered-off drone is back on its pad."""
+    _next_check_s: float = 0.0
 
     @property
-    def at_rest(self) -> bool:
-        """Nobody asks anything of them: what they do follows from the drones."""
+    def is_idle(self) -> bool:
+        """Always True: tasks follow from the drones, not from requests."""
         return True
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no resources are held."""
 
-    def turn(self, t_s: float) -> None:
-        """Look after each drone."""
-        if t_s < self._due_s:
+    def run_due_tasks(self, t_s: float) -> None:
+        """Handle each drone on the ground, at most once per `CHECK_INTERVAL_S`."""
+        if t_s < self._next_check_s:
             return
-        self._due_s = t_s + EVERY_S - 0.05
+        self._next_check_s = t_s + CHECK_INTERVAL_S - 0.05
         for number, drone in enumerate(self.drones):
-            if drone.up is None:
-                self._put_out(drone, number, t_s)
-            elif not drone.is_airborne and not drone.up.vehicle.is_crashed:
-                self._mind(drone, t_s)
+            if drone.power_cycle is None:
+                self._power_on_if_due(drone, number, t_s)
+            elif not drone.is_airborne and not drone.power_cycle.vehicle.is_crashed:
+                self._disarm_fetch_or_load_drone(drone, t_s)
 
-    def _put_out(self, drone: DayDrone, number: int, t_s: float) -> None:
-        if t_s >= self._back_s.get(drone.name, 0.0):
-            drone.switch_on(t_s, self._stand_ne_m(number), 0.0, None)
+    def _power_on_if_due(self, drone: DayDrone, number: int, t_s: float) -> None:
+        if t_s >= self._return_due_s.get(drone.name, 0.0):
+            drone.switch_on_at_pad(t_s, self._pad_ne_m(number), 0.0, None)
 
-    def _stand_ne_m(self, number: int) -> tuple[float, float]:
-        angle_rad = 2.0 * math.pi * number / len(self.drones)
-        return STANDS_RADIUS_M * math.cos(angle_rad), STANDS_RADIUS_M * math.sin(angle_rad)
+    def _pad_ne_m(self, pad_index: int) -> tuple[float, float]:
+        angle_rad = 2.0 * math.pi * pad_index / len(self.drones)
+        return PAD_RING_RADIUS_M * math.cos(angle_rad), PAD_RING_RADIUS_M * math.sin(angle_rad)
 
-    def _mind(self, drone: DayDrone, t_s: float) -> None:
-        assert drone.up is not None
-        state = self._told_since(drone, drone.up.t0_s)
-        if drone.wants_a_hand(t_s) and drone.standing_at(
-            t_s, (0.0, 0.0), STANDS_RADIUS_M + ON_PAD_M
+    def _disarm_fetch_or_load_drone(self, drone: DayDrone, t_s: float) -> None:
+        assert drone.power_cycle is not None
+        state = self._last_state_if_sent_since(drone, drone.power_cycle.t0_s)
+        if drone.needs_manual_disarm(t_s) and drone.can_driver_approach_on_ground(
+            t_s, (0.0, 0.0), PAD_RING_RADIUS_M + PAD_SEARCH_RADIUS_M
         ):
-            drone.disarm()
-        if drone.grounded_s(t_s) > 0.0:
-            if self._is_over(drone, state, t_s):
-                self._fetch(drone, t_s)
-        elif state is not None and state.phase in BEFORE_ARMING and state.order != drone.up.order:
-            drone.load(self.payload_kg.get(state.order or "", 0.0), state.order)
-            self.gone.pop(state.order or "", None)
+            drone.disarm_manually()
+        if drone.time_since_last_airborne_s(t_s) > 0.0:
+            if self._is_flight_over(drone, state, t_s):
+                self._switch_off_and_schedule_return(drone, t_s)
+        elif (
+            state is not None
+            and state.phase in PRE_ARM_PHASES
+            and state.order != drone.power_cycle.order
+        ):
+            drone.load_or_remove_parcel(self.payload_kg.get(state.order or "", 0.0), state.order)
+            self.parcel_missing_by_order.pop(state.order or "", None)
 
-    def _told_since(self, drone: DayDrone, since_s: float) -> State | None:
-        """Its newest state, if it is of this time at its stand."""
+    def _last_state_if_sent_since(self, drone: DayDrone, since_s: float) -> State | None:
+        """Return its last reported state if it was sent after `since_s`, or None."""
         state = self.states.get(drone.name)
-        wall_off_us = round(drone.wall_off_s * 1e6)
+        wall_off_us = round(drone.wall_clock_offset_s * 1e6)
         if state is None or state.epoch_us - wall_off_us - EPOCH_US < since_s * 1e6:
             return None
         return state
 
-    def _is_over(self, drone: DayDrone, state: State | None, t_s: float) -> bool:
-        """It is down and says that its flight is over, or has been down and silent for long."""
-        assert drone.up is not None
-        if not drone.standing_at(t_s, drone.up.vehicle.pos_ned_m[:2], ON_PAD_M):
+    def _is_flight_over(self, drone: DayDrone, state: State | None, t_s: float) -> bool:
+        """Return whether it has landed and reports standby, or has been silent on the ground."""
+        assert drone.power_cycle is not None
+        if not drone.can_driver_approach_on_ground(
+            t_s, drone.power_cycle.vehicle.pos_ned_m[:2], PAD_SEARCH_RADIUS_M
+        ):
             return False
-        told = drone.companion is not None and state is not None and state.phase == STANDBY
-        return told or drone.grounded_s(t_s) > BY_HAND_AFTER_S + NOTICED_S
+        reports_standby = (
+            drone.companion is not None and state is not None and state.phase == STANDBY
+        )
+        return (
+            reports_standby
+            or drone.time_since_last_airborne_s(t_s) > MANUAL_DISARM_DELAY_S + SILENT_DRONE_DELAY_S
+        )
 
-    def _fetch(self, drone: DayDrone, t_s: float) -> None:
-        assert drone.up is not None
-        away_m = math.hypot(*drone.up.vehicle.pos_ned_m[:2])
-        way_s = 0.0 if away_m <= ON_PAD_M else 2.0 * away_m / FETCH_MPS
-        self._back_s[drone.name] = t_s + way_s + self.change_s
-        if drone.up.order is not None:
-            self.gone[drone.up.order] = not drone.carries_parcel
-        self.done.append(DriverTask("fetch", "depot", drone.up.order, drone.name, t_s, t_s + way_s))
-        drone.switch_off()
+    def _switch_off_and_schedule_return(self, drone: DayDrone, t_s: float) -> None:
+        assert drone.power_cycle is not None
+        distance_m = math.hypot(*drone.power_cycle.vehicle.pos_ned_m[:2])
+        round_trip_s = (
+            0.0 if distance_m <= PAD_SEARCH_RADIUS_M else 2.0 * distance_m / FETCH_SPEED_MPS
+        )
+        self._return_due_s[drone.name] = t_s + round_trip_s + self.turnaround_s
+        if drone.power_cycle.order is not None:
+            self.parcel_missing_by_order[drone.power_cycle.order] = not drone.carries_parcel
+        self.finished_tasks.append(
+            DriverTask(
+                "fetch", "depot", drone.power_cycle.order, drone.name, t_s, t_s + round_trip_s
+            )
+        )
+        drone.switch_off_and_end_power_cycle()

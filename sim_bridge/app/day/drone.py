@@ -1,86 +1,71 @@
-"""One drone of the simulated day: powered off aboard the truck, or standing and flying.
+"""One drone of the simulated day: powered off on the truck, or powered on.
 
-Each time the driver puts it on a pad, it gets a pack from the shelf and boots there, with its
-companion. Positions are NED metres about the day's depot; time is the day's.
+Each time the driver places it on a pad, it gets a charged pack and boots there with its companion.
+Positions are NED metres about the day's depot. Times are the day's.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
-from sim_bridge.adapters.endpoint import bundled
 from sim_bridge.app.day.clock import EPOCH_US
+from sim_bridge.app.day.companion import SteppedCompanion
 from sim_bridge.app.day.judge import VehicleTrack
-from sim_bridge.app.day.take_over import TakeOver
-from sim_bridge.app.flight.operator import Operator
+from sim_bridge.app.link.operator import Operator
+from sim_bridge.app.world.companion_link import (
+    COMPANION_LINK,
+    OPERATOR_LINK,
+    CompanionLink,
+)
+from sim_bridge.app.world.safety_rules import TakeOver, format_sent_command
+from sim_bridge.app.world.truth_record import TruthRecord
+from sim_bridge.app.world.vehicle_host import (
+    Home,
+    VehicleHost,
+    power_up_vehicle,
+    true_reserve_wh,
+)
 from sim_bridge.autopilot.autopilot import Autopilot
 from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
-from sim_bridge.autopilot.mavlink.parameters import Parameter
-from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import AirframeTruth
 from sim_bridge.truth.terrain import Terrain
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import MeanWind
 from sim_bridge.truth.wind_params import WindParams, build_wind_field
 
-PHYSICS_STEP_S = 0.01
-RECORD_EVERY_STEPS = 20
-LINK, OPERATOR_LINK = 0, 1
 COMPANION_BOOT_S = 8.0
-"""From power-on to a companion on the network. A Raspberry Pi class computer takes 10 to 20 s; here
-it is less, to shorten the wait. The autopilot's own boot is simulated in parallel."""
+"""From power-on to a companion on the network. A Raspberry Pi class computer takes 10 to 20 s; this
+value is shorter, to save time. The autopilot's own boot is simulated in parallel."""
 
-BOOTED_S = 60.0
+BOOTED_AGE_S = 60.0
 """Time after power-on at which both autopilots' estimators are ready."""
 
-RESTART_S = 6.0
-"""systemd's 1 s delay plus the program's start (deploy/leeway-companion-fleet.service)."""
+RESTART_DELAY_S = 6.0
+"""systemd's restart delay of 1 s plus start-up (deploy/leeway-companion-fleet.service)."""
 
 
-class Companion(Protocol):
-    """The drone's companion, in this process or another."""
-
-    def hear(self, datagrams: list[bytes]) -> list[bytes]:
-        """Pass the autopilot's datagrams, its TIMESYNC request last; returns the replies."""
-        ...
-
-    def kill(self) -> None:
-        """SIGKILL."""
-        ...
-
-    def stop(self) -> None:
-        """Orderly shutdown."""
-        ...
-
-    @property
-    def running(self) -> bool:
-        """False once it has ended."""
-        ...
-
-
-BY_HAND_AFTER_S = 45.0
-"""By then the companion has given up its attempts to disarm (`touchdown`) and reported it."""
+MANUAL_DISARM_DELAY_S = 45.0
+"""After this time the companion has stopped trying to disarm and reported it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Later:
+class DelayedMeanWind:
     """The day's mean wind on the time axis of a vehicle powered on at `from_s`."""
 
     mean: MeanWind
     from_s: float
 
     def to_ne_mps(self, t_s: float) -> tuple[float, float]:
-        """Wind towards north and east, `t_s` after power-on."""
+        """Return the wind towards north and east, `time_since_power_on_s` after power-on."""
         return self.mean.to_ne_mps(self.from_s + t_s)
 
 
 @dataclass(frozen=True, slots=True)
 class DroneWorld:
-    """What all drones of a day share. `site`: depot latitude, longitude (deg), height AMSL (m).
+    """Data common to all drones of a day. `site`: latitude, longitude (deg), height AMSL (m).
 
     `air_temperature_c` None: each drone's own temperature.
     """
@@ -89,61 +74,68 @@ class DroneWorld:
     terrain: Terrain
     wind: WindParams
     mean: MeanWind
-    parameters: dict[str, dict[str, Parameter]]
     mavlink_loss: float = 0.0
     air_temperature_c: float | None = None
 
 
 @dataclass(slots=True)
-class PowerUp:
-    """One power cycle: vehicle, autopilot, pad and recorded track. `t0_s`: power-on time.
+class PowerCycle:
+    """One power cycle: vehicle, autopilot, pad and true trajectory in the day's time.
 
-    `rows`: time of day, north, east, down, airborne; five a second, from truth.
+    `t0_s`: power-on time.
     """
 
     t0_s: float
     pad_ne_m: tuple[float, float]
     order: str | None
-    charge_frac: float
-    vehicle: Vehicle
-    autopilot: Autopilot
-    rows: list[tuple[float, float, float, float, float]] = field(default_factory=list)
-    released_s: float | None = None
-    released_ned_m: tuple[float, float, float] | None = None
-    release_height_m: float | None = None
-    taken: TakeOver | None = None
-    steps: int = 0
-    last_airborne_s: float | None = None
-    """Of the newest record that has it in the air: a drone stands for hours, and is asked often."""
-    _loaded: bool = False
+    host: VehicleHost
+    link: CompanionLink
+    record: TruthRecord = field(default_factory=TruthRecord)
+
+    def __post_init__(self) -> None:
+        self.host.sample = self._record_truth_sample
+        self.record.has_parcel = self.vehicle.parcel_aboard
 
     @property
-    def t_s(self) -> float:
+    def vehicle(self) -> Vehicle:
+        """Physics of the vehicle."""
+        return self.host.vehicle
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Autopilot of the vehicle."""
+        return self.host.autopilot
+
+    @property
+    def time_since_power_on_s(self) -> float:
         """Seconds since power-on."""
-        return self.steps * PHYSICS_STEP_S
+        return self.host.t_s
 
-    def load(self, payload_kg: float, order: str | None) -> None:
-        """The parcel of another order is on it from now on, or none."""
-        self.vehicle.load(payload_kg)
-        self.order, self._loaded = order, self.vehicle.parcel_aboard
+    @property
+    def command_texts_after_takeover(self) -> list[str]:
+        """Descriptions of commands sent after the companion could know of a take-over."""
+        return [
+            format_sent_command((self.t0_s + t_s, name, number))
+            for t_s, name, number in self.link.late_commands
+        ]
 
-    def look(self) -> None:
-        """Record the true position, and the parcel's release if it happened."""
-        vehicle = self.vehicle
-        north, east, down = vehicle.pos_ned_m
-        t_s = self.t0_s + self.t_s
-        if self._loaded and not vehicle.parcel_aboard:
-            self.released_s, self.released_ned_m = t_s, (north, east, down)
-            self.release_height_m = vehicle.height_m
-        self._loaded = vehicle.parcel_aboard
-        if vehicle.is_airborne:
-            self.last_airborne_s = t_s
-        self.rows.append((t_s, north, east, down, float(vehicle.is_airborne)))
+    def load_or_remove_parcel(self, payload_kg: float, order_id: str | None) -> None:
+        """Load the parcel of another order, or none."""
+        self.vehicle.load_parcel(payload_kg)
+        self.order, self.record.has_parcel = order_id, self.vehicle.parcel_aboard
+
+    def _record_truth_sample(self) -> None:
+        self.record.append_sample_and_record_events(
+            self.t0_s + self.time_since_power_on_s,
+            self.vehicle.truth,
+            self.vehicle.height_m,
+            under_external_control=self.autopilot.is_under_external_control,
+        )
 
 
 @dataclass(slots=True)
 class DayDrone:
-    """`number` is its MAVLink system id. `up` is None while it is powered off aboard the truck."""
+    """A drone. `number`: MAVLink system id. `power_cycle` is None while it is powered off."""
 
     name: str
     number: int
@@ -151,247 +143,240 @@ class DayDrone:
     airframe: AirframeTruth
     temperature_c: float
     battery_health_frac: float
-    shelf_frac: tuple[float, float]
+    pack_charge_range_frac: tuple[float, float]
     world: DroneWorld
     folder: Path
     seeds: np.random.SeedSequence
-    start_companion: Callable[["DayDrone"], Companion]
-    companion: Companion | None = None
-    up: PowerUp | None = None
-    past: list[PowerUp] = field(default_factory=list)
-    companion_starts: int = 0
+    start_companion: Callable[["DayDrone"], SteppedCompanion]
+    companion: SteppedCompanion | None = None
+    power_cycle: PowerCycle | None = None
+    ended_power_cycles: list[PowerCycle] = field(default_factory=list)
+    companion_start_count: int = 0
     companion_due_s: float | None = None
     lost_frames: int = 0
-    disarmed_by_hand: int = 0
-    wall_off_s: float = 0.0
-    """How far its companion's wall clock is ahead of the day's."""
-    ended_by_itself: list[float] = field(default_factory=list)
-    """When a companion ended that nobody had killed or switched off."""
+    manual_disarm_count: int = 0
+    wall_clock_offset_s: float = 0.0
+    """Offset of its companion's wall clock from the day's (positive: fast)."""
+    unexpected_exit_times_s: list[float] = field(default_factory=list)
+    """Times at which a companion ended without a kill or power-off."""
     _loss_rng: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
         (child,) = self.seeds.spawn(1)
         self._loss_rng = np.random.default_rng(child)
 
-    # --- the driver's hands --------------------------------------------------------------------
+    # --- ground handling -----------------------------------------------------------------------
 
     @property
     def carries_parcel(self) -> bool:
-        """Whether the parcel is attached, as the driver sees it."""
-        return self.up is not None and self.up.vehicle.parcel_aboard
+        """Whether the parcel is attached, as visible to the driver."""
+        return self.power_cycle is not None and self.power_cycle.vehicle.parcel_aboard
 
-    def switch_on(
+    def switch_on_at_pad(
         self,
         t_s: float,
         pad_ne_m: tuple[float, float],
         payload_kg: float,
-        order: str | None,
+        order_id: str | None,
         *,
-        booted: bool = False,
+        already_booted: bool = False,
     ) -> None:
-        """Power on at its pad, with a parcel and a pack from the shelf.
+        """Power on at a pad, with a parcel and a charged pack.
 
-        `booted`: autopilot and companion have already booted.
+        `already_booted`: autopilot and companion have already booted.
         """
-        self.switch_off()
+        self.switch_off_and_end_power_cycle()
         charge_seed, gust_seed, sensor_seed = self.seeds.spawn(3)
-        charge_frac = float(np.random.default_rng(charge_seed).uniform(*self.shelf_frac))
+        charge_frac = float(
+            np.random.default_rng(charge_seed).uniform(*self.pack_charge_range_frac)
+        )
         world = self.world
         wind = build_wind_field(
-            world.wind, Later(world.mean, t_s), np.random.default_rng(gust_seed)
+            world.wind, DelayedMeanWind(world.mean, t_s), np.random.default_rng(gust_seed)
         )
-        vehicle = Vehicle(
+        host = power_up_vehicle(
+            AutopilotKind(self.autopilot_kind),
             self.airframe,
-            wind,
-            np.random.default_rng(sensor_seed),
+            home=Home(*world.site),
+            wind_field=wind,
+            seed=sensor_seed,
+            system_id=self.number,
+            boot_age_s=BOOTED_AGE_S if already_booted else 0.0,
+            epoch_unix_s=EPOCH_US / 1e6 + t_s,  # GNSS time is the same for all drones
             terrain=world.terrain,
             payload_kg=payload_kg,
             charge_frac=charge_frac,
             temperature_c=self.temperature_c,
             air_temperature_c=world.air_temperature_c,
             battery_health_frac=self.battery_health_frac,
-            depot_alt_amsl_m=world.site[2],
             start_ne_m=pad_ne_m,
         )
-        autopilot = Autopilot(
-            AutopilotKind(self.autopilot_kind),
-            world.site,
-            world.parameters[self.autopilot_kind],
-            system_id=self.number,
-            boot_age_s=BOOTED_S if booted else 0.0,
-            epoch_unix_s=EPOCH_US / 1e6 + t_s,  # GNSS time is common to all
+        host.autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD)
+        loses_frame = self._draw_and_count_frame_loss if world.mavlink_loss > 0.0 else None
+        link = CompanionLink(host, self.number, draw_frame_loss=loses_frame, records_commands=False)
+        self.power_cycle = PowerCycle(t_s, pad_ne_m, order_id, host, link)
+        self.companion_due_s = t_s if already_booted else t_s + COMPANION_BOOT_S
+
+    def load_or_remove_parcel(self, payload_kg: float, order_id: str | None) -> None:
+        """Load the parcel of an order, or unload it (`order_id` None), while powered on."""
+        assert self.power_cycle is not None
+        self.power_cycle.load_or_remove_parcel(payload_kg, order_id)
+
+    def switch_off_and_end_power_cycle(self) -> None:
+        """Power off autopilot and companion; an armed autopilot is disarmed manually first."""
+        self.manual_disarm_count += (
+            self.power_cycle is not None and self.power_cycle.autopilot.is_armed
         )
-        autopilot.add_link(LINK, LinkKind.ONBOARD)
-        self.up = PowerUp(t_s, pad_ne_m, order, charge_frac, vehicle, autopilot)
-        self.companion_due_s = t_s if booted else t_s + COMPANION_BOOT_S
-
-    def load(self, payload_kg: float, order: str | None) -> None:
-        """Put the parcel of an order on it, or take off what is on it; it stands switched on."""
-        assert self.up is not None
-        self.up.load(payload_kg, order)
-
-    def switch_off(self) -> None:
-        """Power off autopilot and companion; an armed autopilot is disarmed by hand first."""
-        self.disarmed_by_hand += self.up is not None and self.up.autopilot.is_armed
         if self.companion is not None:
             self.companion.kill()
             self.companion = None
         self.companion_due_s = None
-        if self.up is not None:
-            self.past.append(self.up)
-            self.up = None
+        if self.power_cycle is not None:
+            self.ended_power_cycles.append(self.power_cycle)
+            self.power_cycle = None
 
     # --- time ----------------------------------------------------------------------------------
 
-    def advance(self, t_s: float, steps: int) -> None:
-        """Fly this many physics steps, then exchange messages; `t_s` is the time after them."""
-        up = self.up
-        if up is None:
+    def advance_and_exchange_messages(self, end_time_s: float, physics_steps: int) -> None:
+        """Advance by `physics_steps` physics steps, then exchange messages;
+        `time_since_power_on_s`: time after the steps.
+        """
+        power_cycle = self.power_cycle
+        if power_cycle is None:
             return
-        vehicle, autopilot = up.vehicle, up.autopilot
-        for _ in range(steps):
-            autopilot.step(vehicle.step(autopilot.actuation, PHYSICS_STEP_S), PHYSICS_STEP_S)
-            up.steps += 1
-            if up.steps % RECORD_EVERY_STEPS == 0:
-                up.look()
-        self._mind_companion(t_s)
-        self._talk(up, t_s)
+        power_cycle.host.advance(physics_steps)
+        self._record_exit_and_start_companion_if_due(end_time_s)
+        self._exchange_messages(power_cycle, end_time_s)
 
-    def _mind_companion(self, t_s: float) -> None:
-        if self.companion is not None and not self.companion.running:
+    def _record_exit_and_start_companion_if_due(self, t_s: float) -> None:
+        if self.companion is not None and not self.companion.is_running:
             self.companion = None
-            self.companion_due_s = t_s + RESTART_S
-            self.ended_by_itself.append(t_s)
+            self.companion_due_s = t_s + RESTART_DELAY_S
+            self.unexpected_exit_times_s.append(t_s)
         if self.companion_due_s is not None and t_s >= self.companion_due_s:
             self.companion_due_s = None
-            self.companion_starts += 1
+            self.companion_start_count += 1
             self.companion = self.start_companion(self)
 
-    def _talk(self, up: PowerUp, t_s: float) -> None:
-        said = _to_companion(up)
+    def _exchange_messages(self, power_cycle: PowerCycle, t_s: float) -> None:
         if self.companion is None:
+            power_cycle.link.discard_companion_frames()
             return
-        heard = bundled(frame for frame in said if not self._is_lost())
-        up.autopilot.request_timesync(LINK, round(up.t_s * 1e9))
-        heard += _to_companion(up)  # sent within the same instant
-        if up.taken is not None:
-            up.taken.reaches_companion(t_s, heard)
-        for datagram in self.companion.hear(heard):
-            if up.taken is not None:
-                up.taken.leaves_companion(t_s, datagram)
-            if not self._is_lost():
-                up.autopilot.receive(LINK, datagram)
+        datagrams = power_cycle.link.take_datagrams_for_companion(
+            round(power_cycle.time_since_power_on_s * 1e9)
+        )
+        if power_cycle.link.takeover is not None:
+            power_cycle.link.takeover.record_reported_modes(
+                power_cycle.time_since_power_on_s, self.autopilot_kind, datagrams
+            )
+        for datagram in self.companion.process_datagrams(datagrams):
+            power_cycle.link.pass_datagram_to_autopilot(datagram)
 
-    def _is_lost(self) -> bool:
-        lost = self.world.mavlink_loss > 0.0 and self._loss_rng.random() < self.world.mavlink_loss
+    def _draw_and_count_frame_loss(self) -> bool:
+        lost = self._loss_rng.random() < self.world.mavlink_loss
         self.lost_frames += lost
         return lost
 
-    def track(self, up: PowerUp, reserve_frac: float) -> VehicleTrack:
-        """The track of one power cycle, for the judge."""
-        rows = np.asarray(up.rows, float).reshape(-1, 5)
-        truth = up.vehicle.truth
-        pack = Battery(
-            self.airframe.battery,
-            temperature_c=self.temperature_c,
-            health_frac=self.battery_health_frac,
+    def build_vehicle_track(self, power_cycle: PowerCycle, reserve_frac: float) -> VehicleTrack:
+        """Return the track of one power cycle for the verdict."""
+        vehicle, takeover = power_cycle.vehicle, power_cycle.link.takeover
+        reserve_wh = true_reserve_wh(
+            vehicle, self.airframe, self.temperature_c, self.battery_health_frac, reserve_frac
         )
-        reserve_wh = reserve_frac * pack.usable_wh(up.vehicle.reference_draw_w)
         return VehicleTrack(
             vehicle=self.name,
             autopilot=self.autopilot_kind,
-            order=up.order,
-            pad_ne_m=up.pad_ne_m,
-            t_s=rows[:, 0],
-            ned_m=rows[:, 1:4],
-            airborne=rows[:, 4],
-            energy_used_wh=truth.energy_used_wh,
-            margin_wh=truth.usable_wh - reserve_wh,
-            crashed=truth.crashed,
-            released_s=up.released_s,
-            released_ned_m=up.released_ned_m,
-            release_height_m=up.release_height_m,
-            taken_s=None if up.taken is None else up.taken.taken_s,
+            order=power_cycle.order,
+            record=power_cycle.record,
+            reserve_wh=reserve_wh,
+            override_time_s=None
+            if takeover is None or takeover.start_s is None
+            else power_cycle.t0_s + takeover.start_s,
         )
 
-    def ground_takes_over(self, t_s: float) -> None:
-        """A person at a second ground station orders the autopilot home."""
-        assert self.up is not None
-        self.up.taken = TakeOver(self.autopilot_kind, t_s)
-        self._order(Operator(self.number).mode_change(self.autopilot_kind))
+    def command_rtl_from_second_station(self, t_s: float) -> None:
+        """Command return to launch from a second ground station."""
+        assert self.power_cycle is not None
+        self.power_cycle.link.takeover = TakeOver(t_s - self.power_cycle.t0_s)
+        self.power_cycle.link.records_commands = True
+        self._send_frames_as_second_station(
+            Operator(self.number).rtl_command_frames(self.autopilot_kind)
+        )
 
-    def _order(self, frames: list[bytes]) -> None:
-        """What a second ground station tells its autopilot."""
-        assert self.up is not None
-        autopilot = self.up.autopilot
+    def _send_frames_as_second_station(self, frames: list[bytes]) -> None:
+        """Send frames of a second ground station to the autopilot."""
+        assert self.power_cycle is not None
+        autopilot = self.power_cycle.autopilot
         autopilot.add_link(OPERATOR_LINK, LinkKind.GCS)
         for frame in frames:
-            autopilot.receive(OPERATOR_LINK, frame)
+            autopilot.process_received_datagram(OPERATOR_LINK, frame)
 
-    def disarm(self) -> None:
-        """Somebody beside it disarms what has landed and stays armed, and leaves it switched on."""
-        self._order(Operator(self.number).disarm())
-        self.disarmed_by_hand += 1
+    def disarm_manually(self) -> None:
+        """Disarm a landed drone that stays armed, as its attendant; it stays powered on."""
+        self._send_frames_as_second_station(Operator(self.number).forced_disarm_command_frames())
+        self.manual_disarm_count += 1
 
-    def kill_companion(self, t_s: float) -> None:
-        """SIGKILL; it restarts after RESTART_S, as its service does."""
+    def kill_companion_and_schedule_restart(self, t_s: float) -> None:
+        """Kill the companion (SIGKILL); its service restarts it after RESTART_S."""
         if self.companion is not None:
             self.companion.kill()
             self.companion = None
-            self.companion_due_s = t_s + RESTART_S
+            self.companion_due_s = t_s + RESTART_DELAY_S
 
     # --- state ---------------------------------------------------------------------------------
 
     @property
-    def power_ups(self) -> list[PowerUp]:
-        """Every time that it stood or flew, the present one last."""
-        return [*self.past, *([self.up] if self.up is not None else [])]
+    def all_power_cycles(self) -> list[PowerCycle]:
+        """All power cycles; the current one is the last."""
+        return [
+            *self.ended_power_cycles,
+            *([self.power_cycle] if self.power_cycle is not None else []),
+        ]
 
     @property
-    def is_taken_over(self) -> bool:
-        """Whether a person has taken it over since it was put out."""
-        return self.up is not None and self.up.taken is not None
+    def is_overridden_by_pilot(self) -> bool:
+        """Whether a pilot override has occurred in this power cycle."""
+        return self.power_cycle is not None and self.power_cycle.link.takeover is not None
 
     @property
     def is_airborne(self) -> bool:
-        """Whether it is in the air now."""
-        return self.up is not None and self.up.vehicle.is_airborne
+        """Whether it is airborne now."""
+        return self.power_cycle is not None and self.power_cycle.vehicle.is_airborne
 
-    def airborne_s(self, t_s: float) -> float:
-        """How long (s) it has been in the air; 0 on the ground."""
-        rows = self.up.rows if self.up is not None else []
-        began_s = t_s
-        for row in reversed(rows):
-            if not row[4]:
-                break
-            began_s = row[0]
-        return t_s - began_s
+    def time_since_takeoff_s(self, t_s: float) -> float:
+        """Return the time (s) since take-off; 0 on the ground."""
+        since_s = None if self.power_cycle is None else self.power_cycle.record.airborne_since_s
+        return 0.0 if since_s is None else t_s - since_s
 
-    def standing_at(self, t_s: float, ne_m: tuple[float, float], within_m: float) -> bool:
-        """Whether a driver may approach it there: disarmed, or on the ground long enough.
+    def can_driver_approach_on_ground(
+        self, t_s: float, search_centre_ne_m: tuple[float, float], search_radius_m: float
+    ) -> bool:
+        """Return whether a driver may approach it there: disarmed, or landed for long enough.
 
-        An ArduCopter that misses its landing (measured, with wind on the ground) stays armed at
-        idle, and its companion reports "disarm by hand". The driver then does so.
+        An ArduCopter that does not detect its landing (measured, with wind on the ground) stays
+        armed at idle, and its companion reports "disarm by hand". The driver then disarms it.
         """
-        up = self.up
-        if up is None or self.is_airborne:
+        power_cycle = self.power_cycle
+        if power_cycle is None or self.is_airborne:
             return False
-        if up.autopilot.is_armed and self.grounded_s(t_s) < BY_HAND_AFTER_S:
+        if (
+            power_cycle.autopilot.is_armed
+            and self.time_since_last_airborne_s(t_s) < MANUAL_DISARM_DELAY_S
+        ):
             return False
-        return math.dist(up.vehicle.pos_ned_m[:2], ne_m) <= within_m
+        return math.dist(power_cycle.vehicle.pos_ned_m[:2], search_centre_ne_m) <= search_radius_m
 
-    def wants_a_hand(self, t_s: float) -> bool:
-        """It has landed and stays armed, and its companion has said so: "disarm by hand"."""
-        up = self.up
-        if up is None or self.is_airborne or not up.autopilot.is_armed:
+    def needs_manual_disarm(self, t_s: float) -> bool:
+        """Return whether it is landed but armed, so that its companion reports "disarm by hand"."""
+        power_cycle = self.power_cycle
+        if power_cycle is None or self.is_airborne or not power_cycle.autopilot.is_armed:
             return False
-        return not up.vehicle.is_crashed and self.grounded_s(t_s) >= BY_HAND_AFTER_S
+        return (
+            not power_cycle.vehicle.is_crashed
+            and self.time_since_last_airborne_s(t_s) >= MANUAL_DISARM_DELAY_S
+        )
 
-    def grounded_s(self, t_s: float) -> float:
-        """How long (s) it has been on the ground; 0 if it has not flown."""
-        last = None if self.up is None else self.up.last_airborne_s
+    def time_since_last_airborne_s(self, t_s: float) -> float:
+        """Return the time (s) since the last flight; 0 if it has not flown."""
+        last = None if self.power_cycle is None else self.power_cycle.record.last_airborne_s
         return t_s - last if last is not None else 0.0
-
-
-def _to_companion(up: PowerUp) -> list[bytes]:
-    return [frame for link, frame in up.autopilot.take_outbox() if link == LINK]

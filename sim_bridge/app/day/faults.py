@@ -1,33 +1,32 @@
-"""What is asked of a day beside its orders: its wind, and the faults that are drawn for it."""
+"""Options of a simulated day besides its orders: wind and injected faults."""
 
-from collections.abc import Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-AUTOPILOTS = ("px4", "ardupilot")
+from sim_bridge.autopilot.kinds import AUTOPILOTS
 
-KILLED_WITHIN = (0.1, 0.7)
-"""Fault times as fractions of the planned duration, while something is running."""
+FAULT_WINDOW_FRAC = (0.1, 0.7)
+"""Range of fault times as fractions of the planned duration."""
 
-CUT_S = (15.0, 180.0)
-"""How long the fleet's network is cut: from a passing shadow to some minutes. Shorter gaps are what
-`loss` is for; liveliness ends after 10 s."""
+NETWORK_CUT_RANGE_S = (15.0, 180.0)
+"""Range of durations of a network cut, from brief shadowing to minutes. `loss` covers shorter gaps;
+liveliness ends after 10 s."""
 
-MEMBER_CUT_S = (61.0, 300.0)
-"""How long one member is cut off: its radio, not the network; from a minute to a whole flight."""
+MEMBER_CUT_RANGE_S = (61.0, 300.0)
+"""Range of durations of one member's radio outage, from a minute to a whole flight."""
 
-STORE_AWAY_S = (5.0, 180.0)
-"""A service starts a server again within seconds; a disk that is full waits for a person."""
+STORE_OUTAGE_RANGE_S = (5.0, 180.0)
+"""Range of database outages: a service restarts a server in seconds; a full disk takes longer."""
 
 
 @dataclass(frozen=True, slots=True)
-class DayWish:
-    """Command-line options of a day's world. `truck`: drones ride on one; else they start from the
-    depot. `least_cut_s`: the shortest cut of the network. `passing_front_mps`: a gust front of so
-    much passes over the site, reaching its middle at `front_at_s`. `shares_wind`: the desk heeds
-    what drones tell of the wind.
+class DayWorldOptions:
+    """Command-line options of a day's world. `truck`: a truck carries the drones; otherwise they
+    start from the depot. `least_cut_s`: shortest network cut. `passing_front_mps`: strength of a
+    gust front that reaches the centre of the site at `front_at_s`. `shares_wind`: the desk uses
+    wind reports from drones.
     """
 
     wind_log: Path | None = None
@@ -38,96 +37,93 @@ class DayWish:
     truck_late_s: float = 0.0
     network_cuts: int = 0
     take_overs: int = 0
-    front_mps: float = 0.0
     autopilots: tuple[str, ...] = AUTOPILOTS
     truck: bool = True
     store_outages: int = 0
     member_cuts: int = 0
-    least_cut_s: float = CUT_S[0]
+    least_cut_s: float = NETWORK_CUT_RANGE_S[0]
     passing_front_mps: float = 0.0
     front_at_s: float = 900.0
     shares_wind: bool = True
 
 
-Lasting = tuple[float, float]
-"""When a fault begins, and how long it lasts (s)."""
+DESK_KILLS, COMPANION_KILLS, TAKE_OVERS = "desk_kills", "companion_kills", "take_overs"
+STORE_OUTAGES, NETWORK_CUTS, MEMBER_CUTS = "store_outages", "network_cuts", "member_cuts"
+
+FaultTime = tuple[float, float]
+"""Begin and duration of a fault (s; 0 for a fault without duration)."""
 
 
 @dataclass(slots=True)
 class Faults:
-    """Faults to inject, drawn before the day as fractions of its planned duration.
+    """Faults to inject into a day, by kind.
 
-    `log`: what was done, and when. Those with a duration are pairs, the second in s.
+    `drawn`: begins as fractions of the planned duration, by kind. `due`: pending faults, with times
+    in s. `log`: times and descriptions of injected faults.
     """
 
-    ground_kills: list[float] = field(default_factory=list)
-    companion_kills: list[float] = field(default_factory=list)
-    log: list[tuple[float, str]] = field(default_factory=list)
+    drawn: dict[str, list[FaultTime]] = field(default_factory=dict)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    ground_kills_s: list[float] = field(default_factory=list)
-    companion_kills_s: list[float] = field(default_factory=list)
-    network_cuts: list[Lasting] = field(default_factory=list)
-    """When the fleet's network is cut, and for how long (s)."""
-    take_overs: list[float] = field(default_factory=list)
-    store_outages: list[Lasting] = field(default_factory=list)
-    """When the desk's store goes away, and for how long (s)."""
-    member_cuts: list[Lasting] = field(default_factory=list)
-    """When one member is cut off, and for how long (s)."""
-    network_cuts_s: list[Lasting] = field(default_factory=list)
-    take_overs_s: list[float] = field(default_factory=list)
-    store_outages_s: list[Lasting] = field(default_factory=list)
-    member_cuts_s: list[Lasting] = field(default_factory=list)
+    due: dict[str, list[FaultTime]] = field(default_factory=dict)
+    log: list[tuple[float, str]] = field(default_factory=list)
+    longest_cut_s: float = 0.0
+    """Duration of the longest injected cut, of the network or of a member."""
 
-    cut_s: float = 0.0
-    """The longest cut that was done, of the network or of a member."""
+    def schedule_drawn_faults(self, makespan_s: float) -> None:
+        """Convert the drawn fractions to times for this planned duration."""
+        self.due = {
+            kind: [(share * makespan_s, for_s) for share, for_s in drawn]
+            for kind, drawn in self.drawn.items()
+        }
 
-    def spread_over(self, makespan_s: float) -> None:
-        """Convert the fractions to times, once the planned duration is known."""
-        self.ground_kills_s = [share * makespan_s for share in self.ground_kills]
-        self.companion_kills_s = [share * makespan_s for share in self.companion_kills]
-        self.take_overs_s = [share * makespan_s for share in self.take_overs]
-        self.network_cuts_s = _spread(self.network_cuts, makespan_s)
-        self.store_outages_s = _spread(self.store_outages, makespan_s)
-        self.member_cuts_s = _spread(self.member_cuts, makespan_s)
+    def next_fault_if_due(self, kind: str, t_s: float) -> FaultTime | None:
+        """Return the next fault of this kind if it is due at `earliest_time_s`;
+        `remove_and_log_injected_fault` removes it.
+        """
+        scheduled = self.due.get(kind)
+        return scheduled[0] if scheduled and t_s >= scheduled[0][0] else None
+
+    def remove_and_log_injected_fault(self, kind: str, t_s: float, description: str) -> None:
+        """Record that the next fault of this kind has been injected."""
+        self.due[kind].pop(0)
+        self.log.append((t_s, description))
+
+    def postpone_faults_of_kind(self, kind: str, earliest_time_s: float) -> None:
+        """Postpone the faults of this kind until `earliest_time_s` at least."""
+        self.due[kind] = [
+            (max(at_s, earliest_time_s), for_s) for at_s, for_s in self.due.get(kind, [])
+        ]
 
     @property
-    def came(self) -> dict[str, int]:
-        """How many of each kind were done; what is left came too late, the day was over."""
-        drawn_and_left: dict[str, tuple[Sized, Sized]] = {
-            "desk_kills": (self.ground_kills, self.ground_kills_s),
-            "companion_kills": (self.companion_kills, self.companion_kills_s),
-            "store_outages": (self.store_outages, self.store_outages_s),
-            "network_cuts": (self.network_cuts, self.network_cuts_s),
-            "member_cuts": (self.member_cuts, self.member_cuts_s),
-            "take_overs": (self.take_overs, self.take_overs_s),
-        }
-        return {kind: len(drawn) - len(left) for kind, (drawn, left) in drawn_and_left.items()}
+    def injected_count_by_kind(self) -> dict[str, int]:
+        """Number of injected faults per kind; the others were due after the end of the day."""
+        return {kind: len(drawn) - len(self.due[kind]) for kind, drawn in self.drawn.items()}
 
 
-def _spread(faults: list[Lasting], makespan_s: float) -> list[Lasting]:
-    return [(share * makespan_s, for_s) for share, for_s in faults]
-
-
-def draw_faults(wish: DayWish, rng: np.random.Generator) -> Faults:
-    """The faults of one day. What is new is drawn last: older days stay what they were."""
-    ground = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.ground_kills))
-    companions = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.companion_kills))
-    cuts = _drawn(rng, wish.network_cuts, (wish.least_cut_s, CUT_S[1]))
-    taken = sorted(float(share) for share in rng.uniform(*KILLED_WITHIN, wish.take_overs))
-    outages = _drawn(rng, wish.store_outages, STORE_AWAY_S)
-    member_cuts = _drawn(rng, wish.member_cuts, MEMBER_CUT_S)
-    return Faults(
-        ground,
-        companions,
-        rng=rng,
-        network_cuts=cuts,
-        take_overs=taken,
-        store_outages=outages,
-        member_cuts=member_cuts,
+def draw_faults(world_options: DayWorldOptions, rng: np.random.Generator) -> Faults:
+    """Draw the faults of one day. New kinds are drawn last, which keeps the earlier draws."""
+    kinds = (
+        (DESK_KILLS, world_options.ground_kills, None),
+        (COMPANION_KILLS, world_options.companion_kills, None),
+        (
+            NETWORK_CUTS,
+            world_options.network_cuts,
+            (world_options.least_cut_s, NETWORK_CUT_RANGE_S[1]),
+        ),
+        (TAKE_OVERS, world_options.take_overs, None),
+        (STORE_OUTAGES, world_options.store_outages, STORE_OUTAGE_RANGE_S),
+        (MEMBER_CUTS, world_options.member_cuts, MEMBER_CUT_RANGE_S),
     )
+    return Faults({kind: _draw_fault_times(rng, count, for_s) for kind, count, for_s in kinds}, rng)
 
 
-def _drawn(rng: np.random.Generator, count: int, for_s: tuple[float, float]) -> list[Lasting]:
+def _draw_fault_times(
+    rng: np.random.Generator, count: int, duration_range_s: tuple[float, float] | None
+) -> list[FaultTime]:
     return sorted(
-        (float(rng.uniform(*KILLED_WITHIN)), float(rng.uniform(*for_s))) for _ in range(count)
+        (
+            float(rng.uniform(*FAULT_WINDOW_FRAC)),
+            0.0 if duration_range_s is None else float(rng.uniform(*duration_range_s)),
+        )
+        for _ in range(count)
     )

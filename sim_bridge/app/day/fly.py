@@ -1,6 +1,5 @@
-"""Days planned, flown and stored in their folders; a finished day is not flown again."""
+"""Plan, fly and store days in their folders; a finished day is not repeated."""
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -9,103 +8,111 @@ from typing import Any
 
 from rich.console import Console
 
-from companion.adapters.files.params import params_dir
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.day_state import first_state
-from sim_bridge.app.day.build import BuiltDay, here
-from sim_bridge.app.day.desk import DeskHere
-from sim_bridge.app.day.faults import DayWish
-from sim_bridge.app.day.processes import DeskProcess, apart
-from sim_bridge.app.day.report import watched
-from sim_bridge.app.day.run import RESULT, DayOptions, DeskSeat, fly_day
-from sim_bridge.app.flight.series import PROGRAM
+from ground_station.core.schema.day_state import initial_state
+from sim_bridge.app.day.desk import SteppedDesk
+from sim_bridge.app.day.faults import DayWorldOptions
+from sim_bridge.app.day.report import day_progress_view
+from sim_bridge.app.day.run import (
+    DAY_TIME_LIMIT_S,
+    RESULT,
+    DayOptions,
+    fly_day_and_write_result,
+)
+from sim_bridge.app.day.world import DayWorld, SimulatedDesk
+from sim_bridge.app.flight.run_folder import compute_inputs_digest
 
-LONGEST_S = 5400.0
-"""Time limit of a day: a day should take at most one hour; this is 1.5 times that."""
-
-SETTINGS = "settings"
+SETTINGS_KEY = "settings"
 
 
 @dataclass(frozen=True, slots=True)
-class Flyer:
-    """Plans and flies days. `settings` is the digest of all files, options and code of a day."""
+class DayRunner:
+    """Plans and flies days. `settings`: digest of all files, options and code of a day."""
 
     console: Console
-    path: Path
     data: DayData
-    wish: DayWish
+    world_options: DayWorldOptions
     trials: int | None
-    runs: Path
+    output_dir: Path
     settings: str
-    processes: bool = False
 
-    def row(self, seed: int, *, picture: bool) -> dict[str, Any]:
-        """One day's result row: read from its finished folder, or flown now."""
-        folder = self.runs / f"day-{self.data.day.name}{self._marks()}-seed{seed}"
-        known = finished(folder, self.settings)
-        if known is not None:
-            self.console.print(f"{folder}: finished before, not flown again", highlight=False)
-            return known
+    def read_or_fly_day_result_row(self, seed: int, *, draws_picture: bool) -> dict[str, Any]:
+        """Return a day's result row: read from its finished folder, or flown now."""
+        folder = (
+            self.output_dir
+            / f"day-{self.data.day.name}{self._fault_options_folder_suffix()}-seed{seed}"
+        )
+        finished_row = read_result_row_if_settings_match(folder, self.settings)
+        if finished_row is not None:
+            self.console.print(f"{folder}: already finished, not repeated", highlight=False)
+            return finished_row
         options = DayOptions(
             name=self.data.day.name,
             data=self.data,
-            wish=self.wish,
+            world_options=self.world_options,
             seed=seed,
             folder=folder,
-            limit_s=LONGEST_S,
             settings=self.settings,
-            picture=picture,
+            picture=draws_picture,
         )
-        with watched(self.console, f"{self.data.day.name}, seed {seed}", LONGEST_S) as view:
+        with day_progress_view(
+            self.console, f"{self.data.day.name}, seed {seed}", DAY_TIME_LIMIT_S
+        ) as view:
 
-            def take_seat(built: BuiltDay, where: Path) -> DeskSeat:
-                plan = self._planned(built.data, seed, view.planning)
-                view.expect(plan.makespan_s)
-                if self.processes:
-                    return DeskProcess.open(self.path, built, plan, where)
-                return DeskHere.open(built, plan, where, seed, self.trials)
+            def plan_day_and_open_desk(world: DayWorld, day_folder: Path) -> SimulatedDesk:
+                plan = plan_whole_day(world.data, seed, self.trials, view.show_planning_progress)
+                view.set_expected_duration(plan.makespan_s)
+                return SteppedDesk.start_truck_desk(world, plan, day_folder, seed, self.trials)
 
-            loss = self.wish.loss
-            plumb = apart(folder, loss) if self.processes else here(loss, folder)
-            return fly_day(options, plumb, take_seat, view.update)
+            return fly_day_and_write_result(
+                options, plan_day_and_open_desk, view.show_progress_and_continue
+            )
 
-    def _marks(self) -> str:
-        """Folder name suffix that states the faults and the mode."""
-        wish = self.wish
+    def _fault_options_folder_suffix(self) -> str:
+        """Return the folder name suffix that states the faults."""
+        world_options = self.world_options
         marks: dict[str, float] = {
-            "loss": wish.loss,
-            "companions": wish.companion_kills,
-            "ground": wish.ground_kills,
-            "late": wish.truck_late_s,
-            "front": wish.passing_front_mps,
+            "loss": world_options.loss,
+            "companions": world_options.companion_kills,
+            "ground": world_options.ground_kills,
+            "late": world_options.truck_late_s,
+            "front": world_options.passing_front_mps,
         }
-        apart_ = "-processes" * self.processes + "-forecast" * (not wish.shares_wind)
-        return apart_ + "".join(f"-{name}{value:g}" for name, value in marks.items() if value)
-
-    def _planned(self, data: DayData, seed: int, tell: Callable[[float, float], None]) -> DayPlan:
-        return plan_day(data, first_state(data), PlanParams(trials=self.trials, seed=seed), tell)
+        return "-forecast" * (not world_options.shares_wind) + "".join(
+            f"-{name}{value:g}" for name, value in marks.items() if value
+        )
 
 
-def finished(folder: Path, settings: str) -> dict[str, Any] | None:
-    """The row of a day flown with these settings; None if there is none."""
+def plan_whole_day(
+    data: DayData,
+    seed: int,
+    trials: int | None,
+    report_progress: Callable[[float, float], None] = lambda done_frac, best_s: None,
+) -> DayPlan:
+    """Plan a day from its start."""
+    return plan_day(
+        data, initial_state(data), PlanParams(trials=trials, seed=seed), report_progress
+    )
+
+
+def read_result_row_if_settings_match(
+    folder: Path, expected_settings_digest: str
+) -> dict[str, Any] | None:
+    """Return the result row of a day flown with these settings, or None."""
     try:
         row = json.loads((folder / RESULT).read_text())
     except (OSError, json.JSONDecodeError):
         return None
-    same = isinstance(row, dict) and row.get(SETTINGS) == settings
+    same = isinstance(row, dict) and row.get(SETTINGS_KEY) == expected_settings_digest
     return row if same else None
 
 
-def settings_of(path: Path, wish: DayWish, trials: int | None) -> str:
-    """Digest of everything that determines a day except its seed: files, options, program."""
-    options = {k: str(v) for k, v in asdict(wish).items()} | {"trials": str(trials)}
-    digest = hashlib.sha256(json.dumps(options, sort_keys=True).encode())
-    named = [wish.wind_log, wish.wind_table]
-    files = [*path.parent.glob("*"), *params_dir().rglob("*"), *(p for p in named if p is not None)]
-    for package in ("companion", "ground_station", "sim_bridge"):
-        files += (PROGRAM / package).rglob("*.py")
-    for file in sorted(p for p in files if p.is_file()):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()[:12]
+def compute_day_inputs_digest(
+    day_file: Path, world_options: DayWorldOptions, planning_trials: int | None
+) -> str:
+    """Return the digest of all inputs of a day except its seed: files, options, program."""
+    options = asdict(world_options) | {"trials": planning_trials}
+    files = [value for value in options.values() if isinstance(value, Path)]
+    return compute_inputs_digest(options, [*day_file.parent.glob("*"), *files])

@@ -1,4 +1,4 @@
-"""Simulated days on the terminal: a progress line during the flight, then tables."""
+"""Terminal output of simulated days: a progress line during the flight, then tables."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,46 +9,52 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from sim_bridge.app.day.world import DayWorld
-from sim_bridge.app.flight.report import slim_table
+from sim_bridge.app.flight.report import borderless_table
 
-LINE_EVERY_S = 300.0
+LINE_INTERVAL_S = 300.0
 
 
 @dataclass(slots=True)
 class DayView:
-    """A bar on a terminal; on anything else a line every five minutes of the day."""
+    """Progress bar on a terminal; otherwise a line every five minutes of the day."""
 
     console: Console
     bar: Progress
     task: TaskID
-    _next_line_s: float = field(default=LINE_EVERY_S)
+    _next_line_s: float = field(default=LINE_INTERVAL_S)
 
-    def planning(self, done_frac: float, best_s: float) -> None:
-        """Show how far the plan is."""
-        self.bar.update(self.task, said=f"planning: {done_frac:.0%}, {best_s / 60.0:.1f} min")
+    def show_planning_progress(self, done_frac: float, best_makespan_s: float) -> None:
+        """Show the progress of planning."""
+        self.bar.update(
+            self.task, said=f"planning: {done_frac:.0%}, {best_makespan_s / 60.0:.1f} min"
+        )
 
-    def expect(self, makespan_s: float) -> None:
-        """The day is planned to take so long."""
+    def set_expected_duration(self, makespan_s: float) -> None:
+        """Set the planned duration of the day."""
         self.bar.update(self.task, total=makespan_s)
 
-    def update(self, world: DayWorld) -> bool:
-        """Show where the day is; goes on."""
-        flying = [drone.name for drone in world.drones if drone.is_airborne]
+    def show_progress_and_continue(self, world: DayWorld) -> bool:
+        """Show the progress of the day. Returns True: the day continues."""
+        airborne = [drone.name for drone in world.drones if drone.is_airborne]
         released = sum(
-            up.released_s is not None for drone in world.drones for up in drone.power_ups
+            up.record.released_s is not None
+            for drone in world.drones
+            for up in drone.all_power_cycles
         )
-        brought = released + len(world.crew.delivered)
-        words = f"{brought} brought; in the air: {' '.join(flying) or 'none'}"
-        self.bar.update(self.task, completed=world.clock.t_s, said=words)
+        delivered_count = released + len(world.ground_handling.delivered)
+        message = f"{delivered_count} delivered; airborne: {' '.join(airborne) or 'none'}"
+        self.bar.update(self.task, completed=world.clock.t_s, said=message)
         if not self.console.is_terminal and world.clock.t_s >= self._next_line_s:
-            self._next_line_s += LINE_EVERY_S
-            self.console.print(f"{world.clock.t_s / 60.0:5.0f} min: {words}", highlight=False)
+            self._next_line_s += LINE_INTERVAL_S
+            self.console.print(f"{world.clock.t_s / 60.0:5.0f} min: {message}", highlight=False)
         return True
 
 
 @contextmanager
-def watched(console: Console, name: str, expected_s: float) -> Iterator[DayView]:
-    """A day's view while it is flown."""
+def day_progress_view(
+    console: Console, day_title: str, expected_duration_s: float
+) -> Iterator[DayView]:
+    """Yield the progress view of a day while it is flown."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -58,13 +64,13 @@ def watched(console: Console, name: str, expected_s: float) -> Iterator[DayView]
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
     ) as bar:
-        yield DayView(console, bar, bar.add_task(name, total=expected_s, said=""))
+        yield DayView(console, bar, bar.add_task(day_title, total=expected_duration_s, said=""))
 
 
-def print_day(console: Console, row: dict[str, Any]) -> None:
-    """One day: its flights, and what it came to."""
-    table = slim_table(
-        f"{row['day']}, seed {row['seed']}: flights by truth",
+def print_day_flights_and_summary(console: Console, result_row: dict[str, Any]) -> None:
+    """Print one day: its flights and its summary."""
+    table = borderless_table(
+        f"{result_row['day']}, seed {result_row['seed']}: flights by truth",
         ("drone", "left"),
         ("autopilot", "left"),
         ("order", "left"),
@@ -75,7 +81,7 @@ def print_day(console: Console, row: dict[str, Any]) -> None:
         ("used\nWh", "right"),
         ("above\nreserve", "right"),
     )
-    for flight in row["flights"]:
+    for flight in result_row["flights"]:
         land_s = flight["land_s"]
         table.add_row(
             flight["vehicle"],
@@ -89,55 +95,56 @@ def print_day(console: Console, row: dict[str, Any]) -> None:
             f"{flight['margin_wh']:+.0f}",
         )
     console.print(table)
-    for words in summary(row):
-        console.print(words, highlight=False)
+    for message in day_summary_lines(result_row):
+        console.print(message, highlight=False)
 
 
-def summary(row: dict[str, Any]) -> list[str]:
-    """What a day came to, in lines."""
-    ended = "" if row["ended"] else "; BROKEN OFF at its limit"
+def day_summary_lines(result_row: dict[str, Any]) -> list[str]:
+    """Return the summary of a day as lines."""
+    ended = "" if result_row["ended"] else "; STOPPED at the time limit"
     lines = [
-        f"{row['delivered']} of {row['orders']} orders delivered ({row['by_truck']} by the truck)"
-        f" in {row['duration_s'] / 60.0:.1f} min, {len(row['flights'])} flights,"
-        f" {row['energy_used_wh']:.0f} Wh{ended}"
+        f"{result_row['delivered']} of {result_row['orders']} orders delivered"
+        f" ({result_row['by_truck']} by the truck)"
+        f" in {result_row['duration_s'] / 60.0:.1f} min, {len(result_row['flights'])} flights,"
+        f" {result_row['energy_used_wh']:.0f} Wh{ended}"
     ]
-    for line in row["undelivered"]:
+    for line in result_row["undelivered"]:
         kind = "NOT DELIVERED" if line["feasible"] else "never feasible"
         lines.append(f"  {line['order']}: {kind}: {line['why']}")
-    near = row["nearest"]
+    near = result_row["nearest"]
     if near is not None:
         lines.append(
-            f"nearest two in the air: {near['distance_m']:.1f} m ({near['horizontal_m']:.1f} level,"
-            f" {near['vertical_m']:.1f} up), {' and '.join(near['vehicles'])} at"
-            f" {near['t_s'] / 60.0:.1f} min"
+            f"minimum separation: {near['distance_m']:.1f} m ("
+            f"{near['horizontal_m']:.1f} horizontal, {near['vertical_m']:.1f} vertical),"
+            f" {' and '.join(near['vehicles'])} at {near['t_s'] / 60.0:.1f} min"
         )
     for title, key in (
-        ("not home", "lost"),
-        ("brought or flown twice", "flown_twice"),
+        ("lost flight", "lost"),
+        ("delivered or flown twice", "flown_twice"),
         ("promise broken", "promises_broken"),
-        ("the desk holds something else than what was so", "believed_otherwise"),
+        ("desk record differs from truth", "believed_otherwise"),
     ):
-        lines += [f"{title}: {words}" for words in row[key]]
-    if row["what_went_wrong"]:
-        lines.append("put into the day: " + "; ".join(row["what_went_wrong"]))
-    sent, lost = row["messages"]["sent"], row["messages"]["lost"]
+        lines += [f"{title}: {message}" for message in result_row[key]]
+    if result_row["what_went_wrong"]:
+        lines.append("injected faults: " + "; ".join(result_row["what_went_wrong"]))
+    sent, lost = result_row["messages"]["sent"], result_row["messages"]["lost"]
     if lost:
         share = lost / max(sent, 1)
         lines.append(
             f"{lost} of {sent} fleet messages lost ({share:.0%}),"
-            f" {row['frames_lost']} MAVLink frames"
+            f" {result_row['frames_lost']} MAVLink frames"
         )
-    spent = row["spent"]
+    run_time = result_row["spent"]
     lines.append(
-        f"{row['duration_s'] / max(spent['cpu_s'], 1e-9):.1f} times real time by this process's CPU"
-        f" ({spent['cpu_s']:.0f} s; {spent['wall_s']:.0f} s by the wall)"
+        f"{result_row['duration_s'] / max(run_time['cpu_s'], 1e-9):.1f} times real time by this"
+        f" process's CPU ({run_time['cpu_s']:.0f} s; {run_time['wall_s']:.0f} s wall time)"
     )
     return lines
 
 
-def print_days(console: Console, rows: list[dict[str, Any]]) -> None:
-    """Several days, a line each."""
-    table = slim_table(
+def print_days_table(console: Console, result_rows: list[dict[str, Any]]) -> None:
+    """Print several days, one line each."""
+    table = borderless_table(
         "simulated days by truth",
         ("seed", "right"),
         ("delivered\nof feasible", "right"),
@@ -151,7 +158,7 @@ def print_days(console: Console, rows: list[dict[str, Any]]) -> None:
         ("minutes", "right"),
         ("x real\ntime", "right"),
     )
-    for row in rows:
+    for row in result_rows:
         near, margin = row["separation_min_m"], row["margin_min_wh"]
         table.add_row(
             str(row["seed"]),

@@ -1,4 +1,4 @@
-"""One simulated day from its orders to its verdict, and the files it leaves in its folder."""
+"""One simulated day from its orders to its verdict, with its result files."""
 
 import contextlib
 import json
@@ -6,27 +6,30 @@ import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
-import numpy as np
 
-from companion.adapters.clock import cpu_s
-from companion.core.base.geo import LocalFrame, place_ned
+from companion.adapters.clock import process_cpu_time_s
+from companion.adapters.files.atomic_file import write_text_atomically
+from companion.core.base.geo import LocalFrame, location_to_ground_ned_m
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.order_states import OrderState
+from ground_station.core.schema.orders import OrderRow
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.app.day.build import BuiltDay, Plumb, build_day
+from sim_bridge.app.day.build import build_day
 from sim_bridge.app.day.drone import DayDrone
-from sim_bridge.app.day.faults import DayWish
-from sim_bridge.app.day.judge import DayFacts, DayVerdict, Pad, judge_day
-from sim_bridge.app.day.picture import DayScene, draw_day
+from sim_bridge.app.day.faults import DayWorldOptions
+from sim_bridge.app.day.judge import DayTruth, DayVerdict, Pad, evaluate_day
+from sim_bridge.app.day.picture import write_day_picture
 from sim_bridge.app.day.store_host import StoreHost
-from sim_bridge.app.day.world import DayWorld, Seat
+from sim_bridge.app.day.world import DayWorld, DeskRecord, SimulatedDesk
+from sim_bridge.app.flight.own_record import round_or_none
 
 RESULT, PICTURE = "day.json", "day.png"
 FORMAT = "simulated-day/1"
-NO_FAULTS = (
+NON_FAULT_OPTIONS = (
     "wind_log",
     "wind_table",
     "autopilots",
@@ -35,43 +38,13 @@ NO_FAULTS = (
     "front_at_s",
     "shares_wind",
 )
-"""What a wish says beside the faults."""
+"""Fields of `DayWorldOptions` that are not faults."""
 
-EXPECTED_S = 3600.0
-"""Wind (s) that a day needs; beyond it, a recording's last value is held."""
+DAY_TIME_LIMIT_S = 5400.0
+"""Time limit of a day: 1.5 times the intended maximum of one hour."""
 
-
-class DeskSeat(Seat, Protocol):
-    """A desk, and what it can be asked once the day is over."""
-
-    @property
-    def plans(self) -> list[DayPlan]:
-        """All plans of the day, the first and the replans."""
-        ...
-
-    @property
-    def told(self) -> dict[str, str]:
-        """The desk's state of each order, and the reason."""
-        ...
-
-    @property
-    def brought_by(self) -> dict[str, str]:
-        """Who brought each order that the desk has as delivered; the truck among them."""
-        ...
-
-    @property
-    def impossible(self) -> frozenset[str]:
-        """Orders that could not be brought on this day from its start."""
-        ...
-
-    @property
-    def ended_by_itself(self) -> list[str]:
-        """Each time that it ended and nobody had killed it, with the reason."""
-        ...
-
-    def close(self) -> None:
-        """Orderly shutdown."""
-        ...
+WIND_DURATION_S = 3600.0
+"""Duration of wind (s) that a day needs; a recording's last value is held afterwards."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,118 +53,112 @@ class DayOptions:
 
     name: str
     data: DayData
-    wish: DayWish
+    world_options: DayWorldOptions
     seed: int
     folder: Path
-    limit_s: float
-    settings: str
-    picture: bool = True
+    limit_s: float = DAY_TIME_LIMIT_S
+    settings: str = ""
+    """Digest of all inputs but the seed, to know a finished day again."""
+    picture: bool = False
 
 
-def fly_day(
+def fly_day_and_write_result(
     options: DayOptions,
-    plumb: Plumb,
-    take_seat: Callable[[BuiltDay, Path], DeskSeat],
-    progress: Callable[[DayWorld], bool],
-    store: StoreHost | None = None,
+    start_desk: Callable[[DayWorld, Path], SimulatedDesk],
+    should_continue: Callable[[DayWorld], bool],
+    store_host: StoreHost | None = None,
 ) -> dict[str, Any]:
-    """Fly the day to its end; returns its result row, which is also written to the folder.
+    """Fly the day to its end; return its result row and write it to the folder.
 
-    `store`: the desk's, which goes away where the wish says so; None: none goes away.
+    `store_host`: server of the desk's database, for injected outages; None: no outages.
     """
     folder = options.folder
     if folder.exists():
         shutil.rmtree(folder)  # left by an interrupted run; the same seed flies the same day
     folder.mkdir(parents=True)
-    need_s = min(options.limit_s, EXPECTED_S)
-    with contextlib.ExitStack() as stack:  # each is closed even if another fails to
-        made = build_day(options.data, options.wish, options.seed, folder, need_s, plumb)
-        stack.callback(made.plumbing.close)
-        stack.callback(made.crew.close)
-        for drone in made.drones:
-            stack.callback(drone.switch_off)
-        seat = take_seat(made, folder)  # plans the day: may take minutes and be interrupted
-        stack.callback(seat.close)
-        world = DayWorld(
-            made.clock, made.plumbing, made.drones, made.crew, seat, made.faults, store, made.front
-        )
-        stack.callback(world.bring_store_back)
-        began_wall_s, began_cpu_s = wall_s(), cpu_s()
-        ended = world.run(options.limit_s, progress)
-        world.bring_store_back()
-        spent = {"wall_s": wall_s() - began_wall_s, "cpu_s": cpu_s() - began_cpu_s}
-        row = _conclude(options, made, world, seat, ended=ended) | {"spent": spent}
+    need_s = min(options.limit_s, WIND_DURATION_S)
+    with contextlib.ExitStack() as stack:  # closes each even if another fails to close
+        world = build_day(options.data, options.world_options, options.seed, folder, need_s)
+        world.store = store_host
+        stack.callback(world.ground_handling.close)
+        for drone in world.drones:
+            stack.callback(drone.switch_off_and_end_power_cycle)
+        world.desk = start_desk(world, folder)  # may take minutes and be interrupted: it plans
+        stack.callback(world.desk.close)
+        stack.callback(world.end_store_outage)
+        start_wall_s, start_cpu_s = wall_s(), process_cpu_time_s()
+        ended = world.run_until_over(options.limit_s, should_continue)
+        world.end_store_outage()
+        run_time = {"wall_s": wall_s() - start_wall_s, "cpu_s": process_cpu_time_s() - start_cpu_s}
+        row = _evaluate_and_draw_day(options, world, ended=ended) | {"spent": run_time}
     text = json.dumps(row, indent=1, allow_nan=False)
-    fresh = folder / f"{RESULT}.new"
-    fresh.write_text(text + "\n")
-    fresh.replace(folder / RESULT)
+    write_text_atomically(folder / RESULT, text + "\n", sync_folder=False)
     return row
 
 
-def _conclude(
-    options: DayOptions, built: BuiltDay, world: DayWorld, seat: DeskSeat, *, ended: bool
-) -> dict[str, Any]:
-    mission = built.data.day.mission
+def _evaluate_and_draw_day(options: DayOptions, world: DayWorld, *, ended: bool) -> dict[str, Any]:
+    mission, desk = world.data.day.mission, world.desk.build_desk_record()
     tracks = [
-        drone.track(up, mission.reserve_frac)
-        for drone in built.drones
-        for up in drone.power_ups
-        if up.rows
+        drone.build_vehicle_track(up, mission.reserve_frac)
+        for drone in world.drones
+        for up in drone.all_power_cycles
+        if up.record.rows
     ]
-    judged = DayFacts(
-        customers=built.customers,
+    day_truth = DayTruth(
+        customers=world.customers,
         drop_height_m=mission.drop_height_m,
         tracks=tracks,
-        stands=world.stands,
-        pads=_pads(built.frame, seat.plans) if options.wish.truck else _at_depot(built.drones),
-        homes=world.homes,
-        served=world.served,
-        rally=[place_ned(built.frame, place)[:2] for place in built.data.day.rally],
+        parked_intervals=world.truck_parked_intervals,
+        pads=_planned_pads(world.frame, desk.plans)
+        if options.world_options.truck
+        else _depot_pads(world.drones),
+        home_reports=world.home_reports,
+        handovers=world.ground_handling.delivered,
+        rally=[
+            location_to_ground_ned_m(world.frame, position)[:2] for position in world.data.day.rally
+        ],
     )
-    verdict = judge_day(judged)
+    verdict = evaluate_day(day_truth)
     if options.picture:
-        _draw(options, built, world, judged, verdict)
-    return _row(options, built, world, seat, verdict, ended=ended)
+        _draw_picture(options, world, day_truth, verdict)
+    return _result_row(options, world, desk, verdict, ended=ended)
 
 
-def _pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
+def _planned_pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
     found = {
-        Pad(stop.id, vehicle, place_ned(frame, place)[:2])
+        Pad(stop.id, vehicle, location_to_ground_ned_m(frame, position)[:2])
         for plan in plans
         for stop in plan.stops
-        for vehicle, place in stop.pads.items()
+        for vehicle, position in stop.pads.items()
     }
     return sorted(found, key=lambda pad: (pad.stop, pad.vehicle, pad.ne_m))
 
 
-def _at_depot(drones: list[DayDrone]) -> list[Pad]:
-    """Without a truck each lands where it took off."""
-    return [Pad("depot", drone.name, up.pad_ne_m) for drone in drones for up in drone.power_ups]
+def _depot_pads(drones: list[DayDrone]) -> list[Pad]:
+    """Return the pads of a depot: each drone lands at its take-off position."""
+    return [
+        Pad("depot", drone.name, up.pad_ne_m) for drone in drones for up in drone.all_power_cycles
+    ]
 
 
-def _row(
+def _result_row(
     options: DayOptions,
-    built: BuiltDay,
     world: DayWorld,
-    seat: DeskSeat,
+    desk: DeskRecord,
     verdict: DayVerdict,
     *,
     ended: bool,
 ) -> dict[str, Any]:
-    told, by = seat.told, verdict.delivered
-    orders = [order.id for order in built.data.orders]
-    infeasible = seat.impossible
+    vehicle_by_order = verdict.delivered
+    orders = [order.id for order in world.data.orders]
+    infeasible = desk.infeasible_orders
     undelivered = [
-        {
-            "order": id_,
-            "feasible": id_ not in infeasible,
-            "why": told.get(id_, "unknown to the desk"),
-        }
+        {"order": id_, "feasible": id_ not in infeasible, **_order_state_fields(desk, id_)}
         for id_ in orders
-        if id_ not in by
+        if id_ not in vehicle_by_order
     ]
-    near = verdict.nearest
-    plans = seat.plans
+    near = verdict.minimum_separation
+    plans = desk.plans
     return {
         "format": FORMAT,
         "settings": options.settings,
@@ -199,104 +166,113 @@ def _row(
         "seed": options.seed,
         "ended": ended,
         "duration_s": round(world.clock.t_s, 1),
-        "faults": _faults(options.wish),
+        "faults": _enabled_fault_options(options.world_options),
         "orders": len(orders),
         "feasible": len(orders) - len(infeasible),
-        "delivered": len(by),
-        "by_truck": sum(who == "truck" for who in by.values()),
+        "delivered": len(vehicle_by_order),
+        "by_truck": sum(carrier == "truck" for carrier in vehicle_by_order.values()),
         "undelivered": undelivered,
-        "believed_otherwise": believed_otherwise(orders, by, told, seat.brought_by),
-        "vehicles": len(built.drones),
-        "vehicles_lost": len(verdict.lost),
-        "lost": verdict.lost,
-        "flown_twice": verdict.twice,
-        "promises_broken": verdict.broken,
+        "believed_otherwise": find_orders_with_wrong_desk_record(
+            orders, vehicle_by_order, desk.orders, desk.delivered_by
+        ),
+        "vehicles": len(world.drones),
+        "vehicles_lost": len(verdict.lost_flights),
+        "lost": verdict.lost_flights,
+        "flown_twice": verdict.duplicate_orders,
+        "promises_broken": verdict.broken_promises,
         "separation_min_m": None if near is None else round(near.distance_m, 2),
-        "separation_horizontal_min_m": _rounded(verdict.nearest_horizontal_m),
+        "separation_horizontal_min_m": round_or_none(verdict.nearest_horizontal_m, 2),
         "nearest": None if near is None else asdict(near),
-        "margin_min_wh": _rounded(min((f.margin_wh for f in verdict.flights), default=None)),
+        "margin_min_wh": round_or_none(
+            min((f.margin_wh for f in verdict.flights), default=None), 2
+        ),
         "energy_used_wh": round(sum(f.energy_used_wh for f in verdict.flights), 1),
-        "flights": [_flight_row(asdict(flight)) for flight in verdict.flights],
+        "flights": [_round_flight_values(asdict(flight)) for flight in verdict.flights],
         "truck": [
-            {"stop": s.stop, "arrive_s": round(s.arrived_s, 1), "depart_s": _time(s.left_s)}
-            for s in world.stands
+            {
+                "stop": s.stop,
+                "arrive_s": round(s.arrived_s, 1),
+                "depart_s": _round_finite_time_or_none(s.left_s),
+            }
+            for s in world.truck_parked_intervals
         ],
-        "messages": {"sent": built.plumbing.network.sent, "lost": built.plumbing.network.lost},
-        "frames_lost": sum(drone.lost_frames for drone in built.drones),
-        "disarmed_by_hand": sum(drone.disarmed_by_hand for drone in built.drones),
+        "messages": {"sent": world.bus.sent, "lost": world.bus.lost},
+        "frames_lost": sum(drone.lost_frames for drone in world.drones),
+        "disarmed_by_hand": sum(drone.manual_disarm_count for drone in world.drones),
         "commands_after_take_over": [
-            f"{drone.name}: {words}"
-            for drone in built.drones
-            for up in drone.power_ups
-            if up.taken is not None
-            for words in up.taken.commands
+            f"{drone.name}: {message}"
+            for drone in world.drones
+            for up in drone.all_power_cycles
+            for message in up.command_texts_after_takeover
         ],
         "ended_by_themselves": [
             f"companion of {drone.name} at {t_s:.1f} s"
-            for drone in built.drones
-            for t_s in drone.ended_by_itself
+            for drone in world.drones
+            for t_s in drone.unexpected_exit_times_s
         ]
-        + seat.ended_by_itself,
-        "powered_h": round(sum(up.t_s for d in built.drones for up in d.power_ups) / 3600.0, 4),
-        "companions_started": sum(drone.companion_starts for drone in built.drones),
-        "what_went_wrong": [f"{t_s:.0f} s: {words}" for t_s, words in world.faults.log],
-        "faults_came": world.faults.came,
-        "longest_cut_s": round(world.faults.cut_s, 1),
+        + desk.unexpected_exits,
+        "powered_h": round(
+            sum(up.time_since_power_on_s for d in world.drones for up in d.all_power_cycles)
+            / 3600.0,
+            4,
+        ),
+        "companions_started": sum(drone.companion_start_count for drone in world.drones),
+        "what_went_wrong": [f"{t_s:.0f} s: {message}" for t_s, message in world.faults.log],
+        "faults_came": world.faults.injected_count_by_kind,
+        "longest_cut_s": round(world.faults.longest_cut_s, 1),
         "replans": max(len(plans) - 1, 0),
-        "shares_wind": built.shares_wind,
-        "front": None if built.front is None else asdict(built.front),
+        "shares_wind": world.shares_wind,
+        "front": None if world.front is None else asdict(world.front),
         "plan": msgspec.to_builtins(plans[0]) if plans else None,
         "run": str(options.folder),
     }
 
 
-def believed_otherwise(
-    orders: list[str], by: dict[str, str], told: dict[str, str], brought_by: dict[str, str]
+def _order_state_fields(desk: DeskRecord, order: str) -> dict[str, str]:
+    if order not in desk.orders:
+        return {"state": "unknown", "why": "unknown to the desk"}
+    row = desk.orders[order]
+    return {"state": row.state.value, "why": f"{row.state.value} {row.reason}".strip()}
+
+
+def find_orders_with_wrong_desk_record(
+    orders: list[str],
+    vehicle_by_order: dict[str, str],
+    recorded_orders: dict[str, OrderRow],
+    recorded_vehicle_by_order: dict[str, str],
 ) -> list[str]:
-    """Orders whose state at the desk, or who it says brought them, differs from the truth."""
+    """Return orders whose state or delivering vehicle in the desk's record differs from truth."""
     return [
         id_
         for id_ in orders
-        if (id_ in by) != told.get(id_, "").startswith("delivered")
-        or brought_by.get(id_) not in (None, by.get(id_))
+        if (id_ in vehicle_by_order)
+        != (id_ in recorded_orders and recorded_orders[id_].state is OrderState.DELIVERED)
+        or recorded_vehicle_by_order.get(id_) not in (None, vehicle_by_order.get(id_))
     ]
 
 
-def _flight_row(flight: dict[str, Any]) -> dict[str, Any]:
+def _round_flight_values(flight: dict[str, Any]) -> dict[str, Any]:
     return {k: round(v, 2) if isinstance(v, float) else v for k, v in flight.items()}
 
 
-def _faults(wish: DayWish) -> dict[str, Any]:
-    return {k: v for k, v in asdict(wish).items() if k not in NO_FAULTS and v}
+def _enabled_fault_options(world_options: DayWorldOptions) -> dict[str, Any]:
+    return {k: v for k, v in asdict(world_options).items() if k not in NON_FAULT_OPTIONS and v}
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 2)
-
-
-def _time(t_s: float) -> float | None:
+def _round_finite_time_or_none(t_s: float) -> float | None:
     return None if t_s == float("inf") else round(t_s, 1)
 
 
-def _draw(
-    options: DayOptions, built: BuiltDay, world: DayWorld, judged: DayFacts, verdict: DayVerdict
+def _draw_picture(
+    options: DayOptions, world: DayWorld, day_truth: DayTruth, verdict: DayVerdict
 ) -> None:
-    rings = built.data.obstacles(built.frame)
-    brought, orders = len(verdict.delivered), len(built.customers)
+    delivered_count, orders = len(verdict.delivered), len(world.customers)
     flights = len(verdict.flights)
-    nearest = verdict.nearest
-    apart = "" if nearest is None else f", never nearer than {nearest.distance_m:.1f} m"
-    drawn = DayScene(
-        title=f"{options.name}, seed {options.seed}: {brought} of {orders} orders in"
-        f" {world.clock.t_s / 60.0:.0f} min, {flights} flights, {len(verdict.lost)} lost{apart}",
-        customers=built.customers,
-        tracks=judged.tracks,
-        drives=built.crew.drives,
-        stands=world.stands,
-        tasks=built.crew.done,
-        verdict=verdict,
-        ended_s=world.clock.t_s,
-        faults=world.faults.log,
-        no_fly_ne_m=[np.array(ring.ring_ne_m) for ring in rings],
+    nearest = verdict.minimum_separation
+    separation_text = "" if nearest is None else f", minimum separation {nearest.distance_m:.1f} m"
+    title = (
+        f"{options.name}, seed {options.seed}: {delivered_count} of {orders} orders in"
+        f" {world.clock.t_s / 60.0:.0f} min, {flights} flights, {len(verdict.lost_flights)}"
+        f" lost{separation_text}"
     )
-    draw_day(options.folder / PICTURE, drawn)
+    write_day_picture(options.folder / PICTURE, title, world, day_truth, verdict)

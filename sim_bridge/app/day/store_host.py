@@ -1,74 +1,74 @@
-"""Where a simulated desk keeps its store, and how that goes away and comes back."""
+"""Database hosts of a simulated desk, with outages and recovery."""
 
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from ground_station.adapters.store.database import BUSY_MS
+from ground_station.adapters.store.database import LOCK_TIMEOUT_MS
 from sim_bridge.adapters.postgres_server import PostgresServer
 
-LOCKED_MS = 20
-"""A desk on a locked SQLite file waits so long instead of `BUSY_MS`: the day's clock stands still
-meanwhile, so that a longer wait would only cost time."""
+SIMULATED_LOCK_TIMEOUT_MS = 20
+"""Lock timeout of a desk on SQLite, instead of `LOCK_TIMEOUT_MS`: the day's clock is stopped during
+the wait, so that a longer timeout would only cost time."""
 
 
 class StoreHost(Protocol):
-    """A desk's store from without. `busy_ms`: how long a desk waits for one that is locked."""
+    """External control of a desk's database. `lock_timeout_ms`: the desk's lock timeout."""
 
     @property
     def url(self) -> str: ...
     @property
-    def busy_ms(self) -> int: ...
-    def take_away(self) -> str:
-        """From now on nothing can be written; returns what was done, in words."""
+    def lock_timeout_ms(self) -> int: ...
+    def start_outage_and_describe(self) -> str:
+        """Make the database unwritable; return a description of the fault."""
         ...
 
-    def bring_back(self) -> None:
-        """It works again; nothing that was committed is lost. No effect where it works."""
+    def end_outage(self) -> None:
+        """Restore the database with all committed data. No effect without an outage."""
         ...
 
 
 @dataclass(slots=True)
 class SqliteHost:
-    """A file. Away: somebody else has it locked for writing, and reads work, as on a full disk."""
+    """SQLite file. An outage is another connection's write lock; reads work, as on a full disk."""
 
     folder: Path
-    busy_ms: int = LOCKED_MS
-    _other: sqlite3.Connection | None = field(default=None, repr=False)
+    lock_timeout_ms: int = SIMULATED_LOCK_TIMEOUT_MS
+    _locking_connection: sqlite3.Connection | None = field(default=None, repr=False)
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """Database URL."""
         return f"sqlite:///{self.folder / 'desk.db'}"
 
-    def take_away(self) -> str:
-        """Lock it."""
-        self._other = sqlite3.connect(self.folder / "desk.db", isolation_level=None)
-        self._other.execute("BEGIN IMMEDIATE")
+    def start_outage_and_describe(self) -> str:
+        """Lock the file for writing."""
+        self._locking_connection = sqlite3.connect(self.folder / "desk.db", isolation_level=None)
+        self._locking_connection.execute("BEGIN IMMEDIATE")
         return "the store is locked"
 
-    def bring_back(self) -> None:
-        """Unlock it."""
-        if self._other is not None:
-            self._other.close()
-            self._other = None
+    def end_outage(self) -> None:
+        """Release the lock."""
+        if self._locking_connection is not None:
+            self._locking_connection.close()
+            self._locking_connection = None
 
 
 @dataclass(slots=True)
 class PostgresHost:
-    """A database of a server of the day's own. Away: the server is killed (SIGKILL)."""
+    """Database on the day's own PostgreSQL server. An outage kills the server (SIGKILL)."""
 
     server: PostgresServer
     url: str
-    busy_ms: int = BUSY_MS
+    lock_timeout_ms: int = LOCK_TIMEOUT_MS
 
-    def take_away(self) -> str:
-        """Kill it."""
+    def start_outage_and_describe(self) -> str:
+        """Kill the server."""
         self.server.kill()
         return "PostgreSQL killed"
 
-    def bring_back(self) -> None:
-        """Start it again on its data."""
+    def end_outage(self) -> None:
+        """Restart the server on its data."""
         if self.server.pid is None:
-            self.server.start()
+            self.server.start_and_wait_until_ready()

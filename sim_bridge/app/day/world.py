@@ -1,4 +1,7 @@
-"""The simulated day: drones, truck, network and desk, stepped by 0.1 s."""
+"""The simulated day: drones, truck, network and desk, in steps of 0.1 s.
+
+`build_day` makes the world without its desk; `desk` is set before the first step.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -6,220 +9,253 @@ from typing import Protocol
 
 import numpy as np
 
-from sim_bridge.app.day.build import Plumbing
+from companion.core.base.geo import LocalFrame, Ned
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.orders import OrderRow
+from sim_bridge.app.day.bus import Bus
 from sim_bridge.app.day.clock import DayClock
-from sim_bridge.app.day.crew import GroundCrew
-from sim_bridge.app.day.drone import PHYSICS_STEP_S, DayDrone
-from sim_bridge.app.day.faults import Faults
-from sim_bridge.app.day.judge import HandedOver, Stand, Told
+from sim_bridge.app.day.crew import GroundHandling
+from sim_bridge.app.day.drone import DayDrone
+from sim_bridge.app.day.faults import (
+    COMPANION_KILLS,
+    DESK_KILLS,
+    MEMBER_CUTS,
+    NETWORK_CUTS,
+    STORE_OUTAGES,
+    TAKE_OVERS,
+    Faults,
+)
+from sim_bridge.app.day.judge import HomeReport, ParkedInterval
 from sim_bridge.app.day.store_host import StoreHost
-from sim_bridge.truth.fields.front import PassingFront
+from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE
+from sim_bridge.truth.fields.front import LinearFront
 
-STEP_S = 0.1
-STEPS = round(STEP_S / PHYSICS_STEP_S)
-DESK_EVERY_S = 0.5
+DESK_INTERVAL_S = 0.5
 FRONT_STEPS = 5
-"""A front takes 20 s or more to pass a place."""
+"""Steps between updates of the front, which passes a position in 20 s or more."""
 
-DESK_AWAY_S = 20.0
-"""From a desk's SIGKILL to its restart by a person or a service."""
+DESK_RESTART_DELAY_S = 20.0
+"""Time from a desk's SIGKILL to its restart by an operator or a service."""
 
-LEAST_AT_WORK_S = 5.0
-LEAST_UP_S = 15.0
-"""Least time in the air before a companion is killed: a kill matters in flight."""
+MIN_DESK_UPTIME_S = 5.0
+MIN_AIRBORNE_S = 15.0
+"""Minimum time in the air before a companion is killed, so that the kill occurs in flight."""
 
 
-class Seat(Protocol):
-    """The desk, in this process or another."""
+@dataclass(frozen=True, slots=True)
+class DeskRecord:
+    """Content of a desk's database after the day.
 
-    def turn(self) -> None:
-        """One turn of the desk's loop: receive, check, assign, send."""
+    `plans`: the first plan and the replans. `orders`: the orders by identifier.
+    `delivered_by`: drone or truck that delivered each delivered order. `infeasible_orders`: orders
+    that were infeasible from the start of the day. `unexpected_exits`: unexpected exits of a desk,
+    with the reason.
+    """
+
+    plans: list[DayPlan]
+    orders: dict[str, OrderRow]
+    delivered_by: dict[str, str]
+    infeasible_orders: frozenset[str]
+    unexpected_exits: list[str]
+
+
+class SimulatedDesk(Protocol):
+    """The desk of a day, or several on one store."""
+
+    def run_desk_cycle(self) -> None:
+        """Run one cycle of the desk: receive, check, assign, send."""
         ...
 
     def kill(self) -> None:
-        """SIGKILL: only its store remains."""
+        """End as after SIGKILL: only the database remains."""
         ...
 
-    def start(self) -> None:
+    def restart(self) -> None:
         """Restart with the same command."""
         ...
 
     @property
     def is_done(self) -> bool:
-        """Whether nothing is open or under way."""
+        """Whether no order is open and no assignment is active."""
+        ...
+
+    def build_desk_record(self) -> DeskRecord:
+        """Return the desk's record of the finished day."""
+        ...
+
+    def close(self) -> None:
+        """Shut down in an orderly way."""
         ...
 
 
 @dataclass(slots=True)
 class DayWorld:
-    """`run` until the desk has nothing left to do, or until `limit_s`."""
+    """World of a day. `run_until_over` steps it until the desk is done, or until `limit_s`."""
 
+    data: DayData
+    frame: LocalFrame
     clock: DayClock
-    plumbing: Plumbing
+    bus: Bus
     drones: list[DayDrone]
-    crew: GroundCrew
-    seat: Seat
+    ground_handling: GroundHandling
     faults: Faults
+    customers: dict[str, Ned]
+    front: LinearFront | None = None
+    shares_wind: bool = True
     store: StoreHost | None = None
-    front: PassingFront | None = None
-    homes: list[Told] = field(default_factory=list)
-    _home: dict[str, str | None] = field(default_factory=dict)
+    """Host of the desk's database, if outages are injected."""
+    desk: SimulatedDesk = field(init=False)
+    home_reports: list[HomeReport] = field(default_factory=list)
+    _last_home: dict[str, str | None] = field(default_factory=dict)
     _desk_due_s: float = 0.0
-    _desk_back_s: float | None = None
-    _store_back_s: float | None = None
+    _desk_restart_s: float | None = None
+    _store_outage_end_s: float | None = None
     _steps: int = 0
 
-    def run(self, limit_s: float, progress: Callable[["DayWorld"], bool]) -> bool:
-        """Run the day; returns whether it ended by itself.
+    def run_until_over(self, limit_s: float, should_continue: Callable[["DayWorld"], bool]) -> bool:
+        """Run the day; return whether it finished before `limit_s`.
 
-        `progress` is called once per simulated second; if it returns False, the day stops.
+        `should_continue` is called once per simulated second; if it returns False, the day stops.
         """
         while self.clock.t_s < limit_s:
-            self.step()
-            if self._steps % round(1.0 / STEP_S) == 0:
+            self.advance_one_exchange()
+            if self._steps % round(1.0 / EXCHANGE_S) == 0:
                 if self.is_over:
                     return True
-                if not progress(self):
+                if not should_continue(self):
                     return False
         return False
 
     @property
     def is_over(self) -> bool:
-        """Whether desk and store are up, the desk is done, the crew has no task, nothing flies."""
-        away = self._desk_back_s is not None or self._store_back_s is not None
-        at_rest = not away and not any(d.is_airborne for d in self.drones)
-        return at_rest and self.crew.at_rest and self.seat.is_done
+        """Whether desk and store are up, desk and staff are done, and no drone is airborne."""
+        has_outage = self._desk_restart_s is not None or self._store_outage_end_s is not None
+        is_idle = not has_outage and not any(d.is_airborne for d in self.drones)
+        return is_idle and self.ground_handling.is_idle and self.desk.is_done
 
-    def step(self) -> None:
-        """Advance by STEP_S."""
+    def advance_one_exchange(self) -> None:
+        """Advance by EXCHANGE_S."""
         self._steps += 1
-        t_s = self.clock.t_s = self._steps * STEP_S
-        self.plumbing.network.deliver(t_s)
+        t_s = self.clock.t_s = self._steps * EXCHANGE_S
+        self.bus.advance_and_run_due_calls(t_s)
         if self.front is not None and self._steps % FRONT_STEPS == 0:
-            self._let_front_pass(self.front, t_s)
+            self._set_front_wind_at_drones(self.front, t_s)
         for drone in self.drones:
-            drone.advance(t_s, STEPS)
-        self._note_homes(t_s)
-        self.crew.turn(t_s)
-        self._mind_faults(t_s)
-        if self._desk_back_s is None and t_s >= self._desk_due_s:
-            self._desk_due_s = t_s + DESK_EVERY_S - STEP_S / 2.0
-            self.seat.turn()
-        self.plumbing.pace(t_s)
+            drone.advance_and_exchange_messages(t_s, STEPS_PER_EXCHANGE)
+        self._record_home_changes(t_s)
+        self.ground_handling.run_due_tasks(t_s)
+        self._inject_due_faults(t_s)
+        if self._desk_restart_s is None and t_s >= self._desk_due_s:
+            self._desk_due_s = t_s + DESK_INTERVAL_S - EXCHANGE_S / 2.0
+            self.desk.run_desk_cycle()
 
-    def _let_front_pass(self, front: PassingFront, t_s: float) -> None:
-        """Each drone meets it at its own place."""
+    def _set_front_wind_at_drones(self, front: LinearFront, t_s: float) -> None:
+        """Set the front's wind at the position of each drone."""
         for drone in self.drones:
-            up = drone.power_ups[-1] if drone.power_ups else None
-            if up is not None and up.rows:
-                north, east = (np.array([x]) for x in up.rows[-1][1:3])
-                added = front.to_ne_mps(np.array([t_s]), north, east)[0]
+            up = drone.all_power_cycles[-1] if drone.all_power_cycles else None
+            if up is not None and up.record.rows:
+                north, east = (np.array([x]) for x in up.record.rows[-1][1:3])
+                added = front.added_wind_to_ne_mps(np.array([t_s]), north, east)[0]
                 up.vehicle.wind_field.front_to_ne_mps = (float(added[0]), float(added[1]))
 
-    def _note_homes(self, t_s: float) -> None:
-        for vehicle, state in self.plumbing.network.states.items():
-            if self._home.get(vehicle) != state.home:
-                self._home[vehicle] = state.home
-                self.homes.append(Told(t_s, vehicle, state.home))
+    def _record_home_changes(self, t_s: float) -> None:
+        for vehicle, state in self.bus.states.items():
+            if self._last_home.get(vehicle) != state.home:
+                self._last_home[vehicle] = state.home
+                self.home_reports.append(HomeReport(t_s, vehicle, state.home))
 
-    def _mind_faults(self, t_s: float) -> None:
+    def _inject_due_faults(self, t_s: float) -> None:
+        self._end_or_start_store_outage_if_due(t_s)
+        self._restart_or_kill_desk_if_due(t_s)
+        for kind, inject in (
+            (COMPANION_KILLS, self._kill_random_airborne_companion),
+            (TAKE_OVERS, self._command_rtl_of_random_airborne_drone),
+            (NETWORK_CUTS, self._cut_network_and_describe),
+            (MEMBER_CUTS, self._cut_random_member_from_network),
+        ):
+            due = self.faults.next_fault_if_due(kind, t_s)
+            description = None if due is None else inject(t_s, due[1])
+            if description is not None:
+                self.faults.remove_and_log_injected_fault(kind, t_s, description)
+
+    def _restart_or_kill_desk_if_due(self, t_s: float) -> None:
+        """Restart a killed desk when due, and kill the desk when a kill is due."""
         faults = self.faults
-        self._mind_store(t_s)
-        if self._desk_back_s is not None and t_s >= self._desk_back_s:
-            self._desk_back_s = None
-            self.seat.start()
-            at_work_s = t_s + LEAST_AT_WORK_S  # no further kill until the desk has worked this long
-            faults.ground_kills_s = [max(kill_s, at_work_s) for kill_s in faults.ground_kills_s]
+        if self._desk_restart_s is not None and t_s >= self._desk_restart_s:
+            self._desk_restart_s = None
+            self.desk.restart()
+            faults.postpone_faults_of_kind(DESK_KILLS, t_s + MIN_DESK_UPTIME_S)
             faults.log.append((t_s, "desk started again"))
-        if self._desk_back_s is None and faults.ground_kills_s and t_s >= faults.ground_kills_s[0]:
-            faults.ground_kills_s.pop(0)
-            self.seat.kill()
-            self._desk_back_s = t_s + DESK_AWAY_S
-            faults.log.append((t_s, "desk killed"))
-        if faults.companion_kills_s and t_s >= faults.companion_kills_s[0]:
-            self._kill_a_companion(t_s)
-        if faults.take_overs_s and t_s >= faults.take_overs_s[0]:
-            self._take_over(t_s)
-        if faults.network_cuts_s and t_s >= faults.network_cuts_s[0][0]:
-            self._cut_the_network(t_s)
-        if faults.member_cuts_s and t_s >= faults.member_cuts_s[0][0]:
-            self._cut_a_member_off(t_s)
+        if self._desk_restart_s is None and faults.next_fault_if_due(DESK_KILLS, t_s) is not None:
+            self.desk.kill()
+            self._desk_restart_s = t_s + DESK_RESTART_DELAY_S
+            faults.remove_and_log_injected_fault(DESK_KILLS, t_s, "desk killed")
 
-    def _mind_store(self, t_s: float) -> None:
-        """Take the desk's store away, and bring it back; one outage after another."""
-        if self._store_back_s is not None and t_s >= self._store_back_s:
-            self.bring_store_back()
-        outages = self.faults.store_outages_s
-        if self.store is None or self._store_back_s is not None or not outages:
+    def _end_or_start_store_outage_if_due(self, t_s: float) -> None:
+        """Start and end outages of the desk's store; they never overlap."""
+        if self._store_outage_end_s is not None and t_s >= self._store_outage_end_s:
+            self.end_store_outage()
+        outage = self.faults.next_fault_if_due(STORE_OUTAGES, t_s)
+        if self.store is None or self._store_outage_end_s is not None or outage is None:
             return
-        at_s, for_s = outages[0]
-        if t_s >= at_s:
-            outages.pop(0)
-            self._store_back_s = t_s + for_s
-            self.faults.log.append((t_s, f"{self.store.take_away()} for {for_s:.0f} s"))
+        self._store_outage_end_s = t_s + outage[1]
+        description = f"{self.store.start_outage_and_describe()} for {outage[1]:.0f} s"
+        self.faults.remove_and_log_injected_fault(STORE_OUTAGES, t_s, description)
 
-    def bring_store_back(self) -> None:
-        """The store works again, also where the day was over before."""
-        if self.store is not None and self._store_back_s is not None:
-            self.store.bring_back()
-            self._store_back_s = None
+    def end_store_outage(self) -> None:
+        """End an active outage of the store; also called at the end of the day."""
+        if self.store is not None and self._store_outage_end_s is not None:
+            self.store.end_outage()
+            self._store_outage_end_s = None
 
-    def _kill_a_companion(self, t_s: float) -> None:
-        """Kill one that has been in the air for LEAST_UP_S; if there is none, try again later."""
-        drone = self._one_flying(t_s)
+    # Each returns a description of the injected fault, or None if it is not possible yet.
+
+    def _kill_random_airborne_companion(self, t_s: float, duration_s: float) -> str | None:
+        """Kill the companion of a drone that has been airborne for LEAST_UP_S."""
+        drone = self._draw_airborne_drone(t_s)
         if drone is None:
-            return
-        self.faults.companion_kills_s.pop(0)
-        drone.kill_companion(t_s)
-        self.faults.log.append((t_s, f"companion of {drone.name} killed"))
+            return None
+        drone.kill_companion_and_schedule_restart(t_s)
+        return f"companion of {drone.name} killed"
 
-    def _take_over(self, t_s: float) -> None:
-        """A person at a second ground station sends one home; if none flies, later."""
-        drone = self._one_flying(t_s)
-        if drone is None or drone.is_taken_over:
-            return
-        self.faults.take_overs_s.pop(0)
-        drone.ground_takes_over(t_s)
-        self.faults.log.append((t_s, f"{drone.name} taken over by a person"))
+    def _command_rtl_of_random_airborne_drone(self, t_s: float, duration_s: float) -> str | None:
+        """Command return to launch of one drone from a second ground station."""
+        drone = self._draw_airborne_drone(t_s)
+        if drone is None or drone.is_overridden_by_pilot:
+            return None
+        drone.command_rtl_from_second_station(t_s)
+        return f"{drone.name} taken over by a person"
 
-    def _one_flying(self, t_s: float) -> DayDrone | None:
-        """One of those that fly with a companion, for LEAST_UP_S at least, drawn."""
-        flying = [d for d in self.drones if d.is_airborne and d.companion is not None]
-        flying = [d for d in flying if d.airborne_s(t_s) >= LEAST_UP_S]
-        return flying[int(self.faults.rng.integers(len(flying)))] if flying else None
+    def _draw_airborne_drone(self, t_s: float) -> DayDrone | None:
+        """Draw one drone that has a companion and has been airborne for LEAST_UP_S."""
+        airborne = [d for d in self.drones if d.is_airborne and d.companion is not None]
+        airborne = [d for d in airborne if d.time_since_takeoff_s(t_s) >= MIN_AIRBORNE_S]
+        return airborne[int(self.faults.rng.integers(len(airborne)))] if airborne else None
 
-    def _cut_the_network(self, t_s: float) -> None:
-        _, for_s = self.faults.network_cuts_s.pop(0)
-        if self.plumbing.bus is not None:
-            self.plumbing.bus.cut(for_s)
-            self.faults.cut_s = max(self.faults.cut_s, for_s)
-            self.faults.log.append((t_s, f"network cut for {for_s:.0f} s"))
+    def _cut_network_and_describe(self, t_s: float, duration_s: float) -> str:
+        self.bus.cut_network(duration_s)
+        self.faults.longest_cut_s = max(self.faults.longest_cut_s, duration_s)
+        return f"network cut for {duration_s:.0f} s"
 
-    def _cut_a_member_off(self, t_s: float) -> None:
-        """One of those that are switched on, drawn, a truck among them; if there is none, later."""
-        bus = self.plumbing.bus
-        members = sorted({link.vehicle for link in bus.links_of()}) if bus is not None else []
-        if bus is None or not members:
-            return
-        _, for_s = self.faults.member_cuts_s.pop(0)
+    def _cut_random_member_from_network(self, t_s: float, duration_s: float) -> str | None:
+        """Cut off a drawn member that is powered on; it may be the truck."""
+        members = sorted({link.vehicle for link in self.bus.links_of()})
+        if not members:
+            return None
         member = members[int(self.faults.rng.integers(len(members)))]
-        bus.cut_off(member, for_s)
-        self.faults.cut_s = max(self.faults.cut_s, for_s)
-        self.faults.log.append((t_s, f"{member} cut off for {for_s:.0f} s"))
+        self.bus.cut_member(member, duration_s)
+        self.faults.longest_cut_s = max(self.faults.longest_cut_s, duration_s)
+        return f"{member} cut off for {duration_s:.0f} s"
 
     # --- record --------------------------------------------------------------------------------
 
     @property
-    def stands(self) -> list[Stand]:
-        """Where the truck stood, and from when to when."""
-        found: list[Stand] = []
-        here, ne_m, since_s = "depot", (0.0, 0.0), 0.0
-        for drive in self.crew.drives:
-            found.append(Stand(here, ne_m, since_s, drive.left_s))
-            here, ne_m, since_s = drive.stop, drive.to_ne_m, drive.arrive_s
-        return [*found, Stand(here, ne_m, since_s, float("inf"))]
-
-    @property
-    def served(self) -> list[HandedOver]:
-        """Orders that the crew handed over."""
-        return [HandedOver(order, t_s) for t_s, order in self.crew.delivered]
+    def truck_parked_intervals(self) -> list[ParkedInterval]:
+        """Stops at which the truck was parked, with arrival and departure."""
+        found: list[ParkedInterval] = []
+        stop, ne_m, since_s = "depot", (0.0, 0.0), 0.0
+        for drive in self.ground_handling.drives:
+            found.append(ParkedInterval(stop, ne_m, since_s, drive.left_s))
+            stop, ne_m, since_s = drive.stop, drive.to_ne_m, drive.arrive_s
+        return [*found, ParkedInterval(stop, ne_m, since_s, float("inf"))]

@@ -1,4 +1,4 @@
-"""All rows of the standing suite, by number."""
+"""All rows of the fault suite, by number."""
 
 from companion.core.base.errors import LeewayError
 from sim_bridge.app.faults import (
@@ -6,6 +6,7 @@ from sim_bridge.app.faults import (
     authority,
     decisions,
     energy,
+    fleet,
     host,
     link,
     mission_and_home,
@@ -13,68 +14,56 @@ from sim_bridge.app.faults import (
     telemetry,
     workers,
 )
-from sim_bridge.app.faults.case import FaultCase
-from sim_bridge.app.fleet_faults import fleet_cases
-from sim_bridge.app.fleet_faults.fleet_case import FleetCase
+from sim_bridge.app.faults.fault import FaultCase
 
-Case = FaultCase | FleetCase
-"""One vehicle's flight, or a small day of a fleet."""
-
-CATALOGUE: tuple[Case, ...] = tuple(
-    sorted(
-        (
-            *air.CASES,
-            *authority.CASES,
-            *decisions.CASES,
-            *mission_and_home.CASES,
-            *energy.CASES,
-            *telemetry.CASES,
-            *host.CASES,
-            *workers.CASES,
-            *link.CASES,
-            *signing.CASES,
-            *fleet_cases.CASES,
-        ),
-        key=lambda case: case.number,
-    )
+MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, workers, link,
+           signing, fleet)  # fmt: skip
+CATALOGUE: tuple[FaultCase, ...] = tuple(
+    sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )
-"""Every row."""
+"""Every row, by number."""
 
 
-TIGHT = range(21, 40)
-"""Rows whose physics the companion's model does not know: there P(home) is put to the test."""
+TIGHT_ROW_NUMBERS = range(21, 40)
+"""Rows whose physics the companion does not model: they test P(home)."""
 
 
-def case_of(name: str) -> Case:
-    """The row of this name."""
+def find_case(name: str) -> FaultCase:
+    """Return the row with this name."""
     return next(case for case in CATALOGUE if case.name == name)
 
 
-def chosen(names: list[str]) -> list[Case]:
-    """The rows of these names or numbers; all of them where none is named.
+def select_cases(names_or_numbers: list[str]) -> list[FaultCase]:
+    """Return the rows with these names or numbers, or all rows if `names_or_numbers` is empty.
 
-    Raises: LeewayError for a name that no row has.
+    Raises: LeewayError for an unknown name.
     """
-    if not names:
+    if not names_or_numbers:
         return list(CATALOGUE)
     known = {case.name for case in CATALOGUE} | {str(case.number) for case in CATALOGUE}
-    unknown = [name for name in names if name not in known]
+    unknown = [name for name in names_or_numbers if name not in known]
     if unknown:
         raise LeewayError(
-            f"--only {unknown[0]}: no such fault; `sim-bridge faults --list` names them"
+            f"--only {unknown[0]}: no such fault; `sim-bridge faults --list` lists all"
         )
-    return [case for case in CATALOGUE if case.name in names or str(case.number) in names]
+    return [
+        case
+        for case in CATALOGUE
+        if case.name in names_or_numbers or str(case.number) in names_or_numbers
+    ]
 
 
-def tight_enough(cases: list[Case], *, named: bool) -> list[Case]:
-    """Those of them that tight flights are made of.
+def select_tight_cases(cases: list[FaultCase], *, named_explicitly: bool) -> list[FaultCase]:
+    """Return those of the rows that tight flights use.
 
-    Raises: LeewayError where a row was named that is none of them.
+    Raises: LeewayError if the rows were `named_explicitly` and one of them is not used by tight
+    flights.
     """
-    fit = [case for case in cases if case.number in TIGHT]
-    if named and len(fit) < len(cases):
-        odd = next(case for case in cases if case not in fit)
+    suitable = [case for case in cases if case.number in TIGHT_ROW_NUMBERS]
+    if named_explicitly and len(suitable) < len(cases):
+        unsuitable = next(case for case in cases if case not in suitable)
         raise LeewayError(
-            f"--tight {odd.name}: row {odd.number}, expected one of {TIGHT[0]} to {TIGHT[-1]}"
+            f"--tight {unsuitable.name}: row {unsuitable.number}, expected one of"
+            f" {TIGHT_ROW_NUMBERS[0]} to {TIGHT_ROW_NUMBERS[-1]}"
         )
-    return fit
+    return suitable

@@ -1,21 +1,22 @@
-"""P(home) at the last decision to go on outward, held against what came of it, by group."""
+"""Calibration of P(home) at the last decision to continue outbound, by group."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import msgspec
 import numpy as np
 
-from sim_bridge.app.faults.fault_row import FaultRow
+from sim_bridge.app.faults.fault import FaultRow
 
-EDGES = (0.0, 0.9, 0.97, 0.99, 1.0)
-"""Of what was said; the last class is what counts as a promise."""
+P_HOME_CLASS_EDGES = (0.0, 0.9, 0.97, 0.99, 1.0)
+"""Class limits of P(home). The last class counts as a promise."""
 
-LEAST_HOME = 0.95
-"""Of flights that were promised 0.99 or more so many have to come home, in each group."""
+MIN_HOME_FRAC = 0.95
+"""Required share of returns in each group among flights with P(home) of 0.99 or more."""
 
 
 class Reliability(msgspec.Struct, frozen=True, kw_only=True):
-    """Of flights that were promised `from_p` to `to_p`: the mean of that, and the share home."""
+    """Flights with P(home) from `from_p` to `to_p`: mean P(home), and share that returned."""
 
     from_p: float
     to_p: float
@@ -25,7 +26,7 @@ class Reliability(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GroupPromises(msgspec.Struct, frozen=True, kw_only=True):
-    """One group. `brier`: the mean square difference of what was said and what came of it."""
+    """Calibration of one group. `brier`: mean squared difference of P(home) and outcome."""
 
     group: str
     flights: int
@@ -35,67 +36,59 @@ class GroupPromises(msgspec.Struct, frozen=True, kw_only=True):
     reliability: list[Reliability]
 
     @property
-    def sure(self) -> tuple[int, int]:
-        """How many came home of those that were promised 0.99 or more, and how many those are."""
-        last = [each for each in self.reliability if each.to_p == EDGES[-1]]
-        return sum(round(each.home * each.flights) for each in last), sum(e.flights for e in last)
+    def returned_and_total_at_high_p_home(self) -> tuple[int, int]:
+        """Returned flights and all flights, among those with P(home) of 0.99 or more."""
+        top_classes = [each for each in self.reliability if each.to_p == P_HOME_CLASS_EDGES[-1]]
+        return sum(round(each.home * each.flights) for each in top_classes), sum(
+            e.flights for e in top_classes
+        )
 
     @property
-    def is_kept(self) -> bool:
-        """No promise of 0.99 or more kept in less than 0.95."""
-        home, of = self.sure
-        return home >= LEAST_HOME * of
+    def is_high_p_home_reliable(self) -> bool:
+        """Whether at least 0.95 of the flights with P(home) of 0.99 or more returned."""
+        home, of = self.returned_and_total_at_high_p_home
+        return home >= MIN_HOME_FRAC * of
 
 
-def by_group(rows: Sequence[FaultRow]) -> list[GroupPromises]:
-    """What P(home) was worth in each group. Left out is what a person has landed."""
-    return _by(rows, "group")
+def p_home_calibration(
+    rows: Sequence[FaultRow], row_field: Literal["group", "fault"] = "group"
+) -> list[GroupPromises]:
+    """Evaluate P(home) by group or by fault. Flights landed by a person are excluded."""
+    rated_rows = [r for r in rows if r.p_home_last_go is not None and r.outcome != "TAKEN"]
+    names = dict.fromkeys(getattr(row, row_field) for row in rated_rows)
+    return [
+        _calibrate_p_home_of_group(
+            name, [row for row in rated_rows if getattr(row, row_field) == name]
+        )
+        for name in names
+    ]
 
 
-def by_fault(rows: Sequence[FaultRow]) -> list[GroupPromises]:
-    """The same for each fault."""
-    return _by(rows, "fault")
-
-
-def reliability(rows: Sequence[FaultRow]) -> list[Reliability]:
-    """The same of all flights together, by what was said."""
-    said = _said(rows)
-    return _of("", said).reliability if said else []
-
-
-def _said(rows: Sequence[FaultRow]) -> list[FaultRow]:
-    return [row for row in rows if row.p_home_last_go is not None and row.outcome != "TAKEN"]
-
-
-def _by(rows: Sequence[FaultRow], key: str) -> list[GroupPromises]:
-    said = _said(rows)
-    names = dict.fromkeys(getattr(row, key) for row in said)
-    return [_of(name, [row for row in said if getattr(row, key) == name]) for name in names]
-
-
-def _of(group: str, rows: Sequence[FaultRow]) -> GroupPromises:
+def _calibrate_p_home_of_group(group_name: str, rows: Sequence[FaultRow]) -> GroupPromises:
     p_home = np.array([row.p_home_last_go for row in rows], float)
     home = np.array([row.home for row in rows], float)
     return GroupPromises(
-        group=group,
+        group=group_name,
         flights=len(rows),
         p_home=float(p_home.mean()),
         home=float(home.mean()),
         brier=float(np.mean((p_home - home) ** 2)),
-        reliability=_classes(p_home, home),
+        reliability=_reliability_by_p_home_class(p_home, home),
     )
 
 
-def _classes(p_home: np.ndarray, home: np.ndarray) -> list[Reliability]:
-    number = np.digitize(p_home, EDGES[1:-1])
+def _reliability_by_p_home_class(
+    p_home: np.ndarray, returned_home: np.ndarray
+) -> list[Reliability]:
+    class_indices = np.digitize(p_home, P_HOME_CLASS_EDGES[1:-1])
     return [
         Reliability(
-            from_p=EDGES[k],
-            to_p=EDGES[k + 1],
-            flights=int(np.sum(number == k)),
-            p_home=float(p_home[number == k].mean()),
-            home=float(home[number == k].mean()),
+            from_p=P_HOME_CLASS_EDGES[k],
+            to_p=P_HOME_CLASS_EDGES[k + 1],
+            flights=int(np.sum(class_indices == k)),
+            p_home=float(p_home[class_indices == k].mean()),
+            home=float(returned_home[class_indices == k].mean()),
         )
-        for k in range(len(EDGES) - 1)
-        if np.any(number == k)
+        for k in range(len(P_HOME_CLASS_EDGES) - 1)
+        if np.any(class_indices == k)
     ]

@@ -1,112 +1,130 @@
-"""The suite on the terminal: a line a row that broke, a table by fault, the result as JSON."""
+"""Report of the suite: a line for each failed row, tables by fault and group, JSON result."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sim_bridge.app.fault_suite.catalogue import Case
-from sim_bridge.app.fault_suite.promises import GroupPromises, by_group
-from sim_bridge.app.fault_suite.promises import by_fault as promises_by_fault
-from sim_bridge.app.faults.fault_row import FaultRow
-from sim_bridge.app.flight.report import slim_table
+from companion.adapters.files.atomic_file import write_text_atomically
+from sim_bridge.app.fault_suite.promises import p_home_calibration
+from sim_bridge.app.faults.fault import FaultCase, FaultRow
+from sim_bridge.app.flight.report import borderless_table
 
 
-def result(rows: Sequence[FaultRow], left: int = 0, lost: Sequence[str] = ()) -> dict[str, Any]:
-    """`{"rows": [...], "held": n, "of": n, "left": n, "lost": [...], "groups": [...], ...}`.
+def build_suite_result(
+    rows: Sequence[FaultRow], unflown_count: int = 0, lost_flight_texts: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return `{"rows": [...], "held": n, "of": n, "left": n, "lost": [...], ...}`.
 
-    `left`: so many flights have not been flown yet; `lost`: of them, those whose workers were
-    killed, and why.
+    `unflown_count`: number of flights not flown yet. `lost_flight_texts`: those of them whose
+    workers were killed, with the reason.
     """
     return {
         "rows": list(rows),
-        "held": sum(row.held for row in rows),
+        "held": sum(row.passed for row in rows),
         "of": len(rows),
-        "left": left,
-        "lost": list(lost),
-        "groups": by_group(rows),
-        "cpu_s": cpu_s(rows),
+        "left": unflown_count,
+        "lost": list(lost_flight_texts),
+        "groups": p_home_calibration(rows),
+        "cpu_s": median_and_maximum_cpu_s(rows),
     }
 
 
-def cpu_s(rows: Sequence[FaultRow]) -> dict[str, float] | None:
-    """Seconds of CPU that a flight took: the median and the most; None: nobody measured."""
-    spent = [row.cpu_s for row in rows if row.cpu_s is not None]
-    return {"median": float(np.median(spent)), "most": max(spent)} if spent else None
+def median_and_maximum_cpu_s(rows: Sequence[FaultRow]) -> dict[str, float] | None:
+    """Return the median and maximum CPU time of a flight. None: not measured."""
+    cpu_times_s = [row.cpu_s for row in rows if row.cpu_s is not None]
+    return (
+        {"median": float(np.median(cpu_times_s)), "most": max(cpu_times_s)} if cpu_times_s else None
+    )
 
 
-def write(path: Path, rows: Sequence[FaultRow], left: int = 0, lost: Sequence[str] = ()) -> None:
-    """Write the result, whole or not at all."""
-    fresh = path.with_name(path.name + ".new")
-    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(result(rows, left, lost))) + b"\n")
-    fresh.replace(path)
+def write_suite_result(
+    path: Path,
+    rows: Sequence[FaultRow],
+    unflown_count: int = 0,
+    lost_flight_texts: Sequence[str] = (),
+) -> None:
+    """Write the result atomically."""
+    text = msgspec.json.format(
+        msgspec.json.encode(build_suite_result(rows, unflown_count, lost_flight_texts))
+    )
+    write_text_atomically(path, text.decode() + "\n", sync_folder=False)
 
 
-def listing(cases: Sequence[Case]) -> Iterator[str]:
-    """The rows, two lines each, with the phases in which each makes sense."""
+def case_description_lines(cases: Sequence[FaultCase]) -> Iterator[str]:
+    """Yield two lines for each row: name, group and applicable phases; description."""
     for case in cases:
         yield f"{case.number:>2} {case.name} ({case.group}: {', '.join(case.phases)})"
-        yield f"   {case.says}"
+        yield f"   {case.description}"
 
 
-def summary(rows: Sequence[FaultRow]) -> Table:
-    """By fault: how many flights held, and what broke."""
-    table = slim_table("held, by fault", ("fault", "left"), ("held", "right"))
-    table.add_column("why not", overflow="fold")
+def passed_flights_by_fault_table(rows: Sequence[FaultRow]) -> Table:
+    """Return a table of passed flights and failure reasons by fault."""
+    table = borderless_table("passed, by fault", ("fault", "left"), ("passed", "right"))
+    table.add_column("failures", overflow="fold")
     for name in dict.fromkeys(row.fault for row in rows):
         group = [row for row in rows if row.fault == name]
-        whys = dict.fromkeys(row.why for row in group if not row.held)
-        held = f"{sum(row.held for row in group)} of {len(group)}"
-        table.add_row(name, held, "; ".join(whys))
+        failure_texts = dict.fromkeys(row.failure_text for row in group if not row.passed)
+        passed_text = f"{sum(row.passed for row in group)} of {len(group)}"
+        table.add_row(name, passed_text, "; ".join(failure_texts))
     return table
 
 
-def promises(rows: Sequence[FaultRow], *, by_fault: bool = False) -> Iterator[Table]:
-    """By group, and by fault too: what P(home) was worth at the last decision to go on outward.
+def p_home_calibration_tables(
+    rows: Sequence[FaultRow], *, by_fault: bool = False
+) -> Iterator[Table]:
+    """Yield the calibration of P(home) at the last outbound go decision by group (and by fault).
 
-    The mean of what was said beside the share that came home, their mean square difference (Brier
-    score), and of flights that were promised 0.99 how many came home. Left out is what a person has
-    landed.
+    Columns: mean P(home), share that returned, mean squared difference (Brier score), and returns
+    among flights with P(home) of 0.99 or more. Flights landed by a person are excluded.
     """
-    title = "P(home) at the last decision to go on"
-    yield _promises(f"{title}, by group", "group", by_group(rows))
+    yield _p_home_calibration_table(rows, "group")
     if by_fault:
-        yield _promises(f"{title}, by fault", "fault", promises_by_fault(rows))
+        yield _p_home_calibration_table(rows, "fault")
 
 
-def _promises(title: str, kind: str, worth: Sequence[GroupPromises]) -> Table:
-    table = slim_table(title, (kind, "left"))
-    for name in ("flights", "P(home) said", "came home", "Brier", "of 0.99 said, home"):
+def _p_home_calibration_table(
+    rows: Sequence[FaultRow], row_field: Literal["group", "fault"]
+) -> Table:
+    title = f"P(home) at the last go decision, by {row_field}"
+    table = borderless_table(title, (row_field, "left"))
+    for name in ("flights", "mean P(home)", "returned", "Brier", "returned of P >= 0.99"):
         table.add_column(name, justify="right")
-    for each in worth:
+    for each in p_home_calibration(rows, row_field):
         shares = (f"{each.p_home:.3f}", f"{each.home:.3f}", f"{each.brier:.4f}")
-        table.add_row(each.group, str(each.flights), *shares, "{} of {}".format(*each.sure))
+        table.add_row(
+            each.group,
+            str(each.flights),
+            *shares,
+            "{} of {}".format(*each.returned_and_total_at_high_p_home),
+        )
     return table
 
 
-def spent(rows: Sequence[FaultRow]) -> str:
-    """What a flight took, in words."""
-    used = cpu_s(rows)
-    if used is None:
+def cpu_time_summary_line(rows: Sequence[FaultRow]) -> str:
+    """Return a line with the CPU time of a flight, or "" if it was not measured."""
+    cpu_statistics = median_and_maximum_cpu_s(rows)
+    if cpu_statistics is None:
         return ""
     longest = max(rows, key=lambda row: row.cpu_s or 0.0)
     return (
-        f"CPU a flight: {used['median']:.1f} s (median), at most {used['most']:.1f} s"
+        f"CPU per flight: {cpu_statistics['median']:.1f} s (median), at most"
+        f" {cpu_statistics['most']:.1f} s"
         f" ({longest.fault} {longest.autopilot} {longest.phase})"
     )
 
 
-def broke(console: Console, row: FaultRow) -> None:
-    """Say at once what did not hold."""
-    if not row.held:
-        where = f"{row.fault} {row.autopilot} {row.phase} seed {row.seed}"
-        console.print(f"broke: {where}: {row.why}", highlight=False, markup=False)
+def print_if_failed(console: Console, row: FaultRow) -> None:
+    """Print the broken rules of a failed flight."""
+    if not row.passed:
+        title = f"{row.fault} {row.autopilot} {row.phase} seed {row.seed}"
+        console.print(f"failed: {title}: {row.failure_text}", highlight=False, markup=False)
 
 
-def lost(console: Console, words: str) -> None:
-    """Say which flight no worker came back with."""
-    console.print(f"lost: {words}", highlight=False, markup=False)
+def print_lost_flight(console: Console, flight_text: str) -> None:
+    """Print a flight that is lost because its workers were killed."""
+    console.print(f"lost: {flight_text}", highlight=False, markup=False)

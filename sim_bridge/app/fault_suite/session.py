@@ -1,102 +1,99 @@
-"""The suite as a command flies it: shown as it goes, kept flight by flight, gone on with later."""
+"""One run of the suite: shows progress, stores each finished flight and can be resumed."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from sim_bridge.adapters.journal import Journal, digest_of
-from sim_bridge.app.fault_suite import report
-from sim_bridge.app.fault_suite.suite import run_all
-from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
-from sim_bridge.app.trials.trial import Bounds
+from ground_station.adapters.workers.journal import ProgressLog, work_digest
+from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
+from sim_bridge.app.fault_suite import report, suite
+from sim_bridge.app.faults.fault import FaultRow, FaultTask
+from sim_bridge.app.trials.trial import TrialLimits, cases_until_time_limit
 
 
-def journal_of(json_out: Path, todo: Sequence[FaultTask]) -> Journal[FaultRow]:
-    """Which of these flights have been flown: a file beside the result until all have been."""
-    tight = ["tight"] if any(task.tight for task in todo) else []
-    flights = [(task.fault, task.autopilot, task.phase, task.seed, *tight) for task in todo]
-    path = json_out.with_name(json_out.name + ".partial")
-    return Journal(path, digest_of(flights), FaultRow)
+def open_progress_log(
+    result_path: Path | None, tasks: Sequence[FaultTask]
+) -> ProgressLog[FaultRow]:
+    """Return the store of finished flights: a file next to the result until all are flown."""
+    tight = ["tight"] if any(task.tight for task in tasks) else []
+    flights = [(task.fault, task.autopilot, task.phase.value, task.seed, *tight) for task in tasks]
+    path = result_path and result_path.with_name(result_path.name + ".partial")
+    return ProgressLog(path, work_digest(flights), FaultRow)
 
 
 @dataclass(slots=True)
-class Session:
-    """All of `todo`, or what there is time for. `json_out` None: nothing is kept."""
+class FaultSuiteSession:
+    """Flies `tasks`, as far as time permits. `json_out` None: no file is written."""
 
-    todo: Sequence[FaultTask]
-    bounds: Bounds
+    tasks: Sequence[FaultTask]
+    bounds: TrialLimits
     json_out: Path | None
     console: Console = field(default_factory=Console)
-    journal: Journal[FaultRow] | None = field(init=False)
-    """What has been flown of it."""
-    lost: list[str] = field(default_factory=list)
-    """Flights whose workers were killed twice: they are no row, and flown by the same command."""
-
-    @property
-    def is_tight(self) -> bool:
-        """P(home) is judged over its flights."""
-        return any(task.tight for task in self.todo)
+    progress_log: ProgressLog[FaultRow] = field(init=False)
+    """Finished flights of `tasks`."""
+    lost_flights: list[str] = field(default_factory=list)
+    """Flights whose workers were killed twice: not in the result; the same command flies them."""
 
     def __post_init__(self) -> None:
-        self.journal = None if self.json_out is None else journal_of(self.json_out, self.todo)
+        self.progress_log = open_progress_log(self.json_out, self.tasks)
 
-    def run(self) -> list[FaultRow]:
-        """Fly, and sum up; in the order of `todo` all that have been flown, earlier ones too."""
-        done = {} if self.journal is None else self.journal.read()
-        with self._keeping(done) as keep, Progress(console=self.console, transient=True) as bar:
-            total = len(self.todo)
-            flights = bar.add_task(f"{total} flights", total=total, completed=len(done))
+    def fly_and_store_remaining_flights(self) -> list[FaultRow]:
+        """Fly the remaining flights and return all rows in the order of `tasks`."""
+        rows = self.progress_log.read_finished_results()
+        pending = [k for k in self._flight_order_random_if_time_limited() if k not in rows]
+        tasks = cases_until_time_limit((self.tasks[k] for k in pending), self.bounds)
+        jobs = max(1, min(self.bounds.jobs, len(pending)))
+        workers = WorkerOptions(jobs, self.bounds.cluster)
+        with (
+            self.progress_log.rewrite_and_open_writer(rows) as store_row,
+            Progress(console=self.console, transient=True) as progress_bar,
+        ):
+            total = len(self.tasks)
+            flights = progress_bar.add_task(f"{total} flights", total=total, completed=len(rows))
+            for ended in run_parallel(tasks, suite.fly_fault, workers, self.console.print):
+                index = pending[ended.index]
+                if isinstance(ended, ItemLost):
+                    self.lost_flights.append(f"{self.tasks[index].title}: {ended.reason}")
+                    report.print_lost_flight(self.console, self.lost_flights[-1])
+                else:
+                    report.print_if_failed(self.console, ended.result)
+                    rows[index] = ended.result
+                    store_row(index, ended.result)
+                    self._write_result(rows)
+                progress_bar.advance(flights)
+        self._write_result(rows)
+        flown = [rows[index] for index in sorted(rows)]
+        self._print_report_and_remove_finished_log(flown)
+        return flown
 
-            def flown(index: int, row: FaultRow) -> None:
-                report.broke(self.console, row)
-                bar.advance(flights)
-                keep(index, row)
+    def _flight_order_random_if_time_limited(self) -> list[int]:
+        """Return a random order if time is limited, so that the finished flights are a sample."""
+        if self.bounds.minutes is None or not self.tasks:
+            return list(range(len(self.tasks)))
+        return np.random.default_rng(self.tasks[0].seed).permutation(len(self.tasks)).tolist()
 
-            def lost(index: int, why: str) -> None:
-                task = self.todo[index]
-                name = f"{task.fault} {task.autopilot} {task.phase} seed {task.seed}"
-                self.lost.append(f"{name}: {why}")
-                report.lost(self.console, self.lost[-1])
-                bar.advance(flights)
-
-            rows = run_all(self.todo, self.bounds, done, flown, lost, self.console.print)
-        self._end(rows)
-        return rows
-
-    @contextlib.contextmanager
-    def _keeping(self, done: dict[int, FaultRow]) -> Iterator[Callable[[int, FaultRow], None]]:
-        if self.journal is None:
-            yield lambda index, row: None
-            return
-        rows = dict(done)
-        with self.journal.writing(done) as add:
-
-            def keep(index: int, row: FaultRow) -> None:
-                rows[index] = row
-                add(index, row)
-                self._write([rows[number] for number in sorted(rows)])
-
-            yield keep
-
-    def _write(self, rows: Sequence[FaultRow]) -> None:
+    def _write_result(self, rows: dict[int, FaultRow]) -> None:
         if self.json_out is not None:
-            report.write(self.json_out, rows, len(self.todo) - len(rows), self.lost)
+            flown = [rows[index] for index in sorted(rows)]
+            report.write_suite_result(
+                self.json_out, flown, len(self.tasks) - len(rows), self.lost_flights
+            )
 
-    def _end(self, rows: Sequence[FaultRow]) -> None:
-        self._write(rows)
-        self.console.print(report.summary(rows))
-        for table in report.promises(rows, by_fault=self.is_tight):
+    def _print_report_and_remove_finished_log(self, rows: Sequence[FaultRow]) -> None:
+        self.console.print(report.passed_flights_by_fault_table(rows))
+        is_tight = any(task.tight for task in self.tasks)
+        for table in report.p_home_calibration_tables(rows, by_fault=is_tight):
             self.console.print(table)
-        self.console.print(report.spent(rows), highlight=False)
-        for words in self.lost:
-            report.lost(self.console, words)
-        if len(rows) < len(self.todo):
-            again = "" if self.journal is None else "; the same command goes on"
-            words = f"{len(rows)} of {len(self.todo)} flown{again}"
-            self.console.print(words, highlight=False)
-        elif self.journal is not None:
-            self.journal.remove()
+        self.console.print(report.cpu_time_summary_line(rows), highlight=False)
+        for line in self.lost_flights:
+            report.print_lost_flight(self.console, line)
+        if len(rows) < len(self.tasks):
+            resume_hint = "" if self.json_out is None else "; the same command continues"
+            line = f"{len(rows)} of {len(self.tasks)} flown{resume_hint}"
+            self.console.print(line, highlight=False)
+        else:
+            self.progress_log.remove_file()

@@ -1,340 +1,304 @@
-"""Faults about who flies: lost acknowledgements, people who disarm and take over, two computers."""
+"""Faults of flight authority: lost acknowledgements, disarming, takeovers, two computers."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, FaultCase, Play
+from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.computers import (
     SecondCompanion,
-    beat,
-    copied,
-    payload_computer,
+    connect_payload_computer,
+    copy_run_dir_to_sibling,
+    send_onboard_computer_heartbeat,
 )
-from sim_bridge.app.faults.people import Station
-from sim_bridge.app.faults.stage import Stage
+from sim_bridge.app.faults.fault import AIRBORNE_PHASES, AIRBORNE_PHASES_BEFORE_LANDING, FaultGroup
 from sim_bridge.app.faults.verdict import (
-    USAGE,
-    comes_home,
-    delivers,
-    hands_off,
-    is_taken,
-    notes,
-    promises_nothing_false,
-    stays_disarmed,
-    tells,
+    EXIT_USAGE_ERROR,
+    check_alert_sent,
+    check_delivered,
+    check_disarmed_at_end,
+    check_landed_intact_by_pilot,
+    check_no_commands_after_takeover,
+    check_procedure_made_note,
+    check_returned_home,
+    check_returned_if_p_home_was_high,
 )
-from sim_bridge.app.link.tap import Change, as_it_is, with_fields
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.link.client_messages import MODE_PARAMS
+from sim_bridge.app.link.tap import MessageChange, message_with_changed_fields, pass_unchanged
+from sim_bridge.app.world.station import Station
 from sim_bridge.autopilot.mavlink.codec import Message
+from sim_bridge.autopilot.mavlink.enums import Cmd
 
-ARM_DISARM = 400
+FAULTS = FaultGroup("authority")
+
 ARMED_FLAG = 128
 
-TOLD_PILOT_S = 0.3
-"""A mode change by the pilot is told at once: the exchange that carries it, and the next."""
-
-TOLD_S = 1.2
-"""Disarming is told in the next heartbeat, within a second, and the exchange that carries it."""
+DISARM_REPORTED_S = 1.2
+"""Latency of a disarm report: a heartbeat interval of 1 s and the exchange that carries it."""
 
 
-def _loses(name: str, command: int | None = None) -> Change:
-    def change(message: Message) -> list[Message] | None:
-        lost = message.msg_name == name and command in (None, message.command)
+def _build_message_dropper(message_name: str, command: int | None = None) -> MessageChange:
+    def drop_if_matching(message: Message) -> list[Message] | None:
+        lost = message.msg_name == message_name and command in (None, message.command)
         return [] if lost else None
 
-    return change
+    return drop_if_matching
 
 
-def arm_ack_lost(stage: Stage) -> Iterator[None]:
-    """The acknowledgement of ARM never comes; a person disarms soon after arming."""
-    stage.tap.to_companion = _loses("COMMAND_ACK", ARM_DISARM)
-    station = Station(stage)
-    yield from stage.until(lambda: stage.armed)
+@FAULTS.register_procedure(
+    1,
+    "arm-ack-lost",
+    ("ready",),
+    (check_no_commands_after_takeover, check_disarmed_at_end),
+    ends_after_s=20.0,
+)
+def drop_arm_ack_then_disarm_by_person(stage: FaultContext) -> Iterator[None]:
+    """The acknowledgement of ARM is lost, and a person disarms 0.3 to 1.5 s after arming."""
+    stage.tap.to_companion = _build_message_dropper("COMMAND_ACK", Cmd.COMPONENT_ARM_DISARM)
+    station = Station(stage.craft.link)
+    yield from stage.wait_until(lambda: stage.is_armed)
     yield from stage.wait(stage.rng.uniform(0.3, 1.5))
-    stage.begin()
-    station.disarm(by_force=True)
-    stage.taken_over(TOLD_S)
+    stage.record_fault_start()
+    station.send_disarm_command(by_force=True)
+    stage.record_take_over(DISARM_REPORTED_S)
 
 
-def acks_lost(stage: Stage) -> Iterator[None]:
-    """No acknowledgement of a command comes any more; then the pilot takes over."""
-    yield from stage.reached()
-    stage.tap.to_companion = _loses("COMMAND_ACK")
+@FAULTS.register_procedure(
+    2, "acks-lost", AIRBORNE_PHASES, (check_no_commands_after_takeover,), ends_after_s=15.0
+)
+def drop_all_acks_then_take_over(stage: FaultContext) -> Iterator[None]:
+    """All acknowledgements are lost, then the pilot takes over."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.tap.to_companion = _build_message_dropper("COMMAND_ACK")
     yield from stage.wait(stage.rng.uniform(1.0, 6.0))
-    stage.craft.pilot_takes_over()
-    stage.taken_over(TOLD_PILOT_S)
+    stage.craft.start_pilot_override()
+    stage.record_take_over()
 
 
-def pilot_lands(stage: Stage) -> Iterator[None]:
-    """The pilot takes over, and lands it where it is; ArduPilot's switch is set up for LOITER."""
+@FAULTS.register_procedure(
+    2,
+    "pilot-lands",
+    ("outbound", "drop", "return"),
+    (
+        check_no_commands_after_takeover,
+        check_alert_sent(Alert.CONTROL_RELEASED),
+        check_landed_intact_by_pilot,
+    ),
+)
+def take_over_and_land_by_pilot(stage: FaultContext) -> Iterator[None]:
+    """The pilot takes over and lands on the spot: truth and companion report no loss."""
     if stage.craft.autopilot_kind == "ardupilot":
-        Station(stage).set_parameter("FLTMODE6", LOITER)
-    yield from stage.reached()
-    stage.craft.pilot_takes_over()
-    stage.taken_over(TOLD_PILOT_S)
-    yield from stage.wait(LOOKS_S)
-    stage.craft.pilot_moves(throttle_us=THROTTLE_DOWN)
-    yield from stage.until(lambda: stage.craft.record.landed_s is not None)
-    stage.craft.pilot_moves(throttle_us=THROTTLE_OFF)
+        Station(stage.craft.link).send_parameter_to_autopilot("FLTMODE6", LOITER_MODE_NUMBER)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.craft.start_pilot_override()
+    stage.record_take_over()
+    yield from stage.wait(PILOT_HOVER_S)
+    stage.craft.set_pilot_throttle(throttle_us=THROTTLE_DOWN)
+    yield from stage.wait_until(lambda: stage.craft.record.landed_s is not None)
+    stage.craft.set_pilot_throttle(throttle_us=THROTTLE_OFF)
 
 
-LOITER = 5.0
-LOOKS_S = 3.0
-"""With the sticks moved, before the pilot brings it down."""
+LOITER_MODE_NUMBER = 5.0
+PILOT_HOVER_S = 3.0
+"""Time from the takeover to the pilot's descent."""
 
 THROTTLE_DOWN, THROTTLE_OFF = 1300, 1100
-"""Down at half of what a pilot may ask for, then off, on the ground."""
+"""Throttle PWM: descent at half the pilot's maximum rate; off, on the ground."""
 
 
-def false_disarmed(stage: Stage) -> Iterator[None]:
-    """One heartbeat says disarmed, and a second of silence follows."""
-    yield from stage.reached()
-    told: list[Message] = []
+@FAULTS.register_procedure(
+    7, "false-disarmed", AIRBORNE_PHASES, (check_returned_home, check_delivered)
+)
+def report_disarmed_once_then_silence(stage: FaultContext) -> Iterator[None]:
+    """One false heartbeat reports disarmed, followed by one second of silence."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    altered: list[Message] = []
 
-    def change(message: Message) -> list[Message] | None:
-        if told or message.msg_name != "HEARTBEAT":
-            return [] if told else None
-        told.append(message)
-        return [with_fields(message, base_mode=message.base_mode & ~ARMED_FLAG)]
+    def alter_first_heartbeat_then_drop_all(message: Message) -> list[Message] | None:
+        if altered or message.msg_name != "HEARTBEAT":
+            return [] if altered else None
+        altered.append(message)
+        return [message_with_changed_fields(message, base_mode=message.base_mode & ~ARMED_FLAG)]
 
-    stage.tap.to_companion = change
-    yield from stage.until(lambda: bool(told))
+    stage.tap.to_companion = alter_first_heartbeat_then_drop_all
+    yield from stage.wait_until(lambda: bool(altered))
     yield from stage.wait(1.0)
-    stage.tap.to_companion = as_it_is
+    stage.tap.to_companion = pass_unchanged
 
 
-def kill_switch(stage: Stage) -> Iterator[None]:
-    """Somebody stops the motors, in the air, or on the ground as soon as they turn."""
-    station = Station(stage)
-    yield from stage.reached()
-    yield from stage.until(lambda: stage.armed)
-    stage.begin()
-    station.disarm(by_force=True)
-    stage.taken_over(TOLD_S)
+@FAULTS.register_procedure(
+    9,
+    "kill-switch",
+    ("ready", *AIRBORNE_PHASES),
+    (
+        check_no_commands_after_takeover,
+        check_alert_sent(Alert.CONTROL_RELEASED, Alert.DISARMED_IN_AIR, within_s=2.5),
+    ),
+    ends_after_s=15.0,
+)
+def force_disarm_by_station(stage: FaultContext) -> Iterator[None]:
+    """The motors are stopped: an alert within 2.5 s and no further commands."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from stage.wait_until(lambda: stage.is_armed)
+    stage.record_fault_start()
+    station.send_disarm_command(by_force=True)
+    stage.record_take_over(DISARM_REPORTED_S)
 
 
-def stalled(duration_s: float) -> Play:
-    """The companion's process stands still, and the pilot takes over meanwhile."""
+def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
+    """Return a procedure: the companion process is stopped, and the pilot takes over meanwhile."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        taken_after_s = stage.rng.uniform(0.1, 0.9) * duration_s
-        _stand_still(stage)
-        yield from stage.wait(taken_after_s)
-        stage.craft.pilot_takes_over()
-        stage.taken_over(TOLD_PILOT_S)
-        yield from stage.wait(duration_s - taken_after_s)
-        _go_on(stage)
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        takeover_delay_s = stage.rng.uniform(0.1, 0.9) * duration_s
+        stage.stall_companion()
+        yield from stage.wait(takeover_delay_s)
+        stage.craft.start_pilot_override()
+        stage.record_take_over()
+        yield from stage.wait(duration_s - takeover_delay_s)
+        stage.resume_companion()
 
-    return play
-
-
-def _stand_still(stage: Stage) -> None:
-    stage.craft.companion.stall()
-    stage.lockstep.lose(stage.craft.number - 1)
+    return procedure
 
 
-def _go_on(stage: Stage) -> None:
-    stage.craft.companion.go_on()
-    stage.craft.companion_returns = True
+STALL_FOR_SECOND_S = 15.0
+"""Time for a second companion to find the vehicle, read its mission and continue the flight."""
 
 
-SECOND_STALL_S = 15.0
-"""Room for a second companion to find the vehicle, read its mission and go on with the flight."""
+def run_second_companion_while_first_stalls(
+    run_dir_for_second: Callable[[Path], Path], *, second_resumes_flight: bool = False
+) -> FaultProcedure:
+    """Return a procedure: the companion is stopped, a second one starts, then the first resumes."""
 
-
-def second_companion(folder: Callable[[Path], Path], *, replaces: bool = False) -> Play:
-    """The companion stands still; a second one is started meanwhile; the first wakes beside it."""
-
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        _stand_still(stage)
-        second = SecondCompanion(stage, folder(stage.craft.run_dir))
-        second.start()
-        wakes_s = stage.t_s + SECOND_STALL_S
-        while stage.t_s < wakes_s and second.process.running:
-            second.turn()
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        stage.stall_companion()
+        second = SecondCompanion(stage, run_dir_for_second(stage.craft.run_dir))
+        second.start_and_wait_for_connection()
+        resume_at_s = stage.t_s + STALL_FOR_SECOND_S
+        while stage.t_s < resume_at_s and second.process.is_running:
+            second.exchange_messages_once()
             yield
-        if second.process.exit_code == USAGE:
-            stage.notes.append(REFUSED)
-        if replaces:
-            stage.taken_over(0.0)
-        _go_on(stage)
-        while second.process.running:
+        if second.process.exit_code == EXIT_USAGE_ERROR:
+            stage.notes.append(SECOND_REFUSED_NOTE)
+        if second_resumes_flight:
+            stage.record_take_over(0.0)
+        stage.resume_companion()
+        while second.process.is_running:
             yield
-            second.turn()
+            second.exchange_messages_once()
 
-    return play
-
-
-REFUSED = "refused"
+    return procedure
 
 
-def _same(run_dir: Path) -> Path:
+SECOND_REFUSED_NOTE = "refused"
+
+
+def _same_run_dir(run_dir: Path) -> Path:
     return run_dir
 
 
-def _new(run_dir: Path) -> Path:
+def _unused_sibling_run_dir(run_dir: Path) -> Path:
     return run_dir.with_name(f"{run_dir.name}-second")
 
 
-def payload_beats(stage: Stage) -> Iterator[None]:
-    """Another onboard computer sends its heartbeat once a second, and nothing else."""
-    computer = payload_computer(stage)
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    5,
+    "payload-computer",
+    ("ready", *AIRBORNE_PHASES_BEFORE_LANDING),
+    (check_returned_home, check_delivered, check_returned_if_p_home_was_high),
+)
+def send_payload_heartbeats_forever(stage: FaultContext) -> Iterator[None]:
+    """Another onboard computer (component 192) sends heartbeats, which have no effect."""
+    payload = connect_payload_computer(stage)
+    yield from stage.wait_for_phase_and_record_fault_start()
     while True:
-        beat(computer)
+        send_onboard_computer_heartbeat(payload)
         yield from stage.wait(1.0)
 
 
-def payload_flies(stage: Stage) -> Iterator[None]:
-    """Another onboard computer says that it flies from now on, and commands a speed."""
-    computer = payload_computer(stage)
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    5,
+    "payload-computer-flies",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (
+        check_returned_home,
+        check_no_commands_after_takeover,
+        check_alert_sent(Alert.PASSIVE, within_s=0.5),
+    ),
+)
+def claim_control_by_payload_computer(stage: FaultContext) -> Iterator[None]:
+    """Another onboard computer (192) claims control and sends commands: control is released."""
+    payload = connect_payload_computer(stage)
+    yield from stage.wait_for_phase_and_record_fault_start()
     since_s = stage.t_s
-    stage.taken_over(TOLD_PILOT_S)
+    stage.record_take_over()
     while True:
-        beat(computer, flies_since_s=since_s)
-        computer.order(MAV_CMD_DO_CHANGE_SPEED, 1.0, PAYLOAD_MPS, -1.0)
+        send_onboard_computer_heartbeat(payload, control_since_s=since_s)
+        payload.send_autopilot_command(Cmd.DO_CHANGE_SPEED, 1.0, PAYLOAD_SPEED_MPS, -1.0)
         yield from stage.wait(1.0)
 
 
-MAV_CMD_DO_CHANGE_SPEED = 178
-PAYLOAD_MPS = 9.0
-MAV_CMD_DO_SET_MODE = 176
-MAV_CMD_DO_PAUSE_CONTINUE = 193
-HOLD_PARAMS = {"px4": (1.0, 4.0, 3.0), "ardupilot": (1.0, 5.0, 0.0)}
+PAYLOAD_SPEED_MPS = 9.0
 
 
-def taken_back_at_once(stage: Stage) -> Iterator[None]:
-    """A person takes over, hands back, and takes over again within 0.2 s."""
-    station = Station(stage)
+@FAULTS.register_procedure(
+    6,
+    "taken-back-at-once",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+    ends_after_s=25.0,
+)
+def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]:
+    """A person hands back control and takes over again within 0.2 s."""
+    station = Station(stage.craft.link)
     craft = stage.craft
-    yield from stage.reached()
-    hold = HOLD_PARAMS[craft.autopilot_kind]
-    station.order(MAV_CMD_DO_SET_MODE, *hold)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    hold = MODE_PARAMS[craft.autopilot_kind]["hold"]
+    station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     yield from stage.wait(3.0)
-    station.order_companion(MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+    station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
     yield from stage.wait(stage.rng.choice([0.1, 0.2]))
-    station.order(MAV_CMD_DO_SET_MODE, *hold)
-    stage.taken_over(TOLD_PILOT_S)
+    station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
+    stage.record_take_over()
 
 
-GROUP = "authority"
-CASES = (
-    FaultCase(
-        1,
-        "arm-ack-lost",
-        GROUP,
-        "the acknowledgement of ARM is lost; a person disarms 0.3 to 1.5 s after arming",
-        arm_ack_lost,
-        (hands_off, stays_disarmed),
-        ("ready",),
-        ends_after_s=20.0,
+for duration_s in (2.0, 6.0, 20.0):
+    FAULTS.add_case(
+        3,
+        f"stall-{duration_s:.0f}-s",
+        f"The companion stops for {duration_s:.0f} s, and the pilot takes over meanwhile.",
+        stall_companion_during_takeover(duration_s),
+        AIRBORNE_PHASES,
+        (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+        ends_after_s=duration_s + 15.0,
+    )
+FAULTS.add_case(
+    4,
+    "second-same-folder",
+    "The companion stops, and a second one started in its run folder is refused.",
+    run_second_companion_while_first_stalls(_same_run_dir),
+    ("outbound", "return"),
+    (
+        check_returned_home,
+        check_returned_if_p_home_was_high,
+        check_procedure_made_note(SECOND_REFUSED_NOTE),
     ),
-    FaultCase(
-        2,
-        "acks-lost",
-        GROUP,
-        "every acknowledgement is lost, then the pilot takes over",
-        acks_lost,
-        (hands_off,),
-        IN_THE_AIR,
-        ends_after_s=15.0,
-    ),
-    FaultCase(
-        2,
-        "pilot-lands",
-        GROUP,
-        "the pilot takes over and lands it where it is: no loss, and said so by the companion too",
-        pilot_lands,
-        (hands_off, tells("hands off"), is_taken),
-        ("outbound", "drop", "return"),  # in the climb it is at home
-    ),
-    *(
-        FaultCase(
-            3,
-            f"stall-{duration_s:.0f}-s",
-            GROUP,
-            f"the companion stands still for {duration_s:.0f} s; the pilot takes over meanwhile",
-            stalled(duration_s),
-            (hands_off, tells("hands off")),
-            IN_THE_AIR,
-            ends_after_s=duration_s + 15.0,
-        )
-        for duration_s in (2.0, 6.0, 20.0)
-    ),
-    FaultCase(
-        4,
-        "second-same-folder",
-        GROUP,
-        "it stands still; a second companion started from its folder is refused",
-        second_companion(_same),
-        (comes_home, promises_nothing_false, notes(REFUSED)),
-        ("outbound", "return"),
-    ),
-    FaultCase(
-        4,
-        "second-new-folder",
-        GROUP,
-        "it stands still; a second companion that knows nothing of the flight stays passive",
-        second_companion(_new),
-        (comes_home, promises_nothing_false),
-        ("outbound", "return"),
-    ),
-    FaultCase(
-        4,
-        "second-takes-over",
-        GROUP,
-        "it stands still; a second companion takes the flight up; the first wakes, hands off",
-        second_companion(copied, replaces=True),
-        (comes_home, hands_off, tells("passive")),
-        ("outbound", "return"),
-    ),
-    FaultCase(
-        5,
-        "payload-computer",
-        GROUP,
-        "another onboard computer (192) sends heartbeats: harmless",
-        payload_beats,
-        (comes_home, delivers, promises_nothing_false),
-        ("ready", *FLYING),
-    ),
-    FaultCase(
-        5,
-        "payload-computer-flies",
-        GROUP,
-        "another onboard computer (192) says that it flies, and commands: hands off, told once",
-        payload_flies,
-        (comes_home, hands_off, tells("passive", within_s=0.5)),
-        FLYING,
-    ),
-    FaultCase(
-        6,
-        "taken-back-at-once",
-        GROUP,
-        "a person hands back and takes over again within 0.2 s",
-        taken_back_at_once,
-        (hands_off, tells("hands off")),
-        FLYING,
-        ends_after_s=25.0,
-    ),
-    FaultCase(
-        7,
-        "false-disarmed",
-        GROUP,
-        "one false heartbeat says disarmed, and a second of silence follows",
-        false_disarmed,
-        (comes_home, delivers),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        9,
-        "kill-switch",
-        GROUP,
-        "the motors are stopped: told within 2.5 s, and nothing is commanded",
-        kill_switch,
-        (hands_off, tells("hands off", "disarm", within_s=2.5)),
-        ("ready", *IN_THE_AIR),
-        ends_after_s=15.0,
-    ),
+)
+FAULTS.add_case(
+    4,
+    "second-new-folder",
+    "The companion stops, and a second one without records of the flight stays passive.",
+    run_second_companion_while_first_stalls(_unused_sibling_run_dir),
+    ("outbound", "return"),
+    (check_returned_home, check_returned_if_p_home_was_high),
+)
+FAULTS.add_case(
+    4,
+    "second-takes-over",
+    "The companion stops, a second one continues the flight, and the first releases control.",
+    run_second_companion_while_first_stalls(copy_run_dir_to_sibling, second_resumes_flight=True),
+    ("outbound", "return"),
+    (check_returned_home, check_no_commands_after_takeover, check_alert_sent(Alert.PASSIVE)),
 )

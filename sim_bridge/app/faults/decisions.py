@@ -1,211 +1,241 @@
-"""Faults about what a person decided meanwhile: a mode, an item or a mission that is not ours."""
+"""Faults of concurrent decisions: a person selects a mode or item, or replaces the mission."""
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.authority import HOLD_PARAMS, MAV_CMD_DO_PAUSE_CONTINUE
-from sim_bridge.app.faults.case import SAFE, FaultCase
-from sim_bridge.app.faults.mission_and_home import ELSEWHERE_M
-from sim_bridge.app.faults.people import Station, foreign
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, delivers, hands_off, notes, tells
-from sim_bridge.app.flight.operator import GROUND_COMPONENT, GROUND_SYSTEM
-from sim_bridge.app.link.tap import as_it_is
+from companion.core.mission.alerts import Alert
+from sim_bridge.app.faults.fault import SAFETY_RULES, FaultGroup
+from sim_bridge.app.faults.mission_and_home import MISSION_SHIFT_M
+from sim_bridge.app.faults.verdict import (
+    check_alert_sent,
+    check_delivered,
+    check_no_commands_after_takeover,
+    check_procedure_made_note,
+    check_returned_home,
+)
+from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.link.client_messages import (
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    MODE_PARAMS,
+    message_to_autopilot,
+)
+from sim_bridge.app.link.tap import pass_unchanged
+from sim_bridge.app.world.station import Station, shift_mission_east
 from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.codec import Message
+from sim_bridge.autopilot.mavlink.enums import Cmd
 
-SET_MODE, SET_ITEM, RETURN, LAND = 176, 224, 20, 21
-LANDING_KEPT, HELD, OURS = "the landing item is kept", "the vehicle holds", "our mission is flown"
+MISSION_REPLACED_ALERTS = (Alert.MISSION_FOREIGN, Alert.MISSION_FOREIGN_RESTORING)
 
+FAULTS = FaultGroup("decisions")
 
-def _operator(stage: Stage) -> Station:
-    """The operator's own station: the companion takes its orders."""
-    return Station(stage, sender=(GROUND_SYSTEM, GROUND_COMPONENT))
-
-
-def _hold(stage: Stage, station: Station) -> None:
-    station.order(SET_MODE, *HOLD_PARAMS[stage.craft.autopilot_kind])
-
-
-def _next_order(stage: Stage, name: str, command: int | None, lost: set[str]) -> Iterator[None]:
-    """Wait for an order of the companion; from then on these messages to it are lost."""
-    seen: list[Message] = []
-
-    def up(message: Message) -> None:
-        if message.msg_name == name and (command is None or message.command == command):
-            seen.append(message)
-
-    stage.tap.to_autopilot = up
-    stage.tap.to_companion = lambda m: [] if seen and m.msg_name in lost else None
-    yield from stage.until(lambda: bool(seen))
-    stage.tap.to_autopilot = as_it_is
+ENDS_AFTER_S = 20.0
+LANDING_ITEM_NOTE, HOLD_NOTE, OWN_MISSION_NOTE = (
+    "landing item still current",
+    "vehicle in HOLD",
+    "own mission flown",
+)
 
 
-def held_again(stage: Stage) -> Iterator[None]:
-    """The order that follows a hand-back is obeyed, its answer and 0.7 s of modes are lost, and the
-    person selects HOLD again.
-    """
-    station = _operator(stage)
-    yield from stage.reached()
-    _hold(stage, station)
-    yield from stage.wait(3.0)
-    station.order_companion(MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
-    yield from _next_order(
-        stage, "COMMAND_LONG", SET_MODE, {"COMMAND_ACK", "HEARTBEAT", "CURRENT_MODE"}
+def _connect_operator_station(stage: FaultContext) -> Station:
+    """Return the operator's station, whose commands the companion accepts."""
+    return Station(stage.craft.link, (GROUND_SYSTEM, GROUND_COMPONENT))
+
+
+def _send_hold_mode_command(stage: FaultContext, station: Station) -> None:
+    station.send_autopilot_command(
+        Cmd.DO_SET_MODE, *MODE_PARAMS[stage.craft.autopilot_kind]["hold"]
     )
-    yield from stage.until(lambda: stage.craft.autopilot.mode is Mode.AUTO)
+
+
+def _wait_for_command_then_drop_messages(
+    stage: FaultContext, message_name: str, command: int | None, dropped_names: set[str]
+) -> Iterator[None]:
+    """Wait for a command of the companion; from then on drop these messages to it."""
+    commands: list[Message] = []
+
+    def record_matching_command(message: Message) -> None:
+        if message.msg_name == message_name and (command is None or message.command == command):
+            commands.append(message)
+
+    stage.tap.to_autopilot = record_matching_command
+    stage.tap.to_companion = lambda m: [] if commands and m.msg_name in dropped_names else None
+    yield from stage.wait_until(lambda: bool(commands))
+    stage.tap.to_autopilot = pass_unchanged
+
+
+@FAULTS.register_procedure(
+    63,
+    "held-again",
+    ("outbound", "return"),
+    (
+        check_no_commands_after_takeover,
+        check_procedure_made_note(HOLD_NOTE),
+        check_alert_sent(Alert.CONTROL_RELEASED),
+    ),
+    ends_after_s=ENDS_AFTER_S,
+)
+def select_hold_again_after_hand_back(stage: FaultContext) -> Iterator[None]:
+    """A person selects HOLD again 0.3 s after the hand-back; acks and modes are lost (A1)."""
+    station = _connect_operator_station(stage)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    _send_hold_mode_command(stage, station)
+    yield from stage.wait(3.0)
+    station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
+    yield from _wait_for_command_then_drop_messages(
+        stage, "COMMAND_LONG", Cmd.DO_SET_MODE, {"COMMAND_ACK", "HEARTBEAT", "CURRENT_MODE"}
+    )
+    yield from stage.wait_until(lambda: stage.craft.autopilot.mode is Mode.AUTO)
     yield from stage.wait(0.3)
-    _hold(stage, station)
-    stage.taken_over(0.0)
+    _send_hold_mode_command(stage, station)
+    stage.record_take_over(0.0)
     yield from stage.wait(0.4)
-    stage.tap.to_companion = as_it_is
+    stage.tap.to_companion = pass_unchanged
     yield from stage.wait(10.0)
     if stage.craft.autopilot.mode is not Mode.AUTO:
-        stage.notes.append(HELD)
+        stage.notes.append(HOLD_NOTE)
 
 
-def item_selected(stage: Stage) -> Iterator[None]:
-    """For 1.3 s after a jump no item is reported; meanwhile a person selects the landing."""
-    station, craft = _operator(stage), stage.craft
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    64,
+    "item-selected",
+    ("outbound",),
+    (
+        check_no_commands_after_takeover,
+        check_procedure_made_note(LANDING_ITEM_NOTE),
+        check_alert_sent(Alert.CONTROL_RELEASED),
+    ),
+    ends_after_s=ENDS_AFTER_S,
+)
+def select_landing_item_during_jump(stage: FaultContext) -> Iterator[None]:
+    """A person selects the landing while a jump is unconfirmed for 1.3 s (A2)."""
+    station, craft = _connect_operator_station(stage), stage.craft
+    yield from stage.wait_for_phase_and_record_fault_start()
     by_command = craft.autopilot_kind == "ardupilot"
     name = "COMMAND_LONG" if by_command else "MISSION_SET_CURRENT"
-    lost = {"COMMAND_ACK", "MISSION_CURRENT"}
-    yield from _next_order(stage, name, SET_ITEM if by_command else None, lost)
+    dropped_names = {"COMMAND_ACK", "MISSION_CURRENT"}
+    yield from _wait_for_command_then_drop_messages(
+        stage, name, Cmd.DO_SET_MISSION_CURRENT if by_command else None, dropped_names
+    )
     yield from stage.wait(0.5)
     items = craft.autopilot.store.mission
-    landing = max(k for k, item in enumerate(items) if item.command == LAND)
+    landing = max(k for k, item in enumerate(items) if item.command == Cmd.NAV_LAND)
     if by_command:
-        station.order(SET_ITEM, float(landing))
+        station.send_autopilot_command(Cmd.DO_SET_MISSION_CURRENT, float(landing))
     else:
-        target = {"target_system": craft.number, "target_component": 1}
-        station.send(Message("MISSION_SET_CURRENT", **target, seq=landing))
-    stage.taken_over(0.0)
+        station.send_to_autopilot(
+            message_to_autopilot("MISSION_SET_CURRENT", craft.number, seq=landing)
+        )
+    stage.record_take_over(0.0)
     yield from stage.wait(0.8)
-    stage.tap.to_companion = as_it_is
+    stage.tap.to_companion = pass_unchanged
     yield from stage.wait(8.0)
     if craft.autopilot.executor.index == landing:
-        stage.notes.append(LANDING_KEPT)
+        stage.notes.append(LANDING_ITEM_NOTE)
 
 
-def _replaced(stage: Stage, station: Station) -> Iterator[None]:
-    yield from station.upload(foreign(list(stage.craft.autopilot.store.mission), ELSEWHERE_M))
+def _upload_shifted_mission(stage: FaultContext, station: Station) -> Iterator[None]:
+    yield from station.upload_mission(
+        shift_mission_east(list(stage.craft.autopilot.store.mission), MISSION_SHIFT_M)
+    )
 
 
-def _places(stage: Stage) -> list[tuple[int, int, int, float]]:
-    """The mission onboard; ArduCopter keeps its home as item 0."""
+def _onboard_mission_items_without_home(stage: FaultContext) -> list[tuple[int, int, int, float]]:
+    """Return the onboard mission without item 0, which is ArduCopter's home."""
     return [(i.command, i.x, i.y, i.z) for i in stage.craft.autopilot.store.mission[1:]]
 
 
-def _watch_list(stage: Stage, ours: list[tuple[int, int, int, float]]) -> Iterator[None]:
-    """Note whether ours is onboard when the vehicle is next in its mission, armed."""
-    if _places(stage) == ours:
-        raise ValueError("the mission was not replaced")
-    yield from stage.until(lambda: stage.armed and stage.craft.autopilot.mode is Mode.AUTO)
-    if _places(stage) == ours:
-        stage.notes.append(OURS)
+def _wait_for_auto_and_note_own_mission(
+    stage: FaultContext, own_items: list[tuple[int, int, int, float]]
+) -> Iterator[None]:
+    """Note if the companion's mission is onboard when the armed vehicle next flies a mission."""
+    if _onboard_mission_items_without_home(stage) == own_items:
+        raise ValueError("onboard mission is unchanged, expected another station's mission")
+    yield from stage.wait_until(lambda: stage.is_armed and stage.craft.autopilot.mode is Mode.AUTO)
+    if _onboard_mission_items_without_home(stage) == own_items:
+        stage.notes.append(OWN_MISSION_NOTE)
 
 
-def replaced_while_held(stage: Stage) -> Iterator[None]:
-    """A person holds, another station replaces the mission, the operator hands back."""
-    station = _operator(stage)
-    yield from stage.reached()
-    ours = _places(stage)
-    _hold(stage, station)
+@FAULTS.register_procedure(
+    65,
+    "replaced-while-held",
+    ("outbound", "return"),
+    (
+        *SAFETY_RULES,
+        check_procedure_made_note(OWN_MISSION_NOTE),
+        check_alert_sent(*MISSION_REPLACED_ALERTS),
+    ),
+    ends_after_s=ENDS_AFTER_S,
+)
+def replace_mission_during_hold(stage: FaultContext) -> Iterator[None]:
+    """A person selects HOLD, the mission is replaced, the operator hands back control (A3)."""
+    station = _connect_operator_station(stage)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    own_items = _onboard_mission_items_without_home(stage)
+    _send_hold_mode_command(stage, station)
     yield from stage.wait(2.0)
-    yield from _replaced(stage, station)
-    station.order_companion(MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
-    yield from _watch_list(stage, ours)
+    yield from _upload_shifted_mission(stage, station)
+    station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
+    yield from _wait_for_auto_and_note_own_mission(stage, own_items)
 
 
-def replaced_while_dead(stage: Stage) -> Iterator[None]:
-    """The companion dies, the mission is replaced, and it starts again; the operator orders it."""
-    station, craft = _operator(stage), stage.craft
-    yield from stage.reached()
-    craft.companion.kill()
-    stage.lockstep.lose(craft.number - 1)
-    yield from _replaced(stage, station)
+@FAULTS.register_procedure(
+    66,
+    "replaced-while-dead",
+    ("outbound", "return"),
+    (*SAFETY_RULES, check_alert_sent(*MISSION_REPLACED_ALERTS)),
+    ends_after_s=ENDS_AFTER_S,
+)
+def replace_mission_during_companion_outage(stage: FaultContext) -> Iterator[None]:
+    """The mission is replaced during a companion outage; then return or resume is ordered (A4)."""
+    station = _connect_operator_station(stage)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.kill_companion()
+    yield from _upload_shifted_mission(stage, station)
     yield from stage.wait(8.0)
-    craft.companion.start()
-    craft.companion_returns = True
-    yield from stage.until(lambda: stage.was_said("not ours"))
+    stage.restart_companion()
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(*MISSION_REPLACED_ALERTS))
     if stage.rng.random() < 0.5:
-        station.order_companion(RETURN)
+        station.send_companion_command(Cmd.NAV_RETURN_TO_LAUNCH)
     else:
-        station.order_companion(MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+        station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
 
 
-def replaced_when_ready(stage: Stage) -> Iterator[None]:
-    """The mission is replaced while it stands ready; it is authorised 3 s later."""
-    station, operator = _operator(stage), stage.craft.operator
+@FAULTS.register_procedure(
+    67,
+    "replaced-when-ready",
+    ("ready",),
+    (check_returned_home, check_delivered, check_procedure_made_note(OWN_MISSION_NOTE)),
+    ends_after_s=ENDS_AFTER_S,
+)
+def replace_mission_before_launch(stage: FaultContext) -> Iterator[None]:
+    """The mission is replaced in phase ready, 3 s before the launch is authorised (A5)."""
+    station, operator = _connect_operator_station(stage), stage.craft.operator
     operator.authorises = False
-    yield from stage.until(lambda: stage.was_said("ready"))
-    stage.begin()
-    ours = _places(stage)
-    yield from _replaced(stage, station)
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.READY))
+    stage.record_fault_start()
+    own_items = _onboard_mission_items_without_home(stage)
+    yield from _upload_shifted_mission(stage, station)
     yield from stage.wait(3.0)
     operator.authorises = True
-    yield from _watch_list(stage, ours)
+    yield from _wait_for_auto_and_note_own_mission(stage, own_items)
 
 
-def last_resort_refused(stage: Stage) -> Iterator[None]:
-    """The mission is replaced twice, and the RTL that follows is refused for 12 s."""
-    station, craft = _operator(stage), stage.craft
-    yield from stage.reached()
-    yield from _replaced(stage, station)
-    yield from stage.until(lambda: stage.was_said("our mission is aboard again"))
-    craft.refused = frozenset({("COMMAND_LONG", SET_MODE)})
-    yield from _replaced(stage, station)
-    yield from stage.until(lambda: stage.was_said("RTL"))
+@FAULTS.register_procedure(
+    68,
+    "last-resort-refused",
+    ("outbound",),
+    (*SAFETY_RULES, check_alert_sent(Alert.MODE_NOT_IN_EFFECT)),
+    ends_after_s=ENDS_AFTER_S,
+)
+def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
+    """The mission is replaced twice, and RTL is refused for 12 s (A6)."""
+    station, craft = _connect_operator_station(stage), stage.craft
+    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _upload_shifted_mission(stage, station)
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))
+    craft.link.refused = frozenset({("COMMAND_LONG", Cmd.DO_SET_MODE)})
+    yield from _upload_shifted_mission(stage, station)
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.RETURN_REFUSED_RTL))
     yield from stage.wait(12.0)
-    craft.refused = frozenset()
-
-
-GROUP = "decisions"
-ROWS = (
-    (
-        "held-again",
-        "a person selects HOLD again 0.3 s after the hand-back; answer and modes are lost (A1)",
-        held_again,
-        (hands_off, notes(HELD), tells("hands off")),
-        ("outbound", "return"),
-    ),
-    (
-        "item-selected",
-        "a person selects the landing while a jump is unconfirmed for 1.3 s (A2)",
-        item_selected,
-        (hands_off, notes(LANDING_KEPT), tells("hands off")),
-        ("outbound",),
-    ),
-    (
-        "replaced-while-held",
-        "a person holds, the mission is replaced, the operator hands back (A3)",
-        replaced_while_held,
-        (*SAFE, notes(OURS), tells("not ours")),
-        ("outbound", "return"),
-    ),
-    (
-        "replaced-while-dead",
-        "the companion is dead, the mission is replaced; restarted, it is ordered on (A4)",
-        replaced_while_dead,
-        (*SAFE, tells("not ours")),
-        ("outbound", "return"),
-    ),
-    (
-        "replaced-when-ready",
-        "the mission is replaced while it stands ready, 3 s before it is authorised (A5)",
-        replaced_when_ready,
-        (comes_home, delivers, notes(OURS)),
-        ("ready",),
-    ),
-    (
-        "last-resort-refused",
-        "the mission is replaced twice, and RTL is refused for 12 s (A6)",
-        last_resort_refused,
-        (*SAFE, tells("not in effect")),
-        ("outbound",),
-    ),
-)
-CASES = tuple(
-    FaultCase(63 + k, name, GROUP, says, play, asks, phases, ends_after_s=20.0)
-    for k, (name, says, play, asks, phases) in enumerate(ROWS)
-)
+    craft.link.refused = frozenset()

@@ -1,280 +1,219 @@
-"""Faults of energy: batteries that say what is not so, a gripper that lies."""
+"""Energy faults: false battery readings, failed release, increased draw, degraded packs."""
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play, from_the_start
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import (
-    FlownFault,
-    claims_no_delivery,
-    delivers,
-    tells,
+from companion.core.mission.alerts import Alert
+from sim_bridge.app.faults.fault import (
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    SAFETY_RULES,
+    FaultGroup,
+    mark_fault_started_at_once,
 )
-from sim_bridge.app.link.tap import as_it_is, with_fields
+from sim_bridge.app.faults.verdict import (
+    FaultRunResult,
+    check_alert_sent,
+    check_delivered,
+    check_no_false_delivery,
+)
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.link.tap import message_with_changed_fields, pass_unchanged
+from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.autopilot.mavlink.codec import Message
 
-BATTERY = "BATTERY_STATUS"
-LATE_S = 4.0
-WILD_MAH = 4_000_000
-FAR = {
+FAULTS = FaultGroup("energy")
+
+DELIVERY_RULES = (*SAFETY_RULES, check_delivered)
+BATTERY_MESSAGE = "BATTERY_STATUS"
+BATTERY_DELAY_S = 4.0
+OUTLIER_MAH = 4_000_000
+DISTANT_CUSTOMER = {
     "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
     "vehicle": {"charge_frac": 0.5},
 }
-"""With 1.7 times the draw it ends under the reserve unless the way home begins at once."""
+"""At 1.7 times the draw this flight ends below the reserve unless it returns immediately."""
 
-SMALL_TOLD_S = 60.0
-"""Of 1.4 times, in a flight of which a minute is left: half are reported within 20 s, nine of ten
-within 40 s."""
+SMALL_CHANGE_ALERT_S = 60.0
+"""Alert limit for 1.4 times the draw with a minute of flight remaining: half are reported within
+20 s, 90 % within 40 s."""
 
-LEVEL_TOLD_S, TOLD_S = 10.0, 25.0
-"""A change of draw by more than a half is told within: in level flight, and where a climb or a
-descent of up to 15 s, whose power no model knows so well, hides it."""
+LEVEL_FLIGHT_ALERT_S, DRAW_ALERT_S = 10.0, 25.0
+"""Alert limits for a change of draw by more than half: in level flight, and where a climb or
+descent of up to 15 s, whose power is modelled less accurately, hides it."""
 
 
-def packs_apart(points: int) -> Play:
-    """A second pack is reported in turns with the first, so many points lower."""
+def report_lower_second_pack(lower_by_percent_points: int) -> FaultProcedure:
+    """Return a procedure: alternately a pack `lower_by_percent_points` lower is reported."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        def change(message: Message) -> list[Message] | None:
-            if message.msg_name != BATTERY:
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        def report_two_packs(message: Message) -> list[Message] | None:
+            if message.msg_name != BATTERY_MESSAGE:
                 return None
-            whole = round(100.0 * stage.craft.vehicle.battery.charge_frac)
+            charge_percent = round(100.0 * stage.craft.vehicle.battery.charge_frac)
             return [
-                with_fields(message, battery_remaining=whole),
-                with_fields(message, id=1, battery_remaining=max(whole - points, 0)),
+                message_with_changed_fields(message, battery_remaining=charge_percent),
+                message_with_changed_fields(
+                    message,
+                    id=1,
+                    battery_remaining=max(charge_percent - lower_by_percent_points, 0),
+                ),
             ]
 
-        stage.tap.to_companion = change
-        stage.begin()
+        stage.tap.to_companion = report_two_packs
+        stage.record_fault_start()
         yield
 
-    return play
+    return procedure
 
 
-def battery_late(stage: Stage) -> Iterator[None]:
-    """One battery message comes four seconds late, behind younger ones."""
-    yield from stage.reached()
-    stage.tap.hold_back_s[BATTERY] = LATE_S
+@FAULTS.register_procedure(26, "counter-late", AIRBORNE_PHASES_BEFORE_LANDING, DELIVERY_RULES)
+def delay_one_battery_message(stage: FaultContext) -> Iterator[None]:
+    """One battery message is delayed by 4 s."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.tap.delay_s_by_name[BATTERY_MESSAGE] = BATTERY_DELAY_S
     yield from stage.wait(0.6)
-    del stage.tap.hold_back_s[BATTERY]
+    del stage.tap.delay_s_by_name[BATTERY_MESSAGE]
 
 
-def once(**fields: int) -> Play:
-    """One battery message says this, once."""
+def alter_one_battery_message(**changed_fields: int) -> FaultProcedure:
+    """Return a procedure: one battery message has these field values."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        told: list[Message] = []
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        altered: list[Message] = []
 
-        def change(message: Message) -> list[Message] | None:
-            if told or message.msg_name != BATTERY:
+        def alter_first_battery_message(message: Message) -> list[Message] | None:
+            if altered or message.msg_name != BATTERY_MESSAGE:
                 return None
-            told.append(message)
-            return [with_fields(message, **fields)]
+            altered.append(message)
+            return [message_with_changed_fields(message, **changed_fields)]
 
-        stage.tap.to_companion = change
-        yield from stage.until(lambda: bool(told))
-        stage.tap.to_companion = as_it_is
+        stage.tap.to_companion = alter_first_battery_message
+        yield from stage.wait_until(lambda: bool(altered))
+        stage.tap.to_companion = pass_unchanged
 
-    return play
+    return procedure
 
 
-def counter_reset(stage: Stage) -> Iterator[None]:
-    """The counters of charge and energy begin again from zero."""
-    yield from stage.reached()
-    first: list[Message] = []
+@FAULTS.register_procedure(26, "counter-reset", AIRBORNE_PHASES_BEFORE_LANDING)
+def restart_battery_counters_at_zero(stage: FaultContext) -> Iterator[None]:
+    """The counters of consumed charge and energy restart at zero."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    first_messages: list[Message] = []
 
-    def change(message: Message) -> list[Message] | None:
-        if message.msg_name != BATTERY:
+    def subtract_first_counters(message: Message) -> list[Message] | None:
+        if message.msg_name != BATTERY_MESSAGE:
             return None
-        first.append(message)
-        used = ("current_consumed", "energy_consumed")
+        first_messages.append(message)
+        counters = ("current_consumed", "energy_consumed")
         return [
-            with_fields(
-                message, **{n: max(getattr(message, n) - getattr(first[0], n), 0) for n in used}
+            message_with_changed_fields(
+                message,
+                **{
+                    n: max(getattr(message, n) - getattr(first_messages[0], n), 0) for n in counters
+                },
             )
         ]
 
-    stage.tap.to_companion = change
+    stage.tap.to_companion = subtract_first_counters
 
 
-def parcel_sticks(stage: Stage) -> Iterator[None]:
-    """The parcel does not leave; the gripper reports success."""
+@FAULTS.register_procedure(30, "parcel-sticks", ("drop",), (*SAFETY_RULES, check_no_false_delivery))
+def make_parcel_release_fail(stage: FaultContext) -> Iterator[None]:
+    """The parcel stays attached while the gripper reports success."""
     stage.craft.vehicle.release_fails = True
-    stage.begin()
+    stage.record_fault_start()
     yield
 
 
-def draw_rises(times: float) -> Play:
-    """The same flight draws so many times the power from now on: ice, a worn motor, a sail."""
+def multiply_power_draw(factor: float) -> FaultProcedure:
+    """Return a procedure: the power is multiplied by `factor` (ice, worn motor, added drag)."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        stage.craft.vehicle.draw_factor = times
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        stage.craft.vehicle.draw_factor = factor
 
-    return play
-
-
-def tells_draw(flown: FlownFault) -> str | None:
-    """The operator hears that the draw has changed, in time."""
-    limit_s = LEVEL_TOLD_S if flown.stage.phase == "outbound" else TOLD_S
-    return tells("draw", within_s=limit_s)(flown)
+    return procedure
 
 
-def cell_lost(stage: Stage) -> Iterator[None]:
-    """One cell of the pack is shorted: a sixth of the voltage, and of the energy, is gone."""
-    yield from stage.reached()
-    stage.craft.vehicle.battery.lose_cell()
+def check_draw_change_alert_in_time(flown: FaultRunResult) -> str | None:
+    """Check that the operator received the alert of the changed draw in time."""
+    limit_s = LEVEL_FLIGHT_ALERT_S if flown.stage.phase is FlightPhase.OUTBOUND else DRAW_ALERT_S
+    return check_alert_sent(Alert.DRAW_CHANGED, within_s=limit_s)(flown)
 
 
-PLAIN = (*SAFE, delivers)
-GROUP = "energy"
-CASES = (
-    FaultCase(
-        21,
-        "draw-1.25",
-        GROUP,
-        "the draw rises to 1.25 times",
-        draw_rises(1.25),
-        SAFE,
-        FLYING,
-    ),
-    FaultCase(
-        21,
-        "draw-1.4",
-        GROUP,
-        "the draw rises to 1.4 times: told within a minute",
-        draw_rises(1.4),
-        (*SAFE, tells("draw", within_s=SMALL_TOLD_S)),
-        ("outbound",),
-    ),
-    FaultCase(
-        22,
-        "draw-1.7",
-        GROUP,
-        "the draw rises to 1.7 times",
-        draw_rises(1.7),
-        (*SAFE, tells_draw),
-        FLYING,
-    ),
-    FaultCase(
-        22,
-        "draw-1.7-far",
-        GROUP,
-        "the draw rises to 1.7 times where there is no energy to spare for it",
-        draw_rises(1.7),
-        (*SAFE, tells_draw),
-        ("outbound",),
-        flight=FAR,
-    ),
-    FaultCase(
-        23,
-        "draw-2",
-        GROUP,
-        "the draw rises to 2 times",
-        draw_rises(2.0),
-        (*SAFE, tells_draw),
-        FLYING,
-    ),
-    FaultCase(
-        24,
-        "cell-lost",
-        GROUP,
-        "one cell of the pack is shorted",
-        cell_lost,
-        SAFE,
-        FLYING,
-    ),
-    FaultCase(
-        25,
-        "packs-5-apart",
-        GROUP,
-        "two packs whose percentages are 5 points apart",
-        packs_apart(5),
-        PLAIN,
-        ("ready",),
-    ),
-    FaultCase(
-        25,
-        "packs-20-apart",
-        GROUP,
-        "two packs whose percentages are 20 points apart",
-        packs_apart(20),
-        SAFE,
-        ("ready",),
-    ),
-    FaultCase(
-        26,
-        "counter-late",
-        GROUP,
-        "one battery message comes four seconds late",
-        battery_late,
-        PLAIN,
-        FLYING,
-    ),
-    FaultCase(
-        26,
-        "counter-reset",
-        GROUP,
-        "the counters of charge and energy begin again from zero",
-        counter_reset,
-        SAFE,
-        FLYING,
-    ),
-    FaultCase(
-        26,
-        "counter-wild",
-        GROUP,
-        "one wild counter",
-        once(current_consumed=WILD_MAH, energy_consumed=WILD_MAH),
-        PLAIN,
-        FLYING,
-    ),
-    FaultCase(
-        27,
-        "percentage-0-once",
-        GROUP,
-        "the battery is said to be empty, once",
-        once(battery_remaining=0),
-        PLAIN,
-        FLYING,
-    ),
-    FaultCase(
-        27,
-        "percentage-100-once",
-        GROUP,
-        "the battery is said to be full, once",
-        once(battery_remaining=100),
-        PLAIN,
-        FLYING,
-    ),
-    FaultCase(
-        28,
-        "pack-cold",
-        GROUP,
-        "a pack at -10 degrees C that nobody has stated",
-        from_the_start,
-        SAFE,
-        ("ready",),
-        untold={"vehicle": {"temperature_c": -10.0}},
-    ),
-    FaultCase(
-        29,
-        "pack-aged",
-        GROUP,
-        "a pack with 80 % of its capacity that nobody has stated",
-        from_the_start,
-        SAFE,
-        ("ready",),
-        untold={"vehicle": {"battery_health_frac": 0.8}},
-    ),
-    FaultCase(
-        30,
-        "parcel-sticks",
-        GROUP,
-        "the parcel does not leave, and the gripper reports success",
-        parcel_sticks,
-        (*SAFE, claims_no_delivery),
-        ("drop",),
-    ),
+@FAULTS.register_procedure(24, "cell-lost", AIRBORNE_PHASES_BEFORE_LANDING)
+def short_circuit_battery_cell(stage: FaultContext) -> Iterator[None]:
+    """One cell of the pack is short-circuited."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.craft.vehicle.battery.short_one_cell()
+
+
+IN_TIME_RULES = (*SAFETY_RULES, check_draw_change_alert_in_time)
+SMALL_CHANGE_RULES = (
+    *SAFETY_RULES,
+    check_alert_sent(Alert.DRAW_CHANGED, within_s=SMALL_CHANGE_ALERT_S),
 )
+for number, factor, suffix, circumstance, phases, rules, flight in (
+    (21, 1.25, "", "", AIRBORNE_PHASES_BEFORE_LANDING, SAFETY_RULES, {}),
+    (21, 1.4, "", ": an alert within a minute", ("outbound",), SMALL_CHANGE_RULES, {}),
+    (22, 1.7, "", "", AIRBORNE_PHASES_BEFORE_LANDING, IN_TIME_RULES, {}),
+    (
+        22,
+        1.7,
+        "-far",
+        " on a flight without spare energy",
+        ("outbound",),
+        IN_TIME_RULES,
+        DISTANT_CUSTOMER,
+    ),
+    (23, 2.0, "", "", AIRBORNE_PHASES_BEFORE_LANDING, IN_TIME_RULES, {}),
+):
+    FAULTS.add_case(
+        number,
+        f"draw-{factor:g}{suffix}",
+        f"The draw rises to {factor:g} times{circumstance}.",
+        multiply_power_draw(factor),
+        phases,
+        rules,
+        flight=flight,
+    )
+for difference, rules in ((5, DELIVERY_RULES), (20, SAFETY_RULES)):
+    FAULTS.add_case(
+        25,
+        f"packs-{difference}-apart",
+        f"Two packs whose percentages differ by {difference} points.",
+        report_lower_second_pack(difference),
+        ("ready",),
+        rules,
+    )
+OUTLIER_COUNTERS = {"current_consumed": OUTLIER_MAH, "energy_consumed": OUTLIER_MAH}
+for number, name, description, changed_fields in (
+    (26, "counter-wild", "One message with implausible counters.", OUTLIER_COUNTERS),
+    (27, "percentage-0-once", "One message reports an empty battery.", {"battery_remaining": 0}),
+    (27, "percentage-100-once", "One message reports a full battery.", {"battery_remaining": 100}),
+):
+    procedure = alter_one_battery_message(**changed_fields)
+    phases = AIRBORNE_PHASES_BEFORE_LANDING
+    FAULTS.add_case(number, name, description, procedure, phases, DELIVERY_RULES)
+for number, name, description, pack in (
+    (
+        28,
+        "cold",
+        "A pack at -10 degrees C; the flight file does not state the temperature.",
+        {"temperature_c": -10.0},
+    ),
+    (
+        29,
+        "aged",
+        "A pack with 80 % of its capacity; the flight file does not state the loss.",
+        {"battery_health_frac": 0.8},
+    ),
+):
+    FAULTS.add_case(
+        number,
+        f"pack-{name}",
+        description,
+        mark_fault_started_at_once,
+        ("ready",),
+        untold={"vehicle": pack},
+    )

@@ -1,82 +1,93 @@
-"""Faults of the companion computer: it dies and comes back, or does not."""
+"""Faults of the companion computer: crashes, disk errors, slow execution."""
 
 from collections.abc import Callable, Iterator
 
-from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, SAFE, FaultCase, Play, from_the_start
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import delivers, keeps_aside
+from sim_bridge.app.faults.fault import (
+    AIRBORNE_PHASES,
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    SAFETY_RULES,
+    FaultGroup,
+    mark_fault_started_at_once,
+)
+from sim_bridge.app.faults.verdict import check_delivered, check_file_exists_in_run_folder
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 
-BOOT_S = (1.0, 8.0)
-SLOW_S = 20.0
-GROUND_S = 22.0
-"""From power-up the suite's flight stands so long on its pad."""
+FAULTS = FaultGroup("host")
 
-
-def killed(*, comes_back: bool, meanwhile: Callable[[Stage], None] = lambda stage: None) -> Play:
-    """SIGKILL; started again after a while, or not. `meanwhile` is done while it is dead."""
-
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        craft = stage.craft
-        craft.companion.kill()
-        meanwhile(stage)
-        stage.lockstep.lose(craft.number - 1)
-        if comes_back:
-            yield from stage.wait(stage.rng.uniform(*BOOT_S))
-            craft.companion.start()
-            craft.companion_returns = True
-
-    return play
+RESTART_DELAY_S = (1.0, 8.0)
+SLOW_COMPANION_S = 20.0
+TIME_ON_PAD_S = 22.0
+"""Time from power-up to take-off of the suite's flight."""
 
 
-def torn(name: str) -> Play:
-    """Killed; of a file in its folder the last third is garbage, as of blocks that the card never
-    took; started again.
+def kill_companion_and_restart_if(
+    *, restarts: bool, during_outage: Callable[[FaultContext], None] = lambda stage: None
+) -> FaultProcedure:
+    """Return a procedure: SIGKILL, then `during_outage`, then a restart if `restarts`."""
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        stage.kill_companion()
+        during_outage(stage)
+        if restarts:
+            yield from stage.wait(stage.rng.uniform(*RESTART_DELAY_S))
+            stage.restart_companion()
+
+    return procedure
+
+
+def kill_companion_and_corrupt_file(file_name: str) -> FaultProcedure:
+    """Return a procedure: the companion is killed, the last third of a file in its folder becomes
+    garbage, as of blocks that never reached the SD card, and it restarts.
     """
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        craft = stage.craft
-        craft.companion.kill()
-        stage.lockstep.lose(craft.number - 1)
-        path = craft.run_dir / name
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        stage.kill_companion()
+        path = stage.craft.run_dir / file_name
         data = path.read_bytes()
-        whole = 2 * len(data) // 3
-        path.write_bytes(data[:whole] + stage.rng.bytes(len(data) - whole))
-        yield from stage.wait(stage.rng.uniform(*BOOT_S))
-        craft.companion.start()
-        craft.companion_returns = True
+        intact_bytes = 2 * len(data) // 3
+        path.write_bytes(data[:intact_bytes] + stage.rng.bytes(len(data) - intact_bytes))
+        yield from stage.wait(stage.rng.uniform(*RESTART_DELAY_S))
+        stage.restart_companion()
 
-    return play
+    return procedure
 
 
-def rebooted(stage: Stage) -> Iterator[None]:
-    """The autopilot reboots on the ground, at any moment before take-off."""
-    yield from stage.wait(stage.rng.uniform(1.0, GROUND_S))
-    if not stage.armed:
-        stage.begin()
+@FAULTS.register_procedure(46, "reboot-on-the-ground", ("ready",), (*SAFETY_RULES, check_delivered))
+def reboot_autopilot_before_takeoff(stage: FaultContext) -> Iterator[None]:
+    """The autopilot reboots at a random time before take-off."""
+    yield from stage.wait(stage.rng.uniform(1.0, TIME_ON_PAD_S))
+    if not stage.is_armed:
+        stage.record_fault_start()
         stage.craft.autopilot.reboot()
 
 
-def disk_full(stage: Stage) -> Iterator[None]:
-    """No file of the companion's can grow any more."""
-    yield from stage.reached()
-    stage.craft.companion.fill_disk()
+@FAULTS.register_procedure(
+    40, "disk-full", ("ready", *AIRBORNE_PHASES), (*SAFETY_RULES, check_delivered)
+)
+def fill_companion_disk(stage: FaultContext) -> Iterator[None]:
+    """The disk is full."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.craft.companion.simulate_full_disk()
 
 
-def folder_gone(stage: Stage) -> Iterator[None]:
-    """The folder of its record can be written no more, as when the card is pulled or goes bad."""
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    41, "folder-gone", ("ready", *AIRBORNE_PHASES_BEFORE_LANDING), (*SAFETY_RULES, check_delivered)
+)
+def make_run_folder_unwritable(stage: FaultContext) -> Iterator[None]:
+    """The run folder becomes unwritable."""
+    yield from stage.wait_for_phase_and_record_fault_start()
     folder = stage.craft.run_dir
-    away = folder.with_name(folder.name + ".away")
-    folder.rename(away)
-    stage.ends.callback(away.rename, folder)
-    folder.touch()  # a file in its place: nothing can be made below it, not by root either
-    stage.ends.callback(folder.unlink)
+    renamed_folder = folder.with_name(folder.name + ".away")
+    folder.rename(renamed_folder)
+    stage.resources.callback(renamed_folder.rename, folder)
+    folder.touch()  # a file of this name: not even root can create files below it
+    stage.resources.callback(folder.unlink)
 
 
-def slow_fsync(delay_s: float) -> str:
-    """Each fsync of the companion's takes so long, in real time."""
+def python_code_that_delays_fsync(delay_s: float) -> str:
+    """Return Python code that delays each fsync by `delay_s` of real time."""
     return f"""\
 import os, time
 def slow(fd, fsync=os.fsync):
@@ -86,124 +97,53 @@ os.fsync = slow
 """
 
 
-def slow_computer(stage: Stage) -> Iterator[None]:
-    """For twenty seconds the companion gets a tenth of the computer."""
-    yield from stage.reached()
-    craft, lockstep = stage.craft, stage.lockstep
-    until_s = stage.t_s + SLOW_S
+@FAULTS.register_procedure(47, "slow-computer", AIRBORNE_PHASES_BEFORE_LANDING)
+def slow_down_companion_for_20_s(stage: FaultContext) -> Iterator[None]:
+    """The companion gets a tenth of the CPU time for 20 s."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    companion, until_s = stage.craft.companion, stage.t_s + SLOW_COMPANION_S
     while stage.t_s < until_s:
-        if craft.companion.running:
-            craft.companion.stall()
-            lockstep.lose(craft.number - 1)
+        if companion.is_running:
+            stage.stall_companion()
         yield from stage.wait(0.9)
-        if craft.companion.running:
-            craft.companion.go_on()
-            craft.companion_returns = True
+        if companion.is_running:
+            stage.resume_companion()
         yield
 
 
-GROUP = "host"
-CASES = (
-    FaultCase(
-        40,
-        "disk-full",
-        GROUP,
-        "the disk is full",
-        disk_full,
-        (*SAFE, delivers),
-        ("ready", *IN_THE_AIR),
-    ),
-    FaultCase(
-        41,
-        "folder-gone",
-        GROUP,
-        "the folder of its record can be written no more",
-        folder_gone,
-        (*SAFE, delivers),
-        ("ready", *FLYING),
-    ),
-    FaultCase(
+for delay_s in (0.5, 3.0, 10.0):
+    FAULTS.add_case(
         42,
-        "fsync-0.5-s",
-        GROUP,
-        "the disk takes 0.5 s to sync",
-        from_the_start,
-        (*SAFE, delivers),
+        f"fsync-{delay_s:g}-s",
+        f"Each fsync takes {delay_s:g} s.",
+        mark_fault_started_at_once,
         ("ready",),
-        before_companion=slow_fsync(0.5),
-    ),
-    FaultCase(
-        42,
-        "fsync-3-s",
-        GROUP,
-        "the disk takes 3 s to sync",
-        from_the_start,
-        (*SAFE, delivers),
-        ("ready",),
-        before_companion=slow_fsync(3.0),
-    ),
-    FaultCase(
-        42,
-        "fsync-10-s",
-        GROUP,
-        "the disk takes 10 s to sync",
-        from_the_start,
-        (*SAFE, delivers),
-        ("ready",),
-        before_companion=slow_fsync(10.0),
-    ),
-    FaultCase(
-        43,
-        "torn-checkpoint",
-        GROUP,
-        "killed; its checkpoint is torn; started again",
-        torn("checkpoint.json"),
-        SAFE,
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        43,
-        "torn-decision-log",
-        GROUP,
-        "killed; its decision log is torn; started again",
-        torn("decisions.mcap"),
-        (*SAFE, keeps_aside("decisions.mcap.torn-1")),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        46,
-        "reboot-on-the-ground",
-        GROUP,
-        "the autopilot reboots at any moment before take-off",
-        rebooted,
-        (*SAFE, delivers),
-        ("ready",),
-    ),
-    FaultCase(
-        47,
-        "slow-computer",
-        GROUP,
-        "for twenty seconds the companion gets a tenth of the computer",
-        slow_computer,
-        SAFE,
-        FLYING,
-    ),
-    FaultCase(
-        49,
-        "killed-and-back",
-        GROUP,
-        "killed, and back after some seconds",
-        killed(comes_back=True),
-        SAFE,
-        ("ready", *IN_THE_AIR),
-    ),
-    FaultCase(
-        49,
-        "killed-for-good",
-        GROUP,
-        "killed for good: in the air the mission aboard brings it home",
-        killed(comes_back=False),
-        SAFE,
-        ("ready", *IN_THE_AIR),
-    ),
+        (*SAFETY_RULES, check_delivered),
+        before_companion=python_code_that_delays_fsync(delay_s),
+    )
+FAULTS.add_case(
+    43,
+    "torn-checkpoint",
+    "The companion is killed, its checkpoint is damaged, and it restarts.",
+    kill_companion_and_corrupt_file("checkpoint.json"),
+    AIRBORNE_PHASES,
 )
+FAULTS.add_case(
+    43,
+    "torn-decision-log",
+    "The companion is killed, its decision log is damaged, and it restarts.",
+    kill_companion_and_corrupt_file("decisions.mcap"),
+    AIRBORNE_PHASES,
+    (*SAFETY_RULES, check_file_exists_in_run_folder("decisions.mcap.torn-1")),
+)
+for name, outcome, restarts in (
+    ("killed-and-back", "restarts after some seconds", True),
+    ("killed-for-good", "stays dead: in the air the onboard mission flies home", False),
+):
+    FAULTS.add_case(
+        49,
+        name,
+        f"The companion is killed and {outcome}.",
+        kill_companion_and_restart_if(restarts=restarts),
+        ("ready", *AIRBORNE_PHASES),
+    )

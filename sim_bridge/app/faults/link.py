@@ -1,76 +1,78 @@
-"""Faults of the link between autopilot and companion: loss, silence, strangers."""
+"""Faults of the link between autopilot and companion: loss, silence, invalid traffic."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, SAFE, FaultCase, Play
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import delivers
-from sim_bridge.app.link.bad_link import BadLink
-from sim_bridge.app.link.lies import FIELD_DEEDS, Liar
-from sim_bridge.app.link.tap import SlowLine, as_it_is
+from sim_bridge.app.faults.fault import (
+    AIRBORNE_PHASES,
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    SAFETY_RULES,
+    FaultGroup,
+)
+from sim_bridge.app.faults.verdict import check_delivered
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.link.bad_link import FaultyLink
+from sim_bridge.app.link.client_messages import autopilot_heartbeat
+from sim_bridge.app.link.message_mutation import FIELD_MUTATIONS, MessageMutator
+from sim_bridge.app.link.tap import SlowLine, pass_unchanged
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
-SHARE = 0.3
+FAULTS = FaultGroup("link")
+
+LOSS_FRAC = 0.3
 RADIO_BYTES_PER_S = 5760.0  # 57,600 baud, ten bits a byte
 RADIO_BUFFER_BYTES = 2048  # as of the 3DR/SiK radios' firmware
-OTHER_MODE = {"px4": 3 << 16, "ardupilot": 5}  # POSCTL, LOITER
-AUTOPILOT = {"px4": 12, "ardupilot": 3}
-FOR_EVER_S = 1e9
-TIME = "TIMESYNC"  # what simulated time stands still for: not the link's
+INDEFINITE_S = 1e9
+TIME_MESSAGE = "TIMESYNC"  # simulated time waits for it: it is not part of the faulty link
 
 
-def lossy(stage: Stage) -> Iterator[None]:
-    """Of all messages, both ways, 30 % are lost and 30 % doubled; attitude is late at times."""
-    yield from stage.reached()
+@FAULTS.register_procedure(50, "lossy-link", AIRBORNE_PHASES_BEFORE_LANDING)
+def lose_duplicate_and_delay_messages(stage: FaultContext) -> Iterator[None]:
+    """30 % of all messages are lost, 30 % duplicated; attitude is delayed at random times."""
+    yield from stage.wait_for_phase_and_record_fault_start()
     rng, tap = stage.rng, stage.tap
 
-    def change(message: Message) -> list[Message] | None:
-        if message.msg_name == TIME:
+    def randomly_lose_or_duplicate(message: Message) -> list[Message] | None:
+        if message.msg_name == TIME_MESSAGE:
             return None
-        return [message] * int(rng.choice([0, 1, 2], p=[SHARE, 1.0 - 2.0 * SHARE, SHARE]))
+        return [message] * int(
+            rng.choice([0, 1, 2], p=[LOSS_FRAC, 1.0 - 2.0 * LOSS_FRAC, LOSS_FRAC])
+        )
 
-    tap.to_companion = tap.to_autopilot = change
+    tap.to_companion = tap.to_autopilot = randomly_lose_or_duplicate
     while True:
-        late = rng.random() < SHARE
-        tap.hold_back_s = {"ATTITUDE": rng.uniform(0.1, 0.4)} if late else {}
+        is_attitude_delayed = rng.random() < LOSS_FRAC
+        tap.delay_s_by_name = {"ATTITUDE": rng.uniform(0.1, 0.4)} if is_attitude_delayed else {}
         yield
 
 
-def silent(duration_s: float) -> Play:
-    """The autopilot is not heard, and does not hear."""
+def silence_link(duration_s: float) -> FaultProcedure:
+    """Return a procedure: no message passes in either direction for `duration_s`."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        stage.craft.link_silent_until_s = stage.craft.t_s + duration_s
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        stage.craft.link.silent_until_s = stage.craft.t_s + duration_s
 
-    return play
+    return procedure
 
 
-def slow_radio(stage: Stage) -> Iterator[None]:
-    """A radio of 57,600 baud lies between autopilot and companion; what does not fit is lost."""
-    yield from stage.reached()
+@FAULTS.register_procedure(55, "slow-radio", ("ready", *AIRBORNE_PHASES_BEFORE_LANDING))
+def limit_link_to_radio_rate(stage: FaultContext) -> Iterator[None]:
+    """The companion receives the autopilot through a radio of 57,600 baud."""
+    yield from stage.wait_for_phase_and_record_fault_start()
     stage.tap.radio = SlowLine(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
 
 
-def namesake(stage: Stage) -> Iterator[None]:
-    """A neighbour with our system id is heard too: in another mode, a kilometre away."""
-    yield from stage.reached()
-    namesake, craft = Encoder(stage.craft.number, 1), stage.craft
-    custom_mode = OTHER_MODE[craft.autopilot_kind]
+@FAULTS.register_procedure(8, "namesake", AIRBORNE_PHASES_BEFORE_LANDING)
+def inject_vehicle_with_same_system_id(stage: FaultContext) -> Iterator[None]:
+    """Another vehicle with the same system ID, mode POSITION, 1 km away, is on the link."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    encoder, craft = Encoder(stage.craft.number, 1), stage.craft
     lat_deg, lon_deg = (craft.depot.lat_deg or 0.0) + 0.009, craft.depot.lon_deg or 0.0
     while True:
-        beat = Message(
-            "HEARTBEAT",
-            type=2,
-            autopilot=AUTOPILOT[craft.autopilot_kind],
-            base_mode=209,
-            custom_mode=custom_mode,
-            system_status=4,
-            mavlink_version=3,
-        )
-        place = Message(
+        heartbeat = autopilot_heartbeat(craft.autopilot_kind, "position", base_mode=209)
+        position = Message(
             "GLOBAL_POSITION_INT",
             time_boot_ms=craft.autopilot.time_boot_ms,
             lat=round(lat_deg * 1e7),
@@ -82,110 +84,47 @@ def namesake(stage: Stage) -> Iterator[None]:
             vz=0,
             hdg=0,
         )
-        stage.tap.added += [namesake.encode(beat), namesake.encode(place)]
+        stage.tap.injected_frames += [
+            encoder.encode_next_frame(heartbeat),
+            encoder.encode_next_frame(position),
+        ]
         yield from stage.wait(1.0)
 
 
-def strangers(stage: Stage) -> Iterator[None]:
-    """Garbage, torn frames, other systems and fields without meaning between the messages."""
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    52, "strangers", ("ready", *AIRBORNE_PHASES_BEFORE_LANDING), (*SAFETY_RULES, check_delivered)
+)
+def inject_invalid_traffic(stage: FaultContext) -> Iterator[None]:
+    """The link carries garbage, truncated frames, other systems and invalid fields."""
+    yield from stage.wait_for_phase_and_record_fault_start()
     seed = int(stage.rng.integers(2**31))
-    stage.craft.bad_link = BadLink(stage.craft.number, np.random.default_rng(seed))
+    stage.craft.link.bad_link = FaultyLink(stage.craft.number, np.random.default_rng(seed))
 
 
-def fields_mutated(stage: Stage) -> Iterator[None]:
-    """For some seconds one message in twenty has up to three fields that are anything else."""
-    yield from stage.reached()
-    liar = Liar(stage.rng, MUTATED_SHARE, tuple(FIELD_DEEDS), active=True)
-    stage.tap.to_companion = liar.change
+@FAULTS.register_procedure(53, "fields-mutated", AIRBORNE_PHASES)
+def mutate_message_fields_at_random(stage: FaultContext) -> Iterator[None]:
+    """For 3 to 10 s one message in twenty has extreme, NaN, offset or random fields."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    mutator = MessageMutator(stage.rng, MUTATED_SHARE, tuple(FIELD_MUTATIONS), active=True)
+    stage.tap.to_companion = mutator.mutate_random_share_of_messages
     yield from stage.wait(stage.rng.uniform(*MUTATED_FOR_S))
-    stage.tap.to_companion = as_it_is
+    stage.tap.to_companion = pass_unchanged
 
 
 MUTATED_SHARE = 0.05
 MUTATED_FOR_S = (3.0, 10.0)
 
-GROUP = "link"
-CASES = (
-    FaultCase(
-        50,
-        "lossy-link",
-        GROUP,
-        "30 % of all messages are lost, 30 % doubled; attitude is late at times",
-        lossy,
-        SAFE,
-        FLYING,
+for name, description, duration_s, rules in (
+    ("1-s", "A second of silence.", 1.0, (*SAFETY_RULES, check_delivered)),
+    ("10-s", "Ten seconds of silence.", 10.0, SAFETY_RULES),
+    ("60-s", "A minute of silence.", 60.0, SAFETY_RULES),
+    (
+        "for-good",
+        "Permanent silence: the onboard mission flies the vehicle home.",
+        INDEFINITE_S,
+        SAFETY_RULES,
     ),
-    FaultCase(
-        51,
-        "silence-1-s",
-        GROUP,
-        "a second of silence",
-        silent(1.0),
-        (*SAFE, delivers),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        51,
-        "silence-10-s",
-        GROUP,
-        "ten seconds of silence",
-        silent(10.0),
-        SAFE,
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        51,
-        "silence-60-s",
-        GROUP,
-        "a minute of silence",
-        silent(60.0),
-        SAFE,
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        51,
-        "silence-for-good",
-        GROUP,
-        "silence for good: the mission aboard brings it home",
-        silent(FOR_EVER_S),
-        SAFE,
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        52,
-        "strangers",
-        GROUP,
-        "garbage, torn frames, other systems and fields without meaning",
-        strangers,
-        (*SAFE, delivers),
-        ("ready", *FLYING),
-    ),
-    FaultCase(
-        53,
-        "fields-mutated",
-        GROUP,
-        "for 3 to 10 s one message in twenty has fields that are extreme, NaN, off, or anything",
-        fields_mutated,
-        SAFE,
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        8,
-        "namesake",
-        GROUP,
-        "a neighbour with our system id is heard on our link: in another mode, a kilometre away",
-        namesake,
-        SAFE,
-        FLYING,
-    ),
-    FaultCase(
-        55,
-        "slow-radio",
-        GROUP,
-        "the companion hears the autopilot through a radio of 57,600 baud",
-        slow_radio,
-        SAFE,
-        ("ready", *FLYING),
-    ),
-)
+):
+    FAULTS.add_case(
+        51, f"silence-{name}", description, silence_link(duration_s), AIRBORNE_PHASES, rules
+    )

@@ -1,309 +1,264 @@
-"""Faults of what is aboard and where home is: edits by another station, a home that moves."""
+"""Faults of the onboard mission and home position: edits by another station, a moved home."""
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import FLYING, IN_THE_AIR, SAFE, FaultCase, Play
-from sim_bridge.app.faults.people import Station, dragged, foreign
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import comes_home, delivers, tells
-from sim_bridge.app.link.tap import with_fields
+from companion.core.mission.alerts import Alert
+from sim_bridge.app.faults.fault import (
+    AIRBORNE_PHASES,
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    SAFETY_RULES,
+    FaultGroup,
+)
+from sim_bridge.app.faults.verdict import check_alert_sent, check_delivered, check_returned_home
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.link.tap import message_with_changed_fields
+from sim_bridge.app.world.station import Station, shift_mission_east, shift_next_waypoint_east
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mission.items import MissionItem
 
-RESET_MM = 15_000
-DRAGGED_M = 1500.0
-ELSEWHERE_M = 3000.0
-SLOW_ROUND_S = 30.0
-"""A list whose id nobody tells (ArduCopter) is read at two items a second, and rested from."""
+MISSION_ALERTS = (
+    *(alert for alert in Alert if alert.name.startswith("MISSION_")),
+    Alert.HOLD_UNANSWERED,
+)
+HOME_ALERTS = tuple(alert for alert in Alert if alert.name.startswith("HOME_"))
+
+FAULTS = FaultGroup("mission and home")
+
+RETURN_ON_HOLD_ARGUMENTS = ("--unanswered-hold=return",)
+"""Option set before the flight: PX4 holds at an infeasible mission, with no operator response."""
+
+HEIGHT_RESET_MM = 15_000
+WAYPOINT_SHIFT_M = 1500.0
+MISSION_SHIFT_M = 3000.0
+SLOW_CHECK_S = 30.0
+"""Time to detect an edit by reading the list, two items a second (ArduCopter has no mission ID)."""
 
 
-def _aboard(stage: Stage) -> list[MissionItem]:
+def _onboard_mission(stage: FaultContext) -> list[MissionItem]:
     return list(stage.craft.autopilot.store.mission)
 
 
-def edited(stage: Stage) -> Iterator[None]:
-    """The next waypoint is dragged 1.5 km away; the list is as long as before."""
-    station = Station(stage)
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    10,
+    "same-length-edit",
+    AIRBORNE_PHASES,
+    (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS, exempt_if_landed_within_s=SLOW_CHECK_S)),
+)
+def upload_mission_with_moved_waypoint(stage: FaultContext) -> Iterator[None]:
+    """Another station moves one waypoint by 1.5 km; the length of the list is unchanged."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
     current = stage.craft.autopilot.executor.index
-    yield from station.upload(dragged(_aboard(stage), current, DRAGGED_M))
+    yield from station.upload_mission(
+        shift_next_waypoint_east(_onboard_mission(stage), current, WAYPOINT_SHIFT_M)
+    )
 
 
-def replaced(stage: Stage) -> Iterator[None]:
-    """Somebody else's mission of the same length, 3 km away."""
-    station = Station(stage)
-    yield from stage.reached()
-    yield from station.upload(foreign(_aboard(stage), ELSEWHERE_M))
+@FAULTS.register_procedure(
+    11, "foreign-upload", AIRBORNE_PHASES, (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS))
+)
+def upload_distant_mission(stage: FaultContext) -> Iterator[None]:
+    """Another station uploads a mission of the same length, 3 km away."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from station.upload_mission(shift_mission_east(_onboard_mission(stage), MISSION_SHIFT_M))
 
 
-def replaced_again(stage: Stage) -> Iterator[None]:
-    """The same, and once more when ours is aboard again."""
-    station = Station(stage)
-    yield from stage.reached()
-    items = foreign(_aboard(stage), ELSEWHERE_M)
-    yield from station.upload(items)
-    yield from stage.until(lambda: stage.was_said("our mission is aboard again"))
-    yield from station.upload(items)
+@FAULTS.register_procedure(
+    11,
+    "foreign-upload-again",
+    ("climb", "outbound"),
+    (*SAFETY_RULES, check_alert_sent(Alert.MISSION_CHANGED, Alert.MISSION_CHANGED_LANDING)),
+)
+def upload_distant_mission_twice(stage: FaultContext) -> Iterator[None]:
+    """A foreign mission is uploaded, and again after the companion has restored its own."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    items = shift_mission_east(_onboard_mission(stage), MISSION_SHIFT_M)
+    yield from station.upload_mission(items)
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))
+    yield from station.upload_mission(items)
 
 
-def uploaded_anew(stage: Stage) -> Iterator[None]:
-    """Another station writes our own list once more."""
-    station = Station(stage)
-    yield from stage.reached()
-    yield from station.upload(_aboard(stage))
+@FAULTS.register_procedure(11, "same-upload", AIRBORNE_PHASES, (*SAFETY_RULES, check_delivered))
+def upload_own_mission_again(stage: FaultContext) -> Iterator[None]:
+    """Another station uploads the companion's own mission again."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from station.upload_mission(_onboard_mission(stage))
 
 
-def shorter(stage: Stage) -> Iterator[None]:
-    """The first half of the list is uploaded anew."""
-    station = Station(stage)
-    yield from stage.reached()
-    items = _aboard(stage)
-    yield from station.upload(items[: len(items) // 2])
+@FAULTS.register_procedure(
+    12,
+    "shorter-upload",
+    AIRBORNE_PHASES,
+    (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS)),
+    arguments=RETURN_ON_HOLD_ARGUMENTS,
+)
+def upload_first_half_of_mission(stage: FaultContext) -> Iterator[None]:
+    """Another station uploads the first half of the list."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    items = _onboard_mission(stage)
+    yield from station.upload_mission(items[: len(items) // 2])
 
 
-def longer(stage: Stage) -> Iterator[None]:
-    """The list is uploaded with somebody else's appended."""
-    station = Station(stage)
-    yield from stage.reached()
-    items = _aboard(stage)
-    yield from station.upload([*items, *foreign(items[1:], ELSEWHERE_M)])
+@FAULTS.register_procedure(
+    12, "longer-upload", AIRBORNE_PHASES, (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS))
+)
+def upload_mission_with_appended_copy(stage: FaultContext) -> Iterator[None]:
+    """Another station uploads the list with a second list appended."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    items = _onboard_mission(stage)
+    yield from station.upload_mission([*items, *shift_mission_east(items[1:], MISSION_SHIFT_M)])
 
 
-def cleared(stage: Stage) -> Iterator[None]:
-    """The mission is cleared."""
-    station = Station(stage)
-    yield from stage.reached()
-    station.clear()
+def clear_mission_by_station(stage: FaultContext) -> Iterator[None]:
+    """Another station clears the mission."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    station.send_mission_clear_all()
 
 
-def cut_half_way(stage: Stage) -> Iterator[None]:
-    """Another station begins an upload and falls silent half-way."""
-    station = Station(stage)
-    yield from stage.reached()
-    items = _aboard(stage)
-    yield from station.upload(foreign(items, ELSEWHERE_M), stop_after=len(items) // 2)
+@FAULTS.register_procedure(14, "upload-cut", AIRBORNE_PHASES)
+def abort_mission_upload_halfway(stage: FaultContext) -> Iterator[None]:
+    """Another station starts an upload and stops halfway."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    items = _onboard_mission(stage)
+    yield from station.upload_mission(
+        shift_mission_east(items, MISSION_SHIFT_M), stop_after_items=len(items) // 2
+    )
 
 
-def home_moved(*, north_m: float = 0.0, up_m: float = 0.0) -> Play:
-    """Home is set elsewhere by another station."""
+def move_home_by_station(*, north_m: float = 0.0, up_m: float = 0.0) -> FaultProcedure:
+    """Return a procedure: another station moves the home position."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        station = Station(stage)
-        yield from stage.reached()
-        station.set_home(north_m=north_m, up_m=up_m)
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        station = Station(stage.craft.link)
+        yield from stage.wait_for_phase_and_record_fault_start()
+        station.send_set_home_at_offset(stage.craft.depot, north_m=north_m, up_m=up_m)
 
-    return play
+    return procedure
 
 
-def home_kept_low(stage: Stage) -> Iterator[None]:
-    """Home is set 20 m lower, and again when it was set back."""
-    station = Station(stage)
-    yield from stage.reached()
-    station.set_home(up_m=-20.0)
+@FAULTS.register_procedure(
+    16,
+    "home-kept-low",
+    ("climb", "outbound"),
+    (*SAFETY_RULES, check_alert_sent(Alert.HOME_NOT_RESTORED)),
+)
+def set_home_low_twice(stage: FaultContext) -> Iterator[None]:
+    """Home is set 20 m lower, and again after the companion has restored it."""
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    station.send_set_home_at_offset(stage.craft.depot, up_m=-20.0)
     yield from stage.wait(4.0)
-    station.set_home(up_m=-20.0)
+    station.send_set_home_at_offset(stage.craft.depot, up_m=-20.0)
 
 
-def height_reset(stage: Stage) -> Iterator[None]:
-    """Heights above home are told 15 m too great from now on; those above the sea are right."""
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    18,
+    "height-reset",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (*SAFETY_RULES, check_alert_sent(Alert.HOME_MOVED)),
+)
+def offset_reported_height_above_home(stage: FaultContext) -> Iterator[None]:
+    """Reported heights above home are 15 m too high; heights above sea level are correct."""
+    yield from stage.wait_for_phase_and_record_fault_start()
 
-    def change(message: Message) -> list[Message] | None:
+    def offset_relative_altitude(message: Message) -> list[Message] | None:
         if message.msg_name != "GLOBAL_POSITION_INT":
             return None
-        return [with_fields(message, relative_alt=message.relative_alt + RESET_MM)]
+        return [
+            message_with_changed_fields(
+                message, relative_alt=message.relative_alt + HEIGHT_RESET_MM
+            )
+        ]
 
-    stage.tap.to_companion = change
-
-
-def progress_late(stage: Stage) -> Iterator[None]:
-    """MISSION_CURRENT comes two seconds late, from now on."""
-    yield from stage.reached()
-    stage.tap.hold_back_s["MISSION_CURRENT"] = 2.0
+    stage.tap.to_companion = offset_relative_altitude
 
 
-def setting_changed(**settings: tuple[str, float]) -> Play:
-    """Another station changes a setting, by autopilot: its name and value."""
+@FAULTS.register_procedure(
+    20, "progress-late", ("climb", "outbound"), (check_returned_home, check_delivered)
+)
+def delay_mission_progress_messages(stage: FaultContext) -> Iterator[None]:
+    """Mission progress is delayed by 2 s."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.tap.delay_s_by_name["MISSION_CURRENT"] = 2.0
 
-    def play(stage: Stage) -> Iterator[None]:
-        station = Station(stage)
-        name, value = settings[stage.craft.autopilot_kind]
-        yield from stage.reached()
-        station.set_parameter(name, value)
+
+def set_autopilot_parameter_by_station(
+    **name_and_value_by_autopilot: tuple[str, float],
+) -> FaultProcedure:
+    """Return a procedure: another station sets a parameter (name and value by autopilot)."""
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        station = Station(stage.craft.link)
+        name, value = name_and_value_by_autopilot[stage.craft.autopilot_kind]
+        yield from stage.wait_for_phase_and_record_fault_start()
+        station.send_parameter_to_autopilot(name, value)
         yield
         if stage.craft.autopilot.params[name] != value:
-            raise ValueError(f"{name} was not taken")
+            raise ValueError(f"parameter {name} is unchanged, expected the new value")
 
-    return play
+    return procedure
 
 
-GROUP = "mission and home"
-
-RETURNS = ("--unanswered-hold=return",)
-"""Chosen before the flight: PX4 holds on a mission that it cannot fly, and nobody answers."""
-CASES = (
-    FaultCase(
-        10,
-        "same-length-edit",
-        GROUP,
-        "another station drags one waypoint 1.5 km away; the list is as long as before",
-        edited,
-        (*SAFE, tells("mission", unless_down_within_s=SLOW_ROUND_S)),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        11,
-        "foreign-upload",
-        GROUP,
-        "another station uploads a mission of the same length, 3 km away",
-        replaced,
-        (*SAFE, tells("mission")),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        11,
-        "foreign-upload-again",
-        GROUP,
-        "the same, and once more when ours is aboard again",
-        replaced_again,
-        (*SAFE, tells("mission changed by another")),
-        ("climb", "outbound"),
-    ),
-    FaultCase(
-        11,
-        "same-upload",
-        GROUP,
-        "another station uploads our own mission once more",
-        uploaded_anew,
-        (*SAFE, delivers),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        12,
-        "shorter-upload",
-        GROUP,
-        "another station uploads the first half of the list",
-        shorter,
-        (*SAFE, tells("mission")),
-        IN_THE_AIR,
-        arguments=RETURNS,
-    ),
-    FaultCase(
-        12,
-        "longer-upload",
-        GROUP,
-        "another station uploads the list with another appended",
-        longer,
-        (*SAFE, tells("mission")),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        13,
-        "mission-cleared",
-        GROUP,
-        "another station clears the mission",
-        cleared,
-        (*SAFE, tells("mission")),
-        IN_THE_AIR,
-        ("px4",),
-        arguments=RETURNS,
-    ),
-    FaultCase(
-        13,
-        "clear-refused",
-        GROUP,
-        "another station clears the mission: ArduCopter refuses that in the air, nothing changes",
-        cleared,
-        (*SAFE, delivers),
-        IN_THE_AIR,
-        ("ardupilot",),
-    ),
-    FaultCase(
-        14,
-        "upload-cut",
-        GROUP,
-        "another station begins an upload and falls silent half-way",
-        cut_half_way,
-        SAFE,
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        15,
-        "home-up-25",
-        GROUP,
-        "home is set 25 m higher",
-        home_moved(up_m=25.0),
-        (*SAFE, tells("home")),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        16,
-        "home-down-20",
-        GROUP,
-        "home is set 20 m lower",
-        home_moved(up_m=-20.0),
-        (*SAFE, tells("home")),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        16,
-        "home-kept-low",
-        GROUP,
-        "home is set 20 m lower, and again when it was set back",
-        home_kept_low,
-        (*SAFE, tells("cannot set home back")),
-        ("climb", "outbound"),
-    ),
-    FaultCase(
-        17,
-        "home-3-km-away",
-        GROUP,
-        "home is set 3 km away",
-        home_moved(north_m=3000.0),
-        (*SAFE, tells("home")),
-        IN_THE_AIR,
-    ),
-    FaultCase(
-        19,
-        "speed-changed",
-        GROUP,
-        "another station lowers the speed that missions are flown at to 5 m/s",
-        setting_changed(px4=("MPC_XY_VEL_MAX", 5.0), ardupilot=("WPNAV_SPEED", 500.0)),
-        SAFE,
-    ),
-    FaultCase(
-        19,
-        "rtl-height-changed",
-        GROUP,
-        "another station sets the height of RTL to 5 m",
-        setting_changed(px4=("RTL_RETURN_ALT", 5.0), ardupilot=("RTL_ALT", 500.0)),
-        SAFE,
-    ),
-    FaultCase(
-        19,
-        "fence-changed",
-        GROUP,
-        "another station draws the fence in to 200 m: the customer lies beyond it",
-        setting_changed(px4=("GF_MAX_HOR_DIST", 200.0), ardupilot=("FENCE_RADIUS", 200.0)),
-        SAFE,
-        arguments=RETURNS,
-    ),
-    FaultCase(
-        18,
-        "height-reset",
-        GROUP,
-        "heights above home are told 15 m too great; those above the sea are right",
-        height_reset,
-        (*SAFE, tells("home moved")),
-        FLYING,
-    ),
-    FaultCase(
-        20,
-        "progress-late",
-        GROUP,
-        "mission progress comes two seconds late",
-        progress_late,
-        (comes_home, delivers),
-        ("climb", "outbound"),
-    ),
+FAULTS.add_case(
+    13,
+    "mission-cleared",
+    "Another station clears the mission.",
+    clear_mission_by_station,
+    AIRBORNE_PHASES,
+    (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS)),
+    autopilots=("px4",),
+    arguments=RETURN_ON_HOLD_ARGUMENTS,
 )
+FAULTS.add_case(
+    13,
+    "clear-refused",
+    "Another station clears the mission; ArduCopter refuses this in the air.",
+    clear_mission_by_station,
+    AIRBORNE_PHASES,
+    (*SAFETY_RULES, check_delivered),
+    autopilots=("ardupilot",),
+)
+for number, name, description, procedure in (
+    (15, "home-up-25", "Home is set 25 m higher.", move_home_by_station(up_m=25.0)),
+    (16, "home-down-20", "Home is set 20 m lower.", move_home_by_station(up_m=-20.0)),
+    (17, "home-3-km-away", "Home is set 3 km away.", move_home_by_station(north_m=3000.0)),
+):
+    rules = (*SAFETY_RULES, check_alert_sent(*HOME_ALERTS))
+    FAULTS.add_case(number, name, description, procedure, AIRBORNE_PHASES, rules)
+for name, change, px4, ardupilot, arguments in (
+    (
+        "speed",
+        "lowers the mission speed to 5 m/s",
+        ("MPC_XY_VEL_MAX", 5.0),
+        ("WPNAV_SPEED", 500.0),
+        (),
+    ),
+    (
+        "rtl-height",
+        "sets the height of RTL to 5 m",
+        ("RTL_RETURN_ALT", 5.0),
+        ("RTL_ALT", 500.0),
+        (),
+    ),
+    (
+        "fence",
+        "reduces the fence radius to 200 m: the customer is outside it",
+        ("GF_MAX_HOR_DIST", 200.0),
+        ("FENCE_RADIUS", 200.0),
+        RETURN_ON_HOLD_ARGUMENTS,
+    ),
+):
+    FAULTS.add_case(
+        19,
+        f"{name}-changed",
+        f"Another station {change}.",
+        set_autopilot_parameter_by_station(px4=px4, ardupilot=ardupilot),
+        arguments=arguments,
+    )

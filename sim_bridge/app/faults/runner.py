@@ -1,8 +1,7 @@
-"""Flies a row of one vehicle and judges it."""
+"""Fly a row of the suite, a flight or a small day, and check its rules."""
 
 import secrets
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,129 +10,137 @@ import numpy as np
 
 from companion.adapters.files.params import params_dir
 from companion.adapters.files.signing_files import write_signing_key
-from companion.app.flight.recorder import TEXT
-from sim_bridge.app.faults.case import FaultCase
-from sim_bridge.app.faults.fault_row import FaultRow, FaultTask
-from sim_bridge.app.faults.stage import Performance
-from sim_bridge.app.faults.verdict import FlownFault
-from sim_bridge.app.flight.companion_process import suite_forks
-from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
+from sim_bridge.app.faults.fault import FLEET_GROUP, FaultCase, FaultRow, FaultTask
+from sim_bridge.app.faults.verdict import FaultRunResult, p_home_of_last_go_decision
+from sim_bridge.app.flight.companion_process import suite_fork_server
+from sim_bridge.app.flight.fly import FlyOptions, fly_vehicles_and_evaluate
+from sim_bridge.app.flight.stage import FaultContext, FaultScript
+from sim_bridge.app.world.exception_files import count_tracebacks_by_file, write_exception_file
 
-FLIGHT = "faults.toml"
+FLIGHT_FILE_NAME = "faults.toml"
 LOCKSTEP_LIMIT_S = 60.0
 TIGHT_CHARGE_FRAC = (0.42, 0.54)
-"""Untroubled, the suite's flight is not begun with less than the first, turns back with a little
-more, and delivers with plenty left with the second."""
+"""Bounds of the drawn charge. Without a fault, the suite's flight is refused below the first and
+delivers with ample energy at the second; slightly above the first it turns back."""
 
-OUTPUT = "companion.out"
-KEY, KEY_BYTES = "signing.key", 32
+KEY_FILE_NAME, KEY_BYTES = "signing.key", 32
 
 
-def fly_flight_fault(case: FaultCase, task: FaultTask) -> FaultRow:
-    """Fly one row and judge it."""
-    folder = task.run_root / f"{case.name}-{task.autopilot}-{task.phase}-seed{task.seed}"
+def fly_case(case: FaultCase, task: FaultTask) -> FaultRow:
+    """Fly one row and check its rules."""
+    if case.group == FLEET_GROUP:
+        return _fly_day_case_catching_exceptions(case, task)
+    charge_frac = _draw_tight_charge_frac(task) if task.tight else None
+    flown = _fly_flight(case, task, charge_frac)
+    row = _build_fault_row(
+        task, case, flown, case.find_broken_rules(flown, has_tight_energy=task.tight)
+    )
+    return msgspec.structs.replace(row, charge_frac=charge_frac)
+
+
+def _fly_day_case_catching_exceptions(case: FaultCase, task: FaultTask) -> FaultRow:
+    """Fly a day. An exception of desk, companion or truck, all in this process, fails the row."""
+    from sim_bridge.app.faults.fleet_day import EMPTY_FLIGHT_ROW, fly_small_day
+
+    try:
+        flown = fly_small_day(case, task)
+    except Exception as error:  # noqa: BLE001 - a day runs in this process: an error fails it
+        failure_text = write_exception_file(task.run_folder, error)
+        stage = FaultContext(task.phase, np.random.default_rng(0), lambda: False)
+        return _build_fault_row(
+            task, case, FaultRunResult(EMPTY_FLIGHT_ROW, stage, [], 1), [failure_text]
+        )
+    return _build_fault_row(task, case, flown, case.find_broken_rules(flown))
+
+
+def _fly_flight(case: FaultCase, task: FaultTask, charge_frac: float | None) -> FaultRunResult:
+    folder = task.run_folder
     folder.mkdir(parents=True, exist_ok=True)
-    draws = np.random.default_rng([task.seed, case.number])
-    performance = Performance(case.play, task.phase, draws)
-    charge_frac = _tight_charge(task) if task.tight else None
-    drawn = {} if charge_frac is None else {"vehicle": {"charge_frac": charge_frac}}
-    told = write_flight(folder / "flight.toml", case.flight, drawn)
+    rng = np.random.default_rng([task.seed, case.number])
+    performance = FaultScript(case.procedure, task.phase, rng, end_delay_s=case.ends_after_s)
+    charge_table = {} if charge_frac is None else {"vehicle": {"charge_frac": charge_frac}}
+    companion_flight_file = write_changed_flight_file(
+        folder / "flight.toml", case.flight, charge_table
+    )
     options = FlyOptions(
-        flight_file=write_flight(folder / "world.toml", case.flight, drawn, case.untold),
-        told=told,
+        flight_file=write_changed_flight_file(
+            folder / "world.toml", case.flight, charge_table, case.untold
+        ),
+        companion_flight_file=companion_flight_file,
         autopilot=task.autopilot,
         seed=task.seed,
         run_root=folder,
         picture=False,
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
         companion_arguments=case.arguments,
-        before_companion=case.before_companion,
-        forks=suite_forks(),
-        signing_key=_key_in(folder) if case.signed else None,
+        companion_startup_code=case.before_companion,
+        fork_server=suite_fork_server(),
+        signing_key=_create_signing_key(folder) if case.signed else None,
     )
-    ending = _Ending(after_s=case.ends_after_s, performance=performance)
-    (row,) = fly(options, ending, performance)["flights"]
-    assert performance.stage is not None
-    flown = FlownFault(row, performance.stage, _words(performance))
-    return msgspec.structs.replace(_judged(task, case, flown), charge_frac=charge_frac)
+    (row,) = fly_vehicles_and_evaluate(options, performance)["flights"]
+    stage = performance.context
+    assert stage is not None
+    return FaultRunResult(
+        row,
+        stage,
+        stage.craft.operator.received_texts,
+        sum(count_tracebacks_by_file(stage.craft.run_dir).values()),
+        p_home_of_last_go_decision((one["kind"], one["p_home"]) for one in row["decisions"]),
+    )
 
 
-def _tight_charge(task: FaultTask) -> float:
+def _draw_tight_charge_frac(task: FaultTask) -> float:
     flight = f"{task.fault} {task.autopilot} {task.phase}"
-    draws = np.random.default_rng([task.seed, *flight.encode()])
-    return round(float(draws.uniform(*TIGHT_CHARGE_FRAC)), 4)
+    rng = np.random.default_rng([task.seed, *flight.encode()])
+    return round(float(rng.uniform(*TIGHT_CHARGE_FRAC)), 4)
 
 
-def _key_in(folder: Path) -> Path:
-    """A key of its own for this flight; drawing it from a seed would make it a known one."""
-    path = folder / KEY
+def _create_signing_key(folder: Path) -> Path:
+    """Create a signing key for this flight. It is not drawn by seed, which would make it known."""
+    path = folder / KEY_FILE_NAME
     path.unlink(missing_ok=True)
     write_signing_key(path, secrets.token_bytes(KEY_BYTES))
     return path
 
 
-def write_flight(path: Path, *changes: dict[str, Any]) -> Path:
-    """Write the suite's flight with some of its tables changed; returns its file."""
-    table = tomllib.loads((params_dir() / "flights" / FLIGHT).read_text())
-    for changed in changes:
-        table = _merged(table, changed)
+def write_changed_flight_file(path: Path, *table_changes: dict[str, Any]) -> Path:
+    """Write the suite's flight file with changed tables and return its path."""
+    table = tomllib.loads((params_dir() / "flights" / FLIGHT_FILE_NAME).read_text())
+    for changed in table_changes:
+        table = merge_tables_recursively(table, changed)
     path.write_bytes(msgspec.toml.encode(table))
     return path
 
 
-def _merged(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """`table` with its tables changed key by key."""
-    out = dict(table)
+def merge_tables_recursively(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return `table` with `changes` merged key by key. The table `wind` is replaced completely."""
+    merged_table = dict(table)
     for key, value in changes.items():
-        known = out.get(key)
-        if isinstance(value, dict) and isinstance(known, dict) and key != "wind":
-            out[key] = _merged(known, value)
+        current = merged_table.get(key)
+        if isinstance(value, dict) and isinstance(current, dict) and key != "wind":
+            merged_table[key] = merge_tables_recursively(current, value)
         else:
-            out[key] = value
-    return out
+            merged_table[key] = value
+    return merged_table
 
 
-def _words(performance: Performance) -> str:
-    assert performance.stage is not None
-    return printed_and_logged(performance.stage.craft.run_dir)
-
-
-def printed_and_logged(run_dir: Path) -> str:
-    """All that a companion printed, and its log: an exception in its loop stands only there."""
-    paths = (run_dir / name for name in (OUTPUT, TEXT))
-    return "\n".join(path.read_text(errors="replace") for path in paths if path.exists())
-
-
-@dataclass(slots=True, kw_only=True)
-class _Ending(Progress):
-    """Ends a flight some time after a person took over, where the row says so."""
-
-    after_s: float | None
-    performance: Performance
-
-    def goes_on(self, t_s: float) -> bool:
-        stage = self.performance.stage
-        if self.after_s is None or stage is None or stage.took_over_s is None:
-            return True
-        return t_s < stage.took_over_s + self.after_s
-
-
-def _judged(task: FaultTask, case: FaultCase, flown: FlownFault) -> FaultRow:
-    wrong = case.wrong(flown, tight=task.tight)
+def _build_fault_row(
+    task: FaultTask, case: FaultCase, flown: FaultRunResult, violations: list[str]
+) -> FaultRow:
     return FaultRow(
-        fault=case.name,
+        fault=task.fault,
         group=case.group,
         autopilot=task.autopilot,
-        phase=task.phase,
+        phase=task.phase.value,
         seed=task.seed,
         outcome=flown.row["outcome"],
         home=flown.row["home"],
         delivered=flown.row["delivered"],
         margin_wh=flown.row["margin_wh"],
         p_home_last_go=flown.p_home_last_go,
-        commands_after_takeover=flown.commands_after_takeover,
-        exceptions=flown.exceptions,
-        said=flown.said,
-        held=not wrong,
-        why="; ".join(wrong),
+        commands_after_takeover=flown.command_count_after_takeover,
+        exceptions=flown.traceback_count,
+        messages=flown.message_texts,
+        passed=not violations,
+        failure_text="; ".join(violations),
     )

@@ -1,144 +1,139 @@
-"""Faults of a link that is signed: frames that are sent again, and a wall clock that is wrong."""
+"""Faults of a signed link: replayed frames and a wrong wall clock."""
 
 from collections.abc import Iterator
 from itertools import cycle, islice
 
-from sim_bridge.app.faults.case import FLYING, SAFE, FaultCase, Play
-from sim_bridge.app.faults.host import killed
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import delivers, notes, stays_in_hand
-from sim_bridge.app.flight.vehicle_process import COMMANDING, COMPANION_LINK
-from sim_bridge.app.link.tap import Change, as_it_is
+from sim_bridge.app.faults.fault import AIRBORNE_PHASES_BEFORE_LANDING, SAFETY_RULES, FaultGroup
+from sim_bridge.app.faults.host import kill_companion_and_restart_if
+from sim_bridge.app.faults.verdict import (
+    check_control_retained,
+    check_delivered,
+    check_procedure_made_note,
+)
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.link.tap import MessageChange, pass_unchanged
+from sim_bridge.app.world.companion_link import COMMAND_MESSAGES, COMPANION_LINK
 from sim_bridge.autopilot.mavlink.codec import Message
 
-HOUR_S = 3600
-TELLING = {"HEARTBEAT", "MISSION_CURRENT", "EXTENDED_SYS_STATE", "BATTERY_STATUS", "COMMAND_ACK"}
-"""What the companion would take for a disarm, another mode, a landing, or energy that rises."""
+FAULTS = FaultGroup("link")
 
-AT_ONCE = 4
-"""Old frames each way in each exchange of 0.1 s: as many as a busy link carries new ones."""
+ONE_HOUR_S = 3600
+REPORT_MESSAGES = {
+    "HEARTBEAT",
+    "MISSION_CURRENT",
+    "EXTENDED_SYS_STATE",
+    "BATTERY_STATUS",
+    "COMMAND_ACK",
+}
+"""Messages whose replay would indicate a disarm, mode change, landing or energy increase."""
 
-REFUSED = "the autopilot refused what was sent again"
-CLOCK_FILE = "clock_off_s"
+REPLAYED_PER_EXCHANGE = 4
+"""Replayed frames in each direction and exchange of 0.1 s: as many as a busy link carries."""
+
+REPLAY_REFUSED_NOTE = "the autopilot refused replayed frames"
+CLOCK_OFFSET_FILE = "clock_off_s"
 
 
-def replayed(stage: Stage) -> Iterator[None]:
-    """Who listened since power-up sends it all again: orders, and what the autopilot told."""
-    told: list[bytes] = []
-    ordered: list[bytes] = []
-    stage.tap.to_companion = _recorded(told, TELLING)
-    stage.tap.to_autopilot = _recorded(ordered, COMMANDING)
-    yield from stage.reached()
-    again_told, again_ordered = cycle(list(told)), cycle(list(ordered))
+@FAULTS.register_procedure(
+    54,
+    "replayed-frames",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (
+        *SAFETY_RULES,
+        check_delivered,
+        check_control_retained,
+        check_procedure_made_note(REPLAY_REFUSED_NOTE),
+    ),
+    signed=True,
+)
+def replay_signed_frames_both_directions(stage: FaultContext) -> Iterator[None]:
+    """Signed link: all reports and commands since power-up are replayed in both directions."""
+    reports: list[bytes] = []
+    commands: list[bytes] = []
+    stage.tap.to_companion = _build_frame_recorder(reports, REPORT_MESSAGES)
+    stage.tap.to_autopilot = _build_frame_recorder(commands, COMMAND_MESSAGES)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    replayed_reports, replayed_commands = cycle(list(reports)), cycle(list(commands))
     while True:
-        stage.tap.added += islice(again_told, AT_ONCE)
-        for frame in islice(again_ordered, AT_ONCE):
-            stage.craft.autopilot.receive(COMPANION_LINK, frame)
-        _note_refusals(stage)
+        stage.tap.injected_frames += islice(replayed_reports, REPLAYED_PER_EXCHANGE)
+        for frame in islice(replayed_commands, REPLAYED_PER_EXCHANGE):
+            stage.craft.autopilot.process_received_datagram(COMPANION_LINK, frame)
+        _note_if_replay_refused(stage)
         yield
 
 
-def _recorded(frames: list[bytes], names: set[str]) -> Change:
-    """Keeps the frames of these messages, and changes none."""
+def _build_frame_recorder(frames: list[bytes], message_names: set[str]) -> MessageChange:
+    """Return a tap that records the frames of these messages and changes none."""
 
-    def keep(message: Message) -> list[Message] | None:
-        if message.msg_name in names:
+    def record_frame(message: Message) -> list[Message] | None:
+        if message.msg_name in message_names:
             frames.append(message.wire_bytes)
-        return as_it_is(message)
+        return pass_unchanged(message)
 
-    return keep
+    return record_frame
 
 
-def _note_refusals(stage: Stage) -> None:
-    """The autopilot refuses what is signed rightly, and was heard before."""
+def _note_if_replay_refused(stage: FaultContext) -> None:
+    """Note that the autopilot refuses correctly signed frames that it has received before."""
     counts = stage.craft.autopilot.radio.links[COMPANION_LINK].decoder.counts
     if counts.rejected and not stage.notes:
-        stage.notes.append(REFUSED)
+        stage.notes.append(REPLAY_REFUSED_NOTE)
 
 
-CLOCK_STEPS = f"""\
+CLOCK_OFFSET_CODE = f"""\
 import pathlib, sys, time
-OFF_S = pathlib.Path(sys.argv[-1]) / "{CLOCK_FILE}"
+OFF_S = pathlib.Path(sys.argv[-1]) / "{CLOCK_OFFSET_FILE}"
 def off(real=time.time_ns):
     return real() + (int(OFF_S.read_text()) * 10**9 if OFF_S.exists() else 0)
 time.time_ns = off
 """
-"""The companion's wall clock is right until its run folder says by how much it is not."""
+"""Adds the seconds in the run folder's `clock_offset_s`, if present, to the companion's wall clock.
+"""
 
 
-def clock_steps(off_s: int) -> Play:
-    """The wall clock is set in flight, as by the first answer of a time server."""
+def step_companion_wall_clock(clock_offset_s: int) -> FaultProcedure:
+    """Return a procedure: the wall clock steps in flight, as at a time server's first reply."""
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        _set_clock(stage, off_s)
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        _write_clock_offset_file(stage, clock_offset_s)
 
-    return play
-
-
-def back_with_clock(off_s: int) -> Play:
-    """Killed; as it is back its wall clock is off, as of a computer without a clock's battery."""
-    return killed(comes_back=True, meanwhile=lambda stage: _set_clock(stage, off_s))
+    return procedure
 
 
-def _set_clock(stage: Stage, off_s: int) -> None:
-    (stage.craft.run_dir / CLOCK_FILE).write_text(str(off_s))
+def restart_companion_with_clock_offset(clock_offset_s: int) -> FaultProcedure:
+    """Return a procedure: restart with a clock error, as of a computer without a clock battery."""
+    return kill_companion_and_restart_if(
+        restarts=True, during_outage=lambda stage: _write_clock_offset_file(stage, clock_offset_s)
+    )
 
 
-GROUP = "link"
-CASES = (
-    FaultCase(
+def _write_clock_offset_file(stage: FaultContext, clock_offset_s: int) -> None:
+    (stage.craft.run_dir / CLOCK_OFFSET_FILE).write_text(str(clock_offset_s))
+
+
+for name, direction, clock_offset_s in (
+    ("ahead", "forward", ONE_HOUR_S),
+    ("back", "back", -ONE_HOUR_S),
+):
+    FAULTS.add_case(
         45,
-        "clock-steps-ahead",
-        GROUP,
-        "signed; the companion's wall clock is set an hour ahead in flight",
-        clock_steps(HOUR_S),
-        (*SAFE, delivers),
-        FLYING,
-        before_companion=CLOCK_STEPS,
+        f"clock-steps-{name}",
+        f"Signed link: the companion's wall clock is set {direction} by an hour in flight.",
+        step_companion_wall_clock(clock_offset_s),
+        AIRBORNE_PHASES_BEFORE_LANDING,
+        (*SAFETY_RULES, check_delivered),
+        before_companion=CLOCK_OFFSET_CODE,
         signed=True,
-    ),
-    FaultCase(
+    )
+for name, rate, clock_offset_s in (("ahead", "fast", ONE_HOUR_S), ("behind", "slow", -ONE_HOUR_S)):
+    FAULTS.add_case(
         45,
-        "clock-steps-back",
-        GROUP,
-        "signed; the companion's wall clock is set back by an hour in flight",
-        clock_steps(-HOUR_S),
-        (*SAFE, delivers),
-        FLYING,
-        before_companion=CLOCK_STEPS,
+        f"back-an-hour-{name}",
+        "Signed link: the companion is killed in flight and restarts with its clock an hour"
+        f" {rate}.",
+        restart_companion_with_clock_offset(clock_offset_s),
+        AIRBORNE_PHASES_BEFORE_LANDING,
+        before_companion=CLOCK_OFFSET_CODE,
         signed=True,
-    ),
-    FaultCase(
-        45,
-        "back-an-hour-ahead",
-        GROUP,
-        "signed; killed in mid-air, and back with a wall clock that is an hour ahead",
-        back_with_clock(HOUR_S),
-        SAFE,
-        FLYING,
-        before_companion=CLOCK_STEPS,
-        signed=True,
-    ),
-    FaultCase(
-        45,
-        "back-an-hour-behind",
-        GROUP,
-        "signed; killed in mid-air, and back with a wall clock that is an hour behind",
-        back_with_clock(-HOUR_S),
-        SAFE,
-        FLYING,
-        before_companion=CLOCK_STEPS,
-        signed=True,
-    ),
-    FaultCase(
-        54,
-        "replayed-frames",
-        GROUP,
-        "signed; everything that was told and ordered since power-up is sent again, both ways",
-        replayed,
-        (*SAFE, delivers, stays_in_hand, notes(REFUSED)),
-        FLYING,
-        signed=True,
-    ),
-)
+    )

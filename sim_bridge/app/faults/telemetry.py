@@ -1,19 +1,20 @@
-"""A sensor's failure as the companion meets it: in what the autopilot tells of it.
+"""Sensor failures as they appear in the telemetry that the companion receives.
 
 The kinds are those that PX4 can inject into its sensors: off, stuck, garbage, slow, delayed,
-intermittent (what is wrong by a fixed amount has rows of its own). The autopilot itself is well.
+intermittent (fixed offsets have separate rows). The autopilot itself works normally.
 """
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import SAFE, FaultCase, Play
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import tells
-from sim_bridge.app.link.tap import Change, with_fields
+from companion.core.mission.alerts import Alert
+from sim_bridge.app.faults.fault import SAFETY_RULES, FaultGroup
+from sim_bridge.app.faults.verdict import check_alert_sent
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.link.tap import MessageChange, message_with_changed_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 
 Ranges = dict[str, tuple[float, float]]
-TOLD: dict[str, dict[str, Ranges]] = {
+SENSOR_FIELDS: dict[str, dict[str, Ranges]] = {
     "attitude": {
         "ATTITUDE": {
             "roll": (-1.0, 1.0),
@@ -45,128 +46,134 @@ TOLD: dict[str, dict[str, Ranges]] = {
         },
     },
 }
-"""What the autopilot tells of it: messages, and the fields that fail with a sensor's own range."""
+"""Telemetry of each sensor: messages, their fields that fail, and the range of each field."""
 
-SLOW_S = 2.0
-DELAYED_S = 2.0
-AWAY_S, BACK_S = 3.0, 3.0
-"""Intermittent: so long away, so long back."""
+SLOW_INTERVAL_S = 2.0
+DELAY_S = 2.0
+OUTAGE_S, RECOVERY_S = 3.0, 3.0
+"""Intermittent telemetry: duration of each outage, and of the normal period after it."""
 
 
-def off(stage: Stage, told: dict[str, Ranges]) -> Change:
-    """It is never told again."""
+def drop_messages(stage: FaultContext, fields_by_message: dict[str, Ranges]) -> MessageChange:
+    """Drop all messages of the sensor."""
     del stage
-    return lambda message: [] if message.msg_name in told else None
+    return lambda message: [] if message.msg_name in fields_by_message else None
 
 
-def stuck(stage: Stage, told: dict[str, Ranges]) -> Change:
-    """The value of the first moment, with fresh times."""
+def freeze_fields(stage: FaultContext, fields_by_message: dict[str, Ranges]) -> MessageChange:
+    """Repeat the first value with current time stamps."""
     del stage
     first: dict[str, Message] = {}
 
-    def change(message: Message) -> list[Message] | None:
-        if message.msg_name not in told:
+    def freeze_to_first_values(message: Message) -> list[Message] | None:
+        if message.msg_name not in fields_by_message:
             return None
-        then = first.setdefault(message.msg_name, message)
-        same = {name: getattr(then, name) for name in told[message.msg_name]}
-        return [with_fields(message, **same)]
+        first_message = first.setdefault(message.msg_name, message)
+        frozen_fields = {
+            name: getattr(first_message, name) for name in fields_by_message[message.msg_name]
+        }
+        return [message_with_changed_fields(message, **frozen_fields)]
 
-    return change
+    return freeze_to_first_values
 
 
-def garbage(stage: Stage, told: dict[str, Ranges]) -> Change:
-    """Any value of the sensor's range, another one each time."""
+def randomize_fields(stage: FaultContext, fields_by_message: dict[str, Ranges]) -> MessageChange:
+    """Replace each value by a random one of the sensor's range."""
 
-    def change(message: Message) -> list[Message] | None:
-        if message.msg_name not in told:
+    def randomize_message_fields(message: Message) -> list[Message] | None:
+        if message.msg_name not in fields_by_message:
             return None
-        drawn = {n: stage.rng.uniform(*span) for n, span in told[message.msg_name].items()}
+        random_fields = {
+            n: stage.rng.uniform(*span) for n, span in fields_by_message[message.msg_name].items()
+        }
         if message.msg_name != "ATTITUDE":
-            drawn = {name: round(value) for name, value in drawn.items()}
-        return [with_fields(message, **drawn)]
+            random_fields = {name: round(value) for name, value in random_fields.items()}
+        return [message_with_changed_fields(message, **random_fields)]
 
-    return change
+    return randomize_message_fields
 
 
-def slow(stage: Stage, told: dict[str, Ranges]) -> Change:
-    """Told once in two seconds."""
+def pass_one_message_every_2_s(
+    stage: FaultContext, fields_by_message: dict[str, Ranges]
+) -> MessageChange:
+    """Pass one message every two seconds."""
     last_s: dict[str, float] = {}
 
-    def change(message: Message) -> list[Message] | None:
+    def drop_if_too_early(message: Message) -> list[Message] | None:
         name = message.msg_name
-        if name not in told:
+        if name not in fields_by_message:
             return None
-        if stage.t_s - last_s.get(name, -SLOW_S) < SLOW_S:
+        if stage.t_s - last_s.get(name, -SLOW_INTERVAL_S) < SLOW_INTERVAL_S:
             return []
         last_s[name] = stage.t_s
         return None
 
-    return change
+    return drop_if_too_early
 
 
-def intermittent(stage: Stage, told: dict[str, Ranges]) -> Change:
-    """Away for three seconds, back for three."""
-    began_s = stage.t_s
+def drop_for_3_s_in_every_6_s(
+    stage: FaultContext, fields_by_message: dict[str, Ranges]
+) -> MessageChange:
+    """Drop messages for 3 s and pass them for 3 s, in turn."""
+    start_s = stage.t_s
 
-    def change(message: Message) -> list[Message] | None:
-        away = (stage.t_s - began_s) % (AWAY_S + BACK_S) < AWAY_S
-        return [] if message.msg_name in told and away else None
+    def drop_during_outage(message: Message) -> list[Message] | None:
+        is_outage = (stage.t_s - start_s) % (OUTAGE_S + RECOVERY_S) < OUTAGE_S
+        return [] if message.msg_name in fields_by_message and is_outage else None
 
-    return change
+    return drop_during_outage
 
 
-def fails(what: str, kind: str) -> Play:
-    """From now on it fails in this way, for good."""
-    told = TOLD[what]
+def fail_sensor(sensor: str, failure_kind: str) -> FaultProcedure:
+    """Return a procedure: from now on the sensor fails permanently in this way."""
+    fields_by_message = SENSOR_FIELDS[sensor]
 
-    def play(stage: Stage) -> Iterator[None]:
-        yield from stage.reached()
-        if kind == "delayed":
-            stage.tap.hold_back_s |= dict.fromkeys(told, DELAYED_S)
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        if failure_kind == "delayed":
+            stage.tap.delay_s_by_name |= dict.fromkeys(fields_by_message, DELAY_S)
         else:
-            stage.tap.to_companion = KINDS[kind](stage, told)
+            stage.tap.to_companion = CHANGE_BY_KIND[failure_kind](stage, fields_by_message)
 
-    return play
+    return procedure
 
 
-KINDS = {
-    "off": off,
-    "stuck": stuck,
-    "garbage": garbage,
-    "slow": slow,
-    "intermittent": intermittent,
+CHANGE_BY_KIND = {
+    "off": drop_messages,
+    "stuck": freeze_fields,
+    "garbage": randomize_fields,
+    "slow": pass_one_message_every_2_s,
+    "intermittent": drop_for_3_s_in_every_6_s,
 }
-SAYS = {
-    "off": "is told no more",
-    "stuck": "is told as it was, with fresh times",
-    "garbage": "is any value of its sensor's range, each time another",
-    "slow": "is told once in two seconds",
-    "delayed": "is told two seconds late",
-    "intermittent": "is away for three seconds, back for three",
+KIND_DESCRIPTIONS = {
+    "off": "is no longer reported",
+    "stuck": "is frozen, with current time stamps",
+    "garbage": "has random values of the sensor's range",
+    "slow": "is reported every two seconds",
+    "delayed": "is reported two seconds late",
+    "intermittent": "is missing for three seconds in every six",
 }
-NUMBERS = {"attitude": 37, "position": 36, "battery": 26}
-GROUPS = {
+ROW_NUMBERS = {"attitude": 37, "position": 36, "battery": 26}
+GROUP_BY_SENSOR = {
     "attitude": "air and sensors",
     "position": "air and sensors",
     "battery": "energy",
 }
-MUST_TELL = {
-    ("attitude", "off"): ("no fresh attitude",),
-    ("position", "off"): ("position lost",),
-    ("battery", "off"): ("no fresh battery reading",),
+ALERT_RULES = {
+    ("attitude", "off"): (check_alert_sent(parameter_text="no recent attitude"),),
+    ("position", "off"): (check_alert_sent(Alert.POSITION_LOST),),
+    ("battery", "off"): (check_alert_sent(parameter_text="no recent battery reading"),),
 }
-"""What is told no more has to be missed, and the operator to hear it."""
+"""Alerts that the operator must receive when a sensor is no longer reported."""
 
-CASES = tuple(
-    FaultCase(
-        NUMBERS[what],
-        f"{what}-{kind}",
-        GROUPS[what],
-        f"{what} {words}, for good",
-        fails(what, kind),
-        (*SAFE, *map(tells, MUST_TELL.get((what, kind), ()))),
-        ("outbound",),
-    )
-    for what in TOLD
-    for kind, words in SAYS.items()
-)
+FAULTS = FaultGroup("air and sensors")
+for sensor_name in SENSOR_FIELDS:
+    for kind, description in KIND_DESCRIPTIONS.items():
+        FAULTS.add_case(
+            ROW_NUMBERS[sensor_name],
+            f"{sensor_name}-{kind}",
+            f"{sensor_name.capitalize()} {description}, permanently.",
+            fail_sensor(sensor_name, kind),
+            rules=(*SAFETY_RULES, *ALERT_RULES.get((sensor_name, kind), ())),
+            group=GROUP_BY_SENSOR[sensor_name],
+        )

@@ -1,76 +1,100 @@
-"""What must hold of a flight under a fault, judged by truth and by what was sent and said."""
+"""Rules for a flight or small day under a fault, checked by truth, messages and commands."""
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from sim_bridge.app.faults.stage import Stage
+from companion.core.mission.alerts import Alert, parse_alert_text
+from ground_station.core.schema.orders import AssignmentRow
+from sim_bridge.app.day import rules
+from sim_bridge.app.day.drone import DayDrone
+from sim_bridge.app.day.judge import find_flight_sample_ranges as flights_of
+from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.world.safety_rules import find_energy_rise_after_takeoff
 
-BROKEN, USAGE = 1, 2
-"""Exit codes of a companion that met an error inside, or a mistake in what it was given."""
-
-TRACEBACK = "Traceback (most recent call last)"
+EXIT_INTERNAL_ERROR, EXIT_USAGE_ERROR = 1, 2
+"""Exit codes of the companion: internal error, invalid options or files."""
 
 
 @dataclass(frozen=True, slots=True)
-class FlownFault:
-    """A flight that has ended: its row by truth, its stage, and the companion's own words."""
+class FlownDay:
+    """A small day that has ended: result row by truth, drones, run folder, stored assignments."""
 
     row: dict[str, Any]
-    stage: Stage
-    words: str
-    """All that the companion printed and logged."""
+    drones: list[DayDrone]
+    folder: Path
+    assignments: Sequence[AssignmentRow]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRunResult:
+    """A flight or a small day that has ended.
+
+    `row`: the flight by truth; in a day, the flight of the drone with the fault. `messages`:
+    messages to the operator or dispatcher with their times. `traceback_count`: in all printed
+    and logged text.
+    """
+
+    row: dict[str, Any]
+    stage: FaultContext
+    messages: list[tuple[float, str]]
+    traceback_count: int = 0
+    p_home_last_go: float | None = None
+    day: FlownDay | None = None
 
     @property
-    def said(self) -> list[str]:
-        """What the operator was told, in order."""
-        return [text for _, text in self.stage.craft.operator.said]
+    def message_texts(self) -> list[str]:
+        """Message texts in order, without times."""
+        return [text for _, text in self.messages]
 
     @property
-    def said_since(self) -> list[str]:
-        """What the operator was told after the fault began."""
-        began_s = self.stage.began_s
-        said = self.stage.craft.operator.said
-        return [text for at_s, text in said if began_s is not None and at_s >= began_s]
+    def alerts(self) -> list[tuple[float, Alert, dict[str, str]]]:
+        """The companion's alerts with their times and parameters, in order."""
+        found = ((at_s, parse_alert_text(text)) for at_s, text in self.messages)
+        return [(at_s, *one) for at_s, one in found if one is not None]
 
     @property
-    def commands_after_takeover(self) -> int:
-        """Commands after the companion could know that a person had taken over."""
-        taken_s = self.stage.took_over_s
-        if taken_s is None:
-            return 0
-        return sum(at_s > taken_s for at_s, _, _ in self.stage.craft.commands)
-
-    @property
-    def p_home_last_go(self) -> float | None:
-        """P(home) that the companion promised at its last decision to go on outward."""
-        gone = [d for d in self.row["decisions"] if d["kind"] in ("go", "onward", "descend")]
-        promised = [d["p_home"] for d in gone if d.get("p_home") is not None]
-        return promised[-1] if promised else None
-
-    @property
-    def exceptions(self) -> int:
-        """Tracebacks in what the companion printed and logged."""
-        return self.words.count(TRACEBACK)
+    def command_count_after_takeover(self) -> int:
+        """Number of commands sent after the companion could know of the takeover."""
+        if self.day is not None:
+            return len(self.day.row["commands_after_take_over"])
+        if self.stage.craft_and_lockstep is None:
+            return 0  # an exception ended the run of a day
+        return len(self.stage.craft.link.late_commands)
 
 
-Ask = Callable[[FlownFault], str | None]
-"""What is wrong with a flight by one rule, in a few words; None: it holds."""
+def p_home_of_last_go_decision(decisions: Iterable[tuple[str, float | None]]) -> float | None:
+    """Return P(home) at the last decision to continue outbound; `decisions`: kind, P(home)."""
+    go_kinds = ("go", "onward", "descend")
+    found = [p_home for kind, p_home in decisions if kind in go_kinds and p_home is not None]
+    return found[-1] if found else None
 
 
-def raises_nothing(flown: FlownFault) -> str | None:
-    """No exception reaches anybody."""
-    return f"{flown.exceptions} exceptions" if flown.exceptions else None
+Rule = Callable[[FaultRunResult], str | None]
+"""Returns a short text that describes the violation, or None or "" if the rule holds."""
 
 
-def ends_in_order(flown: FlownFault) -> str | None:
-    """The companion ends by no error of its own: not broken, not taking its own files amiss."""
+def check_no_exceptions(flown: FaultRunResult) -> str | None:
+    """Check that no exception was raised."""
+    return f"{flown.traceback_count} exceptions" if flown.traceback_count else None
+
+
+def check_no_error_exit_code(flown: FaultRunResult) -> str | None:
+    """Check that the companion ended without an internal or usage error."""
     code = flown.stage.craft.companion.exit_code
-    return f"exit code {code}" if code in (BROKEN, USAGE) else None
+    return f"exit code {code}" if code in (EXIT_INTERNAL_ERROR, EXIT_USAGE_ERROR) else None
 
 
-def comes_home(flown: FlownFault) -> str | None:
-    """Landed at the depot, a rally point or the promised stop, with the reserve, by truth."""
+def check_energy_never_rises(flown: FaultRunResult) -> str:
+    """Check by the companion's record that its energy estimate never rises after take-off."""
+    record = flown.stage.craft.companion.read_result_json_or_empty()
+    return find_energy_rise_after_takeoff(record.get("decisions", []), record.get("energy", []))
+
+
+def check_returned_home(flown: FaultRunResult) -> str | None:
+    """Check by truth for a landing with the reserve at the depot, a rally point or the stop."""
     has_crashed = flown.stage.craft.vehicle.is_crashed
     if flown.row["home"] and not has_crashed:
         return None
@@ -78,104 +102,177 @@ def comes_home(flown: FlownFault) -> str | None:
     return f"not home ({flown.row['outcome']}, {flown.row['margin_wh']:+.1f} Wh{crashed})"
 
 
-def delivers(flown: FlownFault) -> str | None:
-    """The fault costs no delivery either."""
+def check_delivered(flown: FaultRunResult) -> str | None:
+    """Check that the parcel was delivered despite the fault."""
     return None if flown.row["delivered"] else "not delivered"
 
 
-def claims_no_delivery(flown: FlownFault) -> str | None:
-    """It does not say that it delivered what truly stayed aboard."""
+def check_no_false_delivery(flown: FaultRunResult) -> str | None:
+    """Check that the companion did not report a delivery while the parcel was attached."""
     if flown.row["delivered"]:
         return None
-    claimed = any(text.startswith("delivered") for text in flown.said)
-    return "said to be delivered, and aboard" if claimed else None
+    is_delivery_reported = any(alert is Alert.DELIVERED for _, alert, _ in flown.alerts)
+    return "delivery reported, parcel still attached" if is_delivery_reported else None
 
 
-def fault_began(flown: FlownFault) -> str | None:
-    """A flight that ended before its fault shows nothing."""
-    return None if flown.stage.began_s is not None else "the fault never began"
+def check_fault_started(flown: FaultRunResult) -> str | None:
+    """Check that the fault began: a flight that ends earlier proves nothing."""
+    return None if flown.stage.start_s is not None else "the fault never started"
 
 
-def hands_off(flown: FlownFault) -> str | None:
-    """Not one command after a person has taken over."""
-    if flown.stage.took_over_s is None:
-        return "nobody took over"
-    sent = flown.commands_after_takeover
-    return f"{sent} commands after the take-over" if sent else None
+def check_no_commands_after_takeover(flown: FaultRunResult) -> str | None:
+    """Check that no command was sent after a takeover."""
+    link = flown.stage.craft.link
+    return "no takeover happened" if link.takeover is None else link.late_commands_text
 
 
-def stays_in_hand(flown: FlownFault) -> str | None:
-    """The companion flies it to the end: nobody made it believe in another hand."""
-    off = [text for text in flown.said if text.startswith("hands off")]
-    return f"said {off[0]!r}, and nobody took over" if off else None
+def check_control_retained(flown: FaultRunResult) -> str | None:
+    """Check that the companion kept control to the end: it inferred no false takeover."""
+    release_parameters = [
+        given for _, alert, given in flown.alerts if alert is Alert.CONTROL_RELEASED
+    ]
+    return (
+        f"released control ({release_parameters[0]['reason']}) without a takeover"
+        if release_parameters
+        else None
+    )
 
 
-def is_taken(flown: FlownFault) -> str | None:
-    """Down whole where a person landed it, by truth and by the companion's own verdict."""
-    own = [d["reason"] for d in flown.row["decisions"] if d["kind"] == "finished"]
+def check_landed_intact_by_pilot(flown: FaultRunResult) -> str | None:
+    """Check that a person landed it undamaged, by truth and by the companion's own verdict."""
+    finish_texts = [d["reason"] for d in flown.row["decisions"] if d["kind"] == "finished"]
     if flown.row["outcome"] != "TAKEN":
         return f"by truth {flown.row['outcome']}"
-    return None if own and own[-1].startswith("TAKEN") else f"by the companion {own or 'nothing'}"
+    return (
+        None
+        if finish_texts and finish_texts[-1].startswith("TAKEN")
+        else f"by the companion {finish_texts or 'nothing'}"
+    )
 
 
-def stays_disarmed(flown: FlownFault) -> str | None:
-    """What a person disarmed stays disarmed."""
-    return "armed again" if flown.stage.armed else None
+def check_disarmed_at_end(flown: FaultRunResult) -> str | None:
+    """Check that a vehicle disarmed by a person is still disarmed at the end."""
+    return "armed after it was disarmed" if flown.stage.is_armed else None
 
 
-def stays_down(flown: FlownFault) -> str | None:
-    """It never leaves the ground."""
-    return None if flown.stage.craft.record.took_off_s is None else "it took off"
+def check_no_takeoff(flown: FaultRunResult) -> str | None:
+    """Check that the vehicle never took off."""
+    return None if flown.stage.craft.record.takeoff_s is None else "it took off"
 
 
-def _is_down_by(flown: FlownFault, t_s: float) -> bool:
-    landed_s = flown.stage.craft.record.landed_s
-    return landed_s is not None and landed_s <= t_s
-
-
-def tells(*words: str, within_s: float | None = None, unless_down_within_s: float = 0.0) -> Ask:
-    """The operator hears one of these words (in time) after the fault began, where the flight lasts
-    long enough to find it.
-    """
-
-    def ask(flown: FlownFault) -> str | None:
-        began_s = flown.stage.began_s
-        if began_s is None:
-            return "the fault never began"
-        limit_s = began_s + (within_s if within_s is not None else 1e9)
-        said = flown.stage.craft.operator.said
-        heard = [t.lower() for at_s, t in said if began_s <= at_s <= limit_s]
-        if any(word in text for text in heard for word in words):
-            return None
-        if unless_down_within_s and _is_down_by(flown, began_s + unless_down_within_s):
-            return None
-        return f"the operator did not hear {' or '.join(repr(word) for word in words)}"
-
-    return ask
-
-
-def keeps_aside(name: str) -> Ask:
-    """In the run folder lies a torn record under this name."""
-
-    def ask(flown: FlownFault) -> str | None:
-        path = flown.stage.craft.run_dir / name
-        return None if path.exists() else f"no {name} in its folder"
-
-    return ask
-
-
-def notes(what: str) -> Ask:
-    """The play itself has seen it."""
-
-    def ask(flown: FlownFault) -> str | None:
-        return None if what in flown.stage.notes else f"not seen: {what}"
-
-    return ask
-
-
-def promises_nothing_false(flown: FlownFault) -> str | None:
-    """It did not go on with a promise of 0.99 that it then broke."""
+def check_returned_if_p_home_was_high(flown: FaultRunResult) -> str | None:
+    """Check that no flight was lost after a go decision with P(home) of 0.99 or more."""
     promised = flown.p_home_last_go
     if promised is None or promised < 0.99 or flown.row["home"] or flown.row["outcome"] == "TAKEN":
         return None
-    return f"P(home) {promised:.3f} was said, and it did not come home"
+    return f"P(home) {promised:.3f} was stated, and it did not return"
+
+
+def _has_landed_by(flown: FaultRunResult, deadline_s: float) -> bool:
+    landed_s = flown.stage.craft.record.landed_s
+    return landed_s is not None and landed_s <= deadline_s
+
+
+def check_alert_sent(
+    *alerts: Alert,
+    parameter_text: str = "",
+    within_s: float | None = None,
+    exempt_if_landed_within_s: float = 0.0,
+) -> Rule:
+    """Require one of these alerts (default: any) within `within_s` of the start of the fault,
+    with the text `parameter_text` in a parameter. Landing within `exempt_if_landed_within_s`
+    exempts a flight.
+    """
+    alert_names = ", ".join(one.identifier for one in alerts) or "alert"
+
+    def rule(flown: FaultRunResult) -> str | None:
+        start_s = flown.stage.start_s
+        if start_s is None:
+            return "the fault never started"
+        limit_s = start_s + (within_s if within_s is not None else 1e9)
+        for at_s, alert, given in flown.alerts:
+            matches = not parameter_text or any(
+                parameter_text in text.lower() for text in given.values()
+            )
+            if start_s <= at_s <= limit_s and matches and (not alerts or alert in alerts):
+                return None
+        if exempt_if_landed_within_s and _has_landed_by(flown, start_s + exempt_if_landed_within_s):
+            return None
+        return (
+            f"the operator received no"
+            f" {alert_names}{f' with {parameter_text!r}' if parameter_text else ''}"
+        )
+
+    return rule
+
+
+def check_desk_log_contains(required_text: str) -> Rule:
+    """Require this text in the desk's log after the start of the fault."""
+
+    def rule(flown: FaultRunResult) -> str | None:
+        start_s = flown.stage.start_s
+        if start_s is None:
+            return "the fault never started"
+        found = any(start_s <= at_s and required_text in line for at_s, line in flown.messages)
+        return None if found else f"the desk did not log {required_text!r}"
+
+    return rule
+
+
+def check_file_exists_in_run_folder(file_name: str) -> Rule:
+    """Require a preserved damaged record of this name in the run folder."""
+
+    def rule(flown: FaultRunResult) -> str | None:
+        path = flown.stage.craft.run_dir / file_name
+        return None if path.exists() else f"no {file_name} in the run folder"
+
+    return rule
+
+
+def check_procedure_made_note(required_note: str) -> Rule:
+    """Require this note of the fault procedure."""
+    return lambda flown: (
+        None if required_note in flown.stage.notes else f"not observed: {required_note}"
+    )
+
+
+# --- of a small day ----------------------------------------------------------------------------
+
+
+def _require_flown_day(flown: FaultRunResult) -> FlownDay:
+    assert flown.day is not None
+    return flown.day
+
+
+def check_day_rules(flown: FaultRunResult) -> str | None:
+    """Check the rules of every day: returns, deliveries, store, promises and takeovers."""
+    return "; ".join(rules.describe_day_violations(_require_flown_day(flown).row))
+
+
+def check_single_flight_per_power_up(flown: FaultRunResult) -> str | None:
+    """Check by truth that a drone flew at most once for each time it was put out."""
+    tracks = [
+        (drone.name, drone.build_vehicle_track(up, 0.0))
+        for drone in _require_flown_day(flown).drones
+        for up in drone.all_power_cycles
+        if up.record.rows
+    ]
+    return "; ".join(
+        f"{name} flew {len(flights)} times, expected one flight each time it is put out"
+        for name, track in tracks
+        if len(flights := flights_of(track)) > 1
+    )
+
+
+def check_all_delivered(flown: FaultRunResult) -> str | None:
+    """Check that all orders were delivered despite the fault."""
+    left = [line["order"] for line in _require_flown_day(flown).row["undelivered"]]
+    return f"not delivered: {', '.join(left)}" if left else None
+
+
+def check_each_order_assigned_once(flown: FaultRunResult) -> str | None:
+    """Check that each order was assigned once, to one drone."""
+    given = Counter(row.order_id for row in _require_flown_day(flown).assignments)
+    return "; ".join(
+        f"{order} was assigned {times} times" for order, times in given.items() if times > 1
+    )

@@ -1,20 +1,29 @@
-"""Faults of what the companion does beside its loop: no thread is to be had, a planner that hangs.
+"""Faults of the companion's worker threads: no thread can be started, the planner hangs or fails.
 
-In lockstep the loop plans by itself, so that runs repeat; here it plans beside, as on a vehicle.
+In lockstep the main loop plans itself, so that runs repeat. Here a thread plans, as on a vehicle.
 """
 
 from collections.abc import Iterator
 
-from sim_bridge.app.faults.case import IN_THE_AIR, SAFE, FaultCase, from_the_start
-from sim_bridge.app.faults.host import BOOT_S
-from sim_bridge.app.faults.stage import Stage
-from sim_bridge.app.faults.verdict import Ask, delivers, stays_down, tells
+from companion.core.mission.alerts import Alert
+from sim_bridge.app.faults.fault import (
+    AIRBORNE_PHASES,
+    SAFETY_RULES,
+    FaultGroup,
+    mark_fault_started_at_once,
+)
+from sim_bridge.app.faults.host import RESTART_DELAY_S
+from sim_bridge.app.faults.verdict import check_alert_sent, check_delivered, check_no_takeoff
+from sim_bridge.app.flight.stage import FaultContext
+
+FAULTS = FaultGroup("host")
 
 NO_THREAD_FILE = "no_thread"
-NO_THREAD = f"""\
+NO_THREAD_CODE = f"""\
 import pathlib, sys, threading
 import companion.app.flight.planning as planning
-planning.PlanAtOnce = planning.PlanBeside
+executor = planning.PlanningExecutor
+executor.start_planning = lambda self, find_plan: self._start_thread(find_plan)
 NONE = pathlib.Path(sys.argv[-1]) / "{NO_THREAD_FILE}"
 def start(self, real=threading.Thread.start):
     if NONE.exists() or self.name in KEPT_FROM:
@@ -23,53 +32,59 @@ def start(self, real=threading.Thread.start):
 threading.Thread.start = start
 KEPT_FROM = ()
 """
-"""No thread can be started while a file lies in the run folder."""
+"""Python code: no thread can be started while the file `no_thread` is in the run folder."""
 
-LINK_ALONE = f'{NO_THREAD}KEPT_FROM = ("disk", "plan")\n'
-"""The link's thread was the last that was to be had."""
+LINK_THREAD_ONLY_CODE = f'{NO_THREAD_CODE}KEPT_FROM = ("disk", "plan")\n'
+"""Python code: the link's thread can be started, but no further one."""
 
 
-def started_without_a_thread(stage: Stage) -> Iterator[None]:
-    """Killed; as it is started again no thread is to be had, and it ends; started once more."""
-    yield from stage.reached()
+@FAULTS.register_procedure(
+    44, "back-without-a-thread", AIRBORNE_PHASES, before_companion=NO_THREAD_CODE
+)
+def kill_and_fail_one_restart_for_threads(stage: FaultContext) -> Iterator[None]:
+    """The companion is killed, a restart fails as no thread can be started, the next works."""
+    yield from stage.wait_for_phase_and_record_fault_start()
     craft = stage.craft
     mark = craft.run_dir / NO_THREAD_FILE
-    craft.companion.kill()
-    stage.lockstep.lose(craft.number - 1)
+    stage.kill_companion()
     mark.touch()
-    yield from stage.wait(stage.rng.uniform(*BOOT_S))
+    yield from stage.wait(stage.rng.uniform(*RESTART_DELAY_S))
     craft.companion.start()
-    craft.companion.wait(ENDS_WITHIN_S)
+    craft.companion.wait(EXIT_LIMIT_S)
     mark.unlink()
-    yield from stage.wait(SERVICE_S)
-    craft.companion.start()
-    craft.companion_returns = True
+    yield from stage.wait(SERVICE_RESTART_DELAY_S)
+    stage.restart_companion()
 
 
-ENDS_WITHIN_S = 60.0
-"""Wall time for a process that finds no link: it loads its code and ends."""
+EXIT_LIMIT_S = 60.0
+"""Wall time for a process that finds no link to load its code and exit."""
 
-SERVICE_S = 2.0
-"""A service manager's pause before it starts a process again."""
+SERVICE_RESTART_DELAY_S = 2.0
+"""A service manager's delay before it restarts a process."""
 
 
-def planner(work: str) -> str:
-    """A worker beside the loop that does this instead of its `real` work."""
+def python_code_that_replaces_planner_work(replacement_code: str) -> str:
+    """Return code of a planner thread that runs `replacement_code`, not its `real` work."""
     return f"""\
 import resource, threading
 import companion.app.flight.planning as planning
-planning.PlanAtOnce = planning.PlanBeside
+executor = planning.PlanningExecutor
+executor.start_planning = lambda self, find_plan: self._start_thread(find_plan)
 from companion.core.mission.find_plan import FindPlan
-def work(self, real=FindPlan.work):
-{work}
-FindPlan.work = work
+def work(self, real=FindPlan.compute_plan):
+{replacement_code}
+FindPlan.compute_plan = work
 """
 
 
-HANGS = planner("    threading.Event().wait()")
-BREAKS = planner("    raise KeyError('a node that is not in the graph')")
-LATE = planner("    threading.Event().wait(1.5)\n    return real(self)")
-EATS_MEMORY = planner("""\
+HANGING_PLANNER = python_code_that_replaces_planner_work("    threading.Event().wait()")
+FAILING_PLANNER = python_code_that_replaces_planner_work(
+    "    raise KeyError('a node that is not in the graph')"
+)
+SLOW_PLANNER = python_code_that_replaces_planner_work(
+    "    threading.Event().wait(1.5)\n    return real(self)"
+)
+MEMORY_EXHAUSTING_PLANNER = python_code_that_replaces_planner_work("""\
     page, room = resource.getpagesize(), 1 << 30
     used = int(open("/proc/self/statm").read().split()[0]) * page
     most = resource.getrlimit(resource.RLIMIT_AS)[1]
@@ -78,76 +93,46 @@ EATS_MEMORY = planner("""\
     while True:
         held.append(bytearray(1 << 26))""")
 
-GROUP = "host"
-SHORT = {"mission": {"time_limit_s": 100.0}}
-"""A companion that never ends is not waited for longer than 270 s from power-up."""
+SHORT_TIME_LIMIT = {"mission": {"time_limit_s": 100.0}}
+"""Limits the wait for a companion that never ends to 270 s from power-up."""
 
 
-def planner_row(name: str, says: str, before: str, *asks: Ask) -> FaultCase:
-    """A row of the worker that plans: on the ground, from power-up."""
-    return FaultCase(
+FAULTS.add_case(
+    44,
+    "no-threads",
+    "No thread can be started except the link's: none for the record or the planner.",
+    mark_fault_started_at_once,
+    ("ready",),
+    (*SAFETY_RULES, check_delivered, check_alert_sent(Alert.RECORD_LOST)),
+    before_companion=LINK_THREAD_ONLY_CODE,
+)
+for name, startup_code, verb, expected_text in (
+    ("hangs", HANGING_PLANNER, "hangs", "no plan within"),
+    ("breaks", FAILING_PLANNER, "fails", "planning failed"),
+    (
+        "eats-memory",
+        MEMORY_EXHAUSTING_PLANNER,
+        "exhausts all memory",
+        "planning failed: memoryerror",
+    ),
+):
+    FAULTS.add_case(
         48,
-        name,
-        GROUP,
-        says,
-        from_the_start,
-        asks,
+        f"plan-worker-{name}",
+        f"The planner thread {verb}: the vehicle stays on the ground, with an alert.",
+        mark_fault_started_at_once,
         ("ready",),
-        flight=SHORT,
-        before_companion=before,
+        (check_no_takeoff, check_alert_sent(Alert.NO_TAKE_OFF, parameter_text=expected_text)),
+        flight=SHORT_TIME_LIMIT,
+        before_companion=startup_code,
     )
-
-
-CASES = (
-    FaultCase(
-        44,
-        "no-threads",
-        GROUP,
-        "no thread can be had beside the link's: none for the record, none for the plan",
-        from_the_start,
-        (*SAFE, delivers, tells("record given up")),
-        ("ready",),
-        before_companion=LINK_ALONE,
-    ),
-    FaultCase(
-        44,
-        "back-without-a-thread",
-        GROUP,
-        "killed; as it is started again not one thread can be had; started once more",
-        started_without_a_thread,
-        SAFE,
-        IN_THE_AIR,
-        before_companion=NO_THREAD,
-    ),
-    planner_row(
-        "plan-worker-hangs",
-        "the worker that plans hangs: it stays on the ground, and says so",
-        HANGS,
-        stays_down,
-        tells("no take-off: no plan within"),
-    ),
-    planner_row(
-        "plan-worker-breaks",
-        "the worker that plans breaks: it stays on the ground, and says why",
-        BREAKS,
-        stays_down,
-        tells("no take-off: planning failed"),
-    ),
-    planner_row(
-        "plan-worker-eats-memory",
-        "the worker that plans eats all memory: it stays on the ground, and says why",
-        EATS_MEMORY,
-        stays_down,
-        tells("no take-off: planning failed: memoryerror"),
-    ),
-    FaultCase(  # with its whole time: on a busy computer it plans for minutes of simulated time
-        48,
-        "plan-worker-late",
-        GROUP,
-        "the worker that plans takes its time: the loop hears on, and the flight is flown",
-        from_the_start,
-        (*SAFE, delivers),
-        ("ready",),
-        before_companion=LATE,
-    ),
+# Full time limit: on a busy computer planning takes minutes of simulated time.
+FAULTS.add_case(
+    48,
+    "plan-worker-late",
+    "The planner thread is slow: the main loop keeps receiving, and the flight is flown.",
+    mark_fault_started_at_once,
+    ("ready",),
+    (*SAFETY_RULES, check_delivered),
+    before_companion=SLOW_PLANNER,
 )

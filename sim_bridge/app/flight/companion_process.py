@@ -1,4 +1,4 @@
-"""A `companion run` process beside a simulated vehicle: started, killed, restarted, ended."""
+"""The `companion run` process of a simulated vehicle: start, kill, restart, end."""
 
 import atexit
 import contextlib
@@ -14,127 +14,134 @@ from pathlib import Path
 from typing import IO, Any
 
 from sim_bridge.adapters.fork_server import ForkedProcess, ForkServer
-from sim_bridge.adapters.lifeline import entry
+from sim_bridge.adapters.lifeline import code_tied_to_parent_process
 
-ENTRY = "from companion.app.cli.main import main; main()"
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+COMPANION_CODE = "from companion.app.cli.main import main; main()"
+TERMINATION_LIMIT_S = 10.0
+SINGLE_THREAD_ENV = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @functools.cache
-def suite_forks() -> ForkServer:
-    """Of this process, for suites of short flights: their companions are imported once."""
-    forks = ForkServer(("companion.app.cli.main", "companion.app.cli.flying"), ENTRY, ONE_THREAD)
-    atexit.register(forks.close)
-    return forks
+def suite_fork_server() -> ForkServer:
+    """Return the fork server of this process, which imports the companion only once."""
+    fork_server = ForkServer(
+        ("companion.app.cli.main", "companion.app.cli.flying"), COMPANION_CODE, SINGLE_THREAD_ENV
+    )
+    atexit.register(fork_server.close)
+    return fork_server
+
+
+def spawn_python(code: str, arguments: list[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Run Python code with arguments in a process that ends with this process."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code_tied_to_parent_process(code), *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        env=os.environ | SINGLE_THREAD_ENV,
+        start_new_session=True,  # only the bridge receives Ctrl-C; it then ends the child
+    )
 
 
 @dataclass(slots=True)
 class CompanionProcess:
-    """One companion that knows its vehicle only by the MAVLink link in `arguments`."""
+    """One companion process; the MAVLink link in `arguments` is its only source of vehicle data."""
 
     run_dir: Path
     arguments: list[str]
-    before: str = ""
-    """Python that the process runs before its `main`, and before its imports."""
-    forks: ForkServer | None = None
-    """Where it is forked instead of started anew, unless something runs before its imports."""
-    starts: int = 0
+    startup_code: str = ""
+    """Python code that runs before the imports and `main` of the process."""
+    fork_server: ForkServer | None = None
+    """Server that forks the process; unused if `startup_code` is set (runs before imports)."""
+    start_count: int = 0
     stalled: bool = False
     _process: subprocess.Popen[bytes] | ForkedProcess | None = None
     _output: IO[bytes] | None = field(default=None, repr=False)
-    _read_bytes: int = 0
-    """Of what it printed, given out by `new_lines`."""
+    _consumed_bytes: int = 0
+    """Bytes of the output that `read_new_output_lines` has returned."""
 
     def start(self) -> None:
-        """Start it; its standard output and errors are appended to `companion.out`."""
+        """Start the process; append its standard output and errors to `companion.out`."""
         self.run_dir.mkdir(parents=True, exist_ok=True)
         self._close_output()
         self._output = (self.run_dir / "companion.out").open("ab")
         arguments = ["run", *self.arguments, "--run-dir", str(self.run_dir)]
-        if self.forks is not None and not self.before:
-            self._process = self.forks.start(arguments, self._output)
+        if self.fork_server is not None and not self.startup_code:
+            self._process = self.fork_server.start(arguments, self._output)
         else:
-            self._process = self._start_anew(arguments, self._output)
-        self.starts += 1
-
-    def _start_anew(self, arguments: list[str], output: IO[bytes]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-c", entry(f"{self.before}\n{ENTRY}"), *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=os.environ | ONE_THREAD,
-            start_new_session=True,  # Ctrl-C reaches the bridge alone, which ends it in order
-        )
+            self._process = spawn_python(
+                f"{self.startup_code}\n{COMPANION_CODE}", arguments, self._output
+            )
+        self.start_count += 1
 
     @property
     def pid(self) -> int | None:
-        """Process id while it runs."""
-        return self._process.pid if self.running else None  # type: ignore[union-attr]
+        """Process id while the process runs."""
+        return self._process.pid if self.is_running else None  # type: ignore[union-attr]
 
     @property
-    def running(self) -> bool:
-        """True while the process lives."""
+    def is_running(self) -> bool:
+        """True while the process runs."""
         return self._process is not None and self._process.poll() is None
 
     @property
     def exit_code(self) -> int | None:
-        """Its exit code once it has ended."""
+        """Exit code after the process has ended, else None."""
         return None if self._process is None else self._process.poll()
 
     def wait(self, limit_s: float) -> None:
-        """Wait for its end, no longer than `limit_s`."""
+        """Wait up to `limit_s` for the process to end."""
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(limit_s)
 
     def kill(self) -> None:
-        """SIGKILL, as a companion computer that loses its power."""
+        """Send SIGKILL: simulates power loss of the companion computer."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
 
-    def stall(self) -> None:
-        """SIGSTOP, as a computer that waits for its card or swaps."""
-        self._signal(signal.SIGSTOP)
+    def suspend(self) -> None:
+        """Send SIGSTOP: simulates a computer that waits for its storage or swaps."""
+        self._send_signal_if_running(signal.SIGSTOP)
         self.stalled = True
 
-    def go_on(self) -> None:
-        """SIGCONT."""
-        self._signal(signal.SIGCONT)
+    def continue_after_suspend(self) -> None:
+        """Resume with SIGCONT."""
+        self._send_signal_if_running(signal.SIGCONT)
         self.stalled = False
 
-    def fill_disk(self) -> None:
-        """From now on no file of its can grow: each write fails, as on a full disk."""
-        self._limit_files(0)
+    def simulate_full_disk(self) -> None:
+        """Make each write that extends a file fail, as on a full disk."""
+        self._limit_file_size(0)
 
-    def empty_disk(self) -> None:
-        """Its files can grow again."""
-        self._limit_files(resource.RLIM_INFINITY)
+    def end_simulated_full_disk(self) -> None:
+        """Remove the file size limit."""
+        self._limit_file_size(resource.RLIM_INFINITY)
 
-    def _limit_files(self, size_bytes: int) -> None:
+    def _limit_file_size(self, size_bytes: int) -> None:
         if self.pid is not None:
-            with contextlib.suppress(ProcessLookupError):  # it ends just now
-                _, most = resource.prlimit(self.pid, resource.RLIMIT_FSIZE)
-                resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (size_bytes, most))
+            with contextlib.suppress(ProcessLookupError):  # the process ended meanwhile
+                _, max_size_bytes = resource.prlimit(self.pid, resource.RLIMIT_FSIZE)
+                resource.prlimit(self.pid, resource.RLIMIT_FSIZE, (size_bytes, max_size_bytes))
 
-    def _signal(self, number: signal.Signals) -> None:
-        if self._process is not None and self.running:
+    def _send_signal_if_running(self, number: signal.Signals) -> None:
+        if self._process is not None and self.is_running:
             self._process.send_signal(number)
 
-    def end(self, grace_s: float = 10.0) -> None:
-        """SIGTERM, then SIGKILL after `grace_s`; always leaves no process behind."""
-        if self._process is not None and self.running:
+    def terminate_or_kill(self) -> None:
+        """Send SIGTERM, then SIGKILL after 10 s; the process never survives this call."""
+        if self._process is not None and self.is_running:
             self._process.terminate()
-            self.go_on()
+            self.continue_after_suspend()
             try:
-                self._process.wait(grace_s)
+                self._process.wait(TERMINATION_LIMIT_S)
             except subprocess.TimeoutExpired:
                 self.kill()
         self._close_output()
 
-    def result(self) -> dict[str, Any]:
-        """The companion's own record, `{}` where it left none."""
+    def read_result_json_or_empty(self) -> dict[str, Any]:
+        """Return the companion's `result.json`, `{}` if missing or invalid."""
         path = self.run_dir / "result.json"
         if not path.exists():
             return {}
@@ -144,29 +151,30 @@ class CompanionProcess:
             return {}
 
     @property
-    def phase(self) -> str:
-        """The phase that it last said it is in, empty before the first."""
-        path = self.run_dir / "companion.out"
-        text = path.read_text(errors="replace") if path.exists() else ""
-        changes = [line for line in text.splitlines() if " -> " in line]
+    def last_reported_phase(self) -> str:
+        """Last phase reported in the output, empty before the first report."""
+        changes = [line for line in self.read_output().splitlines() if " -> " in line]
         return changes[-1].rsplit(" -> ", 1)[1] if changes else ""
 
-    def new_lines(self) -> list[str]:
-        """Whole lines that it printed since this was asked last."""
+    def read_new_output_lines(self) -> list[str]:
+        """Return the complete output lines since the previous call."""
         path = self.run_dir / "companion.out"
         if not path.exists():
             return []
         with path.open("rb") as file:
-            file.seek(self._read_bytes)
+            file.seek(self._consumed_bytes)
             whole = file.read().rpartition(b"\n")
-        self._read_bytes += len(whole[0]) + len(whole[1])
+        self._consumed_bytes += len(whole[0]) + len(whole[1])
         return whole[0].decode(errors="replace").splitlines()
 
-    def last_words(self, lines: int = 5) -> str:
-        """The end of what it printed, for an error message."""
+    def last_output_lines(self, line_count: int = 5) -> str:
+        """Return the last lines of the output, for an error message."""
+        return "\n".join(self.read_output().strip().splitlines()[-line_count:])
+
+    def read_output(self) -> str:
+        """Return all standard output and errors of the process."""
         path = self.run_dir / "companion.out"
-        text = path.read_text(errors="replace").strip() if path.exists() else ""
-        return "\n".join(text.splitlines()[-lines:])
+        return path.read_text(errors="replace") if path.exists() else ""
 
     def _close_output(self) -> None:
         if self._output is not None:

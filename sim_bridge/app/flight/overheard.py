@@ -1,6 +1,6 @@
-"""State of a vehicle that we do not simulate, read from the companion's growing stream.tlog.
+"""State of an external vehicle, read from the companion's growing stream.tlog.
 
-The companion is the only one on the link, so this is all that there is to see of the vehicle.
+Only the companion uses the link, so this file is the only source of the vehicle's state.
 """
 
 import math
@@ -8,76 +8,76 @@ import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from companion.core.base.geo import offset_m
-from sim_bridge.app.flight.joined_texts import JoinedTexts
+from companion.core.base.geo import ne_offset_m
+from sim_bridge.app.link.joined_texts import JoinedTexts
 from sim_bridge.autopilot.mavlink.codec import Decoder, Message
 
 STAMP = struct.Struct(">Q")
 AUTOPILOT, COMPANION = 1, 191
 AUTOPILOT_KINDS = {3: "ardupilot", 12: "px4"}  # MAV_AUTOPILOT
-SEVERITY_NOTICE = 5
+MAX_DISPLAYED_SEVERITY = 5
 
 
 @dataclass(slots=True)
-class Overheard:
-    """Follows one stream.tlog; `listen` takes what was appended since."""
+class StreamMonitor:
+    """Follows a stream.tlog; `read_new_frames_and_update_state` reads what was appended."""
 
     path: Path
     autopilot_kind: str | None = None
-    named: dict[str, float] = field(default_factory=dict)
-    said: list[tuple[float, str]] = field(default_factory=list)
+    named_values: dict[str, float] = field(default_factory=dict)
+    status_texts: list[tuple[float, str]] = field(default_factory=list)
     t_s: float = 0.0
-    away_m: float = 0.0
+    distance_m: float = 0.0
     up_m: float = 0.0
     _offset: int = 0
     _pending: bytes = b""
     _texts: JoinedTexts = field(default_factory=JoinedTexts, repr=False)
-    _stood: tuple[float, float] | None = None
+    _first_position_deg: tuple[float, float] | None = None
     _decoder: Decoder = field(default_factory=Decoder, repr=False)
 
-    def listen(self) -> None:
-        """Take in every whole frame that is new."""
+    def read_new_frames_and_update_state(self) -> None:
+        """Decode every complete new frame."""
         if not self.path.exists():
             return
         with self.path.open("rb") as file:
             file.seek(self._offset)
-            fresh = file.read()
-        self._offset += len(fresh)
-        self._pending += fresh
-        while (size := _record_size(self._pending)) is not None:
+            new_bytes = file.read()
+        self._offset += len(new_bytes)
+        self._pending += new_bytes
+        while (size := _first_complete_record_size(self._pending)) is not None:
             frame = self._pending[STAMP.size : size]
             self._pending = self._pending[size:]
-            for message in self._decoder.feed(frame):
-                self._hear(message)
+            for message in self._decoder.decode_bytes(frame):
+                self._update_from_message(message)
 
-    def _hear(self, message: Message) -> None:
+    def _update_from_message(self, message: Message) -> None:
         name, component = message.msg_name, message.src_component
         if component == AUTOPILOT:
             if name == "HEARTBEAT":
                 self.autopilot_kind = AUTOPILOT_KINDS.get(message.autopilot, self.autopilot_kind)
             elif name == "GLOBAL_POSITION_INT":
-                self._place(message)
+                self._update_position(message)
         elif component == COMPANION:
             if name == "NAMED_VALUE_FLOAT" and math.isfinite(message.value):
-                self.named[message.name] = message.value
-            elif name == "STATUSTEXT" and message.severity <= SEVERITY_NOTICE:
-                text = self._texts.take(message)
+                self.named_values[message.name] = message.value
+            elif name == "STATUSTEXT" and message.severity <= MAX_DISPLAYED_SEVERITY:
+                text = self._texts.add_chunk_and_take_complete_text(message)
                 if text is not None:
-                    self.said.append((self.t_s, text))
+                    self.status_texts.append((self.t_s, text))
 
-    def _place(self, message: Message) -> None:
+    def _update_position(self, message: Message) -> None:
         self.t_s = message.time_boot_ms / 1000.0
         self.up_m = message.relative_alt / 1000.0
         if message.lat == 0 and message.lon == 0:
-            return  # ArduCopter's word for "no position yet"
+            return  # ArduCopter sends 0, 0 before its first position
         lat_deg, lon_deg = message.lat / 1e7, message.lon / 1e7
-        if self._stood is None:
-            self._stood = (lat_deg, lon_deg)
-        self.away_m = math.hypot(*offset_m(*self._stood, lat_deg, lon_deg))
+        if self._first_position_deg is None:
+            self._first_position_deg = (lat_deg, lon_deg)
+        self.distance_m = math.hypot(*ne_offset_m(*self._first_position_deg, lat_deg, lon_deg))
 
 
-def _record_size(data: bytes) -> int | None:
-    """Bytes of the record at the front of `data` (stamp and frame), None while it is cut."""
+def _first_complete_record_size(data: bytes) -> int | None:
+    """Return the size of the first record in `data` (stamp and frame); None if incomplete."""
     head = STAMP.size
     if len(data) < head + 3:
         return None

@@ -1,18 +1,18 @@
-"""SIGTERM ends the program in order: the stack unwinds, and started processes end with it."""
+"""Orderly exit on SIGTERM: the stack unwinds and child processes are ended."""
 
 import signal
 import threading
 from types import FrameType
 
-LEAVES_AT_ONCE = threading.Event()
-"""Set by what opens zenoh sessions: their threads can keep an interpreter from ending."""
+FORCE_EXIT = threading.Event()
+"""Set by code that opens zenoh sessions: their threads can prevent interpreter exit."""
 
 
-def stop_by_signal(number: int) -> None:
-    """From now on this signal raises SystemExit(128 + number) once; later ones change nothing."""
+def exit_on_signal(signal_number: int) -> None:
+    """Make this signal raise SystemExit(128 + number) once and ignore later ones."""
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        signal.signal(number, signal.SIG_IGN)
-        raise SystemExit(128 + number)
+    def ignore_further_and_exit(received_signal: int, frame: FrameType | None) -> None:
+        signal.signal(received_signal, signal.SIG_IGN)
+        raise SystemExit(128 + received_signal)
 
-    signal.signal(number, stop)
+    signal.signal(signal_number, ignore_further_and_exit)

@@ -1,8 +1,8 @@
 """A link with the faults of real links (repeats, damage, delay, garbage); the vehicle is healthy.
 
-Of what the vehicle sends, some is doubled, torn, late or out of order. Between it come garbage,
-other systems and components, and frames of the vehicle itself that hold NaN, unknown fields or a
-wild time. The same generator gives the same faults.
+Some datagrams of the vehicle are doubled, truncated, delayed or reordered. The link adds garbage,
+frames of other systems and components, and frames of the vehicle that hold NaN, unknown fields or
+an invalid time. The same generator gives the same faults.
 """
 
 import math
@@ -13,32 +13,34 @@ import numpy as np
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 GARBAGE_BYTES = 400
-LATE_STEPS = (1, 4)  # a held-back frame comes so many exchanges later, of 0.1 s each
-SHARE = 0.15  # of the datagrams, for each of: doubled, torn, held back
-WILD_MS = 2_000_000_000
-NEIGHBOUR = 2  # another vehicle's system id
+DELAY_STEPS = (1, 4)  # delay of a frame in exchanges of 0.1 s
+FAULT_FRAC = 0.15  # of the datagrams, for each of: doubled, truncated, delayed
+INVALID_TIME_MS = 2_000_000_000
+NEIGHBOUR_SYSTEM = 2  # another vehicle's system id
 
 
 @dataclass(slots=True)
-class BadLink:
-    """Between one vehicle (`system`) and its companion."""
+class FaultyLink:
+    """Faulty link between one vehicle (`system`) and its companion."""
 
     system: int
     rng: np.random.Generator
     _step: int = 0
-    _late: list[tuple[int, bytes]] = field(default_factory=list)
-    _senders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
+    _delayed: list[tuple[int, bytes]] = field(default_factory=list)
+    _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
 
-    def spoil(self, datagrams: list[bytes], boot_ms: int) -> list[bytes]:
-        """What arrives of one exchange's datagrams, and what should not have come."""
+    def apply_random_faults_to_exchange(
+        self, datagrams: list[bytes], time_since_boot_ms: int
+    ) -> list[bytes]:
+        """Return the datagrams of one exchange after faults, with added unwanted frames."""
         self._step += 1
-        due = [data for step, data in self._late if step <= self._step]
-        self._late = [(step, data) for step, data in self._late if step > self._step]
+        due = [data for step, data in self._delayed if step <= self._step]
+        self._delayed = [(step, data) for step, data in self._delayed if step > self._step]
         out: list[bytes] = []
         for data in datagrams:
-            doubled, torn, late = self.rng.random(3) < SHARE
+            doubled, torn, late = self.rng.random(3) < FAULT_FRAC
             if late:
-                self._late.append((self._step + int(self.rng.integers(*LATE_STEPS)), data))
+                self._delayed.append((self._step + int(self.rng.integers(*DELAY_STEPS)), data))
             else:
                 out.append(data)
             if doubled:
@@ -46,38 +48,46 @@ class BadLink:
             if torn:
                 out.append(data[: int(self.rng.integers(1, len(data)))])
         out += due
-        out += self._strangers(boot_ms) + self._unknowns(boot_ms)
+        out += self._other_sender_frames(time_since_boot_ms) + self._unusable_frames(
+            time_since_boot_ms
+        )
         out.append(self.rng.bytes(int(self.rng.integers(1, GARBAGE_BYTES))))
         order = self.rng.permutation(len(out))
         return [out[int(k)] for k in order]
 
-    def _frame(self, component: int, message: Message, system: int | None = None) -> bytes:
+    def _encode_frame(self, component: int, message: Message, system: int | None = None) -> bytes:
         sender = (self.system if system is None else system, component)
-        encoder = self._senders.setdefault(sender, Encoder(*sender))
-        return encoder.encode(message)
+        encoder = self._encoders.setdefault(sender, Encoder(*sender))
+        return encoder.encode_next_frame(message)
 
-    def _strangers(self, boot_ms: int) -> list[bytes]:
-        """Another vehicle in another mode and place, this one's gimbal, a ground station."""
+    def _other_sender_frames(self, time_since_boot_ms: int) -> list[bytes]:
+        """Return frames of another vehicle, of this vehicle's gimbal and of a ground station."""
         return [
-            self._frame(1, _heartbeat(kind=2, autopilot=12, custom=4 << 16 | 5 << 24), NEIGHBOUR),
-            self._frame(1, _heartbeat(kind=2, autopilot=3, custom=6), NEIGHBOUR),
-            self._frame(1, _position(boot_ms, 10.0, 20.0), NEIGHBOUR),
-            self._frame(1, Message("MISSION_CURRENT", seq=1), NEIGHBOUR),
-            self._frame(154, _heartbeat(kind=26, autopilot=8, custom=0)),
-            self._frame(154, _attitude(boot_ms, 1.2)),
-            self._frame(190, _heartbeat(kind=6, autopilot=8, custom=0), 255),
+            self._encode_frame(
+                1,
+                _heartbeat(vehicle_type=2, autopilot=12, custom_mode=4 << 16 | 5 << 24),
+                NEIGHBOUR_SYSTEM,
+            ),
+            self._encode_frame(
+                1, _heartbeat(vehicle_type=2, autopilot=3, custom_mode=6), NEIGHBOUR_SYSTEM
+            ),
+            self._encode_frame(1, _position(time_since_boot_ms, 10.0, 20.0), NEIGHBOUR_SYSTEM),
+            self._encode_frame(1, Message("MISSION_CURRENT", seq=1), NEIGHBOUR_SYSTEM),
+            self._encode_frame(154, _heartbeat(vehicle_type=26, autopilot=8, custom_mode=0)),
+            self._encode_frame(154, _attitude(time_since_boot_ms, 1.2)),
+            self._encode_frame(190, _heartbeat(vehicle_type=6, autopilot=8, custom_mode=0), 255),
         ]
 
-    def _unknowns(self, boot_ms: int) -> list[bytes]:
-        """The vehicle's own messages with nothing usable in them."""
+    def _unusable_frames(self, time_since_boot_ms: int) -> list[bytes]:
+        """Return frames of the vehicle without usable content."""
         return [
-            self._frame(1, message)
+            self._encode_frame(1, message)
             for message in (
-                _attitude(boot_ms, math.nan),
-                _attitude(WILD_MS + self._step % 2_000 * 1_000_000, 1.0),
-                _position(boot_ms, 0.0, 0.0),
-                _sys_status_unknown(),
-                _battery_unknown(),
+                _attitude(time_since_boot_ms, math.nan),
+                _attitude(INVALID_TIME_MS + self._step % 2_000 * 1_000_000, 1.0),
+                _position(time_since_boot_ms, 0.0, 0.0),
+                _sys_status_with_unknown_values(),
+                _battery_status_with_unknown_values(),
                 Message(
                     "VFR_HUD",
                     airspeed=math.nan,
@@ -91,27 +101,29 @@ class BadLink:
         ]
 
 
-def _heartbeat(*, kind: int, autopilot: int, custom: int) -> Message:
+def _heartbeat(*, vehicle_type: int, autopilot: int, custom_mode: int) -> Message:
     return Message(
         "HEARTBEAT",
-        type=kind,
+        type=vehicle_type,
         autopilot=autopilot,
         base_mode=129,
-        custom_mode=custom,
+        custom_mode=custom_mode,
         system_status=4,
         mavlink_version=3,
     )
 
 
-def _attitude(boot_ms: int, roll_rad: float) -> Message:
+def _attitude(time_since_boot_ms: int, roll_rad: float) -> Message:
     rates = dict.fromkeys(("rollspeed", "pitchspeed", "yawspeed"), 0.0)
-    return Message("ATTITUDE", time_boot_ms=boot_ms, roll=roll_rad, pitch=0.0, yaw=0.0, **rates)
+    return Message(
+        "ATTITUDE", time_boot_ms=time_since_boot_ms, roll=roll_rad, pitch=0.0, yaw=0.0, **rates
+    )
 
 
-def _position(boot_ms: int, lat_deg: float, lon_deg: float) -> Message:
+def _position(time_since_boot_ms: int, lat_deg: float, lon_deg: float) -> Message:
     return Message(
         "GLOBAL_POSITION_INT",
-        time_boot_ms=boot_ms,
+        time_boot_ms=time_since_boot_ms,
         lat=round(lat_deg * 1e7),
         lon=round(lon_deg * 1e7),
         hdg=65535,
@@ -119,7 +131,7 @@ def _position(boot_ms: int, lat_deg: float, lon_deg: float) -> Message:
     )
 
 
-def _sys_status_unknown() -> Message:
+def _sys_status_with_unknown_values() -> Message:
     zero = ("onboard_control_sensors_present", "onboard_control_sensors_enabled")
     zero += ("onboard_control_sensors_health", "load", "drop_rate_comm", "errors_comm")
     zero += tuple(f"errors_count{k}" for k in range(1, 5))
@@ -132,7 +144,7 @@ def _sys_status_unknown() -> Message:
     )
 
 
-def _battery_unknown() -> Message:
+def _battery_status_with_unknown_values() -> Message:
     return Message(
         "BATTERY_STATUS",
         current_consumed=-1,

@@ -1,6 +1,6 @@
-"""A tap on the link between a vehicle and its companion: messages lost, late, changed or added.
+"""Tap on the link between a vehicle and its companion: loses, delays, changes or adds messages.
 
-The vehicle is healthy and the companion is healthy; what lies between them is not.
+Vehicle and companion are healthy; the faults are in the link.
 """
 
 from collections import deque
@@ -9,100 +9,110 @@ from dataclasses import dataclass, field
 
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
-Change = Callable[[Message], list[Message] | None]
-"""What becomes of one message: None leaves its frame as it is, an empty list loses it."""
+MessageChange = Callable[[Message], list[Message] | None]
+"""Replacement of one message: None keeps its frame unchanged, an empty list drops it."""
 
 
 @dataclass(slots=True)
 class SlowLine:
-    """A serial line: so many bytes a second, a short buffer, and what does not fit is lost."""
+    """Serial line of limited rate with a short buffer; frames that do not fit are lost."""
 
     bytes_per_s: float
     buffer_bytes: int
-    _waiting: deque[bytes] = field(default_factory=deque)
-    _credit_bytes: float = 0.0
-    _at_s: float | None = None
+    _queue: deque[bytes] = field(default_factory=deque)
+    _available_bytes: float = 0.0
+    _last_s: float | None = None
 
-    def carried(self, frames: list[bytes], t_s: float) -> list[bytes]:
-        """What comes out at `t_s`, after these frames have gone in."""
-        before_s, self._at_s = self._at_s, t_s
-        if self._waiting and before_s is not None:  # an idle line saves nothing up
-            self._credit_bytes += self.bytes_per_s * (t_s - before_s)
+    def queue_and_take_arrived_frames(self, frames: list[bytes], t_s: float) -> list[bytes]:
+        """Queue these frames and return the frames that arrive at `t_s`."""
+        before_s, self._last_s = self._last_s, t_s
+        if self._queue and before_s is not None:  # an idle line accumulates no budget
+            self._available_bytes += self.bytes_per_s * (t_s - before_s)
         else:
-            self._credit_bytes = 0.0
+            self._available_bytes = 0.0
         out: list[bytes] = []
-        while self._waiting and len(self._waiting[0]) <= self._credit_bytes:
-            out.append(self._waiting.popleft())
-            self._credit_bytes -= len(out[-1])
+        while self._queue and len(self._queue[0]) <= self._available_bytes:
+            out.append(self._queue.popleft())
+            self._available_bytes -= len(out[-1])
         for frame in frames:
-            if sum(map(len, self._waiting)) + len(frame) <= self.buffer_bytes:
-                self._waiting.append(frame)
+            if sum(map(len, self._queue)) + len(frame) <= self.buffer_bytes:
+                self._queue.append(frame)
         return out
 
 
-def as_it_is(message: Message) -> list[Message] | None:
-    """No change."""
+def pass_unchanged(message: Message) -> list[Message] | None:
+    """Keep the message unchanged."""
     del message
     return None
 
 
 @dataclass(slots=True)
 class Tap:
-    """Between one vehicle and its companion. Both directions pass message by message.
+    """Tap between one vehicle and its companion; both directions pass message by message.
 
-    `to_companion` and `to_autopilot` change what passes; `hold_back_s` of a message's name delays
-    it to the companion. `added` frames reach the companion at the next exchange. `radio` is a slow
-    link to the companion.
+    `to_companion` and `to_autopilot` change messages. `delay_s_by_name`: delay to the companion by
+    message name. `injected_frames`: extra frames to the companion at the next exchange. `radio`: a
+    slow link to the companion.
     """
 
-    to_companion: Change = as_it_is
-    to_autopilot: Change = as_it_is
-    hold_back_s: dict[str, float] = field(default_factory=dict)
-    added: list[bytes] = field(default_factory=list)
+    to_companion: MessageChange = pass_unchanged
+    to_autopilot: MessageChange = pass_unchanged
+    delay_s_by_name: dict[str, float] = field(default_factory=dict)
+    injected_frames: list[bytes] = field(default_factory=list)
     radio: SlowLine | None = None
-    _late: list[tuple[float, bytes]] = field(default_factory=list)
+    _delayed: list[tuple[float, bytes]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
 
-    def down(self, frames: list[bytes], t_s: float) -> list[bytes]:
-        """Frames of the autopilot as they reach the companion at `t_s`."""
-        due = [frame for at_s, frame in self._late if at_s <= t_s]
-        self._late = [(at_s, frame) for at_s, frame in self._late if at_s > t_s]
-        passed = due + [out for frame in frames for out in self._pass(frame, t_s)]
-        passed, self.added = passed + self.added, []
-        return passed if self.radio is None else self.radio.carried(passed, t_s)
-
-    def _pass(self, frame: bytes, t_s: float) -> list[bytes]:
-        messages = self._decoder.feed(frame)
-        late_s = max((self.hold_back_s.get(m.msg_name, 0.0) for m in messages), default=0.0)
-        out = self._changed(frame, messages, self.to_companion)
-        if late_s == 0.0:
-            return out
-        self._late += [(t_s + late_s, one) for one in out]
-        return []
-
-    def up(self, datagram: bytes) -> bytes:
-        """A datagram of the companion as it reaches the autopilot."""
-        if self.to_autopilot is as_it_is:
-            return datagram
-        messages = self._decoder.feed(datagram)
-        return b"".join(
-            frame for m in messages for frame in self._changed(m.wire_bytes, [m], self.to_autopilot)
+    def transmit_to_companion(self, frames: list[bytes], t_s: float) -> list[bytes]:
+        """Return the autopilot's frames that reach the companion at `t_s`."""
+        due = [frame for at_s, frame in self._delayed if at_s <= t_s]
+        self._delayed = [(at_s, frame) for at_s, frame in self._delayed if at_s > t_s]
+        passed = due + [out for frame in frames for out in self._change_and_delay_frame(frame, t_s)]
+        passed, self.injected_frames = passed + self.injected_frames, []
+        return (
+            passed if self.radio is None else self.radio.queue_and_take_arrived_frames(passed, t_s)
         )
 
-    def _changed(self, frame: bytes, messages: list[Message], change: Change) -> list[bytes]:
+    def _change_and_delay_frame(self, frame: bytes, t_s: float) -> list[bytes]:
+        messages = self._decoder.decode_bytes(frame)
+        late_s = max((self.delay_s_by_name.get(m.msg_name, 0.0) for m in messages), default=0.0)
+        out = self._changed_frames(frame, messages, self.to_companion)
+        if late_s == 0.0:
+            return out
+        self._delayed += [(t_s + late_s, one) for one in out]
+        return []
+
+    def transmit_to_autopilot(self, datagram: bytes) -> bytes:
+        """Return a datagram of the companion as it reaches the autopilot."""
+        if self.to_autopilot is pass_unchanged:
+            return datagram
+        messages = self._decoder.decode_bytes(datagram)
+        return b"".join(
+            frame
+            for m in messages
+            for frame in self._changed_frames(m.wire_bytes, [m], self.to_autopilot)
+        )
+
+    def _changed_frames(
+        self, frame: bytes, messages: list[Message], change: MessageChange
+    ) -> list[bytes]:
         out: list[bytes] = []
         for message in messages:
-            instead = change(message)
-            out += [frame] if instead is None else [self.encoded(message, m) for m in instead]
+            replacement = change(message)
+            out += (
+                [frame]
+                if replacement is None
+                else [self.encode_as(message, m) for m in replacement]
+            )
         return out
 
-    def encoded(self, sender: Message, message: Message) -> bytes:
-        """A frame of `message` in the name of the sender of another."""
-        key = (sender.src_system, sender.src_component)
-        return self._encoders.setdefault(key, Encoder(*key)).encode(message)
+    def encode_as(self, sender_message: Message, message: Message) -> bytes:
+        """Return a frame of `message` from the system and component of `sender_message`."""
+        key = (sender_message.src_system, sender_message.src_component)
+        return self._encoders.setdefault(key, Encoder(*key)).encode_next_frame(message)
 
 
-def with_fields(message: Message, **fields: object) -> Message:
-    """The same message with some fields changed."""
+def message_with_changed_fields(message: Message, **fields: object) -> Message:
+    """Return the message with some fields changed."""
     return Message(message.msg_name, **(dict(message.__dict__) | fields))

@@ -1,178 +1,145 @@
-"""A simulated vehicle flies a ground station's plan, and the ground station records it (.tlog).
+"""Flight of a simulated vehicle under a ground station's plan, recorded as a telemetry log (.tlog).
 
-No companion: what flies here is what an operator flies to calibrate an airframe. The ground
-station knows the vehicle by MAVLink alone.
+There is no companion: an operator flies such plans to calibrate an airframe. The ground station
+uses MAVLink only.
 """
 
 import math
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.serve.server import PHYSICS_STEP_S, ServedVehicle
-from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
-from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
+from sim_bridge.app.link.client_messages import (
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    MODE_PARAMS,
+    ground_heartbeat,
+)
+from sim_bridge.app.world.companion_link import CompanionLink
+from sim_bridge.app.world.station import STATION_LINK, Station
+from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE, VehicleHost
+from sim_bridge.autopilot.kinds import AutopilotKind
+from sim_bridge.autopilot.mavlink.enums import Cmd
+from sim_bridge.autopilot.mission.items import MissionItem
 
-LINK = 0
-GROUND_SYSTEM, GROUND_COMPONENT = 255, 190
-STEP_S = 0.1
-STANDS_S = 20.0  # at rest before arming: the log then holds what avionics alone draw
-DOWN_S = 8.0
-ASK_AGAIN_S = 3.0
-READY_WITHIN_S = 120.0
-_STEPS = round(STEP_S / PHYSICS_STEP_S)
+STATIONARY_S = 20.0  # stationary before arming: the log then holds the avionics' power
+LANDED_S = 8.0
+REQUEST_INTERVAL_S = 3.0
+TAKEOFF_TIMEOUT_S = 120.0
+TIME_LIMIT_S = 3600.0
 _ARMED = 128
-_MODE = {AutopilotKind.PX4: (1.0, 4.0, 4.0), AutopilotKind.ARDUPILOT: (1.0, 3.0, 0.0)}
-_MAV_CMD_DO_SET_MODE, _MAV_CMD_ARM, _MAV_CMD_INTERVAL = 176, 400, 511
-_WANTED_HZ = {30: 10.0, 33: 10.0, 1: 2.0, 147: 2.0}  # ATTITUDE, GLOBAL_POSITION_INT, battery
+_STREAM_RATES_HZ = {30: 10.0, 33: 10.0, 1: 2.0, 147: 2.0}  # ATTITUDE, GLOBAL_POSITION_INT, battery
 _EPOCH_US = 1_700_000_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class PlanFlight:
-    """How a flight went, by truth."""
+    """Result of a flight from ground truth."""
 
     duration_s: float
     energy_wh: float
     wind_mean_mps: float
 
 
-@dataclass(slots=True)
 class GroundStation:
-    """Uploads a mission, starts it, and writes what it hears."""
+    """Ground station that uploads a mission, starts it and logs received frames."""
 
-    items: list[dict[str, Any]]
-    autopilot_kind: AutopilotKind
-    log: Any
-    armed: bool = False
-    started: bool = False
-    uploaded: bool = False
-    _encoder: Encoder = field(default_factory=lambda: Encoder(GROUND_SYSTEM, GROUND_COMPONENT))
-    _decoder: Decoder = field(default_factory=Decoder)
-    _next_beat_s: float = 0.0
-    _next_ask_s: float = STANDS_S
-    _streams_asked: bool = False
+    def __init__(self, host: VehicleHost, kind: AutopilotKind, log: Any) -> None:
+        self.armed = False
+        self._host, self._kind, self._log = host, kind, log
+        self._link = CompanionLink(host, 1)
+        self._station = Station(self._link, (GROUND_SYSTEM, GROUND_COMPONENT))
+        self._link.listeners[STATION_LINK] = self._log_and_receive
 
-    def speak(self, t_s: float) -> list[bytes]:
-        """What it sends now."""
-        out: list[Message] = []
-        if t_s >= self._next_beat_s:
-            self._next_beat_s = t_s + 1.0
-            beat = {"type": 6, "autopilot": 8, "base_mode": 0, "custom_mode": 0}
-            out.append(Message("HEARTBEAT", **beat, system_status=4))
-        if not self._streams_asked:
-            self._streams_asked = True
-            out += [
-                self._command(_MAV_CMD_INTERVAL, float(number), 1e6 / rate_hz)
-                for number, rate_hz in _WANTED_HZ.items()
-            ]
-        if not self.started and t_s >= self._next_ask_s:
-            self._next_ask_s = t_s + ASK_AGAIN_S
-            if self.uploaded:
-                out += [
-                    self._command(_MAV_CMD_DO_SET_MODE, *_MODE[self.autopilot_kind]),
-                    self._command(_MAV_CMD_ARM, 1.0),
-                ]
-            else:
-                out.append(self._to("MISSION_COUNT", count=len(self._listed), mission_type=0))
-        return [self._encoder.encode(message) for message in out]
-
-    def hear(self, t_s: float, datagram: bytes) -> list[bytes]:
-        """Log what came; answers, for an upload."""
-        self.log.write(struct.pack(">Q", _EPOCH_US + round(t_s * 1e6)) + datagram)
-        out: list[Message] = []
-        for message in self._decoder.feed(datagram):
-            name = message.msg_name
-            if name == "HEARTBEAT" and message.src_component == 1:
+    def _log_and_receive(self, t_s: float, frame: bytes) -> None:
+        self._log.write(struct.pack(">Q", _EPOCH_US + round(t_s * 1e6)) + frame)
+        for message in self._station.receive_frame(t_s, frame):
+            if message.msg_name == "HEARTBEAT" and message.src_component == 1:
                 self.armed = bool(message.base_mode & _ARMED)
-                self.started |= self.armed
-            elif name in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
-                self._next_ask_s = t_s + ASK_AGAIN_S
-                out.append(self._item(message.seq))
-            elif name == "MISSION_ACK":
-                if message.type != 0:
-                    raise LeewayError(f"the simulated autopilot refused the plan: {message.type}")
-                self.uploaded = True
-        return [self._encoder.encode(message) for message in out]
 
-    @property
-    def _listed(self) -> list[dict[str, Any]]:
-        """ArduPilot's item 0 is home."""
-        home = {"command": 16, "frame": 0, "params": [0.0] * 7}
-        return [home, *self.items] if self.autopilot_kind is AutopilotKind.ARDUPILOT else self.items
+    def receive_frames(self) -> None:
+        """Receive and log the frames that the autopilot has sent."""
+        self._link.discard_companion_frames()
 
-    def _item(self, seq: int) -> Message:
-        item = self._listed[seq]
-        params = [math.nan if p is None else float(p) for p in item["params"]]
-        if self.autopilot_kind is AutopilotKind.ARDUPILOT:
-            params = [0.0 if math.isnan(p) else p for p in params]
-        names = ("param1", "param2", "param3", "param4")
-        return self._to(
-            "MISSION_ITEM_INT",
-            seq=seq,
-            frame={3: 6}.get(item["frame"], item["frame"]),
-            command=item["command"],
-            current=0,
-            autocontinue=1,
-            **dict(zip(names, params[:4], strict=True)),
-            x=round(params[4] * 1e7),
-            y=round(params[5] * 1e7),
-            z=params[6],
-            mission_type=0,
-        )
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat to the autopilot."""
+        self._station.send_to_autopilot(ground_heartbeat())
 
-    def _command(self, number: int, *params: float) -> Message:
-        given = (*params, *(0.0,) * (7 - len(params)))
-        fields = {f"param{i + 1}": value for i, value in enumerate(given)}
-        return self._to("COMMAND_LONG", command=number, confirmation=0, **fields)
+    def upload_and_start_mission(self, items: list[MissionItem]) -> Iterator[None]:
+        """Upload the mission after some time on the ground, and arm; each `yield` is a step."""
+        for number, rate_hz in _STREAM_RATES_HZ.items():
+            interval = (float(number), 1e6 / rate_hz)
+            self._station.send_autopilot_command(Cmd.SET_MESSAGE_INTERVAL, *interval)
+        yield from self._wait(STATIONARY_S)
+        while (ack := (yield from self._station.upload_mission(items))) is None:
+            pass
+        if ack.type != 0:
+            raise LeewayError(f"mission upload: MISSION_ACK {ack.type}, expected 0 (accepted)")
+        yield from self._wait(REQUEST_INTERVAL_S)
+        while not self.armed:
+            mode = MODE_PARAMS[self._kind.value]["mission"]
+            self._station.send_autopilot_command(Cmd.DO_SET_MODE, *mode)
+            self._station.send_autopilot_command(Cmd.COMPONENT_ARM_DISARM, 1.0)
+            yield from self._wait(REQUEST_INTERVAL_S)
+        yield from self._wait(math.inf)
 
-    def _to(self, name: str, **fields: Any) -> Message:
-        return Message(name, target_system=1, target_component=1, **fields)
+    def _wait(self, duration_s: float) -> Iterator[None]:
+        until_s = self._host.t_s + duration_s
+        while self._host.t_s < until_s:
+            self._station.received.clear()
+            yield
+
+
+def _mission_items(items: list[dict[str, Any]], kind: AutopilotKind) -> Iterator[MissionItem]:
+    """Yield the items to upload; item 0 of ArduPilot is home."""
+    is_ardupilot = kind is AutopilotKind.ARDUPILOT
+    home = {"command": 16, "frame": 0, "params": [0.0] * 7}
+    unknown = 0.0 if is_ardupilot else math.nan
+    for item in [home, *items] if is_ardupilot else items:
+        params = [unknown if p is None or math.isnan(p) else float(p) for p in item["params"]]
+        frame = 6 if item["frame"] == 3 else item["frame"]
+        p1, p2, p3, p4, lat_deg, lon_deg, up_m = params
+        x, y = round(lat_deg * 1e7), round(lon_deg * 1e7)
+        yield MissionItem(item["command"], frame, p1, p2, p3, p4, x, y, up_m)
 
 
 def fly_plan(
-    served: ServedVehicle,
+    vehicle_host: VehicleHost,
     autopilot_kind: AutopilotKind,
     items: list[dict[str, Any]],
-    tlog: Path,
-    *,
-    limit_s: float = 3600.0,
-    progress: Callable[[float], None] = lambda t_s: None,
+    tlog_path: Path,
+    report_simulated_time_s: Callable[[float], None] = lambda t_s: None,
 ) -> PlanFlight:
-    """Fly a plan's items to the landing; the .tlog is what a ground station would have."""
-    autopilot = served.autopilot
-    autopilot.add_link(LINK, LinkKind.GCS)
+    """Fly a plan's items until landed; write the .tlog as a ground station does."""
     winds: list[float] = []
-    with tlog.open("wb") as log:
-        station = GroundStation(items, autopilot_kind, log)
-        flew, down_s, t_s = False, 0.0, 0.0
-        for step in range(round(limit_s / STEP_S)):
-            t_s = (step + 1) * STEP_S
-            served.advance(_STEPS)
-            waiting = [d for link, d in autopilot.take_outbox() if link == LINK]
-            answers = station.speak(t_s)
-            for datagram in waiting:
-                answers += station.hear(t_s, datagram)
-            for datagram in answers:
-                autopilot.receive(LINK, datagram)
-            truth = served.truth
-            if truth.crashed or truth.motors_failed:
-                raise LeewayError(f"the simulated vehicle was lost at {t_s:.0f} s")
-            if truth.airborne:
-                flew = True
-                winds.append(math.hypot(*truth.wind_to_ned_mps[:2]))
+    with tlog_path.open("wb") as log:
+        station = GroundStation(vehicle_host, autopilot_kind, log)
+        procedure = station.upload_and_start_mission(list(_mission_items(items, autopilot_kind)))
+        has_flown, landed_s, t_s = False, 0.0, 0.0
+        for step in range(round(TIME_LIMIT_S / EXCHANGE_S)):
+            t_s = (step + 1) * EXCHANGE_S
+            vehicle_host.advance(STEPS_PER_EXCHANGE)
+            station.receive_frames()
             if step % 10 == 0:
-                progress(t_s)
-            if not flew and t_s > READY_WITHIN_S:
-                raise LeewayError(f"{tlog.name}: never took off within {READY_WITHIN_S:.0f} s")
-            down_s = down_s + STEP_S if flew and not station.armed else 0.0
-            if down_s > DOWN_S:
+                station.send_heartbeat()
+                report_simulated_time_s(t_s)
+            next(procedure)
+            truth = vehicle_host.truth
+            if truth.crashed or truth.motors_failed:
+                raise LeewayError(f"simulated vehicle crashed or lost its motors at {t_s:.0f} s")
+            if truth.airborne:
+                has_flown = True
+                winds.append(math.hypot(*truth.wind_to_ned_mps[:2]))
+            if not has_flown and t_s > TAKEOFF_TIMEOUT_S:
+                raise LeewayError(f"{tlog_path.name}: no take-off within {TAKEOFF_TIMEOUT_S:.0f} s")
+            landed_s = landed_s + EXCHANGE_S if has_flown and not station.armed else 0.0
+            if landed_s > LANDED_S:
                 break
         else:
-            raise LeewayError(f"{tlog.name}: not down after {limit_s:.0f} s")
-    truth = served.truth
+            raise LeewayError(f"{tlog_path.name}: not landed within {TIME_LIMIT_S:.0f} s")
+    truth = vehicle_host.truth
     mean_wind = sum(winds) / len(winds)
     return PlanFlight(t_s, truth.energy_used_wh, mean_wind)

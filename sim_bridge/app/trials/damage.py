@@ -1,6 +1,6 @@
-"""Logs damaged as disks, cards and cables damage them: edits of a file's bytes, drawn by seed.
+"""Log files damaged as by disks, memory cards and cables: byte edits drawn from a seed.
 
-Lengths are found by each format's own layout, for a wrong length is what makes readers stumble.
+Length fields are located by the layout of each format, because wrong lengths often break readers.
 """
 
 import struct
@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 import msgspec
 import numpy as np
 
-DEEDS = ("torn", "flipped", "zeroed", "swapped", "repeated", "cut", "put", "wild-length")
-MOST_EDITS = 6
-BLOCKS = (1, 8, 64, 512, 4096)
-"""Bytes of a block: a field, a message, a sector, a page of flash."""
+EDIT_KINDS = ("torn", "flipped", "zeroed", "swapped", "repeated", "cut", "put", "wild-length")
+MAX_EDITS = 6
+BLOCK_SIZES_BYTES = (1, 8, 64, 512, 4096)
+"""Block sizes in bytes: a field, a message, a sector, a flash page."""
 
-MOST_REPEATS = 20
-NASTY = (
+MAX_REPEATS = 20
+INVALID_VALUES = (
     b"\x00" * 8,
     b"\xff" * 8,
     struct.pack("<d", float("nan")),
@@ -31,100 +31,110 @@ NASTY = (
     b"\xc3",
     b",",
 )
-LENGTHS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1)
+INVALID_LENGTHS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1)
 
 
 class Edit(msgspec.Struct, frozen=True):
-    """One deed at a share of the length that is left, on so many bytes."""
+    """One edit at a fraction of the current length, of `size` bytes."""
 
-    deed: str
-    at: float
+    kind: str = msgspec.field(name="deed")
+    position_frac: float = msgspec.field(name="at")
     size: int
-    draw: int
-    """What else the deed needs drawn: another place, a bit, a value."""
+    random_value: int = msgspec.field(name="draw")
+    """Random number for the edit: a second position, a bit or a value."""
 
 
-def drawn_edits(rng: np.random.Generator) -> tuple[Edit, ...]:
-    """Between one and some edits."""
+def draw_random_edits(rng: np.random.Generator) -> tuple[Edit, ...]:
+    """Draw between 1 and MOST_EDITS edits."""
     return tuple(
         Edit(
-            str(rng.choice(DEEDS)),
+            str(rng.choice(EDIT_KINDS)),
             round(float(rng.random()), 6),
-            int(rng.choice(BLOCKS)),
+            int(rng.choice(BLOCK_SIZES_BYTES)),
             int(rng.integers(1 << 31)),
         )
-        for _ in range(rng.integers(1, MOST_EDITS + 1))
+        for _ in range(rng.integers(1, MAX_EDITS + 1))
     )
 
 
-def damaged(kind: str, raw: bytes, edits: tuple[Edit, ...]) -> bytes:
-    """`raw`, a log of this kind, after these edits."""
+def apply_edits(log_format: str, log_bytes: bytes, edits: tuple[Edit, ...]) -> bytes:
+    """Return `log_bytes`, a log of this kind, after these edits."""
     for edit in edits:
-        raw = _edited(kind, raw, edit)
-    return raw
+        log_bytes = _apply_edit(log_format, log_bytes, edit)
+    return log_bytes
 
 
-def _edited(kind: str, raw: bytes, edit: Edit) -> bytes:
-    at, size = int(edit.at * len(raw)), edit.size
-    block = raw[at : at + size]
-    match edit.deed:
+def _apply_edit(log_format: str, log_bytes: bytes, edit: Edit) -> bytes:
+    at, size = int(edit.position_frac * len(log_bytes)), edit.size
+    block = log_bytes[at : at + size]
+    match edit.kind:
         case "torn":
-            return raw[:at]
+            return log_bytes[:at]
         case "flipped":
-            return raw[:at] + bytes(byte ^ 1 << edit.draw % 8 for byte in block) + raw[at + size :]
+            return (
+                log_bytes[:at]
+                + bytes(byte ^ 1 << edit.random_value % 8 for byte in block)
+                + log_bytes[at + size :]
+            )
         case "zeroed":
-            return raw[:at] + bytes(len(block)) + raw[at + size :]
+            return log_bytes[:at] + bytes(len(block)) + log_bytes[at + size :]
         case "swapped":
-            return _swapped(raw, at, edit.draw % max(len(raw), 1), size)
+            return _swap_blocks(log_bytes, at, edit.random_value % max(len(log_bytes), 1), size)
         case "repeated":
-            return raw[:at] + block * (1 + edit.draw % MOST_REPEATS) + raw[at + size :]
+            return (
+                log_bytes[:at]
+                + block * (1 + edit.random_value % MAX_REPEATS)
+                + log_bytes[at + size :]
+            )
         case "cut":
-            return raw[:at] + raw[at + size :]
+            return log_bytes[:at] + log_bytes[at + size :]
         case "put":
-            piece = NASTY[edit.draw % len(NASTY)]
-            return raw[:at] + piece + raw[at + len(piece) :]
+            replacement = INVALID_VALUES[edit.random_value % len(INVALID_VALUES)]
+            return log_bytes[:at] + replacement + log_bytes[at + len(replacement) :]
         case _:
-            return _with_wild_length(kind, raw, edit)
+            return _corrupt_length_field(log_format, log_bytes, edit)
 
 
-def _swapped(raw: bytes, one: int, other: int, size: int) -> bytes:
-    first, second = min(one, other), max(one, other)
-    size = min(size, second - first, len(raw) - second)
-    if size <= 0:
-        return raw
-    middle = raw[first + size : second]
+def _swap_blocks(
+    log_bytes: bytes, block_offset: int, other_block_offset: int, block_bytes: int
+) -> bytes:
+    first, second = min(block_offset, other_block_offset), max(block_offset, other_block_offset)
+    block_bytes = min(block_bytes, second - first, len(log_bytes) - second)
+    if block_bytes <= 0:
+        return log_bytes
+    middle = log_bytes[first + block_bytes : second]
     return (
-        raw[:first]
-        + raw[second : second + size]
+        log_bytes[:first]
+        + log_bytes[second : second + block_bytes]
         + middle
-        + raw[first : first + size]
-        + raw[second + size :]
+        + log_bytes[first : first + block_bytes]
+        + log_bytes[second + block_bytes :]
     )
 
 
-def _with_wild_length(kind: str, raw: bytes, edit: Edit) -> bytes:
-    """One of the lengths that lie in the file is another; in text a cell becomes a long one."""
-    if kind == "csv":
-        at = max(raw.rfind(b",", 0, int(edit.at * len(raw))), 0)
-        return raw[:at] + b"9" * (edit.draw % 10_000) + raw[at:]
-    places = list(PLACES[kind](raw))
-    if not places:
-        return raw
-    at, width = places[int(edit.at * len(places))]
-    value = LENGTHS[edit.draw % len(LENGTHS)] % (1 << 8 * width)
-    return raw[:at] + value.to_bytes(width, "little") + raw[at + width :]
+def _corrupt_length_field(log_format: str, log_bytes: bytes, edit: Edit) -> bytes:
+    """Replace one length field of the file; in CSV, lengthen one cell."""
+    if log_format == "csv":
+        at = max(log_bytes.rfind(b",", 0, int(edit.position_frac * len(log_bytes))), 0)
+        return log_bytes[:at] + b"9" * (edit.random_value % 10_000) + log_bytes[at:]
+    length_fields = list(LENGTH_FINDERS[log_format](log_bytes))
+    if not length_fields:
+        return log_bytes
+    at, width = length_fields[int(edit.position_frac * len(length_fields))]
+    value = INVALID_LENGTHS[edit.random_value % len(INVALID_LENGTHS)] % (1 << 8 * width)
+    return log_bytes[:at] + value.to_bytes(width, "little") + log_bytes[at + width :]
 
 
-def _ulog_lengths(raw: bytes) -> Iterator[tuple[int, int]]:
-    """Two bytes before each message (ULog: header of 16 bytes, then size, kind, body)."""
+def _ulog_length_field_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int]]:
+    """Yield 2 bytes of each message (ULog: header of 16 bytes, then size, kind, body)."""
     at = 16
     while at + 3 <= len(raw):
         yield at, 2
         at += 3 + int.from_bytes(raw[at : at + 2], "little")
 
 
-def _mcap_lengths(raw: bytes) -> Iterator[tuple[int, int]]:
-    """Eight bytes of each record, and four of the first text or map in it."""
+def _mcap_length_field_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int]]:
+    """Yield 8 bytes of each record, and 4 of its first string or map."""
     at = 8
     while at + 9 <= len(raw):
         yield at + 1, 8
@@ -132,26 +142,26 @@ def _mcap_lengths(raw: bytes) -> Iterator[tuple[int, int]]:
         at += 9 + int.from_bytes(raw[at + 1 : at + 9], "little")
 
 
-def _dataflash_lengths(raw: bytes) -> Iterator[tuple[int, int]]:
-    """A byte in each format message (type 128)."""
+def _dataflash_length_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int]]:
+    """Yield 1 byte in each format message (type 128)."""
     at = raw.find(b"\xa3\x95\x80")
     while at >= 0:
         yield at + 4, 1
         at = raw.find(b"\xa3\x95\x80", at + 1)
 
 
-def _tlog_lengths(raw: bytes) -> Iterator[tuple[int, int]]:
-    """A byte after each frame's magic."""
+def _tlog_length_field_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int]]:
+    """Yield the byte after the magic byte of each frame."""
     at = raw.find(b"\xfd")
     while at >= 0:
         yield at + 1, 1
         at = raw.find(b"\xfd", at + 1)
 
 
-PLACES: dict[str, Callable[[bytes], Iterator[tuple[int, int]]]] = {
-    "ulog": _ulog_lengths,
-    "mcap": _mcap_lengths,
-    "dataflash": _dataflash_lengths,
-    "tlog": _tlog_lengths,
+LENGTH_FINDERS: dict[str, Callable[[bytes], Iterator[tuple[int, int]]]] = {
+    "ulog": _ulog_length_field_offsets_and_widths,
+    "mcap": _mcap_length_field_offsets_and_widths,
+    "dataflash": _dataflash_length_offsets_and_widths,
+    "tlog": _tlog_length_field_offsets_and_widths,
 }
-"""Where lengths lie, and in how many bytes; by format."""
+"""Generators of the position and width of length fields, by format."""

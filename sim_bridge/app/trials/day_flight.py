@@ -1,58 +1,49 @@
-"""Flies a drawn day; apart, for it imports the planner, whose machine code is kept."""
+"""Runs a drawn day. A separate module, because it imports the planner, which is compiled."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from ground_station.adapters.store.check import check
-from ground_station.core.planning.day_planner import PlanParams, plan_day
-from ground_station.core.schema.day_state import first_state
-from sim_bridge.adapters.postgres_server import postgres_server
-from sim_bridge.app.day.build import BuiltDay, here
-from sim_bridge.app.day.desk import DeskHere
-from sim_bridge.app.day.fly import LONGEST_S, settings_of
-from sim_bridge.app.day.run import DayOptions, DeskSeat, fly_day
+from ground_station.adapters.store.check import find_store_faults
+from sim_bridge.adapters.postgres_server import running_postgres_server
+from sim_bridge.app.day.desk import SteppedDesk
+from sim_bridge.app.day.fly import compute_day_inputs_digest, plan_whole_day
+from sim_bridge.app.day.run import DayOptions, fly_day_and_write_result
 from sim_bridge.app.day.store_host import PostgresHost, SqliteHost, StoreHost
-from sim_bridge.app.day.world import DayWorld
-from sim_bridge.app.trials.day_case import POSTGRESQL, DayCase, data_of, path_of
+from sim_bridge.app.day.world import DayWorld, SimulatedDesk
+from sim_bridge.app.trials.day_case import POSTGRESQL, DayCase, build_day_data, bundled_day_path
 
 
-def flown(case: DayCase, folder: Path, goes_on: Callable[[DayWorld], bool]) -> dict[str, Any]:
-    """The day's row, and what `ground-station store check` finds in the store that it leaves;
-    `goes_on` is asked once a second.
+def fly_day_case_and_check_store(
+    case: DayCase, folder: Path, should_continue: Callable[[DayWorld], bool]
+) -> dict[str, Any]:
+    """Fly the day; return its row and the faults that `ground-station store check` finds after it.
+    `should_continue` is called once per second.
     """
     options = DayOptions(
         name=case.name,
-        data=data_of(case),
-        wish=case.wish,
+        data=build_day_data(case),
+        world_options=case.world_options,
         seed=case.seed,
         folder=folder,
-        limit_s=LONGEST_S,
-        settings=settings_of(path_of(case.site), case.wish, case.searches),
-        picture=False,
+        settings=compute_day_inputs_digest(
+            bundled_day_path(case.site), case.world_options, case.searches
+        ),
     )
-    with store_of(case, folder) as host:
+    with ExitStack() as stack:
+        host: StoreHost = SqliteHost(folder)
+        if case.store == POSTGRESQL:  # its own server; LeewayError if none is installed
+            server = stack.enter_context(running_postgres_server())
+            host = PostgresHost(server, server.create_database("day"))
 
-        def take_seat(built: BuiltDay, where: Path) -> DeskSeat:
+        def open_desk(world: DayWorld, desk_folder: Path) -> SimulatedDesk:
             if not case.truck:
-                return DeskHere.at_depot(built, where, host=host)
-            params = PlanParams(trials=case.searches, seed=case.seed)
-            plan = plan_day(built.data, first_state(built.data), params, lambda done, best_s: None)
-            return DeskHere.open(built, plan, where, case.seed, case.searches, host=host)
+                return SteppedDesk.start_depot_desk(world, desk_folder, host=host)
+            plan = plan_whole_day(world.data, case.seed, case.searches)
+            return SteppedDesk.start_truck_desk(
+                world, plan, desk_folder, case.seed, case.searches, host=host
+            )
 
-        row = fly_day(options, here(case.loss, folder), take_seat, goes_on, host)
-        return row | {"store_faults": check(host.url)}
-
-
-@contextmanager
-def store_of(case: DayCase, folder: Path) -> Iterator[StoreHost]:
-    """Where the day's desk keeps its store: a file, or a server of PostgreSQL of its own.
-
-    Raises LeewayError where no server is installed.
-    """
-    if case.store != POSTGRESQL:
-        yield SqliteHost(folder)
-        return
-    with postgres_server() as server:
-        yield PostgresHost(server, server.create_database("day"))
+        row = fly_day_and_write_result(options, open_desk, should_continue, host)
+        return row | {"store_faults": find_store_faults(host.url)}

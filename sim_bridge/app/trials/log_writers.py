@@ -1,7 +1,7 @@
 """Writers of every log format that `companion replay` reads; they share no code with the readers.
 
-By the published descriptions of ULog, dataflash, MAVLink and CSV, not by the libraries that read
-them.
+They follow the published descriptions of ULog, dataflash, MAVLink and CSV and use none of the
+libraries that read them.
 """
 
 import math
@@ -11,41 +11,49 @@ from typing import Any
 
 import numpy as np
 
-from sim_bridge.app.trials.made_flight import (
+from sim_bridge.app.trials.synthetic_flight import (
     ALT_M,
     CHARGE_FRAC,
     CURRENT_A,
     LAT_DEG,
     LON_DEG,
     VOLTAGE_V,
-    MadeFlight,
+    SyntheticFlight,
 )
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 # --- CSV ----------------------------------------------------------------------------------------
 
-CONTRACT = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps", "roll_deg", "pitch_deg", "yaw_deg",
+CSV_COLUMNS = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps", "roll_deg", "pitch_deg", "yaw_deg",
             "airspeed_mps")  # fmt: skip
 
 
-def csv_columns(world: MadeFlight) -> dict[str, np.ndarray]:
-    """The columns of CSV telemetry (docs/reference/replay-json.md)."""
-    angles = [np.degrees(a) for a in (world.roll_rad, world.pitch_rad, world.yaw_rad)]
-    values = (world.t_s, *world.vel_ned_mps.T, *angles, world.airspeed_mps)
-    return dict(zip(CONTRACT, values, strict=True))
+def telemetry_csv_columns(synthetic_flight: SyntheticFlight) -> dict[str, np.ndarray]:
+    """Return the columns of CSV telemetry (docs/reference/replay-json.md)."""
+    angles = [
+        np.degrees(a)
+        for a in (synthetic_flight.roll_rad, synthetic_flight.pitch_rad, synthetic_flight.yaw_rad)
+    ]
+    values = (
+        synthetic_flight.t_s,
+        *synthetic_flight.vel_ned_mps.T,
+        *angles,
+        synthetic_flight.airspeed_mps,
+    )
+    return dict(zip(CSV_COLUMNS, values, strict=True))
 
 
-def battery_columns(world: MadeFlight) -> dict[str, np.ndarray]:
-    ones = np.ones(world.t_s.size)
-    current = np.where(world.flying, CURRENT_A, 0.0)
+def battery_csv_columns(synthetic_flight: SyntheticFlight) -> dict[str, np.ndarray]:
+    unit_values = np.ones(synthetic_flight.t_s.size)
+    current = np.where(synthetic_flight.flying, CURRENT_A, 0.0)
     return {
-        "voltage_v": np.where(world.flying, VOLTAGE_V - 0.9, VOLTAGE_V) * ones,
+        "voltage_v": np.where(synthetic_flight.flying, VOLTAGE_V - 0.9, VOLTAGE_V) * unit_values,
         "current_a": current,
-        "consumed_mah": 1000.0 * world.used_ah,
-        "armed": world.flying.astype(float),
-        "lat_deg": world.lat_deg,
-        "lon_deg": world.lon_deg,
-        "alt_m": ALT_M - world.pos_ned_m[:, 2],
+        "consumed_mah": 1000.0 * synthetic_flight.consumed_charge_ah,
+        "armed": synthetic_flight.flying.astype(float),
+        "lat_deg": synthetic_flight.lat_deg,
+        "lon_deg": synthetic_flight.lon_deg,
+        "alt_m": ALT_M - synthetic_flight.pos_ned_m[:, 2],
     }
 
 
@@ -60,7 +68,7 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
 # --- ULog (docs.px4.io: ULog File Format) --------------------------------------------------------
 
 ULOG_MAGIC = b"ULog\x01\x12\x35\x01"
-ULOG_TYPES = {"uint64_t": "Q", "float": "f", "double": "d", "uint8_t": "B", "int8_t": "b",
+ULOG_TYPE_CODES = {"uint64_t": "Q", "float": "f", "double": "d", "uint8_t": "B", "int8_t": "b",
               "bool": "?", "int32_t": "i", "uint16_t": "H"}  # fmt: skip
 ULOG_TOPICS = {
     "vehicle_attitude": "uint64_t timestamp;float[4] q;",
@@ -78,84 +86,103 @@ ULOG_TOPICS = {
 
 
 class UlogWriter:
-    """Collects messages; `save` writes the file."""
+    """Collects messages; `write_sorted_by_time` writes the file."""
 
     def __init__(self, parameters: dict[str, int]) -> None:
-        self._head = [ULOG_MAGIC + struct.pack("<Q", 1000), self._message("B", bytes(40))]
+        self._head = [ULOG_MAGIC + struct.pack("<Q", 1000), self._encode_message("B", bytes(40))]
         for name, fields in ULOG_TOPICS.items():
-            self._head.append(self._message("F", f"{name}:{fields}".encode()))
-        self._head.append(self._message("I", _keyed("char[4] sys_name", b"PX4 ")))
+            self._head.append(self._encode_message("F", f"{name}:{fields}".encode()))
+        self._head.append(self._encode_message("I", _key_value_bytes("char[4] sys_name", b"PX4 ")))
         for name, value in parameters.items():
             self._head.append(
-                self._message("P", _keyed(f"int32_t {name}", struct.pack("<i", value)))
+                self._encode_message(
+                    "P", _key_value_bytes(f"int32_t {name}", struct.pack("<i", value))
+                )
             )
         self._ids = {name: number for number, name in enumerate(ULOG_TOPICS)}
         for name, number in self._ids.items():
-            self._head.append(self._message("A", struct.pack("<BH", 0, number) + name.encode()))
+            self._head.append(
+                self._encode_message("A", struct.pack("<BH", 0, number) + name.encode())
+            )
         self._data: list[tuple[int, bytes]] = []
 
     @staticmethod
-    def _message(kind: str, body: bytes) -> bytes:
-        return struct.pack("<HB", len(body), ord(kind)) + body
+    def _encode_message(message_type: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(message_type)) + body
 
-    def add(self, topic: str, t_s: float, *values: Any) -> None:
+    def append_message(self, topic: str, t_s: float, *values: Any) -> None:
         stamp_us = round(t_s * 1e6)
         code = "<Q"
         for item in ULOG_TOPICS[topic].split(";")[1:-1]:
             kind = item.split()[0]
             name, _, count = kind.partition("[")
-            code += (count.rstrip("]") or "") + ULOG_TYPES[name]
+            code += (count.rstrip("]") or "") + ULOG_TYPE_CODES[name]
         body = struct.pack("<H", self._ids[topic]) + struct.pack(code, stamp_us, *values)
-        self._data.append((stamp_us, self._message("D", body)))
+        self._data.append((stamp_us, self._encode_message("D", body)))
 
-    def save(self, path: Path) -> Path:
+    def write_sorted_by_time(self, path: Path) -> Path:
         data = [body for _, body in sorted(self._data, key=lambda item: item[0])]
         path.write_bytes(b"".join((*self._head, *data)))
         return path
 
 
-def _keyed(key: str, value: bytes) -> bytes:
+def _key_value_bytes(key: str, value: bytes) -> bytes:
     return bytes([len(key)]) + key.encode() + value
 
 
 def write_ulog(
     path: Path,
-    world: MadeFlight,
+    synthetic_flight: SyntheticFlight,
     parameters: dict[str, int] | None = None,
     *,
     airspeed_source: int = -1,
     current_a: float = CURRENT_A,
-    wind: bool = False,
+    with_wind_estimate: bool = False,
 ) -> Path:
     log = UlogWriter({"MAV_TYPE": 2, **(parameters or {})})
-    flew: bool | None = None
-    for i, t_s in enumerate(world.t_s.tolist()):
-        log.add("vehicle_attitude", t_s, *quaternion(world, i))
-        n, e, d = world.pos_ned_m[i]
+    was_airborne: bool | None = None
+    for i, t_s in enumerate(synthetic_flight.t_s.tolist()):
+        log.append_message("vehicle_attitude", t_s, *body_to_ned_quaternion(synthetic_flight, i))
+        n, e, d = synthetic_flight.pos_ned_m[i]
         valid = (True, True, LAT_DEG, LON_DEG, ALT_M)
-        log.add("vehicle_local_position", t_s + 1e-4, n, e, d, *world.vel_ned_mps[i], *valid)
+        log.append_message(
+            "vehicle_local_position", t_s + 1e-4, n, e, d, *synthetic_flight.vel_ned_mps[i], *valid
+        )
         height = ALT_M - d
-        log.add("vehicle_global_position", t_s, world.lat_deg[i], world.lon_deg[i], height)
-        speed = world.airspeed_mps[i]
-        log.add("airspeed_validated", t_s, speed, airspeed_source)
-        if wind and i % 5 == 0:
-            log.add("wind", t_s, *world.wind_to_ne_mps, 0.25, 0.25)
-        flying = bool(world.flying[i])
-        if i % 2 == 0 and world.powered:
-            used = 1000.0 * world.used_ah[i] if current_a >= 0.0 else 0.0
-            amps = current_a if flying or current_a < 0.0 else 0.0
-            volts = VOLTAGE_V - 0.9 * flying
-            log.add("battery_status", t_s, volts, amps, used, CHARGE_FRAC, math.nan)
-        if flying != flew or i % 10 == 0:
-            flew = flying
-            log.add("vehicle_status", t_s, 2 if flying else 1, 3 if flying else 4, False)
-            log.add("vehicle_land_detected", t_s, not flying)
-    return log.save(path)
+        log.append_message(
+            "vehicle_global_position",
+            t_s,
+            synthetic_flight.lat_deg[i],
+            synthetic_flight.lon_deg[i],
+            height,
+        )
+        speed = synthetic_flight.airspeed_mps[i]
+        log.append_message("airspeed_validated", t_s, speed, airspeed_source)
+        if with_wind_estimate and i % 5 == 0:
+            log.append_message("wind", t_s, *synthetic_flight.wind_to_ne_mps, 0.25, 0.25)
+        is_airborne = bool(synthetic_flight.flying[i])
+        if i % 2 == 0 and synthetic_flight.powered:
+            used = 1000.0 * synthetic_flight.consumed_charge_ah[i] if current_a >= 0.0 else 0.0
+            amps = current_a if is_airborne or current_a < 0.0 else 0.0
+            volts = VOLTAGE_V - 0.9 * is_airborne
+            log.append_message("battery_status", t_s, volts, amps, used, CHARGE_FRAC, math.nan)
+        if is_airborne != was_airborne or i % 10 == 0:
+            was_airborne = is_airborne
+            log.append_message(
+                "vehicle_status", t_s, 2 if is_airborne else 1, 3 if is_airborne else 4, False
+            )
+            log.append_message("vehicle_land_detected", t_s, not is_airborne)
+    return log.write_sorted_by_time(path)
 
 
-def quaternion(world: MadeFlight, i: int) -> tuple[float, float, float, float]:
-    """Body to NED, scalar first (yaw, pitch, roll in that order)."""
-    halves = [0.5 * float(a[i]) for a in (world.roll_rad, world.pitch_rad, world.yaw_rad)]
+def body_to_ned_quaternion(
+    synthetic_flight: SyntheticFlight, sample_index: int
+) -> tuple[float, float, float, float]:
+    """Return the quaternion from body to NED, scalar first (order yaw, pitch, roll)."""
+    halves = [
+        0.5 * float(a[sample_index])
+        for a in (synthetic_flight.roll_rad, synthetic_flight.pitch_rad, synthetic_flight.yaw_rad)
+    ]
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(h), math.sin(h)) for h in halves)
     return (
         cr * cp * cy + sr * sp * sy,
@@ -167,7 +194,7 @@ def quaternion(world: MadeFlight, i: int) -> tuple[float, float, float, float]:
 
 # --- dataflash (ardupilot.org: Logs, and the FMT messages that every log begins with) -------------
 
-DATAFLASH = {
+DATAFLASH_FORMATS = {
     "ATT": (130, "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
     "XKF1": (131, "QBccCfff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD"),
     "XKF2": (132, "QBff", "TimeUS,C,VWN,VWE"),
@@ -179,34 +206,39 @@ DATAFLASH = {
     "PARM": (138, "QNf", "TimeUS,Name,Value"),
     "MSG": (139, "QZ", "TimeUS,Message"),
 }
-DF_CODES = {"Q": "Q", "B": "B", "M": "B", "f": "f", "c": "h", "C": "H", "L": "i", "N": "16s",
+DATAFLASH_TYPE_CODES = {"Q": "Q", "B": "B", "M": "B", "f": "f", "c": "h", "C": "H", "L": "i",
+    "N": "16s",
             "Z": "64s", "n": "4s"}  # fmt: skip
-DF_SCALE = {"c": 100.0, "C": 100.0, "L": 1e7}
+DATAFLASH_SCALES = {"c": 100.0, "C": 100.0, "L": 1e7}
 
 
 class DataflashWriter:
-    """Messages in the order of `add`, each with its format before the first."""
+    """Collects messages in the order of `append_message`, after the format messages."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
-        self._format("FMT", 128, 89, "BBnNZ", "Type,Length,Name,Format,Columns")
-        for name, (number, code, columns) in DATAFLASH.items():
-            size = 3 + struct.calcsize("<" + "".join(DF_CODES[c] for c in code))
-            self._format(name, number, size, code, columns)
+        self._append_format_message("FMT", 128, 89, "BBnNZ", "Type,Length,Name,Format,Columns")
+        for name, (number, code, columns) in DATAFLASH_FORMATS.items():
+            size = 3 + struct.calcsize("<" + "".join(DATAFLASH_TYPE_CODES[c] for c in code))
+            self._append_format_message(name, number, size, code, columns)
 
-    def _format(self, name: str, number: int, size: int, code: str, columns: str) -> None:
+    def _append_format_message(
+        self, name: str, number: int, size: int, code: str, columns: str
+    ) -> None:
         body = struct.pack(
             "<BB4s16s64s", number, size, name.encode(), code.encode(), columns.encode()
         )
         self._bytes += b"\xa3\x95\x80" + body
 
-    def add(self, name: str, t_s: float, *values: Any) -> None:
-        number, code, _ = DATAFLASH[name]
+    def append_message(self, name: str, t_s: float, *values: Any) -> None:
+        number, code, _ = DATAFLASH_FORMATS[name]
         wire: list[Any] = [round(t_s * 1e6)]
         for letter, value in zip(code[1:], values, strict=True):
-            scaled = round(value * DF_SCALE[letter]) if letter in DF_SCALE else value
+            scaled = (
+                round(value * DATAFLASH_SCALES[letter]) if letter in DATAFLASH_SCALES else value
+            )
             wire.append(scaled.encode() if isinstance(scaled, str) else scaled)
-        body = struct.pack("<" + "".join(DF_CODES[c] for c in code), *wire)
+        body = struct.pack("<" + "".join(DATAFLASH_TYPE_CODES[c] for c in code), *wire)
         self._bytes += b"\xa3\x95" + bytes([number]) + body
 
     def save(self, path: Path) -> Path:
@@ -216,41 +248,56 @@ class DataflashWriter:
 
 def write_dataflash(
     path: Path,
-    world: MadeFlight,
+    synthetic_flight: SyntheticFlight,
     parameters: dict[str, float] | None = None,
     *,
-    says: str = "ArduCopter V4.5.7 (abcdef01)",
-    wind: bool = True,
+    firmware_text: str = "ArduCopter V4.5.7 (abcdef01)",
+    with_wind_estimate: bool = True,
 ) -> Path:
-    """As ArduCopter logs by default: from arming on, arming itself not said."""
+    """Write a log as ArduCopter does by default: from arming on, without an arming event."""
     log = DataflashWriter()
-    log.add("MSG", 0.0, says)
+    log.append_message("MSG", 0.0, firmware_text)
     for name, value in {"LOG_DISARMED": 0.0, **(parameters or {})}.items():
-        log.add("PARM", 0.0, name, value)
-    log.add("MODE", 0.0, 3, 3, 1)
-    flew = False
-    for i, t_s in enumerate(world.t_s.tolist()):
+        log.append_message("PARM", 0.0, name, value)
+    log.append_message("MODE", 0.0, 3, 3, 1)
+    was_airborne = False
+    for i, t_s in enumerate(synthetic_flight.t_s.tolist()):
         roll, pitch, yaw = (
-            math.degrees(a[i]) for a in (world.roll_rad, world.pitch_rad, world.yaw_rad)
+            math.degrees(a[i])
+            for a in (
+                synthetic_flight.roll_rad,
+                synthetic_flight.pitch_rad,
+                synthetic_flight.yaw_rad,
+            )
         )
-        log.add("ATT", t_s, 0.0, roll, 0.0, pitch, 0.0, yaw % 360.0)
-        down = world.pos_ned_m[i, 2]
-        log.add("POS", t_s, world.lat_deg[i], world.lon_deg[i], ALT_M - down, -down, -down)
-        for core in (0, 1):  # the other core is off: it must not be taken
-            n, e, d = world.vel_ned_mps[i] + 30.0 * core
-            log.add("XKF1", t_s, core, roll, pitch, yaw % 360.0, n, e, d)
-            estimate = world.wind_to_ne_mps if wind else (0.0, 0.0)
-            log.add("XKF2", t_s, core, *estimate)
-        log.add("ARSP", t_s, 0, world.airspeed_mps[i], 1, 1)
-        flying = bool(world.flying[i])
-        if flying != flew:
-            flew = flying
-            log.add("EV", t_s, 28 if flying else 18)
-        if i % 2 == 0 and world.powered:
-            amps = CURRENT_A if flying else 0.0
-            used = 1000.0 * float(world.used_ah[i])
-            log.add("BAT", t_s, 0, VOLTAGE_V - 0.9 * flying, amps, used, used * 0.0232)
-    log.add("EV", world.t_s[-1], 11)
+        log.append_message("ATT", t_s, 0.0, roll, 0.0, pitch, 0.0, yaw % 360.0)
+        down = synthetic_flight.pos_ned_m[i, 2]
+        log.append_message(
+            "POS",
+            t_s,
+            synthetic_flight.lat_deg[i],
+            synthetic_flight.lon_deg[i],
+            ALT_M - down,
+            -down,
+            -down,
+        )
+        for core in (0, 1):  # the other core has an offset: readers must not use it
+            n, e, d = synthetic_flight.vel_ned_mps[i] + 30.0 * core
+            log.append_message("XKF1", t_s, core, roll, pitch, yaw % 360.0, n, e, d)
+            estimate = synthetic_flight.wind_to_ne_mps if with_wind_estimate else (0.0, 0.0)
+            log.append_message("XKF2", t_s, core, *estimate)
+        log.append_message("ARSP", t_s, 0, synthetic_flight.airspeed_mps[i], 1, 1)
+        is_airborne = bool(synthetic_flight.flying[i])
+        if is_airborne != was_airborne:
+            was_airborne = is_airborne
+            log.append_message("EV", t_s, 28 if is_airborne else 18)
+        if i % 2 == 0 and synthetic_flight.powered:
+            amps = CURRENT_A if is_airborne else 0.0
+            used = 1000.0 * float(synthetic_flight.consumed_charge_ah[i])
+            log.append_message(
+                "BAT", t_s, 0, VOLTAGE_V - 0.9 * is_airborne, amps, used, used * 0.0232
+            )
+    log.append_message("EV", synthetic_flight.t_s[-1], 11)
     return log.save(path)
 
 
@@ -258,7 +305,7 @@ def write_dataflash(
 
 
 class TlogWriter:
-    """Frames by the simulated autopilots' own codec, which shares nothing with pymavlink."""
+    """Writes frames with the codec of the simulated autopilots, independent of pymavlink."""
 
     EPOCH_US = 1_700_000_000_000_000
 
@@ -266,8 +313,8 @@ class TlogWriter:
         self._encoder = Encoder(system=system, component=1)
         self.parts: list[bytes] = []
 
-    def add(self, t_s: float, name: str, **fields: Any) -> None:
-        frame = self._encoder.encode(Message(name, **fields))
+    def append_frame(self, t_s: float, message_name: str, **fields: Any) -> None:
+        frame = self._encoder.encode_next_frame(Message(message_name, **fields))
         self.parts.append(struct.pack(">Q", self.EPOCH_US + round(t_s * 1e6)) + frame)
 
     def save(self, path: Path) -> Path:
@@ -277,46 +324,53 @@ class TlogWriter:
 
 def write_tlog(
     path: Path,
-    world: MadeFlight,
+    synthetic_flight: SyntheticFlight,
     *,
     px4: bool = True,
-    vehicle: int = 2,
-    wind: bool = False,
-    system: int = 1,
+    mav_type: int = 2,
+    with_wind_estimate: bool = False,
+    system_id: int = 1,
 ) -> Path:
-    log = TlogWriter(system)
-    for i, t_s in enumerate(world.t_s.tolist()):
+    log = TlogWriter(system_id)
+    for i, t_s in enumerate(synthetic_flight.t_s.tolist()):
         boot_ms = round(1000.0 * t_s)
-        flying = bool(world.flying[i])
+        is_airborne = bool(synthetic_flight.flying[i])
         if i % 5 == 0:
             mode = (4 << 16 | 4 << 24) if px4 else 3
-            log.add(
+            log.append_frame(
                 t_s,
                 "HEARTBEAT",
-                type=vehicle,
+                type=mav_type,
                 autopilot=12 if px4 else 3,
-                base_mode=0x81 if flying else 0x01,
+                base_mode=0x81 if is_airborne else 0x01,
                 custom_mode=mode,
                 system_status=4,
             )
-            log.add(t_s, "EXTENDED_SYS_STATE", vtol_state=0, landed_state=2 if flying else 1)
-            if wind and not px4:
-                n, e = world.wind_to_ne_mps
+            log.append_frame(
+                t_s, "EXTENDED_SYS_STATE", vtol_state=0, landed_state=2 if is_airborne else 1
+            )
+            if with_wind_estimate and not px4:
+                n, e = synthetic_flight.wind_to_ne_mps
                 from_deg = math.degrees(math.atan2(-e, -n))
-                log.add(t_s, "WIND", direction=from_deg, speed=math.hypot(n, e), speed_z=0.0)
-        log.add(t_s, "ATTITUDE", time_boot_ms=boot_ms, roll=float(world.roll_rad[i]),
-                pitch=float(world.pitch_rad[i]), yaw=float(world.yaw_rad[i]),
+                log.append_frame(
+                    t_s, "WIND", direction=from_deg, speed=math.hypot(n, e), speed_z=0.0
+                )
+        log.append_frame(t_s, "ATTITUDE", time_boot_ms=boot_ms,
+        roll=float(synthetic_flight.roll_rad[i]),
+                pitch=float(synthetic_flight.pitch_rad[i]), yaw=float(synthetic_flight.yaw_rad[i]),
                 rollspeed=0.0, pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
-        n, e, d = (round(100.0 * v) for v in world.vel_ned_mps[i].tolist())
-        up_mm = round(-1000.0 * world.pos_ned_m[i, 2])
-        log.add(t_s, "GLOBAL_POSITION_INT", time_boot_ms=boot_ms,
-                lat=round(1e7 * world.lat_deg[i]), lon=round(1e7 * world.lon_deg[i]),
+        n, e, d = (round(100.0 * v) for v in synthetic_flight.vel_ned_mps[i].tolist())
+        up_mm = round(-1000.0 * synthetic_flight.pos_ned_m[i, 2])
+        log.append_frame(t_s, "GLOBAL_POSITION_INT", time_boot_ms=boot_ms,
+                lat=round(1e7 * synthetic_flight.lat_deg[i]),
+                lon=round(1e7 * synthetic_flight.lon_deg[i]),
                 alt=round(1000.0 * ALT_M) + up_mm, relative_alt=up_mm, vx=n, vy=e, vz=d,
                 hdg=0)  # fmt: skip
-        if i % 2 == 0 and world.powered:
-            log.add(t_s, "BATTERY_STATUS", id=0, battery_function=0, type=1, temperature=32767,
-                    voltages=(round(1000.0 * (VOLTAGE_V - 0.9 * flying)), *([65535] * 9)),
-                    current_battery=round(100.0 * CURRENT_A) if flying else 0,
-                    current_consumed=round(1000.0 * float(world.used_ah[i])),
+        if i % 2 == 0 and synthetic_flight.powered:
+            log.append_frame(t_s, "BATTERY_STATUS", id=0, battery_function=0, type=1,
+            temperature=32767,
+                    voltages=(round(1000.0 * (VOLTAGE_V - 0.9 * is_airborne)), *([65535] * 9)),
+                    current_battery=round(100.0 * CURRENT_A) if is_airborne else 0,
+                    current_consumed=round(1000.0 * float(synthetic_flight.consumed_charge_ah[i])),
                     energy_consumed=-1, battery_remaining=-1)  # fmt: skip
     return log.save(path)

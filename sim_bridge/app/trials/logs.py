@@ -1,7 +1,7 @@
-"""Damaged logs to `companion replay`: each is replayed as far as it goes, or refused in one line.
+"""Trial of `companion replay` with damaged logs: each is partly replayed or refused in one line.
 
-A child process reads them, a fresh one every so often, within bounds of memory and of CPU time, so
-that a reader that asks for everything or never ends is found and stops nothing else.
+A child process, replaced periodically, reads the logs within limits of memory and CPU time. A
+reader that exceeds them is detected and affects no other case.
 """
 
 import contextlib
@@ -24,45 +24,45 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.adapters.logs.decision_log import DecisionLog, HeardRows
-from companion.adapters.logs.open_log import open_log
-from companion.app.cli.replay_log import ReplayRequest, replay_log
+from companion.adapters.logs.decision_log import DecisionLog, TelemetryRows
+from companion.adapters.logs.open_log import read_log_of_any_format
+from companion.app.cli.replay_log import ReplayRequest, replay_log_and_write_outputs
 from companion.core.base.errors import LeewayError
 from companion.core.pilot.telemetry_state import TelemetryState
-from sim_bridge.app.trials.damage import Edit, damaged, drawn_edits
+from sim_bridge.app.trials.damage import Edit, apply_edits, draw_random_edits
 from sim_bridge.app.trials.log_writers import (
-    battery_columns,
-    csv_columns,
+    battery_csv_columns,
+    telemetry_csv_columns,
     write_csv,
     write_dataflash,
     write_tlog,
     write_ulog,
 )
-from sim_bridge.app.trials.made_flight import square_flight
+from sim_bridge.app.trials.synthetic_flight import build_square_flight
 from sim_bridge.app.trials.trial import TrialRow
 
-SUFFIX = {"csv": "csv", "ulog": "ulg", "dataflash": "bin", "tlog": "tlog", "mcap": "mcap"}
+SUFFIXES = {"csv": "csv", "ulog": "ulg", "dataflash": "bin", "tlog": "tlog", "mcap": "mcap"}
 SAMPLE_S = 20.0
-"""On the ground and in the air, some hundred kilobytes in each format."""
+"""Includes ground and flight; about 100 kB in each format."""
 
-MEMORY_MB = 512
-"""More than the child had before it read: a whole flight's log of 50 MB takes less."""
+MAX_EXTRA_MEMORY_MB = 512
+"""Memory limit above the child's initial size; a complete 50 MB log needs less."""
 
-CPU_S = 20
-"""Of one log; a sound sample takes 0.1 s."""
+CPU_LIMIT_S = 20
+"""CPU time limit of one log; an undamaged sample takes 0.1 s."""
 
-PATIENCE_S = 300.0
-"""Of a machine on which others work too, before a child that says nothing is given up."""
+RESPONSE_LIMIT_S = 300.0
+"""Wall-clock limit for a child's result, also on a busy machine."""
 
-FRESH_AFTER = 100
-"""Logs by one child."""
+LOGS_PER_PROCESS = 100
+"""Number of logs that one child reads."""
 
-EVERY_S = 30.0
-PRINTED_BYTES = 4096
+REPLAY_INTERVAL_S = 30.0
+MAX_OUTPUT_BYTES = 4096
 
 
 class LogCase(msgspec.Struct, frozen=True, kw_only=True):
-    """One damaged log: the sample's format, and what is done to it in order."""
+    """One damaged log: format of the sample and the edits in order."""
 
     kind: str
     seed: int
@@ -70,181 +70,185 @@ class LogCase(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """Names the case and its file."""
+        """Name of the case and its file."""
         return f"logs-{self.kind}-seed{self.seed}"
 
 
-def drawn(seed: int, number: int) -> LogCase:
-    """The case of this number, of a trial with this seed; the formats take turns."""
-    rng = np.random.default_rng([seed, number])
-    kind = tuple(SUFFIX)[number % len(SUFFIX)]
-    return LogCase(kind=kind, seed=100_000 * seed + number, edits=drawn_edits(rng))
+def draw_case(seed: int, case_number: int) -> LogCase:
+    """Draw case `case_number` of the trial with this seed; the formats alternate."""
+    rng = np.random.default_rng([seed, case_number])
+    kind = tuple(SUFFIXES)[case_number % len(SUFFIXES)]
+    return LogCase(kind=kind, seed=100_000 * seed + case_number, edits=draw_random_edits(rng))
 
 
-def write_samples(folder: Path) -> dict[str, Path]:
-    """A sound log of each format, of one made flight; the same bytes each time."""
+def write_undamaged_sample_logs(folder: Path) -> dict[str, Path]:
+    """Write an undamaged log of each format from one synthetic flight; reproducible bytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {kind: folder / f"sample.{suffix}" for kind, suffix in SUFFIX.items()}
-    whole = square_flight()
-    short = whole.rows(whole.t_s < SAMPLE_S)
-    write_csv(paths["csv"], csv_columns(short) | battery_columns(short))
-    write_ulog(paths["ulog"], short, wind=True)
+    paths = {kind: folder / f"sample.{suffix}" for kind, suffix in SUFFIXES.items()}
+    whole = build_square_flight()
+    short = whole.select_rows(whole.t_s < SAMPLE_S)
+    write_csv(paths["csv"], telemetry_csv_columns(short) | battery_csv_columns(short))
+    write_ulog(paths["ulog"], short, with_wind_estimate=True)
     write_dataflash(paths["dataflash"], short)
     write_tlog(paths["tlog"], short)
-    _write_mcap(paths["mcap"], paths["tlog"])
+    _write_companion_log_from_tlog(paths["mcap"], paths["tlog"])
     return paths
 
 
-def _write_mcap(path: Path, tlog: Path) -> None:
-    """What a companion would have recorded of the same flight."""
-    log, rows, now = DecisionLog(path), HeardRows(), TelemetryState()
-    for event in open_log(tlog).events:
-        now.update(event)
-        for topic, row in rows.new(now):
+def _write_companion_log_from_tlog(path: Path, tlog_path: Path) -> None:
+    """Write the log that a companion would record for the same flight."""
+    log, rows, now = DecisionLog(path), TelemetryRows(), TelemetryState()
+    for event in read_log_of_any_format(tlog_path).events:
+        now.store_event(event)
+        for topic, row in rows.take_new_rows(now):
             log.write(topic, row)
     log.close()
 
 
 class _TooLongError(BaseException):
-    """No reader's own `except` catches it."""
+    """CPU time exceeded; a BaseException, so that no `except Exception` of a reader catches it."""
 
 
-def read_one(path: Path) -> str:
-    """What is wrong with how a log was taken; empty where it was replayed or refused in a line."""
-    asked = ReplayRequest(path, None, None, 0.0, None, None, EVERY_S, None, None, None)
+def replay_and_find_violation(log_path: Path) -> str:
+    """Return the violation, empty if the log was replayed or refused in one line."""
+    request = ReplayRequest(
+        log_path, None, None, 0.0, None, None, REPLAY_INTERVAL_S, None, None, None
+    )
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            replay_log(asked, None, None, None)
+            replay_log_and_write_outputs(request, None, None, None)
     except LeewayError as error:
-        return _wrong_words(str(error), path)
+        return _refusal_message_violation(str(error), log_path)
     except _TooLongError:
-        return f"more than {CPU_S} s of CPU"
-    except Exception as error:  # noqa: BLE001 - whatever leaves the reader is what is looked for
+        return f"more than {CPU_LIMIT_S} s of CPU"
+    except Exception as error:  # noqa: BLE001 - the trial looks for any exception
         frame = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(frame.filename).name}:{frame.lineno}"
         return f"{type(error).__name__} at {where}: {str(error)[:120]}"
     return ""
 
 
-def _wrong_words(words: str, path: Path) -> str:
-    if len(words.splitlines()) != 1:
-        return f"{len(words.splitlines())} lines: {words[:120]!r}"
-    return "" if str(path) in words else f"the file is not named: {words[:120]}"
+def _refusal_message_violation(text: str, path: Path) -> str:
+    if len(text.splitlines()) != 1:
+        return f"{len(text.splitlines())} lines: {text[:120]!r}"
+    return "" if str(path) in text else f"no file name in the message: {text[:120]}"
 
 
 @dataclass(frozen=True, slots=True)
-class ReadingAnswer:
-    """What a child says of one log."""
+class ReadingResult:
+    """Result of a child for one log."""
 
-    why: str
+    violation: str
     cpu_s: float
-    grown_mb: float
-    """The child's peak of memory over what it had before its first log."""
+    memory_increase_mb: float
+    """Increase of the child's peak memory since before its first log."""
 
 
 @contextlib.contextmanager
-def _overheard() -> Iterator[list[bytes]]:
-    """What is printed past Python, by a library in C: the beginning of it, once it is over."""
-    heard: list[bytes] = []
+def _capture_output() -> Iterator[list[bytes]]:
+    """Capture output of C libraries; the list receives its start at exit."""
+    captured: list[bytes] = []
     before = [os.dup(number) for number in (1, 2)]
     with tempfile.TemporaryFile() as file:
         for number in (1, 2):
             os.dup2(file.fileno(), number)
         try:
-            yield heard
+            yield captured
         finally:
-            for number, kept in zip((1, 2), before, strict=True):
-                os.dup2(kept, number)
-                os.close(kept)
+            for number, saved_fd in zip((1, 2), before, strict=True):
+                os.dup2(saved_fd, number)
+                os.close(saved_fd)
             file.seek(0)
-            heard.append(file.read(PRINTED_BYTES))
+            captured.append(file.read(MAX_OUTPUT_BYTES))
 
 
-def _wrong_prints(printed: list[bytes]) -> str:
-    words = b"".join(printed).decode(errors="replace").splitlines()
-    return f"printed past the command: {words[0][:120]}" if words else ""
+def _output_violation(printed: list[bytes]) -> str:
+    text = b"".join(printed).decode(errors="replace").splitlines()
+    return f"library output: {text[0][:120]}" if text else ""
 
 
-def _serve(pipe: Connection) -> None:
-    """In the child: read logs within bounds until the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's is for the parent
-    signal.signal(signal.SIGVTALRM, _too_long)
-    before_mb = _peak_mb()
+def _read_logs_until_pipe_closed(pipe: Connection) -> None:
+    """Run in the child: read logs within the limits until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent handles Ctrl-C
+    signal.signal(signal.SIGVTALRM, _raise_too_long)
+    before_mb = _peak_memory_mb()
     _limit_memory()
     with contextlib.suppress(EOFError):
         while True:
             path = pipe.recv()
-            signal.setitimer(signal.ITIMER_VIRTUAL, CPU_S)
+            signal.setitimer(signal.ITIMER_VIRTUAL, CPU_LIMIT_S)
             begun_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime
-            with _overheard() as printed:
-                why = read_one(path)
-            why = why or _wrong_prints(printed)
+            with _capture_output() as printed:
+                violation = replay_and_find_violation(path)
+            violation = violation or _output_violation(printed)
             signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             cpu_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime - begun_s
-            pipe.send(ReadingAnswer(why, cpu_s, _peak_mb() - before_mb))
+            pipe.send(ReadingResult(violation, cpu_s, _peak_memory_mb() - before_mb))
 
 
-def _too_long(number: int, frame: FrameType | None) -> None:
+def _raise_too_long(number: int, frame: FrameType | None) -> None:
     raise _TooLongError
 
 
-def _peak_mb() -> float:
+def _peak_memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def _limit_memory() -> None:
-    """No more address space than some over what the program has now (Linux)."""
+    """Limit the address space to its current size plus MEMORY_MB (Linux)."""
     with contextlib.suppress(OSError, ValueError):
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most = pages * resource.getpagesize() + MEMORY_MB * 1024 * 1024
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        max_bytes = pages * resource.getpagesize() + MAX_EXTRA_MEMORY_MB * 1024 * 1024
+        resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
 
 
-class ReadingChild:
-    """A process that reads logs; replaced after some, and when it does not answer."""
+class LogReaderProcess:
+    """Process that reads logs; replaced after FRESH_AFTER logs or a missing result."""
 
     def __init__(self) -> None:
         self._process: BaseProcess | None = None
         self._pipe: Any = None
-        self._read = 0
+        self._read_count = 0
 
-    def __enter__(self) -> "ReadingChild":
+    def __enter__(self) -> "LogReaderProcess":
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        self.end()
+        self.kill_process()
 
-    def begin(self, path: Path) -> None:
-        """Have a log read; its `answer` is to be asked for before the next."""
-        if self._process is None or self._read >= FRESH_AFTER:
-            self._start()
-        self._read += 1
+    def start_reading(self, path: Path) -> None:
+        """Start reading a log; call `wait_for_result` before the next one."""
+        if self._process is None or self._read_count >= LOGS_PER_PROCESS:
+            self._restart_process()
+        self._read_count += 1
         self._pipe.send(path)
 
-    def answer(self) -> ReadingAnswer:
-        """What came of it."""
+    def wait_for_result(self) -> ReadingResult:
+        """Wait for the result of the log."""
         assert self._process is not None
         try:
-            if self._pipe.poll(PATIENCE_S):
+            if self._pipe.poll(RESPONSE_LIMIT_S):
                 return self._pipe.recv()
-            why = f"no answer within {PATIENCE_S:g} s"
+            violation = f"no result within {RESPONSE_LIMIT_S:g} s"
         except (EOFError, ConnectionError):
-            self._process.join(PATIENCE_S)
-            why = f"the reader's process ended with {self._process.exitcode}"
-        self.end()
-        return ReadingAnswer(why, 0.0, 0.0)
+            self._process.join(RESPONSE_LIMIT_S)
+            violation = f"the reader process exited with {self._process.exitcode}"
+        self.kill_process()
+        return ReadingResult(violation, 0.0, 0.0)
 
-    def _start(self) -> None:
-        self.end()
+    def _restart_process(self) -> None:
+        self.kill_process()
         context = get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._pipe, child_pipe = context.Pipe()
+        self._process = context.Process(
+            target=_read_logs_until_pipe_closed, args=(child_pipe,), daemon=True
+        )
         self._process.start()
-        theirs.close()
-        self._read = 0
+        child_pipe.close()
+        self._read_count = 0
 
-    def end(self) -> None:
-        """Leave no process behind."""
+    def kill_process(self) -> None:
+        """Kill the process and close the pipe."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
@@ -253,32 +257,38 @@ class ReadingChild:
         self._process = self._pipe = None
 
 
-def attempts(cases: Iterable[LogCase], folder: Path, jobs: int = 1) -> Iterator[TrialRow]:
-    """Damage, read and judge, some side by side; in their order.
+def read_damaged_logs_in_parallel(
+    cases: Iterable[LogCase], folder: Path, process_count: int = 1
+) -> Iterator[TrialRow]:
+    """Damage, read and evaluate the cases, in parallel; yield rows in order.
 
-    Of a log that was not taken well its damaged file stays in `folder`, under the case's name.
+    The damaged file of a failed case stays in `folder`, under the name of the case.
     """
-    samples = {kind: path.read_bytes() for kind, path in write_samples(folder).items()}
+    samples = {
+        kind: path.read_bytes() for kind, path in write_undamaged_sample_logs(folder).items()
+    }
     with contextlib.ExitStack() as stack:
-        idle = [stack.enter_context(ReadingChild()) for _ in range(jobs)]
-        busy: deque[tuple[ReadingChild, LogCase, Path]] = deque()
+        idle = [stack.enter_context(LogReaderProcess()) for _ in range(process_count)]
+        pending: deque[tuple[LogReaderProcess, LogCase, Path]] = deque()
         for case in cases:
             if not idle:
-                done = busy.popleft()
-                yield _row(*done)
+                done = pending.popleft()
+                yield _wait_for_row_and_delete_passed_file(*done)
                 idle.append(done[0])
-            path = folder / f"{case.name}.{SUFFIX[case.kind]}"
-            path.write_bytes(damaged(case.kind, samples[case.kind], case.edits))
+            path = folder / f"{case.name}.{SUFFIXES[case.kind]}"
+            path.write_bytes(apply_edits(case.kind, samples[case.kind], case.edits))
             child = idle.pop()
-            child.begin(path)
-            busy.append((child, case, path))
-        for waited_for in busy:
-            yield _row(*waited_for)
+            child.start_reading(path)
+            pending.append((child, case, path))
+        for waited_for in pending:
+            yield _wait_for_row_and_delete_passed_file(*waited_for)
 
 
-def _row(child: ReadingChild, case: LogCase, path: Path) -> TrialRow:
-    answer = child.answer()
-    if not answer.why:
+def _wait_for_row_and_delete_passed_file(
+    reader_process: LogReaderProcess, case: LogCase, path: Path
+) -> TrialRow:
+    result = reader_process.wait_for_result()
+    if not result.violation:
         path.unlink()
-    told = {"cpu_s": round(answer.cpu_s, 2), "grown_mb": round(answer.grown_mb, 1)}
-    return TrialRow(name=case.name, held=not answer.why, why=answer.why, told=told, case=case)
+    metrics = {"cpu_s": round(result.cpu_s, 2), "grown_mb": round(result.memory_increase_mb, 1)}
+    return TrialRow.for_case(case, result.violation, metrics)

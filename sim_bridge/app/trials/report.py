@@ -1,90 +1,94 @@
-"""A trial on the terminal: progress, a line for what did not hold, its case's file, the result."""
+"""Terminal output of a trial: progress, failed cases with their files, and the result."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from sim_bridge.app.trials.trial import TrialRow, write_case, write_result
+from sim_bridge.app.trials.trial import TrialRow, write_case_file, write_trial_result
 
-CASES = "cases"
-COUNTED = ("ended", "home", "phase", "then", "kind")
-"""Of what rows tell: counted at the end."""
+CASES_FOLDER = "cases"
 
-SUMMED = ("vehicle_h", "flown_h", "flights", "delivered", "orders", "taken_over")
-EACH = ("desk_kills", "companion_kills", "store_outages", "network_cuts", "member_cuts")
-"""Summed, with the least of any row."""
 
-LEAST = ("longest_cut_s",)
-HIGHEST = ("cpu_s", "grown_mb")
-TOLD = ("flights", "memory_mb", "growth_mb", "slope_mb_per_h", "files", "threads",
+def _format_counts(values: list[Any]) -> str:
+    counts = Counter(map(str, values)).most_common()
+    return ", ".join(f"{name} {n}" for name, n in counts)
+
+
+SUMMARIES: tuple[tuple[tuple[str, ...], int, Callable[[list[Any]], str]], ...] = (
+    (("ended", "home", "phase", "then", "kind"), 1, _format_counts),
+    (
+        ("vehicle_h", "flown_h", "flights", "delivered", "orders", "taken_over"),
+        2,
+        lambda values: f"{round(sum(values), 3)} in total",
+    ),
+    (
+        ("desk_kills", "companion_kills", "store_outages", "network_cuts", "member_cuts"),
+        2,
+        lambda values: f"{sum(values)} in total, at least {min(values)} each",
+    ),
+    (("longest_cut_s",), 1, lambda values: f"at least {min(values)}"),
+    (("cpu_s", "grown_mb"), 1, lambda values: f"at most {max(values)}"),
+)
+"""Keys of metrics, least number of rows, and how their values are summarised at the end."""
+
+FIRST_ROW_KEYS = ("flights", "memory_mb", "growth_mb", "slope_mb_per_h", "files", "threads",
         "disk_mb_per_flight")  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class TrialReport:
-    """Where a trial's words, cases and rows go."""
+    """Output folders and settings for a trial's messages, cases and rows."""
 
     trial: str
     seed: int
-    runs: Path
+    run_root: Path
     json_out: Path | None
 
-    def follow(self, rows: Iterable[TrialRow], total: int | None) -> list[TrialRow]:
-        """Show and keep each row as it comes; all of them at the end. `total` None: not known."""
+    def show_and_save_rows(self, rows: Iterable[TrialRow], total: int | None) -> list[TrialRow]:
+        """Show and save each row as it arrives; return all rows. `total` None: unknown."""
         console = Console()
         done: list[TrialRow] = []
-        with _bar(console) as bar:
+        with _progress_bar(console) as bar:
             task = bar.add_task(self.trial, total=total)
             for row in rows:
                 done.append(row)
-                self._keep(console, row)
+                self._save_and_print_if_failed(console, row)
                 bar.advance(task)
                 if self.json_out is not None:
-                    write_result(self.json_out, self.trial, self.seed, done)
-        self._sum_up(console, done)
+                    write_trial_result(self.json_out, self.trial, self.seed, done)
+        self._print_summary(console, done)
         return done
 
-    def _keep(self, console: Console, row: TrialRow) -> None:
-        if row.held:
+    def _save_and_print_if_failed(self, console: Console, row: TrialRow) -> None:
+        if row.passed:
             return
-        path = write_case(self.runs / CASES, row)
-        console.print(f"broke: {row.name}: {row.why}", highlight=False, markup=False)
-        again = f"  again: sim-bridge trials {self.trial} --case {path}"
-        console.print(again, highlight=False, markup=False, soft_wrap=True)
+        path = write_case_file(self.run_root / CASES_FOLDER, row)
+        console.print(f"failed: {row.name}: {row.reason}", highlight=False, markup=False)
+        rerun_hint = f"  rerun: sim-bridge trials {self.trial} --case {path}"
+        console.print(rerun_hint, highlight=False, markup=False, soft_wrap=True)
 
-    def _sum_up(self, console: Console, rows: list[TrialRow]) -> None:
-        held = sum(row.held for row in rows)
-        lines = [f"{self.trial}, seed {self.seed}: {held} of {len(rows)} held"]
-        for key in COUNTED:
-            counts = Counter(str(row.told[key]) for row in rows if key in row.told)
-            if counts:
-                told = ", ".join(f"{name} {n}" for name, n in counts.most_common())
-                lines.append(f"  {key}: {told}")
-        for key in SUMMED:
-            values = [row.told[key] for row in rows if key in row.told]
-            if len(values) > 1:
-                lines.append(f"  {key}: {round(sum(values), 3)} in all")
-        for key in EACH:
-            values = [row.told[key] for row in rows if key in row.told]
-            if len(values) > 1:
-                lines.append(f"  {key}: {sum(values)} in all, at least {min(values)} each")
-        for key in LEAST:
-            values = [row.told[key] for row in rows if key in row.told]
-            if values:
-                lines.append(f"  {key}: at least {min(values)}")
-        for key in HIGHEST:
-            values = [row.told[key] for row in rows if key in row.told]
-            if values:
-                lines.append(f"  {key}: at most {max(values)}")
-        lines += [f"  {key}: {rows[0].told[key]}" for key in TOLD if rows and key in rows[0].told]
+    def _print_summary(self, console: Console, rows: list[TrialRow]) -> None:
+        passed_count = sum(row.passed for row in rows)
+        lines = [f"{self.trial}, seed {self.seed}: {passed_count} of {len(rows)} passed"]
+        for keys, least_rows, summarise in SUMMARIES:
+            for key in keys:
+                values = [row.metrics[key] for row in rows if key in row.metrics]
+                if len(values) >= least_rows:
+                    lines.append(f"  {key}: {summarise(values)}")
+        lines += [
+            f"  {key}: {rows[0].metrics[key]}"
+            for key in FIRST_ROW_KEYS
+            if rows and key in rows[0].metrics
+        ]
         for line in lines:
             console.print(line, highlight=False, markup=False)
 
 
-def _bar(console: Console) -> Progress:
+def _progress_bar(console: Console) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     return Progress(*columns, TimeElapsedColumn(), console=console, transient=True)

@@ -1,10 +1,9 @@
-"""A companion that stands still while a pilot takes over, at every second of a flight.
+"""Trial of companion stalls during a pilot override, at every second of a flight.
 
-One flight is shared: at each instant it is forked, and in the copy the companion's thread stops
-where it next asks what time it is, while the world goes on. So a stall may fall between two turns
-of its loop, or between a decision and the orders' leaving. The companion is the flight code itself,
-in this process, on a clock that the world drives; `companion_stall` in a flight file stops a
-companion's process instead.
+Cases share one flight. At each instant it is forked; in the copy the companion's thread stops at a
+reading of the clock while the world continues. A stall can thus fall between two iterations of its
+loop, or between a decision and its commands. The companion is the flight code in this process, with
+a clock driven by the world. `companion_stall` in a flight file stops a companion process instead.
 """
 
 import math
@@ -12,233 +11,178 @@ import os
 import pickle
 import tempfile
 import traceback
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from companion.adapters.autopilots.link import Incoming, Link
-from companion.adapters.files.params import read_flight
-from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
-from companion.app.flight.run import Run
 from companion.core.pilot.context import PilotOptions
-from sim_bridge.app.faults.authority import TOLD_PILOT_S
-from sim_bridge.app.faults.runner import write_flight
-from sim_bridge.app.flight.fly import STEP_S, STEPS, FlyOptions, build_craft
-from sim_bridge.app.flight.scenario import read_wind
-from sim_bridge.app.flight.vehicle_process import Craft
+from sim_bridge.app.day.companion import SteppedCompanion
+from sim_bridge.app.faults.runner import write_changed_flight_file
+from sim_bridge.app.flight.craft_building import FlyOptions, build_single_craft
 from sim_bridge.app.trials.fuzz import FLIGHT
-from sim_bridge.app.trials.trial import TrialRow, case_lost
+from sim_bridge.app.trials.trial import TrialRow, failed_rows_for_lost_worker
+from sim_bridge.app.world.memory_link import MemoryLink
+from sim_bridge.app.world.safety_rules import TakeOver
+from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE
+from sim_bridge.autopilot.kinds import AUTOPILOTS
 
-STALLS_S = (2.0, 6.0, 20.0)
-FIRST_S = {"px4": 12.0, "ardupilot": 42.0}
-"""Without a position nobody flies, and a pilot's switch changes nothing (measured, seed 1)."""
+STALL_DURATIONS_S = (2.0, 6.0, 20.0)
+FIRST_STALL_S = {"px4": 12.0, "ardupilot": 42.0}
+"""First stall. Earlier, without a position, a mode switch has no effect (measured, seed 1)."""
 
-LAST_S = {"px4": 112.0, "ardupilot": 160.0}
-"""Down and disarmed (measured, seed 1); later instants of a longer flight are not looked at."""
+LAST_STALL_S = {"px4": 112.0, "ardupilot": 160.0}
+"""Last stall: landed and disarmed (measured, seed 1); later instants are not tested."""
 
 LIMIT_S = 300.0
-WATCHED_S = 6.0
-"""After the stall: every order's retries are due within 3 s, a heartbeat within 1 s."""
+OBSERVATION_S = 6.0
+"""Time after the stall: command retries are due within 3 s, a heartbeat within 1 s."""
 
-LAST_READINGS = 6
-"""The stall falls on one of the first readings of the clock after its instant: a turn of the loop
-has three to five."""
+MAX_CLOCK_READINGS = 6
+"""The stall falls on one of the first clock readings after its instant; a loop iteration has three
+to five."""
 
 BUFFERS_BYTES = (425_984, 40_000)
-"""What the socket holds while nobody reads: Linux's default limit (net.core.rmem_max 212,992,
-doubled), and a small one, of which the newest is lost."""
+"""Socket buffer size during the stall: Linux default (net.core.rmem_max 212,992, doubled), and a
+small one that loses the latest datagrams."""
 
-OVERHEAD_BYTES = 768
-"""The kernel's own, of each datagram (sizeof(struct sk_buff) and its shared info, rounded)."""
+UNLIMITED = 1_000_000
+MODE_CHANGE_LIMIT_S = 0.3
+"""ArduCopter debounces a switch for 0.2 s."""
 
-AT_ONCE = 1_000_000
-SWITCHED_WITHIN_S = 0.3
-"""ArduCopter waits 0.2 s before it believes a switch."""
-
-SHARED_BY = 40
-"""Stalls of one flight: flying up to them takes a fifth of their time, and as many are lost with a
-process that is stopped."""
+STALLS_PER_FLIGHT = 40
+"""Stalls per flight: the shared flight takes a fifth of their time, and all of them are lost with
+its process."""
 
 
 class StallCase(msgspec.Struct, frozen=True, kw_only=True):
-    """One stall: from the instant on, at this reading of the clock; the pilot's switch in it."""
+    """One stall at a clock reading after `stall_start_s`, with the time of the pilot override in
+    it.
+    """
 
     autopilot: str
     seed: int
     at_s: float
     stall_s: float
     reading: int
-    takes_over_frac: float
+    override_frac: float = msgspec.field(name="takes_over_frac")
     buffer_bytes: int
-    heard_per_step: int
-    """Datagrams that the companion can take in each 0.1 s afterwards; a small computer is slow."""
+    datagrams_per_step: int = msgspec.field(name="heard_per_step")
+    """Datagrams that the companion processes per 0.1 s afterwards; few on a slow computer."""
 
     @property
     def name(self) -> str:
-        """Names the case and its file."""
+        """Name of the case and its file."""
         return f"stall-{self.autopilot}-seed{self.seed}-{self.at_s:g}s-for-{self.stall_s:g}s"
 
 
-def drawn(seed: int, autopilot: str, at_s: float, stall_s: float) -> StallCase:
-    """The stall of this length at this instant, of a trial with this seed."""
-    kind = ("px4", "ardupilot").index(autopilot)
-    rng = np.random.default_rng([seed, kind, round(10.0 * at_s), round(10.0 * stall_s)])
+def draw_case(
+    seed: int, autopilot: str, stall_start_s: float, stall_duration_s: float
+) -> StallCase:
+    """Draw the stall of this duration at this instant, of the trial with this seed."""
+    kind = AUTOPILOTS.index(autopilot)
+    rng = np.random.default_rng(
+        [seed, kind, round(10.0 * stall_start_s), round(10.0 * stall_duration_s)]
+    )
     return StallCase(
         autopilot=autopilot,
         seed=seed,
-        at_s=at_s,
-        stall_s=stall_s,
-        reading=int(rng.integers(LAST_READINGS)),
-        takes_over_frac=round(float(rng.uniform(0.0, 0.85)), 3),
+        at_s=stall_start_s,
+        stall_s=stall_duration_s,
+        reading=int(rng.integers(MAX_CLOCK_READINGS)),
+        override_frac=round(float(rng.uniform(0.0, 0.85)), 3),
         buffer_bytes=int(rng.choice(BUFFERS_BYTES)),
-        heard_per_step=int(rng.choice([AT_ONCE, 40])),
+        datagrams_per_step=int(rng.choice([UNLIMITED, 40])),
     )
 
 
-@dataclass(slots=True)
-class BufferLink:
-    """Datagrams wait for the companion as in a socket; what does not fit is lost, the newest."""
-
-    limit_bytes: int = BUFFERS_BYTES[0]
-    datagrams: bool = True
-    strangers: int = 0
-    heard: deque[bytes] = field(default_factory=deque)
-    said: list[bytes] = field(default_factory=list)
-
-    def arrive(self, datagrams: Sequence[bytes]) -> None:
-        """Take in what the autopilot sends."""
-        held = sum(len(data) + OVERHEAD_BYTES for data in self.heard)
-        for data in datagrams:
-            held += len(data) + OVERHEAD_BYTES
-            if held <= self.limit_bytes:
-                self.heard.append(data)
-
-    def receive(self, timeout_s: float) -> Incoming | None:
-        """The next datagram or None; never waits."""
-        del timeout_s
-        return Incoming(self.heard.popleft()) if self.heard else None
-
-    def send(self, data: bytes) -> None:
-        """Queue a datagram for the autopilot."""
-        self.said.append(data)
-
-    def waiting(self) -> int:
-        """What has arrived and was not received."""
-        return len(self.heard)
-
-    def settle(self) -> None:
-        """No effect: there is no reader beside us."""
-
-    def wake(self) -> None:
-        """No effect: nothing blocks here."""
-
-    def answer_to(self, peer: object) -> None:
-        """No effect: there is only one peer."""
-
-    def close(self) -> None:
-        """No effect."""
-
-
 class StallWorld:
-    """One vehicle and its companion in this process; both see the time only of this world."""
+    """One vehicle and its companion in this process; both use only the time of this world."""
 
     def __init__(self, autopilot: str, seed: int, folder: Path) -> None:
-        path = write_flight(folder / "flight.toml", FLIGHT)
+        path = write_changed_flight_file(folder / "flight.toml", FLIGHT)
         options = FlyOptions(flight_file=path, autopilot=autopilot, seed=seed, picture=False)
-        flight = read_flight(path)
-        wind_seed, vehicle_seed = np.random.SeedSequence(seed).spawn(2)
-        wind, mean = read_wind(flight, path, np.random.default_rng(wind_seed), None)
-        self.craft: Craft = build_craft(
-            options, flight, wind, mean, 0, vehicle_seed, "memory", folder
-        )
-        self.link = BufferLink()
+        self.craft = build_single_craft(options, "memory", folder)
         self.t_s = 0.0
-        self.exit_code: int | None = None
-        self.took_over_s: float | None = None
-        self.had_effect = False
+        self.takeover = self.craft.link.takeover = TakeOver()
+        self.is_override_effective = False
         self.in_flight = False
         self._mode_before = self.craft.autopilot.mode
-        self._takes_over_s = math.inf
+        self._override_due_s = math.inf
         self._readings_left: int | None = None
         self._stall_s = 0.0
-        self.woke_s: float | None = None
-        run_options = RunOptions(
-            link="memory",
-            airframe=flight.vehicle.airframe,
-            mission=path,
-            run_dir=folder,
-            plan_at_once=True,
-            record_at_once=True,
-            pilot=PilotOptions(configure=True),
+        self.stall_end_s: float | None = None
+        self.companion = SteppedCompanion(
+            None,
+            self.craft.flight.vehicle.airframe,
+            self.clock_s_with_scheduled_stall,
+            PilotOptions(configure=True),
+            path,
+            MemoryLink(BUFFERS_BYTES[0], reports_queue_length=True),
         )
-        self.run = Run.begin(
-            LoadedFlight.read(run_options), self._opened, wall_clock_s=self.clock_s
-        )
+        assert self.companion.run is not None
+        self.pilot = self.companion.run.pilot
 
-    def _opened(self, url: str) -> Link:
-        del url
-        return self.link
-
-    def clock_s(self) -> float:
-        """The companion's wall clock. It may stand still here, and the world goes on."""
+    def clock_s_with_scheduled_stall(self) -> float:
+        """Return the companion's wall clock. A stall occurs here while the world continues."""
         if self._readings_left is not None:
             self._readings_left -= 1
             if self._readings_left < 0:
                 self._readings_left = None
-                self._stand_still()
+                self._advance_world_during_stall()
         return self.t_s
 
-    def _stand_still(self) -> None:
+    def _advance_world_during_stall(self) -> None:
         until_s = self.t_s + self._stall_s
         while self.t_s < until_s - 1e-6:
-            self._world_step()
-        self.woke_s = self.t_s
+            self._advance_world_one_exchange()
+        self.stall_end_s = self.t_s
 
-    def stall(self, case: StallCase) -> None:
-        """Begin this stall, at a reading of the clock from now on."""
-        self.link.limit_bytes = case.buffer_bytes
+    def schedule_stall(self, case: StallCase) -> None:
+        """Schedule this stall at a future reading of the clock."""
+        self.companion.link.limit_bytes = case.buffer_bytes
         self._stall_s, self._readings_left = case.stall_s, case.reading
-        self._takes_over_s = self.t_s + case.takes_over_frac * case.stall_s
+        self._override_due_s = self.t_s + case.override_frac * case.stall_s
 
-    def _world_step(self) -> None:
-        self.t_s = round(self.t_s + STEP_S, 6)
-        if self.t_s >= self._takes_over_s and self.took_over_s is None:
-            self._take_over()
-        self.craft.advance(STEPS)
-        took_over_s = self.took_over_s
-        if took_over_s is not None and self.t_s <= took_over_s + SWITCHED_WITHIN_S:
-            self.had_effect |= self.craft.autopilot.mode is not self._mode_before
-        self.link.arrive(self.craft.ask(round(self.t_s * 1e9)))
+    def _advance_world_one_exchange(self) -> None:
+        self.t_s = round(self.t_s + EXCHANGE_S, 6)
+        if self.t_s >= self._override_due_s and self.takeover.start_s is None:
+            self._start_and_record_override()
+        self.craft.advance_and_deliver_frames(STEPS_PER_EXCHANGE)
+        start_s = self.takeover.start_s
+        if start_s is not None and self.t_s <= start_s + MODE_CHANGE_LIMIT_S:
+            self.is_override_effective |= self.craft.autopilot.mode is not self._mode_before
+        self.companion.link.queue_received_within_limit(
+            self.craft.link.take_datagrams_for_companion(round(self.t_s * 1e9))
+        )
 
-    def _take_over(self) -> None:
+    def _start_and_record_override(self) -> None:
         self._mode_before = self.craft.autopilot.mode
-        self.craft.pilot_takes_over()
-        self.took_over_s = self.t_s
+        self.craft.start_pilot_override()
+        self.takeover.start_s = self.t_s
+        self.takeover.record_known(self.t_s)
         self.in_flight = self.craft.record.landed_s is None
 
-    def step(self, heard_per_step: int = AT_ONCE) -> None:
-        """One exchange of 0.1 s."""
-        self._world_step()
-        for _ in range(heard_per_step):
-            if not self.link.heard or self.exit_code is not None:
+    def advance_world_and_companion(self, datagrams_per_step: int = UNLIMITED) -> None:
+        """Run one exchange of 0.1 s."""
+        self._advance_world_one_exchange()
+        for _ in range(datagrams_per_step):
+            if not self.companion.link.received or not self.companion.is_running:
                 break
-            self.exit_code = self.run.step()
-            said, self.link.said = self.link.said, []
-            for datagram in said:
-                self.craft.receive(datagram)
+            for datagram in self.companion.run_cycle():
+                self.craft.link.pass_datagram_to_autopilot(datagram)
 
     @property
-    def over(self) -> bool:
-        """Nothing more to see."""
-        return self.exit_code is not None or self.craft.record.crashed or self.t_s > LIMIT_S
+    def is_over(self) -> bool:
+        """True if the flight has ended: companion exit, crash or time limit."""
+        has_ended = not self.companion.is_running or self.craft.record.crashed
+        return has_ended or self.t_s > LIMIT_S
 
 
 class StallFlight(msgspec.Struct, frozen=True, kw_only=True):
-    """A flight and the stalls that copies of it are to stand."""
+    """A flight and the stalls that are tested in copies of it."""
 
     autopilot: str
     seed: int
@@ -246,141 +190,134 @@ class StallFlight(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True)
-class StallFlyer:
-    """Flies such flights, each in a folder of its own under `run_root`."""
+class StallFlightRunner:
+    """Runs stall flights, each in a separate folder under `run_root`."""
 
     run_root: Path
 
     def __call__(self, flight: StallFlight) -> list[TrialRow]:
-        """Fly one to its last stall; nothing is left of it but its rows."""
+        """Run one flight to its last stall; return the rows and remove the folder."""
         name = f"stall-{flight.autopilot}-seed{flight.seed}"
         self.run_root.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=name, dir=self.run_root) as folder:
-            return list(sweep(flight, Path(folder)))
+            return list(run_stall_cases_in_one_flight(flight, Path(folder)))
 
 
-def flight_lost(flight: StallFlight, why: str) -> list[TrialRow]:
-    """The rows of a flight that no worker came back with: none of its stalls has held."""
-    return [row for case in flight.cases for row in case_lost(case, why)]
+def lost_flight_rows(flight: StallFlight, reason: str) -> list[TrialRow]:
+    """Return failed rows for all stalls of a flight whose worker was lost."""
+    return [row for case in flight.cases for row in failed_rows_for_lost_worker(case, reason)]
 
 
-def flights(cases: Iterable[StallCase]) -> Iterator[StallFlight]:
-    """Cases of one vehicle and of neighbouring instants share a flight."""
+def group_cases_into_shared_flights(cases: Iterable[StallCase]) -> Iterator[StallFlight]:
+    """Group cases with the same vehicle and neighbouring instants into shared flights."""
     groups: dict[tuple[str, int], list[StallCase]] = {}
     for case in cases:
         groups.setdefault((case.autopilot, case.seed), []).append(case)
     for (autopilot, seed), group in groups.items():
         group.sort(key=lambda case: case.at_s)
-        for begin in range(0, len(group), SHARED_BY):
-            part = tuple(group[begin : begin + SHARED_BY])
+        for begin in range(0, len(group), STALLS_PER_FLIGHT):
+            part = tuple(group[begin : begin + STALLS_PER_FLIGHT])
             yield StallFlight(autopilot=autopilot, seed=seed, cases=part)
 
 
-def sweep(flight: StallFlight, folder: Path) -> Iterator[TrialRow]:
-    """Fly once; each case, in the order of its instants, in a copy of the flight."""
+def run_stall_cases_in_one_flight(flight: StallFlight, folder: Path) -> Iterator[TrialRow]:
+    """Run one flight; run each case, in order of time, in a copy of it."""
     world = StallWorld(flight.autopilot, flight.seed, folder)
     for case in flight.cases:
-        while world.t_s < case.at_s - 1e-6 and not world.over:
-            world.step()
-        if world.over:
-            return  # landed: instants after that are none
-        yield _in_a_copy(world, case, folder)
-    world.run.end(0)
+        while world.t_s < case.at_s - 1e-6 and not world.is_over:
+            world.advance_world_and_companion()
+        if world.is_over:
+            return  # the flight is over: later instants are skipped
+        yield _run_in_fork(world, case, folder)
+    world.companion.stop()
 
 
-def _in_a_copy(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
-    """Fork; the copy stalls, is judged, tells and ends."""
-    reading, writing = os.pipe()
+def _run_in_fork(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
+    """Fork; the copy runs and evaluates the stall, sends its row and exits."""
+    read_fd, write_fd = os.pipe()
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            os.close(reading)
-            _forget_files(folder)
-            _tell(writing, attempt(world, case))
+            os.close(read_fd)
+            _redirect_open_files_to_null(folder)
+            _send_row(write_fd, run_and_evaluate_stall(world, case))
             code = 0
-        except Exception:  # noqa: BLE001 - the copy must end here, whatever befell it
+        except Exception:  # noqa: BLE001 - the copy must exit here after any error
             traceback.print_exc()
         finally:
             os._exit(code)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as pipe:
-        told = pipe.read()
+    os.close(write_fd)
+    with os.fdopen(read_fd, "rb") as pipe:
+        result_data = pipe.read()
     _, status = os.waitpid(child, 0)
-    if status != 0 or not told:
+    if status != 0 or not result_data:
         code = os.waitstatus_to_exitcode(status)
-        why = f"its copy of the flight ended with {code}"  # below zero: by that signal
-        return TrialRow(name=case.name, held=False, why=why, told={}, case=case)
-    return pickle.loads(told)
+        reason = f"the copy of the flight exited with {code}"  # negative: signal number
+        return TrialRow.for_case(case, reason)
+    return pickle.loads(result_data)
 
 
-def _tell(writing: int, row: TrialRow) -> None:
-    with os.fdopen(writing, "wb") as pipe:
+def _send_row(write_fd: int, row: TrialRow) -> None:
+    with os.fdopen(write_fd, "wb") as pipe:
         pipe.write(pickle.dumps(row))
 
 
-def _forget_files(folder: Path) -> None:
-    """In the copy nothing is recorded: the files are the flight's, which goes on."""
-    nowhere = os.open(os.devnull, os.O_RDWR)
+def _redirect_open_files_to_null(folder: Path) -> None:
+    """Redirect the flight's open files to null in the copy, because the original writes them."""
+    null_fd = os.open(os.devnull, os.O_RDWR)
     for link in Path("/proc/self/fd").iterdir():
         try:
             inside = Path(os.readlink(link)).is_relative_to(folder.resolve())
         except OSError:
             continue
         if inside:
-            os.dup2(nowhere, int(link.name))
+            os.dup2(null_fd, int(link.name))
 
 
-def attempt(world: StallWorld, case: StallCase) -> TrialRow:
-    """Stall now, watch, judge."""
-    phase = world.run.pilot.phase.value
-    world.stall(case)
-    why = ""
+def run_and_evaluate_stall(world: StallWorld, case: StallCase) -> TrialRow:
+    """Run the stall and evaluate the commands after the pilot override."""
+    phase = world.pilot.phase.value
+    world.schedule_stall(case)
+    reason = ""
     try:
-        _watch(world, case)
+        _advance_until_observation_end(world, case)
     except Exception as error:  # noqa: BLE001 - the flight code raised: that is a finding
-        why = f"{type(error).__name__}: {error}"
-    late = _late_commands(world)
-    if late and not why:
-        t_s, name, number = late[0]
-        why = f"{len(late)} commands after the take-over, {name} {number} at {t_s:.1f} s"
-    told = {
+        reason = f"{type(error).__name__}: {error}"
+    if world.is_override_effective and world.in_flight:  # else settings are restored in any mode
+        reason = reason or world.craft.link.late_commands_text
+    result_data = {
         "phase": phase,
-        "took_over_s": world.took_over_s,
-        "had_effect": world.had_effect,
-        "woke_s": world.woke_s,
-        "then": world.run.pilot.phase.value,
+        "took_over_s": world.takeover.start_s,
+        "had_effect": world.is_override_effective,
+        "woke_s": world.stall_end_s,
+        "then": world.pilot.phase.value,
     }
-    return TrialRow(name=case.name, held=not why, why=why, told=told, case=case)
+    return TrialRow.for_case(case, reason, result_data)
 
 
-def _watch(world: StallWorld, case: StallCase) -> None:
-    until_s = case.at_s + case.stall_s + WATCHED_S
-    while world.t_s < until_s and not world.over:
-        world.step(case.heard_per_step)
+def _advance_until_observation_end(world: StallWorld, case: StallCase) -> None:
+    until_s = case.at_s + case.stall_s + OBSERVATION_S
+    while world.t_s < until_s and not world.is_over:
+        world.advance_world_and_companion(case.datagrams_per_step)
 
 
-def _late_commands(world: StallWorld) -> list[tuple[float, str, int]]:
-    """What was commanded once the companion could know. Nothing where the switch changed nothing,
-    or after landing: then settings are put back, whatever mode it stands in."""
-    if world.took_over_s is None or not (world.had_effect and world.in_flight):
-        return []
-    known_s = world.took_over_s + TOLD_PILOT_S
-    return [command for command in world.craft.commands if command[0] > known_s]
-
-
-def every_case(seed: int, autopilots: Sequence[str]) -> list[StallCase]:
-    """Every second of the flight, with every length of stall."""
+def draw_cases_for_every_second(seed: int, autopilots: Sequence[str]) -> list[StallCase]:
+    """Return cases for every second of the flight and every stall duration."""
     return [
-        drawn(seed, autopilot, at_s, stall_s)
+        draw_case(seed, autopilot, at_s, stall_s)
         for autopilot in autopilots
-        for at_s in np.arange(FIRST_S[autopilot], LAST_S[autopilot], 1.0).tolist()
-        for stall_s in STALLS_S
+        for at_s in np.arange(FIRST_STALL_S[autopilot], LAST_STALL_S[autopilot], 1.0).tolist()
+        for stall_s in STALL_DURATIONS_S
     ]
 
 
-def some_cases(seed: int, autopilots: Sequence[str], count: int) -> list[StallCase]:
-    """So many of them, drawn."""
-    every = every_case(seed, autopilots)
-    chosen = np.random.default_rng(seed).choice(len(every), min(count, len(every)), replace=False)
-    return [every[int(k)] for k in sorted(chosen)]
+def draw_random_subset_of_cases(
+    seed: int, autopilots: Sequence[str], max_cases: int
+) -> list[StallCase]:
+    """Draw `max_cases` of all cases."""
+    candidates = draw_cases_for_every_second(seed, autopilots)
+    selected = np.random.default_rng(seed).choice(
+        len(candidates), min(max_cases, len(candidates)), replace=False
+    )
+    return [candidates[int(k)] for k in sorted(selected)]

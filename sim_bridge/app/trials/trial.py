@@ -1,9 +1,10 @@
-"""A long trial: cases drawn from a seed, tried side by side, bounded in count and in time.
+"""Long trials: cases drawn from a seed and run in parallel, limited in number and time.
 
-What does not hold is written out as a case that can be tried again.
+A failed case is written to a file, from which it can be run again.
 """
 
 import re
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from companion.adapters.files.atomic_file import write_text_atomically
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.workers.side_by_side import PieceLost, Workers, side_by_side
+from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
 from sim_bridge.adapters.wall_clock import wall_s
 
 Case = TypeVar("Case", bound=msgspec.Struct)
@@ -21,95 +23,122 @@ Row = TypeVar("Row")
 
 
 class TrialRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One case that was tried: whether all held, why not, and what it came to."""
+    """Result of one case: whether it passed, reason of a failure, and metrics."""
 
     name: str
-    held: bool
-    why: str
-    told: dict[str, Any]
+    passed: bool = msgspec.field(name="held")
+    reason: str = msgspec.field(name="why")
+    metrics: dict[str, Any] = msgspec.field(name="told")
     case: Any
+
+    @classmethod
+    def for_case(
+        cls, case: Any, reason: str = "", metrics: dict[str, Any] | None = None
+    ) -> "TrialRow":
+        """Return the row of a case, which has failed if there is a reason."""
+        passed = not reason
+        return cls(name=case.name, passed=passed, reason=reason, metrics=metrics or {}, case=case)
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """How long a trial may go on, and where: no case begins after `minutes`."""
+class TrialLimits:
+    """Limits and workers of a trial: no case starts after `minutes`."""
 
     jobs: int
     minutes: float | None
     cluster: str | None = None
-    """A Ray cluster instead of processes, as in `Workers`."""
+    """A Ray cluster instead of processes, as in `WorkerOptions`."""
 
 
-def tried(
-    todo: Iterable[Work],
-    attempt: Callable[[Work], list[Row]],
-    bounds: Bounds,
-    lost: Callable[[Work, str], list[Row]],
-    say: Callable[[str], None] = lambda words: None,
+def run_trial(
+    cases: Iterable[Work],
+    run_case: Callable[[Work], list[Row]],
+    limits: TrialLimits,
+    rows_for_lost_case: Callable[[Work, str], list[Row]],
+    print_line: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Row]:
-    """Try cases side by side, begun in their order, until all are tried or the time is up.
+    """Run cases in parallel, started in their order, until all are run or the time limit.
 
-    Rows come as their cases end: a long case holds up nobody, and after Ctrl-C nothing is missing
-    that was done. `lost` gives the rows of a case whose worker was killed, and a second time again.
+    Yields rows as their cases end, so a long case delays no other row and Ctrl-C loses no result.
+    `rows_for_lost_case` returns the rows of a case whose worker was killed twice.
     """
-    workers = Workers(bounds.jobs, bounds.cluster)
-    for ended in side_by_side(in_time(todo, bounds), attempt, workers, say):
-        if isinstance(ended, PieceLost):
-            yield from lost(ended.piece, ended.why)
+    workers = WorkerOptions(limits.jobs, limits.cluster)
+    for ended in run_parallel(cases_until_time_limit(cases, limits), run_case, workers, print_line):
+        if isinstance(ended, ItemLost):
+            yield from rows_for_lost_case(ended.item, ended.reason)
         else:
             yield from ended.result
 
 
-def case_lost(case: Any, why: str) -> list[TrialRow]:
-    """The row of a case with a name that no worker came back with: it has not held."""
-    return [TrialRow(name=case.name, held=False, why=why, told={}, case=case)]
+@dataclass(frozen=True, slots=True)
+class FolderRunner:
+    """Runs cases, each in a separate folder under `run_root`; keeps folders of failed cases."""
+
+    attempt: Callable[[Any, Path], TrialRow]
+    run_root: Path
+
+    def __call__(self, case: Any) -> list[TrialRow]:
+        """Run one case."""
+        return [self.attempt(case, self.run_root / case.name)]
 
 
-def in_time(todo: Iterable[Work], bounds: Bounds) -> Iterator[Work]:
-    """These cases, until the time is up."""
-    end_s = None if bounds.minutes is None else wall_s() + 60.0 * bounds.minutes
-    for case in todo:
+def build_row_and_delete_passed_folder(
+    case: Any, folder: Path, violations: Sequence[str], metrics: dict[str, Any]
+) -> TrialRow:
+    """Return the row of a case; remove the folder of a case that passed."""
+    if not violations:
+        shutil.rmtree(folder)
+    return TrialRow.for_case(case, "; ".join(violations), metrics)
+
+
+def failed_rows_for_lost_worker(case: Any, reason: str) -> list[TrialRow]:
+    """Return a failed row for a case whose worker was lost."""
+    return [TrialRow.for_case(case, reason)]
+
+
+def cases_until_time_limit(cases: Iterable[Work], limits: TrialLimits) -> Iterator[Work]:
+    """Yield these cases until the time limit."""
+    end_s = None if limits.minutes is None else wall_s() + 60.0 * limits.minutes
+    for case in cases:
         if end_s is not None and wall_s() >= end_s:
             return
         yield case
 
 
-def write_case(folder: Path, row: TrialRow) -> Path:
-    """Write a case that did not hold, to be tried again; returns its file."""
+def write_case_file(folder: Path, row: TrialRow) -> Path:
+    """Write a failed case, so that it can be run again; return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{row.name}.json"
     path.write_bytes(msgspec.json.format(msgspec.json.encode(row.case)) + b"\n")
     return path
 
 
-def read_case(path: Path, kind: type[Case]) -> Case:
-    """Read a case back.
+def read_case_file(path: Path, case_type: type[Case]) -> Case:
+    """Read a case from a file.
 
-    Raises: LeewayError for a file that is none.
+    Raises LeewayError if the file is unreadable or not a case of this type.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
+        return msgspec.json.decode(path.read_bytes(), type=case_type)
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
     except msgspec.DecodeError as error:
         raise LeewayError(f"{path}: not a case of this trial: {error}") from error
 
 
-def result(trial: str, seed: int, rows: Sequence[TrialRow]) -> dict[str, Any]:
-    """What `--json` writes: the same whatever the number of workers."""
-    held, ordered = sum(row.held for row in rows), sorted(rows, key=_natural)
-    return {"trial": trial, "seed": seed, "rows": ordered, "held": held, "of": len(rows)}
+def build_trial_result(trial: str, seed: int, rows: Sequence[TrialRow]) -> dict[str, Any]:
+    """Return the document for `--json`, independent of the number of workers."""
+    passed_count, ordered = sum(row.passed for row in rows), sorted(rows, key=_natural_sort_key)
+    return {"trial": trial, "seed": seed, "rows": ordered, "held": passed_count, "of": len(rows)}
 
 
-def _natural(row: TrialRow) -> list[tuple[int, str]]:
-    """By name, numbers in it by their size."""
+def _natural_sort_key(row: TrialRow) -> list[tuple[int, str]]:
+    """Return a key that sorts names with their numbers in numerical order."""
     parts = re.split(r"(\d+)", row.name)
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
 
 
-def write_result(path: Path, trial: str, seed: int, rows: Sequence[TrialRow]) -> None:
-    """Write the result, whole or not at all."""
-    fresh = path.with_name(path.name + ".new")
-    text = msgspec.json.format(msgspec.json.encode(result(trial, seed, rows)))
-    fresh.write_bytes(text + b"\n")
-    fresh.replace(path)
+def write_trial_result(path: Path, trial: str, seed: int, rows: Sequence[TrialRow]) -> None:
+    """Write the result atomically."""
+    text = msgspec.json.format(msgspec.json.encode(build_trial_result(trial, seed, rows)))
+    write_text_atomically(path, text.decode() + "\n", sync_folder=False)

@@ -1,11 +1,10 @@
-"""What ArduPilot accepts and stores of mission, fence and rally items.
+"""Validation and storage of mission, fence and rally items in ArduPilot.
 
 Source: libraries/AP_Mission/AP_Mission.cpp (mavlink_int_to_mission_cmd and back,
 sanity_check_params).
 """
 
 import math
-from dataclasses import dataclass
 
 from sim_bridge.autopilot.mavlink.enums import (
     AMSL_FRAMES,
@@ -18,17 +17,18 @@ from sim_bridge.autopilot.mavlink.enums import (
 )
 from sim_bridge.autopilot.mission.items import (
     FENCE_COMMANDS,
-    NAVIGATING,
+    NAN_YAW_COMMANDS,
+    NAVIGATION_COMMANDS,
     NO_COORDINATE,
-    PLACED,
-    YAW_MAY_BE_NAN,
+    POSITIONED_COMMANDS,
     MissionItem,
-    place_error,
+    coordinate_error,
 )
+from sim_bridge.autopilot.services.mission_protocol import MissionRules
 
 _COMMANDS = frozenset(
     {
-        *NAVIGATING,
+        *NAVIGATION_COMMANDS,
         Cmd.CONDITION_DELAY,
         Cmd.CONDITION_YAW,
         Cmd.DO_JUMP,
@@ -45,7 +45,7 @@ _COMMANDS = frozenset(
         Cmd.DO_GUIDED_LIMITS,
     }
 ) - {Cmd.NAV_LOITER_TO_ALT}
-_KEPT = {
+_STORED_PARAMS = {
     Cmd.NAV_WAYPOINT: 0b0001,
     Cmd.NAV_LOITER_UNLIM: 0b0000,
     Cmd.NAV_LOITER_TIME: 0b0001,
@@ -71,55 +71,58 @@ _STORED_FRAMES = {
 _ALT_MAX_M = 83_000.0
 
 
-@dataclass(frozen=True, slots=True)
-class ArduPilotMissionRules:
-    """Items are squeezed into ArduPilot's 15 bytes: what has no room there does not come back."""
+def validate_item(item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
+    """Return the item as stored, or the reason for its rejection."""
+    supported = {
+        MissionType.MISSION: _COMMANDS,
+        MissionType.FENCE: FENCE_COMMANDS,
+        MissionType.RALLY: {Cmd.NAV_RALLY_POINT},
+    }.get(MissionType(mission_type), frozenset())
+    if item.command not in supported:
+        return MissionResult.UNSUPPORTED
+    for number, value in enumerate(item.first_four_params):
+        yaw = number == 3 and item.command in NAN_YAW_COMMANDS
+        if not math.isfinite(value) and not yaw:
+            return MissionResult(MissionResult.INVALID_PARAM1 + number)
+    error = coordinate_error(item)
+    if error is not None:
+        return error
+    frame = int(MavFrame.GLOBAL)
+    if item.command in POSITIONED_COMMANDS:
+        if item.frame not in _STORED_FRAMES:
+            return MissionResult.UNSUPPORTED_FRAME
+        if NO_COORDINATE in (item.x, item.y):
+            return MissionResult.INVALID_PARAM5_X
+        if not abs(item.z) <= _ALT_MAX_M:
+            return MissionResult.INVALID_PARAM7
+        frame = int(_STORED_FRAMES[MavFrame(item.frame)])
+    kept = _STORED_PARAMS.get(Cmd(item.command), 0b1111)
+    params = [
+        value if kept >> number & 1 and math.isfinite(value) else 0.0
+        for number, value in enumerate(item.first_four_params)
+    ]
+    if item.command in _WHOLE_SECONDS:
+        params[0] = float(min(65535, max(0, int(params[0]))))
+    z = round(item.z * 100.0) / 100.0 if item.command in POSITIONED_COMMANDS else 0.0
+    x, y = (item.x, item.y) if item.command in POSITIONED_COMMANDS else (0, 0)
+    return MissionItem(item.command, frame, *params, x=x, y=y, z=z)
 
-    request_name: str = "MISSION_REQUEST"
-    unknown_type: MissionResult = MissionResult.UNSUPPORTED
-    has_home_item: bool = True
-    is_atomic: bool = False
-    takes_partial_writes: bool = True
-    retry_s: float = 1.0
-    timeout_s: float = 8.0
-    capacity: int = 724
 
-    def take(self, item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
-        """The item as it is stored, or why it is refused."""
-        supported = {
-            MissionType.MISSION: _COMMANDS,
-            MissionType.FENCE: FENCE_COMMANDS,
-            MissionType.RALLY: {Cmd.NAV_RALLY_POINT},
-        }.get(MissionType(mission_type), frozenset())
-        if item.command not in supported:
-            return MissionResult.UNSUPPORTED
-        for number, value in enumerate(item.params):
-            yaw = number == 3 and item.command in YAW_MAY_BE_NAN
-            if not math.isfinite(value) and not yaw:
-                return MissionResult(MissionResult.INVALID_PARAM1 + number)
-        error = place_error(item)
-        if error is not None:
-            return error
-        frame = int(MavFrame.GLOBAL)
-        if item.command in PLACED:
-            if item.frame not in _STORED_FRAMES:
-                return MissionResult.UNSUPPORTED_FRAME
-            if NO_COORDINATE in (item.x, item.y):
-                return MissionResult.INVALID_PARAM5_X
-            if not abs(item.z) <= _ALT_MAX_M:
-                return MissionResult.INVALID_PARAM7
-            frame = int(_STORED_FRAMES[MavFrame(item.frame)])
-        kept = _KEPT.get(Cmd(item.command), 0b1111)
-        params = [
-            value if kept >> number & 1 and math.isfinite(value) else 0.0
-            for number, value in enumerate(item.params)
-        ]
-        if item.command in _WHOLE_SECONDS:
-            params[0] = float(min(65535, max(0, int(params[0]))))
-        z = round(item.z * 100.0) / 100.0 if item.command in PLACED else 0.0
-        x, y = (item.x, item.y) if item.command in PLACED else (0, 0)
-        return MissionItem(item.command, frame, *params, x=x, y=y, z=z)
+def item_as_read_back(item: MissionItem) -> MissionItem:
+    """Return the item as read back in a MISSION_ITEM_INT."""
+    return item
 
-    def give(self, item: MissionItem) -> MissionItem:
-        """The item as it is read back in a MISSION_ITEM_INT."""
-        return item
+
+ARDUPILOT_MISSION = MissionRules(
+    request_name="MISSION_REQUEST",
+    unknown_type=MissionResult.UNSUPPORTED,
+    has_home_item=True,
+    is_atomic=False,
+    accepts_partial_writes=True,
+    retry_s=1.0,
+    timeout_s=8.0,
+    capacity=724,
+    validate_item=validate_item,
+    encode_item=item_as_read_back,
+)
+"""ArduPilot stores 15 bytes per item: parameters without room are not returned."""

@@ -10,7 +10,7 @@ _MOTORS = 4
 
 
 class ArduPilotPayload:
-    """`release` says whether the parcel is let go; the outputs are open loop."""
+    """Gripper state. `release` is True when the parcel is released; the outputs are open loop."""
 
     def __init__(self, state: VehicleState, radio: Radio) -> None:
         self._state = state
@@ -19,17 +19,17 @@ class ArduPilotPayload:
         """A text that reports the end of a grip, and when it is due."""
         self.release = False
 
-    def grip(self, action: int) -> bool:
+    def start_gripper_action_if_fitted(self, action: int) -> bool:
         """DO_GRIPPER: 0 releases, 1 grabs; False if there is no gripper."""
         if self._state.params["GRIP_ENABLE"] == 0.0:
             return False
         self.release = action == 0
-        doing, done = ("releasing", "released") if action == 0 else ("grabbing", "grabbed")
-        self._radio.say(Severity.INFO, f"Gripper load {doing}")
+        progress_text, done = ("releasing", "released") if action == 0 else ("grabbing", "grabbed")
+        self._radio.send_status_text(Severity.INFO, f"Gripper load {progress_text}")
         self._done = (f"Gripper load {done}", self._state.t_s + _GRIP_S)
         return True
 
-    def set_servo(self, channel: int, pulse_us: int) -> bool:
+    def set_servo_and_release_output(self, channel: int, pulse_us: int) -> bool:
         """DO_SET_SERVO: channel 9 is wired to the release; the motors' channels are refused."""
         if not 1 <= channel <= 16 or not 500 <= pulse_us <= 2500:
             return False
@@ -39,8 +39,8 @@ class ArduPilotPayload:
             self.release = pulse_us > 1500
         return channel > _MOTORS
 
-    def step(self) -> None:
+    def report_finished_grip(self) -> None:
         """Report the end of a grip."""
         if self._done is not None and self._state.t_s >= self._done[1]:
             text, self._done = self._done[0], None
-            self._radio.say(Severity.INFO, text)
+            self._radio.send_status_text(Severity.INFO, text)

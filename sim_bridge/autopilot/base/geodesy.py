@@ -14,11 +14,11 @@ SECOND_ECCENTRICITY2 = ECCENTRICITY2 / (1.0 - ECCENTRICITY2)
 
 
 class LocalFrame:
-    """The tangent plane at a point: exact horizontally, altitudes kept as altitudes.
+    """The tangent plane at a point: exact horizontally, with unchanged altitudes.
 
     North and east are those of the east-north-up frame at the origin for a point at the origin's
-    height; the vertical is not taken from that frame, because a barometer follows the ellipsoid,
-    not the tangent plane.
+    height; the vertical is not from that frame, because a barometer follows the ellipsoid, not the
+    tangent plane.
     """
 
     __slots__ = (
@@ -41,9 +41,11 @@ class LocalFrame:
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         self._sin_lat, self._cos_lat = math.sin(lat), math.cos(lat)
         self._sin_lon, self._cos_lon = math.sin(lon), math.cos(lon)
-        self._x0, self._y0, self._z0 = self._ecef(lat_deg, lon_deg)
+        self._x0, self._y0, self._z0 = self._ecef_at_origin_height_m(lat_deg, lon_deg)
 
-    def _ecef(self, lat_deg: float, lon_deg: float) -> tuple[float, float, float]:
+    def _ecef_at_origin_height_m(
+        self, lat_deg: float, lon_deg: float
+    ) -> tuple[float, float, float]:
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         sin_lat, cos_lat = math.sin(lat), math.cos(lat)
         radius = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY2 * sin_lat * sin_lat)
@@ -56,7 +58,7 @@ class LocalFrame:
 
     def to_ne_m(self, lat_deg: float, lon_deg: float) -> tuple[float, float]:
         """Metres north and east of the origin."""
-        x, y, z = self._ecef(lat_deg, lon_deg)
+        x, y, z = self._ecef_at_origin_height_m(lat_deg, lon_deg)
         dx, dy, dz = x - self._x0, y - self._y0, z - self._z0
         outward = self._cos_lon * dx + self._sin_lon * dy
         north = -self._sin_lat * outward + self._cos_lat * dz
@@ -73,14 +75,16 @@ class LocalFrame:
         y = self._y0 + self._sin_lon * outward + self._cos_lon * east_m
         z = self._z0 + self._sin_lat * up + self._cos_lat * north_m
         from_axis = math.hypot(x, y)
-        reduced = math.atan2(z * SEMI_MAJOR_M, from_axis * SEMI_MINOR_M)
+        parametric_lat_rad = math.atan2(z * SEMI_MAJOR_M, from_axis * SEMI_MINOR_M)
         lat = math.atan2(
-            z + SECOND_ECCENTRICITY2 * SEMI_MINOR_M * math.sin(reduced) ** 3,
-            from_axis - ECCENTRICITY2 * SEMI_MAJOR_M * math.cos(reduced) ** 3,
+            z + SECOND_ECCENTRICITY2 * SEMI_MINOR_M * math.sin(parametric_lat_rad) ** 3,
+            from_axis - ECCENTRICITY2 * SEMI_MAJOR_M * math.cos(parametric_lat_rad) ** 3,
         )
         return math.degrees(lat), math.degrees(math.atan2(y, x))
 
 
-def distance_ne_m(a: tuple[float, ...], b: tuple[float, ...]) -> float:
+def horizontal_distance_m(first_ned_m: tuple[float, ...], second_ned_m: tuple[float, ...]) -> float:
     """Horizontal distance of two points."""
-    return ((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5
+    return (
+        (first_ned_m[0] - second_ned_m[0]) ** 2 + (first_ned_m[1] - second_ned_m[1]) ** 2
+    ) ** 0.5

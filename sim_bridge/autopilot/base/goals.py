@@ -1,4 +1,4 @@
-"""What a mode asks of the flight controller now. NED about the site's origin, SI."""
+"""Goals that a mode gives to the flight controller. NED about the site's origin, SI."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ class Idle:
 class FollowLine:
     """Along a straight line to `end` at a ground speed, passing it at `exit_mps`.
 
-    `height_apart`: at that speed whatever the slope, and to the end's height at full rate.
+    `independent_height`: at that speed whatever the slope, and to the end's height at full rate.
     """
 
     start: Vec3
@@ -22,12 +22,12 @@ class FollowLine:
     speed_mps: float
     exit_mps: float = 0.0
     yaw_rad: float | None = None
-    height_apart: bool = False
+    independent_height: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class HoldPoint:
-    """Stay at, or come back to, a point."""
+    """Hold a point, or return to it."""
 
     point: Vec3
     yaw_rad: float | None = None
@@ -62,7 +62,7 @@ class FlyLevel:
 
 
 @dataclass(frozen=True, slots=True)
-class FlyByHand:
+class FlyManual:
     """Attitude and thrust straight from the sticks."""
 
     roll_rad: float
@@ -71,14 +71,14 @@ class FlyByHand:
     thrust_frac: float
 
 
-Goal = Idle | FollowLine | HoldPoint | FlyVelocity | Descend | FlyLevel | FlyByHand
+Goal = Idle | FollowLine | HoldPoint | FlyVelocity | Descend | FlyLevel | FlyManual
 
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """A position, a velocity, or both, from outside. None is not given.
+    """An external set-point: a position, a velocity, or both. None means not given.
 
-    An acceleration comes only with a velocity.
+    An acceleration requires a velocity.
     """
 
     t_s: float

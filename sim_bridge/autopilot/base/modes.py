@@ -4,7 +4,7 @@ from enum import Enum
 
 
 class Mode(Enum):
-    """A flight mode, whatever the autopilot calls it."""
+    """A flight mode, independent of the autopilot's name for it."""
 
     STABILIZE = "stabilize"
     ALT_HOLD = "alt hold"

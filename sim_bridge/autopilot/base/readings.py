@@ -1,4 +1,4 @@
-"""What the sensors tell an autopilot, and what it tells the airframe to do."""
+"""Sensor inputs of an autopilot, and its outputs to the airframe."""
 
 from typing import NamedTuple, Protocol
 

@@ -1,8 +1,8 @@
-"""The autopilots' inner loops: which attitude and thrust follow the set-point.
+"""The autopilots' inner loops: attitude and thrust that follow the set-point.
 
-The cascade that both flight stacks use: position -> velocity (limited in speed, acceleration and
-jerk) -> tilt and thrust. Integrators hold against wind and stop where tilt saturates. It flies by
-sensor readings alone and knows neither mass nor wind nor drag; it learns the hover thrust.
+The cascade of both flight stacks: position -> velocity (limited in speed, acceleration and jerk) ->
+tilt and thrust. Integrators compensate wind and stop where tilt saturates. The input is sensor
+readings only, without mass, wind or drag; the hover thrust is learned.
 
 Frames: NED about the depot, SI, radians; velocities over ground.
 """
@@ -48,29 +48,31 @@ class ControlParams:
             raise ValueError(f"max_tilt_rad = {self.max_tilt_rad:.3f}: expected at most 1.047")
 
 
-_NEARLY_LEVEL_M, _NEARLY_UPRIGHT_M = 1.0, 10.0
-"""A line that climbs or sinks by less, or leads less far aside, is flown as one: its height is
-there within a second, or its way is long done when its height is.
+_LEVEL_TOLERANCE_M, _VERTICAL_TOLERANCE_M = 1.0, 10.0
+"""Tolerances for level and vertical lines. A line with a smaller height change (or horizontal
+offset) is flown as one: the smaller component ends early.
 """
 
 
-def approach_speed_mps(distance_m: float, gain_ps: float, brake_mps2: float) -> float:
+def signed_braking_speed_mps(
+    distance_m: float, proportional_gain_ps: float, deceleration_mps2: float
+) -> float:
     """Speed towards a point at a distance: proportional near it, else constant braking.
 
     The square-root controller of ArduPilot (`AC_Math/control.cpp`); its sign is the distance's.
     """
     far = abs(distance_m)
-    knee_m = brake_mps2 / (gain_ps * gain_ps)
+    knee_m = deceleration_mps2 / (proportional_gain_ps * proportional_gain_ps)
     if far < knee_m:
-        return gain_ps * distance_m
-    return math.copysign(math.sqrt(2.0 * brake_mps2 * (far - 0.5 * knee_m)), distance_m)
+        return proportional_gain_ps * distance_m
+    return math.copysign(math.sqrt(2.0 * deceleration_mps2 * (far - 0.5 * knee_m)), distance_m)
 
 
 class Controller:
     """Flies one vehicle by set-points. Call exactly one of its commands per step.
 
-    `release` is copied into every actuation. `pos_ned_m` and `vel_ned_mps` are what navigation
-    estimates, for guidance and telemetry; `saturated` says that tilt was at its limit.
+    `release` is copied into every actuation. `pos_ned_m` and `vel_ned_mps` are the navigation
+    estimates, for guidance and telemetry; `saturated` is True while tilt is at its limit.
     """
 
     def __init__(self, params: ControlParams | None = None) -> None:
@@ -80,12 +82,12 @@ class Controller:
         self.saturated = False
         self.hover_thrust_frac = self.params.hover_thrust_frac
         self._flown_thrust_frac = 0.0
-        self._flying = False
+        self._is_airborne = False
         self._touching = True
         self._yaw_rad = 0.0
         self._shaped = [0.0, 0.0, 0.0]  # velocity set-point after the limits
         self._rising = [0.0, 0.0, 0.0]  # its rate of change
-        self._held = [0.0, 0.0, 0.0]  # integrators: acceleration against wind and trim
+        self._integrals = [0.0, 0.0, 0.0]  # integrators: acceleration against wind and trim
 
     @property
     def pos_ned_m(self) -> Vec3:
@@ -95,183 +97,213 @@ class Controller:
     def vel_ned_mps(self) -> Vec3:
         return self._nav.north_mps, self._nav.east_mps, self._nav.down_mps
 
-    def idle(self, readings: Readings | None = None, dt_s: float = 0.0) -> AttitudeSetpoint:
-        """Motors off; navigation goes on when given readings."""
+    def stop_motors(self, readings: Readings | None = None, dt_s: float = 0.0) -> AttitudeSetpoint:
+        """Stop the motors; navigation continues if readings are given."""
         if readings is not None:
             self._nav.update(readings, dt_s, on_ground=readings.touching_ground)
             self._yaw_rad = readings.yaw_rad
-        self._flying = False
+        self._is_airborne = False
         self._flown_thrust_frac = 0.0
-        self._forget()
+        self._reset_setpoint_and_integrators()
         return AttitudeSetpoint(yaw_rad=self._yaw_rad, release=self.release)
 
-    def spin(self, readings: Readings, dt_s: float) -> AttitudeSetpoint:
+    def idle_motors_on_ground(self, readings: Readings, dt_s: float) -> AttitudeSetpoint:
         """Armed on the ground: motors turn and carry nothing."""
-        self._begin(readings, dt_s)
-        self._forget()
-        return self._send(0.0, 0.0, readings.yaw_rad, self.params.min_thrust_frac, dt_s)
+        self._update_navigation_and_airborne_state(readings, dt_s)
+        self._reset_setpoint_and_integrators()
+        return self._make_setpoint_and_track_thrust(
+            0.0, 0.0, readings.yaw_rad, self.params.min_thrust_frac, dt_s
+        )
 
     def track_velocity(
         self,
-        vel_sp_ned: Vec3,
-        yaw_sp: float,
+        vel_setpoint_ned_mps: Vec3,
+        yaw_setpoint_rad: float,
         readings: Readings,
         dt_s: float,
-        accel_ned_mps2: Vec3 = (0.0, 0.0, 0.0),
+        accel_feedforward_ned_mps2: Vec3 = (0.0, 0.0, 0.0),
     ) -> AttitudeSetpoint:
         """Follow a velocity over ground, within the limits of speed, acceleration and jerk.
 
-        `accel_ned_mps2` is its rate of change, fed forward so that the vehicle does not lag.
+        `accel_feedforward_ned_mps2` is its rate of change, fed forward so that the vehicle does not
+        lag.
         """
-        self._begin(readings, dt_s)
-        return self._track(vel_sp_ned, yaw_sp, readings, dt_s, accel_ned_mps2)
+        self._update_navigation_and_airborne_state(readings, dt_s)
+        return self._velocity_to_attitude_setpoint(
+            vel_setpoint_ned_mps, yaw_setpoint_rad, readings, dt_s, accel_feedforward_ned_mps2
+        )
 
-    def hold(
+    def fly_to_point_and_hold(
         self,
-        pos_ned: Vec3,
-        yaw: float,
+        pos_setpoint_ned_m: Vec3,
+        yaw_setpoint_rad: float,
         readings: Readings,
         dt_s: float,
         *,
-        speed_mps: float | None = None,
+        max_speed_mps: float | None = None,
     ) -> AttitudeSetpoint:
-        """Go to a point (at most at `speed_mps`) and stay there."""
-        self._begin(readings, dt_s)
-        north, east = self._towards(pos_ned[0], pos_ned[1], speed_mps)
-        return self._track((north, east, self._vertical_towards(pos_ned[2])), yaw, readings, dt_s)
+        """Go to a point (at most at `max_speed_mps`) and stay there."""
+        self._update_navigation_and_airborne_state(readings, dt_s)
+        north, east = self._velocity_ne_to_position_mps(
+            pos_setpoint_ned_m[0], pos_setpoint_ned_m[1], max_speed_mps
+        )
+        return self._velocity_to_attitude_setpoint(
+            (north, east, self._down_velocity_to_height_mps(pos_setpoint_ned_m[2])),
+            yaw_setpoint_rad,
+            readings,
+            dt_s,
+        )
 
-    def descend(
+    def descend_over_point(
         self,
         north_m: float,
         east_m: float,
-        sink_mps: float,
-        yaw: float,
+        descent_speed_mps: float,
+        yaw_setpoint_rad: float,
         readings: Readings,
         dt_s: float,
     ) -> AttitudeSetpoint:
-        """Sink over a point at a constant rate; on the ground, let thrust die away."""
-        self._begin(readings, dt_s)
-        north, east = self._towards(north_m, east_m, 3.0)
-        return self._track((north, east, sink_mps), yaw, readings, dt_s)
+        """Descend over a point at a constant rate; on the ground, reduce thrust to zero."""
+        self._update_navigation_and_airborne_state(readings, dt_s)
+        north, east = self._velocity_ne_to_position_mps(north_m, east_m, 3.0)
+        return self._velocity_to_attitude_setpoint(
+            (north, east, descent_speed_mps), yaw_setpoint_rad, readings, dt_s
+        )
 
     def track_line(
         self,
-        from_ned: Vec3,
-        to_ned: Vec3,
-        speed_mps: float,
-        yaw: float,
+        start_ned_m: Vec3,
+        end_ned_m: Vec3,
+        ground_speed_mps: float,
+        yaw_setpoint_rad: float,
         readings: Readings,
         dt_s: float,
         *,
         stop_at_end: bool = True,
-        height_apart: bool = False,
+        decouple_height_from_line: bool = False,
     ) -> AttitudeSetpoint:
         """Follow the straight segment at a GROUND speed, as far as climb limits and tilt allow.
 
-        Cross-track errors are flown back at up to `cross_track_mps`. With `stop_at_end` it
-        brakes to a hover there, else it passes the end at speed and goes on straight ahead.
-        With `height_apart` climb limits do not slow it: it goes to the end's height as fast as
-        they allow, and may be there later than at the end.
+        Cross-track errors are corrected at up to `cross_track_mps`. With `stop_at_end` it brakes to
+        a hover at the end, else it passes the end at speed and continues straight. With
+        `decouple_height_from_line` climb limits do not slow it: it changes to the end's height as
+        fast as they allow, possibly after it passes the end.
         """
-        self._begin(readings, dt_s)
+        self._update_navigation_and_airborne_state(readings, dt_s)
         p, nav = self.params, self._nav
         line_n, line_e, line_d = (
-            to_ned[0] - from_ned[0],
-            to_ned[1] - from_ned[1],
-            to_ned[2] - from_ned[2],
+            end_ned_m[0] - start_ned_m[0],
+            end_ned_m[1] - start_ned_m[1],
+            end_ned_m[2] - start_ned_m[2],
         )
-        slopes = abs(line_d) > _NEARLY_LEVEL_M and math.hypot(line_n, line_e) > _NEARLY_UPRIGHT_M
-        apart = height_apart and slopes
-        if apart:
+        slopes = (
+            abs(line_d) > _LEVEL_TOLERANCE_M and math.hypot(line_n, line_e) > _VERTICAL_TOLERANCE_M
+        )
+        is_height_independent = decouple_height_from_line and slopes
+        if is_height_independent:
             line_d = 0.0
         length = math.sqrt(line_n * line_n + line_e * line_e + line_d * line_d)
         if length < 0.5:
-            north, east = self._towards(to_ned[0], to_ned[1], speed_mps)
-            down = self._vertical_towards(to_ned[2])
-            return self._track((north, east, down), yaw, readings, dt_s)
-        ahead_n, ahead_e, ahead_d = line_n / length, line_e / length, line_d / length
-        done_n = nav.north_m - from_ned[0]
-        done_e = nav.east_m - from_ned[1]
-        done_d = 0.0 if apart else nav.down_m - from_ned[2]
-        along = done_n * ahead_n + done_e * ahead_e + done_d * ahead_d
-        speed = self._line_speed(speed_mps, ahead_d)
+            north, east = self._velocity_ne_to_position_mps(
+                end_ned_m[0], end_ned_m[1], ground_speed_mps
+            )
+            down = self._down_velocity_to_height_mps(end_ned_m[2])
+            return self._velocity_to_attitude_setpoint(
+                (north, east, down), yaw_setpoint_rad, readings, dt_s
+            )
+        unit_n, unit_e, unit_d = line_n / length, line_e / length, line_d / length
+        done_n = nav.north_m - start_ned_m[0]
+        done_e = nav.east_m - start_ned_m[1]
+        done_d = 0.0 if is_height_independent else nav.down_m - start_ned_m[2]
+        progress_m = done_n * unit_n + done_e * unit_e + done_d * unit_d
+        speed = self._max_line_speed_mps(ground_speed_mps, unit_d)
         if stop_at_end:
-            brake = 0.6 * self._line_accel(ahead_d)
-            speed = min(speed, approach_speed_mps(length - along, p.position_gain_ps, brake))
-        north = p.position_gain_ps * (along * ahead_n - done_n)
-        east = p.position_gain_ps * (along * ahead_e - done_e)
-        down = p.vertical_position_gain_ps * (along * ahead_d - done_d)
-        if apart:
-            down = self._vertical_towards(to_ned[2])
+            brake = 0.6 * self._max_line_accel_mps2(unit_d)
+            speed = min(
+                speed, signed_braking_speed_mps(length - progress_m, p.position_gain_ps, brake)
+            )
+        north = p.position_gain_ps * (progress_m * unit_n - done_n)
+        east = p.position_gain_ps * (progress_m * unit_e - done_e)
+        down = p.vertical_position_gain_ps * (progress_m * unit_d - done_d)
+        if is_height_independent:
+            down = self._down_velocity_to_height_mps(end_ned_m[2])
         fast = math.hypot(north, east)
         if fast > p.cross_track_mps:
             north, east = north * p.cross_track_mps / fast, east * p.cross_track_mps / fast
-        wanted = (speed * ahead_n + north, speed * ahead_e + east, speed * ahead_d + down)
-        return self._track(wanted, yaw, readings, dt_s)
+        velocity_sp = (speed * unit_n + north, speed * unit_e + east, speed * unit_d + down)
+        return self._velocity_to_attitude_setpoint(velocity_sp, yaw_setpoint_rad, readings, dt_s)
 
-    def _line_speed(self, speed_mps: float, ahead_down: float) -> float:
+    def _max_line_speed_mps(self, speed_mps: float, down_unit_component: float) -> float:
         """The speed along a line at which the climb or descent limit is just kept."""
         p = self.params
-        limit = p.max_climb_mps if ahead_down < 0.0 else p.max_descent_mps
+        limit = p.max_climb_mps if down_unit_component < 0.0 else p.max_descent_mps
         speed = min(speed_mps, p.max_speed_mps)
-        return min(speed, limit / max(abs(ahead_down), 1e-6))
+        return min(speed, limit / max(abs(down_unit_component), 1e-6))
 
-    def _line_accel(self, ahead_down: float) -> float:
+    def _max_line_accel_mps2(self, down_unit_component: float) -> float:
         """The acceleration along a line at which neither of both limits is exceeded."""
         p = self.params
-        flat = math.sqrt(max(1.0 - ahead_down * ahead_down, 1e-12))
-        return min(p.max_accel_mps2 / flat, p.max_vertical_accel_mps2 / max(abs(ahead_down), 1e-6))
+        flat = math.sqrt(max(1.0 - down_unit_component * down_unit_component, 1e-12))
+        return min(
+            p.max_accel_mps2 / flat, p.max_vertical_accel_mps2 / max(abs(down_unit_component), 1e-6)
+        )
 
-    def _towards(
-        self, north_m: float, east_m: float, speed_mps: float | None
+    def _velocity_ne_to_position_mps(
+        self, north_m: float, east_m: float, max_speed_mps: float | None
     ) -> tuple[float, float]:
         p = self.params
         north, east = north_m - self._nav.north_m, east_m - self._nav.east_m
         distance = math.hypot(north, east)
         if distance < 1e-6:
             return 0.0, 0.0
-        limit = p.max_speed_mps if speed_mps is None else min(speed_mps, p.max_speed_mps)
-        speed = min(approach_speed_mps(distance, p.position_gain_ps, 0.6 * p.max_accel_mps2), limit)
+        limit = p.max_speed_mps if max_speed_mps is None else min(max_speed_mps, p.max_speed_mps)
+        speed = min(
+            signed_braking_speed_mps(distance, p.position_gain_ps, 0.6 * p.max_accel_mps2), limit
+        )
         return speed * north / distance, speed * east / distance
 
-    def _vertical_towards(self, down_m: float) -> float:
+    def _down_velocity_to_height_mps(self, down_m: float) -> float:
         p = self.params
         brake = 0.5 * p.max_vertical_accel_mps2
         error = down_m - self._nav.down_m
-        return approach_speed_mps(error, p.vertical_position_gain_ps, brake)
+        return signed_braking_speed_mps(error, p.vertical_position_gain_ps, brake)
 
-    def _begin(self, readings: Readings, dt_s: float) -> None:
+    def _update_navigation_and_airborne_state(self, readings: Readings, dt_s: float) -> None:
         self._touching = readings.touching_ground
-        self._nav.update(readings, dt_s, on_ground=self._touching and not self._flying)
-        if not self._flying:
-            self._forget()
-            self._flying = True
+        self._nav.update(readings, dt_s, on_ground=self._touching and not self._is_airborne)
+        if not self._is_airborne:
+            self._reset_setpoint_and_integrators()
+            self._is_airborne = True
 
-    def _forget(self) -> None:
+    def _reset_setpoint_and_integrators(self) -> None:
         self._shaped = list(self.vel_ned_mps) if not self._touching else [0.0, 0.0, 0.0]
         self._rising = [0.0, 0.0, 0.0]
-        self._held = [0.0, 0.0, 0.0]
+        self._integrals = [0.0, 0.0, 0.0]
 
-    def _track(
+    def _velocity_to_attitude_setpoint(
         self,
-        wanted: Vec3,
-        yaw: float,
+        vel_setpoint_ned_mps: Vec3,
+        yaw_setpoint_rad: float,
         readings: Readings,
         dt_s: float,
-        lead: Vec3 = (0.0, 0.0, 0.0),
+        accel_feedforward_ned_mps2: Vec3 = (0.0, 0.0, 0.0),
     ) -> AttitudeSetpoint:
         p = self.params
-        down = min(max(wanted[2], -p.max_climb_mps), p.max_descent_mps)
+        down = min(max(vel_setpoint_ned_mps[2], -p.max_climb_mps), p.max_descent_mps)
         if self._touching and down >= 0.0:
-            return self._settle(yaw, dt_s)
-        self._shape((wanted[0], wanted[1], down), lead, dt_s)
-        upward = GRAVITY_MPS2 - self._vertical_accel(dt_s)
+            return self._ramp_thrust_down(yaw_setpoint_rad, dt_s)
+        self._update_limited_velocity_setpoint(
+            (vel_setpoint_ned_mps[0], vel_setpoint_ned_mps[1], down),
+            accel_feedforward_ned_mps2,
+            dt_s,
+        )
+        upward = GRAVITY_MPS2 - self._down_accel_setpoint_from_vertical_velocity_mps2(dt_s)
         if self._touching:
-            self._held[0] = self._held[1] = 0.0
+            self._integrals[0] = self._integrals[1] = 0.0
             north = east = 0.0
         else:
-            north, east = self._level_accel(upward, dt_s)
-            self._learn_hover(readings, dt_s)
+            north, east = self._update_horizontal_accel_setpoint_mps2(upward, dt_s)
+            self._update_hover_thrust_estimate(readings, dt_s)
         cos_yaw, sin_yaw = math.cos(readings.yaw_rad), math.sin(readings.yaw_rad)
         pitch = -math.atan2(north * cos_yaw + east * sin_yaw, upward)
         across = east * cos_yaw - north * sin_yaw
@@ -279,29 +311,33 @@ class Controller:
         lean = max(math.cos(readings.roll_rad) * math.cos(readings.pitch_rad), 0.5)
         thrust = self.hover_thrust_frac * upward / (GRAVITY_MPS2 * lean)
         thrust = min(max(thrust, p.min_thrust_frac), p.max_thrust_frac)
-        return self._send(roll, pitch, yaw, thrust, dt_s)
+        return self._make_setpoint_and_track_thrust(roll, pitch, yaw_setpoint_rad, thrust, dt_s)
 
-    def _settle(self, yaw: float, dt_s: float) -> AttitudeSetpoint:
-        """On the ground and asked to stay or sink: let thrust die away within half a second."""
-        self._forget()
+    def _ramp_thrust_down(self, yaw_setpoint_rad: float, dt_s: float) -> AttitudeSetpoint:
+        """On the ground without a climb demand: reduce thrust to zero within half a second."""
+        self._reset_setpoint_and_integrators()
         thrust = max(self._flown_thrust_frac - self.hover_thrust_frac * dt_s / 0.5, 0.0)
-        return self._send(0.0, 0.0, yaw, max(thrust, 0.5 * self.params.min_thrust_frac), dt_s)
+        return self._make_setpoint_and_track_thrust(
+            0.0, 0.0, yaw_setpoint_rad, max(thrust, 0.5 * self.params.min_thrust_frac), dt_s
+        )
 
-    def _send(
-        self, roll: float, pitch: float, yaw: float, thrust: float, dt_s: float
+    def _make_setpoint_and_track_thrust(
+        self, roll_rad: float, pitch_rad: float, yaw_rad: float, thrust_frac: float, dt_s: float
     ) -> AttitudeSetpoint:
         # the thrust that is now acting, by a motor lag of about 80 ms
-        self._flown_thrust_frac += (thrust - self._flown_thrust_frac) * dt_s / (0.08 + dt_s)
-        self._yaw_rad = yaw
-        return AttitudeSetpoint(roll, pitch, yaw, thrust, True, self.release)
+        self._flown_thrust_frac += (thrust_frac - self._flown_thrust_frac) * dt_s / (0.08 + dt_s)
+        self._yaw_rad = yaw_rad
+        return AttitudeSetpoint(roll_rad, pitch_rad, yaw_rad, thrust_frac, True, self.release)
 
-    def _shape(self, wanted: Vec3, lead: Vec3, dt_s: float) -> None:
+    def _update_limited_velocity_setpoint(
+        self, target_vel_ned_mps: Vec3, target_accel_ned_mps2: Vec3, dt_s: float
+    ) -> None:
         """Move the velocity set-point towards the wanted one, acceleration and jerk limited.
 
-        `lead` is the acceleration that the wanted one has itself.
+        `target_accel_ned_mps2` is the acceleration that the wanted one has itself.
         """
         p, shaped, rising = self.params, self._shaped, self._rising
-        north, east, down = wanted
+        north, east, down = target_vel_ned_mps
         speed = math.hypot(north, east)
         if speed > p.max_speed_mps:
             north, east = north * p.max_speed_mps / speed, east * p.max_speed_mps / speed
@@ -309,7 +345,10 @@ class Controller:
         error = math.hypot(error_n, error_e)
         accel = min(p.max_accel_mps2, 2.0 * error, math.sqrt(p.max_jerk_mps3 * error))
         share = accel / error if error > 1e-9 else 0.0
-        push_n, push_e = error_n * share + lead[0], error_e * share + lead[1]
+        push_n, push_e = (
+            error_n * share + target_accel_ned_mps2[0],
+            error_e * share + target_accel_ned_mps2[1],
+        )
         push = math.hypot(push_n, push_e)
         if push > p.max_accel_mps2:
             push_n, push_e = push_n * p.max_accel_mps2 / push, push_e * p.max_accel_mps2 / push
@@ -321,55 +360,57 @@ class Controller:
         rising[0] += jump_n
         rising[1] += jump_e
         accel_d = min(
-            max(3.0 * (down - shaped[2]) + lead[2], -p.max_vertical_accel_mps2),
+            max(3.0 * (down - shaped[2]) + target_accel_ned_mps2[2], -p.max_vertical_accel_mps2),
             p.max_vertical_accel_mps2,
         )
         rising[2] += min(max(accel_d - rising[2], -most), most)
         for axis in range(3):
             shaped[axis] += rising[axis] * dt_s
-        self._leash()
+        self._limit_velocity_setpoint_error()
 
-    def _leash(self) -> None:
+    def _limit_velocity_setpoint_error(self) -> None:
         """Keep the set-point near a vehicle that cannot follow, or it would never brake in time."""
-        leash = (
+        max_ahead_mps = (
             2.0 * GRAVITY_MPS2 * math.tan(self.params.max_tilt_rad) / self.params.velocity_gain_ps
         )
-        ahead_n = self._shaped[0] - self._nav.north_mps
-        ahead_e = self._shaped[1] - self._nav.east_mps
-        ahead = math.hypot(ahead_n, ahead_e)
-        if ahead > leash:
-            self._shaped[0] -= ahead_n * (1.0 - leash / ahead)
-            self._shaped[1] -= ahead_e * (1.0 - leash / ahead)
+        ahead_n_mps = self._shaped[0] - self._nav.north_mps
+        ahead_e_mps = self._shaped[1] - self._nav.east_mps
+        ahead_mps = math.hypot(ahead_n_mps, ahead_e_mps)
+        if ahead_mps > max_ahead_mps:
+            self._shaped[0] -= ahead_n_mps * (1.0 - max_ahead_mps / ahead_mps)
+            self._shaped[1] -= ahead_e_mps * (1.0 - max_ahead_mps / ahead_mps)
 
-    def _vertical_accel(self, dt_s: float) -> float:
+    def _down_accel_setpoint_from_vertical_velocity_mps2(self, dt_s: float) -> float:
         """Acceleration down; the integrator stops where thrust would saturate."""
         p = self.params
         error = self._shaped[2] - self._nav.down_mps
-        accel = self._rising[2] + p.vertical_velocity_gain_ps * error + self._held[2]
+        accel = self._rising[2] + p.vertical_velocity_gain_ps * error + self._integrals[2]
         most_up = GRAVITY_MPS2 * (p.max_thrust_frac / self.hover_thrust_frac - 1.0)
         if -most_up < accel < 0.6 * GRAVITY_MPS2 or accel * error < 0.0:
-            self._held[2] += p.vertical_integral_ps2 * error * dt_s
-        self._held[2] = min(max(self._held[2], -0.7 * GRAVITY_MPS2), 0.3 * GRAVITY_MPS2)
+            self._integrals[2] += p.vertical_integral_ps2 * error * dt_s
+        self._integrals[2] = min(max(self._integrals[2], -0.7 * GRAVITY_MPS2), 0.3 * GRAVITY_MPS2)
         return min(max(accel, -max(most_up, 1.0)), 0.6 * GRAVITY_MPS2)
 
-    def _level_accel(self, upward_mps2: float, dt_s: float) -> tuple[float, float]:
+    def _update_horizontal_accel_setpoint_mps2(
+        self, upward_thrust_accel_mps2: float, dt_s: float
+    ) -> tuple[float, float]:
         """Acceleration north and east, within what tilt gives; height comes before speed."""
-        p, held = self.params, self._held
+        p, integrals = self.params, self._integrals
         error_n = self._shaped[0] - self._nav.north_mps
         error_e = self._shaped[1] - self._nav.east_mps
-        north = self._rising[0] + p.velocity_gain_ps * error_n + held[0]
-        east = self._rising[1] + p.velocity_gain_ps * error_e + held[1]
-        wanted = math.hypot(north, east)
-        most = upward_mps2 * math.tan(p.max_tilt_rad)
-        self.saturated = wanted > most
+        north = self._rising[0] + p.velocity_gain_ps * error_n + integrals[0]
+        east = self._rising[1] + p.velocity_gain_ps * error_e + integrals[1]
+        wanted_mps2 = math.hypot(north, east)
+        limit_mps2 = upward_thrust_accel_mps2 * math.tan(p.max_tilt_rad)
+        self.saturated = wanted_mps2 > limit_mps2
         if self.saturated:
-            north, east = north * most / wanted, east * most / wanted
+            north, east = north * limit_mps2 / wanted_mps2, east * limit_mps2 / wanted_mps2
         if not self.saturated or north * error_n + east * error_e < 0.0:
-            held[0] += p.velocity_integral_ps2 * error_n * dt_s
-            held[1] += p.velocity_integral_ps2 * error_e * dt_s
+            integrals[0] += p.velocity_integral_ps2 * error_n * dt_s
+            integrals[1] += p.velocity_integral_ps2 * error_e * dt_s
         return north, east
 
-    def _learn_hover(self, readings: Readings, dt_s: float) -> None:
+    def _update_hover_thrust_estimate(self, readings: Readings, dt_s: float) -> None:
         """Hover thrust from what the present thrust does to the accelerometer (as PX4 does)."""
         lift = -readings.accel_frd_mps2[2]
         if lift > 3.0 and self._flown_thrust_frac > self.params.min_thrust_frac:

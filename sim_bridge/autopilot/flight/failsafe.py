@@ -10,15 +10,17 @@ class Latch:
     since_s: float | None = None
     is_on: bool = False
 
-    def update(self, condition: bool, now_s: float, wait_s: float) -> bool:
-        """True once, when the condition has lasted for `wait_s`."""
+    def update_and_report_trigger(
+        self, condition: bool, now_s: float, required_duration_s: float
+    ) -> bool:
+        """True once, when the condition has lasted for `required_duration_s`."""
         if not condition:
             self.since_s = None
             self.is_on = False
             return False
         if self.since_s is None:
             self.since_s = now_s
-        if self.is_on or now_s - self.since_s < wait_s - 1e-6:
+        if self.is_on or now_s - self.since_s < required_duration_s - 1e-6:
             return False
         self.is_on = True
         return True
@@ -35,8 +37,8 @@ class Latches:
     battery_critical: Latch = field(default_factory=Latch)
     battery_emergency: Latch = field(default_factory=Latch)
     fence: Latch = field(default_factory=Latch)
-    gcs_heard_s: float | None = None
+    last_gcs_heartbeat_s: float | None = None
 
-    def gcs_silent_s(self, now_s: float) -> float:
+    def time_since_gcs_heartbeat_s(self, now_s: float) -> float:
         """Seconds without a ground station; 0 if there never was one."""
-        return 0.0 if self.gcs_heard_s is None else now_s - self.gcs_heard_s
+        return 0.0 if self.last_gcs_heartbeat_s is None else now_s - self.last_gcs_heartbeat_s

@@ -1,4 +1,4 @@
-"""Where a vehicle is and how it moves, from accelerometers, late GNSS fixes and the barometer.
+"""Position and velocity from accelerometers, delayed GNSS fixes and the barometer.
 
 Frames: NED about the depot, SI, radians; velocities over ground.
 """
@@ -38,13 +38,13 @@ class Navigator:
     def update(self, readings: Readings, dt_s: float, *, on_ground: bool) -> None:
         """Take in one set of readings, `dt_s` after the last."""
         if self._fix is None:
-            self._start(readings)
+            self._initialise_from_readings(readings)
             return
-        self._predict(readings, dt_s)
-        self._level(readings, dt_s, on_ground=on_ground)
+        self._integrate_accelerometers(readings, dt_s)
+        self._correct_height_by_barometer(readings, dt_s, on_ground=on_ground)
         fix = readings.pos_ned_m
         if readings.gnss_ok and fix != self._fix:
-            self._correct(fix, readings.vel_ned_mps)
+            self._correct_by_delayed_gnss_fix(fix, readings.vel_ned_mps)
         self._fix = fix
         a = self._added
         self._past.append(
@@ -59,13 +59,13 @@ class Navigator:
         while len(self._past) * dt_s > self._delay_s:
             self._past.popleft()
 
-    def _start(self, readings: Readings) -> None:
+    def _initialise_from_readings(self, readings: Readings) -> None:
         self._fix = readings.pos_ned_m
         self.north_m, self.east_m, self.down_m = readings.pos_ned_m
         self.north_mps, self.east_mps, self.down_mps = readings.vel_ned_mps
         self._baro_zero_m = readings.alt_amsl_m + self.down_m
 
-    def _predict(self, readings: Readings, dt_s: float) -> None:
+    def _integrate_accelerometers(self, readings: Readings, dt_s: float) -> None:
         fx, fy, fz = readings.accel_frd_mps2
         sr, cr = math.sin(readings.roll_rad), math.cos(readings.roll_rad)
         sp, cp = math.sin(readings.pitch_rad), math.cos(readings.pitch_rad)
@@ -80,7 +80,9 @@ class Navigator:
         self.east_m += self.east_mps * dt_s
         self.down_m += self.down_mps * dt_s
 
-    def _level(self, readings: Readings, dt_s: float, *, on_ground: bool) -> None:
+    def _correct_height_by_barometer(
+        self, readings: Readings, dt_s: float, *, on_ground: bool
+    ) -> None:
         baro_down = self._baro_zero_m - readings.alt_amsl_m
         if on_ground and readings.gnss_ok:
             self._baro_zero_m += (readings.pos_ned_m[2] - baro_down) * self._BARO_ZERO_PS * dt_s
@@ -90,15 +92,15 @@ class Navigator:
         self.down_mps += change
         self._added[4] += change
 
-    def _correct(self, fix: Vec3, vel: Vec3) -> None:
+    def _correct_by_delayed_gnss_fix(self, gnss_pos_ned_m: Vec3, gnss_vel_ned_mps: Vec3) -> None:
         if not self._past:
             return
         past, a = self._past[0], self._added
-        north = self._POSITION_SHARE * (fix[0] - past[0] - a[0])
-        east = self._POSITION_SHARE * (fix[1] - past[1] - a[1])
-        north_v = self._VELOCITY_SHARE * (vel[0] - past[2] - a[2]) + 0.1 * north
-        east_v = self._VELOCITY_SHARE * (vel[1] - past[3] - a[3]) + 0.1 * east
-        down_v = 0.5 * self._VELOCITY_SHARE * (vel[2] - past[4] - a[4])
+        north = self._POSITION_SHARE * (gnss_pos_ned_m[0] - past[0] - a[0])
+        east = self._POSITION_SHARE * (gnss_pos_ned_m[1] - past[1] - a[1])
+        north_v = self._VELOCITY_SHARE * (gnss_vel_ned_mps[0] - past[2] - a[2]) + 0.1 * north
+        east_v = self._VELOCITY_SHARE * (gnss_vel_ned_mps[1] - past[3] - a[3]) + 0.1 * east
+        down_v = 0.5 * self._VELOCITY_SHARE * (gnss_vel_ned_mps[2] - past[4] - a[4])
         for index, value in enumerate((north, east, north_v, east_v, down_v)):
             a[index] += value
         self.north_m += north

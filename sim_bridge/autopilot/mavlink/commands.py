@@ -11,7 +11,7 @@ FORCE_DISARM = 21196.0
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command; `lat_deg`, `lon_deg` are params 5 and 6 as a place, `frame` None for LONG."""
+    """One command; `lat_deg`, `lon_deg` are params 5 and 6 as a position, `frame` None for LONG."""
 
     number: int
     link_id: int
@@ -27,7 +27,7 @@ class Command:
     param7: float
 
     @property
-    def sender(self) -> tuple[int, int]:
+    def sender_system_and_component(self) -> tuple[int, int]:
         """System and component that sent it."""
         return self.system, self.component
 
@@ -42,7 +42,7 @@ class Command:
         return self.param6
 
 
-def from_long(link_id: int, message: Message) -> Command:
+def command_from_long(link_id: int, message: Message) -> Command:
     """A COMMAND_LONG."""
     return Command(
         message.command,
@@ -60,7 +60,7 @@ def from_long(link_id: int, message: Message) -> Command:
     )
 
 
-def from_int(link_id: int, message: Message) -> Command:
+def command_from_int(link_id: int, message: Message) -> Command:
     """A COMMAND_INT; INT32_MAX in x or y means not given."""
     return Command(
         message.command,
@@ -78,6 +78,6 @@ def from_int(link_id: int, message: Message) -> Command:
     )
 
 
-def as_int(value: float, otherwise: int = -1) -> int:
+def int_or_default(value: float, default: int = -1) -> int:
     """A float parameter as an integer, however wild it is."""
-    return int(value) if math.isfinite(value) and abs(value) < 2**31 else otherwise
+    return int(value) if math.isfinite(value) and abs(value) < 2**31 else default

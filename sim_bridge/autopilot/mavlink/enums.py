@@ -7,7 +7,7 @@ from enum import IntEnum, IntFlag
 
 
 class MavResult(IntEnum):
-    """MAV_RESULT: what a COMMAND_ACK says."""
+    """MAV_RESULT: the result in a COMMAND_ACK."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -22,7 +22,7 @@ class MavResult(IntEnum):
 
 
 class MissionResult(IntEnum):
-    """MAV_MISSION_RESULT: what a MISSION_ACK says."""
+    """MAV_MISSION_RESULT: the result in a MISSION_ACK."""
 
     ACCEPTED = 0
     ERROR = 1
@@ -228,7 +228,7 @@ class Sensor(IntFlag):
 
 
 class TypeMask(IntFlag):
-    """POSITION_TARGET_TYPEMASK: what a set-point does not say."""
+    """POSITION_TARGET_TYPEMASK: the fields of a set-point to ignore."""
 
     IGNORE_POSITION = 0b111
     IGNORE_VELOCITY = 0b111 << 3

@@ -26,10 +26,6 @@ _DEFINITIONS = """
     u64 time_unix_usec, u32 time_boot_ms
 4 PING
     u64 time_usec, u32 seq, u8 target_system, u8 target_component
-5 CHANGE_OPERATOR_CONTROL
-    u8 target_system, u8 control_request, u8 version, char[25] passkey
-6 CHANGE_OPERATOR_CONTROL_ACK
-    u8 gcs_system_id, u8 control_request, u8 ack
 11 SET_MODE
     u8 target_system, u8 base_mode, u32 custom_mode
 20 PARAM_REQUEST_READ
@@ -44,12 +40,6 @@ _DEFINITIONS = """
     u64 time_usec, u8 fix_type, i32 lat, i32 lon, i32 alt, u16 eph, u16 epv, u16 vel, u16 cog,
     u8 satellites_visible | i32 alt_ellipsoid, u32 h_acc, u32 v_acc, u32 vel_acc, u32 hdg_acc,
     u16 yaw
-26 SCALED_IMU
-    u32 time_boot_ms, i16 xacc, i16 yacc, i16 zacc, i16 xgyro, i16 ygyro, i16 zgyro, i16 xmag,
-    i16 ymag, i16 zmag | i16 temperature
-27 RAW_IMU
-    u64 time_usec, i16 xacc, i16 yacc, i16 zacc, i16 xgyro, i16 ygyro, i16 zgyro, i16 xmag,
-    i16 ymag, i16 zmag | u8 id, i16 temperature
 29 SCALED_PRESSURE
     u32 time_boot_ms, f32 press_abs, f32 press_diff, i16 temperature |
     i16 temperature_press_diff
@@ -63,16 +53,11 @@ _DEFINITIONS = """
 33 GLOBAL_POSITION_INT
     u32 time_boot_ms, i32 lat, i32 lon, i32 alt, i32 relative_alt, i16 vx, i16 vy, i16 vz,
     u16 hdg
-35 RC_CHANNELS_RAW
-    u32 time_boot_ms, u8 port, u16 chan1_raw, u16 chan2_raw, u16 chan3_raw, u16 chan4_raw,
-    u16 chan5_raw, u16 chan6_raw, u16 chan7_raw, u16 chan8_raw, u8 rssi
 36 SERVO_OUTPUT_RAW
     u32 time_usec, u8 port, u16 servo1_raw, u16 servo2_raw, u16 servo3_raw, u16 servo4_raw,
     u16 servo5_raw, u16 servo6_raw, u16 servo7_raw, u16 servo8_raw | u16 servo9_raw,
     u16 servo10_raw, u16 servo11_raw, u16 servo12_raw, u16 servo13_raw, u16 servo14_raw,
     u16 servo15_raw, u16 servo16_raw
-37 MISSION_REQUEST_PARTIAL_LIST
-    u8 target_system, u8 target_component, i16 start_index, i16 end_index | u8 mission_type
 38 MISSION_WRITE_PARTIAL_LIST
     u8 target_system, u8 target_component, i16 start_index, i16 end_index | u8 mission_type
 39 MISSION_ITEM
@@ -96,8 +81,6 @@ _DEFINITIONS = """
     u16 seq
 47 MISSION_ACK
     u8 target_system, u8 target_component, u8 type | u8 mission_type
-48 SET_GPS_GLOBAL_ORIGIN
-    u8 target_system, i32 latitude, i32 longitude, i32 altitude | u64 time_usec
 49 GPS_GLOBAL_ORIGIN
     i32 latitude, i32 longitude, i32 altitude | u64 time_usec
 51 MISSION_REQUEST_INT
@@ -138,54 +121,20 @@ _DEFINITIONS = """
 82 SET_ATTITUDE_TARGET
     u32 time_boot_ms, u8 target_system, u8 target_component, u8 type_mask, f32[4] q,
     f32 body_roll_rate, f32 body_pitch_rate, f32 body_yaw_rate, f32 thrust
-83 ATTITUDE_TARGET
-    u32 time_boot_ms, u8 type_mask, f32[4] q, f32 body_roll_rate, f32 body_pitch_rate,
-    f32 body_yaw_rate, f32 thrust
 84 SET_POSITION_TARGET_LOCAL_NED
     u32 time_boot_ms, u8 target_system, u8 target_component, u8 coordinate_frame, u16 type_mask,
     f32 x, f32 y, f32 z, f32 vx, f32 vy, f32 vz, f32 afx, f32 afy, f32 afz, f32 yaw,
     f32 yaw_rate
-85 POSITION_TARGET_LOCAL_NED
-    u32 time_boot_ms, u8 coordinate_frame, u16 type_mask, f32 x, f32 y, f32 z, f32 vx, f32 vy,
-    f32 vz, f32 afx, f32 afy, f32 afz, f32 yaw, f32 yaw_rate
 86 SET_POSITION_TARGET_GLOBAL_INT
     u32 time_boot_ms, u8 target_system, u8 target_component, u8 coordinate_frame, u16 type_mask,
     i32 lat_int, i32 lon_int, f32 alt, f32 vx, f32 vy, f32 vz, f32 afx, f32 afy, f32 afz,
     f32 yaw, f32 yaw_rate
-87 POSITION_TARGET_GLOBAL_INT
-    u32 time_boot_ms, u8 coordinate_frame, u16 type_mask, i32 lat_int, i32 lon_int, f32 alt,
-    f32 vx, f32 vy, f32 vz, f32 afx, f32 afy, f32 afz, f32 yaw, f32 yaw_rate
-105 HIGHRES_IMU
-    u64 time_usec, f32 xacc, f32 yacc, f32 zacc, f32 xgyro, f32 ygyro, f32 zgyro, f32 xmag,
-    f32 ymag, f32 zmag, f32 abs_pressure, f32 diff_pressure, f32 pressure_alt, f32 temperature,
-    u16 fields_updated | u8 id
 109 RADIO_STATUS
     u8 rssi, u8 remrssi, u8 txbuf, u8 noise, u8 remnoise, u16 rxerrors, u16 fixed
 110 FILE_TRANSFER_PROTOCOL
     u8 target_network, u8 target_system, u8 target_component, u8[251] payload
 111 TIMESYNC
     i64 tc1, i64 ts1
-117 LOG_REQUEST_LIST
-    u8 target_system, u8 target_component, u16 start, u16 end
-118 LOG_ENTRY
-    u16 id, u16 num_logs, u16 last_log_num, u32 time_utc, u32 size
-122 LOG_REQUEST_END
-    u8 target_system, u8 target_component
-125 POWER_STATUS
-    u16 Vcc, u16 Vservo, u16 flags
-132 DISTANCE_SENSOR
-    u32 time_boot_ms, u16 min_distance, u16 max_distance, u16 current_distance, u8 type, u8 id,
-    u8 orientation, u8 covariance | f32 horizontal_fov, f32 vertical_fov, f32[4] quaternion,
-    u8 signal_quality
-133 TERRAIN_REQUEST
-    i32 lat, i32 lon, u16 grid_spacing, u64 mask
-134 TERRAIN_DATA
-    i32 lat, i32 lon, u16 grid_spacing, u8 gridbit, i16[16] data
-135 TERRAIN_CHECK
-    i32 lat, i32 lon
-136 TERRAIN_REPORT
-    i32 lat, i32 lon, u16 spacing, f32 terrain_height, f32 current_height, u16 pending,
-    u16 loaded
 141 ALTITUDE
     u64 time_usec, f32 altitude_monotonic, f32 altitude_amsl, f32 altitude_local,
     f32 altitude_relative, f32 altitude_terrain, f32 bottom_clearance
@@ -197,28 +146,13 @@ _DEFINITIONS = """
     u64 capabilities, u32 flight_sw_version, u32 middleware_sw_version, u32 os_sw_version,
     u32 board_version, u8[8] flight_custom_version, u8[8] middleware_custom_version,
     u8[8] os_custom_version, u16 vendor_id, u16 product_id, u64 uid | u8[18] uid2
-152 MEMINFO
-    u16 brkval, u16 freemem | u32 freemem32
-160 FENCE_POINT
-    u8 target_system, u8 target_component, u8 idx, u8 count, f32 lat, f32 lng
-161 FENCE_FETCH_POINT
-    u8 target_system, u8 target_component, u8 idx
-162 FENCE_STATUS
-    u8 breach_status, u16 breach_count, u8 breach_type, u32 breach_time | u8 breach_mitigation
 163 AHRS
     f32 omegaIx, f32 omegaIy, f32 omegaIz, f32 accel_weight, f32 renorm_val, f32 error_rp,
     f32 error_yaw
-165 HWSTATUS
-    u16 Vcc, u8 I2Cerr
 166 RADIO
     u8 rssi, u8 remrssi, u8 txbuf, u8 noise, u8 remnoise, u16 rxerrors, u16 fixed
 168 WIND
     f32 direction, f32 speed, f32 speed_z
-175 RALLY_POINT
-    u8 target_system, u8 target_component, u8 idx, u8 count, i32 lat, i32 lng, i16 alt,
-    i16 break_alt, u16 land_dir, u8 flags
-176 RALLY_FETCH_POINT
-    u8 target_system, u8 target_component, u8 idx
 193 EKF_STATUS_REPORT
     u16 flags, f32 velocity_variance, f32 pos_horiz_variance, f32 pos_vert_variance,
     f32 compass_variance, f32 terrain_alt_variance | f32 airspeed_variance
@@ -228,67 +162,34 @@ _DEFINITIONS = """
 231 WIND_COV
     u64 time_usec, f32 wind_x, f32 wind_y, f32 wind_z, f32 var_horiz, f32 var_vert,
     f32 wind_alt, f32 horiz_accuracy, f32 vert_accuracy
-232 GPS_INPUT
-    u64 time_usec, u8 gps_id, u16 ignore_flags, u32 time_week_ms, u16 time_week, u8 fix_type,
-    i32 lat, i32 lon, f32 alt, f32 hdop, f32 vdop, f32 vn, f32 ve, f32 vd, f32 speed_accuracy,
-    f32 horiz_accuracy, f32 vert_accuracy, u8 satellites_visible | u16 yaw
 235 HIGH_LATENCY2
     u32 timestamp, u8 type, u8 autopilot, u16 custom_mode, i32 latitude, i32 longitude,
     i16 altitude, i16 target_altitude, u8 heading, u8 target_heading, u16 target_distance,
     u8 throttle, u8 airspeed, u8 airspeed_sp, u8 groundspeed, u8 windspeed, u8 wind_heading,
     u8 eph, u8 epv, i8 temperature_air, i8 climb_rate, i8 battery, u16 wp_num,
     u16 failure_flags, i8 custom0, i8 custom1, i8 custom2
-241 VIBRATION
-    u64 time_usec, f32 vibration_x, f32 vibration_y, f32 vibration_z, u32 clipping_0,
-    u32 clipping_1, u32 clipping_2
 242 HOME_POSITION
     i32 latitude, i32 longitude, i32 altitude, f32 x, f32 y, f32 z, f32[4] q, f32 approach_x,
     f32 approach_y, f32 approach_z | u64 time_usec
-243 SET_HOME_POSITION
-    u8 target_system, i32 latitude, i32 longitude, i32 altitude, f32 x, f32 y, f32 z, f32[4] q,
-    f32 approach_x, f32 approach_y, f32 approach_z | u64 time_usec
 244 MESSAGE_INTERVAL
     u16 message_id, i32 interval_us
 245 EXTENDED_SYS_STATE
     u8 vtol_state, u8 landed_state
 251 NAMED_VALUE_FLOAT
     u32 time_boot_ms, char[10] name, f32 value
-252 NAMED_VALUE_INT
-    u32 time_boot_ms, char[10] name, i32 value
 253 STATUSTEXT
     u8 severity, char[50] text | u16 id, u8 chunk_seq
 256 SETUP_SIGNING
     u8 target_system, u8 target_component, u8[32] secret_key, u64 initial_timestamp
-264 FLIGHT_INFORMATION
-    u32 time_boot_ms, u64 arming_time_utc, u64 takeoff_time_utc, u64 flight_uuid |
-    u32 landing_time
-280 GIMBAL_MANAGER_INFORMATION
-    u32 time_boot_ms, u32 cap_flags, u8 gimbal_device_id, f32 roll_min, f32 roll_max,
-    f32 pitch_min, f32 pitch_max, f32 yaw_min, f32 yaw_max
 295 AIRSPEED
     u8 id, f32 airspeed, i16 temperature, f32 raw_press, u8 flags
 300 PROTOCOL_VERSION
     u16 version, u16 min_version, u16 max_version, u8[8] spec_version_hash,
     u8[8] library_version_hash
-331 ODOMETRY
-    u64 time_usec, u8 frame_id, u8 child_frame_id, f32 x, f32 y, f32 z, f32[4] q, f32 vx,
-    f32 vy, f32 vz, f32 rollspeed, f32 pitchspeed, f32 yawspeed, f32[21] pose_covariance,
-    f32[21] velocity_covariance | u8 reset_counter, u8 estimator_type, i8 quality
-340 UTM_GLOBAL_POSITION
-    u64 time, u8[18] uas_id, i32 lat, i32 lon, i32 alt, i32 relative_alt, i16 vx, i16 vy,
-    i16 vz, u16 h_acc, u16 v_acc, u16 vel_acc, i32 next_lat, i32 next_lon, i32 next_alt,
-    u16 update_rate, u8 flight_state, u8 flags
 345 PARAM_ERROR
     u8 target_system, u8 target_component, char[16] param_id, i16 param_index, u8 error
-385 TUNNEL
-    u8 target_system, u8 target_component, u16 payload_type, u8 payload_length, u8[128] payload
-435 AVAILABLE_MODES
-    u8 number_modes, u8 mode_index, u8 standard_mode, u32 custom_mode, u32 properties,
-    char[35] mode_name
 436 CURRENT_MODE
     u8 standard_mode, u32 custom_mode, u32 intended_custom_mode
-437 AVAILABLE_MODES_MONITOR
-    u8 seq
 """
 
 _STRUCT_CODE = {
@@ -305,11 +206,11 @@ _FIELD = re.compile(r"(?P<type>\w+)(?:\[(?P<count>\d+)\])? (?P<name>\w+)(?:=(?P<
 MIRRORED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
-def crc_bytes(data: bytes) -> bytes:
-    """CRC-16/MCRF4XX of `data` as its two bytes stand on the wire, low byte first.
+def crc16_mcrf4xx_bytes(data: bytes) -> bytes:
+    """Compute CRC-16/MCRF4XX of `data` as two bytes, low byte first (wire order).
 
-    The standard library has only the mirror image of this CRC (same polynomial, most significant
-    bit first), in C: it is taken over mirrored bytes, and mirrored back.
+    The standard library has only the bit-reversed form of this CRC (same polynomial, most
+    significant bit first), in C: this function reverses the bits of its input and result.
     """
     mirrored = crc_hqx(data.translate(MIRRORED_BITS), 0xFFFF)
     return mirrored.to_bytes(2, "big").translate(MIRRORED_BITS)
@@ -326,7 +227,7 @@ class Field:
     constant: int | None
 
     @property
-    def item_size(self) -> int:
+    def item_size_bytes(self) -> int:
         """Bytes of one item on the wire; it decides the order of the fields."""
         return struct.calcsize("<" + _STRUCT_CODE[self.type])
 
@@ -340,7 +241,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class MessageSpec:
-    """One message type: its fields in wire order and what is derived from them."""
+    """One message type: its fields in wire order and derived data."""
 
     id: int
     name: str
@@ -348,32 +249,20 @@ class MessageSpec:
     crc_extra: bytes
     base_size: int
     full: struct.Struct = field(repr=False)
-    base: struct.Struct = field(repr=False)
-    target_system_at: int | None
-    target_component_at: int | None
 
 
-def _crc_extra(name: str, base_fields: list[Field]) -> bytes:
+def _crc_extra(message_name: str, base_fields: list[Field]) -> bytes:
     """The byte that makes two definitions of one message id incompatible, if they differ."""
-    text = f"{name} ".encode()
+    text = f"{message_name} ".encode()
     for item in base_fields:
         text += f"{_C_NAME[item.type]} {item.name} ".encode()
         if item.count:
             text += bytes([item.count])
-    low, high = crc_bytes(text)
+    low, high = crc16_mcrf4xx_bytes(text)
     return bytes([low ^ high])
 
 
-def _offset(fields: list[Field], name: str) -> int | None:
-    offset = 0
-    for item in fields:
-        if item.name == name:
-            return offset
-        offset += struct.calcsize("<" + item.struct_code)
-    return None
-
-
-def _spec(id_text: str, name: str, definition: str) -> MessageSpec:
+def _parse_message_spec(id_text: str, name: str, definition: str) -> MessageSpec:
     base_text, _, extension_text = definition.partition("|")
     parsed = [
         Field(
@@ -386,26 +275,24 @@ def _spec(id_text: str, name: str, definition: str) -> MessageSpec:
         for text, extension in ((base_text, False), (extension_text, True))
         for match in _FIELD.finditer(text)
     ]
-    base = sorted((f for f in parsed if not f.extension), key=lambda f: -f.item_size)  # is stable
+    base = sorted(
+        (f for f in parsed if not f.extension), key=lambda f: -f.item_size_bytes
+    )  # is stable
     fields = base + [f for f in parsed if f.extension]
-    base_struct = struct.Struct("<" + "".join(f.struct_code for f in base))
     return MessageSpec(
         id=int(id_text),
         name=name,
         fields=tuple(fields),
         crc_extra=_crc_extra(name, base),
-        base_size=base_struct.size,
+        base_size=struct.calcsize("<" + "".join(f.struct_code for f in base)),
         full=struct.Struct("<" + "".join(f.struct_code for f in fields)),
-        base=base_struct,
-        target_system_at=_offset(fields, "target_system"),
-        target_component_at=_offset(fields, "target_component"),
     )
 
 
-def _parse(definitions: str) -> dict[str, MessageSpec]:
+def _parse_message_definitions(definitions: str) -> dict[str, MessageSpec]:
     blocks = re.findall(r"^(\d+) (\w+)\n((?:    .*\n)+)", definitions, re.MULTILINE)
-    return {name: _spec(id_text, name, body) for id_text, name, body in blocks}
+    return {name: _parse_message_spec(id_text, name, body) for id_text, name, body in blocks}
 
 
-SPECS: dict[str, MessageSpec] = _parse(_DEFINITIONS)
+SPECS: dict[str, MessageSpec] = _parse_message_definitions(_DEFINITIONS)
 SPECS_BY_ID: dict[int, MessageSpec] = {spec.id: spec for spec in SPECS.values()}

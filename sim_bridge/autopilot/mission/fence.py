@@ -20,7 +20,7 @@ _VERTICES = (
 
 
 class Breach(Enum):
-    """What was breached, by its MAVLink FENCE_BREACH number."""
+    """Type of a breach, by its MAVLink FENCE_BREACH number."""
 
     MAX_HEIGHT = 2
     BOUNDARY = 3
@@ -34,14 +34,14 @@ class Area:
     radius_m: float | None
     is_inclusion: bool
 
-    def contains(self, point: PointNE) -> bool:
-        """Whether a point lies inside."""
+    def contains(self, point_ne_m: PointNE) -> bool:
+        """Return True if a point is inside."""
         if self.radius_m is not None:
-            return math.dist(point, self.vertices_ne_m[0]) <= self.radius_m
-        return _in_polygon(point, self.vertices_ne_m)
+            return math.dist(point_ne_m, self.vertices_ne_m[0]) <= self.radius_m
+        return _is_in_polygon(point_ne_m, self.vertices_ne_m)
 
 
-def _in_polygon(point: PointNE, vertices: Sequence[PointNE]) -> bool:
+def _is_in_polygon(point: PointNE, vertices: Sequence[PointNE]) -> bool:
     """Crossing-number test; the boundary belongs to either side."""
     north, east = point
     inside = False
@@ -54,12 +54,14 @@ def _in_polygon(point: PointNE, vertices: Sequence[PointNE]) -> bool:
     return inside
 
 
-def read_areas(items: Sequence[MissionItem], frame: LocalFrame) -> tuple[Area, ...]:
+def fence_areas_from_items(
+    items: Sequence[MissionItem], local_frame: LocalFrame
+) -> tuple[Area, ...]:
     """The areas of a stored fence; an incomplete polygon is left out."""
     areas: list[Area] = []
     vertices: list[PointNE] = []
     for item in items:
-        point = frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
+        point = local_frame.to_ne_m(item.x * 1e-7, item.y * 1e-7)
         is_inclusion = item.command in (
             Cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION,
             Cmd.NAV_FENCE_CIRCLE_INCLUSION,
@@ -76,7 +78,7 @@ def read_areas(items: Sequence[MissionItem], frame: LocalFrame) -> tuple[Area, .
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """Everything that bounds the flight; None where there is no bound."""
+    """All limits of the flight; None for no limit."""
 
     areas: tuple[Area, ...] = ()
     radius_m: float | None = None
@@ -84,23 +86,25 @@ class Fence:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is bounded."""
+        """Return True without any limit."""
         return not self.areas and self.radius_m is None and self.height_m is None
 
-    def breach(self, point: PointNE, home: PointNE, height_m: float) -> Breach | None:
-        """What a position breaches; `height_m` is above home.
+    def breach_at(
+        self, point_ne_m: PointNE, home_ne_m: PointNE, height_above_home_m: float
+    ) -> Breach | None:
+        """Return the breach at a position; `height_above_home_m` is above home.
 
-        With several inclusion areas one suffices (PX4); ArduPilot wants them all unless
-        FENCE_OPTIONS says otherwise, and one is the usual number.
+        With several inclusion areas, one is sufficient (PX4); ArduPilot requires all unless
+        FENCE_OPTIONS differs, and usually there is one.
         """
-        if self.height_m is not None and height_m > self.height_m:
+        if self.height_m is not None and height_above_home_m > self.height_m:
             return Breach.MAX_HEIGHT
-        if self.radius_m is not None and math.dist(point, home) > self.radius_m:
+        if self.radius_m is not None and math.dist(point_ne_m, home_ne_m) > self.radius_m:
             return Breach.BOUNDARY
         inclusions = [area for area in self.areas if area.is_inclusion]
-        if inclusions and not any(area.contains(point) for area in inclusions):
+        if inclusions and not any(area.contains(point_ne_m) for area in inclusions):
             return Breach.BOUNDARY
-        if any(area.contains(point) for area in self.areas if not area.is_inclusion):
+        if any(area.contains(point_ne_m) for area in self.areas if not area.is_inclusion):
             return Breach.BOUNDARY
         return None
 
@@ -112,11 +116,11 @@ class Geofence:
         self._state = state
         self.fence = Fence()
 
-    def breach(self) -> Breach | None:
-        """What the vehicle breaches now; nothing on the ground or without a position."""
+    def current_vehicle_breach(self) -> Breach | None:
+        """Return the vehicle's current breach; None on the ground or without a position."""
         state = self._state
         if self.fence.is_empty or state.is_landed or not state.has_position:
             return None
         north, east, _ = state.pos_ned_m
         home = state.home_ned_m
-        return self.fence.breach((north, east), (home[0], home[1]), state.height_above_home_m)
+        return self.fence.breach_at((north, east), (home[0], home[1]), state.height_above_home_m)

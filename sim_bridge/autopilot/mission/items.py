@@ -1,6 +1,6 @@
 """Mission, fence and rally items as an autopilot stores them.
 
-What each autopilot accepts and gives back differs item by item: see `mission_items.py` of each.
+Each autopilot accepts and returns items differently: see `mission_items.py` of each.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ NO_COORDINATE = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One item as stored: `x`, `y` in degE7 where the command has a place, else its params 5, 6."""
+    """One stored item: `x`, `y` in degE7 for commands with a position, else params 5, 6."""
 
     command: int
     frame: int
@@ -27,12 +27,12 @@ class MissionItem:
     autocontinue: bool = True
 
     @property
-    def params(self) -> tuple[float, float, float, float]:
+    def first_four_params(self) -> tuple[float, float, float, float]:
         """The four float parameters."""
         return self.param1, self.param2, self.param3, self.param4
 
 
-PLACED = frozenset(
+POSITIONED_COMMANDS = frozenset(
     {
         Cmd.NAV_WAYPOINT,
         Cmd.NAV_LOITER_UNLIM,
@@ -51,9 +51,9 @@ PLACED = frozenset(
         Cmd.NAV_RALLY_POINT,
     }
 )
-"""Commands whose x and y are a place."""
+"""Commands whose x and y are a position."""
 
-NAVIGATING = frozenset(
+NAVIGATION_COMMANDS = frozenset(
     {
         Cmd.NAV_WAYPOINT,
         Cmd.NAV_LOITER_UNLIM,
@@ -79,9 +79,9 @@ FENCE_COMMANDS = frozenset(
 )
 
 
-def place_error(item: MissionItem) -> MissionResult | None:
-    """Why an item's coordinates are refused; None if they are in range."""
-    if item.command not in PLACED:
+def coordinate_error(item: MissionItem) -> MissionResult | None:
+    """Return the error in an item's coordinates; None if they are in range."""
+    if item.command not in POSITIONED_COMMANDS:
         return None
     if item.x != NO_COORDINATE and abs(item.x) > 900_000_000:
         return MissionResult.INVALID_PARAM5_X
@@ -90,7 +90,7 @@ def place_error(item: MissionItem) -> MissionResult | None:
     return None
 
 
-YAW_MAY_BE_NAN = frozenset({Cmd.NAV_WAYPOINT, Cmd.NAV_LAND, Cmd.NAV_TAKEOFF})
+NAN_YAW_COMMANDS = frozenset({Cmd.NAV_WAYPOINT, Cmd.NAV_LAND, Cmd.NAV_TAKEOFF})
 """Commands whose param4 is a heading; NaN leaves it open."""
 
 
@@ -107,7 +107,7 @@ class MissionStore:
     areas_revision: int = 0
     """Counts the changes of fence and rally points."""
 
-    def of(self, mission_type: int) -> list[MissionItem]:
+    def items_of_type(self, mission_type: int) -> list[MissionItem]:
         """The list of one mission type."""
         return {
             MissionType.MISSION: self.mission,

@@ -1,4 +1,4 @@
-"""PX4 (1.18) as the simulated autopilot plays it, put together from its parts."""
+"""Simulated PX4 (1.18), constructed from its components."""
 
 from sim_bridge.autopilot.base.goals import Goal, Idle, Setpoint
 from sim_bridge.autopilot.base.modes import PILOTED, Mode
@@ -9,22 +9,22 @@ from sim_bridge.autopilot.flight.targets import ModeTargets
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult, MissionState, Severity
 from sim_bridge.autopilot.mavlink.router import Px4Router
-from sim_bridge.autopilot.px4.checks import PREVENT_ARMING, Px4Checks
+from sim_bridge.autopilot.px4.checks import NON_ARMABLE_MODES, Px4Checks
 from sim_bridge.autopilot.px4.commands import Px4Commands
 from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
 from sim_bridge.autopilot.px4.guided import Px4Guided
 from sim_bridge.autopilot.px4.mission import Px4Mission
-from sim_bridge.autopilot.px4.mission_items import Px4MissionRules
-from sim_bridge.autopilot.px4.mode_numbers import SWITCH_MODES, mode_of
+from sim_bridge.autopilot.px4.mission_items import PX4_MISSION
+from sim_bridge.autopilot.px4.mode_numbers import SWITCH_MODES, mode_from_custom_mode
 from sim_bridge.autopilot.px4.modes import Px4Modes
 from sim_bridge.autopilot.px4.payload import Px4Payload
 from sim_bridge.autopilot.px4.rules import Px4Rules
-from sim_bridge.autopilot.px4.telemetry import Px4LinkHabits, Px4Telemetry
+from sim_bridge.autopilot.px4.telemetry import Px4LinkPolicy, Px4Telemetry
 from sim_bridge.autopilot.services.commands import CommonCommands, Firmware
 from sim_bridge.autopilot.state import RADIO, EstimatorTiming
 
 _SWITCH_EDGES_US = (1160, 1320, 1480, 1640, 1800)
-_STICK_PERIOD_S = 0.1
+_RC_SAMPLE_PERIOD_S = 0.1
 _DOES_NOT_EXIST, _TYPE_MISMATCH = 1, 7
 """MAV_PARAM_ERROR, as the MAVLink development set has it."""
 _FIRMWARE = Firmware(
@@ -40,12 +40,12 @@ class Px4:
     """Implements `AutopilotBehaviour` and `CommanderHooks` as PX4 does."""
 
     rules = Px4Rules()
-    mission_rules = Px4MissionRules()
-    habits = Px4LinkHabits()
+    mission_rules = PX4_MISSION
+    habits = Px4LinkPolicy()
     router = Px4Router
-    timing = EstimatorTiming(ready_after_s=12.0, gnss_patience_s=5.0)
+    timing = EstimatorTiming(ready_after_s=12.0, gnss_timeout_s=5.0)
     landing_lean_limit_rad: float | None = None
-    answers_ping = True
+    responds_to_ping = True
 
     def __init__(self, parts: AutopilotParts) -> None:
         state, radio, guidance, rc = parts.state, parts.radio, parts.guidance, parts.rc
@@ -101,8 +101,8 @@ class Px4:
         self._changed: list[str] = []
 
     @property
-    def release(self) -> bool:
-        """Whether the gripper is open."""
+    def is_gripper_open(self) -> bool:
+        """Return True if the gripper is open."""
         return self._payload.release
 
     # --- flying -------------------------------------------------------------------------------
@@ -111,48 +111,48 @@ class Px4:
         """Without radio control it boots into HOLD."""
         return Mode.HOLD
 
-    def goal(self) -> Goal:
-        """What the present mode asks for."""
-        return self._modes.goal()
+    def advance_mode_and_return_goal(self) -> Goal:
+        """Return the goal of the current mode."""
+        return self._modes.advance_mode_and_return_goal()
 
-    def remaining_frac(self) -> float | None:
+    def update_remaining_battery_frac(self) -> float | None:
         """Remaining battery charge."""
-        return self._telemetry.remaining_frac()
+        return self._telemetry.update_remaining_battery_frac()
 
-    def boot(self, *, in_flight: bool) -> None:
-        """Forget what a reboot loses."""
+    def reset_at_reboot(self, *, in_flight: bool) -> None:
+        """Reset the volatile state at a reboot."""
         self._guidance.speed_override_mps = None
-        self._targets.clear()
+        self._targets.clear_except_setpoint()
         self._targets.setpoint = None
-        self._failsafe.boot()
-        self.mission.boot()
+        self._failsafe.reset_failure_latches()
+        self.mission.discard_pending_mission()
         if in_flight:
             return
         self._payload.release = False
-        self.executor.stop()
-        self.executor.restart()
+        self.executor.deactivate_keeping_item()
+        self.executor.reset_to_first_item()
 
-    def slow_step(self) -> None:
-        """What is done at 10 Hz, in PX4's order."""
-        self.mission.switch_when_due()
-        self._follow_rc()
+    def run_10hz_tasks(self) -> None:
+        """Run the 10 Hz tasks, in PX4's order."""
+        self.mission.activate_pending_mission_if_due()
+        self._apply_mode_switch_and_stick_override()
         if self._state.is_armed:
-            self._failsafe.watch()
+            self._failsafe.check_failures_and_trigger_failsafes()
         if not self._state.is_landed:
-            self.commander.note_flying()
-        self.mission.slow_step()
-        self._disarm_on_ground()
-        self._failsafe.act_when_due()
-        self._payload.step()
-        self._announce_changed_parameters()
-        self.mission.repeat_reached()
+            self.commander.record_takeoff()
+        self.mission.hold_after_mission_end_in_air()
+        self._disarm_after_ground_delay()
+        self._failsafe.run_due_delayed_action()
+        self._payload.send_due_acks()
+        self._send_changed_parameters_on_all_links()
+        self.mission.resend_item_reached_if_due()
 
-    def _disarm_on_ground(self) -> None:
-        """Disarm after a while on the ground, but never while a mission is in progress.
+    def _disarm_after_ground_delay(self) -> None:
+        """Disarm after a delay on the ground, but never while a mission is in progress.
 
-        As Commander.cpp (handleAutoDisarm) has it, the clock stands still meanwhile: it keeps what
-        it showed before the take-off. So the end of a mission that was flown from arming to
-        landing disarms at once (0.02 to 0.04 s after landed, measured), not after COM_DISARM_LAND.
+        As in Commander.cpp (handleAutoDisarm), the clock does not advance meanwhile: it keeps its
+        value from before the take-off. So the end of a mission flown from arming to landing disarms
+        at once (0.02 to 0.04 s after landed, measured), not after COM_DISARM_LAND.
         """
         state, params = self._state, self._state.params
         if not state.is_armed:
@@ -175,83 +175,84 @@ class Px4:
 
     # --- commander's hooks --------------------------------------------------------------------
 
-    def leaving(self, mode: Mode) -> None:
-        """End what the mode has under way."""
+    def on_mode_exit(self, mode: Mode) -> None:
+        """End the activity of the mode that is left."""
         if mode is Mode.AUTO:
-            self.executor.stop()
-            self.mission.left()
+            self.executor.deactivate_keeping_item()
+            self.mission.command_companions_at_mode_exit()
         self._targets.returning = None
         self._guidance.fixed_yaw_rad = None
 
-    def entered(self, mode: Mode) -> None:
-        """Start what the mode is for."""
-        if mode not in PREVENT_ARMING and self._state.failsafe_reason is None:
+    def on_mode_entry(self, mode: Mode) -> None:
+        """Start the activity of the new mode."""
+        if mode not in NON_ARMABLE_MODES and self._state.failsafe_reason is None:
             self._mode_after_disarming = mode
-        self._modes.entered(mode)
+        self._modes.on_mode_entry(mode)
         if mode is Mode.AUTO and self._state.is_armed:
-            self.mission.start()
+            self.mission.start_mission_or_hold()
 
-    def armed(self) -> None:
-        """Arming starts what the mode is for."""
+    def on_armed(self) -> None:
+        """Start the mode's activity at arming."""
         self._targets.hold_point = None
         if self._state.mode is Mode.AUTO:
-            self.mission.start()
-        self._radio.say(Severity.INFO, "Armed by external command")
+            self.mission.start_mission_or_hold()
+        self._radio.send_status_text(Severity.INFO, "Armed by external command")
 
-    def disarmed(self) -> None:
-        """The mission keeps its place; a finished one will start again.
+    def on_disarmed(self) -> None:
+        """Keep the mission's index; a finished mission restarts at the next arming.
 
-        What prevents arming is left for the mode before (UserModeIntention.cpp, onDisarm; flown).
+        A mode that prevents arming reverts to the previous mode (UserModeIntention.cpp, onDisarm;
+        flown).
         """
         self._targets.setpoint = None
         if self._state.mode is Mode.AUTO:
-            self.mission.left()
-        self._failsafe.disarmed()
-        self.executor.stop()
-        self._radio.say(Severity.INFO, "Disarmed")
-        if self._state.mode in PREVENT_ARMING and self._mode_after_disarming is not None:
+            self.mission.command_companions_at_mode_exit()
+        self._failsafe.on_disarmed()
+        self.executor.deactivate_keeping_item()
+        self._radio.send_status_text(Severity.INFO, "Disarmed")
+        if self._state.mode in NON_ARMABLE_MODES and self._mode_after_disarming is not None:
             self.commander.set_mode(self._mode_after_disarming)
 
-    def home_changed(self) -> None:
-        """The leg under way moves with it (flown); HOME_POSITION where it is streamed."""
-        self.mission.executor.follow_home()
+    def on_home_changed(self) -> None:
+        """Move the current leg with home (flown); send HOME_POSITION on links that stream it."""
+        self.mission.executor.update_leg_after_home_change()
         fields = self.streams["HOME_POSITION"]()
         if fields is None:
             return
         for link in self._radio.links.values():
-            if link.interval_of("HOME_POSITION") is not None:
+            if link.message_interval_s("HOME_POSITION") is not None:
                 self._radio.send(link.id, "HOME_POSITION", **fields)
 
     # --- radio control ------------------------------------------------------------------------
 
-    def override_channels(self, system: int, channels: list[int]) -> None:
-        """From anybody, for as long as radio control may be silent."""
+    def on_rc_override(self, sender_system_id: int, channel_pulses_us: list[int]) -> None:
+        """Accept RC override from any sender, valid for the radio control timeout."""
         hold_s = max(self._state.params["COM_RC_LOSS_T"], 0.5)
-        self._rc.override(channels, self._state.t_s + hold_s)
+        self._rc.store_channel_overrides(channel_pulses_us, self._state.t_s + hold_s)
 
-    def _follow_rc(self) -> None:
+    def _apply_mode_switch_and_stick_override(self) -> None:
         """The mode switch, if one is mapped, and sticks moved in an automatic mode."""
         state = self._state
         params = state.params
-        slot = self._rc.switch(int(params["RC_MAP_FLTMODE"]), _SWITCH_EDGES_US)
+        slot = self._rc.switch_position(int(params["RC_MAP_FLTMODE"]), _SWITCH_EDGES_US)
         if slot is not None and slot != self._switch:
             self._switch = slot
             mode = SWITCH_MODES.get(int(params[f"COM_FLTMODE{slot + 1}"]))
             if mode is not None:
-                self._commands.request_mode(mode, RADIO)
+                self._commands.set_mode_if_allowed(mode, RADIO)
         if state.is_armed and not state.is_landed:
-            self._follow_sticks()
+            self._switch_mode_on_pilot_override()
         else:
-            self._sticks = self._rc.sticks()
+            self._sticks = self._rc.stick_positions()
 
-    def _follow_sticks(self) -> None:
-        """Sticks that move faster than MAN_OVERRIDE_SPD (full travels a second) take over.
+    def _switch_mode_on_pilot_override(self) -> None:
+        """Detect pilot override: sticks faster than MAN_OVERRIDE_SPD (full travels a second).
 
-        Source: PX4 1.18, manual_control/ManualControl.cpp; COM_RC_OVERRIDE is gone. A receiver
-        that comes up is taken to have been centred, with the throttle where it is.
+        Source: PX4 1.18, manual_control/ManualControl.cpp, without COM_RC_OVERRIDE. A receiver that
+        starts is assumed centred before, with its current throttle.
         """
         state = self._state
-        sticks = self._rc.sticks()
+        sticks = self._rc.stick_positions()
         before, self._sticks = self._sticks, sticks
         if sticks is None or state.mode in PILOTED:
             return
@@ -263,27 +264,29 @@ class Px4:
             2.0 * abs(sticks.throttle - before.throttle),
         )
         least_per_s = state.params["MAN_OVERRIDE_SPD"]
-        if least_per_s >= 0.0 and moved > least_per_s * _STICK_PERIOD_S:
-            self._failsafe.user_took_over()
+        if least_per_s >= 0.0 and moved > least_per_s * _RC_SAMPLE_PERIOD_S:
+            self._failsafe.cancel_failsafe_actions()
             self.commander.set_mode(Mode.LOITER if state.has_position else Mode.ALT_HOLD, RADIO)
-            self._radio.say(Severity.INFO, "Pilot took over using sticks")
+            self._radio.send_status_text(Severity.INFO, "Pilot took over using sticks")
 
     # --- messages -----------------------------------------------------------------------------
 
-    def gcs_heard(self, system: int) -> None:
+    def on_gcs_heartbeat(self, gcs_system_id: int) -> None:
         """A ground station's HEARTBEAT has arrived."""
-        self._failsafe.gcs_heard(system)
+        self._failsafe.record_gcs_heartbeat(gcs_system_id)
 
-    def take_setpoint(self, setpoint: Setpoint) -> None:
-        """Taken in any mode: a stream has to exist before OFFBOARD."""
+    def on_setpoint(self, setpoint: Setpoint) -> None:
+        """Accept set-points in any mode: a stream must exist before OFFBOARD."""
         self._targets.setpoint = setpoint
 
-    def set_mode_message(self, link_id: int, message: Message) -> None:
+    def handle_set_mode_message(self, link_id: int, message: Message) -> None:
         """SET_MODE becomes DO_SET_MODE, and is acknowledged as such."""
         result = MavResult.DENIED
         if message.base_mode & 1:
             sender = message.src_system, message.src_component
-            result = self._commands.request_mode(mode_of(message.custom_mode), sender)
+            result = self._commands.set_mode_if_allowed(
+                mode_from_custom_mode(message.custom_mode), sender
+            )
         self._radio.send(
             link_id,
             "COMMAND_ACK",
@@ -293,19 +296,19 @@ class Px4:
             target_component=message.src_component,
         )
 
-    def mission_set_current(self, link_id: int, seq: int) -> None:
+    def on_mission_set_current(self, link_id: int, seq: int) -> None:
         """MISSION_SET_CURRENT."""
-        self.mission.set_current(seq)
+        self.mission.jump_to_item(seq)
 
-    def guided_item(self, link_id: int, message: Message) -> bool:
+    def try_fly_to_guided_mission_item(self, link_id: int, message: Message) -> bool:
         """current = 2 has no meaning here."""
         return False
 
-    def data_stream(self, stream_id: int) -> tuple[str, ...]:
+    def message_names_of_stream_group(self, stream_group_id: int) -> tuple[str, ...]:
         """REQUEST_DATA_STREAM is not known."""
         return ()
 
-    def set_parameter(self, link_id: int, message: Message) -> None:
+    def handle_param_set_and_respond(self, link_id: int, message: Message) -> None:
         """The type has to be right; the stored value is sent back, or an error.
 
         A value that has changed is sent again, on every link, before it is saved
@@ -313,33 +316,33 @@ class Px4:
         """
         params, name = self._state.params, message.param_id
         if name not in params:
-            self._radio.say(Severity.INFO, f"[pm] unknown param: {name}")
-            self.parameter_unknown(link_id, message)
+            self._radio.send_status_text(Severity.INFO, f"[pm] unknown param: {name}")
+            self.handle_unknown_parameter_request(link_id, message)
             return
         before = params[name]
-        if not params.accept(name, message.param_value, message.param_type):
-            self._radio.say(Severity.ERROR, f"[pm] param types mismatch param: {name}")
-            self._refuse_parameter(link_id, message, _TYPE_MISMATCH)
+        if not params.store_wire_value_if_accepted(name, message.param_value, message.param_type):
+            self._radio.send_status_text(Severity.ERROR, f"[pm] param types mismatch param: {name}")
+            self._send_param_error(link_id, message, _TYPE_MISMATCH)
             return
         self._radio.send_parameter(link_id, name)
         if params[name] != before and name not in self._changed:
             self._changed.append(name)
 
-    def _announce_changed_parameters(self) -> None:
+    def _send_changed_parameters_on_all_links(self) -> None:
         for name in self._changed:
             for link_id in self._radio.links:
                 self._radio.send_parameter(link_id, name)
         self._changed.clear()
 
-    def answered_index(self, requested: int) -> int | None:
+    def param_value_response_index(self, requested_index: int) -> int | None:
         """The parameter's own."""
         return None
 
-    def parameter_unknown(self, link_id: int, message: Message) -> None:
+    def handle_unknown_parameter_request(self, link_id: int, message: Message) -> None:
         """PARAM_ERROR (mavlink_parameters.cpp, send_error)."""
-        self._refuse_parameter(link_id, message, _DOES_NOT_EXIST)
+        self._send_param_error(link_id, message, _DOES_NOT_EXIST)
 
-    def _refuse_parameter(self, link_id: int, message: Message, error: int) -> None:
+    def _send_param_error(self, link_id: int, message: Message, error_code: int) -> None:
         self._radio.send(
             link_id,
             "PARAM_ERROR",
@@ -347,5 +350,5 @@ class Px4:
             target_component=message.src_component,
             param_id=message.param_id,
             param_index=message.__dict__.get("param_index", -1),
-            error=error,
+            error=error_code,
         )

@@ -1,4 +1,6 @@
-"""OFFBOARD: flying by set-points from outside (flight_mode_manager, Commander's failsafe)."""
+"""OFFBOARD: flight by external set-points (flight_mode_manager, Commander's failsafe)."""
+
+from dataclasses import dataclass
 
 from sim_bridge.autopilot.base.goals import FlyVelocity, Goal, HoldPoint, Idle
 from sim_bridge.autopilot.base.modes import Mode
@@ -20,36 +22,29 @@ _LOSS_ACTIONS = {
 """COM_OBL_RC_ACT."""
 
 
+@dataclass(slots=True)
 class Px4Guided:
-    """What the latest set-point asks for, and what happens when set-points stop."""
+    """Target of the latest set-point, and the reaction to a loss of set-points."""
 
-    def __init__(
-        self,
-        state: VehicleState,
-        radio: Radio,
-        commander: Commander,
-        targets: ModeTargets,
-        checks: Px4Checks,
-    ) -> None:
-        self._state = state
-        self._radio = radio
-        self._commander = commander
-        self._targets = targets
-        self._checks = checks
+    _state: VehicleState
+    _radio: Radio
+    _commander: Commander
+    _targets: ModeTargets
+    _checks: Px4Checks
 
-    def goal(self) -> Goal:
-        """What to fly in OFFBOARD."""
+    def setpoint_goal_or_handle_loss(self) -> Goal:
+        """Return the goal in OFFBOARD."""
         state, setpoint = self._state, self._targets.setpoint
-        if setpoint is None or not self._checks.has_setpoints():
+        if setpoint is None or not self._checks.has_recent_setpoint():
             if state.is_landed:
                 return Idle()
-            self._lost()
+            self._trigger_setpoint_loss_failsafe()
             return HoldPoint(state.pos_ned_m)
         pos, vel = setpoint.pos_ned_m, setpoint.vel_ned_mps
-        wants_up = (pos is not None and pos[2] < state.pos_ned_m[2] - 0.3) or (
+        is_climb_demanded = (pos is not None and pos[2] < state.pos_ned_m[2] - 0.3) or (
             vel is not None and vel[2] < -0.1
         )
-        if state.is_landed and not (wants_up and state.is_spooled):
+        if state.is_landed and not (is_climb_demanded and state.are_motors_spooled_up):
             return Idle()
         if pos is None:
             assert vel is not None
@@ -58,10 +53,12 @@ class Px4Guided:
             )
         return HoldPoint(pos, setpoint.yaw_rad)
 
-    def _lost(self) -> None:
+    def _trigger_setpoint_loss_failsafe(self) -> None:
         """COM_OBL_RC_ACT; RTL if that mode cannot run."""
-        self._commander.note_failsafe("offboard")
-        self._radio.say(Severity.CRITICAL, "Failsafe activated: Offboard control lost")
+        self._commander.set_failsafe_reason("offboard")
+        self._radio.send_status_text(Severity.CRITICAL, "Failsafe activated: Offboard control lost")
         action = int(self._state.params["COM_OBL_RC_ACT"])
-        wanted = _LOSS_ACTIONS.get(action, Mode.RTL)
-        self._commander.set_mode(wanted if self._checks.can_run(wanted) else Mode.RTL)
+        failsafe_mode = _LOSS_ACTIONS.get(action, Mode.RTL)
+        self._commander.set_mode(
+            failsafe_mode if self._checks.can_mode_run(failsafe_mode) else Mode.RTL
+        )

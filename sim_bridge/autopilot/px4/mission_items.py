@@ -1,11 +1,11 @@
-"""What PX4 accepts and stores of mission, fence and rally items.
+"""Validation and storage of mission, fence and rally items in PX4.
 
 Source: src/modules/mavlink/mavlink_mission.cpp (parse_mavlink_mission_item,
 format_mavlink_mission_item).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from sim_bridge.autopilot.mavlink.enums import (
     AMSL_FRAMES,
@@ -15,9 +15,10 @@ from sim_bridge.autopilot.mavlink.enums import (
     MissionResult,
     MissionType,
 )
-from sim_bridge.autopilot.mission.items import FENCE_COMMANDS, YAW_MAY_BE_NAN, MissionItem
+from sim_bridge.autopilot.mission.items import FENCE_COMMANDS, NAN_YAW_COMMANDS, MissionItem
+from sim_bridge.autopilot.services.mission_protocol import MissionRules
 
-_PLACED = frozenset(
+_POSITIONED_COMMANDS = frozenset(
     {
         Cmd.NAV_WAYPOINT,
         Cmd.NAV_LOITER_UNLIM,
@@ -28,7 +29,7 @@ _PLACED = frozenset(
         Cmd.DO_SET_ROI_LOCATION,
     }
 )
-_PLACELESS = frozenset(
+_UNPOSITIONED_COMMANDS = frozenset(
     {
         Cmd.DO_JUMP,
         Cmd.DO_GRIPPER,
@@ -47,8 +48,8 @@ _PLACELESS = frozenset(
         Cmd.DO_GIMBAL_MANAGER_CONFIGURE,
     }
 )
-"""These need frame MISSION (2): with any other frame PX4 answers UNSUPPORTED."""
-_KEPT = {
+"""These require frame MISSION (2): PX4 responds UNSUPPORTED to any other frame."""
+_STORED_PARAMS = {
     Cmd.NAV_WAYPOINT: 0b1011,
     Cmd.NAV_LOITER_UNLIM: 0b1100,
     Cmd.NAV_LOITER_TIME: 0b1111,
@@ -57,53 +58,59 @@ _KEPT = {
     Cmd.NAV_LOITER_TO_ALT: 0b1011,
     Cmd.NAV_RALLY_POINT: 0b0000,
 }
-JUMP_FOREVER = 65535
+JUMP_UNLIMITED = 65535
 """PX4 keeps the repeats unsigned in 16 bits: -1 becomes this."""
 
 
-@dataclass(frozen=True, slots=True)
-class Px4MissionRules:
-    """Items with a place keep their frame and NaN; items without one need frame MISSION."""
-
-    request_name: str = "MISSION_REQUEST_INT"
-    unknown_type: MissionResult = MissionResult.NO_SPACE
-    has_home_item: bool = False
-    is_atomic: bool = True
-    takes_partial_writes: bool = False
-    retry_s: float = 0.25
-    timeout_s: float = 5.0
-    capacity: int = 500
-
-    def take(self, item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
-        """The item as it is stored, or why it is refused."""
-        if item.frame == MavFrame.MISSION:
-            if mission_type != MissionType.MISSION or item.command not in _PLACELESS:
-                return MissionResult.UNSUPPORTED
-            if item.command == Cmd.DO_JUMP:
-                jump, repeats = item.param1, item.param2
-                if not (math.isfinite(jump) and math.isfinite(repeats)):
-                    return MissionResult.INVALID
-                return replace(item, param2=float(int(repeats) & JUMP_FOREVER))
-            return item
-        if item.frame not in AMSL_FRAMES | RELATIVE_FRAMES:
-            return MissionResult.UNSUPPORTED_FRAME
-        supported = {
-            MissionType.MISSION: _PLACED,
-            MissionType.FENCE: FENCE_COMMANDS | {Cmd.NAV_WAYPOINT},  # taken, and then no fence
-            MissionType.RALLY: {Cmd.NAV_RALLY_POINT},
-        }.get(MissionType(mission_type), frozenset())
-        if item.command not in supported:
+def validate_item(item: MissionItem, mission_type: int) -> MissionItem | MissionResult:
+    """Return the item as stored, or the reason for its rejection."""
+    if item.frame == MavFrame.MISSION:
+        if mission_type != MissionType.MISSION or item.command not in _UNPOSITIONED_COMMANDS:
             return MissionResult.UNSUPPORTED
-        kept = _KEPT.get(Cmd(item.command), 0b1111)
-        params = [value if kept >> number & 1 else 0.0 for number, value in enumerate(item.params)]
-        if item.command in YAW_MAY_BE_NAN and math.isfinite(params[3]):
-            params[3] %= 360.0
-        return replace(item, param1=params[0], param2=params[1], param3=params[2], param4=params[3])
-
-    def give(self, item: MissionItem) -> MissionItem:
-        """The item as it is read back in a MISSION_ITEM_INT."""
-        if item.frame in AMSL_FRAMES:
-            return replace(item, frame=int(MavFrame.GLOBAL_INT))
-        if item.frame in RELATIVE_FRAMES:
-            return replace(item, frame=int(MavFrame.GLOBAL_RELATIVE_ALT_INT))
+        if item.command == Cmd.DO_JUMP:
+            jump, repeats = item.param1, item.param2
+            if not (math.isfinite(jump) and math.isfinite(repeats)):
+                return MissionResult.INVALID
+            return replace(item, param2=float(int(repeats) & JUMP_UNLIMITED))
         return item
+    if item.frame not in AMSL_FRAMES | RELATIVE_FRAMES:
+        return MissionResult.UNSUPPORTED_FRAME
+    supported = {
+        MissionType.MISSION: _POSITIONED_COMMANDS,
+        MissionType.FENCE: FENCE_COMMANDS
+        | {Cmd.NAV_WAYPOINT},  # accepted, but without effect as a fence
+        MissionType.RALLY: {Cmd.NAV_RALLY_POINT},
+    }.get(MissionType(mission_type), frozenset())
+    if item.command not in supported:
+        return MissionResult.UNSUPPORTED
+    kept = _STORED_PARAMS.get(Cmd(item.command), 0b1111)
+    params = [
+        value if kept >> number & 1 else 0.0 for number, value in enumerate(item.first_four_params)
+    ]
+    if item.command in NAN_YAW_COMMANDS and math.isfinite(params[3]):
+        params[3] %= 360.0
+    return replace(item, param1=params[0], param2=params[1], param3=params[2], param4=params[3])
+
+
+def item_as_read_back(item: MissionItem) -> MissionItem:
+    """Return the item as read back in a MISSION_ITEM_INT."""
+    if item.frame in AMSL_FRAMES:
+        return replace(item, frame=int(MavFrame.GLOBAL_INT))
+    if item.frame in RELATIVE_FRAMES:
+        return replace(item, frame=int(MavFrame.GLOBAL_RELATIVE_ALT_INT))
+    return item
+
+
+PX4_MISSION = MissionRules(
+    request_name="MISSION_REQUEST_INT",
+    unknown_type=MissionResult.NO_SPACE,
+    has_home_item=False,
+    is_atomic=True,
+    accepts_partial_writes=False,
+    retry_s=0.25,
+    timeout_s=5.0,
+    capacity=500,
+    validate_item=validate_item,
+    encode_item=item_as_read_back,
+)
+"""Items with a position keep their frame and NaN; other items require frame MISSION."""

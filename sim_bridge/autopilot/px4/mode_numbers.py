@@ -60,8 +60,8 @@ def high_latency_custom_mode_of(mode: Mode) -> int:
     return sub << 8 | main
 
 
-def mode_of(custom_mode: int) -> Mode | None:
-    """The mode that a PX4 custom_mode names; None if there is none."""
+def mode_from_custom_mode(custom_mode: int) -> Mode | None:
+    """Return the mode of a PX4 custom_mode; None if undefined."""
     return MODES.get((custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF))
 
 

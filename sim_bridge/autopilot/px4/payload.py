@@ -13,20 +13,20 @@ from sim_bridge.autopilot.state import VehicleState
 
 
 @dataclass(frozen=True, slots=True)
-class _Pending:
-    """An acknowledgement that is due when an action has taken its time."""
+class _PendingAck:
+    """An acknowledgement that is due after the action's duration."""
 
     command: Command
     due_s: float
 
 
 class Px4Payload:
-    """`release` says whether the parcel is let go; the outputs are open loop."""
+    """Gripper state. `release` is True when the parcel is released; the outputs are open loop."""
 
     def __init__(self, state: VehicleState, radio: Radio) -> None:
         self._state = state
         self._radio = radio
-        self._pending: list[_Pending] = []
+        self._pending: list[_PendingAck] = []
         self.release = False
 
     @property
@@ -34,25 +34,25 @@ class Px4Payload:
         """PD_GRIPPER_TYPE: -1 none, 0 servo (the default)."""
         return self._state.params["PD_GRIPPER_TYPE"] >= 0.0
 
-    def grip(self, action: int) -> None:
+    def set_gripper(self, gripper_action: int) -> None:
         """DO_GRIPPER: 0 releases, 1 grabs."""
-        self.release = action == 0
+        self.release = gripper_action == 0
 
-    def set_actuator(self, value: float) -> None:
+    def set_release_by_actuator_value(self, actuator_value: float) -> None:
         """DO_SET_ACTUATOR: above 0 releases; NaN leaves it as it is."""
-        if math.isfinite(value):
-            self.release = value > 0.0
+        if math.isfinite(actuator_value):
+            self.release = actuator_value > 0.0
 
-    def finish_later(self, command: Command, wait_s: float) -> None:
-        """Acknowledge a command as done after a while."""
-        self._pending.append(_Pending(command, self._state.t_s + wait_s))
+    def schedule_ack(self, command: Command, wait_s: float) -> None:
+        """Acknowledge a command as complete after its duration."""
+        self._pending.append(_PendingAck(command, self._state.t_s + wait_s))
 
-    def is_busy_with(self, number: int) -> bool:
-        """Whether such a command is not yet done."""
-        return any(pending.command.number == number for pending in self._pending)
+    def is_command_ack_pending(self, command_number: int) -> bool:
+        """Return True while such a command is not complete."""
+        return any(pending.command.number == command_number for pending in self._pending)
 
-    def step(self) -> None:
-        """Acknowledge what is done by now."""
+    def send_due_acks(self) -> None:
+        """Acknowledge completed commands."""
         for pending in [entry for entry in self._pending if entry.due_s <= self._state.t_s]:
             self._pending.remove(pending)
-            self._radio.acknowledge(pending.command, MavResult.ACCEPTED)
+            self._radio.send_command_ack(pending.command, MavResult.ACCEPTED)

@@ -1,4 +1,4 @@
-"""What PX4's parameters mean for flying, in SI."""
+"""Flight rules from PX4's parameters, in SI."""
 
 import math
 
@@ -6,7 +6,7 @@ from sim_bridge.autopilot.flight.guidance import Limits
 from sim_bridge.autopilot.flight.returning import ReturnPlan
 from sim_bridge.autopilot.flight.wind import DragCoefficients
 from sim_bridge.autopilot.mavlink.parameters import ParameterStore
-from sim_bridge.autopilot.mission.fence import Fence, read_areas
+from sim_bridge.autopilot.mission.fence import Fence, fence_areas_from_items
 from sim_bridge.autopilot.mission.items import MissionStore
 from sim_bridge.autopilot.state import FlightRules, VehicleState
 
@@ -14,7 +14,8 @@ _LIFT_RAMP_S = 0.6
 """Thrust ramps up (MPC_TKO_RAMP_T): PX4 lifts off 0.9 s after the ramp began (measured), of which
 the simulated vehicle takes 0.3 s."""
 _TAKEOFF_SHORT_M, _ALT_RAD_M = 0.5, 0.8
-"""How far below its height a take-off is done with the default NAV_MC_ALT_RAD, and that default."""
+"""Height error at which a take-off is complete with the default NAV_MC_ALT_RAD, and that default.
+"""
 _NAVIGATOR_PERIOD_S = 0.05
 """navigator_main.cpp: the position is polled at 20 Hz."""
 
@@ -22,7 +23,7 @@ _NAVIGATOR_PERIOD_S = 0.05
 class Px4Rules:
     """Pure functions of the parameters."""
 
-    def flight_rules(self, params: ParameterStore) -> FlightRules:
+    def mission_flight_rules(self, params: ParameterStore) -> FlightRules:
         """NAV_*, MIS_* and MPC_* as the executor needs them."""
         radius = max(params["NAV_ACC_RAD"], 0.05)
         height = max(params["NAV_MC_ALT_RAD"], 0.05)
@@ -35,15 +36,17 @@ class Px4Rules:
             takeoff_speed_mps=max(params["MPC_TKO_SPEED"], 0.1),
             takeoff_min_height_m=max(params["MIS_TAKEOFF_ALT"], 0.0),
             corner_accel_mps2=max(params["MPC_ACC_HOR"], 0.1),
-            land_above_m=2.0,
-            land_from_m=max(params["NAV_ACC_RAD"], 2.0),  # mission_base.cpp, do_need_move_to_item
-            ramp_s=_LIFT_RAMP_S,
+            land_descent_distance_m=2.0,
+            land_transit_distance_m=max(
+                params["NAV_ACC_RAD"], 2.0
+            ),  # mission_base.cpp, do_need_move_to_item
+            thrust_ramp_s=_LIFT_RAMP_S,
             item_period_s=_NAVIGATOR_PERIOD_S,
-            height_apart=True,
-            takes_passed=False,
+            independent_height=True,
+            accepts_passed_waypoints=False,
         )
 
-    def limits(self, params: ParameterStore) -> Limits:
+    def controller_limits(self, params: ParameterStore) -> Limits:
         """MPC_* for the controller."""
         return Limits(
             horizontal_mps=max(params["MPC_XY_VEL_MAX"], 0.1),
@@ -59,29 +62,31 @@ class Px4Rules:
         drag = DragCoefficients(
             params["EKF2_BCOEF_X"], params["EKF2_BCOEF_Y"], params["EKF2_MCOEF"]
         )
-        return drag if params["EKF2_DRAG_CTRL"] == 1.0 and drag.are_usable else None
+        return drag if params["EKF2_DRAG_CTRL"] == 1.0 and drag.has_drag_on_both_axes else None
 
-    def sink_mps(self, params: ParameterStore, height_m: float) -> float:
+    def landing_descent_speed_mps(
+        self, params: ParameterStore, height_above_home_m: float
+    ) -> float:
         """MPC_LAND_SPEED below MPC_LAND_ALT2, growing to MPC_Z_V_AUTO_DN at MPC_LAND_ALT1."""
         slow, fast = params["MPC_LAND_SPEED"], params["MPC_Z_V_AUTO_DN"]
         low, high = params["MPC_LAND_ALT2"], params["MPC_LAND_ALT1"]
-        share = (height_m - low) / max(high - low, 0.1)
+        share = (height_above_home_m - low) / max(high - low, 0.1)
         return max(slow + min(max(share, 0.0), 1.0) * (fast - slow), 0.1)
 
-    def faces_legs(self, params: ParameterStore) -> bool:
+    def is_nose_pointed_along_leg(self, params: ParameterStore) -> bool:
         """MPC_YAW_MODE 0: towards the waypoint."""
         return params["MPC_YAW_MODE"] == 0.0
 
-    def fence(self, state: VehicleState, store: MissionStore) -> Fence:
+    def fence_in_force(self, state: VehicleState, store: MissionStore) -> Fence:
         """GF_* and the uploaded areas."""
         radius, height = state.params["GF_MAX_HOR_DIST"], state.params["GF_MAX_VER_DIST"]
         return Fence(
-            areas=read_areas(store.fence, state.frame),
+            areas=fence_areas_from_items(store.fence, state.frame),
             radius_m=radius if radius > 0.0 else None,
             height_m=height if height > 0.0 else None,
         )
 
-    def return_plan(self, state: VehicleState, store: MissionStore) -> ReturnPlan:
+    def return_to_launch_plan(self, state: VehicleState, store: MissionStore) -> ReturnPlan:
         """RTL_*: a cone about the destination, home or the nearest safe point."""
         params, here, home = state.params, state.pos_ned_m, state.home_ned_m
         destination = (home[0], home[1])
@@ -95,22 +100,22 @@ class Px4Rules:
         angle = math.radians(min(max(params["RTL_CONE_ANG"], 0.0), 90.0))
         if params["RTL_CONE_ANG"] > 0.0:
             if nearest <= params["RTL_MIN_DIST"]:
-                wanted = descend_alt
+                return_height_m = descend_alt
             else:
                 inside = nearest / math.tan(angle) if angle < 1.57 else 0.0
-                wanted = max(min(inside, return_alt), descend_alt)
+                return_height_m = max(min(inside, return_alt), descend_alt)
         else:
-            wanted = return_alt
-        wanted = max(wanted, height)
+            return_height_m = return_alt
+        return_height_m = max(return_height_m, height)
         delay = params["RTL_LAND_DELAY"]
         return ReturnPlan(
             destination_ne_m=destination,
-            cruise_down_m=home[2] - wanted,
-            wait_down_m=home[2] - min(descend_alt, wanted),
+            cruise_down_m=home[2] - return_height_m,
+            wait_down_m=home[2] - min(descend_alt, return_height_m),
             wait_s=math.inf if delay < 0.0 else delay,
             speed_mps=state.rules.default_speed_mps,
             climb_mps=max(params["MPC_Z_V_AUTO_UP"], 0.1),
             descend_mps=max(params["MPC_Z_V_AUTO_DN"], 0.1),
             accept_m=min(params["NAV_ACC_RAD"], 3.0),
-            faces_home=True,
+            points_nose_home=True,
         )

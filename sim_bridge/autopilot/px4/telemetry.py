@@ -1,4 +1,4 @@
-"""What PX4 sends: its own messages and figures, and what it streams by default on which link."""
+"""Telemetry of PX4: its own messages, fields, and default streams of each link."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from sim_bridge.autopilot.mavlink.parameters import ParameterStore
 from sim_bridge.autopilot.mission.executor import MissionExecutor, Phase
 from sim_bridge.autopilot.mission.items import MissionStore
 from sim_bridge.autopilot.px4.failsafe import Px4Failsafe
-from sim_bridge.autopilot.px4.mission import mission_id, mission_total
+from sim_bridge.autopilot.px4.mission import mission_current_total, mission_items_crc32
 from sim_bridge.autopilot.px4.mode_numbers import (
     base_mode_of,
     custom_mode_of,
@@ -28,7 +28,7 @@ from sim_bridge.autopilot.state import VehicleState
 _WIND_SHOWN_AFTER_S = 3.0
 
 
-def cells(params: ParameterStore) -> Px4Cells:
+def battery_cell_params(params: ParameterStore) -> Px4Cells:
     """BAT1_*."""
     return Px4Cells(
         int(params["BAT1_N_CELLS"]),
@@ -79,39 +79,39 @@ DEFAULT_RATES_HZ = {
     },
 }
 """Measured rates; the others from PX4, src/modules/mavlink/mavlink_main.cpp
-(configure_streams_to_default). Of its onboard profile, HIGHRES_IMU, ATTITUDE_QUATERNION, RC and
-servo streams are left out: 130 messages a second that a companion does not need."""
+(configure_streams_to_default). The onboard profile omits HIGHRES_IMU, ATTITUDE_QUATERNION, RC and
+servo streams: 130 messages a second that a companion does not need."""
 
 
-class Px4LinkHabits:
-    """How PX4 uses its links."""
+class Px4LinkPolicy:
+    """Link behaviour of PX4."""
 
-    def default_streams(self, kind: LinkKind) -> dict[str, float]:
+    def default_message_intervals_s(self, kind: LinkKind) -> dict[str, float]:
         """The profile of the link."""
         return {name: 1.0 / rate for name, rate in DEFAULT_RATES_HZ[kind].items()}
 
-    def status_text(
+    def status_text_and_target_links(
         self, text: str, links: Mapping[int, LinkState], t_s: float
     ) -> tuple[str, list[int]]:
-        """Only where a ground station's HEARTBEAT was heard; texts end with a tab."""
-        return text + "\t", [link.id for link in links.values() if link.has_gcs(t_s)]
+        """Send text only on links with a ground station's HEARTBEAT; texts end with a tab."""
+        return text + "\t", [link.id for link in links.values() if link.is_gcs_connected(t_s)]
 
-    def parameter_names(self, params: ParameterStore) -> list[str]:
+    def parameter_list_names(self, params: ParameterStore) -> list[str]:
         """A list begins with the checksum."""
         names = [name for i in range(len(params)) if (name := params.name_at(i)) is not None]
         return ["_HASH_CHECK", *names]
 
-    def forwards(self, kind: LinkKind, params: ParameterStore) -> bool:
+    def is_forwarding_enabled(self, kind: LinkKind, params: ParameterStore) -> bool:
         """By MAV_n_FORWARD: instance 0 is the ground station's link, 1 the companion's."""
         return params["MAV_0_FORWARD" if kind is LinkKind.GCS else "MAV_1_FORWARD"] > 0.0
 
-    def hash_check(self, params: ParameterStore) -> float:
+    def hash_check_param_value(self, params: ParameterStore) -> float:
         """The checksum's bytes, as a float's."""
-        return params.digest_as_float()
+        return params.checksum_bits_as_float()
 
 
 class Px4Telemetry:
-    """PX4's figures in the common messages, and its own messages; all builders in `streams`."""
+    """PX4's values in the common messages, and its own messages; all builders in `streams`."""
 
     autopilot_id = 12
 
@@ -134,12 +134,11 @@ class Px4Telemetry:
         self._common = CommonTelemetry(state, executor, battery, rc, self)
         self.streams: dict[str, Builder] = {
             **self._common.streams,
-            "BATTERY_STATUS": self.battery_status,
-            "WIND_COV": self.wind_cov,
-            "ALTITUDE": self.altitude,
-            "ESTIMATOR_STATUS": self.estimator_status,
-            "CURRENT_MODE": self.current_mode,
-            "HIGHRES_IMU": self._common.highres_imu,
+            "BATTERY_STATUS": self.battery_status_fields,
+            "WIND_COV": self.wind_cov_fields,
+            "ALTITUDE": self.altitude_fields,
+            "ESTIMATOR_STATUS": self.estimator_status_fields,
+            "CURRENT_MODE": self.current_mode_fields,
         }
         del self.streams["NAV_CONTROLLER_OUTPUT"]
 
@@ -151,7 +150,7 @@ class Px4Telemetry:
         """HEARTBEAT.custom_mode."""
         return custom_mode_of(mode)
 
-    def high_latency_mode(self, mode: Mode) -> int:
+    def high_latency_custom_mode(self, mode: Mode) -> int:
         """HIGH_LATENCY2.custom_mode: packed otherwise."""
         return high_latency_custom_mode_of(mode)
 
@@ -162,11 +161,11 @@ class Px4Telemetry:
             return math.nan
         return readings.airspeed_mps
 
-    def high_latency_airspeed(self) -> int:
+    def high_latency_airspeed_field(self) -> int:
         """HIGH_LATENCY2.airspeed: always 0."""
         return 0
 
-    def high_latency_wind(self) -> tuple[float, int]:
+    def high_latency_wind_mps_and_direction(self) -> tuple[float, int]:
         """Speed, and where it blows TO in units of 2 degrees."""
         wind = self._wind.estimator
         if wind is None:
@@ -174,25 +173,26 @@ class Px4Telemetry:
         heading = math.degrees(math.atan2(wind.east_mps, wind.north_mps)) % 360.0
         return math.hypot(wind.north_mps, wind.east_mps), round(heading / 2.0) % 180
 
-    def cell_voltages_mv(self, voltage_v: float | None) -> tuple[int, ...]:
-        """Each cell's mean where their number is known, else the total in the first place."""
+    def battery_status_voltages_mv(self, pack_voltage_v: float | None) -> tuple[int, ...]:
+        """Return each cell's mean if the cell count is known, else the pack voltage in the first
+        field."""
         count = min(int(self._state.params["BAT1_N_CELLS"]), 10)
-        if voltage_v is None:
+        if pack_voltage_v is None:
             return (65535,) * 10
         if count <= 0:
-            return (min(round(voltage_v * 1000.0), 65534), *(65535,) * 9)
+            return (min(round(pack_voltage_v * 1000.0), 65534), *(65535,) * 9)
         cells = int(self._state.params["BAT1_N_CELLS"])
-        return (round(voltage_v * 1000.0 / cells),) * count + (65535,) * (10 - count)
+        return (round(pack_voltage_v * 1000.0 / cells),) * count + (65535,) * (10 - count)
 
-    def remaining_frac(self) -> float | None:
+    def update_remaining_battery_frac(self) -> float | None:
         """By voltage and counted charge; SIH's is a timer."""
         state = self._state
         if self._battery.sensing is BatterySensing.SIH_TIMER:
             least = state.params["SIM_BAT_MIN_PCT"] / 100.0
-            return self._battery.sih_remaining_frac(state.params["SIM_BAT_DRAIN"], least)
-        return self._battery.px4_remaining_frac(cells(state.params))
+            return self._battery.sih_timer_remaining_frac(state.params["SIM_BAT_DRAIN"], least)
+        return self._battery.update_px4_remaining_frac(battery_cell_params(state.params))
 
-    def airborne_state(self) -> LandedState:
+    def landed_state_in_air(self) -> LandedState:
         """Taking off, landing, or in the air."""
         state = self._state
         if isinstance(state.goal, Descend):
@@ -203,13 +203,13 @@ class Px4Telemetry:
             return LandedState.TAKEOFF
         return LandedState.IN_AIR
 
-    def prearm_ok(self) -> bool:
+    def is_prearm_bit_set(self) -> bool:
         """SYS_STATUS's pre-arm bit: everything that does not depend on the mode."""
         return self._state.is_armed or self._state.ekf_is_ready
 
-    def battery_status(self) -> Fields:
+    def battery_status_fields(self) -> Fields:
         """BATTERY_STATUS: energy is never known; SIH knows no current and has consumed 0."""
-        fields = self._common.battery_status()
+        fields = self._common.battery_status_fields()
         fields["energy_consumed"] = -1
         if self._battery.sensing is BatterySensing.SIH_TIMER:
             fields["current_consumed"] = 0
@@ -220,7 +220,7 @@ class Px4Telemetry:
             fields["time_remaining"] = round(remaining * capacity * 3.6 / current)
         return fields
 
-    def wind_cov(self) -> Fields | None:
+    def wind_cov_fields(self) -> Fields | None:
         """WIND_COV: where it blows TO; only with drag fusion, and only once it flies."""
         state = self._state
         wind = self._wind.estimator
@@ -238,7 +238,7 @@ class Px4Telemetry:
             "vert_accuracy": 0.0,
         }
 
-    def altitude(self) -> Fields:
+    def altitude_fields(self) -> Fields:
         """ALTITUDE."""
         state = self._state
         down = state.pos_ned_m[2]
@@ -252,7 +252,7 @@ class Px4Telemetry:
             "bottom_clearance": math.nan,
         }
 
-    def estimator_status(self) -> Fields:
+    def estimator_status_fields(self) -> Fields:
         """ESTIMATOR_STATUS."""
         good = self._state.has_position
         return {
@@ -268,7 +268,7 @@ class Px4Telemetry:
             "pos_vert_accuracy": 1.0,
         }
 
-    def current_mode(self) -> Fields:
+    def current_mode_fields(self) -> Fields:
         """CURRENT_MODE."""
         return {
             "standard_mode": 0,
@@ -276,10 +276,10 @@ class Px4Telemetry:
             "intended_custom_mode": custom_mode_of(self._failsafe.interrupted or self._state.mode),
         }
 
-    def mission_total(self, count: int) -> int:
-        """All items; none at all is 65535."""
-        return mission_total(count)
+    def mission_current_total(self, item_count: int) -> int:
+        """Return the number of all items; 65535 for none."""
+        return mission_current_total(item_count)
 
     def mission_id(self) -> int:
-        """Of the stored list."""
-        return mission_id(self._store.mission)
+        """Return the id of the stored list."""
+        return mission_items_crc32(self._store.mission)

@@ -1,18 +1,18 @@
-"""The commands that both autopilots answer alike."""
+"""Commands that both autopilots handle in the same way."""
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sim_bridge.autopilot.flight.commander import Commander
-from sim_bridge.autopilot.mavlink.commands import Command, as_int
+from sim_bridge.autopilot.mavlink.commands import Command, int_or_default
 from sim_bridge.autopilot.mavlink.enums import Cmd, MavResult
 from sim_bridge.autopilot.mavlink.message_table import SPECS_BY_ID
-from sim_bridge.autopilot.services.radio import Builder, LinkHabits, Radio
+from sim_bridge.autopilot.services.radio import Builder, LinkPolicy, Radio
 from sim_bridge.autopilot.state import STEP_S, VehicleState
 
-HIGHEST_M = 100_000.0
-"""A home higher or deeper than this is none; HOME_POSITION could not tell it either."""
+MAX_HOME_ALT_M = 100_000.0
+"""Limit of a valid home altitude; HOME_POSITION cannot represent more."""
 
 Handler = Callable[[Command], MavResult | None]
 """None: no acknowledgement is sent (now)."""
@@ -20,7 +20,7 @@ Handler = Callable[[Command], MavResult | None]
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """What an autopilot says of its firmware, and how it refuses requests for messages."""
+    """Firmware description of an autopilot, and its response to refused message requests."""
 
     version: int
     git_hash: bytes
@@ -29,77 +29,72 @@ class Firmware:
     refused_request: MavResult
 
 
+@dataclass(slots=True)
 class CommonCommands:
     """Handlers of the common commands by number, in `handlers`."""
 
-    def __init__(
-        self,
-        state: VehicleState,
-        radio: Radio,
-        commander: Commander,
-        streams: Mapping[str, Builder],
-        habits: LinkHabits,
-        firmware: Firmware,
-    ) -> None:
-        self._state = state
-        self._radio = radio
-        self._commander = commander
-        self._streams = streams
-        self._habits = habits
-        self._firmware = firmware
-        self.handlers: dict[int, Handler] = {
+    _state: VehicleState
+    _radio: Radio
+    _commander: Commander
+    _streams: Mapping[str, Builder]
+    _habits: LinkPolicy
+    _firmware: Firmware
+    handlers: dict[int, Handler] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.handlers = {
             Cmd.SET_MESSAGE_INTERVAL: self.set_message_interval,
-            Cmd.GET_MESSAGE_INTERVAL: self.get_message_interval,
-            Cmd.REQUEST_MESSAGE: self.request_message,
-            Cmd.REQUEST_AUTOPILOT_CAPABILITIES: self.autopilot_version,
-            Cmd.REQUEST_PROTOCOL_VERSION: self.protocol_version,
-            Cmd.GET_HOME_POSITION: self.get_home_position,
-            Cmd.DO_SET_HOME: self.set_home,
+            Cmd.GET_MESSAGE_INTERVAL: self.send_message_interval,
+            Cmd.REQUEST_MESSAGE: self.send_requested_message,
+            Cmd.REQUEST_AUTOPILOT_CAPABILITIES: self.send_autopilot_version,
+            Cmd.REQUEST_PROTOCOL_VERSION: self.send_protocol_version,
+            Cmd.GET_HOME_POSITION: self.send_home_position,
+            Cmd.DO_SET_HOME: self.set_home_if_valid,
         }
 
     def set_message_interval(self, command: Command) -> MavResult:
         """SET_MESSAGE_INTERVAL: messages that the autopilot does not stream are refused."""
         state = self._state
-        spec = SPECS_BY_ID.get(as_int(command.param1))
+        spec = SPECS_BY_ID.get(int_or_default(command.param1))
         link = self._radio.links.get(command.link_id)
         if spec is None or link is None or spec.name not in self._streams:
             return self._firmware.refused_interval
         if not math.isfinite(command.param2):
             return MavResult.DENIED
         if command.param2 < 0.0:
-            link.set_interval(spec.name, None, state.t_s)
+            link.set_message_interval(spec.name, None, state.t_s)
         elif command.param2 == 0.0:
-            default = self._habits.default_streams(link.kind).get(spec.name)
-            link.set_interval(spec.name, default, state.t_s)
+            default = self._habits.default_message_intervals_s(link.kind).get(spec.name)
+            link.set_message_interval(spec.name, default, state.t_s)
         else:
-            link.set_interval(spec.name, max(command.param2 * 1e-6, STEP_S), state.t_s)
+            link.set_message_interval(spec.name, max(command.param2 * 1e-6, STEP_S), state.t_s)
         return MavResult.ACCEPTED
 
-    def get_message_interval(self, command: Command) -> MavResult:
-        """GET_MESSAGE_INTERVAL: answered by a MESSAGE_INTERVAL."""
-        spec = SPECS_BY_ID.get(as_int(command.param1))
+    def send_message_interval(self, command: Command) -> MavResult:
+        """Handle GET_MESSAGE_INTERVAL: respond with MESSAGE_INTERVAL."""
+        spec = SPECS_BY_ID.get(int_or_default(command.param1))
         link = self._radio.links.get(command.link_id)
         if link is None:
             return MavResult.FAILED
         known = spec is not None and spec.name in self._streams
-        interval = link.interval_of(spec.name) if known and spec is not None else None
+        interval = link.message_interval_s(spec.name) if known and spec is not None else None
         self._radio.send(
             command.link_id,
             "MESSAGE_INTERVAL",
-            message_id=max(as_int(command.param1), 0) & 0xFFFF,
+            message_id=max(int_or_default(command.param1), 0) & 0xFFFF,
             interval_us=0 if not known else -1 if interval is None else round(interval * 1e6),
         )
         return MavResult.ACCEPTED if known else MavResult.FAILED
 
-    def request_message(self, command: Command) -> MavResult:
+    def send_requested_message(self, command: Command) -> MavResult:
         """REQUEST_MESSAGE: one message, now."""
-        spec = SPECS_BY_ID.get(as_int(command.param1))
+        spec = SPECS_BY_ID.get(int_or_default(command.param1))
         if spec is None:
             return self._firmware.refused_request
         if spec.name == "AUTOPILOT_VERSION":
-            return self.autopilot_version(command)
+            return self.send_autopilot_version(command)
         if spec.name == "PROTOCOL_VERSION":
-            return self.protocol_version(command)
+            return self.send_protocol_version(command)
         builder = self._streams.get(spec.name)
         if builder is None:
             return self._firmware.refused_request
@@ -109,7 +104,7 @@ class CommonCommands:
         self._radio.send(command.link_id, spec.name, **fields)
         return MavResult.ACCEPTED
 
-    def autopilot_version(self, command: Command) -> MavResult:
+    def send_autopilot_version(self, command: Command) -> MavResult:
         """AUTOPILOT_VERSION: what it can do, and which firmware it is."""
         firmware = self._firmware
         self._radio.send(
@@ -130,7 +125,7 @@ class CommonCommands:
         )
         return MavResult.ACCEPTED
 
-    def protocol_version(self, command: Command) -> MavResult:
+    def send_protocol_version(self, command: Command) -> MavResult:
         """PROTOCOL_VERSION: MAVLink 2."""
         self._radio.send(
             command.link_id,
@@ -143,7 +138,7 @@ class CommonCommands:
         )
         return MavResult.ACCEPTED
 
-    def get_home_position(self, command: Command) -> MavResult:
+    def send_home_position(self, command: Command) -> MavResult:
         """GET_HOME_POSITION."""
         fields = self._streams["HOME_POSITION"]()
         if fields is None:
@@ -151,22 +146,24 @@ class CommonCommands:
         self._radio.send(command.link_id, "HOME_POSITION", **fields)
         return MavResult.ACCEPTED
 
-    def set_home(self, command: Command) -> MavResult:
-        """DO_SET_HOME: here (param1 = 1), or a place with an AMSL altitude."""
+    def set_home_if_valid(self, command: Command) -> MavResult:
+        """Handle DO_SET_HOME: here (param1 = 1), or a position with an AMSL altitude."""
         state = self._state
         if not state.has_position:
             return MavResult.FAILED
         if command.param1 == 1.0:
             self._commander.set_home(state.pos_ned_m)
             return MavResult.ACCEPTED
-        place = (command.lat_deg, command.lon_deg, command.param7)
-        limits = (90.0, 180.0, HIGHEST_M)
-        if not all(abs(number) <= limit for number, limit in zip(place, limits, strict=True)):
+        home_position = (command.lat_deg, command.lon_deg, command.param7)
+        limits = (90.0, 180.0, MAX_HOME_ALT_M)
+        if not all(
+            abs(number) <= limit for number, limit in zip(home_position, limits, strict=True)
+        ):
             return MavResult.DENIED  # NaN too
         if command.lat_deg == 0.0 and command.lon_deg == 0.0:
             return MavResult.DENIED
         north, east = state.frame.to_ne_m(command.lat_deg, command.lon_deg)
         self._commander.set_home(
-            (north, east, state.frame.alt_amsl_m - command.param7), locked=True
+            (north, east, state.frame.alt_amsl_m - command.param7), keep_when_arming=True
         )
         return MavResult.ACCEPTED

@@ -1,4 +1,4 @@
-"""Set-points from outside: what SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT ask for."""
+"""External set-points: SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT."""
 
 import math
 
@@ -13,27 +13,29 @@ _LOCAL_FRAMES = frozenset(
 )
 
 
-def _turned(vector: Vec3, yaw_rad: float) -> Vec3:
+def _rotate_by_yaw(vector: Vec3, yaw_rad: float) -> Vec3:
     sin_yaw, cos_yaw = math.sin(yaw_rad), math.cos(yaw_rad)
     x, y, z = vector
     return (x * cos_yaw - y * sin_yaw, x * sin_yaw + y * cos_yaw, z)
 
 
-def _common(message: Message, state: VehicleState, pos: Vec3 | None) -> Setpoint | None:
+def _decode_setpoint(
+    message: Message, state: VehicleState, position_ned_m: Vec3 | None
+) -> Setpoint | None:
     mask = message.type_mask
     vel: Vec3 | None = None
     if mask & TypeMask.IGNORE_VELOCITY != TypeMask.IGNORE_VELOCITY:
         vel = (message.vx, message.vy, message.vz)
         if message.coordinate_frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED):
-            vel = _turned(vel, state.yaw_rad)
+            vel = _rotate_by_yaw(vel, state.yaw_rad)
     accel = (0.0, 0.0, 0.0)
     if vel is not None and not mask & TypeMask.IGNORE_ACCELERATION:
         accel = (message.afx, message.afy, message.afz)
         if message.coordinate_frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED):
-            accel = _turned(accel, state.yaw_rad)
+            accel = _rotate_by_yaw(accel, state.yaw_rad)
     if mask & TypeMask.IGNORE_POSITION == TypeMask.IGNORE_POSITION:
-        pos = None
-    numbers = (*(pos or ()), *(vel or ()))
+        position_ned_m = None
+    numbers = (*(position_ned_m or ()), *(vel or ()))
     if not all(math.isfinite(number) for number in accel) or not numbers:
         return None
     if not all(math.isfinite(number) for number in numbers):
@@ -42,11 +44,13 @@ def _common(message: Message, state: VehicleState, pos: Vec3 | None) -> Setpoint
     rate = 0.0 if mask & TypeMask.IGNORE_YAW_RATE else message.yaw_rate
     if yaw is not None and not math.isfinite(yaw):
         yaw = None
-    return Setpoint(state.t_s, pos, vel, yaw, rate if math.isfinite(rate) else 0.0, accel)
+    return Setpoint(
+        state.t_s, position_ned_m, vel, yaw, rate if math.isfinite(rate) else 0.0, accel
+    )
 
 
-def local_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
-    """From SET_POSITION_TARGET_LOCAL_NED; None if it asks for nothing that can be flown."""
+def decode_local_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
+    """Decode SET_POSITION_TARGET_LOCAL_NED; return None if it has no flyable target."""
     frame = message.coordinate_frame
     if frame not in _LOCAL_FRAMES:
         return None
@@ -56,13 +60,13 @@ def local_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
     else:
         base = state.pos_ned_m
         if frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED):
-            given = _turned(given, state.yaw_rad)
+            given = _rotate_by_yaw(given, state.yaw_rad)
     pos = (base[0] + given[0], base[1] + given[1], base[2] + given[2])
-    return _common(message, state, pos)
+    return _decode_setpoint(message, state, pos)
 
 
-def global_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
-    """From SET_POSITION_TARGET_GLOBAL_INT; None if it asks for nothing that can be flown."""
+def decode_global_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
+    """Decode SET_POSITION_TARGET_GLOBAL_INT; return None if it has no flyable target."""
     frame = message.coordinate_frame
     if frame in AMSL_FRAMES:
         down = state.frame.alt_amsl_m - message.alt
@@ -73,4 +77,4 @@ def global_setpoint(message: Message, state: VehicleState) -> Setpoint | None:
     if abs(message.lat_int) > 900_000_000 or abs(message.lon_int) > 1_800_000_000:
         return None
     north, east = state.frame.to_ne_m(message.lat_int * 1e-7, message.lon_int * 1e-7)
-    return _common(message, state, (north, east, down))
+    return _decode_setpoint(message, state, (north, east, down))

@@ -1,10 +1,11 @@
-"""What both autopilots tell of themselves: one function for each message.
+"""Status messages of both autopilots: one function for each message.
 
-What differs between the two comes from `OwnFigures`, or from a function of the autopilot's own
-that replaces the common one under the name of the message. Fields keep their wire units.
+Differences come from `StatusSource`, or from an autopilot's own function that replaces the common
+one under the name of the message. Fields keep their wire units.
 """
 
 import math
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from sim_bridge.autopilot.base.geodesy import Vec3
@@ -24,8 +25,8 @@ from sim_bridge.autopilot.services.radio import Builder, Fields
 from sim_bridge.autopilot.state import VehicleState
 
 
-class OwnFigures(Protocol):
-    """Figures in the common messages that each autopilot computes in its own way."""
+class StatusSource(Protocol):
+    """Values in the common messages that each autopilot computes differently."""
 
     @property
     def autopilot_id(self) -> int:
@@ -40,15 +41,15 @@ class OwnFigures(Protocol):
         """HEARTBEAT.custom_mode."""
         ...
 
-    def high_latency_mode(self, mode: Mode) -> int:
+    def high_latency_custom_mode(self, mode: Mode) -> int:
         """HIGH_LATENCY2.custom_mode."""
         ...
 
-    def high_latency_airspeed(self) -> int:
+    def high_latency_airspeed_field(self) -> int:
         """HIGH_LATENCY2.airspeed, in 0.2 m/s."""
         ...
 
-    def high_latency_wind(self) -> tuple[float, int]:
+    def high_latency_wind_mps_and_direction(self) -> tuple[float, int]:
         """Wind speed in m/s, and its direction in units of 2 degrees."""
         ...
 
@@ -56,20 +57,20 @@ class OwnFigures(Protocol):
         """VFR_HUD.airspeed."""
         ...
 
-    def cell_voltages_mv(self, voltage_v: float | None) -> tuple[int, ...]:
+    def battery_status_voltages_mv(self, pack_voltage_v: float | None) -> tuple[int, ...]:
         """BATTERY_STATUS.voltages."""
         ...
 
-    def airborne_state(self) -> LandedState:
+    def landed_state_in_air(self) -> LandedState:
         """MAV_LANDED_STATE in the air."""
         ...
 
-    def prearm_ok(self) -> bool:
+    def is_prearm_bit_set(self) -> bool:
         """SYS_STATUS's pre-arm bit."""
         ...
 
-    def mission_total(self, count: int) -> int:
-        """MISSION_CURRENT.total for a plan of `count` items."""
+    def mission_current_total(self, item_count: int) -> int:
+        """MISSION_CURRENT.total for a plan of `item_count` items."""
         ...
 
     def mission_id(self) -> int:
@@ -77,11 +78,11 @@ class OwnFigures(Protocol):
         ...
 
 
-def _i16(value: float) -> int:
+def _round_and_clamp_to_int16(value: float) -> int:
     return max(-32768, min(32767, round(value)))
 
 
-def _u16(value: float) -> int:
+def _round_and_clamp_to_uint16(value: float) -> int:
     return max(0, min(65535, round(value)))
 
 
@@ -89,7 +90,7 @@ def _heading_cdeg(yaw_rad: float) -> int:
     return round(math.degrees(yaw_rad) * 100.0) % 36000
 
 
-def quaternion(
+def attitude_quaternion_wxyz(
     roll_rad: float, pitch_rad: float, yaw_rad: float
 ) -> tuple[float, float, float, float]:
     """Unit quaternion w, x, y, z of an attitude (aerospace order yaw, pitch, roll)."""
@@ -105,7 +106,7 @@ def quaternion(
 
 
 def ekf_flags(state: VehicleState) -> EkfFlag:
-    """What the estimator provides: 831 when all is well, 167 while it waits for a position."""
+    """Return the estimator's flags: 831 when fully valid, 167 while it has no position."""
     flags = EkfFlag.ATTITUDE | EkfFlag.VELOCITY_VERT | EkfFlag.POS_VERT_ABS
     if not state.has_position:
         return flags | EkfFlag.VELOCITY_HORIZ | EkfFlag.CONST_POS_MODE
@@ -119,13 +120,13 @@ def ekf_flags(state: VehicleState) -> EkfFlag:
     )
 
 
-def current_seq(executor: MissionExecutor) -> int:
+def mission_current_seq(executor: MissionExecutor) -> int:
     """MISSION_CURRENT.seq; 0 without a mission."""
     return 0 if executor.plan.is_empty else executor.index
 
 
-def mission_current(executor: MissionExecutor, total: int, mission_id: int) -> Fields:
-    """MISSION_CURRENT; `total` is the number of items as the autopilot counts them.
+def mission_current_fields(executor: MissionExecutor, item_total: int, mission_id: int) -> Fields:
+    """MISSION_CURRENT; `item_total` is the number of items as the autopilot counts them.
 
     `mission_id` changes with the stored list; 0 where the autopilot sends none.
     """
@@ -133,8 +134,8 @@ def mission_current(executor: MissionExecutor, total: int, mission_id: int) -> F
     if executor.plan.is_empty:
         state = MissionState.NO_MISSION
     return {
-        "seq": current_seq(executor),
-        "total": total,
+        "seq": mission_current_seq(executor),
+        "total": item_total,
         "mission_state": int(state),
         "mission_mode": 1 if executor.is_active else 2,
         "mission_id": mission_id,
@@ -143,46 +144,41 @@ def mission_current(executor: MissionExecutor, total: int, mission_id: int) -> F
     }
 
 
+@dataclass(slots=True)
 class CommonTelemetry:
     """Builders of the common messages by name, in `streams`."""
 
-    def __init__(
-        self,
-        state: VehicleState,
-        executor: MissionExecutor,
-        battery: BatteryMonitor,
-        rc: RcInput,
-        own: OwnFigures,
-    ) -> None:
-        self._state = state
-        self._executor = executor
-        self._battery = battery
-        self._rc = rc
-        self._own = own
-        self.streams: dict[str, Builder] = {
-            "HEARTBEAT": self.heartbeat,
-            "SYS_STATUS": self.sys_status,
-            "SYSTEM_TIME": self.system_time,
-            "ATTITUDE": self.attitude,
-            "ATTITUDE_QUATERNION": self.attitude_quaternion,
-            "GLOBAL_POSITION_INT": self.global_position_int,
-            "LOCAL_POSITION_NED": self.local_position_ned,
-            "VFR_HUD": self.vfr_hud,
-            "GPS_RAW_INT": self.gps_raw_int,
-            "GPS_GLOBAL_ORIGIN": self.gps_global_origin,
-            "BATTERY_STATUS": self.battery_status,
-            "HOME_POSITION": self.home_position,
-            "EXTENDED_SYS_STATE": self.extended_sys_state,
-            "SCALED_PRESSURE": self.scaled_pressure,
-            "MISSION_CURRENT": self.mission_current,
-            "RC_CHANNELS": self.rc_channels,
-            "SERVO_OUTPUT_RAW": self.servo_output_raw,
-            "NAV_CONTROLLER_OUTPUT": self.nav_controller_output,
-            "VIBRATION": self.vibration,
-            "HIGH_LATENCY2": self.high_latency2,
+    _state: VehicleState
+    _executor: MissionExecutor
+    _battery: BatteryMonitor
+    _rc: RcInput
+    _own: StatusSource
+    streams: dict[str, Builder] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.streams = {
+            "HEARTBEAT": self.heartbeat_fields,
+            "SYS_STATUS": self.sys_status_fields,
+            "SYSTEM_TIME": self.system_time_fields,
+            "ATTITUDE": self.attitude_fields,
+            "ATTITUDE_QUATERNION": self.attitude_quaternion_fields,
+            "GLOBAL_POSITION_INT": self.global_position_int_fields,
+            "LOCAL_POSITION_NED": self.local_position_ned_fields,
+            "VFR_HUD": self.vfr_hud_fields,
+            "GPS_RAW_INT": self.gps_raw_int_fields,
+            "GPS_GLOBAL_ORIGIN": self.gps_global_origin_fields,
+            "BATTERY_STATUS": self.battery_status_fields,
+            "HOME_POSITION": self.home_position_fields,
+            "EXTENDED_SYS_STATE": self.extended_sys_state_fields,
+            "SCALED_PRESSURE": self.scaled_pressure_fields,
+            "MISSION_CURRENT": self.mission_current_message_fields,
+            "RC_CHANNELS": self.rc_channels_fields,
+            "SERVO_OUTPUT_RAW": self.servo_output_raw_fields,
+            "NAV_CONTROLLER_OUTPUT": self.nav_controller_output_fields,
+            "HIGH_LATENCY2": self.high_latency2_fields,
         }
 
-    def heartbeat(self) -> Fields:
+    def heartbeat_fields(self) -> Fields:
         """HEARTBEAT."""
         state = self._state
         if state.failsafe_reason is not None and state.is_armed:
@@ -197,7 +193,7 @@ class CommonTelemetry:
             "system_status": int(status),
         }
 
-    def sys_status(self) -> Fields:
+    def sys_status_fields(self) -> Fields:
         """SYS_STATUS."""
         state = self._state
         present = (
@@ -224,7 +220,7 @@ class CommonTelemetry:
             health &= ~(Sensor.GPS | Sensor.XY_POSITION_CONTROL)
         if not state.ekf_is_ready:
             health &= ~(Sensor.AHRS | Sensor.XY_POSITION_CONTROL)
-        if not self._own.prearm_ok():
+        if not self._own.is_prearm_bit_set():
             health &= ~Sensor.PREARM_CHECK
         if self._rc.channels is None:
             health &= ~Sensor.RC_RECEIVER
@@ -235,8 +231,12 @@ class CommonTelemetry:
             "onboard_control_sensors_enabled": int(present),
             "onboard_control_sensors_health": int(health),
             "load": 250,
-            "voltage_battery": 65535 if voltage is None else _u16(voltage * 1000.0),
-            "current_battery": -1 if current is None else _i16(current * 100.0),
+            "voltage_battery": 65535
+            if voltage is None
+            else _round_and_clamp_to_uint16(voltage * 1000.0),
+            "current_battery": -1
+            if current is None
+            else _round_and_clamp_to_int16(current * 100.0),
             "battery_remaining": -1 if remaining is None else int(remaining * 100.0),
             "drop_rate_comm": 0,
             "errors_comm": 0,
@@ -246,7 +246,7 @@ class CommonTelemetry:
             "errors_count4": 0,
         }
 
-    def system_time(self) -> Fields:
+    def system_time_fields(self) -> Fields:
         """SYSTEM_TIME; without a fix since boot there is no calendar time."""
         state = self._state
         known = state.ekf_is_ready
@@ -255,7 +255,7 @@ class CommonTelemetry:
             "time_boot_ms": state.time_boot_ms,
         }
 
-    def attitude(self) -> Fields | None:
+    def attitude_fields(self) -> Fields | None:
         """ATTITUDE."""
         r = self._state.readings
         if r is None:
@@ -270,12 +270,12 @@ class CommonTelemetry:
             "yawspeed": r.yawspeed_rps,
         }
 
-    def attitude_quaternion(self) -> Fields | None:
+    def attitude_quaternion_fields(self) -> Fields | None:
         """ATTITUDE_QUATERNION."""
         r = self._state.readings
         if r is None:
             return None
-        q1, q2, q3, q4 = quaternion(r.roll_rad, r.pitch_rad, r.yaw_rad)
+        q1, q2, q3, q4 = attitude_quaternion_wxyz(r.roll_rad, r.pitch_rad, r.yaw_rad)
         return {
             "time_boot_ms": self._state.time_boot_ms,
             "q1": q1,
@@ -287,7 +287,7 @@ class CommonTelemetry:
             "yawspeed": r.yawspeed_rps,
         }
 
-    def global_position_int(self) -> Fields | None:
+    def global_position_int_fields(self) -> Fields | None:
         """GLOBAL_POSITION_INT; hdg in centidegrees. Silent until there is a position."""
         state = self._state
         if state.readings is None or not state.ekf_is_ready:
@@ -301,13 +301,13 @@ class CommonTelemetry:
             "lon": round(lon * 1e7),
             "alt": round((state.frame.alt_amsl_m - down) * 1e3),
             "relative_alt": round((state.home_ned_m[2] - down) * 1e3),
-            "vx": _i16(vn * 100.0),
-            "vy": _i16(ve * 100.0),
-            "vz": _i16(vd * 100.0),
+            "vx": _round_and_clamp_to_int16(vn * 100.0),
+            "vy": _round_and_clamp_to_int16(ve * 100.0),
+            "vz": _round_and_clamp_to_int16(vd * 100.0),
             "hdg": _heading_cdeg(state.readings.yaw_rad),
         }
 
-    def local_position_ned(self) -> Fields | None:
+    def local_position_ned_fields(self) -> Fields | None:
         """LOCAL_POSITION_NED, about the estimator's own origin."""
         state = self._state
         if state.readings is None or not state.ekf_is_ready:
@@ -325,7 +325,7 @@ class CommonTelemetry:
             "vz": vd,
         }
 
-    def vfr_hud(self) -> Fields | None:
+    def vfr_hud_fields(self) -> Fields | None:
         """VFR_HUD."""
         state = self._state
         if state.readings is None:
@@ -340,7 +340,7 @@ class CommonTelemetry:
             "climb": -vd,
         }
 
-    def gps_raw_int(self) -> Fields | None:
+    def gps_raw_int_fields(self) -> Fields | None:
         """GPS_RAW_INT: the receiver's own figures, not the estimate."""
         state = self._state
         r = state.readings
@@ -358,7 +358,7 @@ class CommonTelemetry:
             "alt": round((state.frame.alt_amsl_m - down) * 1e3) if ok else 0,
             "eph": 80 if ok else 65535,
             "epv": 120 if ok else 65535,
-            "vel": _u16(math.hypot(vn, ve) * 100.0) if ok else 65535,
+            "vel": _round_and_clamp_to_uint16(math.hypot(vn, ve) * 100.0) if ok else 65535,
             "cog": _heading_cdeg(math.atan2(ve, vn)) if ok else 65535,
             "satellites_visible": 12 if ok else 0,
             "h_acc": 900 if ok else 0,
@@ -366,20 +366,24 @@ class CommonTelemetry:
             "vel_acc": 200 if ok else 0,
         }
 
-    def battery_status(self) -> Fields:
+    def battery_status_fields(self) -> Fields:
         """BATTERY_STATUS: unknown is -1 or 65535."""
         voltage, current = self._battery.voltage_v, self._battery.reported_current_a
         battery = self._battery
-        counted = battery.knows_current and current is not None
+        counted = battery.has_current and current is not None
         remaining = self._battery.remaining_frac
         temperature = battery.temperature_c
         return {
             "id": 0,
             "battery_function": 0,
             "type": 0,
-            "temperature": 32767 if temperature is None else _i16(temperature * 100.0),
-            "voltages": self._own.cell_voltages_mv(voltage),
-            "current_battery": -1 if current is None else _i16(current * 100.0),
+            "temperature": 32767
+            if temperature is None
+            else _round_and_clamp_to_int16(temperature * 100.0),
+            "voltages": self._own.battery_status_voltages_mv(voltage),
+            "current_battery": -1
+            if current is None
+            else _round_and_clamp_to_int16(current * 100.0),
             "current_consumed": round(battery.consumed_mah) if counted else -1,
             "energy_consumed": round(battery.consumed_j / 100.0) if counted else -1,
             "battery_remaining": -1 if remaining is None else math.ceil(remaining * 100.0),
@@ -387,7 +391,7 @@ class CommonTelemetry:
             "charge_state": 1,
         }
 
-    def home_position(self) -> Fields | None:
+    def home_position_fields(self) -> Fields | None:
         """HOME_POSITION, once home is known."""
         state = self._state
         if not state.home_is_set:
@@ -409,7 +413,7 @@ class CommonTelemetry:
             "time_usec": state.time_boot_ms * 1000,
         }
 
-    def gps_global_origin(self) -> Fields | None:
+    def gps_global_origin_fields(self) -> Fields | None:
         """GPS_GLOBAL_ORIGIN: where LOCAL_POSITION_NED is zero."""
         state = self._state
         if not state.home_is_set:
@@ -423,7 +427,7 @@ class CommonTelemetry:
             "time_usec": state.time_boot_ms * 1000,
         }
 
-    def extended_sys_state(self) -> Fields:
+    def extended_sys_state_fields(self) -> Fields:
         """EXTENDED_SYS_STATE."""
         return {"vtol_state": 0, "landed_state": int(self.landed_state())}
 
@@ -431,9 +435,9 @@ class CommonTelemetry:
         """MAV_LANDED_STATE as the landing detector has it."""
         if self._state.is_landed:
             return LandedState.ON_GROUND
-        return self._own.airborne_state()
+        return self._own.landed_state_in_air()
 
-    def rc_channels(self) -> Fields:
+    def rc_channels_fields(self) -> Fields:
         """RC_CHANNELS."""
         channels = self._rc.channels or [0] * 18
         fields: Fields = {f"chan{i + 1}_raw": value for i, value in enumerate(channels)}
@@ -442,7 +446,7 @@ class CommonTelemetry:
         fields["rssi"] = 255 if self._rc.channels is None else 200
         return fields
 
-    def servo_output_raw(self) -> Fields:
+    def servo_output_raw_fields(self) -> Fields:
         """SERVO_OUTPUT_RAW: the motors' common part."""
         state = self._state
         pulse = (
@@ -453,50 +457,7 @@ class CommonTelemetry:
         fields: Fields = {f"servo{i}_raw": pulse if i <= 4 else 0 for i in range(1, 9)}
         return {"time_usec": state.time_boot_ms * 1000 % 2**32, "port": 0, **fields}
 
-    def raw_imu(self) -> Fields | None:
-        """RAW_IMU in milli-g and milli-rad/s; the compass is not simulated."""
-        r = self._state.readings
-        if r is None:
-            return None
-        x, y, z = (_i16(value / 9.80665 * 1000.0) for value in r.accel_frd_mps2)
-        return {
-            "time_usec": self._state.time_boot_ms * 1000,
-            "xacc": x,
-            "yacc": y,
-            "zacc": z,
-            "xgyro": _i16(r.rollspeed_rps * 1000.0),
-            "ygyro": _i16(r.pitchspeed_rps * 1000.0),
-            "zgyro": _i16(r.yawspeed_rps * 1000.0),
-            "xmag": 0,
-            "ymag": 0,
-            "zmag": 0,
-        }
-
-    def highres_imu(self) -> Fields | None:
-        """HIGHRES_IMU: accelerometers and gyros only."""
-        r = self._state.readings
-        if r is None:
-            return None
-        x, y, z = r.accel_frd_mps2
-        return {
-            "time_usec": self._state.time_boot_ms * 1000,
-            "xacc": x,
-            "yacc": y,
-            "zacc": z,
-            "xgyro": r.rollspeed_rps,
-            "ygyro": r.pitchspeed_rps,
-            "zgyro": r.yawspeed_rps,
-            "xmag": math.nan,
-            "ymag": math.nan,
-            "zmag": math.nan,
-            "abs_pressure": math.nan,
-            "diff_pressure": math.nan,
-            "pressure_alt": r.alt_amsl_m,
-            "temperature": r.temperature_c,
-            "fields_updated": 0b100000111111,
-        }
-
-    def scaled_pressure(self) -> Fields | None:
+    def scaled_pressure_fields(self) -> Fields | None:
         """SCALED_PRESSURE: hPa, and the barometer's own temperature, which is its board's.
 
         Both autopilots send the sensor's figure as it is (ArduPilot GCS_MAVLINK,
@@ -509,13 +470,13 @@ class CommonTelemetry:
             "time_boot_ms": self._state.time_boot_ms,
             "press_abs": r.air_pressure_pa / 100.0,
             "press_diff": 0.0,
-            "temperature": _i16(r.board_temperature_c * 100.0),
+            "temperature": _round_and_clamp_to_int16(r.board_temperature_c * 100.0),
         }
 
-    def nav_controller_output(self) -> Fields:
+    def nav_controller_output_fields(self) -> Fields:
         """NAV_CONTROLLER_OUTPUT."""
         state = self._state
-        target = self._navigation_target()
+        target = self._goal_target_ned_m()
         north, east, down = state.pos_ned_m
         distance, bearing, climb = 0.0, 0.0, 0.0
         if target is not None:
@@ -527,41 +488,21 @@ class CommonTelemetry:
             "nav_pitch": math.degrees(state.actuation.pitch_rad),
             "nav_bearing": round(bearing) % 360,
             "target_bearing": round(bearing) % 360,
-            "wp_dist": _u16(distance),
+            "wp_dist": _round_and_clamp_to_uint16(distance),
             "alt_error": climb,
             "aspd_error": 0.0,
             "xtrack_error": 0.0,
         }
 
-    def power_status(self) -> Fields:
-        """POWER_STATUS: a board on a bench supply."""
-        return {"Vcc": 5000, "Vservo": 0, "flags": 0}
-
-    def meminfo(self) -> Fields:
-        """MEMINFO."""
-        return {"brkval": 0, "freemem": 65535, "freemem32": 131072}
-
-    def vibration(self) -> Fields:
-        """VIBRATION: a well damped board."""
-        return {
-            "time_usec": self._state.time_boot_ms * 1000,
-            "vibration_x": 3.0,
-            "vibration_y": 3.0,
-            "vibration_z": 5.0,
-            "clipping_0": 0,
-            "clipping_1": 0,
-            "clipping_2": 0,
-        }
-
-    def high_latency2(self) -> Fields | None:
+    def high_latency2_fields(self) -> Fields | None:
         """HIGH_LATENCY2; wind, airspeed and mode differ between the autopilots."""
         state = self._state
-        position = self.global_position_int()
+        position = self.global_position_int_fields()
         if position is None or state.readings is None:
             return None
-        wind_mps, wind_heading = self._own.high_latency_wind()
+        wind_mps, wind_heading = self._own.high_latency_wind_mps_and_direction()
         remaining = self._battery.remaining_frac
-        target = self._navigation_target()
+        target = self._goal_target_ned_m()
         distance = 0.0
         if target is not None:
             distance = math.hypot(target[0] - state.pos_ned_m[0], target[1] - state.pos_ned_m[1])
@@ -569,38 +510,38 @@ class CommonTelemetry:
             "timestamp": state.time_boot_ms,
             "type": state.vehicle_type,
             "autopilot": self._own.autopilot_id,
-            "custom_mode": self._own.high_latency_mode(state.mode),
+            "custom_mode": self._own.high_latency_custom_mode(state.mode),
             "latitude": position["lat"],
             "longitude": position["lon"],
-            "altitude": _i16(position["alt"] / 1e3),
-            "target_altitude": _i16(position["alt"] / 1e3),
+            "altitude": _round_and_clamp_to_int16(position["alt"] / 1e3),
+            "target_altitude": _round_and_clamp_to_int16(position["alt"] / 1e3),
             "heading": round(position["hdg"] / 200.0) % 180,
             "target_heading": round(position["hdg"] / 200.0) % 180,
-            "target_distance": _u16(distance / 10.0),
+            "target_distance": _round_and_clamp_to_uint16(distance / 10.0),
             "throttle": round(100.0 * state.actuation.thrust_frac),
-            "airspeed": self._own.high_latency_airspeed(),
+            "airspeed": self._own.high_latency_airspeed_field(),
             "airspeed_sp": 0,
             "groundspeed": min(255, round(5.0 * math.hypot(*state.vel_ned_mps[:2]))),
             "windspeed": min(255, round(5.0 * wind_mps)),
             "wind_heading": wind_heading,
             "eph": 8,
             "epv": 12,
-            "temperature_air": _i16(state.readings.temperature_c),
+            "temperature_air": _round_and_clamp_to_int16(state.readings.temperature_c),
             "climb_rate": max(-127, min(127, round(-10.0 * state.vel_ned_mps[2]))),
             "battery": -1 if remaining is None else int(remaining * 100.0),
-            "wp_num": current_seq(self._executor),
+            "wp_num": mission_current_seq(self._executor),
             "failure_flags": 0 if state.gnss_ok else 1,
             "custom0": 0,
             "custom1": 0,
             "custom2": 0,
         }
 
-    def mission_current(self) -> Fields:
+    def mission_current_message_fields(self) -> Fields:
         """MISSION_CURRENT."""
-        total = self._own.mission_total(len(self._executor.plan))
-        return mission_current(self._executor, total, self._own.mission_id())
+        total = self._own.mission_current_total(len(self._executor.plan))
+        return mission_current_fields(self._executor, total, self._own.mission_id())
 
-    def _navigation_target(self) -> Vec3 | None:
+    def _goal_target_ned_m(self) -> Vec3 | None:
         goal = self._state.goal
         if isinstance(goal, FollowLine):
             return goal.end

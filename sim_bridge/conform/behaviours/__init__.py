@@ -1,1 +1,1 @@
-"""What is asked: the behaviours, by family."""
+"""The tested behaviours, by family."""

@@ -1,96 +1,80 @@
 """Battery: which fields are known, and how they change in the hover."""
 
-from typing import cast
+from collections.abc import Callable
+from functools import partial
 
-from sim_bridge.conform.behaviour import Behaviour, Finding, Where
+from sim_bridge.conform.behaviour import AIR, Behaviours, Observation, Value
 from sim_bridge.conform.client import Message
-from sim_bridge.conform.errors import CannotSee
-from sim_bridge.conform.subject import Subject
+from sim_bridge.conform.errors import ObservationError
+from sim_bridge.conform.subject import Subject, observed_once
 
-_WATCHED_S = 8.0
+_OBSERVATION_S = 8.0
 _UNKNOWN_MV = 65535
 
 
-def _watch(s: Subject) -> tuple[Message, Message, Message]:
-    """First and last BATTERY_STATUS of a while in the hover, and the last SYS_STATUS."""
-
-    def look() -> tuple[Message, Message, Message]:
-        heard = s.client.collect(_WATCHED_S, "BATTERY_STATUS")
-        status = s.client.latest.get("SYS_STATUS")
-        if len(heard) < 2 or status is None:
-            raise CannotSee("no BATTERY_STATUS or no SYS_STATUS")
-        return heard[0], heard[-1], status
-
-    return cast(tuple[Message, Message, Message], s.remember("battery in the hover", look))
+@observed_once
+def _hover_messages(subject: Subject) -> tuple[Message, Message, Message]:
+    """Return the first and last BATTERY_STATUS during a hover, and the last SYS_STATUS."""
+    messages = subject.client.collect_messages(_OBSERVATION_S, "BATTERY_STATUS")
+    status = subject.client.latest.get("SYS_STATUS")
+    if len(messages) < 2 or status is None:
+        raise ObservationError("no BATTERY_STATUS or no SYS_STATUS")
+    return messages[0], messages[-1], status
 
 
-def _voltages(s: Subject) -> Finding:
-    """Whether the first cell's place holds the whole pack's voltage."""
-    _, last, status = _watch(s)
+def _classify_voltages(_: Message, last: Message, status: Message) -> Observation:
+    """Observe whether the first cell's field holds the voltage of the whole pack."""
     known = [mv for mv in last.voltages if mv != _UNKNOWN_MV]
     note = f"{last.voltages[:7]}, SYS_STATUS {status.voltage_battery} mV"
     if not known:
-        return Finding("nothing", note)
+        return Observation("nothing", note)
     is_pack = abs(known[0] - status.voltage_battery) < 0.05 * status.voltage_battery
     if len(known) == 1 and is_pack:
-        return Finding("the pack's in the first place", note)
-    return Finding("each cell's", note)
+        return Observation("the pack's in the first place", note)
+    return Observation("each cell's", note)
 
 
-def _current(s: Subject) -> Finding:
-    _, last, _ = _watch(s)
+def _classify_current(_: Message, last: Message, __: Message) -> Observation:
     known = last.current_battery != -1
-    return Finding("known" if known else "-1", f"{last.current_battery * 0.01:.1f} A")
+    return Observation("known" if known else "-1", f"{last.current_battery * 0.01:.1f} A")
 
 
-def _run(first: float, last: float) -> str:
-    if first < 0 and last < 0:
-        return "-1"
-    if last > first:
-        return "grows"
-    return "stays at 0" if last == 0 else "stays"
+def _classify_counter_change(
+    field: str, unit: str, first: Message, last: Message, _: Message
+) -> Observation:
+    before, after = getattr(first, field), getattr(last, field)
+    unchanged = "stays at 0" if after == 0 else "stays"
+    word = "-1" if max(before, after) < 0 else "grows" if after > before else unchanged
+    return Observation(word, f"{before} to {after} {unit}")
 
 
-def _consumed(s: Subject) -> Finding:
-    first, last, _ = _watch(s)
-    note = f"{first.current_consumed} to {last.current_consumed} mAh"
-    return Finding(_run(first.current_consumed, last.current_consumed), note)
+def _classify_time_remaining(_: Message, last: Message, __: Message) -> Observation:
+    return Observation("0" if last.time_remaining == 0 else "told", f"{last.time_remaining} s")
 
 
-def _energy(s: Subject) -> Finding:
-    first, last, _ = _watch(s)
-    note = f"{first.energy_consumed} to {last.energy_consumed} hJ"
-    return Finding(_run(first.energy_consumed, last.energy_consumed), note)
-
-
-def _time_remaining(s: Subject) -> Finding:
-    _, last, _ = _watch(s)
-    return Finding("0" if last.time_remaining == 0 else "told", f"{last.time_remaining} s")
-
-
-def _remaining(s: Subject) -> Finding:
-    _, last, status = _watch(s)
-    apart = abs(last.battery_remaining - status.battery_remaining)
+def _compare_shares(_: Message, last: Message, status: Message) -> Observation:
+    difference_pct = abs(last.battery_remaining - status.battery_remaining)
     note = f"{last.battery_remaining} and {status.battery_remaining} %"
-    return Finding("alike to 1 %" if apart <= 1 else "apart", note)
+    return Observation("alike to 1 %" if difference_pct <= 1 else "apart", note)
 
 
-def _remaining_known(s: Subject) -> bool:
-    _, last, _ = _watch(s)
-    return last.battery_remaining >= 0
+BEHAVIOURS = Behaviours()
 
 
-BEHAVIOURS = (
-    Behaviour("battery/voltages", "BATTERY_STATUS.voltages are", _voltages, Where.AIR),
-    Behaviour("battery/current", "The current in the hover is", _current, Where.AIR),
-    Behaviour("battery/current_consumed", "current_consumed in the hover", _consumed, Where.AIR),
-    Behaviour("battery/energy_consumed", "energy_consumed in the hover", _energy, Where.AIR),
-    Behaviour("battery/time_remaining", "time_remaining is", _time_remaining, Where.AIR),
-    Behaviour("battery/remaining_known", "The percentage is known", _remaining_known, Where.AIR),
-    Behaviour(
-        "battery/remaining_alike",
-        "SYS_STATUS and BATTERY_STATUS give percentages",
-        _remaining,
-        Where.AIR,
-    ),
+def _add(
+    name: str, description: str, observe: Callable[[Message, Message, Message], Observation | Value]
+) -> None:
+    BEHAVIOURS.add(name, description, lambda subject: observe(*_hover_messages(subject)), AIR)
+
+
+_consumed_mah = partial(_classify_counter_change, "current_consumed", "mAh")
+_consumed_hj = partial(_classify_counter_change, "energy_consumed", "hJ")
+_add("battery/voltages", "BATTERY_STATUS.voltages are", _classify_voltages)
+_add("battery/current", "The current in the hover is", _classify_current)
+_add("battery/current_consumed", "current_consumed in the hover", _consumed_mah)
+_add("battery/energy_consumed", "energy_consumed in the hover", _consumed_hj)
+_add("battery/time_remaining", "time_remaining is", _classify_time_remaining)
+_add("battery/remaining_alike", "SYS_STATUS and BATTERY_STATUS give percentages", _compare_shares)
+_add(
+    "battery/remaining_known", "The percentage is known", lambda _, m, __: m.battery_remaining >= 0
 )

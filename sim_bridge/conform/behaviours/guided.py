@@ -4,9 +4,12 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_bridge.conform.behaviour import Behaviour, Finding, Where
-from sim_bridge.conform.errors import CannotSee
+from sim_bridge.conform.behaviour import AIR, Behaviours, Observation
+from sim_bridge.conform.errors import ObservationError
 from sim_bridge.conform.subject import HEIGHT_M, Subject
+
+BEHAVIOURS = Behaviours()
+behaviour = BEHAVIOURS.register_as_behaviour
 
 _REPOSITION = mavlink.MAV_CMD_DO_REPOSITION
 _UP_M = 5.0
@@ -15,208 +18,171 @@ _POSITION_ONLY = 0b110111111000
 _SPEED_MPS = 3.0
 
 
-def _reposition_long(s: Subject) -> str:
+@behaviour("guided/reposition_long", "DO_REPOSITION as COMMAND_LONG is", AIR)
+def _observe_reposition_by_command_long(subject: Subject) -> str:
     """A COMMAND_LONG to here, 5 m higher by AMSL."""
-    here = s.position()
+    here = subject.wait_position()
     up = here.amsl_m + _UP_M
-    answer = s.client.command(_REPOSITION, -1.0, 1.0, 0.0, math.nan, here.lat_deg, here.lon_deg, up)
-    went = s.client.until(lambda: _climb(s) > 0.4, 5.0)
-    return f"{answer}, {'flown' if went else 'not flown'}"
+    response = subject.client.send_command_and_wait_ack(
+        _REPOSITION, -1.0, 1.0, 0.0, math.nan, here.lat_deg, here.lon_deg, up
+    )
+    has_moved = subject.client.wait_until(lambda: _climb_rate_mps(subject) > 0.4, 5.0)
+    return f"{response}, {'flown' if has_moved else 'not flown'}"
 
 
-def _climb(s: Subject) -> float:
-    return -s.client.latest["GLOBAL_POSITION_INT"].vz * 0.01
+def _climb_rate_mps(subject: Subject) -> float:
+    return -subject.latest_position().vel_ned_mps[2]
 
 
-def _reposition_relative(s: Subject) -> Finding:
+@behaviour("guided/reposition_frame", "DO_REPOSITION in frame 6 is", AIR)
+def _observe_reposition_in_relative_frame(subject: Subject) -> Observation:
     """Frame 6, 5 m higher than now above home: climbing obeys the frame, sinking takes AMSL."""
-    if s.home_amsl_m < 2.0 * _UP_M:
-        raise CannotSee(f"home is at {s.home_amsl_m:.1f} m AMSL: no telling one from the other")
-    here = s.position()
-    asked_m = here.rel_m + _UP_M
-    place = (here.lat_deg, here.lon_deg, asked_m)
-    answer = s.client.command_int(_REPOSITION, -1.0, 1.0, 0.0, math.nan, place=place, frame=6)
-    s.client.collect(1.0)
-    moved = s.client.until(lambda: abs(_climb(s)) > 0.5, 6.0)
-    rises = _climb(s) > 0.0
-    s.set_mode(s.dialect.hold)
+    if subject.home_amsl_m < 2.0 * _UP_M:
+        raise ObservationError(
+            f"home is at {subject.home_amsl_m:.1f} m AMSL: the two cannot be distinguished"
+        )
+    here = subject.wait_position()
+    requested_m = here.rel_m + _UP_M
+    target = (here.lat_deg, here.lon_deg, requested_m)
+    response = subject.client.send_command_int_and_wait_ack(
+        _REPOSITION, -1.0, 1.0, 0.0, math.nan, position=target, frame=6
+    )
+    subject.client.collect_messages(1.0)
+    moved = subject.client.wait_until(lambda: abs(_climb_rate_mps(subject)) > 0.5, 6.0)
+    rises = _climb_rate_mps(subject) > 0.0
+    subject.request_mode(subject.dialect.hold)
     word = "obeyed" if rises else "ignored: AMSL"
-    return Finding(f"{answer}, {word if moved else 'no movement'}", f"{asked_m:.0f} m asked")
+    return Observation(
+        f"{response}, {word if moved else 'no movement'}", f"{requested_m:.0f} m asked"
+    )
 
 
-def _reposition_speed(s: Subject) -> Finding:
+@behaviour("guided/reposition_speed", "DO_REPOSITION's speed is", AIR)
+def _observe_reposition_speed(subject: Subject) -> Observation:
     """60 m at 2 m/s."""
-    lat, lon = s.place(60.0, 0.0)
-    place = (lat, lon, s.home_amsl_m + HEIGHT_M)
-    s.client.command_int(_REPOSITION, 2.0, 1.0, 0.0, math.nan, place=place, frame=0)
-    s.client.collect(4.0)
-    heard = s.client.collect(4.0, "GLOBAL_POSITION_INT")
-    fastest = max(math.hypot(m.vx, m.vy) * 0.01 for m in heard)
+    subject.request_reposition(60.0, speed_mps=2.0)
+    subject.client.collect_messages(4.0)
+    messages = subject.client.collect_messages(4.0, "GLOBAL_POSITION_INT")
+    fastest = max(math.hypot(m.vx, m.vy) * 0.01 for m in messages)
     if fastest < 1.0:
-        raise CannotSee("it did not move")
-    return Finding("obeyed" if fastest < 2.8 else "ignored", f"{fastest:.1f} m/s")
+        raise ObservationError("it did not move")
+    return Observation("obeyed" if fastest < 2.8 else "ignored", f"{fastest:.1f} m/s")
 
 
-def _reposition_on_ground(s: Subject) -> str:
-    lat, lon = s.place(30.0, 0.0)
-    place = (lat, lon, s.home_amsl_m + HEIGHT_M)
-    return s.client.command_int(_REPOSITION, -1.0, 1.0, 0.0, math.nan, place=place, frame=0)
+@behaviour("guided/reposition_ground", "DO_REPOSITION while disarmed is")
+def _response_to_reposition_while_disarmed(subject: Subject) -> str:
+    return subject.request_reposition(30.0)
 
 
-def _reposition_without_flag(s: Subject) -> str:
-    """In another mode, and not told to change it."""
-    s.enter("RTL")
-    lat, lon = s.place(30.0, 0.0)
-    place = (lat, lon, s.home_amsl_m + HEIGHT_M)
-    answer = s.client.command_int(_REPOSITION, -1.0, 0.0, 0.0, math.nan, place=place, frame=0)
-    s.client.collect(1.5)
-    return f"{answer}, {s.mode}"
+@behaviour("guided/reposition_flag", "DO_REPOSITION in RTL, mode not to be changed, is", AIR)
+def _observe_reposition_without_mode_flag(subject: Subject) -> str:
+    """Send DO_REPOSITION in another mode, without the flag that changes the mode."""
+    subject.set_mode_and_wait("RTL")
+    response = subject.request_reposition(30.0, change_mode=False)
+    subject.client.collect_messages(1.5)
+    return f"{response}, {subject.mode}"
 
 
-def _velocity(s: Subject, north_mps: float) -> None:
-    _local_setpoint(s, _VELOCITY_ONLY, vx=north_mps)
-
-
-def _local_setpoint(s: Subject, type_mask: int, **told: float) -> None:
-    """One set-point in LOCAL_NED; what is not given is 0."""
+def _send_local_setpoint(subject: Subject, type_mask: int, **setpoint_fields: float) -> None:
+    """Send one set-point in LOCAL_NED; omitted fields are 0."""
     fields = ("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
-    s.client.send(
+    subject.client.send(
         "SET_POSITION_TARGET_LOCAL_NED",
         time_boot_ms=0,
         coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
         type_mask=type_mask,
-        **(dict.fromkeys(fields, 0.0) | told),
+        **(dict.fromkeys(fields, 0.0) | setpoint_fields),
     )
 
 
-def _fly_velocity(s: Subject, for_s: float) -> None:
+def _stream_setpoints(
+    subject: Subject, duration_s: float, *, enter_mode: bool = True, **setpoint_fields: float
+) -> None:
     """Set-points at about 10 Hz; the mode for them is entered after the first second."""
-    end_s = s.client.t_s + for_s
-    asked = s.mode == s.dialect.guided
-    start_s = s.client.t_s
-    while s.client.t_s < end_s:
-        _velocity(s, _SPEED_MPS)
-        s.client.collect(0.1)
-        if not asked and s.client.t_s - start_s > 1.0:
-            asked = True
-            mode = s.dialect.mode_params(s.dialect.guided)
-            s.client.say_command(mavlink.MAV_CMD_DO_SET_MODE, *mode)
+    start_s = subject.client.t_s
+    is_guided = subject.mode == subject.dialect.guided or not enter_mode
+    mask = _VELOCITY_ONLY if "vx" in setpoint_fields else _POSITION_ONLY
+    while subject.client.t_s < start_s + duration_s:
+        _send_local_setpoint(subject, mask, **setpoint_fields)
+        subject.client.collect_messages(0.1)
+        if not is_guided and subject.client.t_s - start_s > 1.0:
+            is_guided = True
+            mode = subject.dialect.do_set_mode_params(subject.dialect.guided)
+            subject.client.send_command(mavlink.MAV_CMD_DO_SET_MODE, *mode)
 
 
-def _north_mps(s: Subject) -> float:
-    return s.client.latest["GLOBAL_POSITION_INT"].vx * 0.01
+def _north_speed_mps(subject: Subject) -> float:
+    return subject.latest_position().vel_ned_mps[0]
 
 
-def _velocity_flown(s: Subject) -> float:
-    _fly_velocity(s, 9.0)
-    return round(_north_mps(s), 1)
+@behaviour(
+    "guided/velocity", f"A velocity of {_SPEED_MPS:g} m/s is flown at", AIR, unit="m/s", within=0.5
+)
+def _measure_flown_north_velocity_mps(subject: Subject) -> float:
+    _stream_setpoints(subject, 9.0, vx=_SPEED_MPS)
+    return round(_north_speed_mps(subject), 1)
 
 
 _TIME_OUTS = {"px4": ("COM_OF_LOSS_T", 1.0), "ardupilot": ("GUID_TIMEOUT", 3.0)}
 """Their defaults; PX4's SITL lengthens its own by the speed-up."""
 
 
-def _velocity_stops(s: Subject) -> Finding:
+@behaviour("guided/velocity_stops", "When velocity set-points stop, it", AIR)
+def _observe_end_of_velocity_setpoints(subject: Subject) -> Observation:
     """The set-points stop: what the mode is 8 s later, and when it had slowed down."""
-    with s.parameter_set(*_TIME_OUTS[s.dialect.name]):
-        slowed_s = _slowing(s)
-        s.client.collect(max(8.0 - slowed_s, 0.5))
+    with subject.parameters.temporarily_set(*_TIME_OUTS[subject.dialect.name]):
+        slowed_s = _measure_slowdown_time_s(subject)
+        subject.client.collect_messages(max(8.0 - slowed_s, 0.5))
         word = "halts" if slowed_s < _ENDLESS_S else "flies on"
-        return Finding(f"{word}, {s.mode}", f"slowing after {slowed_s:.1f} s")
+        return Observation(f"{word}, {subject.mode}", f"slowing after {slowed_s:.1f} s")
 
 
 _ENDLESS_S = 12.0
 
 
-def _slowing(s: Subject) -> float:
-    """From the last velocity set-point to 60 % of its speed."""
-    _fly_velocity(s, 9.0)
-    start_s = s.client.t_s
-    s.client.until(lambda: _north_mps(s) < 0.6 * _SPEED_MPS, _ENDLESS_S)
-    return s.client.t_s - start_s
+def _measure_slowdown_time_s(subject: Subject) -> float:
+    """Measure the time from the last velocity set-point to 60 % of its speed."""
+    _stream_setpoints(subject, 9.0, vx=_SPEED_MPS)
+    start_s = subject.client.t_s
+    subject.client.wait_until(lambda: _north_speed_mps(subject) < 0.6 * _SPEED_MPS, _ENDLESS_S)
+    return subject.client.t_s - start_s
 
 
-def _velocity_patience(s: Subject) -> float:
-    with s.parameter_set(*_TIME_OUTS[s.dialect.name]):
-        return round(_slowing(s), 1)
-
-
-def _setpoints_elsewhere(s: Subject) -> str:
-    """Velocity set-points while the vehicle returns."""
-    s.enter("RTL")
-    s.client.collect(1.0)
-    end_s = s.client.t_s + 4.0
-    while s.client.t_s < end_s:
-        _velocity(s, _SPEED_MPS)
-        s.client.collect(0.1)
-    return f"{'obeyed' if _north_mps(s) > 1.5 else 'ignored'}, {s.mode}"
-
-
-def _guided_in_air(s: Subject) -> str:
-    """The mode for set-points, asked for without any."""
-    answer = s.set_mode(s.dialect.guided)
-    s.client.collect(3.0)
-    return f"{answer}, {s.mode}"
-
-
-def _position_setpoint(s: Subject) -> Finding:
-    """LOCAL_NED 15 m north of the origin and 20 m above it."""
-    start_s, asked = s.client.t_s, s.mode == s.dialect.guided
-    while s.client.t_s < start_s + 14.0:
-        _local_setpoint(s, _POSITION_ONLY, x=15.0, z=-HEIGHT_M)
-        s.client.collect(0.2)
-        if not asked and s.client.t_s - start_s > 1.0:
-            asked = True
-            s.set_mode(s.dialect.guided)
-    local = s.client.latest.get("LOCAL_POSITION_NED")
-    if local is None:
-        raise CannotSee("no LOCAL_POSITION_NED")
-    off = math.dist((local.x, local.y, local.z), (15.0, 0.0, -HEIGHT_M))
-    return Finding("reached" if off < 2.5 else "not reached", f"{off:.1f} m off")
-
-
-BEHAVIOURS = (
-    Behaviour("guided/reposition_ground", "DO_REPOSITION while disarmed is", _reposition_on_ground),
-    Behaviour(
-        "guided/reposition_long", "DO_REPOSITION as COMMAND_LONG is", _reposition_long, Where.AIR
-    ),
-    Behaviour(
-        "guided/reposition_frame", "DO_REPOSITION in frame 6 is", _reposition_relative, Where.AIR
-    ),
-    Behaviour("guided/reposition_speed", "DO_REPOSITION's speed is", _reposition_speed, Where.AIR),
-    Behaviour(
-        "guided/reposition_flag",
-        "DO_REPOSITION in RTL, mode not to be changed, is",
-        _reposition_without_flag,
-        Where.AIR,
-    ),
-    Behaviour(
-        "guided/entered_without",
-        "The mode for set-points without any is",
-        _guided_in_air,
-        Where.AIR,
-    ),
-    Behaviour(
-        "guided/velocity",
-        f"A velocity of {_SPEED_MPS:g} m/s is flown at",
-        _velocity_flown,
-        Where.AIR,
-        unit="m/s",
-        within=0.5,
-    ),
-    Behaviour(
-        "guided/velocity_stops", "When velocity set-points stop, it", _velocity_stops, Where.AIR
-    ),
-    Behaviour(
-        "guided/velocity_patience",
-        "After the last velocity set-point it slows down within",
-        _velocity_patience,
-        Where.AIR,
-        unit="s",
-        within=1.0,
-    ),
-    Behaviour(
-        "guided/position", "A position set-point in LOCAL_NED is", _position_setpoint, Where.AIR
-    ),
-    Behaviour("guided/elsewhere", "Set-points in RTL are", _setpoints_elsewhere, Where.AIR),
+@behaviour(
+    "guided/velocity_patience",
+    "After the last velocity set-point it slows down within",
+    AIR,
+    unit="s",
+    within=1.0,
 )
+def _measure_setpoint_timeout_s(subject: Subject) -> float:
+    with subject.parameters.temporarily_set(*_TIME_OUTS[subject.dialect.name]):
+        return round(_measure_slowdown_time_s(subject), 1)
+
+
+@behaviour("guided/elsewhere", "Set-points in RTL are", AIR)
+def _observe_setpoints_in_rtl(subject: Subject) -> str:
+    """Velocity set-points while the vehicle returns."""
+    subject.set_mode_and_wait("RTL")
+    subject.client.collect_messages(1.0)
+    _stream_setpoints(subject, 4.0, enter_mode=False, vx=_SPEED_MPS)
+    return f"{'obeyed' if _north_speed_mps(subject) > 1.5 else 'ignored'}, {subject.mode}"
+
+
+@behaviour("guided/entered_without", "The mode for set-points without any is", AIR)
+def _enter_guided_without_setpoints(subject: Subject) -> str:
+    """Request the set-point mode in the air without sending set-points."""
+    response = subject.request_mode(subject.dialect.guided)
+    subject.client.collect_messages(3.0)
+    return f"{response}, {subject.mode}"
+
+
+@behaviour("guided/position", "A position set-point in LOCAL_NED is", AIR)
+def _observe_position_setpoint_reached(subject: Subject) -> Observation:
+    """LOCAL_NED 15 m north of the origin and 20 m above it."""
+    _stream_setpoints(subject, 14.0, x=15.0, z=-HEIGHT_M)
+    local = subject.client.latest.get("LOCAL_POSITION_NED")
+    if local is None:
+        raise ObservationError("no LOCAL_POSITION_NED")
+    off = math.dist((local.x, local.y, local.z), (15.0, 0.0, -HEIGHT_M))
+    return Observation("reached" if off < 2.5 else "not reached", f"{off:.1f} m off")

@@ -2,15 +2,18 @@
 
 import math
 import statistics
-from typing import cast
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_bridge.conform import missions
-from sim_bridge.conform.behaviour import Behaviour, Finding, Where
-from sim_bridge.conform.behaviours.mission import waypoint
-from sim_bridge.conform.errors import CannotSee
-from sim_bridge.conform.subject import Subject
+from sim_bridge.conform.behaviour import REBOOT, Behaviours, Observation, field_of
+from sim_bridge.conform.behaviours.mission import WAYPOINT
+from sim_bridge.conform.errors import ObservationError
+from sim_bridge.conform.subject import Subject, observed_once
+
+BEHAVIOURS = Behaviours()
+behaviour = BEHAVIOURS.register_as_behaviour
 
 _LEAN_RAD = math.radians(0.4)
 _PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -20,110 +23,105 @@ _DRAG = {
 }
 
 
-def reboot(s: Subject) -> None:
+def reboot_and_wait(subject: Subject) -> None:
     """PREFLIGHT_REBOOT_SHUTDOWN, until it is back with a clock that began again."""
-    client = s.client
-    answer = client.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
-    if answer != "ACCEPTED":
-        raise CannotSee(f"the reboot is {answer}")
+    client = subject.client
+    response = client.send_command_and_wait_ack(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
+    if response != "ACCEPTED":
+        raise ObservationError(f"the reboot is {response}")
     before_s = client.t_s
-    client.wait_for_new_clock(before_s)
-    s.forget_intervals()
-    s.see()
+    client.wait_for_clock_after_reboot(before_s)
+    subject.clear_requested_stream_record()
+    subject.request_working_streams_once()
 
 
-def _after_boot(s: Subject) -> tuple[float, float, int]:
-    """Boot times of the pre-arm bit and of the first arming, and items kept."""
+@dataclass(frozen=True, slots=True)
+class _Boot:
+    """Seconds from a boot to the pre-arm bit and to the first arming, and whether items remain."""
 
-    def look() -> tuple[float, float, int]:
-        s.upload([waypoint(s, 30.0 * n, 0.0) for n in range(3)])
-        reboot(s)
-        kept = missions.count(s.client)
-        bit_s = s.client.until(lambda: _prearm_bit(s) and s.client.t_s, 90.0)
-        s.set_mode(s.dialect.hold)
-        s.arm()
-        armed_s = s.client.t_s
-        s.disarm_once()
-        return bit_s or math.nan, armed_s, -1 if kept is None else kept
-
-    return cast(tuple[float, float, int], s.remember("a reboot", look))
+    prearm_bit_s: float
+    armed_s: float
+    is_mission_kept: bool
 
 
-def _prearm_bit(s: Subject) -> bool:
-    status = s.client.latest.get("SYS_STATUS")
+@observed_once
+def _measure_boot(subject: Subject) -> _Boot:
+    subject.upload([subject.item(WAYPOINT, 30.0 * n, 0.0, 20.0) for n in range(3)])
+    reboot_and_wait(subject)
+    kept = missions.request_count(subject.client)
+    bit_s = subject.client.wait_until(
+        lambda: _is_prearm_bit_set(subject) and subject.client.t_s, 90.0
+    )
+    subject.request_mode(subject.dialect.hold)
+    subject.arm_with_retries()
+    armed_s = subject.client.t_s
+    subject.request_disarm()
+    return _Boot(round(bit_s or math.nan, 1), round(armed_s, 1), (kept or 0) >= 3)
+
+
+def _is_prearm_bit_set(subject: Subject) -> bool:
+    status = subject.client.latest.get("SYS_STATUS")
     return status is not None and bool(status.onboard_control_sensors_health & _PREARM_BIT)
 
 
-def _bit_after(s: Subject) -> float:
-    return round(_after_boot(s)[0], 1)
+_seconds = {"unit": "s", "within": 12.0}
+add = BEHAVIOURS.add
+_prearm_bit_s, _armed_s = (
+    field_of(_measure_boot, "prearm_bit_s"),
+    field_of(_measure_boot, "armed_s"),
+)
+_is_mission_kept = field_of(_measure_boot, "is_mission_kept")
+add("reboot/prearm_bit", "SYS_STATUS's pre-arm bit is up after", _prearm_bit_s, REBOOT, **_seconds)
+add("reboot/armable", "It arms after", _armed_s, REBOOT, **_seconds)
+add("reboot/mission_kept", "A mission outlives a reboot", _is_mission_kept, REBOOT)
 
 
-def _armed_after(s: Subject) -> float:
-    return round(_after_boot(s)[1], 1)
+@behaviour("reboot/armed", "A reboot while armed is", REBOOT)
+def _response_to_reboot_while_armed(subject: Subject) -> str:
+    subject.arm_with_retries()
+    response = subject.client.send_command_and_wait_ack(
+        mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0
+    )
+    subject.request_disarm()
+    return response
 
 
-def _mission_kept(s: Subject) -> bool:
-    return _after_boot(s)[2] >= 3
-
-
-def _reboot_armed(s: Subject) -> str:
-    s.arm()
-    answer = s.client.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
-    s.disarm_once()
-    return answer
-
-
-def _drag_fusion(s: Subject) -> Finding:
+@behaviour("reboot/drag_fusion", "With drag coefficients set the wind is", REBOOT)
+def _observe_wind_with_drag_fusion(subject: Subject) -> Observation:
     """Wind messages in the hover after a boot with drag coefficients set."""
-    name = "WIND_COV" if s.is_px4 else "WIND"
+    name = "WIND_COV" if subject.is_px4 else "WIND"
     try:
-        for parameter, value in _DRAG[s.dialect.name].items():
-            s.set_parameter(parameter, value)
-        reboot(s)
-        s.take_off()
-        s.stream(name, 2.0)
-        s.client.collect(30.0)
-        message = s.client.hear(name, 3.0)
-        lean = _lean(s)
+        for parameter, value in _DRAG[subject.dialect.name].items():
+            subject.parameters.set_until_restored(parameter, value)
+        reboot_and_wait(subject)
+        subject.take_off_and_wait()
+        subject.request_stream(name, 2.0)
+        subject.client.collect_messages(30.0)
+        message = subject.client.wait_next_message(name, 3.0)
+        lean = _mean_hover_lean_ne_rad(subject)
     finally:
-        s.land()
-        s.restore()
-        reboot(s)
+        subject.land_and_wait_disarmed()
+        subject.parameters.restore()
+        reboot_and_wait(subject)
     if message is None:
-        return Finding("never sent")
-    if s.is_px4:
+        return Observation("never sent")
+    if subject.is_px4:
         north, east = message.wind_x, message.wind_y
     else:
         from_rad = math.radians(message.direction)
         north, east = message.speed * math.cos(from_rad), message.speed * math.sin(from_rad)
     note = f"{math.hypot(north, east):.1f} m/s, {math.degrees(math.atan2(east, north)):.0f} deg"
     if math.hypot(north, east) < 0.5 or math.hypot(*lean) < _LEAN_RAD:
-        return Finding("told, too little to have a direction", note)
+        return Observation("told, too little to have a direction", note)
     into = north * lean[0] + east * lean[1]
-    return Finding("told: where it blows from" if into > 0.0 else "told: where it blows to", note)
+    return Observation(
+        "told: where it blows from" if into > 0.0 else "told: where it blows to", note
+    )
 
 
-def _lean(s: Subject) -> tuple[float, float]:
+def _mean_hover_lean_ne_rad(subject: Subject) -> tuple[float, float]:
     """Mean lean in the hover, north and east: a multirotor leans into the wind."""
-    heard = s.client.collect(6.0, "ATTITUDE")
-    norths = [-m.pitch * math.cos(m.yaw) - m.roll * math.sin(m.yaw) for m in heard]
-    easts = [-m.pitch * math.sin(m.yaw) + m.roll * math.cos(m.yaw) for m in heard]
+    attitudes = subject.client.collect_messages(6.0, "ATTITUDE")
+    norths = [-m.pitch * math.cos(m.yaw) - m.roll * math.sin(m.yaw) for m in attitudes]
+    easts = [-m.pitch * math.sin(m.yaw) + m.roll * math.cos(m.yaw) for m in attitudes]
     return statistics.fmean(norths), statistics.fmean(easts)
-
-
-BEHAVIOURS = (
-    Behaviour("reboot/armed", "A reboot while armed is", _reboot_armed, Where.REBOOT),
-    Behaviour(
-        "reboot/prearm_bit",
-        "SYS_STATUS's pre-arm bit is up after",
-        _bit_after,
-        Where.REBOOT,
-        unit="s",
-        within=12.0,
-    ),
-    Behaviour("reboot/armable", "It arms after", _armed_after, Where.REBOOT, unit="s", within=12.0),
-    Behaviour("reboot/mission_kept", "A mission outlives a reboot", _mission_kept, Where.REBOOT),
-    Behaviour(
-        "reboot/drag_fusion", "With drag coefficients set the wind is", _drag_fusion, Where.REBOOT
-    ),
-)

@@ -1,4 +1,4 @@
-"""Learning to avoid: experience, checks on fixed episodes, checkpoints, the curve, and the export.
+"""Training of avoidance: experience, checks on fixed episodes, checkpoints, curve and export.
 
 sim-bridge research train-avoid --reward swift --filtered --seed 1 --out logs/avoid/swift
 """
@@ -14,29 +14,30 @@ from typing import Any
 import numpy as np
 import torch  # pyright: ignore[reportMissingImports]
 
-from companion.core.separation.learned_policy import SHAPES, AvoidancePolicy, pooled
+from companion.core.separation.learned_policy import SHAPES, AvoidancePolicy, max_pooled_view
 from companion.core.separation.separation_filter import SeparationFilter
 from sim_bridge.research.avoidance.environment import (
     REWARDS,
-    AvoidEnvironment,
-    Observation,
-    ViewFrame,
+    AvoidanceEnvironment,
+    PolicyObservation,
+    observe_all_agents,
 )
-from sim_bridge.research.avoidance.maddpg import Learner, Replay, TrainParams
-from sim_bridge.research.avoidance.scenes import make_scene
-from sim_bridge.research.avoidance.ways_around import ways_around
+from sim_bridge.research.avoidance.evaluation import make_level_flight_power_function
+from sim_bridge.research.avoidance.maddpg import Learner, Replay, TrainingParams
+from sim_bridge.research.avoidance.obstacle_paths import build_obstacle_paths
+from sim_bridge.research.avoidance.scenes import draw_random_scene
 from sim_bridge.research.avoidance.world import AvoidanceWorld
 
-TRAIN_SCENES, TRAIN_SEEDS = 24, 1_000_000  # `avoid` flies other towns and other seeds
+TRAINING_SCENES, TRAINING_SEED_STRIDE = 24, 1_000_000  # `avoid` uses other towns and other seeds
 CHECK_SEEDS = 900_000
 CHECK_AGENTS = 8
 
 CARD = """\
-# What this policy is and where it comes from; `sim-bridge avoid` and the companion check it.
+# Origin of this policy; `sim-bridge avoid` and the companion check it.
 format = "policy/1"
 weights = "{name}.npz"
 sha256 = "{sha256}"
-frame = "{frame}"         # what is up in its view, and heading 0
+frame = "goal"         # up direction of its view, and heading 0
 reward = "{reward}"
 behind_filter = {behind_filter}
 seed = {seed}
@@ -50,9 +51,9 @@ curve = "{name}_curve.csv"
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """One row of curve.csv: checks without noise on fixed episodes, of 8 drones, bare and filtered.
+    """One row of curve.csv: checks without noise on fixed episodes of 8 drones, with no filter.
 
-    Shares are of flights; `decisions_mean` of 2 s each, and no more than `longest`.
+    Fractions are of flights. Decisions take 2 s each, at most `longest`. `filtered_`: with filter.
     """
 
     step: int
@@ -67,18 +68,24 @@ class CurvePoint:
     critic_loss: float
 
 
-def environment_of(
-    params: TrainParams, agents: int, filtered: bool, power_w: Callable[..., Any] | None
-) -> AvoidEnvironment:
-    scenes = [make_scene(np.random.default_rng([1, k])) for k in range(TRAIN_SCENES)]
+def build_training_environment(
+    params: TrainingParams, agents: int, filtered: bool
+) -> AvoidanceEnvironment:
+    scenes = [draw_random_scene(np.random.default_rng([1, k])) for k in range(TRAINING_SCENES)]
     world = AvoidanceWorld(scenes, agents, wind=True)
-    separation = SeparationFilter() if filtered else None
-    reward = REWARDS[params.reward]
-    return AvoidEnvironment(world, reward, ViewFrame.GOAL, separation, power_w, ways_around(scenes))
+    return AvoidanceEnvironment(
+        world,
+        REWARDS[params.reward],
+        SeparationFilter() if filtered else None,
+        make_level_flight_power_function(),
+        build_obstacle_paths(scenes),
+    )
 
 
-def flown_check(learner: Learner, env: AvoidEnvironment) -> tuple[float, float]:
-    """Reward of a flight and its decisions, by the actor without noise on fixed episodes."""
+def run_checks_mean_reward_and_decisions(
+    learner: Learner, env: AvoidanceEnvironment
+) -> tuple[float, float]:
+    """Return a flight's reward and decisions, by the actor without noise on fixed episodes."""
     params, world = learner.params, env.world
     env.reset([CHECK_SEEDS + k for k in range(params.check_episodes)])
     total, flown = 0.0, 0
@@ -86,174 +93,196 @@ def flown_check(learner: Learner, env: AvoidEnvironment) -> tuple[float, float]:
         if not world.active.any():
             break
         flown += int(world.active.sum())
-        now = env.observe()
-        total += float(env.step(learner.act(pooled(now.view), now.vectors_m)).sum())
+        now = observe_all_agents(world)
+        total += float(
+            env.fly_decision_and_return_rewards(
+                learner.select_actions(max_pooled_view(now.view), now.vectors_m)
+            ).sum()
+        )
     return total / world.active.size, flown / world.active.size
 
 
-@dataclass(frozen=True)
-class Checks:
-    """The same episodes bare, and behind the filter."""
-
-    bare: AvoidEnvironment
-    filtered: AvoidEnvironment
-
-    def point(self, learner: Learner, step: int, agent_steps: int, loss: float) -> CurvePoint:
-        reward, decisions = flown_check(learner, self.bare)
-        _, decisions_filtered = flown_check(learner, self.filtered)
-        world = self.bare.world
-        return CurvePoint(
-            step=step,
-            agent_steps=agent_steps,
-            reward_mean=reward,
-            goals_frac=float(world.arrived.mean()),
-            drone_collision_frac=float(world.hit_drone.mean()),
-            building_collision_frac=float(world.hit_building.mean()),
-            decisions_mean=decisions,
-            filtered_goals_frac=float(self.filtered.world.arrived.mean()),
-            filtered_decisions_mean=decisions_filtered,
-            critic_loss=loss,
-        )
-
-
-def train(
-    params: TrainParams,
-    out: Path,
-    power_w: Callable[..., Any] | None,
-    progress: Callable[[int, CurvePoint | None], None],
-) -> None:
-    """Learn until `params.steps`; goes on from out/checkpoint.pt, without its replay."""
-    torch.set_num_threads(1)
-    out.mkdir(parents=True, exist_ok=True)
-    learner, kept = Learner(params), out / "checkpoint.pt"
-    env = environment_of(params, params.agents, params.filtered, power_w)
-    checks = Checks(
-        *(environment_of(params, CHECK_AGENTS, filtered, power_w) for filtered in (False, True))
+def evaluate_learner(
+    learner: Learner,
+    bare: AvoidanceEnvironment,
+    filtered: AvoidanceEnvironment,
+    step: int,
+    agent_steps: int,
+    mean_training_loss: float,
+) -> CurvePoint:
+    """Fly the check episodes without and with the safety filter."""
+    reward, decisions = run_checks_mean_reward_and_decisions(learner, bare)
+    _, decisions_filtered = run_checks_mean_reward_and_decisions(learner, filtered)
+    return CurvePoint(
+        step=step,
+        agent_steps=agent_steps,
+        reward_mean=reward,
+        goals_frac=float(bare.world.arrived.mean()),
+        drone_collision_frac=float(bare.world.hit_drone.mean()),
+        building_collision_frac=float(bare.world.hit_obstacle.mean()),
+        decisions_mean=decisions,
+        filtered_goals_frac=float(filtered.world.arrived.mean()),
+        filtered_decisions_mean=decisions_filtered,
+        critic_loss=mean_training_loss,
     )
-    done, seen, began = 0, 0, 0
+
+
+def train_or_resume_policy(
+    params: TrainingParams,
+    output_folder: Path,
+    report_progress: Callable[[int, CurvePoint | None], None],
+) -> None:
+    """Train until `params.steps`. Resumes from out/checkpoint.pt, without its replay."""
+    torch.set_num_threads(1)
+    output_folder.mkdir(parents=True, exist_ok=True)
+    learner, kept = Learner(params), output_folder / "checkpoint.pt"
+    env = build_training_environment(params, params.agents, params.filtered)
+    checks = [build_training_environment(params, CHECK_AGENTS, flag) for flag in (False, True)]
+    done, seen, restart_count = 0, 0, 0
     if kept.exists():
         state = torch.load(kept, weights_only=True)
-        _same_settings(params, state["params"], kept)
-        learner.load(state["nets"])
-        done, seen, began = state["step"], state["agent_steps"], state["began"]
-    elif params.begin_with:
-        learner.load(torch.load(Path(params.begin_with), weights_only=True)["nets"])
+        _require_same_params_as_checkpoint(params, state["params"], kept)
+        learner.load_state_dicts(state["nets"])
+        done, seen, restart_count = state["step"], state["agent_steps"], state["began"]
     random = np.random.default_rng([params.seed, done])
     replay, loss, losses = Replay(params), 0.0, []
-    flight = _Flight(env, learner, random, began)
+    flight = _ExperienceSource(env, learner, random, restart_count)
     for step in range(done, params.steps + 1):
         if step % params.check_every == 0:
             loss = float(np.mean(losses)) if losses else 0.0
             losses = []
-            point = checks.point(learner, step, seen, loss)
-            _append(out / "curve.csv", point)
-            _save(kept, learner, step, seen, flight.began)
-            shutil.copyfile(kept, out / f"checkpoint-{step}.pt")  # the last is not always the best
-            progress(step, point)
+            point = evaluate_learner(learner, checks[0], checks[1], step, seen, loss)
+            _append_curve_point(output_folder / "curve.csv", point)
+            _save_checkpoint(kept, learner, step, seen, flight.restart_count)
+            shutil.copyfile(
+                kept, output_folder / f"checkpoint-{step}.pt"
+            )  # the last is not always the best
+            report_progress(step, point)
         share = step / params.steps
-        seen += flight.step(replay, noise=1.0 - share)
-        if replay.written > params.warm_up:
+        seen += flight.add_step_to_replay_count_active_agents(
+            replay, exploration_noise_scale=1.0 - share
+        )
+        if replay.row_count > params.warm_up:
             for _ in range(params.updates):
-                losses.append(learner.learn(replay.sample(params.batch, random), share))
-        progress(step, None)
+                losses.append(
+                    learner.train_on_batch(replay.sample_transitions(params.batch, random), share)
+                )
+        report_progress(step, None)
 
 
-class _Flight:
-    """The episodes that experience comes from."""
+class _ExperienceSource:
+    """The episodes that generate the experience."""
 
     def __init__(
-        self, env: AvoidEnvironment, learner: Learner, random: np.random.Generator, began: int
+        self,
+        env: AvoidanceEnvironment,
+        learner: Learner,
+        random: np.random.Generator,
+        restart_count: int,
     ) -> None:
-        self.env, self.learner, self.random, self.began = env, learner, random, began
-        self._begin()
+        self.env, self.learner, self.random, self.restart_count = (
+            env,
+            learner,
+            random,
+            restart_count,
+        )
+        self._restart_episodes()
 
-    def _begin(self) -> None:
+    def _restart_episodes(self) -> None:
         count = self.learner.params.episodes
-        base = TRAIN_SEEDS * (1 + self.learner.params.seed) + self.began * count
+        base = TRAINING_SEED_STRIDE * (1 + self.learner.params.seed) + self.restart_count * count
         self.env.reset([base + k for k in range(count)])
-        self.began += 1
+        self.restart_count += 1
         self.age = 0
-        self.now = self._look()
+        self.now = self._observe_pooled()
 
-    def _look(self) -> Observation:
-        now = self.env.observe()
-        return Observation(pooled(now.view), now.vectors_m)
+    def _observe_pooled(self) -> PolicyObservation:
+        now = observe_all_agents(self.env.world)
+        return PolicyObservation(max_pooled_view(now.view), now.vectors_m)
 
-    def step(self, replay: Replay, noise: float) -> int:
-        """One decision of all, with this share of the exploration there is at first."""
+    def add_step_to_replay_count_active_agents(
+        self, replay: Replay, exploration_noise_scale: float
+    ) -> int:
+        """Run one decision of all agents; `exploration_noise_scale`: on the initial one."""
         p, world = self.learner.params, self.env.world
-        flying = world.active.copy()
-        action = self.learner.act(self.now.view, self.now.vectors_m)
-        strayed = self.random.standard_normal(action.shape) * [p.noise_heading, p.noise_speed]
-        action = np.clip(action + noise * strayed, -1.0, 1.0)
-        drawn = self.random.random(flying.shape) < noise * p.random_frac
+        active = world.active.copy()
+        action = self.learner.select_actions(self.now.view, self.now.vectors_m)
+        exploration = self.random.standard_normal(action.shape) * [p.noise_heading, p.noise_speed]
+        action = np.clip(action + exploration_noise_scale * exploration, -1.0, 1.0)
+        drawn = self.random.random(active.shape) < exploration_noise_scale * p.random_frac
         action[drawn] = self.random.uniform(-1.0, 1.0, (int(drawn.sum()), 2))
-        taught = self.env.taught()
-        reward = self.env.step(action)
+        demonstration = self.env.shortest_path_actions()
+        reward = self.env.fly_decision_and_return_rewards(action)
         self.age += 1
         over = self.age >= p.longest or world.active.mean() < 0.15
-        replay.add(
+        replay.add_step(
             view=self.now.view,
             vectors_m=self.now.vectors_m,
             action=action,
-            taught=taught,
+            taught=demonstration,
             reward=reward,
-            flying=flying,
-            done=flying & ~world.active,
+            flying=active,
+            done=active & ~world.active,
             followed=not over,
         )
         if over:
-            self._begin()
+            self._restart_episodes()
         else:
-            self.now = self._look()
-        return int(flying.sum())
+            self.now = self._observe_pooled()
+        return int(active.sum())
 
 
-def _same_settings(params: TrainParams, kept: dict[str, Any], path: Path) -> None:
+def _require_same_params_as_checkpoint(
+    params: TrainingParams, checkpoint_params: dict[str, Any], path: Path
+) -> None:
     new = asdict(params)
-    other = {k for k in new if k != "steps" and new[k] != kept.get(k, new[k])}
+    other = {k for k in new if k != "steps" and new[k] != checkpoint_params.get(k, new[k])}
     if other:
-        words = ", ".join(f"{k} {kept.get(k)} (now {new[k]})" for k in sorted(other))
-        raise ValueError(f"{path} was learned with {words}; name another --out")
+        differences = ", ".join(
+            f"{k} {checkpoint_params.get(k)} (now {new[k]})" for k in sorted(other)
+        )
+        raise ValueError(f"{path}: trained with {differences}; choose another --out")
 
 
-def _append(path: Path, point: CurvePoint) -> None:
-    row, fresh = asdict(point), not path.exists()
+def _append_curve_point(path: Path, point: CurvePoint) -> None:
+    row, is_new = asdict(point), not path.exists()
     with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, list(row))
-        if fresh:
+        if is_new:
             writer.writeheader()
         writer.writerow(row)
 
 
-def _save(path: Path, learner: Learner, step: int, seen: int, began: int) -> None:
+def _save_checkpoint(
+    path: Path, learner: Learner, step: int, agent_steps: int, restart_count: int
+) -> None:
     state = {
         "params": asdict(learner.params),
-        "nets": learner.state(),
+        "nets": learner.state_dicts(),
         "step": step,
-        "agent_steps": seen,
-        "began": began,
+        "agent_steps": agent_steps,
+        "began": restart_count,
     }
     partial = path.with_suffix(".partial")
     torch.save(state, partial)
     partial.replace(path)
 
 
-def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
-    """Writes name.npz, name.toml and name_curve.csv; returns their paths."""
-    weights, run = _weights_of(checkpoint)
+def export_policy(checkpoint: Path, output_folder: Path, name: str, commit: str) -> list[Path]:
+    """Write name.npz, name.toml and name_curve.csv. Return their paths."""
+    run = torch.load(checkpoint, weights_only=True)
+    actor = run["nets"]["actor"]
+    weights = {name: value.numpy().astype(np.float32) for name, value in actor.items()}
     AvoidancePolicy(weights)
-    out.mkdir(parents=True, exist_ok=True)
-    archive = out / f"{name}.npz"
+    output_folder.mkdir(parents=True, exist_ok=True)
+    archive = output_folder / f"{name}.npz"
     np.savez(archive, **{key: weights[key] for key in SHAPES})  # pyright: ignore[reportArgumentType]
     params = run["params"]
     filtered = " --filtered" if params["filtered"] else ""
-    taught = f" --taught {params['taught']}" if params["taught"] else ""
-    begun = f" --begin-with {params['begin_with']}" if params["begin_with"] else ""
+    demonstration = f" --taught {params['taught']}" if params["taught"] else ""
     card = CARD.format(
         name=name,
-        sha256=_sha256_of(archive),
-        frame=ViewFrame.GOAL.value,
+        sha256=hashlib.sha256(archive.read_bytes()).hexdigest(),
         reward=params["reward"],
         behind_filter=str(params["filtered"]).lower(),
         seed=params["seed"],
@@ -263,25 +292,9 @@ def export(checkpoint: Path, out: Path, name: str, commit: str) -> list[Path]:
         agent_steps=run["agent_steps"],
         commit=commit,
         command=f"sim-bridge research train-avoid --reward {params['reward']}"
-        f" --seed {params['seed']} --steps {params['steps']}{filtered}{taught}{begun}",
+        f" --seed {params['seed']} --steps {params['steps']}{filtered}{demonstration}",
     )
-    written = [archive, out / f"{name}.toml", out / f"{name}_curve.csv"]
-    written[1].write_text(card, encoding="utf-8")
-    shutil.copyfile(checkpoint.parent / "curve.csv", written[2])
-    return written
-
-
-def _weights_of(checkpoint: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The actor's weights as plain float32 arrays, and what is known of the run."""
-    state = torch.load(checkpoint, weights_only=True)
-    actor = state["nets"]["actor"]
-    weights = {name: value.numpy().astype(np.float32) for name, value in actor.items()}
-    return weights, {
-        "params": state["params"],
-        "step": state["step"],
-        "agent_steps": state["agent_steps"],
-    }
-
-
-def _sha256_of(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    exported = [archive, output_folder / f"{name}.toml", output_folder / f"{name}_curve.csv"]
+    exported[1].write_text(card, encoding="utf-8")
+    shutil.copyfile(checkpoint.parent / "curve.csv", exported[2])
+    return exported

@@ -1,227 +1,193 @@
-"""`sim-bridge research bench flight`: how fast, how light; figures, never a test.
+"""`sim-bridge research bench flight`: speed and memory; results only, not a test.
 
-Each figure is the median of `rounds` runs with its least and greatest, since machines are noisy;
-`make fly` on a fresh clone is timed once.
+Each result is the median of `rounds` runs, with minimum and maximum to show machine noise.
 """
 
-import math
 import os
-import shutil
+import statistics
 import subprocess
+import sys
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import psutil
-from rich.console import Console
-from rich.table import Table
 
 from companion.adapters.files.params import params_dir
 from sim_bridge.adapters.wall_clock import wall_s
-from sim_bridge.app.faults.host import slow_fsync
-from sim_bridge.app.flight.fly import FlyOptions, Progress, fly
-from sim_bridge.app.flight.report import slim_table
+from sim_bridge.app.flight.fly import FlyOptions, fly_vehicles_and_evaluate
+from sim_bridge.app.flight.stage import Script
 from sim_bridge.app.flight.vehicle_process import Craft
-from sim_bridge.research.benchmarks.timing import Samples
-
-AUTOPILOTS = ("px4", "ardupilot")
-PROMPT = ("ms", "< 20")
-"""What is asked of a command: a fifth of a tick of 0.1 s."""
-
-SLOW_SYNC_S = 3.0
-"""A card that is busy; 0.5 to 10 s were seen."""
+from sim_bridge.autopilot.kinds import AUTOPILOTS
+from sim_bridge.research.study.run import ExperimentRun, Report
+from sim_bridge.research.study.sheet import Column, Sheet
 
 FLEET = 20
 FLEET_SECONDS_S = 90.0
-REAL_TIME_SECONDS_S = 120.0  # take-off, measuring the wind, the way out
-SOLO_SECONDS_S = 300.0
-WARM_UP_S = 5.0
-MEMORY_EVERY_S = 1.0
+REAL_TIME_SECONDS_S = 120.0  # take-off, wind estimation, outbound route
+SINGLE_VEHICLE_S = 300.0
+STABILIZATION_S = 5.0
+SAMPLE_INTERVAL_S = 1.0
+MINUTE_3_S = (120.0, 180.0)
+IMPORTS = (
+    "import companion.app.cli.flying, companion.app.flight.run, time; print(time.process_time())"
+)
+"""Program that prints the CPU time of importing the flight modules."""
 
 
 @dataclass(slots=True)
-class _Meter(Progress):
-    """Stops a run after some simulated time and notes what it took."""
+class _Meter(Script):
+    """Stops a run after some simulated time and measures its resources."""
 
     until_s: float = 60.0
-    began_wall_s: float | None = None
-    began_t_s: float = 0.0
+    start_wall_s: float | None = None
+    start_t_s: float = 0.0
     ended_t_s: float = 0.0
     ended_wall_s: float = 0.0
     exchanges_s: list[float] = field(default_factory=list)
     cpu_s: float = 0.0
     rss_mb: float = 0.0
-    _looked_t_s: float = 0.0
+    private_mb: float = 0.0
+    """Maximum unique set size (USS) in minute 3."""
+    _sampled_t_s: float = 0.0
     _cpu_at_start_s: float = 0.0
     _process: psutil.Process | None = None
 
-    def update(self, crafts: list[Craft], t_s: float) -> None:
+    def on_step_completed(self, crafts: list[Craft], t_s: float, reply_wall_s: float) -> None:
         now = wall_s()
-        if self.began_wall_s is None and t_s >= WARM_UP_S:
-            self.began_wall_s, self.began_t_s = now, t_s
+        self.exchanges_s.append(reply_wall_s)
+        if self.start_wall_s is None and t_s >= STABILIZATION_S:
+            self.start_wall_s, self.start_t_s = now, t_s
             self.exchanges_s.clear()
             pid = crafts[0].companion.pid
             self._process = psutil.Process(pid) if pid else None
-            self._cpu_at_start_s = self._cpu()
+            self._cpu_at_start_s = self._companion_cpu_time_s()
         self.ended_wall_s, self.ended_t_s = now, t_s
-        if t_s - self._looked_t_s >= MEMORY_EVERY_S:
-            self._looked_t_s = t_s
-            self._look()
+        if t_s - self._sampled_t_s >= SAMPLE_INTERVAL_S and self._process is not None:
+            self._sampled_t_s = t_s
+            with suppress(psutil.Error):  # if the process has ended, keep the last values
+                self.cpu_s = self._companion_cpu_time_s() - self._cpu_at_start_s
+                self.rss_mb = max(self.rss_mb, self._process.memory_info().rss / 1e6)
+                if MINUTE_3_S[0] <= t_s < MINUTE_3_S[1]:
+                    private_mb = self._process.memory_full_info().uss / 1e6
+                    self.private_mb = max(self.private_mb, private_mb)
 
-    def _look(self) -> None:
-        """CPU and memory so far; what cannot be read any more keeps its last figure."""
-        if self._process is None:
-            return
-        with suppress(psutil.Error):
-            self.cpu_s = self._cpu() - self._cpu_at_start_s
-            self.rss_mb = max(self.rss_mb, self._process.memory_info().rss / 1e6)
-
-    def exchanged(self, wall_s: float) -> None:
-        self.exchanges_s.append(wall_s)
-
-    def goes_on(self, t_s: float) -> bool:
+    def should_continue(self, t_s: float) -> bool:
         return t_s < self.until_s
 
-    def _cpu(self) -> float:
-        """Seconds of CPU of the companion so far; it never falls, also when it has ended."""
+    def _companion_cpu_time_s(self) -> float:
+        """Return the CPU time of the companion; it never decreases, even after exit."""
         if self._process is None:
             return 0.0
         times = self._process.cpu_times()
         return max(times.user + times.system, self._cpu_at_start_s + self.cpu_s)
 
     @property
-    def wall(self) -> float:
-        """Wall seconds from the warm-up's end."""
-        return self.ended_wall_s - (self.began_wall_s or self.ended_wall_s)
+    def _wall_duration_s(self) -> float:
+        """Wall time since the end of the warm-up."""
+        return max(self.ended_wall_s - (self.start_wall_s or self.ended_wall_s), 1e-9)
 
     @property
-    def times_real(self) -> float:
+    def real_time_factor(self) -> float:
         """Simulated over wall seconds, after the warm-up."""
-        return (self.ended_t_s - self.began_t_s) / max(self.wall, 1e-9)
+        return (self.ended_t_s - self.start_t_s) / self._wall_duration_s
+
+    @property
+    def load_percent(self) -> float:
+        """CPU time of the companion over wall time, after the warm-up."""
+        return 100.0 * self.cpu_s / self._wall_duration_s
 
     @property
     def exchange_p99_ms(self) -> float:
-        """99th percentile from a step's telemetry to the companion's answer with its commands."""
+        """99th percentile of the time from telemetry to the companion's commands."""
         ordered = sorted(self.exchanges_s)
         return 1e3 * ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)]
 
 
-def bench(rounds: int, console: Console, *, fresh_clone: bool = True) -> dict[str, Any]:
-    """Run all benchmarks; prints a table and returns its rows."""
-    rows: list[tuple[str, list[float], str, str]] = []
+Row = tuple[str, list[float], str, str]
+"""Measured quantity, one value per round, unit and goal."""
+
+
+def run_flight_benchmarks(rounds: int, run: ExperimentRun) -> Report:
+    """Run all benchmarks, with progress on stderr."""
+    rows: list[Row] = []
     for autopilot in AUTOPILOTS:
-        what = f"one vehicle, {autopilot}, one core"
-        meters = _measure(rounds, console, what, autopilot, 1, None)
-        speeds = [m.times_real for m in meters]
-        rows.append((f"{autopilot} and companion, one core", speeds, "x", ">= 20"))
-    meters = _measure(rounds, console, f"{FLEET} vehicles, two cores", "mixed", FLEET, None)
-    rows.append(
-        (
-            f"{FLEET} of both, two cores",
-            [m.times_real for m in meters],
-            "x",
-            ">= 1",
-        )
-    )
+        label = f"{autopilot} and companion, one core"
+        meters = _measure_flights(rounds, run, label, autopilot, SINGLE_VEHICLE_S, cores=1)
+        rows.append((label, [m.real_time_factor for m in meters], "x", ">= 20"))
+        rows.append(("its private memory", [m.private_mb for m in meters], "MB", "< 55"))
+    label = f"{FLEET} of both, two cores"
+    meters = _measure_flights(rounds, run, label, "mixed", FLEET_SECONDS_S, FLEET, cores=2)
+    rows.append((label, [m.real_time_factor for m in meters], "x", ">= 1"))
     for autopilot in AUTOPILOTS:
-        meters = _measure(rounds, console, f"{autopilot} at real time", autopilot, 1, 1.0)
-        loads = [100.0 * m.cpu_s / m.wall for m in meters]
-        rows.append((f"companion at real time, {autopilot}", loads, "%", "< 5"))
-        rows.append(("  its memory", [m.rss_mb for m in meters], "MB", "< 250"))
-        rows.append(("  telemetry to command p99", [m.exchange_p99_ms for m in meters], *PROMPT))
-    rows += slow_disk(rounds, console)
-    if fresh_clone:
-        rows.append(("make fly, fresh clone", [_fresh_clone_s(console)], "s", "< 180"))
-    console.print(_table(rounds, rows))
-    return {"rows": [{"what": w, "values": v, "unit": u, "goal": g} for w, v, u, g in rows]}
+        label = f"companion at real time, {autopilot}"
+        meters = _measure_flights(rounds, run, label, autopilot, REAL_TIME_SECONDS_S)
+        rows += [
+            (label, [m.load_percent for m in meters], "%", "< 5"),
+            ("its memory", [m.rss_mb for m in meters], "MB", "< 250"),
+            # Goal: a fifth of a tick of 0.1 s.
+            ("telemetry to command p99", [m.exchange_p99_ms for m in meters], "ms", "< 20"),
+        ]
+    imports_s = [_measure_companion_import_s() for _ in range(rounds)]
+    rows.append(("companion's imports", imports_s, "s", "< 0.6"))
+    document = {"rows": [{"what": w, "values": v, "unit": u, "goal": g} for w, v, u, g in rows]}
+    return Report({"bench_flight": _build_result_sheet(rounds, rows)}, document)
 
 
-def slow_disk(rounds: int, console: Console) -> list[tuple[str, list[float], str, str]]:
-    """Telemetry to command at real time where each sync of the disk takes 3 s.
-
-    Lockstep's companion keeps its checkpoints by a thread, as on a vehicle.
-    """
-    rows: list[tuple[str, list[float], str, str]] = []
-    for autopilot in AUTOPILOTS:
-        what = f"{autopilot} at real time, the disk takes {SLOW_SYNC_S:.0f} s to sync"
-        slow = slow_fsync(SLOW_SYNC_S)
-        meters = _measure(rounds, console, what, autopilot, 1, 1.0, before_companion=slow)
-        words = f"the same p99, disk syncs in {SLOW_SYNC_S:.0f} s, {autopilot}"
-        rows.append((words, [m.exchange_p99_ms for m in meters], *PROMPT))
-    return rows
+def _measure_companion_import_s() -> float:
+    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, check=True)
+    return float(done.stdout)
 
 
-def _table(rounds: int, rows: list[tuple[str, list[float], str, str]]) -> Table:
-    table = slim_table(
-        f"median of {rounds}; x: times real time, %: of one core",
-        ("what", "left"),
-        ("median", "right"),
-        ("least to most", "right"),
-        ("goal", "left"),
-        ("met", "left"),
-    )
-    for what, values, unit, goal in rows:
-        each = Samples.of(values)
-        met = "yes" if _is_met(each.median, goal) else "NO"
-        table.add_row(what, f"{each.median:.1f}", each.spread(), f"{goal} {unit}", met)
-    return table
+def _build_result_sheet(rounds: int, rows: list[Row]) -> Sheet:
+    columns: dict[str, Column] = {
+        "what": "{0[0]}",
+        "median": lambda row: f"{statistics.median(row[1]):.3g}",
+        "least to most": lambda row: (
+            f"{min(row[1]):.3g} to {max(row[1]):.3g}" if len(row[1]) > 1 else ""
+        ),
+        "n": lambda row: str(len(row[1])),
+        "goal": "{0[3]} {0[2]}",
+        "met": lambda row: "yes" if _meets_goal(statistics.median(row[1]), row[3]) else "NO",
+    }
+    note = f"Median of {rounds} runs, seeds from 1 on. x: times real time; %: of one core."
+    return Sheet.from_objects("Speed and size", rows, columns, note)
 
 
-def _is_met(value: float, goal: str) -> bool:
+def _meets_goal(value: float, goal: str) -> bool:
     sign, limit = goal.split()
     return value >= float(limit) if sign == ">=" else value < float(limit)
 
 
-def _fresh_clone_s(console: Console) -> float:
-    """Wall seconds of `make fly` on a clone of what is committed; NaN where it did not work."""
-    console.print("make fly on a fresh clone ...")
-    git = shutil.which("git")
-    make = shutil.which("make")
-    if git is None or make is None:
-        return math.nan
-    with tempfile.TemporaryDirectory() as folder:
-        clone = [git, "clone", "--quiet", str(Path(__file__).parents[3]), folder]
-        began_s = wall_s()
-        done = subprocess.run(clone, check=False).returncode == 0
-        done = done and subprocess.run([make, "-C", folder, "fly"], check=False).returncode == 0
-        return wall_s() - began_s if done else math.nan
-
-
-def _measure(
+def _measure_flights(
     rounds: int,
-    console: Console,
-    what: str,
+    run: ExperimentRun,
+    label: str,
     autopilot: str,
-    vehicles: int,
-    speedup: float | None,
+    until_s: float,
+    vehicles: int = 1,
     *,
-    before_companion: str = "",
+    cores: int | None = None,
 ) -> list[_Meter]:
-    cores = os.sched_getaffinity(0)
-    if speedup is None:
-        os.sched_setaffinity(0, sorted(cores)[: 1 if vehicles == 1 else 2])
-    until_s = SOLO_SECONDS_S if vehicles == 1 else FLEET_SECONDS_S
-    until_s = REAL_TIME_SECONDS_S if speedup is not None else until_s
-    meters: list[_Meter] = []
+    """Fly as fast as so many cores allow; None: at real time on all of them."""
+    all_cores = os.sched_getaffinity(0)
+    meters = [_Meter(until_s=until_s) for _ in range(rounds)]
     try:
-        for index in range(rounds):
-            console.print(f"{what}: run {index + 1} of {rounds} ...", highlight=False)
-            meter = _Meter(until_s=until_s)
+        os.sched_setaffinity(0, sorted(all_cores)[:cores])
+        for seed, meter in enumerate(meters, start=1):
+            run.print_message(f"{label}: run {seed} of {rounds} ...")
             with tempfile.TemporaryDirectory() as folder:
                 options = FlyOptions(
                     flight_file=params_dir() / "flights" / "default.toml",
                     autopilot=autopilot,
-                    seed=index + 1,
+                    seed=seed,
                     vehicles=vehicles,
-                    speedup=speedup,
+                    speedup=1.0 if cores is None else None,
                     run_root=Path(folder),
                     picture=False,
-                    before_companion=before_companion,
                 )
-                fly(options, meter)
-            meters.append(meter)
+                fly_vehicles_and_evaluate(options, meter)
     finally:
-        os.sched_setaffinity(0, cores)
+        os.sched_setaffinity(0, all_cores)
     return meters

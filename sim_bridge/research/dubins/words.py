@@ -6,8 +6,8 @@ centre at `p + R s n(h)`. With `c` from the first turn's centre to the last one'
 
   same turns, s S s        straight along `c`, |c| long
   opposite turns, s S -s   `c = S u(phi) - 2 R s n(phi)`, S = sqrt(|c|^2 - 4 R^2)
-  three turns, s -s s      centres 2 R apart; the middle turn is pi +- 2 acos(|c| / 4 R): the
-                           greater in calm air; the lesser too where a moving goal must be met
+  three turns, s -s s      centres 2 R from each other; the middle turn is pi +- 2 acos(|c| / 4 R):
+                           the greater in calm air; also the lesser for a moving goal
 """
 
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ import numpy as np
 from companion.core.base.arrays import Floats
 
 TWO_PI = 2.0 * np.pi
-NEARLY_ROUND = 1e-9  # rad; a turn this close to a full circle counts as 0
+FULL_CIRCLE_TOLERANCE_RAD = 1e-9  # rad; a turn this close to a full circle counts as 0
 
-WORDS = ("LSL", "RSR", "LSR", "RSL", "LRL", "RLR", "LRL", "RLR")
-FIRST = np.array([-1, 1, -1, 1, -1, 1, -1, 1])
-LAST = np.array([-1, 1, 1, -1, -1, 1, -1, 1])
-MIDDLE = np.array([0, 0, 0, 0, 1, -1, 1, -1])
-WIDE = np.array([0, 0, 0, 0, 1, 1, -1, -1])
+DUBINS_WORDS = ("LSL", "RSR", "LSR", "RSL", "LRL", "RLR", "LRL", "RLR")
+FIRST_TURN = np.array([-1, 1, -1, 1, -1, 1, -1, 1])
+LAST_TURN = np.array([-1, 1, 1, -1, -1, 1, -1, 1])
+MIDDLE_PART = np.array([0, 0, 0, 0, 1, -1, 1, -1])
+MIDDLE_ARC_SIGN = np.array([0, 0, 0, 0, 1, 1, -1, -1])
 """Middle of three turns: +1 more than half a circle, -1 less; 0 for a straight."""
-IN_CALM = 6
-"""Number of words needed in calm air: Dubins' six, the first six of WORDS."""
+CALM_WORD_COUNT = 6
+"""Number of words needed in calm air: Dubins' six, listed first."""
 
 
 @dataclass(frozen=True, slots=True)
-class Turns:
+class WordParts:
     """First turn (rad), middle (straight in m, or a turn in rad), last turn (rad); NaN: no path."""
 
     first_rad: Floats
@@ -38,84 +38,61 @@ class Turns:
     last_rad: Floats
 
 
-def round_off(angle_rad: Floats) -> Floats:
-    """The angle in [0, 2 pi); values just below a full circle become 0."""
+def wrap_angle_rad(angle_rad: Floats) -> Floats:
+    """Wrap the angle to [0, 2 pi). Values just below a full circle become 0."""
     angle = np.mod(angle_rad, TWO_PI)
-    return np.where(angle > TWO_PI - NEARLY_ROUND, 0.0, angle)
+    return np.where(angle > TWO_PI - FULL_CIRCLE_TOLERANCE_RAD, 0.0, angle)
 
 
-def centre_shift(
-    away_n: Floats,
-    away_e: Floats,
+def turn_centre_shift_m(
+    goal_offset_n_m: Floats,
+    goal_offset_e_m: Floats,
     start_rad: Floats,
     goal_rad: Floats,
-    first: int,
-    last: int,
+    first_turn_sign: int,
+    last_turn_sign: int,
     radius: Floats,
 ) -> tuple[Floats, Floats]:
-    """`c` (north, east) m for a word's first and last turn."""
-    north = away_n + radius * (first * np.sin(start_rad) - last * np.sin(goal_rad))
-    east = away_e + radius * (last * np.cos(goal_rad) - first * np.cos(start_rad))
+    """Return `c` (north, east) m for a word's first and last turn."""
+    north = goal_offset_n_m + radius * (
+        first_turn_sign * np.sin(start_rad) - last_turn_sign * np.sin(goal_rad)
+    )
+    east = goal_offset_e_m + radius * (
+        last_turn_sign * np.cos(goal_rad) - first_turn_sign * np.cos(start_rad)
+    )
     return north, east
 
 
-def turns_of(
-    word: int, c_n: Floats, c_e: Floats, start_rad: Floats, goal_rad: Floats, radius: Floats
-) -> Turns:
-    """The three parts of a word for a given `c`."""
-    first, last = int(FIRST[word]), int(LAST[word])
-    if MIDDLE[word] != 0:
-        return _three_turns(word, c_n, c_e, start_rad, goal_rad, radius)
-    course = np.arctan2(c_e, c_n)
-    straight = np.hypot(c_n, c_e)
-    if first != last:
-        with np.errstate(invalid="ignore"):
-            straight = np.sqrt(c_n**2 + c_e**2 - 4.0 * radius**2)
-        course = course + first * np.arctan2(2.0 * radius, straight)
-    return Turns(
-        round_off(first * (course - start_rad)), straight, round_off(last * (goal_rad - course))
+def dubins_word_parts(
+    word_index: int,
+    centre_shift_n_m: Floats,
+    centre_shift_e_m: Floats,
+    start_rad: Floats,
+    goal_rad: Floats,
+    radius: Floats,
+) -> WordParts:
+    """Return the three parts of a word for a given `c`."""
+    first, last = int(FIRST_TURN[word_index]), int(LAST_TURN[word_index])
+    course = np.arctan2(centre_shift_e_m, centre_shift_n_m)
+    distance = np.hypot(centre_shift_n_m, centre_shift_e_m)
+    lead: Floats | float = 0.0
+    with np.errstate(invalid="ignore"):  # no such path: NaN
+        if MIDDLE_PART[word_index] != 0:
+            half = MIDDLE_ARC_SIGN[word_index] * np.arccos(distance / (4.0 * radius))
+            lead, middle = half + np.pi / 2, np.pi + 2.0 * half
+        elif first != last:
+            middle = np.sqrt(centre_shift_n_m**2 + centre_shift_e_m**2 - 4.0 * radius**2)
+            course = course + first * np.arctan2(2.0 * radius, middle)
+        else:
+            middle = distance
+    return WordParts(
+        wrap_angle_rad(first * (course - start_rad) + lead),
+        middle,
+        wrap_angle_rad(last * (goal_rad - course) + lead),
     )
 
 
-def _three_turns(
-    word: int, c_n: Floats, c_e: Floats, start_rad: Floats, goal_rad: Floats, radius: Floats
-) -> Turns:
-    turn = int(FIRST[word])
-    with np.errstate(invalid="ignore"):
-        half = WIDE[word] * np.arccos(np.hypot(c_n, c_e) / (4.0 * radius))
-    course = np.arctan2(c_e, c_n)
-    lead = half + np.pi / 2
-    return Turns(
-        round_off(turn * (course - start_rad) + lead),
-        np.pi + 2.0 * half,
-        round_off(turn * (goal_rad - course) + lead),
-    )
-
-
-def length_of(word: int, turns: Turns, radius: Floats) -> Floats:
-    """Horizontal length (m) through the air; NaN where the word has no path."""
-    middle = turns.middle * radius if MIDDLE[word] != 0 else turns.middle
-    return radius * (turns.first_rad + turns.last_rad) + middle
-
-
-def shortest_lengths_m(
-    away_ne_m: Floats, start_rad: Floats, goal_rad: Floats, radius_m: Floats
-) -> Floats:
-    """Dubins length of each word without wind; (n, 6), infinite where no such path exists.
-
-    Shkel & Lumelsky, "Classification of the Dubins set", 2001, by the circles above.
-    """
-    lengths = np.empty((len(start_rad), IN_CALM))
-    for word in range(IN_CALM):
-        c = centre_shift(
-            away_ne_m[:, 0],
-            away_ne_m[:, 1],
-            start_rad,
-            goal_rad,
-            int(FIRST[word]),
-            int(LAST[word]),
-            radius_m,
-        )
-        turns = turns_of(word, *c, start_rad, goal_rad, radius_m)
-        lengths[:, word] = length_of(word, turns, radius_m)
-    return np.where(np.isnan(lengths), np.inf, lengths)
+def word_length_m(word_index: int, parts: WordParts, radius: Floats) -> Floats:
+    """Return the horizontal length (m) through the air; NaN if the word has no path."""
+    middle = parts.middle * radius if MIDDLE_PART[word_index] != 0 else parts.middle
+    return radius * (parts.first_rad + parts.last_rad) + middle

@@ -1,12 +1,13 @@
-"""The monitor's study: false alarms where all is right, flights to find what is wrong, losses."""
+"""Monitor study: false alarms without a fault, flights until detection, losses."""
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
-from companion.core.base.arrays import Bools, Floats
+from companion.core.base.arrays import Floats
 from companion.core.monitor.promises import (
     DRAW,
     DRAW_STD,
@@ -15,235 +16,257 @@ from companion.core.monitor.promises import (
     PACK_TEST,
     WIND,
     WIND_TEST,
-    threshold,
+    alarm_log_e_threshold,
 )
-from companion.core.monitor.tally import FALL_STD_FRAC
-from sim_bridge.research.monitor.following import (
-    Followed,
-    believed_after,
-    follow,
-    follow_shares,
-)
-from sim_bridge.research.monitor.gate import Losses, judge
-from sim_bridge.research.monitor.worlds import (
-    FALL_FRAC,
-    M100_DAY_STD,
-    M100_FLIGHT_STD,
-    Season,
+from companion.core.monitor.tally import DISCHARGE_STD_FRAC
+from sim_bridge.research.monitor.services import (
+    AlarmHistory,
+    Losses,
+    ServicePlan,
     World,
+    count_losses,
+    period_masks,
+    shift_estimates_after_alarm,
+    simulate_check_failure_alarms,
+    simulate_shift_alarms,
 )
-from sim_bridge.research.promise.verdict import wilson95
+from sim_bridge.research.study.intervals import wilson95
+from sim_bridge.research.study.run import Report
+from sim_bridge.research.study.sheet import Sheet
 
-PACK_STD = FALL_STD_FRAC / FALL_FRAC
-PACKS, PACK_SEASON = 4, Season(flights=125, per_day=3)
-"""Packs of a vehicle, taken in turn."""
+M100_DAY_STD, M100_FLIGHT_STD = 0.015, 0.024
+"""Log ratio of used to modelled energy: 119 flights of an M100 (Rodrigues et al., 2021)."""
+
+CHARGE_USED_FRAC = 0.55
+"""Share of the charge that a flight uses, as in the default flight."""
+
+PACK_STD = DISCHARGE_STD_FRAC / CHARGE_USED_FRAC
+PACKS, PACK_SERVICE = 4, ServicePlan(flights=125, per_day=3)
+"""Number of packs of a vehicle, used in rotation, and the service of one pack."""
 
 WIND_CHECKS = 5
-"""Forecasts that a flight of six minutes checks."""
+"""Number of wind forecasts that a six-minute flight checks."""
 
 AS_MEASURED = World("as measured on the M100", 0.0, M100_DAY_STD, M100_FLIGHT_STD)
 AT_THE_EDGE = World("at the edge of the null", DRAW_TEST.tolerance, DRAW_TEST.day_std, DRAW_STD)
-HARSH = (
-    replace(AS_MEASURED, name="cold spells: days correlated by 0.9", day_memory=0.9),
-    replace(AS_MEASURED, name="flights of Student's t, 4 degrees", flight_dof=4.0),
-    replace(AS_MEASURED, name="days scatter by 3 %, twice as measured", day_std=0.03),
-)
-CHANGE = 203
-"""In the middle of a season and of a day."""
+HARSH = replace(AS_MEASURED, name="days scatter by 3 %, twice as measured", day_std=0.03)
+PACK_WORLD = World("pack", 0.0, M100_DAY_STD, PACK_STD)
+DRAW_RISE_FRACS, CHANGED_FLIGHT = (0.05, 0.10, 0.20), 203
+"""Rises of the draw, and the flight index of the change: in mid-service and mid-day."""
 
-FINDING_SERVICES = 2000
-"""Enough for a median to a flight."""
+DETECTION_SERVICES = 2000
+"""Number of services, sufficient for a median with a resolution of one flight."""
 
 MAX_LOSS = 0.01
-WITHOUT_DAYS = replace(DRAW_TEST, day_std=0.0)
-"""What a monitor is that takes all flights as independent; told the whole scatter of a flight."""
+
+Row = dict[str, Any]
+"""Row of a table, with the keys of the JSON document."""
 
 
-@dataclass(frozen=True, slots=True)
-class FalseAlarms:
-    """Services with an alarm, of `services`, where nothing was wrong."""
+def evaluate_monitor(service_count: int, seed: int) -> Report:
+    """Run the study; in the JSON document an infinite median is None."""
+    alarms = list(simulate_false_alarms(service_count, seed))
+    found = list(simulate_detection_times(seed))
+    lost = list(simulate_losses_with_and_without_monitor(max(service_count // 10, 100), seed))
+    document = {
+        "format": "monitor-study/1",
+        "false_alarms": alarms,
+        "found": [{k: None if v == math.inf else v for k, v in row.items()} for row in found],
+        "losses": [
+            row | {key: asdict(row[key]) for key in ("with_monitor", "without")} for row in lost
+        ],
+    }
+    sheets = {
+        "false_alarms": Sheet.from_objects(
+            "False alarms",
+            alarms,
+            {
+                "world": "{0[world]}",
+                "monitor": "{0[what]}",
+                "services": "{0[services]}",
+                "with an alarm": "{0[alarms]}",
+                "share": lambda row: f"{row['alarms'] / row['services']:.2%}",
+                "95 % interval": lambda row: _format_percent_interval(row["interval95"]),
+            },
+            f"Services of {ServicePlan().flights} flights, ten a day, four packs in turn. The edge"
+            " of the null is the worst that is promised: every mean at its tolerance, every scatter"
+            " as stated.",
+        ),
+        "found": Sheet.from_objects(
+            "Flights until it is found",
+            found,
+            {
+                "what": "{0[what]}",
+                "flights a day": "{0[per_day]}",
+                "median": "{0[median]:.0f}",
+                "90 % within": "{0[most]:.0f}",
+                "never": "{0[missed]:.1%}",
+            },
+            "From the first changed flight to the one whose end brings the alarm. A pack's flights"
+            " are its own.",
+        ),
+        "losses": Sheet.from_objects(
+            "Losses of the flights that the gate allowed",
+            lost,
+            {
+                "what": "{0[what]}",
+                "when": "{0[when]}",
+                "lost, monitor": "{0[with_monitor].share:.2%}",
+                "95 % interval": lambda row: _format_percent_interval(
+                    wilson95(row["with_monitor"].lost, max(row["with_monitor"].allowed, 1))
+                ),
+                "lost, without": "{0[without].share:.2%}",
+                "allowed, monitor": "{0[with_monitor].allowed_share:.0%}",
+                "allowed, without": "{0[without].allowed_share:.0%}",
+            },
+            f"The gate accepts {MAX_LOSS:.0%}; missions need 70 to 100 % of a full pack, so that"
+            " each is near its limit.",
+        ),
+    }
+    return Report(sheets, document)
 
-    world: str
-    what: str
-    alarms: int
-    services: int
 
-    @property
-    def interval(self) -> tuple[float, float]:
-        return wilson95(self.alarms, self.services)
+def _format_percent_interval(interval: tuple[float, float]) -> str:
+    return f"{interval[0]:.2%} to {interval[1]:.2%}"
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Flights from a change to its alarm: median, and those within which 90 % were found."""
+def simulate_false_alarms(service_count: int, seed: int) -> Iterator[Row]:
+    """Yield false alarms of whole services: as measured, at the edge of the null, harsher draw."""
 
-    what: str
-    per_day: int
-    median: float
-    most: float
-    missed: float
+    def count_services_with_alarm(world: World, label: str, alarm: Floats) -> Row:
+        alarms = int(np.isfinite(alarm).sum())
+        interval95 = wilson95(alarms, service_count)
+        return {
+            "world": world.name,
+            "what": label,
+            "alarms": alarms,
+            "services": service_count,
+            "interval95": interval95,
+        }
 
-
-@dataclass(frozen=True, slots=True)
-class LossRow:
-    """Losses of the flights that a gate allowed."""
-
-    what: str
-    when: str
-    with_monitor: Losses
-    without: Losses
-
-
-def false_alarms(services: int, seed: int) -> Iterator[FalseAlarms]:
-    """Whole services as measured and at the edge of the null, then harsher worlds of the draw."""
     worlds = ((AS_MEASURED, 0.0, 0.05), (AT_THE_EDGE, PACK_TEST.tolerance, WIND_TEST.allowed))
     for number, (world, pack_mean, share) in enumerate(worlds):
         rng = np.random.default_rng([seed, 1, number])
-        draw = _draw(world, Season(), services, rng).alarm
+        draw = _simulate_draw_alarms(ServicePlan(), service_count, rng, world).alarm
+        pack_world = replace(world, mean=pack_mean, flight_std=PACK_STD)
         packs = [
-            _pack_null(order, pack_mean, world, services, rng) for order in range(1, PACKS + 1)
+            _simulate_pack_alarms(PACK_SERVICE, service_count, rng, pack_world, order).alarm
+            for order in range(1, PACKS + 1)
         ]
-        wind = _wind_null(share, services, rng)
+        wind = _simulate_wind_alarms(share, service_count, rng)
         parts = {"draw": draw, "packs": np.min(packs, axis=0), "wind": wind}
         parts["the whole service"] = np.min([*parts.values()], axis=0)
-        for what, alarm in parts.items():
-            yield _counted(world.name, what, alarm)
-    for number, world in enumerate(HARSH):
-        rng = np.random.default_rng([seed, 2, number])
-        yield _counted(world.name, "draw", _draw(world, Season(), services, rng).alarm)
-    rng = np.random.default_rng([seed, 3])
-    std = math.hypot(DRAW_TEST.day_std, DRAW_STD)
-    blind = follow(WITHOUT_DAYS, std, threshold(DRAW), AS_MEASURED, Season(), services, rng)
-    yield _counted(AS_MEASURED.name, "draw, flights taken as independent", blind.alarm)
-    blind = follow(WITHOUT_DAYS, std, threshold(DRAW), AT_THE_EDGE, Season(), services, rng)
-    yield _counted(AT_THE_EDGE.name, "draw, flights taken as independent", blind.alarm)
+        for label, alarm in parts.items():
+            yield count_services_with_alarm(world, label, alarm)
+    rng = np.random.default_rng([seed, 2, 2])
+    draw = _simulate_draw_alarms(ServicePlan(), service_count, rng, HARSH).alarm
+    yield count_services_with_alarm(HARSH, "draw", draw)
 
 
-def times_to_find(seed: int) -> Iterator[Found]:
-    """A draw that rises in mid-season, and packs that come, or turn out, aged."""
-    for number, rise in enumerate((0.05, 0.10, 0.20)):
+def simulate_detection_times(seed: int) -> Iterator[Row]:
+    """Yield detection times of a draw that rises in mid-service, and of aged packs."""
+
+    def summarize(label: str, service: ServicePlan, seen: AlarmHistory) -> Row:
+        change = service.change or 0
+        late = seen.alarm[seen.alarm >= change] - change + 1.0
+        return {
+            "what": label,
+            "per_day": service.per_day,
+            "median": float(np.median(late)),
+            "most": float(np.percentile(late, 90)),
+            "missed": float(np.isinf(late).mean()),
+        }
+
+    for number, rise in enumerate(DRAW_RISE_FRACS):
         rng = np.random.default_rng([seed, 4, number])
-        season = Season(change=CHANGE, by=math.log1p(rise))
-        seen = _draw(AS_MEASURED, season, FINDING_SERVICES, rng)
-        yield _found(f"draw +{100 * rise:.0f} %", season, seen)
-        blind_std = math.hypot(DRAW_TEST.day_std, DRAW_STD)
-        blind = follow(
-            WITHOUT_DAYS, blind_std, threshold(DRAW), AS_MEASURED, season, FINDING_SERVICES, rng
-        )
-        yield _found(f"draw +{100 * rise:.0f} %, flights taken as independent", season, blind)
+        service = ServicePlan(change=CHANGED_FLIGHT, change_size=math.log1p(rise))
+        seen = _simulate_draw_alarms(service, DETECTION_SERVICES, rng)
+        yield summarize(f"draw +{100 * rise:.0f} %", service, seen)
     for number, (health, per_day) in enumerate(((0.9, 10), (0.8, 10), (0.9, 3), (0.8, 3))):
         rng = np.random.default_rng([seed, 5, number])
-        season = Season(flights=300, per_day=per_day, change=0, by=-math.log(health))
-        seen = _pack(1, 0.0, season, FINDING_SERVICES, rng)
-        yield _found(f"a pack at {100 * health:.0f} % from its first flight", season, seen)
-        aged = replace(season, change=61)
-        seen = _pack(1, 0.0, aged, FINDING_SERVICES, rng)
-        yield _found(f"a pack at {100 * health:.0f} % after 61 flights", aged, seen)
+        for change, when in ((0, "from its first flight"), (61, "after 61 flights")):
+            service = ServicePlan(300, per_day, change, -math.log(health))
+            seen = _simulate_pack_alarms(service, DETECTION_SERVICES, rng)
+            yield summarize(f"a pack at {100 * health:.0f} % {when}", service, seen)
 
 
-def losses(services: int, seed: int) -> Iterator[LossRow]:
-    """Losses before, between change and alarm, and after it, with the monitor and without."""
-    for number, rise in enumerate((0.05, 0.10, 0.20)):
+def simulate_losses_with_and_without_monitor(service_count: int, seed: int) -> Iterator[Row]:
+    """Yield losses before the change, until the alarm and after it, with and without monitor."""
+    for number, rise in enumerate(DRAW_RISE_FRACS):
         rng = np.random.default_rng([seed, 6, number])
-        season = Season(flights=400, change=CHANGE, by=math.log1p(rise))
-        seen = _draw(AS_MEASURED, season, services, rng)
-        mean, std = believed_after(DRAW_TEST, DRAW_STD, seen, season)
-        none = np.zeros_like(mean)
-        whole = np.ones_like(mean)
-        for when, flights in _spans(seen, season):
-            told = seen.values[flights], none[flights]
-            knows = judge(*told, (mean[flights], std[flights], whole[flights]), MAX_LOSS, rng)
-            not_ = judge(*told, (none[flights], none[flights], whole[flights]), MAX_LOSS, rng)
-            yield LossRow(f"draw +{100 * rise:.0f} %", when, knows, not_)
+        service = ServicePlan(400, change=CHANGED_FLIGHT, change_size=math.log1p(rise))
+        seen = _simulate_draw_alarms(service, service_count, rng)
+        mean, std = shift_estimates_after_alarm(DRAW_TEST, DRAW_STD, seen, service)
+        none, whole = np.zeros_like(mean), np.ones_like(mean)
+        monitored = mean, std, whole
+        label = f"draw +{100 * rise:.0f} %"
+        yield from _losses_by_period(label, seen, CHANGED_FLIGHT, seen.values, none, monitored, rng)
     for number, health in enumerate((0.9, 0.8)):
         rng = np.random.default_rng([seed, 7, number])
-        season = Season(flights=200, change=61, by=-math.log(health))
-        seen = _pack(1, 0.0, season, services, rng)
-        mean, std = believed_after(PACK_TEST, PACK_STD, seen, season)
-        share = np.minimum(np.exp(-mean - std), 1.0)
-        fell = np.array([season.shift(flight) for flight in range(season.flights)])
-        has = np.broadcast_to(-fell[:, None], mean.shape)
+        service = ServicePlan(200, change=61, change_size=-math.log(health))
+        seen = _simulate_pack_alarms(service, service_count, rng)
+        mean, std = shift_estimates_after_alarm(PACK_TEST, PACK_STD, seen, service)
+        none = np.zeros_like(mean)
+        monitored = none, none, np.minimum(np.exp(-mean - std), 1.0)
+        capacity = np.broadcast_to(-service.log_ratio_shifts[:, None], mean.shape)
         used = AS_MEASURED.mean + math.hypot(M100_DAY_STD, M100_FLIGHT_STD) * rng.standard_normal(
             mean.shape
         )
-        none = np.zeros_like(mean)
-        for when, flights in _spans(seen, season):
-            told = used[flights], has[flights]
-            knows = judge(*told, (none[flights], none[flights], share[flights]), MAX_LOSS, rng)
-            not_ = judge(*told, (none[flights], none[flights], 1.0 + none[flights]), MAX_LOSS, rng)
-            yield LossRow(f"a pack at {100 * health:.0f} %", when, knows, not_)
+        label = f"a pack at {100 * health:.0f} %"
+        yield from _losses_by_period(label, seen, 61, used, capacity, monitored, rng)
 
 
-def fading_pack(seed: int) -> tuple[Floats, Floats, Followed, Floats]:
-    """A pack that loses a quarter of its capacity over 150 flights: true share (flights,), believed
-    share (flights,), the services followed, and the alarm's limit by flight.
-    """
-    season = Season(flights=150, per_day=3)
-    truth = 1.0 - 0.25 * np.arange(season.flights) / season.flights
-    rng = np.random.default_rng([seed, 8])
-    seen = _pack(1, 0.0, season, 1, rng)
-    values = seen.values - np.log(truth)[:, None]
-    test, evidence = PACK_TEST, PACK_TEST.none((1,))
-    log_e = np.zeros_like(values)
-    for flight in range(season.flights):
-        if flight % season.per_day == 0:
-            evidence = test.next_day(evidence)
-        evidence = test.take(evidence, values[flight], PACK_STD)
-        log_e[flight] = test.log_e(evidence)
-    limit = threshold(PACK)
-    reached = np.flatnonzero(log_e[:, 0] >= limit)
-    alarm = np.array([float(reached[0]) if reached.size else np.inf])
-    followed = Followed(alarm, log_e, values)
-    mean, std = believed_after(test, PACK_STD, followed, season)
-    believed = np.where(mean[:, 0] > 0.0, np.exp(-mean[:, 0] - std[:, 0]), 1.0)
-    return truth, believed, followed, np.full(season.flights, limit)
+def _losses_by_period(
+    label: str,
+    seen: AlarmHistory,
+    change: int,
+    log_energy_ratio: Floats,
+    log_capacity_frac: Floats,
+    monitored: tuple[Floats, Floats, Floats],
+    rng: np.random.Generator,
+) -> Iterator[Row]:
+    """Yield the losses with the estimates of the monitor, and with those of a vehicle as new."""
+    none = np.zeros_like(log_energy_ratio)
+    for when, flights in period_masks(seen, change).items():
+
+        def count(estimates: tuple[Floats, ...], flights: Any = flights) -> Losses:
+            mean, std, share = (each[flights] for each in estimates)
+            actual = log_energy_ratio[flights], log_capacity_frac[flights]
+            return count_losses(*actual, (mean, std, share), MAX_LOSS, rng)
+
+        yield {
+            "what": label,
+            "when": when,
+            "with_monitor": count(monitored),
+            "without": count((none, none, 1.0 + none)),
+        }
 
 
-def _draw(world: World, season: Season, services: int, rng: np.random.Generator) -> Followed:
-    return follow(DRAW_TEST, DRAW_STD, threshold(DRAW), world, season, services, rng)
+def _simulate_draw_alarms(
+    service: ServicePlan, services: int, rng: np.random.Generator, world: World = AS_MEASURED
+) -> AlarmHistory:
+    limit = alarm_log_e_threshold(DRAW)
+    return simulate_shift_alarms(DRAW_TEST, DRAW_STD, limit, world, service, services, rng)
 
 
-def _pack(
-    order: int, mean: float, season: Season, services: int, rng: np.random.Generator
-) -> Followed:
-    world = World("pack", mean, M100_DAY_STD, PACK_STD)
-    return follow(PACK_TEST, PACK_STD, threshold(PACK, order), world, season, services, rng)
+def _simulate_pack_alarms(
+    service: ServicePlan,
+    services: int,
+    rng: np.random.Generator,
+    world: World = PACK_WORLD,
+    pack_number: int = 1,
+) -> AlarmHistory:
+    limit = alarm_log_e_threshold(PACK, pack_number)
+    return simulate_shift_alarms(PACK_TEST, PACK_STD, limit, world, service, services, rng)
 
 
-def _pack_null(
-    order: int, mean: float, world: World, services: int, rng: np.random.Generator
+def _simulate_wind_alarms(
+    mean_failure_probability: float, services: int, rng: np.random.Generator
 ) -> Floats:
-    at_edge = replace(world, mean=mean, flight_std=PACK_STD)
-    limit = threshold(PACK, order)
-    return follow(PACK_TEST, PACK_STD, limit, at_edge, PACK_SEASON, services, rng).alarm
-
-
-def _wind_null(share: float, services: int, rng: np.random.Generator) -> Floats:
-    """Days differ: their shares are of a beta distribution with the mean `share`, as wide as one
-    with two such checks.
+    """Return alarms of the wind test; daily shares follow a beta distribution with mean
+    `mean_failure_probability` and the concentration of two checks.
     """
-    days = rng.beta(2.0 * share, 2.0 * (1.0 - share), (Season().days, services))
-    return follow_shares(WIND_TEST, threshold(WIND), days, WIND_CHECKS, 10, rng)
-
-
-def _counted(world: str, what: str, alarm: Floats) -> FalseAlarms:
-    return FalseAlarms(world, what, int(np.isfinite(alarm).sum()), alarm.size)
-
-
-def _found(what: str, season: Season, seen: Followed) -> Found:
-    change = season.change or 0
-    late = seen.alarm[seen.alarm >= change] - change + 1.0
-    missed = float(np.isinf(late).mean())
-    return Found(
-        what, season.per_day, float(np.median(late)), float(np.percentile(late, 90)), missed
-    )
-
-
-def _spans(seen: Followed, season: Season) -> Iterator[tuple[str, Bools]]:
-    """Masks over (flights, services)."""
-    flight = np.arange(season.flights)[:, None]
-    changed = flight >= (season.change or 0)
-    after = np.broadcast_to(flight > seen.alarm, seen.values.shape)
-    yield "before the change", np.broadcast_to(~changed, after.shape) & ~after
-    yield "until the alarm", changed & ~after
-    yield "after the alarm", changed & after
+    concentrations = 2.0 * mean_failure_probability, 2.0 * (1.0 - mean_failure_probability)
+    days = rng.beta(*concentrations, (ServicePlan().day_count, services))
+    limit = alarm_log_e_threshold(WIND)
+    return simulate_check_failure_alarms(WIND_TEST, limit, days, WIND_CHECKS, 10, rng)

@@ -1,9 +1,9 @@
-"""BER, ours: the policy of the value tables, with a belief where the wind's state is hidden.
+"""BER of this project: value tables, with P(state) estimated where the wind state is hidden.
 
-With the state in sight a decision is one look into a table. Behind wind classes the planner keeps
-P(state): what an edge used tells which states it may have been flown in, the chain tells what they
-became, the class seen tells which are left; it then takes the edge of the best expected worth
-(QMDP: Littman, Cassandra & Kaelbling 1995).
+If the sight reveals the state, a decision is one table lookup. With wind classes the planner
+estimates P(state): the energy of each edge flown identifies the states that fit, the chain predicts
+the next state, and the observed class excludes states. It then selects the edge of greatest
+expected value (QMDP: Littman, Cassandra & Kaelbling 1995).
 """
 
 import numpy as np
@@ -11,192 +11,223 @@ from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.routing.energy_graph import EnergyGraph
-from companion.core.routing.planner_interface import NOWHERE, STAY, Decider, Look
+from companion.core.routing.planner_interface import (
+    NO_EDGE,
+    STOP_AT_DEPOT,
+    BatchPlanner,
+    PlannerObservation,
+)
 from companion.core.routing.shortest_paths import RouteFinder
 from sim_bridge.research.planners.bounded_loss_policy import ValuePolicy
-from sim_bridge.research.planners.dynamic_program import LOSS_NOTHING_HELPS, STOP
+from sim_bridge.research.planners.dynamic_program import NO_VALUE, STOP, DeliveryTable
 from sim_bridge.research.planners.markov_chain import Sight
-from sim_bridge.research.planners.uncertainty import seen_prior
+from sim_bridge.research.planners.uncertainty import state_probability_by_observed_wind
 
-ENERGY_MATCH = 1e-6  # relative: how well an edge's energy must fit a state to have been it
+ENERGY_MATCH_TOLERANCE = 1e-6  # relative tolerance for matching an edge's energy to a state
 
 
 class Ber:
-    """Ours, on a chain: tables if the sight reveals the state, else beliefs over them."""
-
-    name = "ber"
+    """BER on a chain: value tables if the sight reveals the state, else estimated P(state)."""
 
     def __init__(
         self, policy: ValuePolicy, sight: Sight, pruned_from: EnergyGraph | None = None
     ) -> None:
-        """`pruned_from` is the whole graph where the policy was made on a pruned one."""
+        """`pruned_from` is the complete graph if the policy's graph is a pruned one."""
         self._policy, self._sight = policy, sight
-        self._last_resort = LastResort(policy.model.graph, pruned_from, sight)
+        self._last_resort = CheapestReturn(policy.model.graph, pruned_from, sight)
 
-    def begin(self, coin: NDArray[np.float64]) -> Decider:
-        bold = coin < self._policy.bold_share
+    def start_batch(self, uniform_random_by_mission: NDArray[np.float64]) -> BatchPlanner:
+        bold = uniform_random_by_mission < self._policy.mixture_share
         if self._sight.reveals_state():
-            return _SightedFlights(self._policy, self._sight, self._last_resort, bold)
-        return _BelievingFlights(self._policy, self._sight, self._last_resort, bold)
+            return _KnownStateBatch(self._policy, self._sight, self._last_resort, bold)
+        return _HiddenStateBatch(self._policy, self._sight, self._last_resort, bold)
 
 
-class LastResort:
-    """Where no edge promises anything: the cheapest way home under the wind seen.
+class CheapestReturn:
+    """Selects the cheapest route home under the observed wind where every edge has value 0.
 
-    Also turns a policy's edges into those of the graph that it was pruned from.
+    Also maps a policy's edges to those of the graph that it was pruned from.
     """
 
     def __init__(self, graph: EnergyGraph, pruned_from: EnergyGraph | None, sight: Sight) -> None:
-        whole = pruned_from or graph
-        duration = whole.duration_s(sight.seen_en_mps)
-        self._next = RouteFinder(whole).to(whole.depot, duration).next_edge
-        self._depot = whole.depot
-        keys = [g.tail * whole.vertex_count + g.head for g in (graph, whole)]
+        full_graph = pruned_from or graph
+        duration = full_graph.edge_duration_s(sight.seen_en_mps)
+        self._next = (
+            RouteFinder(full_graph).find_routes_to_goal(full_graph.depot, duration).next_edge
+        )
+        self._depot = full_graph.depot
+        keys = [g.tail * full_graph.vertex_count + g.head for g in (graph, full_graph)]
         self._edge_of = np.searchsorted(keys[1], keys[0])
 
-    def edges(self, vertex: Ints, seen: Ints, delivered: NDArray[np.bool_]) -> Ints:
-        edge = self._next[vertex, seen]
-        return np.where(~delivered & (vertex == self._depot), STAY, edge)
+    def return_edges(
+        self, vertex: Ints, seen_wind_index: Ints, delivered: NDArray[np.bool_]
+    ) -> Ints:
+        edge = self._next[vertex, seen_wind_index]
+        return np.where(~delivered & (vertex == self._depot), STOP_AT_DEPOT, edge)
 
-    def in_whole(self, edge: Ints) -> Ints:
-        """A policy's edges in the whole graph."""
+    def to_full_graph_edges(self, edge: Ints) -> Ints:
+        """Map a policy's edges to the complete graph."""
         return self._edge_of[edge]
 
 
-class _SightedFlights:
-    """Decisions by table: one look each."""
+class _KnownStateBatch:
+    """Selects edges by table lookup."""
 
     def __init__(
-        self, policy: ValuePolicy, sight: Sight, last_resort: LastResort, bold: NDArray[np.bool_]
+        self,
+        policy: ValuePolicy,
+        sight: Sight,
+        last_resort: CheapestReturn,
+        bold: NDArray[np.bool_],
     ) -> None:
         self._policy, self._last_resort, self._bold = policy, last_resort, bold
-        self._state = np.argsort(sight.of_state)  # the one state behind each wind seen
+        self._state = np.argsort(sight.of_state)  # the only state of each observed wind
 
-    def decide(self, look: Look) -> Ints:
+    def select_edges(self, observation: PlannerObservation) -> Ints:
         policy, graph = self._policy, self._policy.model.graph
-        level = policy.model.level(look.energy_wh)
-        state = self._state[look.seen]
-        bold = self._bold[look.mission]
-        choice = np.full(look.count, LOSS_NOTHING_HELPS, dtype=np.int64)
-        for rows, table in (
-            (look.delivered, policy.home.choice),
-            (~look.delivered & bold, policy.bold.choice),
-            (~look.delivered & ~bold, policy.careful.choice),
-        ):
-            choice[rows] = table[level[rows], look.vertex[rows], state[rows]]
-        return _as_edges(choice, look, graph.out_start, self._last_resort)
+        level = policy.model.energy_level_index(observation.energy_wh)
+        state = self._state[observation.wind_index]
+        choice = np.full(observation.mission_count, NO_VALUE, dtype=np.int64)
+        for rows, table in policy.tables_in_use(observation, self._bold):
+            choice[rows] = table.choice[level[rows], observation.vertex[rows], state[rows]]
+        return _choices_to_edges(
+            choice, observation, graph.out_edge_start_by_vertex, self._last_resort
+        )
 
 
-class _BelievingFlights:
-    """Decisions by expected worth under P(state), which each edge flown and class seen sharpen."""
+class _HiddenStateBatch:
+    """Selects edges by expected value under P(state), updated by edge energy and wind class."""
 
     def __init__(
-        self, policy: ValuePolicy, sight: Sight, last_resort: LastResort, bold: NDArray[np.bool_]
+        self,
+        policy: ValuePolicy,
+        sight: Sight,
+        last_resort: CheapestReturn,
+        bold: NDArray[np.bool_],
     ) -> None:
         self._policy, self._sight = policy, sight
         self._last_resort, self._bold = last_resort, bold
         chain = policy.model.chain
-        self._member = sight.of_state[None, :] == np.arange(sight.count)[:, None]
-        self._prior = seen_prior(chain, sight)
-        self._belief = np.tile(chain.initial, (len(bold), 1))
-        self._edge = np.full(len(bold), NOWHERE, dtype=np.int64)
+        self._member = sight.of_state[None, :] == np.arange(sight.observed_wind_count)[:, None]
+        self._prior_probability = state_probability_by_observed_wind(chain, sight)
+        self._probability = np.tile(chain.initial, (len(bold), 1))
+        self._edge = np.full(len(bold), NO_EDGE, dtype=np.int64)
         self._energy_wh = np.zeros(len(bold))
         self._delivered = np.zeros(len(bold), dtype=bool)
 
-    def decide(self, look: Look) -> Ints:
-        belief = self._updated(look)
-        choice = self._best_choice(look, belief)
-        edge = _as_edges(choice, look, self._policy.model.graph.out_start, self._last_resort)
-        self._belief[look.mission] = belief
-        goes = choice < STOP
-        own = self._policy.model.graph.out_start[look.vertex] + np.where(goes, choice, 0)
-        self._edge[look.mission] = np.where(goes, own, NOWHERE)
-        self._energy_wh[look.mission] = look.energy_wh
-        self._delivered[look.mission] = look.delivered
+    def select_edges(self, observation: PlannerObservation) -> Ints:
+        probability = self._posterior_state_probability(observation)
+        choice = self._best_slot_choice(observation, probability)
+        edge = _choices_to_edges(
+            choice,
+            observation,
+            self._policy.model.graph.out_edge_start_by_vertex,
+            self._last_resort,
+        )
+        self._probability[observation.mission] = probability
+        has_edge = choice < STOP
+        edge_index = self._policy.model.graph.out_edge_start_by_vertex[
+            observation.vertex
+        ] + np.where(has_edge, choice, 0)
+        self._edge[observation.mission] = np.where(has_edge, edge_index, NO_EDGE)
+        self._energy_wh[observation.mission] = observation.energy_wh
+        self._delivered[observation.mission] = observation.delivered
         return edge
 
-    def _updated(self, look: Look) -> Floats:
-        """P(state) now: after what the last edge used, the chain's step, and the class seen."""
+    def _posterior_state_probability(self, observation: PlannerObservation) -> Floats:
+        """Update P(state) by the last edge's energy, the chain's transition and the seen class."""
         model = self._policy.model
-        belief = self._belief[look.mission]
-        edge = self._edge[look.mission]
+        probability = self._probability[observation.mission]
+        edge = self._edge[observation.mission]
         flown = np.flatnonzero(edge >= 0)
         if len(flown):
-            used = (self._energy_wh[look.mission] - look.energy_wh)[flown]
-            load = self._delivered[look.mission][flown].astype(np.int64)
+            used = (self._energy_wh[observation.mission] - observation.energy_wh)[flown]
+            load = self._delivered[observation.mission][flown].astype(np.int64)
             cost = model.energy_wh[load, edge[flown]]
-            fits = np.abs(cost - used[:, None]) <= ENERGY_MATCH * np.maximum(used[:, None], 1e-6)
-            was = _conditioned(belief[flown], fits)
-            belief[flown] = _stepped(was, model.next_state, edge[flown])
-        known = _conditioned(belief, self._member[look.seen])
+            fits = np.abs(cost - used[:, None]) <= ENERGY_MATCH_TOLERANCE * np.maximum(
+                used[:, None], 1e-6
+            )
+            conditioned = _condition_on_match(probability[flown], fits)
+            probability[flown] = _propagate_state_probability(
+                conditioned, model.next_state, edge[flown]
+            )
+        known = _condition_on_match(probability, self._member[observation.wind_index])
         lost = known.sum(axis=1) <= 0.0
-        known[lost] = self._prior[look.seen[lost]]
+        known[lost] = self._prior_probability[observation.wind_index[lost]]
         return known
 
-    def _best_choice(self, look: Look, belief: Floats) -> Ints:
+    def _best_slot_choice(self, observation: PlannerObservation, probability: Floats) -> Ints:
         policy = self._policy
-        level = policy.model.level(look.energy_wh)
-        bold = self._bold[look.mission]
-        choice = np.full(look.count, LOSS_NOTHING_HELPS, dtype=np.int64)
-        for rows, table, worth in (
-            (look.delivered, policy.home.candidate, None),
-            (~look.delivered & bold, policy.bold.candidate, policy.bold.stop_worth),
-            (~look.delivered & ~bold, policy.careful.candidate, policy.careful.stop_worth),
-        ):
-            chosen = np.flatnonzero(rows)
-            if len(chosen) and table is not None:
-                choice[chosen] = best_expected(
-                    policy, table, worth, look.vertex[chosen], level[chosen], belief[chosen]
+        level = policy.model.energy_level_index(observation.energy_wh)
+        choice = np.full(observation.mission_count, NO_VALUE, dtype=np.int64)
+        for rows, table in policy.tables_in_use(observation, self._bold):
+            if len(rows):
+                assert table.candidate is not None
+                choice[rows] = select_best_expected_slots(
+                    policy,
+                    table.candidate,
+                    table.stop_value if isinstance(table, DeliveryTable) else None,
+                    observation.vertex[rows],
+                    level[rows],
+                    probability[rows],
                 )
         return choice
 
 
-def best_expected(
+def select_best_expected_slots(
     policy: ValuePolicy,
-    candidate: NDArray,
-    stop_worth: float | None,
+    value_by_level_edge_state: NDArray,
+    stop_value: float | None,
     vertex: Ints,
     level: Ints,
-    belief: Floats,
+    probability: Floats,
 ) -> Ints:
-    """The out-edge (its place) of the best expected worth, STOP, or LOSS_NOTHING_HELPS; (n,)."""
+    """Return the out-edge slot of greatest expected value, STOP, or the no-value code; (n,)."""
     graph = policy.model.graph
-    slots = graph.out_edges[vertex]
-    worth = np.einsum("nws,ns->nw", candidate[level[:, None], slots], belief, optimize=False)
-    worth = np.where(slots >= 0, worth, -1.0)
-    place = np.argmax(worth, axis=1)
-    best = worth[np.arange(len(vertex)), place]
-    choice = np.where(best > 0.0, place, LOSS_NOTHING_HELPS)
-    if stop_worth is not None:
-        choice = np.where((vertex == graph.depot) & (stop_worth >= best), STOP, choice)
+    slots = graph.out_edges_by_vertex[vertex]
+    value = np.einsum(
+        "nws,ns->nw", value_by_level_edge_state[level[:, None], slots], probability, optimize=False
+    )
+    value = np.where(slots >= 0, value, -1.0)
+    slot = np.argmax(value, axis=1)
+    best = value[np.arange(len(vertex)), slot]
+    choice = np.where(best > 0.0, slot, NO_VALUE)
+    if stop_value is not None:
+        choice = np.where((vertex == graph.depot) & (stop_value >= best), STOP, choice)
     return choice
 
 
-def _conditioned(belief: Floats, fits: NDArray[np.bool_]) -> Floats:
-    """The belief given that the state is one that fits; as it was where none does."""
-    left = np.where(fits, belief, 0.0)
+def _condition_on_match(probability: Floats, matching_states: NDArray[np.bool_]) -> Floats:
+    """Condition P(state) on the states that fit. Rows without a match are unchanged."""
+    left = np.where(matching_states, probability, 0.0)
     total = left.sum(axis=1, keepdims=True)
-    return np.where(total > 0.0, left / np.where(total > 0.0, total, 1.0), belief)
+    return np.where(total > 0.0, left / np.where(total > 0.0, total, 1.0), probability)
 
 
-def _stepped(belief: Floats, next_state: NDArray, edge: Ints) -> Floats:
-    """The belief after the chain's step along `edge`; most beliefs there are certain."""
-    after = np.empty_like(belief)
-    surest = np.argmax(belief, axis=1)
-    certain = belief[np.arange(len(belief)), surest] >= 1.0 - 1e-9
-    after[certain] = next_state[edge[certain], surest[certain]]
-    for row in np.array_split(np.flatnonzero(~certain), 1 + np.count_nonzero(~certain) // 2048):
-        after[row] = np.matmul(belief[row, None, :], next_state[edge[row]])[:, 0]
+def _propagate_state_probability(probability: Floats, next_state: NDArray, edge: Ints) -> Floats:
+    """Apply the chain's transition along `edge`. Rows with a certain state are looked up."""
+    after = np.empty_like(probability)
+    likeliest = np.argmax(probability, axis=1)
+    is_known = probability[np.arange(len(probability)), likeliest] >= 1.0 - 1e-9
+    after[is_known] = next_state[edge[is_known], likeliest[is_known]]
+    for row in np.array_split(np.flatnonzero(~is_known), 1 + np.count_nonzero(~is_known) // 2048):
+        after[row] = np.matmul(probability[row, None, :], next_state[edge[row]])[:, 0]
     return after
 
 
-def _as_edges(choice: Ints, look: Look, out_start: Ints, last_resort: LastResort) -> Ints:
-    edge = np.full(look.count, STAY, dtype=np.int64)
-    goes = choice < STOP
-    edge[goes] = last_resort.in_whole(out_start[look.vertex[goes]] + choice[goes])
-    hopeless = choice == LOSS_NOTHING_HELPS
-    if hopeless.any():
-        edge[hopeless] = last_resort.edges(
-            look.vertex[hopeless], look.seen[hopeless], look.delivered[hopeless]
+def _choices_to_edges(
+    choice: Ints, observation: PlannerObservation, out_start: Ints, last_resort: CheapestReturn
+) -> Ints:
+    edge = np.full(observation.mission_count, STOP_AT_DEPOT, dtype=np.int64)
+    has_edge = choice < STOP
+    edge[has_edge] = last_resort.to_full_graph_edges(
+        out_start[observation.vertex[has_edge]] + choice[has_edge]
+    )
+    no_value = choice == NO_VALUE
+    if no_value.any():
+        edge[no_value] = last_resort.return_edges(
+            observation.vertex[no_value],
+            observation.wind_index[no_value],
+            observation.delivered[no_value],
         )
     return edge

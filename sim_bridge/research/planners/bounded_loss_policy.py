@@ -1,212 +1,218 @@
-"""A policy that maximises P(SUC) while P(loss) stays within what the operator accepts.
+"""A policy that maximises P(SUC) while P(loss) stays within the bound set by the operator.
 
-The Lagrange weight on the loss is found where its dual is least, first on a coarse grid of energy
-without keeping tables; then two neighbouring policies are mixed, one drawn for each mission before
-it leaves, so that the predicted loss meets the bound from below.
+The Lagrange weight of the loss is the minimum of the dual. It is first searched on a coarse energy
+grid without storing tables. Two neighbouring policies are then mixed, one drawn for each mission
+before departure, so that the predicted loss meets the bound from below.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.core.base.errors import LeewayError
+from companion.core.base.arrays import Bools, Ints
+from companion.core.routing.planner_interface import PlannerObservation
 from sim_bridge.research.planners.dynamic_program import (
     DeliveryTable,
     HomeTable,
-    delivery_worths,
-    home_worth,
-    solve_delivery,
+    mission_values_from_depot,
+    p_home_at_target_by_level,
+    solve_delivery_tables,
 )
-from sim_bridge.research.planners.edge_transitions import StepModel
+from sim_bridge.research.planners.edge_transitions import EdgeTransitionModel
 
-FIRST_WEIGHTS = (0.0, 0.3, 1.0, 3.0, 10.0, 40.0, 200.0, 2000.0)  # c; first look
-REFINED = 8  # weights of the second look, between the neighbours of the best of the first
-COARSER = 4  # the first looks' grid has this many times fewer levels
-COARSE_LEVELS = 50  # but no fewer than these
-SPREAD = (0.75, 1.35)  # final weights about the best, solved in full
+FIRST_WEIGHTS = (0.0, 0.3, 1.0, 3.0, 10.0, 40.0, 200.0, 2000.0)  # c in the first coarse search
+REFINED_COUNT = 8  # weights of the second search, between the neighbours of the first optimum
+COARSE_FACTOR = 4  # divisor of the number of levels for the coarse grid
+COARSE_LEVELS = 50  # minimum of levels in the coarse grid
+WEIGHT_FACTORS = (0.75, 1.35)  # factors on the best weight for the weights that are solved in full
 COVERING_WEIGHTS = (0.0, 0.5, 1.3, 3.5, 9.0, 24.0, 64.0, 170.0)
-CLOSE = 3.0  # neighbouring weights that lose little by being mixed
-LEAST_WEIGHT = 0.01  # next to 0
-CLEARLY_WITHIN = 0.5  # of the bound, on the coarse grid
-HOPELESS = 1e-7  # P(SUC)
-WIDENING = 4.0  # how far beyond them to look where the bound is not between them
+CLOSE = 3.0  # maximum ratio of neighbouring weights that lose little success when mixed
+MIN_WEIGHT = 0.01  # smallest weight above 0
+SAFE_BOUND_FRACTION = 0.5  # fraction of the bound, on the coarse grid
+MIN_SUCCESS = 1e-7  # P(SUC)
+WIDENING = 4.0  # factor on the outermost weight if the solved weights do not enclose the bound
 MOST_WIDENINGS = 6
-GREATEST_WEIGHT = 3e5  # beyond it float32 cannot tell success from stopping
-SWEEP_BYTES = 256e6  # what the tables of one sweep may take
+MAX_WEIGHT = 3e5  # above it float32 cannot separate success from stopping
+SWEEP_BYTES = 256e6  # memory limit for the tables of one sweep
 
 
 @dataclass(frozen=True)
-class Forecast:
-    """What a policy promises from the depot with the full budget: P(SUC), P(loss)."""
+class PolicyForecast:
+    """Predicted P(SUC) and P(loss) of a policy from the depot with the full budget."""
 
     success: float
     loss: float
 
+    def mixed_with(self, other: "PolicyForecast", share: float) -> "PolicyForecast":
+        """Return the forecast where this share of missions flies this policy, the others that."""
+        return PolicyForecast(
+            share * self.success + (1.0 - share) * other.success,
+            share * self.loss + (1.0 - share) * other.loss,
+        )
+
 
 @dataclass(frozen=True)
 class ValuePolicy:
-    """Two delivery tables, and the share of missions that fly the bolder one.
+    """Two delivery tables, and the share of missions that fly the bolder one."""
 
-    `stays` when no mission ever leaves: the bound leaves no room for a useful flight.
-    """
-
-    model: StepModel
+    model: EdgeTransitionModel
     home: HomeTable
     bold: DeliveryTable
     careful: DeliveryTable
-    bold_share: float
-    forecast: Forecast
+    mixture_share: float
+    forecast: PolicyForecast
 
-    @property
-    def stays(self) -> bool:
-        return self.forecast.success <= 0.0
+    def tables_in_use(
+        self, observation: PlannerObservation, flies_bold: Bools
+    ) -> Iterator[tuple[Ints, HomeTable | DeliveryTable]]:
+        """Yield the rows of an observation whose next choice is in each table.
+
+        `flies_bold`: the missions that fly the bolder table.
+        """
+        delivered, bold = observation.delivered, flies_bold[observation.mission]
+        yield np.flatnonzero(delivered), self.home
+        yield np.flatnonzero(~delivered & bold), self.bold
+        yield np.flatnonzero(~delivered & ~bold), self.careful
 
 
-def stop_worth(loss_weight: float) -> float:
-    """sigma = c / (1 + c); 1 for an infinite weight, with which nobody leaves."""
+def stop_value_from_loss_weight(loss_weight: float) -> float:
+    """Return sigma = c / (1 + c). It is 1 for an infinite weight, with which no mission departs."""
     return 1.0 if np.isinf(loss_weight) else loss_weight / (1.0 + loss_weight)
 
 
-def forecast(model: StepModel, table: DeliveryTable) -> Forecast:
-    """P(SUC) and P(loss) from the depot, over the chain's initial distribution."""
+def forecast_success_and_loss(model: EdgeTransitionModel, table: DeliveryTable) -> PolicyForecast:
+    """Return P(SUC) and P(loss) from the depot, over the chain's initial distribution."""
     depot, initial = model.graph.depot, model.chain.initial
     aborts = float(initial @ table.p_abort[-1, depot].astype(np.float64))
-    success = float(initial @ table.p_success()[-1, depot].astype(np.float64))
-    return Forecast(success, max(0.0, 1.0 - success - aborts))
+    success = float(initial @ table.p_success_lower_bound()[-1, depot].astype(np.float64))
+    return PolicyForecast(success, max(0.0, 1.0 - success - aborts))
 
 
 class PolicySearch:
-    """Delivery tables by loss weight on one model; keeps those that were solved in full."""
+    """Solves and stores the delivery tables of one model by loss weight."""
 
-    def __init__(self, model: StepModel, home: HomeTable, keep_candidates: bool = False) -> None:
+    def __init__(
+        self, model: EdgeTransitionModel, home: HomeTable, keep_candidates: bool = False
+    ) -> None:
         self.model, self.home, self._candidates = model, home, keep_candidates
         self.tables: dict[float, DeliveryTable] = {}
-        self.forecasts: dict[float, Forecast] = {}
-        self._coarse = model.on_grid(max(COARSE_LEVELS, model.levels // COARSER))
-        self._worth_at_target: NDArray | None = None
-        self._gains: dict[float, float] = {}  # g(c) = max P(SUC) - c P(loss) on the coarse grid
+        self.forecasts: dict[float, PolicyForecast] = {}
+        self._coarse = model.with_level_count(max(COARSE_LEVELS, model.levels // COARSE_FACTOR))
+        self._target_home_value: NDArray | None = None
+        self._dual_gains: dict[
+            float, float
+        ] = {}  # g(c) = max P(SUC) - c P(loss) on the coarse grid
 
-    def policy(self, max_loss: float) -> ValuePolicy:
-        """The policy of greatest P(SUC) whose forecast P(loss) is at most `max_loss`."""
-        careful, bold = self.pair(max_loss)
-        share = bold_share(self.forecasts[bold].loss, self.forecasts[careful].loss, max_loss)
-        return self.mixed(bold, careful, share)
+    def best_policy_within_loss(self, max_loss: float) -> ValuePolicy:
+        """Return the policy of greatest P(SUC) whose forecast P(loss) is at most `max_loss`."""
+        careful, bold = self.solve_enclosing_weights(max_loss)
+        share = bold_share_at_loss_bound(
+            self.forecasts[bold].loss, self.forecasts[careful].loss, max_loss
+        )
+        return self.build_mixed_policy(bold, careful, share)
 
-    def pair(self, max_loss: float) -> tuple[float, float]:
-        """The two weights to mix, careful and bold: their forecast losses enclose the bound."""
-        if not self._enclosed(max_loss):
-            self.prepare([max_loss])
+    def solve_enclosing_weights(self, max_loss: float) -> tuple[float, float]:
+        """Return the careful and the bold weight whose forecast losses enclose the bound."""
+        if not self._has_close_enclosing_weights(max_loss):
+            best = self._dual_optimal_weight_on_coarse_grid(max_loss)
+            self.solve_and_store_weights([best * factor for factor in WEIGHT_FACTORS])
         for _ in range(MOST_WIDENINGS):
-            careful, bold = self._bracket(max_loss)
-            if np.isinf(careful) and bold < GREATEST_WEIGHT:
-                self.solve([max(bold, LEAST_WEIGHT) * WIDENING])
+            careful, bold = self._enclosing_solved_weights(max_loss)
+            if np.isinf(careful) and bold < MAX_WEIGHT:
+                self.solve_and_store_weights([max(bold, MIN_WEIGHT) * WIDENING])
             elif careful == bold and careful > 0.0:
-                self.solve([0.0 if careful < LEAST_WEIGHT else careful / WIDENING])
+                self.solve_and_store_weights([0.0 if careful < MIN_WEIGHT else careful / WIDENING])
             else:
                 break
-        careful, bold = self._bracket(max_loss)
-        self.solve([careful, bold])
+        careful, bold = self._enclosing_solved_weights(max_loss)
+        self.solve_and_store_weights([careful, bold])
         return careful, bold
 
-    def prepare(self, max_losses: list[float]) -> None:
-        """Solve the weights that these bounds will ask for, in as few sweeps as can be."""
-        weights: list[float] = []
-        for max_loss in max_losses:
-            best = self._best_weight(max_loss)
-            weights += [best] if best == 0.0 else [best * factor for factor in SPREAD]
-        self.solve(weights)
+    def solve_and_store_covering_weights(self, max_losses: list[float]) -> None:
+        """Solve weights that serve many bounds in one sweep.
 
-    def cover(self, max_losses: list[float]) -> None:
-        """Solve weights that serve many bounds, in one sweep: cheaper than `prepare` for several.
-
-        Mixing neighbours of these costs little success against the best weight for each bound.
+        Mixing neighbours of these weights costs little success against each bound's best weight.
         """
-        self._look([0.0])
-        if self._gains[0.0] >= 1.0 - CLEARLY_WITHIN * min(max_losses):
-            self.solve([0.0])
-        elif self._gains[0.0] > HOPELESS:
-            self.solve(list(COVERING_WEIGHTS))
+        self._store_coarse_dual_gains([0.0])
+        if self._dual_gains[0.0] >= 1.0 - SAFE_BOUND_FRACTION * min(max_losses):
+            self.solve_and_store_weights([0.0])
+        elif self._dual_gains[0.0] > MIN_SUCCESS:
+            self.solve_and_store_weights(list(COVERING_WEIGHTS))
 
-    def _enclosed(self, max_loss: float) -> bool:
-        """True when two solved weights close to one another enclose the bound."""
+    def _has_close_enclosing_weights(self, max_loss: float) -> bool:
+        """Return True if two solved weights of similar size enclose the bound."""
         if not self.tables:
             return False
-        careful, bold = self._bracket(max_loss)
+        careful, bold = self._enclosing_solved_weights(max_loss)
         if careful == bold:
             return bold == 0.0
         return bold == 0.0 or careful <= CLOSE * bold
 
-    def mixed(self, bold: float, careful: float, share: float) -> ValuePolicy:
-        """The policy that flies weight `bold` in `share` of missions, else weight `careful`."""
-        left, right = self.forecasts[bold], self.forecasts[careful]
+    def build_mixed_policy(
+        self, bold_weight: float, careful_weight: float, bold_share: float
+    ) -> ValuePolicy:
+        """Return the policy that flies `bold_weight` in `bold_share` of missions, else
+        `careful_weight`.
+        """
+        bold, careful = self.forecasts[bold_weight], self.forecasts[careful_weight]
         return ValuePolicy(
             model=self.model,
             home=self.home,
-            bold=self.tables[bold],
-            careful=self.tables[careful],
-            bold_share=share,
-            forecast=Forecast(
-                share * left.success + (1.0 - share) * right.success,
-                share * left.loss + (1.0 - share) * right.loss,
-            ),
+            bold=self.tables[bold_weight],
+            careful=self.tables[careful_weight],
+            mixture_share=bold_share,
+            forecast=bold.mixed_with(careful, bold_share),
         )
 
-    def solve(self, weights: list[float]) -> None:
-        """Solve these weights in full."""
-        new = sorted(set(weights) - set(self.tables))
-        for part in _batches(self.model, new):
-            worths = np.array([stop_worth(w) for w in part])
+    def solve_and_store_weights(self, loss_weights: list[float]) -> None:
+        """Solve these weights on the full grid and store their tables and forecasts."""
+        new = sorted(set(loss_weights) - set(self.tables))
+        for part in _group_weights_by_memory(self.model, new):
+            stop_values = np.array([stop_value_from_loss_weight(w) for w in part])
             for weight, table in zip(
-                part, solve_delivery(self.model, self.home, worths, self._candidates), strict=True
+                part,
+                solve_delivery_tables(self.model, self.home, stop_values, self._candidates),
+                strict=True,
             ):
                 self.tables[weight] = table
-                self.forecasts[weight] = forecast(self.model, table)
+                self.forecasts[weight] = forecast_success_and_loss(self.model, table)
 
-    def _bracket(self, max_loss: float) -> tuple[float, float]:
-        """The boldest solved weight within the bound, and the next bolder one, beyond it.
+    def _enclosing_solved_weights(self, max_loss: float) -> tuple[float, float]:
+        return enclosing_weights({w: self.forecasts[w].loss for w in self.tables}, max_loss)
 
-        Both the same where the boldest of all is within; the careful one is infinite (it stays)
-        where none is.
-        """
-        weights = sorted(self.tables)
-        beyond = [w for w in weights if self.forecasts[w].loss > max_loss]
-        if not beyond:
-            return weights[0], weights[0]
-        careful = [w for w in weights if w > max(beyond)]
-        return (min(careful) if careful else np.inf), max(beyond)
-
-    def _best_weight(self, max_loss: float) -> float:
-        """The weight where the dual g(c) + c max_loss is least, on the coarse grid."""
-        self._look([0.0])
-        if self._gains[0.0] >= 1.0 - CLEARLY_WITHIN * max_loss:
-            return 0.0  # even who never gives up loses less than the bound
-        if self._gains[0.0] <= HOPELESS:
-            return np.inf  # nothing succeeds, whatever is risked
-        self._look(list(FIRST_WEIGHTS))
-        weights = sorted(self._gains)
-        dual = [self._gains[w] + w * max_loss for w in weights]
+    def _dual_optimal_weight_on_coarse_grid(self, max_loss: float) -> float:
+        """Return the weight that minimises the dual g(c) + c max_loss, on the coarse grid."""
+        self._store_coarse_dual_gains([0.0])
+        if self._dual_gains[0.0] >= 1.0 - SAFE_BOUND_FRACTION * max_loss:
+            return 0.0  # a policy that never aborts stays within the bound
+        if self._dual_gains[0.0] <= MIN_SUCCESS:
+            return np.inf  # no policy succeeds at any risk
+        self._store_coarse_dual_gains(list(FIRST_WEIGHTS))
+        weights = sorted(self._dual_gains)
+        dual = [self._dual_gains[w] + w * max_loss for w in weights]
         best = int(np.argmin(dual))
-        low = max(weights[max(best - 1, 0)], LEAST_WEIGHT)
-        high = weights[best + 1] if best + 1 < len(weights) else GREATEST_WEIGHT
-        self._look(np.geomspace(low, high, REFINED + 2)[1:-1].tolist())
-        weights = [w for w in sorted(self._gains) if low <= w <= high]
-        dual = [self._gains[w] + w * max_loss for w in weights]
+        low = max(weights[max(best - 1, 0)], MIN_WEIGHT)
+        high = weights[best + 1] if best + 1 < len(weights) else MAX_WEIGHT
+        self._store_coarse_dual_gains(np.geomspace(low, high, REFINED_COUNT + 2)[1:-1].tolist())
+        weights = [w for w in sorted(self._dual_gains) if low <= w <= high]
+        dual = [self._dual_gains[w] + w * max_loss for w in weights]
         return weights[int(np.argmin(dual))]
 
-    def _look(self, weights: list[float]) -> None:
-        if self._worth_at_target is None:
-            self._worth_at_target = home_worth(self._coarse)
-        new = sorted(set(weights) - set(self._gains))
-        for part in _batches(self._coarse, new):
-            worths = np.array([stop_worth(w) for w in part])
-            value = delivery_worths(self._coarse, self._worth_at_target, worths)
-            for weight, worth in zip(part, value, strict=True):
-                self._gains[weight] = float((1.0 + weight) * worth - weight)
+    def _store_coarse_dual_gains(self, loss_weights: list[float]) -> None:
+        if self._target_home_value is None:
+            self._target_home_value = p_home_at_target_by_level(self._coarse)
+        new = sorted(set(loss_weights) - set(self._dual_gains))
+        for part in _group_weights_by_memory(self._coarse, new):
+            stop_values = np.array([stop_value_from_loss_weight(w) for w in part])
+            value = mission_values_from_depot(self._coarse, self._target_home_value, stop_values)
+            for weight, mission_value in zip(part, value, strict=True):
+                self._dual_gains[weight] = float((1.0 + weight) * mission_value - weight)
 
 
-def _batches(model: StepModel, weights: list[float]) -> list[list[float]]:
-    """The weights in groups whose sweeps take little memory."""
+def _group_weights_by_memory(model: EdgeTransitionModel, weights: list[float]) -> list[list[float]]:
+    """Group the weights so that each sweep fits SWEEP_BYTES."""
     rows = model.graph.edge_count * model.chain.state_count
     slots = float(np.minimum(model.cost_levels, model.levels).sum()) / 2.0
     cells = (model.levels + 1) * model.graph.vertex_count * model.chain.state_count
@@ -217,17 +223,20 @@ def _batches(model: StepModel, weights: list[float]) -> list[list[float]]:
     return [weights[i : i + size] for i in range(0, len(weights), size)]
 
 
-def bold_share(bold_loss: float, careful_loss: float, max_loss: float) -> float:
-    """How often the bolder policy may fly: the mixture's loss is then the bound."""
+def enclosing_weights(loss_by_weight: dict[float, float], max_loss: float) -> tuple[float, float]:
+    """Return the boldest weight within the bound above all that break it, and the next bolder one.
+
+    Both are equal if no weight breaks the bound. The first is infinite (no mission departs) if none
+    is within it.
+    """
+    above_bound = [weight for weight, loss in loss_by_weight.items() if loss > max_loss]
+    boldest = max(above_bound, default=-1.0)
+    careful = min((weight for weight in loss_by_weight if weight > boldest), default=np.inf)
+    return careful, max(above_bound, default=careful)
+
+
+def bold_share_at_loss_bound(bold_loss: float, careful_loss: float, max_loss: float) -> float:
+    """Return the share of bold missions at which the mixture's loss equals the bound."""
     if bold_loss <= max_loss:
         return 1.0
     return float(np.clip((max_loss - careful_loss) / (bold_loss - careful_loss), 0.0, 1.0))
-
-
-def find_policy(
-    model: StepModel, home: HomeTable, max_loss: float, keep_candidates: bool = False
-) -> ValuePolicy:
-    """The policy of greatest P(SUC) with P(loss) at most `max_loss`, as the table predicts them."""
-    if not 0.0 <= max_loss <= 1.0:
-        raise LeewayError(f"max loss = {max_loss!r}: expected a probability from 0 to 1")
-    return PolicySearch(model, home, keep_candidates).policy(max_loss)

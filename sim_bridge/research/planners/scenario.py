@@ -5,27 +5,32 @@ docs/reference/outcomes.md describes it.
 
 import json
 import math
-from collections.abc import Iterable
-from typing import Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
 
 import msgspec
+import networkx as nx
 import numpy as np
 
 from companion.core.base.errors import LeewayError
 from companion.core.routing.energy_graph import EnergyGraph
 from sim_bridge.research.planners.markov_chain import WindChain
 
-FORMAT = "delivery-scenario/1"
-ROW_SUM_TOLERANCE = 1e-6  # relative to the row's largest rate; files are written with 12 digits
+ROW_SUM_TOLERANCE = 1e-6  # relative to the row's largest rate; files have 12 digits
 PROBABILITY_TOLERANCE = 1e-6
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Vectors = list[tuple[float, float]]
+_AT_LEAST_1 = msgspec.Meta(min_length=1)
 
 
 class Power(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Electrical power in level flight at the scenario's airspeed, W, with and without parcel."""
 
-    loaded: float
+    loaded: Positive
     """Power with the parcel, W."""
-    empty: float
+    empty: Positive
     """Power without the parcel, W."""
 
 
@@ -39,11 +44,11 @@ class ChainWind(
 ):
     """Wind as a continuous-time Markov chain; vectors point where the air moves to."""
 
-    states_en_mps: list[tuple[float, float]]
+    states_en_mps: Annotated[Vectors, _AT_LEAST_1]
     """East and north part of the wind in each state."""
     rate_per_s: list[list[float]]
     """Rates from state to state; each row sums to 0."""
-    initial: list[float]
+    initial: list[NotNegative]
     """Probability of each state at the start; sums to 1."""
 
 
@@ -57,9 +62,9 @@ class LogWind(
 ):
     """A recorded wind, linearly interpolated; missions start uniformly in `start_s`."""
 
-    t_s: list[float]
+    t_s: Annotated[list[float], _AT_LEAST_1]
     """Times of the samples, rising."""
-    wind_en_mps: list[tuple[float, float]]
+    wind_en_mps: Vectors
     """East and north part of the wind at each of `t_s`."""
     start_s: tuple[float, float]
     """First and last time at which a mission may start."""
@@ -72,7 +77,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """The kind of file and its version."""
     name: str
     """The scenario's name."""
-    vertices_m: list[tuple[float, float, float]]
+    vertices_m: Annotated[list[tuple[float, float, float]], msgspec.Meta(min_length=2)]
     """East, north and up of each waypoint."""
     edges: list[tuple[int, int]]
     """Directed edges, each from one vertex's number to another's."""
@@ -80,9 +85,9 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """The vertex where missions start and end."""
     target: int
     """The vertex of the customer."""
-    budget_wh: float
+    budget_wh: NotNegative
     """Usable energy at the start."""
-    airspeed_mps: float
+    airspeed_mps: Positive
     """Airspeed on every edge."""
     power_w: Power
     """Power in level flight."""
@@ -91,12 +96,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 def parse_scenario(text: str | bytes, source: str = "scenario") -> Scenario:
-    """The scenario that `text` (JSON) describes; LeewayError in one line naming what is wrong."""
+    """Parse the scenario in `text` (JSON). Raises LeewayError with one line on the first error."""
     try:
-        tree = json.loads(text, object_pairs_hook=_unique_keys)
+        tree = json.loads(text, object_pairs_hook=_reject_duplicate_keys)
+        for place, value in _numbers_that_are_not_finite(tree):
+            raise ValueError(f"{place} = {value!r}: expected a finite number")
         scenario = msgspec.convert(tree, Scenario)
     except msgspec.ValidationError as error:
-        raise LeewayError(f"{source}: {_named_place(str(error))}") from None
+        raise LeewayError(f"{source}: {_format_validation_error(str(error))}") from None
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise LeewayError(f"{source}: not JSON at {where}: {error.msg}") from None
@@ -107,19 +114,19 @@ def parse_scenario(text: str | bytes, source: str = "scenario") -> Scenario:
     except (ValueError, OverflowError) as error:
         raise LeewayError(f"{source}: {' '.join(str(error).split())}") from None
     try:
-        check_scenario(scenario)
+        validate_scenario(scenario)
     except LeewayError as error:
         raise LeewayError(f"{source}: {error}") from None
     return scenario
 
 
 def scenario_json(scenario: Scenario) -> bytes:
-    """The scenario as the bytes of a file that `parse_scenario` reads back to an equal one."""
+    """Encode the scenario as JSON that `parse_scenario` decodes to an equal one."""
     return msgspec.json.encode(scenario)
 
 
 def chain_from_scenario(wind: ChainWind) -> WindChain:
-    """The chain that a scenario file states; `initial` is scaled to sum to 1 exactly."""
+    """Return the chain of a scenario file. `initial` is scaled to sum to 1 exactly."""
     initial = np.array(wind.initial, dtype=float)
     rate = np.array(wind.rate_per_s, dtype=float).reshape(len(initial), len(initial))
     return WindChain(
@@ -129,100 +136,61 @@ def chain_from_scenario(wind: ChainWind) -> WindChain:
     )
 
 
-def check_scenario(scenario: Scenario) -> None:
-    """Raise LeewayError naming the first place where the scenario contradicts its format."""
-    _check_graph(scenario)
-    _number("budget_wh", scenario.budget_wh, low=0.0)
-    _number("airspeed_mps", scenario.airspeed_mps, low=0.0, above=True)
-    _number("power_w.loaded", scenario.power_w.loaded, low=0.0, above=True)
-    _number("power_w.empty", scenario.power_w.empty, low=0.0, above=True)
-    if isinstance(scenario.wind, ChainWind):
-        _check_chain(scenario.wind)
-    else:
-        _check_log(scenario.wind)
-
-
-def _check_graph(scenario: Scenario) -> None:
+def validate_scenario(scenario: Scenario) -> None:
+    """Raise LeewayError with the first key whose value contradicts another one's."""
     count = len(scenario.vertices_m)
-    if count < 2:
-        raise LeewayError(f"vertices_m: {count} vertices, expected at least 2")
-    for i, vertex in enumerate(scenario.vertices_m):
-        _finite(f"vertices_m[{i}]", vertex)
     for i, edge in enumerate(scenario.edges):
         for end, vertex in zip(("tail", "head"), edge, strict=True):
-            if not 0 <= vertex < count:
-                raise LeewayError(
-                    f"edges[{i}]: {end} {vertex} is not a vertex, expected 0 to {count - 1}"
-                )
-    for key, vertex in (("depot", scenario.depot), ("target", scenario.target)):
-        if not 0 <= vertex < count:
-            raise LeewayError(f"{key}: {vertex} is not a vertex, expected 0 to {count - 1}")
+            _raise_if_no_vertex(f"edges[{i}]: {end}", vertex, count)
+    _raise_if_no_vertex("depot:", scenario.depot, count)
+    _raise_if_no_vertex("target:", scenario.target, count)
     if scenario.depot == scenario.target:
         raise LeewayError(f"target: {scenario.target} is the depot, expected another vertex")
-    if scenario.target not in _reachable(scenario.edges, scenario.depot):
+    graph = nx.DiGraph(scenario.edges)
+    graph.add_nodes_from(range(count))
+    if not nx.has_path(graph, scenario.depot, scenario.target):
         raise LeewayError(
             f"target: vertex {scenario.target} cannot be reached from depot {scenario.depot}"
         )
+    if isinstance(scenario.wind, ChainWind):
+        _validate_chain_wind(scenario.wind)
+    else:
+        _validate_log_wind(scenario.wind)
 
 
-def _reachable(edges: Iterable[tuple[int, int]], start: int) -> set[int]:
-    heads: dict[int, list[int]] = {}
-    for tail, head in edges:
-        heads.setdefault(tail, []).append(head)
-    seen, stack = {start}, [start]
-    while stack:
-        for head in heads.get(stack.pop(), ()):
-            if head not in seen:
-                seen.add(head)
-                stack.append(head)
-    return seen
+def _raise_if_no_vertex(place: str, vertex: int, count: int) -> None:
+    if not 0 <= vertex < count:
+        raise LeewayError(f"{place} {vertex} is not a vertex, expected 0 to {count - 1}")
 
 
-def _check_chain(wind: ChainWind) -> None:
+def _raise_if_length_differs(place: str, values: list[Any], count: int) -> None:
+    if len(values) != count:
+        raise LeewayError(f"{place}: {len(values)} entries, expected {count}")
+
+
+def _validate_chain_wind(wind: ChainWind) -> None:
     count = len(wind.states_en_mps)
-    if count == 0:
-        raise LeewayError("wind.states_en_mps: empty, expected at least 1 state")
-    for i, state in enumerate(wind.states_en_mps):
-        _finite(f"wind.states_en_mps[{i}]", state)
-    if len(wind.rate_per_s) != count:
-        raise LeewayError(f"wind.rate_per_s: {len(wind.rate_per_s)} rows, expected {count}")
+    _raise_if_length_differs("wind.rate_per_s", wind.rate_per_s, count)
     for i, row in enumerate(wind.rate_per_s):
-        _check_rates(f"wind.rate_per_s[{i}]", row, i, count)
-    if len(wind.initial) != count:
-        raise LeewayError(f"wind.initial: {len(wind.initial)} entries, expected {count}")
-    for i, share in enumerate(wind.initial):
-        _number(f"wind.initial[{i}]", share, low=0.0)
+        place = f"wind.rate_per_s[{i}]"
+        _raise_if_length_differs(place, row, count)
+        for j, rate in enumerate(row):
+            if j != i and rate < 0.0:
+                raise LeewayError(f"{place}[{j}] = {rate!r}: expected a rate of 0 or more")
+        total = math.fsum(row)
+        if abs(total) > ROW_SUM_TOLERANCE * max(abs(rate) for rate in row):
+            raise LeewayError(f"{place}: sums to {total:.9g}, expected 0")
+    _raise_if_length_differs("wind.initial", wind.initial, count)
     total = math.fsum(wind.initial)
     if abs(total - 1.0) > PROBABILITY_TOLERANCE:
         raise LeewayError(f"wind.initial: sums to {total:.9g}, expected 1")
 
 
-def _check_rates(where: str, row: list[float], own: int, count: int) -> None:
-    if len(row) != count:
-        raise LeewayError(f"{where}: {len(row)} entries, expected {count}")
-    _finite(where, row)
-    for j, rate in enumerate(row):
-        if j != own and rate < 0.0:
-            raise LeewayError(f"{where}[{j}] = {rate!r}: expected a rate of 0 or more")
-    total = math.fsum(row)
-    if abs(total) > ROW_SUM_TOLERANCE * max(abs(rate) for rate in row):
-        raise LeewayError(f"{where}: sums to {total:.9g}, expected 0")
-
-
-def _check_log(wind: LogWind) -> None:
-    if not wind.t_s:
-        raise LeewayError("wind.t_s: empty, expected at least 1 time")
-    _finite("wind.t_s", wind.t_s)
+def _validate_log_wind(wind: LogWind) -> None:
     for i, (before, after) in enumerate(zip(wind.t_s, wind.t_s[1:], strict=False), start=1):
         if after <= before:
             raise LeewayError(f"wind.t_s[{i}] = {after!r}: expected more than {before!r}")
-    if len(wind.wind_en_mps) != len(wind.t_s):
-        raise LeewayError(
-            f"wind.wind_en_mps: {len(wind.wind_en_mps)} entries, expected {len(wind.t_s)}"
-        )
-    for i, vector in enumerate(wind.wind_en_mps):
-        _finite(f"wind.wind_en_mps[{i}]", vector)
-    _finite("wind.start_s", wind.start_s)
+    _raise_if_length_differs("wind.wind_en_mps", wind.wind_en_mps, len(wind.t_s))
     first, last = wind.start_s
     if not wind.t_s[0] <= first <= last <= wind.t_s[-1]:
         raise LeewayError(
@@ -231,19 +199,18 @@ def _check_log(wind: LogWind) -> None:
         )
 
 
-def _finite(where: str, values: Iterable[float]) -> None:
-    for i, value in enumerate(values):
-        if not math.isfinite(value):
-            raise LeewayError(f"{where}[{i}] = {value!r}: expected a finite number")
+def _numbers_that_are_not_finite(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the places of NaN and infinity in a JSON document, which Python's parser accepts."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield place, value
+    parts = value.items() if isinstance(value, dict) else ()
+    parts = enumerate(value) if isinstance(value, list) else parts
+    for key, part in parts:
+        name = f"[{key}]" if isinstance(value, list) else f".{key}" if place else f"{key}"
+        yield from _numbers_that_are_not_finite(part, place + name)
 
 
-def _number(where: str, value: float, low: float, above: bool = False) -> None:
-    if not math.isfinite(value) or value < low or (above and value == low):
-        bound = f"above {low:g}" if above else f"of {low:g} or more"
-        raise LeewayError(f"{where} = {value!r}: expected a finite number {bound}")
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _reject_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys: dict[str, Any] = {}
     for key, value in pairs:
         if key in keys:
@@ -252,7 +219,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return keys
 
 
-def _named_place(message: str) -> str:
+def _format_validation_error(message: str) -> str:
     """msgspec's "problem - at `$.path`" as "path: problem"."""
     problem, separator, path = message.partition(" - at `$")
     if not separator:

@@ -1,12 +1,12 @@
 """Cross-fitting: a block's planner is fitted only on seconds outside that block.
 
-For each block the outlook's wind process is fitted by likelihood, tails included, as `companion
-fit-wind` does it. With less than 20 minutes to fit on, the shipped process is used. Two numbers
-follow. `spread`: how much larger the forecast errors were than stated, over windows as long as a
-way home. `accepted`: the risk that a single decision may take so that all missions together lose
-what the operator accepts. It is found from the gate's own P(home) at departures drawn in the same
-seconds. Nothing that a judged mission sees or flies through is used: the block, the history before
-it and the longest mission after it are held out.
+For each block, the wind process of the forecast is fitted by maximum likelihood, including tails,
+as in `companion fit-wind`. With less than 20 minutes of data, the shipped process is used. Two
+parameters are then calibrated. `spread`: ratio of actual to stated forecast errors, over windows as
+long as a return flight. `accepted`: risk per decision for which the loss over all missions equals
+the operator's accepted loss, computed from the gate's P(home) at departures drawn in the same
+seconds. Wind that an evaluated mission observes or flies through is held out: the block, the
+history before it and the longest mission after it.
 """
 
 import math
@@ -15,29 +15,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.analysis.wind_fit.fit import MEAN_S, MIN_FIT_S, AveragedWind, average_wind_over_10_s
+from companion.analysis.wind_fit.holdout import fit_wind_process_with_tail
 from companion.core.base.arrays import Floats
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.process import WindProcessParams
-from companion.core.wind_fit.fit import LEAST_FIT_S, MEAN_S, WindMeans, ten_second_means
-from companion.core.wind_fit.holdout import fit_with_tail
-from sim_bridge.research.promise.blocks import Block
 from sim_bridge.research.promise.planner import AVERAGE_S, HISTORY_S, NOISE_MPS
 from sim_bridge.research.promise.recording import Stretch
+from sim_bridge.research.promise.world import Block
 
-_KEPT_BACK = 0.06
+_SAMPLING_MARGIN = 0.06
 
-_MOST_FIT_S = 3.0 * 3600.0
+_MAX_FIT_S = 3.0 * 3600.0
 _PARTS = 3
-_EVERY_S = 20
-_MOST_ERRORS = 500
-_WINDOW_FRACS = (0.15, 0.3)  # of the endurance: short and long ways home
-_INDEPENDENT_S = 200.0  # forecast errors this far apart are taken as independent
+_ERROR_INTERVAL_S = 20
+_MAX_ERRORS = 500
+_WINDOW_FRACS = (0.15, 0.3)  # of the endurance: short and long return flights
+_INDEPENDENT_S = 200.0  # forecast errors at this separation are treated as independent
 _PRIOR_ERRORS = 10.0  # weight of the prior spread 1, in independent errors
 
 
 @dataclass(frozen=True, slots=True)
-class Unjudged:
+class TrainingSpan:
     """Seconds `first` to `last` of a stretch on which a fold's models may be fitted."""
 
     stretch: int
@@ -45,37 +45,47 @@ class Unjudged:
     last: int
 
 
-def unjudged_by(judged: tuple[Block, ...], stretches: tuple[Stretch, ...]) -> tuple[Unjudged, ...]:
-    """Each stretch without the judged blocks, their history and their missions."""
-    left: list[Unjudged] = []
+def spans_outside_evaluation_blocks(
+    evaluation_blocks: tuple[Block, ...], stretches: tuple[Stretch, ...]
+) -> tuple[TrainingSpan, ...]:
+    """Return stretches without the evaluation blocks, their history and missions."""
+    left: list[TrainingSpan] = []
     for index, stretch in enumerate(stretches):
-        taken = sorted((b.first - HISTORY_S, b.until) for b in judged if b.stretch == index)
+        excluded = sorted(
+            (b.first - HISTORY_S, b.last_flight_second)
+            for b in evaluation_blocks
+            if b.stretch == index
+        )
         begin = 0
-        for first, until in taken:
+        for first, until in excluded:
             if first - 1 > begin:
-                left.append(Unjudged(index, begin, first - 1))
+                left.append(TrainingSpan(index, begin, first - 1))
             begin = max(begin, until + 1)
         if stretch.seconds > begin:
-            left.append(Unjudged(index, begin, stretch.seconds))
+            left.append(TrainingSpan(index, begin, stretch.seconds))
     return tuple(left)
 
 
-def fitted_process(
-    unjudged: tuple[Unjudged, ...], stretches: tuple[Stretch, ...], shipped: WindProcessParams
+def fit_training_process(
+    training: tuple[TrainingSpan, ...],
+    stretches: tuple[Stretch, ...],
+    default_process: WindProcessParams,
 ) -> WindProcessParams:
-    """Process fitted to the first hours of unjudged wind; the shipped one if too little is left."""
-    means: list[WindMeans] = []
-    for part in unjudged:
+    """Return the process fitted to the first training hours; if too short, the shipped one."""
+    wind_averages: list[AveragedWind] = []
+    for part in training:
         wind = stretches[part.stretch].wind_ne_mps[part.first : part.last + 1]
-        if sum(m.t_s.size for m in means) * MEAN_S < _MOST_FIT_S:
-            means += ten_second_means(np.arange(wind.shape[0], dtype=np.float64), wind)
-    if sum(m.t_s.size for m in means) * MEAN_S < LEAST_FIT_S:
-        return shipped
-    return fit_with_tail(means, "unjudged", _PARTS).process
+        if sum(m.t_s.size for m in wind_averages) * MEAN_S < _MAX_FIT_S:
+            wind_averages += average_wind_over_10_s(
+                np.arange(wind.shape[0], dtype=np.float64), wind
+            )
+    if sum(m.t_s.size for m in wind_averages) * MEAN_S < MIN_FIT_S:
+        return default_process
+    return fit_wind_process_with_tail(wind_averages, "unjudged", _PARTS).process
 
 
-def fitted_spread(
-    unjudged: tuple[Unjudged, ...],
+def fit_spread(
+    training: tuple[TrainingSpan, ...],
     stretches: tuple[Stretch, ...],
     process: WindProcessParams,
     endurance_s: float,
@@ -83,16 +93,16 @@ def fitted_spread(
 ) -> float:
     """RMS of the standardised forecast errors, shrunk towards 1 while there are few.
 
-    One standard error, 1 / sqrt(2 n), is added: a broken promise costs more than a delivery not
-    made.
+    One standard error, 1 / sqrt(2 n), is added: a lost vehicle costs more than a cancelled
+    delivery.
     """
-    usable = [u for u in unjudged if u.last - u.first > HISTORY_S + endurance_s]
+    usable = [u for u in training if u.last - u.first > HISTORY_S + endurance_s]
     seconds = sum(u.last - u.first - HISTORY_S for u in usable)
-    every_s = max(_EVERY_S, math.ceil(seconds / _MOST_ERRORS))
+    interval_s = max(_ERROR_INTERVAL_S, math.ceil(seconds / _MAX_ERRORS))
     squares: list[float] = []
     for part in usable:
         wind = stretches[part.stretch].wind_ne_mps[part.first : part.last + 1]
-        squares += _standardised(wind, process, endurance_s, every_s, rng)
+        squares += _standardised_squared_errors(wind, process, endurance_s, interval_s, rng)
     independent = 2.0 * min(len(squares), seconds / _INDEPENDENT_S)  # two axes
     mean = float(np.mean(squares)) if squares else 1.0
     known = independent + _PRIOR_ERRORS
@@ -100,62 +110,71 @@ def fitted_spread(
     return spread * (1.0 + 1.0 / math.sqrt(2.0 * known))
 
 
-def _standardised(
+def _standardised_squared_errors(
     wind_ne_mps: Floats,
     process: WindProcessParams,
     endurance_s: float,
-    every_s: int,
+    interval_s: int,
     rng: np.random.Generator,
 ) -> Iterator[float]:
     """Yield squared errors of window means over the gate's variance, averaged over both axes.
 
-    The gate prices a leg at its midpoint wind. The windows are as long as short and long ways home.
+    The gate evaluates a leg at its midpoint wind. Windows last as long as short and long returns.
     """
     seconds = wind_ne_mps.shape[0]
     noisy = wind_ne_mps + NOISE_MPS * rng.standard_normal(wind_ne_mps.shape)
     cov = np.eye(2) * NOISE_MPS**2 / AVERAGE_S
     windows = [math.ceil(frac * endurance_s) for frac in _WINDOW_FRACS]
     middles = 0.5 * np.array(windows, float)
-    for now in range(HISTORY_S, seconds - max(windows), every_s):
+    for now in range(HISTORY_S, seconds - max(windows), interval_s):
         outlook = WindOutlook(process)
         belief = WindBelief(float(now), np.zeros(2), cov, ("told",), False)
         for at in range(now - HISTORY_S + AVERAGE_S, now + 1, AVERAGE_S):
             mean = noisy[at - AVERAGE_S : at].mean(axis=0)
             belief = WindBelief(float(at), mean, cov, ("told",), True)
-            outlook.observe(belief)
+            outlook.update_from_estimate(belief)
         seen = outlook.forecast(belief, middles)
-        variance = np.diag(seen.walk_cov_m2ps2)
+        variance = np.diag(seen.change_cov_m2ps2)
         actual = np.array([wind_ne_mps[now : now + w].mean(axis=0) for w in windows])
         errors = (actual - seen.mean_to_ne_mps) ** 2
         yield float((errors.mean(axis=1) / variance).mean())
 
 
-def aimed_at(max_loss: float) -> float:
-    """The mean loss to aim at, so that sampling error does not exceed the accepted loss.
+def loss_target_below_accepted(accepted_loss: float) -> float:
+    """Return the target mean loss that keeps sampling error below the accepted loss.
 
     `L - 0.06 sqrt(L (1 - L))`: two standard deviations over 1,100 independent missions above it is
     L (2 / sqrt(1100) = 0.06). 0.4 % for 1 %, 13 % for 15 %.
     """
-    return max(max_loss - _KEPT_BACK * math.sqrt(max_loss * (1.0 - max_loss)), 0.3 * max_loss)
+    return max(
+        accepted_loss - _SAMPLING_MARGIN * math.sqrt(accepted_loss * (1.0 - accepted_loss)),
+        0.3 * accepted_loss,
+    )
 
 
-def accepted_for(max_loss: float, levels: tuple[float, ...], said_p_home: Floats) -> float:
-    """The highest risk level at which departures, by their own P(home), lose no more than aimed at.
+def fit_risk_level(max_loss: float, levels: tuple[float, ...], p_home: Floats) -> float:
+    """Return the highest risk level whose predicted loss does not exceed the target loss.
 
-    `said_p_home` (departures, levels) is NaN where the gate would not go. The level is
-    interpolated, in its logarithm, between two grid levels. Raises ValueError without departures.
+    `p_home` (departures, levels) is NaN where the gate refuses departure. The level is
+    interpolated logarithmically between two grid levels. Raises ValueError without departures.
     """
-    if said_p_home.shape[0] == 0:
-        raise ValueError("no departures to settle the accepted loss on")
-    goes = np.isfinite(said_p_home)
-    loss = np.where(goes, 1.0 - said_p_home, 0.0).sum(axis=0) / np.maximum(goes.sum(axis=0), 1)
-    loss = np.maximum.accumulate(loss)
-    aim = aimed_at(max_loss)
-    if loss[0] >= aim:
-        return levels[0]
-    if loss[-1] <= aim:
-        return levels[-1]
-    above = int(np.argmax(loss > aim))
-    share = (aim - loss[above - 1]) / (loss[above] - loss[above - 1])
-    low, high = math.log(levels[above - 1]), math.log(levels[above])
+    if p_home.shape[0] == 0:
+        raise ValueError("said_p_home: expected at least one departure, got none")
+    departs = np.isfinite(p_home)
+    loss = np.where(departs, 1.0 - p_home, 0.0).sum(axis=0) / np.maximum(departs.sum(axis=0), 1)
+    at, share = level_and_share_at_loss(loss, loss_target_below_accepted(max_loss))
+    if share == 0.0:
+        return levels[at]
+    low, high = math.log(levels[at]), math.log(levels[at + 1])
     return math.exp(low + share * (high - low))
+
+
+def level_and_share_at_loss(loss_by_level: Floats, aim: float) -> tuple[int, float]:
+    """Return the level below the one that loses `aim`, and the share of the step to the next."""
+    loss = np.maximum.accumulate(loss_by_level)
+    if loss[0] >= aim:
+        return 0, 0.0
+    if loss[-1] <= aim:
+        return loss.size - 1, 0.0
+    above = int(np.argmax(loss > aim))
+    return above - 1, float((aim - loss[above - 1]) / (loss[above] - loss[above - 1]))

@@ -1,9 +1,10 @@
-"""Recordings as `promise` flies them: the companion's checks, then wind at whole seconds.
+"""Wind recordings for `promise`: checked by the companion, interpolated to whole seconds.
 
-Faults in a file are found and named as `companion fit-wind` does it
-(`companion.core.wind_fit.log_checks`). Each good run is a stretch, if it is long enough.
+Faults in a file are detected and reported as in `companion fit-wind`
+(`companion.analysis.wind_fit.log_checks`). Each good run of sufficient length is a stretch.
 """
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,18 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from companion.adapters.logs.wind_logs import read_wind_log
+from companion.analysis.wind_fit.log_checks import Samples
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.wind_fit.log_checks import Samples
 
-LEAST_STRETCH_S = 120.0
+MIN_STRETCH_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
     """Wind towards north and east, (n, 2) m/s, at whole seconds from `start_s` of its file."""
 
-    name: str
     start_s: float
     wind_ne_mps: Floats
 
@@ -34,37 +34,39 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class WindRecording:
-    """A file's good stretches, and the faults found in the rest."""
+    """Valid stretches of a file, and the faults found in the rest."""
 
-    path: Path
     stretches: tuple[Stretch, ...]
-    troubles: tuple[str, ...]
+    faults: tuple[str, ...]
 
 
 def read_recording(path: Path) -> WindRecording:
     """Read `t_s, wind_speed_mps, wind_from_deg` (direction it blows from, clockwise from north).
 
-    Raises LeewayError if nothing is usable: no file, not text, other columns, no good stretch.
+    Raises LeewayError if unusable: no file, not text, other columns, no valid stretch.
     """
     found = read_wind_log(path)
-    stretches = (_at_whole_seconds(path.stem, run) for run in found.runs)
-    good = tuple(s for s in stretches if s is not None and s.seconds >= LEAST_STRETCH_S)
+    stretches = (_interpolate_at_whole_seconds(run) for run in found.segments)
+    good = tuple(s for s in stretches if s.seconds >= MIN_STRETCH_S)
     if not good:
-        why = "; ".join(found.findings) or f"{sum(r.t_s.size for r in found.runs)} rows"
+        fault_text = "; ".join(found.findings) or f"{sum(r.t_s.size for r in found.segments)} rows"
         raise LeewayError(
-            f"{path}: no stretch of {LEAST_STRETCH_S:.0f} s without a gap to fly in ({why})"
+            f"{path}: no stretch of {MIN_STRETCH_S:.0f} s or more without a gap ({fault_text})"
         )
-    return WindRecording(path, good, tuple(f"{path}: {words}" for words in found.findings))
+    return WindRecording(good, tuple(f"{path}: {fault}" for fault in found.findings))
 
 
-def _at_whole_seconds(name: str, run: Samples) -> Stretch | None:
-    """Wind vector interpolated linearly at whole seconds; None for less than a second."""
-    if run.t_s.size < 2:
-        return None
-    first, last = math.ceil(run.t_s[0]), math.floor(run.t_s[-1])
-    if last <= first:
-        return None
-    seconds = np.arange(first, last + 1, dtype=np.float64)
+def _interpolate_at_whole_seconds(run: Samples) -> Stretch:
+    """Interpolate the wind vector linearly at whole seconds."""
+    seconds = np.arange(math.ceil(run.t_s[0]), math.floor(run.t_s[-1]) + 1, dtype=np.float64)
     wind = run.wind_to_ne_mps
     axes = [np.interp(seconds, run.t_s, wind[:, axis]) for axis in (0, 1)]
-    return Stretch(name, float(first), np.stack(axes, axis=-1))
+    return Stretch(float(math.ceil(run.t_s[0])), np.stack(axes, axis=-1))
+
+
+def file_sha256_prefix(path: Path) -> str:
+    """Return the first 16 hex digits of a file's SHA-256. Raises LeewayError if unreadable."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise LeewayError(f"{path}: cannot be read ({error.strerror})") from None

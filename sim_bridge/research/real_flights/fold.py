@@ -1,66 +1,66 @@
-"""One fold: everything fitted on some days' flights, and judged on the flights of others."""
+"""One fold: all models fitted on the flights of some days, and evaluated on other days."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from companion.adapters.files.params import read_airframe
+from companion.analysis.calibration.airframe_fit import fit_airframe_to_flights
+from companion.analysis.calibration.drag import DragPriors, estimate_wind
+from companion.analysis.measured_energy.energy_scatter import charge_number_by_flight
+from companion.analysis.measured_energy.flight_measurements import replay_wind_estimator
+from companion.analysis.measured_energy.flown_track import STEP_S, detect_leg_sequence
+from companion.analysis.measured_energy.forecast import (
+    EnergyForecast,
+    TrainingFlight,
+    fit_energy_forecast,
+)
+from companion.analysis.measured_energy.remaining_energy import takeoff_corner_and_midpoint
+from companion.analysis.measured_energy.route_times import FlownRoute, build_flown_route
+from companion.analysis.replay.replayed_wind import WindSeries
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.calibration.airframe_fit import Calibration, calibrate
-from companion.core.calibration.drag import DragPriors, WindSeen, see_wind
-from companion.core.measured_energy.energy_scatter import EnergyScatter, charges_of
-from companion.core.measured_energy.flown_track import STEP_S, flown_legs
-from companion.core.measured_energy.forecast import EnergyForecast, KnownFlight, fit_forecast
-from companion.core.measured_energy.route_times import FlownRoute, flown_route
-from companion.core.measured_energy.to_go import route_points
 from companion.core.vehicle.airframe import Airframe
-from sim_bridge.research.real_flights.folder import FlightFolder, ReadFlight, read_folder
-from sim_bridge.research.real_flights.rivals import Rivals, fit_rivals
-from sim_bridge.research.real_flights.wind_replay import (
+from sim_bridge.research.real_flights.anemometer import (
     AirspeedMean,
     AnemometerScale,
-    WindReplay,
-    airspeed_mean,
-    fit_scale,
-    replay_wind,
-    stretches,
-    windows,
+    complete_window_slices,
+    fit_anemometer_scale,
+    mean_airspeed_over_span,
+    slices_without_leg_ends,
 )
-from sim_bridge.research.real_flights.wind_rivals import WIND_RIVALS, rival_winds
+from sim_bridge.research.real_flights.folder import FlightFolder, ReadFlight, read_usable_flights
 
 CALIBRATED_FLIGHTS = 36
-"""Drag and power are calibrated on so many of the fitting flights, spread evenly over days and
-hours: with all of 119 drag at 10 m/s moves by less than its standard deviation, in seven times the
-time."""
-SCORED_FLIGHTS = 9
-"""So many of the fitting flights tell the anemometer's scale as the rivals find it."""
+"""Maximum fitting flights for drag and power, spread evenly over days and hours. With all 119
+flights, drag at 10 m/s changes by less than its standard deviation, at seven times the run time."""
 SCALED_FLIGHTS = 24
-"""The anemometer's scale is learned on so many of the fitting flights. With nine alone it
-moved between 0.90 and 0.99 from fold to fold, which is 1 m/s at 16 m/s of airspeed."""
-_ODD_LOG = 0.10
-"""A flight that draws so much more or less than predicted may have another payload: four times the
-scatter of flights."""
+"""Maximum fitting flights for the anemometer's scale. With only nine, the scale varies between
+0.90 and 0.99 over the folds, which is 1 m/s at 16 m/s of airspeed."""
+_PAYLOAD_LOG_RATIO = 0.10
+"""Log energy ratio above which a flight may have another payload: four times the scatter of
+flights."""
+
+MIN_DAYS = 4
+"""Three to fit (scatter between days) and one to evaluate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Which folders, and which days of the fitting one are left out ("": none)."""
+    """Folders, and the day excluded from the fitting folder ("": none)."""
 
     judged: Path
     fitted: Path
     day: str
     airframe: str
-    climate: bool
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedEnergy:
-    """Measured and stated energy at one point of one flight, Wh; `at` "flown" is all of it."""
+class EvaluatedEnergy:
+    """Measured and predicted energy at one point of a flight, Wh; `at` "flown": whole flight."""
 
     at: str
     measured_wh: float
@@ -69,216 +69,182 @@ class JudgedEnergy:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedWind:
-    """Means of one flight with one estimator, against one reading of the anemometer."""
+class EvaluatedWind:
+    """Airspeed means of one flight: one estimator against the anemometer."""
 
-    legs: tuple[AirspeedMean, ...]
+    leg_averages: tuple[AirspeedMean, ...]
     windows: tuple[AirspeedMean, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedFlight:
-    """Everything about one flight; `winds` by what ours hears and by rival, rivals in Wh."""
+class EvaluatedFlight:
+    """Evaluation of one flight; `winds` by the estimator's inputs."""
 
     name: str
     date: str
-    energies: tuple[JudgedEnergy, ...]
-    rivals_wh: dict[str, float]
-    winds: dict[str, JudgedWind]
+    energies: tuple[EvaluatedEnergy, ...]
+    winds: dict[str, EvaluatedWind]
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class FoldResult:
-    """One fold's flights, and what was fitted for it."""
-
-    day: str
-    flights: tuple[JudgedFlight, ...]
-    scale: AnemometerScale
-    trim_deg: tuple[float, float]
-    drag_stds: tuple[float, float, float]
-    scatter: dict[str, EnergyScatter]
-    slopes: dict[str, float]
-    power_flown: tuple[float, float, float]
-    identified: tuple[str, ...]
-    not_identified: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class _Fitted:
-    calibration: Calibration
+    airframe: Airframe
     scale: AnemometerScale
-    rival_scales: dict[str, AnemometerScale]
     forecast: EnergyForecast
-    rivals: Rivals
 
 
-def run_fold(fold: Fold) -> FoldResult:
-    """Fit and judge; LeewayError where too few flights are left."""
-    fitting = read_folder(fold.fitted, fold.airframe, fold.climate)
-    judged = read_folder(fold.judged, fold.airframe, fold.climate)
-    train = [f for f in _routes(fitting) if f.ordered.date != fold.day]
-    test = [f for f in _routes(judged) if fold.day in ("", f.ordered.date)]
-    fitted = _fit(train, read_airframe(fold.airframe))
-    done = tuple(_judge(flight, fitted) for flight in test)
-    quantities, flying = fitted.calibration.quantities, fitted.calibration.airframe
-    forecast = fitted.forecast
-    flown = forecast.airframe.power_flown
-    assert flown is not None
-    return FoldResult(
-        fold.day,
-        done,
-        fitted.scale,
-        (flying.drag.trim_forward_deg, flying.drag.trim_right_deg),
-        drag_stds(flying),
-        {"flown": forecast.flown, **{n: p.scatter for n, p in forecast.points.items()}},
-        {n: p.slope for n, p in forecast.points.items()},
-        (flown.climb_frac, flown.level_frac, flown.descent_frac),
-        tuple(q.name for q in quantities if q.identified),
-        tuple(f"{q.name}: {q.flight}" for q in quantities if not q.identified),
-    )
+def split_into_day_folds(
+    evaluated_flights: FlightFolder, folder: Path, fit_folder: Path | None, airframe: str
+) -> list[Fold]:
+    """Return one fold per day with routes; with `fit_folder`, one without excluded day."""
+    if fit_folder is not None:
+        return [Fold(folder, fit_folder, "", airframe)]
+    days = sorted({f.ordered.date for f in evaluated_flights.flights if f.ordered.has_route})
+    if len(days) < MIN_DAYS:
+        raise LeewayError(
+            f"{folder}: routes on {len(days)} days, {MIN_DAYS} expected to predict each day from"
+            " the others; or give a folder of fitting flights with --fit"
+        )
+    return [Fold(folder, folder, day, airframe) for day in days]
 
 
-def _routes(folder: FlightFolder) -> list[ReadFlight]:
+def fit_and_evaluate_fold(fold: Fold) -> list[EvaluatedFlight]:
+    """Fit and evaluate one fold. Raises LeewayError if too few flights are left."""
+    fitting = read_usable_flights(fold.fitted, fold.airframe)
+    judged = read_usable_flights(fold.judged, fold.airframe)
+    fitting_flights = [f for f in _flights_with_route(fitting) if f.ordered.date != fold.day]
+    test = [f for f in _flights_with_route(judged) if fold.day in ("", f.ordered.date)]
+    fitted = _fit_airframe_scale_and_forecast(fitting_flights, read_airframe(fold.airframe))
+    return [_evaluate_flight(flight, fitted) for flight in test]
+
+
+def _flights_with_route(folder: FlightFolder) -> list[ReadFlight]:
     return [f for f in folder.flights if f.ordered.has_route]
 
 
-def _fit(train: Sequence[ReadFlight], start: Airframe) -> _Fitted:
-    if not train:
-        raise LeewayError("no flight to fit to: at least three days with routes expected")
-    chosen = _spread(len(train), CALIBRATED_FLIGHTS)
-    done = calibrate(
-        [train[i].blocks for i in chosen], start, leave_out=False, priors=DragPriors.symmetric()
+def _fit_airframe_scale_and_forecast(
+    fitting_flights: Sequence[ReadFlight], start: Airframe
+) -> _Fitted:
+    if not fitting_flights:
+        raise LeewayError("no flight for fitting: at least three days with routes expected")
+    selected = _evenly_spread_indices(len(fitting_flights), CALIBRATED_FLIGHTS)
+    done = fit_airframe_to_flights(
+        [fitting_flights[i].measured.prepared.blocks for i in selected],
+        start,
+        measure_holdout_error=False,
+        priors=DragPriors.for_symmetric_airframe(),
     )
-    seen = dict(zip(chosen, done.drag.winds, strict=True))
-    winds = [
-        seen[i] if i in seen else see_wind(f.blocks, done.airframe) for i, f in enumerate(train)
+    airframe, seen = done.airframe, dict(zip(selected, done.drag.winds, strict=True))
+    charge_indices = charge_number_by_flight(
+        [f.ordered.date for f in fitting_flights],
+        [f.measured.resting_voltage_v for f in fitting_flights],
+    )
+    known: list[TrainingFlight] = []
+    for i, (flight, charge_index) in enumerate(zip(fitting_flights, charge_indices, strict=True)):
+        wind = seen[i] if i in seen else estimate_wind(flight.measured.prepared.blocks, airframe)
+        mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
+        route, _ = planned_route_or_reason(flight)
+        density, day = flight.measured.density_kgpm3, flight.ordered.date
+        known.append(TrainingFlight(flight.measured.track, route, mean, density, day, charge_index))
+    scaled = [
+        fitting_flights[selected[at]]
+        for at in _evenly_spread_indices(len(selected), SCALED_FLIGHTS)
     ]
-    charges = charges_of([f.ordered.date for f in train], [f.start_v for f in train])
-    known = [_known(*row) for row in zip(train, winds, charges, strict=True)]
-    scored = chosen[:: max(len(chosen) // SCORED_FLIGHTS, 1)]
-    flying = done.airframe
-    scaled = [chosen[at] for at in _spread(len(chosen), SCALED_FLIGHTS)]
-    scale = _scale_of([(train[i], replay_wind(train[i], flying)) for i in scaled])
-    rivals = [(train[i], rival_winds(train[i], flying)) for i in scored]
-    rival_scales = {n: _scale_of([(f, winds[n]) for f, winds in rivals]) for n in WIND_RIVALS}
-    forecast = fit_forecast(done.airframe, known)
-    return _Fitted(done, scale, rival_scales, forecast, fit_rivals(train))
+    legs = [
+        leg
+        for f in scaled
+        for leg in _evaluate_wind(f, replay_wind_estimator(f.measured, airframe), None).leg_averages
+    ]
+    return _Fitted(airframe, fit_anemometer_scale(legs), fit_energy_forecast(airframe, known))
 
 
-def _spread(count: int, most: int) -> list[int]:
-    """At most so many of `count` indices, spread evenly."""
-    return sorted({round(i) for i in np.linspace(0, count - 1, most)})
+def _evenly_spread_indices(count: int, max_count: int) -> list[int]:
+    """Return at most `max_count` of `count` indices, spread evenly."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, max_count)})
 
 
-def _scale_of(replays: Sequence[tuple[ReadFlight, WindReplay]]) -> AnemometerScale:
-    """The anemometer as the estimator of these replays finds it."""
-    return fit_scale([leg for f, wind in replays for leg in _wind(f, wind, None).legs])
+def planned_route_or_reason(flight: ReadFlight) -> tuple[FlownRoute | None, str]:
+    """Return the ordered route, from the table's height and speed and the corners with stops.
 
-
-def as_reported(airframe: Airframe) -> Airframe:
-    """The airframe without its mean trims: the attitude is taken as the autopilot reports it."""
-    changed = msgspec.structs.replace
-    return changed(airframe, drag=changed(airframe.drag, trim_forward_deg=0.0, trim_right_deg=0.0))
-
-
-def drag_stds(airframe: Airframe) -> tuple[float, float, float]:
-    """What the estimator expects of trim (degrees), drag model and drag gain (fractions)."""
-    drag = airframe.drag
-    return drag.trim_std_deg, drag.model_std_frac, drag.gain_std_frac
-
-
-def _known(flight: ReadFlight, wind: WindSeen, charge: int) -> KnownFlight:
-    mean = np.array([wind.to_north_mps.mean(), wind.to_east_mps.mean()])
-    route = planned_route(flight)[0]
-    day = flight.ordered.date
-    return KnownFlight(flight.track, route, mean, flight.density_kgpm3, day, charge)
-
-
-def planned_route(flight: ReadFlight) -> tuple[FlownRoute | None, str]:
-    """The route as ordered, from the table's height and speed and the corners where it stopped.
-
-    `None`, and why, where that does not tell it: heights that change on the way, no legs.
+    Returns `None` and the reason if it cannot be determined: changing heights, no legs.
     """
     ordered = flight.ordered
     if len(ordered.heights_m) != 1:
-        return None, "climbs on its way: energy to go is not judged"
+        return None, "climbs en route: remaining energy is not evaluated"
     try:
-        return flown_route(flight.track, ordered.heights_m[0], ordered.speed_mps), ""
+        return build_flown_route(flight.measured.track, ordered.heights_m[0], ordered.speed_mps), ""
     except LeewayError as error:
-        return None, f"{error}: energy to go is not judged"
+        return None, f"{error}: remaining energy is not evaluated"
 
 
-def _judge(flight: ReadFlight, fitted: _Fitted) -> JudgedFlight:
-    airframe = fitted.calibration.airframe
-    alone = replay_wind(flight, airframe)
-    aided = replay_wind(flight, airframe, with_airspeed=True)
-    leaning = replay_wind(flight, as_reported(airframe))
-    energies, words = _energies(flight, fitted.forecast, alone.mean_ne_mps)
-    return JudgedFlight(
+def _evaluate_flight(flight: ReadFlight, fitted: _Fitted) -> EvaluatedFlight:
+    airframe = fitted.airframe
+    unaided = replay_wind_estimator(flight.measured, airframe)
+    aided = replay_wind_estimator(flight.measured, airframe, with_airspeed=True)
+    energies, words = _evaluate_energies(flight, fitted.forecast, unaided.mean_ne_mps)
+    return EvaluatedFlight(
         flight.ordered.name,
         flight.ordered.date,
         tuple(energies),
-        fitted.rivals.predicted_wh(flight),
         {
-            "tilt": _wind(flight, alone, fitted.scale),
-            "tilt_as_reported": _wind(flight, leaning, fitted.scale),
-            "tilt_unscaled": _wind(flight, alone, None),
-            "anemometer": _wind(flight, aided, fitted.scale),
-            "anemometer_unscaled": _wind(flight, aided, None),
-            **{
-                name: _wind(flight, wind, fitted.rival_scales[name])
-                for name, wind in rival_winds(flight, airframe).items()
-            },
+            "tilt": _evaluate_wind(flight, unaided, fitted.scale),
+            "tilt_unscaled": _evaluate_wind(flight, unaided, None),
+            "anemometer": _evaluate_wind(flight, aided, fitted.scale),
         },
         tuple(words),
     )
 
 
-def _energies(
+def _evaluate_energies(
     flight: ReadFlight, forecast: EnergyForecast, wind_ne_mps: Floats
-) -> tuple[list[JudgedEnergy], list[str]]:
-    track, density = flight.track, flight.density_kgpm3
-    if track.cut_short:
-        return [], ["cut off in the air: energy is not judged"]
-    stated = forecast.of_track(track, wind_ne_mps, density)
-    rows = [JudgedEnergy("flown", track.energy_wh, stated.predicted_wh, stated.upper_wh)]
-    words = _odd_payload(flight, track.energy_wh / stated.predicted_wh, forecast.airframe)
-    route, why = planned_route(flight)
+) -> tuple[list[EvaluatedEnergy], list[str]]:
+    track, density = flight.measured.track, flight.measured.density_kgpm3
+    if track.ends_in_flight:
+        return [], ["log ends in flight: energy is not evaluated"]
+    prediction = forecast.predict_track_energy(track, wind_ne_mps, density)
+    rows = [EvaluatedEnergy("flown", track.energy_wh, prediction.predicted_wh, prediction.upper_wh)]
+    words = _payload_findings(flight, track.energy_wh / prediction.predicted_wh, forecast.airframe)
+    route, reason = planned_route_or_reason(flight)
     if route is None:
-        return rows, [*words, why]
-    for point in route_points(track, route):
-        left = forecast.to_go(track, route, point, wind_ne_mps, density)
+        return rows, [*words, reason]
+    for point in takeoff_corner_and_midpoint(track, route):
+        left = forecast.predict_remaining_energy(track, route, point, wind_ne_mps, density)
         if left is not None:
-            measured = track.energy_after_wh(point.index)
-            rows.append(JudgedEnergy(point.name, measured, left.predicted_wh, left.upper_wh))
+            measured = track.energy_from_index_to_end_wh(point.index)
+            rows.append(EvaluatedEnergy(point.name, measured, left.predicted_wh, left.upper_wh))
     return rows, words
 
 
-def _odd_payload(flight: ReadFlight, ratio: float, airframe: Airframe) -> list[str]:
-    """Say a draw that another payload would explain: hover power goes with mass to the 3/2."""
-    if abs(math.log(ratio)) < _ODD_LOG:
+def _payload_findings(
+    flight: ReadFlight, measured_to_predicted_ratio: float, airframe: Airframe
+) -> list[str]:
+    """Report an energy ratio that another payload explains: hover power scales with mass^(3/2)."""
+    if abs(math.log(measured_to_predicted_ratio)) < _PAYLOAD_LOG_RATIO:
         return []
-    stated_kg = flight.ordered.payload_kg
-    told_kg = airframe.mass_kg(stated_kg) * ratio ** (2.0 / 3.0) - airframe.mass.empty_kg
+    table_kg = flight.ordered.payload_kg
+    matching_kg = (
+        airframe.flying_mass_kg(table_kg) * measured_to_predicted_ratio ** (2.0 / 3.0)
+        - airframe.mass.empty_kg
+    )
     return [
-        f"draws {100.0 * (ratio - 1.0):+.0f} % against what is predicted with the table's"
-        f" {stated_kg:g} kg; {max(told_kg, 0.0):.2f} kg would explain it: wrong payload?"
+        f"draws {100.0 * (measured_to_predicted_ratio - 1.0):+.0f} % relative to the prediction"
+        " for the table's"
+        f" {table_kg:g} kg; a payload of {max(matching_kg, 0.0):.2f} kg matches: wrong payload?"
     ]
 
 
-def _wind(flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None) -> JudgedWind:
-    legs = flown_legs(flight.track, flight.ordered.speed_mps)
-    spans = stretches(flight.track, [(leg.first, leg.last) for leg in legs], STEP_S)
-    parts = [part for span in spans for part in windows(span, STEP_S)]
-    return JudgedWind(
-        _means(flight, wind, scale, spans),
-        _means(flight, wind, scale, parts),
-    )
+def _evaluate_wind(
+    flight: ReadFlight, wind: WindSeries, scale: AnemometerScale | None
+) -> EvaluatedWind:
+    def airspeed_averages(spans: Sequence[slice]) -> tuple[AirspeedMean, ...]:
+        known = (mean_airspeed_over_span(flight, wind, span) for span in spans)
+        return tuple(
+            m if scale is None else m.as_anemometer_reading(scale) for m in known if m is not None
+        )
 
-
-def _means(
-    flight: ReadFlight, wind: WindReplay, scale: AnemometerScale | None, spans: Sequence[slice]
-) -> tuple[AirspeedMean, ...]:
-    known = (airspeed_mean(flight, wind, span) for span in spans)
-    return tuple(m if scale is None else m.as_read(scale) for m in known if m is not None)
+    track = flight.measured.track
+    leg_list = detect_leg_sequence(track, flight.ordered.speed_mps)
+    spans = slices_without_leg_ends(track, [(leg.first, leg.last) for leg in leg_list], STEP_S)
+    windows = [part for span in spans for part in complete_window_slices(span, STEP_S)]
+    return EvaluatedWind(airspeed_averages(spans), airspeed_averages(windows))

@@ -1,4 +1,4 @@
-"""Every file and message that has a schema, with examples of it that are valid."""
+"""File and message formats that have a schema, with valid examples."""
 
 import tomllib
 from pathlib import Path
@@ -33,43 +33,43 @@ FOLDERS = {
     "truth": AirframeTruth,
     "wind": WindProcessParams,
 }
-"""Folders of params, and what reads the TOML files in them."""
+"""Folders of params, and the structures that decode their TOML files."""
 
 WITHOUT_SCHEMA = {
     "autopilots": "autopilot-parameters/1: an autopilot's own names, as many as it has",
-    "policies": "policy/1: written by `sim-bridge research export-avoid`, and by nobody else",
+    "policies": "policy/1: written by `sim-bridge research train-avoid --export` only",
 }
-"""Folders of params whose files people do not write, and why they have no schema."""
+"""Folders of params whose files are not written by hand, and why they have no schema."""
 
 
-def shipped(folder: str) -> list[Path]:
-    """The TOML files of a folder of params."""
+def shipped_toml_files(folder: str) -> list[Path]:
+    """Return the TOML files of a folder of params."""
     return sorted((params_dir() / folder).glob("*.toml"))
 
 
-def formats() -> tuple[Format, ...]:
-    """All of them, in the order of the reference."""
-    winds = tuple(_winds())
+def list_file_formats() -> tuple[Format, ...]:
+    """Return all formats, in the order of the reference."""
+    winds = tuple(_wind_examples())
     faults = (Fault(kind="companion_kill"),)
     return (
         Format(
             "flight/1",
             Flight,
-            (*_read("flights"), *winds, *faults),
+            (*_read_shipped_structs("flights"), *winds, *faults),
             {
                 "Flight.wind": WindParams,
                 "Flight.faults": list[Fault],
                 "LogWindParams.start_s": float | tuple[float, float] | None,
             },
         ),
-        Format("airframe/1", Airframe, _read("airframes")),
+        Format("airframe/1", Airframe, _read_shipped_structs("airframes")),
         Format("certificate/2", Certificate),
-        Format("wind-process/1", WindProcessParams, _read("wind")),
-        Format("wind-field/1", WindFieldParams, _read("fields")),
-        Format("day/1", Day, _read("days")),
-        Format("day-plan/1", DayPlan, _read("days")),
+        Format("wind-process/1", WindProcessParams, _read_shipped_structs("wind")),
+        Format("wind-field/1", WindFieldParams, _read_shipped_structs("fields")),
+        Format("day/1", Day, _read_shipped_structs("days")),
+        Format("day-plan/1", DayPlan, _read_shipped_structs("days")),
         Format("roster/1", Roster),
-        Format("truth/1", AirframeTruth, _read("truth")),
+        Format("truth/1", AirframeTruth, _read_shipped_structs("truth")),
         Format("delivery-scenario/1", Scenario),
         Format("message state", State),
         Format("message event", FleetEvent),
@@ -81,14 +81,21 @@ def formats() -> tuple[Format, ...]:
     )
 
 
-def _read(folder: str) -> tuple[msgspec.Struct, ...]:
-    return tuple(msgspec.convert(_table(path), FOLDERS[folder]) for path in shipped(folder))
+def _read_shipped_structs(folder: str) -> tuple[msgspec.Struct, ...]:
+    return tuple(
+        msgspec.convert(_read_toml_table(path), FOLDERS[folder])
+        for path in shipped_toml_files(folder)
+    )
 
 
-def _winds() -> list[Any]:
-    tables = [table["wind"] for path in shipped("flights") if "wind" in (table := _table(path))]
+def _wind_examples() -> list[Any]:
+    tables = [
+        table["wind"]
+        for path in shipped_toml_files("flights")
+        if "wind" in (table := _read_toml_table(path))
+    ]
     return [*(msgspec.convert(table, WindParams) for table in tables), LogWindParams(log="x.csv")]
 
 
-def _table(path: Path) -> dict[str, Any]:
+def _read_toml_table(path: Path) -> dict[str, Any]:
     return tomllib.loads(path.read_text(encoding="utf-8"))

@@ -1,35 +1,34 @@
-"""The JSON Schema of a file or message, from the structure that reads it.
+"""JSON Schema of a file or message, generated from the structure that decodes it.
 
-Draft 7: what editors of TOML files understand. msgspec gives types, required keys and limits that
-stand in a type; the meaning of each key is its docstring in the class, and the range of a number
-is what the reader says when it refuses one.
+Draft 7, since TOML editors support it. msgspec provides types, required keys and limits declared in
+a type. The meaning of a key is its docstring in the class; the range of a number is taken from the
+error message for an invalid value.
 """
 
 import inspect
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 
-from sim_bridge.research.reference.attribute_docs import attribute_docs
-from sim_bridge.research.reference.permitted_ranges import (
+from sim_bridge.research.reference.keys import (
     Range,
-    permitted_ranges,
-    structures_in,
+    docstring_by_field,
+    iterate_structs_in,
+    probe_permitted_ranges,
 )
 
-DRAFT = "http://json-schema.org/draft-07/schema#"
+SCHEMA_DIALECT_URL = "http://json-schema.org/draft-07/schema#"
 Schema = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A kind of file or message: its name, the structure that reads it, and valid examples.
+    """File or message format: name, decoding structure, and valid examples.
 
-    `opaque` names fields that are read elsewhere (CLASS.field) with the type that reads them.
+    `opaque`: fields that are decoded elsewhere (CLASS.field), with the decoding type.
     """
 
     name: str
@@ -39,75 +38,83 @@ class Format:
 
     @property
     def stem(self) -> str:
-        """The name as a file name."""
+        """File name stem of the format."""
         return self.name.replace("/", "-").replace(" ", "-")
 
-    @property
-    def path(self) -> Path:
-        """Where its schema lies in the reference."""
-        return Path("schemas") / f"{self.stem}.json"
 
-
-def json_schema(format_: Format) -> Schema:
-    """The whole schema; raises ValueError where a key has no meaning in words."""
+def build_json_schema(format_: Format) -> Schema:
+    """Return the complete schema. Raises ValueError if a key has no docstring."""
     types = [format_.kind, *format_.opaque.values()]
     roots, parts = msgspec.json.schema_components(types, ref_template="#/definitions/{name}")
-    kinds = {kind.__name__: kind for type_ in types for kind in _structures_of(type_)}
+    kinds = {kind.__name__: kind for type_ in types for kind in _struct_types_in(type_)}
     examples: defaultdict[type, list[msgspec.Struct]] = defaultdict(list)
     for example in format_.examples:
-        for one in structures_in(example):
+        for one in iterate_structs_in(example):
             examples[type(one)].append(one)
     for name, part in parts.items():
         if name in kinds:
             kind = kinds[name]
-            _describe(part, kind, permitted_ranges(kind, examples[kind]))
-    for place, schema in zip(format_.opaque, roots[1:], strict=True):
-        _place_opaque(parts, place, schema)
+            _add_descriptions_and_ranges_in_place(
+                part, kind, probe_permitted_ranges(kind, examples[kind])
+            )
+    for field_path, schema in zip(format_.opaque, roots[1:], strict=True):
+        _replace_opaque_schema_in_place(parts, field_path, schema)
     root = parts.pop(format_.kind.__name__)
-    used = _used(root, parts)
-    whole = {"$schema": DRAFT, **root, "title": format_.name}
-    whole["definitions"] = {name: parts[name] for name in used}
-    return _as_draft_7(whole)
+    whole = {"$schema": SCHEMA_DIALECT_URL, **root, "title": format_.name, "definitions": parts}
+    return _convert_to_draft7(whole)
 
 
-def _describe(part: Schema, kind: type[msgspec.Struct], ranges: Mapping[str, Range]) -> None:
-    """Words and ranges into a structure's schema."""
-    part["description"] = inspect.cleandoc(kind.__doc__ or "")
-    docs = attribute_docs(kind)
-    tag = kind.__struct_config__.tag_field
-    if kind.__struct_config__.array_like:  # named in order for people; a reader checks `items`
-        part["properties"] = dict(zip(kind.__struct_fields__, part["prefixItems"], strict=True))
+def _add_descriptions_and_ranges_in_place(
+    part: Schema, struct_type: type[msgspec.Struct], ranges: Mapping[str, Range]
+) -> None:
+    """Add descriptions and ranges to a structure's schema."""
+    part["description"] = inspect.cleandoc(struct_type.__doc__ or "")
+    docs = docstring_by_field(struct_type)
+    docs = {
+        field.encode_name: docs.get(field.name) for field in msgspec.structs.fields(struct_type)
+    }
+    tag = struct_type.__struct_config__.tag_field
+    if (
+        struct_type.__struct_config__.array_like
+    ):  # names for documentation; validators check `items`
+        part["properties"] = dict(
+            zip(struct_type.__struct_fields__, part["prefixItems"], strict=True)
+        )
         part["additionalProperties"] = False
     for name, schema in part["properties"].items():
         if name == tag:
-            schema["description"] = "Says which of the kinds this is."
+            schema["description"] = "Selects the variant."
             continue
-        if name not in docs:
-            raise ValueError(f"{kind.__module__}.{kind.__name__}.{name}: no docstring under it")
+        if docs.get(name) is None:
+            raise ValueError(
+                f"{struct_type.__module__}.{struct_type.__name__}.{name}: no docstring under it"
+            )
         schema["description"] = docs[name]
         if schema.get("default", ...) is None:
             del schema["default"]
         if name in ranges:
-            for number in _numbers(schema):
-                number["minimum"], number["maximum"] = map(_plain, ranges[name])
+            for number in _iterate_number_schemas(schema):
+                number["minimum"], number["maximum"] = map(_int_if_integral, ranges[name])
 
 
-def _plain(number: float) -> float | int:
+def _int_if_integral(number: float) -> float | int:
     return int(number) if number.is_integer() else number
 
 
-def _numbers(schema: Schema) -> Iterator[Schema]:
+def _iterate_number_schemas(schema: Schema) -> Iterator[Schema]:
     if schema.get("type") in ("number", "integer"):
         yield schema
     for one in schema.get("anyOf", ()):
-        yield from _numbers(one)
+        yield from _iterate_number_schemas(one)
     if isinstance(schema.get("items"), dict):
-        yield from _numbers(schema["items"])
+        yield from _iterate_number_schemas(schema["items"])
 
 
-def _place_opaque(parts: Mapping[str, Schema], place: str, schema: Schema) -> None:
-    """What reads an opaque table, in its place; an empty table is allowed where it is optional."""
-    owner, _, name = place.partition(".")
+def _replace_opaque_schema_in_place(
+    parts: Mapping[str, Schema], field_path: str, schema: Schema
+) -> None:
+    """Insert the schema of an opaque table; an optional table may be empty."""
+    owner, _, name = field_path.partition(".")
     old = parts[owner]["properties"][name]
     if old.get("type") == "array":
         old["items"] = schema["items"]
@@ -118,33 +125,13 @@ def _place_opaque(parts: Mapping[str, Schema], place: str, schema: Schema) -> No
     old["anyOf"] = [*options, empty] if old.get("default") == {} else options
 
 
-def _used(schema: Any, parts: Mapping[str, Schema]) -> list[str]:
-    """Names of the definitions that a schema needs, as a reader meets them."""
-    found: list[str] = []
-    for name in _references(schema):
-        if name not in found:
-            found += [name, *_used(parts[name], parts)]
-    return list(dict.fromkeys(found))
-
-
-def _references(schema: Any) -> Iterator[str]:
-    if isinstance(schema, dict):
-        if "$ref" in schema:
-            yield schema["$ref"].rpartition("/")[2]
-        for part in schema.values():
-            yield from _references(part)
-    elif isinstance(schema, list):
-        for part in schema:
-            yield from _references(part)
-
-
-def _as_draft_7(schema: Any) -> Any:
-    """Tuples, references with words beside them, and patterns as draft 7 and editors know them."""
+def _convert_to_draft7(schema: Any) -> Any:
+    """Convert tuples, references with sibling keys, and patterns to draft 7."""
     if isinstance(schema, list):
-        return [_as_draft_7(part) for part in schema]
+        return [_convert_to_draft7(part) for part in schema]
     if not isinstance(schema, dict):
         return schema
-    new = {key: _as_draft_7(part) for key, part in schema.items() if key != "discriminator"}
+    new = {key: _convert_to_draft7(part) for key, part in schema.items() if key != "discriminator"}
     if "prefixItems" in new:
         new["items"] = new.pop("prefixItems")
         new["additionalItems"] = False
@@ -155,30 +142,13 @@ def _as_draft_7(schema: Any) -> Any:
     return new
 
 
-def _structures_of(type_: Any, seen: set[type] | None = None) -> set[type[msgspec.Struct]]:
-    """Every structure that a type can hold."""
+def _struct_types_in(type_: Any, seen: set[type] | None = None) -> set[type[msgspec.Struct]]:
+    """Return all structures that a type can contain."""
     seen = set() if seen is None else seen
-    info = msgspec.inspect.type_info(type_)
-    _walk(info, seen)
+    if isinstance(type_, type) and issubclass(type_, msgspec.Struct) and type_ not in seen:
+        seen.add(type_)
+        for hint in get_type_hints(type_).values():
+            _struct_types_in(hint, seen)
+    for part in get_args(type_):
+        _struct_types_in(part, seen)
     return seen
-
-
-def _walk(info: Any, seen: set[type]) -> None:
-    match info:
-        case msgspec.inspect.StructType():
-            if info.cls not in seen:
-                seen.add(info.cls)
-                for one in info.fields:
-                    _walk(one.type, seen)
-        case msgspec.inspect.UnionType():
-            for one in info.types:
-                _walk(one, seen)
-        case msgspec.inspect.ListType() | msgspec.inspect.VarTupleType():
-            _walk(info.item_type, seen)
-        case msgspec.inspect.TupleType():
-            for one in info.item_types:
-                _walk(one, seen)
-        case msgspec.inspect.DictType():
-            _walk(info.value_type, seen)
-        case msgspec.inspect.Metadata():
-            _walk(info.type, seen)

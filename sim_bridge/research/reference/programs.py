@@ -1,4 +1,4 @@
-"""The three programs as the command line runs them: what each console script hands to click."""
+"""The click commands of the three console scripts, as the command line runs them."""
 
 import importlib
 import signal
@@ -14,14 +14,14 @@ from unittest.mock import patch
 import typer
 from typer.main import get_command
 
-PROGRAMS = ("companion", "ground-station", "sim-bridge")
+CONSOLE_SCRIPTS = ("companion", "ground-station", "sim-bridge")
 """Console scripts of the distribution."""
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def module_of(program: str) -> str:
-    """The module of a console script's `main`: as the checkout has it, else as it is installed."""
+def main_module_of_program(program: str) -> str:
+    """Return the module of a console script's `main`, from the checkout or the installation."""
     project = ROOT / "pyproject.toml"
     if project.is_file():
         scripts = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["scripts"]
@@ -30,19 +30,19 @@ def module_of(program: str) -> str:
     return script.module
 
 
-def root_command(program: str) -> Any:
-    """The program's click command, with everything that its `main` adds before it runs it."""
+def load_root_command(program: str) -> Any:
+    """Return the program's click command, including everything that its `main` adds to it."""
     seen: list[typer.Typer] = []
-    with _put_back_signals(), patch.object(sys, "argv", [program]):
-        main = importlib.import_module(module_of(program)).main
+    with _preserved_signals(), patch.object(sys, "argv", [program]):
+        main = importlib.import_module(main_module_of_program(program)).main
         with patch.object(typer.Typer, "__call__", lambda app, *_, **__: seen.append(app)):
             main()
     return get_command(seen[0])
 
 
 @contextmanager
-def _put_back_signals() -> Iterator[None]:
-    """A program may set how it stops; who only reads its commands keeps their own way."""
+def _preserved_signals() -> Iterator[None]:
+    """Restore the signal handlers, which a program's `main` may replace."""
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

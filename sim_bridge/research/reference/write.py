@@ -1,57 +1,85 @@
-"""The generated part of docs/reference: commands of the programs, and schemas of the files."""
+"""Generated part of docs/reference: commands of the programs, schemas of the files."""
 
 import json
 from pathlib import Path
 
-from sim_bridge.research.reference.command_page import command_page
-from sim_bridge.research.reference.formats import WITHOUT_SCHEMA, formats
-from sim_bridge.research.reference.json_schema import json_schema
-from sim_bridge.research.reference.programs import PROGRAMS, root_command
-from sim_bridge.research.reference.schema_page import schema_page
+import typer
+from typer.cli import get_docs_for_click
+
+from companion.core.mission.alerts import Alert
+from companion.core.pilot.transitions import transitions_as_markdown, transitions_as_mermaid
+from sim_bridge.research.reference.formats import WITHOUT_SCHEMA, list_file_formats
+from sim_bridge.research.reference.json_schema import build_json_schema
+from sim_bridge.research.reference.programs import CONSOLE_SCRIPTS, load_root_command
+from sim_bridge.research.reference.schema_page import render_markdown_page
 
 ROOT = Path(__file__).resolve().parents[3]
 REFERENCE = ROOT / "docs" / "reference"
 COMMAND = "make docs-reference"
 MARK = f"<!-- Generated from the code by `{COMMAND}`: edit the code, not this page. -->\n"
 
+ALERTS_HEAD = """# Alerts
 
-def pages() -> dict[Path, str]:
-    """Path below docs/reference to the whole text of each generated file."""
-    return _command_pages() | _schema_pages()
+Alerts of the companion: sent as STATUSTEXT to the ground station, and shown in its log, on the map
+and at the desk. Text in braces is a parameter. A recording stores the identifier of each alert in
+the field `alert` of the topic `said`.
+
+| identifier | severity | text | recommended action |
+| --- | --- | --- | --- |
+"""
 
 
-def write(folder: Path = REFERENCE) -> list[Path]:
-    """Write what has changed, remove what is generated no more; the paths touched."""
-    wanted = pages()
+def generate_pages() -> dict[Path, str]:
+    """Return the text of each generated file by path below docs/reference."""
+    return {
+        **_command_pages(),
+        **_schema_pages(),
+        Path("alerts.md"): f"{MARK}\n{_alert_page()}",
+        Path("mission-table.md"): f"{MARK}\n{_mission_table_page()}",
+    }
+
+
+def update_reference_files(folder: Path = REFERENCE) -> list[Path]:
+    """Write changed files and remove obsolete ones; return the paths of both."""
+    generated = generate_pages()
     touched: list[Path] = []
-    for path, text in wanted.items():
+    for path, text in generated.items():
         file = folder / path
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
             touched.append(file)
-    for file in left_over(folder, set(wanted)):
+    for file in obsolete_files(folder, set(generated)):
         file.unlink()
         touched.append(file)
     return touched
 
 
-def left_over(folder: Path, wanted: set[Path]) -> list[Path]:
-    """Files in the generated folders that nothing generates."""
+def _mission_table_page() -> str:
+    head = (
+        "# Mission table\n\nPhases of a flight and the transitions between them. Events that may"
+        " occur in any phase (pilot override, lost link, reboot, abort) are in this table only."
+    )
+    return f"{head}\n\n```mermaid\n{transitions_as_mermaid()}\n```\n\n{transitions_as_markdown()}\n"
+
+
+def obsolete_files(folder: Path, generated: set[Path]) -> list[Path]:
+    """Return files in the generated folders that are no longer generated."""
     kept = [file for part in ("cli", "schemas") for file in sorted((folder / part).glob("*"))]
-    return [file for file in kept if file.relative_to(folder) not in wanted]
+    return [file for file in kept if file.relative_to(folder) not in generated]
 
 
 def _command_pages() -> dict[Path, str]:
     found: dict[Path, str] = {}
     lines = [MARK, "# Commands", "", "| program | what it is |", "| --- | --- |"]
-    for program in PROGRAMS:
-        root = root_command(program)
-        page = command_page(program, root)
-        found[Path("cli") / f"{program}.md"] = f"{MARK}\n{page}"
+    for program in CONSOLE_SCRIPTS:
+        root = load_root_command(program)
+        context = typer.Context(root, info_name=program)
+        page = get_docs_for_click(obj=root, ctx=context, name=program)
+        found[Path("cli") / f"{program}.md"] = f"{MARK}\n{page.rstrip()}\n"
         words = " ".join((root.help or "").split())
         lines.append(f"| [`{program}`](cli/{program}.md) | {words} |")
-    lines += ["", "Each command says the same with `--help`."]
+    lines += ["", "Each command prints the same text with `--help`."]
     found[Path("cli.md")] = "\n".join(lines) + "\n"
     return found
 
@@ -62,32 +90,42 @@ def _schema_pages() -> dict[Path, str]:
         MARK,
         "# Files and messages",
         "",
-        "Every file that people write, and every message of the fleet, is checked against a strict"
-        " schema: an unknown key, a missing one or a number out of range is refused, and the error"
-        " names file and key. The end of a key is its unit.",
+        "Every configuration file and every message of the fleet is checked against a strict"
+        " schema: an unknown key, a missing one or a number out of range is rejected, and the error"
+        " contains file and key. The suffix of a key is its unit.",
         "",
         "| format | what it is | JSON Schema |",
         "| --- | --- | --- |",
     ]
-    for one in formats():
-        schema = json_schema(one)
+    for one in list_file_formats():
+        schema = build_json_schema(one)
         file = f"{one.stem}.json"
         found[Path("schemas") / file] = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
-        found[Path("schemas") / f"{one.stem}.md"] = f"{MARK}\n{schema_page(schema, file)}"
+        found[Path("schemas") / f"{one.stem}.md"] = f"{MARK}\n{render_markdown_page(schema, file)}"
         words = " ".join(schema["description"].split("\n\n")[0].split())
         lines.append(
             f"| [{one.name}](schemas/{one.stem}.md) | {words} | [{file}](schemas/{file}) |"
         )
     lines += [
         "",
-        "An editor checks a TOML file while it is written (VS Code with Even Better TOML, or any"
-        " that knows Taplo) where its first line names the schema, as those in `params/` do:",
+        "An editor with Taplo support (such as VS Code with Even Better TOML) checks a TOML file"
+        " during editing if its first line references the schema, as in `params/`:",
         "```",
         "#:schema ../../docs/reference/schemas/flight-1.json",
         "```",
-        "Two kinds of file in `params/` have no schema, since people do not write them:",
+        "Two kinds of file in `params/` have no schema, since they are not written by hand:",
         "",
         *(f"- {words}." for words in WITHOUT_SCHEMA.values()),
     ]
     found[Path("schemas.md")] = "\n".join(lines) + "\n"
     return found
+
+
+def _alert_page() -> str:
+    """Return the Markdown of the page, without the mark of generated pages."""
+    rows = (
+        f"| `{alert.identifier}` | {alert.severity.name.lower()} | {alert.text_template}"
+        f" | {alert.recommended_action} |"
+        for alert in Alert
+    )
+    return ALERTS_HEAD + "\n".join(rows) + "\n"

@@ -1,8 +1,8 @@
 """Energy per ground distance against airspeed, by wind and payload, with both power models.
 
-The paper's figure: U-shaped at 0 and 8 kg, the best speed rising with payload. Its own formula,
-P = P_c + D V / c_T in level flight, does not know the payload but through the drag of a heavier
-vehicle, and cannot show that; the multirotor model beside it, with induced power, does.
+The paper's figure: U-shaped at 0 and 8 kg, with a best speed that rises with payload. In level
+flight the paper's formula, P = P_c + D V / c_T, depends on payload only by the drag of a heavier
+vehicle and cannot reproduce that. The multirotor model includes induced power and can.
 """
 
 from collections.abc import Callable
@@ -13,8 +13,13 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.vehicle.airframe import Airframe
-from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w, paper_power_w
-from sim_bridge.research.results.sheet import Sheet
+from companion.core.vehicle.power import (
+    level_airspeed_at_max_tilt_mps,
+    multirotor_power_w,
+    paper_power_w,
+)
+from sim_bridge.research.study.run import Report
+from sim_bridge.research.study.sheet import Sheet
 
 WIND_MPS = 5.0
 WINDS = ("tailwind", "calm", "crosswind", "headwind")
@@ -26,8 +31,8 @@ MODELS: dict[str, Callable[[Airframe, float, Floats], Floats]] = {
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Wh/km over airspeed for one model, wind and payload; NaN where no way is made."""
+class EnergyCurve:
+    """Wh/km over airspeed for one model, wind and payload; NaN where no progress is possible."""
 
     model: str
     wind: str
@@ -37,35 +42,35 @@ class Curve:
 
     @property
     def best(self) -> tuple[float, float]:
-        """The airspeed that costs least per metre of ground, and what it costs."""
+        """Return the airspeed of least energy per metre of ground, and that energy."""
         i = int(np.nanargmin(self.wh_per_km))
         return float(self.airspeed_mps[i]), float(self.wh_per_km[i])
 
     @property
     def is_u_shaped(self) -> bool:
-        """True when the least lies inside the range, with more to pay on either side."""
+        """Return True if the minimum lies inside the range, with higher values on both sides."""
         known = np.flatnonzero(np.isfinite(self.wh_per_km))
         i = int(np.nanargmin(self.wh_per_km))
         return bool(known[0] < i < known[-1])
 
 
-def ground_speed_mps(airspeed_mps: Floats, wind: str) -> Floats:
-    """Closed form of the wind triangle for wind along or across the course; NaN: no way made."""
-    if wind == "crosswind":
-        room = airspeed_mps**2 - WIND_MPS**2
-        return np.where(room > 0.0, np.sqrt(np.maximum(room, 1e-12)), np.nan)
-    along = {"tailwind": WIND_MPS, "calm": 0.0, "headwind": -WIND_MPS}[wind]
-    speed = airspeed_mps + along
+def ground_speed_mps(airspeed_mps: Floats, wind_case: str) -> Floats:
+    """Wind triangle for wind along or across the course, closed form; NaN without progress."""
+    if wind_case == "crosswind":
+        spare = airspeed_mps**2 - WIND_MPS**2
+        return np.where(spare > 0.0, np.sqrt(np.maximum(spare, 1e-12)), np.nan)
+    tailwind = {"tailwind": WIND_MPS, "calm": 0.0, "headwind": -WIND_MPS}[wind_case]
+    speed = airspeed_mps + tailwind
     return np.where(speed > 0.0, speed, np.nan)
 
 
-def curves(airframe: Airframe) -> list[Curve]:
-    """All curves, up to the speed that the heavier vehicle holds in level flight."""
+def compute_curves(airframe: Airframe) -> list[EnergyCurve]:
+    """Compute all curves, up to the maximum level-flight airspeed of the heavier vehicle."""
     heaviest = airframe.mass.empty_kg + max(PAYLOADS_KG)
-    top = min(max_airspeed_mps(airframe, heaviest), 30.0)
+    top = min(level_airspeed_at_max_tilt_mps(airframe, heaviest), 30.0)
     speed = np.arange(1.0, top, 0.1)
     return [
-        Curve(
+        EnergyCurve(
             model,
             wind,
             payload,
@@ -80,46 +85,53 @@ def curves(airframe: Airframe) -> list[Curve]:
     ]
 
 
-def sheet(found: list[Curve], airframe: Airframe) -> Sheet:
-    """The best speed and its cost on each curve."""
-    rows = []
-    for c in found:
-        speed, cost = c.best
-        ground = ground_speed_mps(np.array([speed]), c.wind)[0]
-        rows.append(
-            [
-                c.model,
-                f"{c.payload_kg:g}",
-                c.wind,
-                f"{speed:.1f}",
-                f"{ground:.1f}",
-                f"{cost:.1f}",
-                "yes" if c.is_u_shaped else "no",
-            ]
-        )
-    head = ["power model", "payload kg", f"wind {WIND_MPS:g} m/s", "best airspeed m/s"]
-    head += ["best ground speed m/s", "Wh/km there", "U-shaped"]
-    return Sheet(f"Energy and speed: {airframe.name}", head, rows, _note(found))
+def build_energy_speed_report(airframe: Airframe) -> Report:
+    """Return table and figure of all curves."""
+    found = compute_curves(airframe)
+    return Report(
+        {"energy_speed": best_speed_sheet(found, airframe)},
+        pictures={"energy_speed.png": lambda path: draw_curves(found, path)},
+    )
 
 
-def _note(found: list[Curve]) -> str:
+def best_speed_sheet(found: list[EnergyCurve], airframe: Airframe) -> Sheet:
+    """Tabulate the best speed and its energy on each curve."""
+    return Sheet.from_objects(
+        f"Energy and speed: {airframe.name}",
+        found,
+        {
+            "power model": "{0.model}",
+            "payload kg": "{0.payload_kg:g}",
+            f"wind {WIND_MPS:g} m/s": "{0.wind}",
+            "best airspeed m/s": "{0.best[0]:.1f}",
+            "best ground speed m/s": lambda c: (
+                f"{ground_speed_mps(np.array([c.best[0]]), c.wind)[0]:.1f}"
+            ),
+            "Wh/km there": "{0.best[1]:.1f}",
+            "U-shaped": lambda c: "yes" if c.is_u_shaped else "no",
+        },
+        _format_note(found),
+    )
+
+
+def _format_note(found: list[EnergyCurve]) -> str:
     best = {(c.model, c.payload_kg, c.wind): c.best for c in found}
     lines = []
     for model in MODELS:
         empty, loaded = (best[model, payload, "calm"] for payload in PAYLOADS_KG)
         lines.append(
-            f"{model}: from 0 to 8 kg the best airspeed in calm goes from {empty[0]:.1f} to "
+            f"{model}: from 0 to 8 kg the best airspeed in calm changes from {empty[0]:.1f} to "
             f"{loaded[0]:.1f} m/s and its cost from {empty[1]:.1f} to {loaded[1]:.1f} Wh/km."
         )
     lines.append(
-        "In level flight the paper's formula feels payload only where drag does: its term for "
-        "weight is m g sin(gamma). Hover and slow flight cost it little more than avionics."
+        "In level flight payload enters the paper's formula only through drag: its term for "
+        "weight is m g sin(gamma). In hover and slow flight it gives little more than avionics."
     )
     return " ".join(lines)
 
 
-def draw(found: list[Curve], path: Path) -> None:
-    """One panel for each model and payload."""
+def draw_curves(found: list[EnergyCurve], path: Path) -> None:
+    """Draw one panel for each model and payload."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,40 +1,38 @@
-"""Table 2: the value of each part, over a day of 20 customers, four drones and one truck.
+"""Table 2: the effect of each component, over a day of 20 customers, four drones and one truck.
 
 A trial is one town graph and one day (`table2_day`): customers clustered by the ground station, the
 truck's tour over the stops, a drone's flight from a stop to each other customer and back. Every
-corner is flown (`turning`): rounded at the airframe's bank limit, or by losing speed. FAIL counts
-every lost vehicle, as the paper's three columns sum to 100. Rows:
-  BER (full)               ours for clusters (an LLM's with --llm-url: a row of its own)
+corner is flown (`turn_model`): rounded at the bank limit of the airframe, or by losing speed. FAIL
+counts all lost vehicles, because the paper's three columns sum to 100. Rows:
+  BER (full)               this project's clusters (an LLM's with --llm-url: a separate row)
   without budget gate      no bound on the loss (max loss 1)
   without LLM              no clusters: the truck stops once, at the customer nearest to its depot
   with k-means             clusters by metres
-  without wind             plans as if it were calm, always
-  without risk             plans as if the wind seen stayed for ever
+  without wind             always plans for calm
+  without risk             plans for a constant wind
   without trajectory opt.  straight legs, speed lost at each corner
 Max turn is the largest change of the vehicle's heading within 2 s, mean over the flights that have
-a corner; the hover at the customer is none.
+a corner; the hover at the customer does not count.
 """
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.core.base.arrays import Floats
 from companion.core.routing.energy_graph import EnergyGraph
-from companion.core.routing.planner_interface import Decider, Look, MissionPlanner
+from companion.core.routing.planner_interface import MissionPlanner
 from ground_station.adapters.llm import LlmParams
-from sim_bridge.research.campaign.campaign import CampaignParams, Workbench
 from sim_bridge.research.campaign.scenario_generator import (
+    DirectionalWindModel,
     GeneratorParams,
-    WindRose,
-    random_scenario,
+    draw_connected_scenario,
 )
+from sim_bridge.research.campaign.workbench import CampaignParams, Workbench
 from sim_bridge.research.dubins.limits import FlightLimits
-from sim_bridge.research.planners.markov_chain import Sight, WindChain
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
     MissionResults,
@@ -43,36 +41,43 @@ from sim_bridge.research.planners.mission_model import (
 )
 from sim_bridge.research.planners.scenario import Scenario, build_energy_graph
 from sim_bridge.research.planners.tuning import TuningParams
-from sim_bridge.research.results.sheet import Sheet, mean_std
+from sim_bridge.research.study.run import Report
+from sim_bridge.research.study.sheet import Sheet, format_mean_std
 from sim_bridge.research.tables.table2_day import (
     DRONES,
     STOPS,
     Sortie,
-    delivery_energy_wh,
-    makespan_s,
+    build_clustering_problem,
+    delivery_energy_by_stop_and_customer_wh,
     plan_day,
-    problem_of,
+    truck_makespan_s,
 )
-from sim_bridge.research.tables.turning import AsPlanned, Turning, TurningWinds, with_turning
+from sim_bridge.research.tables.turn_model import (
+    CornerModel,
+    CornerWinds,
+    PredictedEnergyPlanner,
+    graph_with_calm_corner_costs,
+)
 
 CUSTOMERS = 20
 MISSIONS_PER_CUSTOMER = 10
-SETTING_SEED = 5  # settings were looked at on this seed; the table is printed on another
-TABLE2_SEED = 2611
+TABLE2_SEED = 2611  # the settings were chosen on seed 5
 MAX_LOSS = 0.02
 
 BANK_LIMIT_RAD = math.radians(8.5)
-"""With a parcel below. The paper's 11.3 deg within 2 s is 8.6 deg of bank at 15 m/s; fixed from
+"""With a parcel below. The paper's 11.3 deg within 2 s is 8.6 deg of bank at 15 m/s; chosen from
 that before any run."""
-ACCEL_MPS2 = 2.5  # ArduCopter WPNAV_ACCEL default; what a corner that is not rounded is flown with
+ACCEL_MPS2 = 2.5  # ArduCopter WPNAV_ACCEL default; applies to corners that are not rounded
 
 SETTING = GeneratorParams(
     vertices=40,
-    sides_m=((2000.0, 1.0),),
+    square_sizes_m=((2000.0, 1.0),),
     budget_wh=85.0,
     loaded_w=1700.0,
     empty_w=1300.0,
-    rose=WindRose(directions=16, speeds_mps=(3.0, 8.0), dwell_s=120.0, jumps="neighbour"),
+    wind_model=DirectionalWindModel(
+        directions=16, speeds_mps=(3.0, 8.0), dwell_s=120.0, jumps="neighbour"
+    ),
 )
 
 # arXiv 2604.13441, Table 2: SUC, ABRT, FAIL, energy, margin, time, max turn.
@@ -90,9 +95,9 @@ PAPER = {
 CLUSTERS = {LLM: "llm", "without LLM": "none", "with k-means": "k-means"}
 
 
-class TrialFigures(msgspec.Struct, frozen=True):
-    """One trial of one variant: the paper's seven columns; flights a day, the truck's day, how far
-    from its waypoint a flight's widest corner passes (mean), and which method clustered.
+class TrialResult(msgspec.Struct, frozen=True):
+    """One trial of one variant: the paper's seven columns, flights per day, the truck's day, mean
+    distance from the waypoint at each flight's widest corner, and the clustering method.
     """
 
     success: float
@@ -107,59 +112,22 @@ class TrialFigures(msgspec.Struct, frozen=True):
     off_m: float | None
     method: str
 
-    def columns(self) -> list[float | None]:
-        return [
-            self.success,
-            self.abort,
-            self.fail,
-            self.energy_wh,
-            self.margin_wh,
-            self.time_s,
-            self.max_turn_deg,
-        ]
+
+COLUMNS = ("success", "abort", "fail", "energy_wh", "margin_wh", "time_s", "max_turn_deg")
+"""Columns of the paper's table."""
 
 
-class Blind:
-    """A planner that is always shown the same wind."""
-
-    name = "blind"
-
-    def __init__(self, planner: MissionPlanner) -> None:
-        self._planner = planner
-
-    def begin(self, coin: NDArray[np.float64]) -> Decider:
-        return _BlindFlights(self._planner.begin(coin))
-
-
-class _BlindFlights:
-    def __init__(self, decider: Decider) -> None:
-        self._decider = decider
-
-    def decide(self, look: Look) -> NDArray[np.int64]:
-        return self._decider.decide(
-            Look(
-                look.mission,
-                look.vertex,
-                look.delivered,
-                look.energy_wh,
-                np.zeros_like(look.seen),
-                np.zeros_like(look.wind_en_mps),
-            )
-        )
-
-
-def planner_of(variant: str, bench: Workbench) -> MissionPlanner:
-    """BER with a part taken away."""
-    if variant == "without wind":
-        calm = WindChain(np.zeros((1, 2)), np.zeros((1, 1)), np.ones(1))
-        sight = Sight(np.zeros(1, dtype=np.int64), np.zeros((1, 2)))
-        return Blind(bench.ber_on(calm, sight))
-    assert bench.chain is not None
-    assert bench.sight is not None
-    chain = bench.chain
-    if variant == "without risk":
+def build_ablated_planner(variant: str, bench: Workbench) -> MissionPlanner:
+    """Return BER with one component removed."""
+    chain, sight = bench.chain, bench.sight
+    assert chain is not None
+    assert sight is not None
+    if variant in ("without risk", "without wind"):
         chain = replace(chain, rate_per_s=np.zeros_like(chain.rate_per_s))
-    return bench.ber_on(chain, bench.sight)
+    if variant == "without wind":  # whatever is observed is calm
+        chain = replace(chain, states_en_mps=np.zeros_like(chain.states_en_mps))
+        sight = replace(sight, seen_en_mps=np.zeros_like(sight.seen_en_mps))
+    return bench.build_ber(chain, sight)
 
 
 @dataclass(frozen=True)
@@ -172,92 +140,77 @@ class Trial:
     llm: LlmParams | None = None
 
 
-def trials_of(trials: int, seed: int = TABLE2_SEED, llm: LlmParams | None = None) -> list[Trial]:
-    """Every variant on the same towns, customers and winds; the LLM's where a server is named."""
+def build_trials(
+    trial_count: int, seed: int = TABLE2_SEED, llm: LlmParams | None = None
+) -> list[Trial]:
+    """Return every variant on the same towns, customers and winds; an LLM row if configured."""
     rows = [v for v in PAPER if v != LLM or llm is not None]
     return [
         Trial(number, variant, seed, llm if variant == LLM else None)
-        for number in range(trials)
+        for number in range(trial_count)
         for variant in rows
     ]
 
 
-class _Flights:
-    """What became of the flights of a day so far."""
-
-    def __init__(self, budget_wh: float) -> None:
-        self._budget_wh = budget_wh
-        self._lists: dict[str, list[float]] = {k: [] for k in ("energy", "margin", "time")}
-        self.outcomes: list[int] = []
-        self.turn_rad: list[float] = []
-        self.off_m: list[float] = []
-        self.mean_s: dict[Sortie, float] = {}
-
-    def add(self, sortie: Sortie, flown: MissionResults, winds: TurningWinds) -> None:
-        home = (flown.outcome == Outcome.SUC) | (flown.outcome == Outcome.ABRT)
-        flew = flown.energy_wh > 0.0
-        self.outcomes += flown.outcome.tolist()
-        self._lists["energy"] += flown.energy_wh[flew].tolist()
-        self._lists["margin"] += (self._budget_wh - flown.energy_wh[home & flew]).tolist()
-        self._lists["time"] += flown.time_s[flew].tolist()
-        cornered = flew & ~np.isnan(winds.turn_rad)
-        self.turn_rad += winds.turn_rad[cornered].tolist()
-        self.off_m += winds.off_m[cornered].tolist()
-        self.mean_s[sortie] = float(flown.time_s.mean())
-
-    def mean(self, name: str) -> float:
-        return float(np.mean(self._lists[name]))
-
-
-def fly_trial(asked: Trial) -> TrialFigures:
-    """One day: every flight of it, in ten winds each."""
-    variant = asked.variant
-    random = np.random.default_rng([asked.seed, asked.number])
-    base = random_scenario(f"trial-{asked.number}", SETTING, random)
+def fly_trial(trial: Trial) -> TrialResult:
+    """Fly all flights of one day, in ten winds each."""
+    variant = trial.variant
+    random = np.random.default_rng([trial.seed, trial.number])
+    base = draw_connected_scenario(f"trial-{trial.number}", SETTING, random)
     others = np.array([v for v in range(SETTING.vertices) if v != base.depot])
     customers = random.choice(others, size=CUSTOMERS, replace=False).tolist()
     town = build_energy_graph(base)
     limits = FlightLimits.from_bank(SETTING.airspeed_mps, BANK_LIMIT_RAD)
-    how = Turning(limits, ACCEL_MPS2, variant != "without trajectory optimisation")
-    # The truck's one stop without clusters is the first customer: let it be the nearest.
+    corner_model = CornerModel(limits, ACCEL_MPS2, variant != "without trajectory optimisation")
+    # Without clusters the truck's one stop is the first customer, so the nearest comes first.
     away = np.hypot(*(town.vertices_m[customers] - town.vertices_m[base.depot])[:, :2].T)
     customers = [customers[i] for i in np.argsort(away, kind="stable")]
-    winds = SETTING.rose.states_en_mps()
-    # No variant's own: all cluster by the same energies, those of the full row.
-    rounded = with_turning(town, replace(how, rounded=True))
-    energy = delivery_energy_wh(rounded, customers, winds, base.budget_wh)
-    problem = problem_of(town, customers, energy)
-    day = plan_day(town, problem, CLUSTERS.get(variant, "ours"), asked.llm)
-    flights = _Flights(base.budget_wh)
+    winds = SETTING.wind_model.states_en_mps()
+    # All variants cluster by the same energies, those of the full row.
+    rounded = graph_with_calm_corner_costs(town, replace(corner_model, rounded=True))
+    energy = delivery_energy_by_stop_and_customer_wh(rounded, customers, winds, base.budget_wh)
+    problem = build_clustering_problem(town, customers, energy)
+    day = plan_day(town, problem, CLUSTERS.get(variant, "ours"), trial.llm)
+    flown: dict[Sortie, tuple[MissionResults, CornerWinds]] = {}
     for sortie in (s for at_stop in day.sorties for s in at_stop):
-        name = f"trial-{asked.number}-{sortie.stop}-{sortie.customer}"
+        name = f"trial-{trial.number}-{sortie.stop}-{sortie.customer}"
         scenario = msgspec.structs.replace(
             base, depot=sortie.stop, target=sortie.customer, name=name
         )
-        flights.add(sortie, *_fly_sortie(scenario, variant, how, asked.seed))
-    shares = 100.0 * np.bincount(flights.outcomes, minlength=4) / len(flights.outcomes)
-    return TrialFigures(
+        flown[sortie] = _fly_sortie(scenario, variant, corner_model, trial.seed)
+    ends, all_winds = zip(*flown.values(), strict=True)
+    outcome = np.concatenate([done.outcome for done in ends])
+    energy_wh = np.concatenate([done.energy_wh for done in ends])
+    time_s = np.concatenate([done.time_s for done in ends])
+    turn_rad = np.concatenate([winds.turn_rad for winds in all_winds])
+    off_m = np.concatenate([winds.off_m for winds in all_winds])
+    home = np.isin(outcome, (Outcome.SUC, Outcome.ABRT))
+    flew = energy_wh > 0.0
+    cornered = flew & ~np.isnan(turn_rad)
+    shares = 100.0 * np.bincount(outcome, minlength=4) / len(outcome)
+    mean_s = {sortie: float(done.time_s.mean()) for sortie, (done, _) in flown.items()}
+    return TrialResult(
         success=float(shares[Outcome.SUC]),
         abort=float(shares[Outcome.ABRT]),
         fail=float(shares[Outcome.DEL] + shares[Outcome.FAIL]),
-        energy_wh=flights.mean("energy"),
-        margin_wh=flights.mean("margin"),
-        time_s=flights.mean("time"),
-        max_turn_deg=_mean_or_none(np.degrees(flights.turn_rad).tolist()),
-        flights=len(flights.mean_s),
-        makespan_s=makespan_s(town, day, flights.mean_s),
-        off_m=_mean_or_none(flights.off_m),
+        energy_wh=float(energy_wh[flew].mean()),
+        margin_wh=float((base.budget_wh - energy_wh[home & flew]).mean()),
+        time_s=float(time_s[flew].mean()),
+        max_turn_deg=_mean_or_none(np.degrees(turn_rad[cornered])),
+        flights=len(flown),
+        makespan_s=truck_makespan_s(town, day, mean_s),
+        off_m=_mean_or_none(off_m[cornered]),
         method=day.method,
     )
 
 
-def _mean_or_none(values: list[float]) -> float | None:
-    return float(np.mean(values)) if values else None
+def _mean_or_none(values: Floats) -> float | None:
+    return float(values.mean()) if len(values) else None
 
 
 def _fly_sortie(
-    scenario: Scenario, variant: str, how: Turning, seed: int
-) -> tuple[MissionResults, TurningWinds]:
+    scenario: Scenario, variant: str, corner_model: CornerModel, seed: int
+) -> tuple[MissionResults, CornerWinds]:
     params = CampaignParams(
         missions=MISSIONS_PER_CUSTOMER,
         seed=seed,
@@ -266,96 +219,79 @@ def _fly_sortie(
         levels=100,
         tuning=TuningParams(fewest_missions=3_000, most_missions=3_000),
     )
-    graph: EnergyGraph = with_turning(build_energy_graph(scenario), how)
+    graph: EnergyGraph = graph_with_calm_corner_costs(build_energy_graph(scenario), corner_model)
     bench = Workbench(scenario, params, graph)
-    chained = bench.winds(0)
+    chained = bench.draw_block_winds(0)
     assert isinstance(chained, ChainWinds)
     assert bench.chain is not None
-    winds = TurningWinds(chained, graph, bench.chain, how)
-    planner = planner_of(variant, bench)
-    decider = AsPlanned(planner.begin(bench.coins(0, winds.count)), winds)
+    winds = CornerWinds(chained, graph, bench.chain, corner_model)
+    planner = build_ablated_planner(variant, bench)
+    decider = PredictedEnergyPlanner(
+        planner.start_batch(bench.draw_uniform_per_mission(0, winds.mission_count)), winds
+    )
     return fly_missions(graph, scenario.budget_wh, winds, decider), winds
 
 
-def by_variant(trials: list[Trial], measured: list[TrialFigures]) -> dict[str, list[TrialFigures]]:
-    """The trials of each variant."""
-    found: dict[str, list[TrialFigures]] = {}
+def build_table2_report(trials: list[Trial], measured: list[TrialResult], seed: int) -> Report:
+    """Return the table of all trials."""
+    found: dict[str, list[TrialResult]] = {}
     for trial, one in zip(trials, measured, strict=True):
         found.setdefault(trial.variant, []).append(one)
-    return found
+    return Report({"table2": table2_sheet(found, seed)})
 
 
-def sheet(found: dict[str, list[TrialFigures]], seed: int = TABLE2_SEED) -> Sheet:
-    """The paper's table, ours beside."""
+def table2_sheet(found: dict[str, list[TrialResult]], seed: int = TABLE2_SEED) -> Sheet:
+    """Tabulate this project's results and the paper's."""
     rows = []
     for variant, paper in PAPER.items():
         theirs = " / ".join(f"{x:g}" for x in paper)
         if variant not in found:
             rows.append([variant, *["not configured"] * 7, theirs])
             continue
-        columns = zip(*(m.columns() for m in found[variant]), strict=True)
-        rows.append([variant, *(_cell(column) for column in columns), theirs])
+        ours = (_format_cell(getattr(m, name) for m in found[variant]) for name in COLUMNS)
+        rows.append([variant, *ours, theirs])
     head = ["variant", "SUC %", "ABRT %", "FAIL %", "energy Wh", "margin Wh", "time s"]
     head += ["max turn deg", "paper: the same seven"]
-    return Sheet("Table 2", head, rows, _note(found, seed))
+    return Sheet("Table 2", head, rows, _format_note(found, seed))
 
 
-def _cell(values: Iterable[float | None]) -> str:
+def _format_cell(values: Iterable[float | None]) -> str:
     known = [value for value in values if value is not None]
-    return mean_std(known) if known else "no corner"
+    return format_mean_std(known) if known else "no corner"
 
 
-def _note(found: dict[str, list[TrialFigures]], seed: int) -> str:
+def _format_note(found: dict[str, list[TrialResult]], seed: int) -> str:
     limits = FlightLimits.from_bank(SETTING.airspeed_mps, BANK_LIMIT_RAD)
     days = "; ".join(
-        f"{variant}: {mean_std([m.flights for m in found[variant]])} flights,"
-        f" {mean_std([m.makespan_s / 60.0 for m in found[variant]])} min"
+        f"{variant}: {format_mean_std([m.flights for m in found[variant]])} flights,"
+        f" {format_mean_std([m.makespan_s / 60.0 for m in found[variant]])} min"
         for variant in (FULL, "with k-means", "without LLM")
         if variant in found
     )
-    off = _cell(m.off_m for m in found.get(FULL, []))
+    off = _format_cell(m.off_m for m in found.get(FULL, []))
     cornered = sum(m.max_turn_deg is not None for m in found.get(FULL, []))
     return (
         f"Mean ± std over trials (seed {seed}): a town of {SETTING.vertices} vertices on"
-        f" {SETTING.sides_m[0][0] / 1000:g} km, {CUSTOMERS} customers, {DRONES} drones, one truck,"
-        f" about {STOPS} stops; each flight in {MISSIONS_PER_CUSTOMER} winds, B ="
+        f" {SETTING.square_sizes_m[0][0] / 1000:g} km, {CUSTOMERS} customers, {DRONES} drones, one"
+        f" truck, about {STOPS} stops; each flight in {MISSIONS_PER_CUSTOMER} winds, B ="
         f" {SETTING.budget_wh:g} Wh, BER's bound {100 * MAX_LOSS:g} %, 8 classes. A stop's own"
         " customer is the truck's and not counted. Energy, margin and time are of vehicles that"
-        " left; margin of those that came home. FAIL is every vehicle lost. Max turn: largest"
-        " change of the vehicle's heading within 2 s, over flights with a corner"
-        f" ({cornered} of the full row's trials had any), the hover at the customer left out;"
-        f" bank limit {math.degrees(BANK_LIMIT_RAD):g} deg, so turns of"
-        f" {limits.turn_radius_m:.0f} m at {SETTING.airspeed_mps:g} m/s. Rounded corners pass"
-        f" their waypoint at {off} m (mean of each flight's farthest). BER (full) clusters by ours,"
-        f" an LLM's clusters are a row of their own. The truck's day: {days}."
-        + "".join(f" {words}" for words in _stood_in(found.get(LLM, [])))
+        " departed; margin of those that returned. FAIL counts all lost vehicles. Max turn:"
+        " largest change of the vehicle's heading within 2 s, over flights with a corner"
+        f" ({cornered} of the full row's trials had any), without the hover at the customer; bank"
+        f" limit {math.degrees(BANK_LIMIT_RAD):g} deg, so turns of {limits.turn_radius_m:.0f} m at"
+        f" {SETTING.airspeed_mps:g} m/s. Rounded corners pass their waypoint at {off} m (mean of"
+        " each flight's farthest). BER (full) uses this project's clusters; an LLM's are in a"
+        f" separate row. The truck's day: {days}."
+        + "".join(f" {words}" for words in _llm_replacement_notes(found.get(LLM, [])))
     )
 
 
-def _stood_in(asked: list[TrialFigures]) -> list[str]:
-    """On how many days the LLM gave nothing usable, so that ours made its clusters."""
-    without = [m for m in asked if m.method != "llm"]
-    return [f"On {len(without)} of {len(asked)} days ours stood in for the LLM."] if asked else []
-
-
-def draw(found: dict[str, list[TrialFigures]], path: Path) -> None:
-    """Outcomes of the variants."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(7, 4))
-    for i, trials in enumerate(found.values()):
-        mean = np.mean([(m.success, m.abort, m.fail) for m in trials], axis=0)
-        names = ("home and delivered", "lost", "home, not delivered") if i == 0 else (None,) * 3
-        axis.bar(i, mean[0], color="tab:green", label=names[0])
-        axis.bar(i, mean[2], bottom=mean[0], color="tab:red", label=names[1])
-        axis.bar(i, mean[1], bottom=mean[0] + mean[2], color="lightgrey", label=names[2])
-    axis.set_xticks(range(len(found)), list(found), rotation=15, fontsize=8)
-    axis.set_ylabel("share of missions, %")
-    axis.set_ylim(0, 125)
-    axis.legend(ncols=3, fontsize=8)
-    figure.tight_layout()
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
+def _llm_replacement_notes(requested: list[TrialResult]) -> list[str]:
+    """State on how many days the LLM's reply was not usable and this project's method applied."""
+    without = [m for m in requested if m.method != "llm"]
+    return (
+        [f"LLM replaced by own method on {len(without)} of {len(requested)} days."]
+        if requested
+        else []
+    )

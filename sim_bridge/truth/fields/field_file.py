@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -12,13 +12,13 @@ from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.coherent_field import Coherence
 from sim_bridge.truth.fields.computed_flow import ComputedFlows, FlowFile
 from sim_bridge.truth.fields.lees import Obstacle
-from sim_bridge.truth.params import check_range
-from sim_bridge.truth.wind_days import day_of_wind, day_process
+from sim_bridge.truth.params import Range, RangedTable, check_range
+from sim_bridge.truth.wind_days import draw_day_process, draw_day_wind_series
 
 Floats = NDArray[np.float64]
 
 
-class WindFieldParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class WindFieldParams(RangedTable, frozen=True, kw_only=True):
     """A `wind-field/1` file: independent hours of wind over a site, each with a front.
 
     About a mean that each draw has of its own, three Ornstein-Uhlenbeck processes: weather over the
@@ -29,29 +29,25 @@ class WindFieldParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """The kind of file and its version."""
     name: str
     """The field's name."""
-    mean_mps: float
+    mean_mps: Annotated[float, Range(2.0, 30.0)]
     """Mean wind; of a draw 0.75 to 1.25 of it."""
-    seconds: int
-    """How long a draw lasts."""
-    coherence_along: float
+    seconds: Annotated[int, Range(1800, 14_400)]
+    """Duration of one random draw."""
+    coherence_along: Annotated[float, Range(0.0, 50.0)]
     """Davenport's decay along the wind."""
-    coherence_across: float
+    coherence_across: Annotated[float, Range(0.0, 50.0)]
     """Davenport's decay across the wind."""
-    front_least_mps: float
+    front_least_mps: Annotated[float, Range(1.0, 30.0)]
     """Least change of wind behind the front."""
     front_most_mps: float
     """Largest change of wind behind the front."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What stands in the wind: slower in its lee, faster around it."""
+    """Obstacles in the wind: slower flow in their lee, faster flow around them."""
     flows: tuple[FlowFile, ...] = ()
     """Instead: flows that a solver computed there. Each draw blows from the direction of one."""
 
     def __post_init__(self) -> None:
-        check_range("mean_mps", self.mean_mps, 2.0, 30.0)
-        check_range("seconds", self.seconds, 1800, 14_400)
-        check_range("coherence_along", self.coherence_along, 0.0, 50.0)
-        check_range("coherence_across", self.coherence_across, 0.0, 50.0)
-        check_range("front_least_mps", self.front_least_mps, 1.0, 30.0)
+        RangedTable.__post_init__(self)
         check_range("front_most_mps", self.front_most_mps, self.front_least_mps, 30.0)
         if self.obstacles and self.flows:
             raise ValueError("obstacles and flows: expected one of them")
@@ -61,7 +57,7 @@ class WindFieldParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     @property
     def coherence(self) -> Coherence:
-        """Its loss of coherence."""
+        """Coherence parameters of the field."""
         return Coherence(self.coherence_along, self.coherence_across)
 
 
@@ -75,19 +71,19 @@ def load_wind_field(path: Path) -> WindFieldParams:
         raise TruthError(f"{path}: {error}") from error
 
 
-def flows_of(params: WindFieldParams, path: Path) -> ComputedFlows | None:
-    """The computed flows that the file at `path` names; None: it names none.
+def load_flows(params: WindFieldParams, path: Path) -> ComputedFlows | None:
+    """Load the computed flows named in the file at `path`; return None if it names no flow.
 
-    TruthError names file and key where a grid cannot be used.
+    Raises TruthError with file and key for an unusable grid.
     """
     return ComputedFlows(params.flows, path.parent) if params.flows else None
 
 
-def drawn_series(params: WindFieldParams, rng: np.random.Generator) -> Floats:
+def draw_free_wind_series(params: WindFieldParams, rng: np.random.Generator) -> Floats:
     """Free wind (seconds + 1, 2) at the site's middle: one draw."""
-    process = day_process(params.mean_mps, rng)
+    process = draw_day_process(params.mean_mps, rng)
     if params.flows:
-        heading = params.flows[int(rng.integers(len(params.flows)))].heading
+        heading = params.flows[int(rng.integers(len(params.flows)))].downwind_unit_complex
         speed_mps = float(np.hypot(*process.mean_ne_mps))
         process = replace(process, mean_ne_mps=(speed_mps * heading.real, speed_mps * heading.imag))
-    return day_of_wind(process, params.seconds, rng)
+    return draw_day_wind_series(process, params.seconds, rng)

@@ -1,4 +1,4 @@
-"""A run folder has one companion: the second is told which process flies from it."""
+"""A run folder has one companion: the second gets the process ID of the first."""
 
 import os
 import subprocess
@@ -6,14 +6,14 @@ import sys
 
 import pytest
 
-from companion.adapters.files.folder_lock import NAME, FolderLock
+from companion.adapters.files.folder_lock import LOCK_NAME, FolderLock
 from companion.core.base.errors import LeewayError
 
 HOLD = """
 import sys
 from pathlib import Path
 from companion.adapters.files.folder_lock import FolderLock
-lock = FolderLock.take(Path(sys.argv[1]))
+lock = FolderLock.acquire(Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
 """
@@ -21,7 +21,7 @@ sys.stdin.read()
 
 @pytest.fixture
 def holder(tmp_path):
-    """Another process that flies from the folder."""
+    """Another process that uses the folder."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(tmp_path)],
         stdin=subprocess.PIPE,
@@ -35,17 +35,17 @@ def holder(tmp_path):
 
 
 def test_a_second_companion_is_refused_and_told_which_process_flies(tmp_path, holder):
-    with pytest.raises(LeewayError, match=rf"another companion flies.*process {holder.pid}\)"):
-        FolderLock.take(tmp_path)
+    with pytest.raises(LeewayError, match=rf"another companion uses.*process {holder.pid}\)"):
+        FolderLock.acquire(tmp_path)
 
 
 def test_a_killed_companion_leaves_the_folder_free(tmp_path, holder):
     holder.kill()
     holder.wait()
-    FolderLock.take(tmp_path).release()
-    assert (tmp_path / NAME).read_text() == str(os.getpid())
+    FolderLock.acquire(tmp_path).release()
+    assert (tmp_path / LOCK_NAME).read_text() == str(os.getpid())
 
 
 def test_a_folder_that_cannot_be_made_stops_no_flight(tmp_path):
     (tmp_path / "file").write_text("")
-    FolderLock.take(tmp_path / "file").release()
+    FolderLock.acquire(tmp_path / "file").release()

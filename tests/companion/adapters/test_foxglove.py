@@ -1,4 +1,4 @@
-"""The decision log as Foxglove takes it: its own schemas, decoded by its own message classes."""
+"""The decision log in Foxglove's schemas, decoded by its own message classes."""
 
 import json
 from datetime import UTC, datetime
@@ -10,8 +10,8 @@ from companion.adapters.logs.decision_log import (
     METADATA,
     UTC_AT_ZERO,
     DecisionLog,
-    read_log,
-    read_rows,
+    iterate_mcap_rows,
+    read_mcap_rows,
 )
 from companion.adapters.logs.foxglove_rows import FOXGLOVE
 
@@ -48,13 +48,13 @@ def log_path(tmp_path):
 
 
 def foxglove_messages(path):
-    """(log time in ns, message of Foxglove's own class) of every message by one of its schemas."""
+    """Return (log time in ns, decoded message) of each message in one of Foxglove's schemas."""
     with path.open("rb") as file:
         for schema, _, message in make_reader(file).iter_messages():
             if schema is not None and schema.name.startswith("foxglove."):
                 row = json.loads(message.data)
                 stamp = row.pop("timestamp", {"sec": 0, "nsec": 0})
-                # Foxglove's JSON has a time as two integers, protobuf's has RFC 3339.
+                # Times are two integers in Foxglove's JSON and RFC 3339 in protobuf.
                 decoded = json_format.ParseDict(row, TYPES[schema.name]())
                 if "timestamp" in TYPES[schema.name].DESCRIPTOR.fields_by_name:
                     decoded.timestamp.seconds, decoded.timestamp.nanos = stamp["sec"], stamp["nsec"]
@@ -78,7 +78,7 @@ def test_positions_and_words_decode_into_foxgloves_own_messages(log_path):
 def test_the_route_is_a_geojson_document_for_the_map(tmp_path):
     document = {"type": "FeatureCollection", "features": []}
     log = DecisionLog(tmp_path / "decisions.mcap", lambda: START_US)
-    log.write_route(100.0, document)
+    log.write_route_geojson(100.0, document)
     log.close()
     ((stamp_ns, message),) = foxglove_messages(tmp_path / "decisions.mcap")
     assert isinstance(message, GeoJSON)
@@ -115,10 +115,10 @@ def test_the_metadata_says_when_the_autopilots_clock_was_at_zero(log_path):
     assert metadata.name == METADATA
     utc_s = int(metadata.metadata[UTC_AT_ZERO]) / 1e9
     assert utc_s == pytest.approx(START_US / 1e6 - 100.0, abs=1e-6)
-    assert read_log(log_path).utc_at_zero_s == utc_s
+    assert read_mcap_rows(log_path).utc_at_zero_s == utc_s
 
 
 def test_our_own_readers_get_our_rows_and_none_of_foxgloves(log_path):
-    rows = list(read_rows(log_path))
+    rows = list(iterate_mcap_rows(log_path))
     assert [topic for topic, _ in rows] == ["said", "heard_position", "decision", "phase"]
     assert dict(rows)["heard_position"] == FIX

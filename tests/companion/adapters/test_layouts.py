@@ -1,4 +1,4 @@
-"""The shipped layouts of Foxglove and PlotJuggler name what decisions.mcap holds, and all of it."""
+"""The shipped Foxglove and PlotJuggler layouts show all topics of decisions.mcap and no other."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ FOLDER = params_dir() / "layouts"
 
 
 def values(document: Any) -> list[str]:
-    """Every topic, or topic and field, that a Foxglove layout shows."""
+    """Return each topic, or topic and field, that a Foxglove layout shows."""
     if isinstance(document, list):
         return [value for part in document for value in values(part)]
     if not isinstance(document, dict):
@@ -32,7 +32,7 @@ def values(document: Any) -> list[str]:
 
 
 def curves(path: Path) -> list[str]:
-    """Every series of a PlotJuggler layout."""
+    """Return each series of a PlotJuggler layout."""
     return [curve.attrib["name"] for curve in ET.parse(path).iter("curve")]
 
 

@@ -1,5 +1,5 @@
-"""Orders over real UDP to a companion that has a signing key: unsigned, re-signed and replayed ones
-are not heard. Each has a canary: without its guard it is.
+"""Orders over real UDP to a companion with a signing key: unsigned, re-signed and replayed frames
+are rejected. Each check has a canary that accepts them without the guard.
 
 The frames are made by the simulator's own codec, which shares no code with the companion's.
 """
@@ -13,7 +13,7 @@ import pytest
 
 from companion.adapters.autopilots.codec import SIGNING_EPOCH_US, MavlinkCodec
 from companion.adapters.autopilots.link import UdpLink
-from companion.adapters.clock import epoch_us
+from companion.adapters.clock import unix_time_us
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 from sim_bridge.autopilot.mavlink.signing import Signing
 
@@ -26,23 +26,23 @@ SIGNATURE_BYTES = 13
 
 
 def order(number: int, key: bytes | None = KEY) -> bytes:
-    """Arm or disarm, with a number in it; each is signed a second after the one before."""
-    now = (epoch_us() - SIGNING_EPOCH_US) // 10 + 100_000 * number
-    signing = None if key is None else Signing(key, now).on_link(7)
+    """Return an ARM or DISARM order with a number; each is signed 1 s after the previous one."""
+    now = (unix_time_us() - SIGNING_EPOCH_US) // 10 + 100_000 * number
+    signing = None if key is None else Signing(key, now).link_signer(7)
     fields = {f"param{n}": 0.0 for n in range(2, 8)}
     told = {"target_system": 1, "target_component": 191, "command": 400, "confirmation": 0}
-    return Encoder(255, 190, signing=signing).encode(
+    return Encoder(255, 190, signing=signing).encode_next_frame(
         Message("COMMAND_LONG", param1=float(number), **told, **fields)
     )
 
 
 def re_signed(frame: bytes) -> bytes:
-    """A true frame, caught and signed anew with a key of the attacker's own."""
+    """Return a captured valid frame, signed again with a key of the attacker."""
     return frame[:-SIGNATURE_BYTES] + order(2, OTHER_KEY)[-SIGNATURE_BYTES:]
 
 
 def altered(frame: bytes) -> bytes:
-    """The true signature of a frame under another one's words."""
+    """Return a frame with the valid signature of another frame."""
     return order(2)[:-SIGNATURE_BYTES] + frame[-SIGNATURE_BYTES:]
 
 
@@ -51,7 +51,7 @@ def any_signature(self: Any, msgbuf: Any, system: int, component: int) -> bool:
 
 
 def any_time(self: Any, msgbuf: Any, system: int, component: int) -> bool:
-    """A right key is enough, however old the stamp."""
+    """Accept a correct key with a time stamp of any age."""
     right = hashlib.sha256(bytes(self.signing.secret_key) + bytes(msgbuf[:-6])).digest()[:6]
     return right == bytes(msgbuf[-6:])
 
@@ -77,7 +77,7 @@ def link() -> Iterator[UdpLink]:
 
 
 def heard(link: UdpLink, ears: MavlinkCodec, frames: list[bytes]) -> list[int]:
-    """The numbers of the orders that come through, up to the last."""
+    """Return the numbers of the accepted orders, up to the last."""
     numbers: list[int] = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as attacker:
         for frame in frames:
@@ -85,7 +85,7 @@ def heard(link: UdpLink, ears: MavlinkCodec, frames: list[bytes]) -> list[int]:
         while LAST not in numbers:
             came = link.receive(PATIENCE_S)
             assert came is not None
-            numbers += [int(message.param1) for message in ears.parse(came.data)]
+            numbers += [int(message.param1) for message in ears.parse_valid_messages(came.data)]
     return numbers[:-1]
 
 

@@ -1,6 +1,6 @@
 """Mission transfers over links with long round trips, stalls and stray results.
 
-The autopilots are the simulated ones: their own codec, their own patience (PX4 repeats a request
+The autopilots are the simulated ones, with their own codec and time-outs (PX4 repeats a request
 after 0.25 s and gives up after 5 s, ArduPilot after 1 s and 8 s).
 """
 
@@ -13,25 +13,27 @@ from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import AutopilotClock
 from companion.core.mission import events as ev
-from companion.core.mission.actions import Order, ReadMissionBack, UploadMission
-from companion.core.mission.mission_items import ItemKind, MissionItem, Part, Spot
+from companion.core.mission.actions import Order, UploadMission, VerifyMission
+from companion.core.mission.mission_items import ItemKind, MissionItem, MissionPosition, Part
 from sim_bridge.autopilot.kinds import AutopilotKind
 from tests.sim_bridge.autopilot.conftest import Rig
 
 BOTH = pytest.mark.parametrize("autopilot", [AutopilotKind.ARDUPILOT, AutopilotKind.PX4])
 STEP_S = 0.1
 ITEMS = (
-    MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", Spot(55.47, 8.45, 40.0)),
+    MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", MissionPosition(55.47, 8.45, 40.0)),
     *(
-        MissionItem(ItemKind.WAYPOINT, Part.OUTBOUND, "out", Spot(55.471 + 0.001 * k, 8.45, 40.0))
+        MissionItem(
+            ItemKind.WAYPOINT, Part.OUTBOUND, "out", MissionPosition(55.471 + 0.001 * k, 8.45, 40.0)
+        )
         for k in range(10)
     ),
-    MissionItem(ItemKind.LAND, Part.LAND, "land", Spot(55.47, 8.45, 0.0)),
+    MissionItem(ItemKind.LAND, Part.LAND, "land", MissionPosition(55.47, 8.45, 0.0)),
 )
 
 
 class SlowLink:
-    """A companion's port and a simulated autopilot, `delay_s` apart each way."""
+    """A companion's port and a simulated autopilot with a one-way delay of `delay_s`."""
 
     def __init__(self, autopilot: AutopilotKind, delay_s: float) -> None:
         self.rig = Rig(autopilot)
@@ -46,39 +48,39 @@ class SlowLink:
         self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
         self._up: deque[tuple[float, bytes]] = deque()
         self._down: deque[tuple[float, bytes]] = deque()
-        self.until(ev.Identified, 10.0)
+        self.until(ev.AutopilotDetected, 10.0)
 
     def _send(self, message: Any) -> None:
         self.sent.append(message)
         self._up.append((self.t_s + self.delay_s, bytes(message.pack(self._mav))))
 
     def inject(self, result: int) -> None:
-        """A MISSION_ACK to the companion that belongs to no transfer under way."""
+        """Send the companion a MISSION_ACK that belongs to no active transfer."""
         mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         ack = mavlink.MAVLink_mission_ack_message(1, 191, result, 0)
         self._down.append((self.t_s, bytes(ack.pack(mav))))
 
     def step(self) -> list[ev.Event]:
-        """Let 0.1 s pass on both sides; a stalled companion reads nothing and sends nothing."""
+        """Advance both sides by 0.1 s; a stalled companion neither reads nor sends."""
         self.t_s += STEP_S
         while self._up and self._up[0][0] <= self.t_s:
-            self.rig.ap.receive(0, self._up.popleft()[1])
+            self.rig.ap.process_received_datagram(0, self._up.popleft()[1])
         self.rig.step(STEP_S)
-        for _, datagram in self.rig.ap.take_outbox():
+        for _, datagram in self.rig.ap.take_frames_to_send():
             self._down.append((self.t_s + self.delay_s, datagram))
         if self.t_s < self.stalled_until_s:
             return []
         events: list[ev.Event] = []
         while self._down and self._down[0][0] <= self.t_s:
-            for message in self._codec.parse(self._down.popleft()[1]):
+            for message in self._codec.parse_valid_messages(self._down.popleft()[1]):
                 if message.get_type() == "MISSION_ACK":
                     self.results.append(message.type)
                 events += self.port.on_message(message)
-        self.clock.stamp(self.rig.ap.state.t_since_boot_s - self.delay_s)
+        self.clock.update_from_boot_time(self.rig.ap.state.t_since_boot_s - self.delay_s)
         return events + self.port.tick(self.clock.t_s)
 
     def until(self, kind: type[ev.Event], limit_s: float) -> ev.Event:
-        """Step until an event of this kind comes."""
+        """Step until an event of this kind occurs."""
         for _ in range(round(limit_s / STEP_S)):
             found = [event for event in self.step() if isinstance(event, kind)]
             if found:
@@ -86,14 +88,14 @@ class SlowLink:
         raise AssertionError(f"no {kind.__name__} within {limit_s} s")
 
     def order(self, order: Order) -> None:
-        self.port.order(order, self.clock.t_s)
+        self.port.execute(order, self.clock.t_s)
 
     def is_uploaded_and_read_back(self) -> None:
         uploaded = self.until(ev.MissionUploaded, 120.0)
         assert uploaded == ev.MissionUploaded(uploaded.t_s)
-        self.order(ReadMissionBack(ITEMS))
-        read = self.until(ev.MissionReadBack, 120.0)
-        assert read == ev.MissionReadBack(read.t_s, ())
+        self.order(VerifyMission(ITEMS))
+        read = self.until(ev.MissionVerified, 120.0)
+        assert read == ev.MissionVerified(read.t_s, ())
 
 
 @BOTH
@@ -105,7 +107,7 @@ def test_a_mission_is_uploaded_and_read_back_over_any_round_trip(
     link.order(UploadMission(ITEMS))
     link.is_uploaded_and_read_back()
     items = [m.seq for m in link.sent if m.get_type() == "MISSION_ITEM_INT"]
-    # Each once, but for what the first round trip and a repeated count cost.
+    # Each item once, plus the cost of the first round trip and a repeated count.
     assert len(items) <= len(set(items)) + 2
 
 
@@ -150,9 +152,9 @@ def test_a_mission_is_read_back_with_several_requests_at_a_time(autopilot: Autop
     took: dict[int, float] = {}
     for window in (1, 6):
         began_s = link.t_s
-        link.order(ReadMissionBack(ITEMS, window=window))
-        read = link.until(ev.MissionReadBack, 20.0)
-        assert read == ev.MissionReadBack(read.t_s, ())
+        link.order(VerifyMission(ITEMS, pending_requests=window))
+        read = link.until(ev.MissionVerified, 20.0)
+        assert read == ev.MissionVerified(read.t_s, ())
         took[window] = link.t_s - began_s
     if autopilot is AutopilotKind.ARDUPILOT:
         assert took[6] < 0.5 * took[1]
@@ -164,7 +166,7 @@ def test_requests_of_a_transfer_that_was_dropped_are_discarded(autopilot: Autopi
     link.order(UploadMission(ITEMS[:4]))
     for _ in range(40):
         link.step()
-    link.port.drop_orders()
+    link.port.discard_all_pending_requests()
     link.order(UploadMission(ITEMS))
     link.is_uploaded_and_read_back()
 

@@ -1,23 +1,27 @@
-"""Long texts go to ground stations in chunks: read back by the simulator's own decoder."""
+"""Long texts are sent in chunks and reassembled by the simulator's own decoder."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.autopilots.status_text import CHUNK_BYTES, MOST_CHUNKS, StatusTexts
-from sim_bridge.app.flight.joined_texts import JoinedTexts
+from companion.adapters.autopilots.status_text import CHUNK_BYTES, MAX_CHUNKS, StatusTexts
+from sim_bridge.app.link.joined_texts import JoinedTexts
 from sim_bridge.autopilot.mavlink.codec import Decoder
 
-LONGEST = CHUNK_BYTES * MOST_CHUNKS - 1
+LONGEST = CHUNK_BYTES * MAX_CHUNKS - 1
 
 
 def received(texts: StatusTexts, text: str, lost: int | None = None) -> list[str]:
-    """What a ground station shows of a text, of which one frame may be lost."""
+    """Return the texts that a ground station shows, with optionally one frame lost."""
     sender, decoder, joined = mavlink.MAVLink(None, 1, 191), Decoder(), JoinedTexts()
-    frames = [message.pack(sender) for message in texts.messages(4, text)]
+    frames = [message.pack(sender) for message in texts.split_into_messages(4, text)]
     kept = [frame for number, frame in enumerate(frames) if number != lost]
-    shown = [joined.take(message) for frame in kept for message in decoder.feed(frame)]
+    shown = [
+        joined.add_chunk_and_take_complete_text(message)
+        for frame in kept
+        for message in decoder.decode_bytes(frame)
+    ]
     return [words for words in shown if words is not None]
 
 
@@ -28,7 +32,7 @@ def test_a_text_of_any_length_is_shown_as_it_was_said(text: str):
 
 @pytest.mark.parametrize("length", [49, 50, 51, 99, 100, 101, LONGEST])
 def test_no_chunk_but_the_last_is_short_and_the_last_always_is_where_there_are_several(length: int):
-    messages = StatusTexts().messages(4, "x" * length)
+    messages = StatusTexts().split_into_messages(4, "x" * length)
     sizes = [len(message.text) for message in messages]
     assert sizes[:-1] == [CHUNK_BYTES] * (len(sizes) - 1)
     assert len(sizes) == 1 or sizes[-1] < CHUNK_BYTES
@@ -41,7 +45,7 @@ def test_a_text_that_is_too_long_is_cut_and_ends():
 
 def test_two_texts_have_two_numbers_and_a_short_one_none():
     texts = StatusTexts()
-    numbers = [texts.messages(4, words)[0].id for words in ("a" * 60, "b", "c" * 60)]
+    numbers = [texts.split_into_messages(4, words)[0].id for words in ("a" * 60, "b", "c" * 60)]
     assert numbers == [1, 0, 2]
 
 

@@ -1,4 +1,4 @@
-"""`companion` on the command line: quick to say what it can do, clear about mistakes."""
+"""The `companion` command line: fast help, clear error messages."""
 
 import os
 import socket
@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.adapters.autopilots import link
-from companion.adapters.files.params import flight_path, params_dir
+from companion.adapters.files.params import flight_file_path, params_dir
 from companion.app.cli.main import app
 from companion.app.flight.run import LINK_CLOSED
 from companion.core.base.errors import LeewayError
@@ -43,22 +43,24 @@ def test_the_version_is_one_line() -> None:
 def test_bundled_flights_have_names() -> None:
     folder = params_dir() / "flights"
     for name in ("arducopter_sitl", "default", "px4_sih", "recorded", "truck_stop"):
-        assert flight_path(name) == folder / f"{name}.toml"
+        assert flight_file_path(name) == folder / f"{name}.toml"
 
 
 def test_a_path_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert flight_path("my/flight.toml") == Path("my/flight.toml")
-    assert flight_path("default.toml") == Path("default.toml")  # its absence is the reader's to say
+    assert flight_file_path("my/flight.toml") == Path("my/flight.toml")
+    assert flight_file_path("default.toml") == Path(
+        "default.toml"
+    )  # the reader reports a missing file
     monkeypatch.chdir(tmp_path)
     (tmp_path / "default").write_text("")
-    assert flight_path("default") == Path("default")
+    assert flight_file_path("default") == Path("default")
 
 
 def test_an_unknown_name_is_answered_with_the_names() -> None:
     with pytest.raises(
         LeewayError, match=r"^defualt: .*default, faults, hills, px4_sih, recorded, .*path$"
     ):
-        flight_path("defualt")
+        flight_file_path("defualt")
 
 
 @pytest.mark.parametrize("command", ["run", "check"])
@@ -95,12 +97,13 @@ def serial_port_held() -> Iterator[str]:
         os.close(master)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("closed", [udp_port_held, server_not_up_yet, serial_port_held])
 @pytest.mark.parametrize("command", ["run", "check"])
 def test_a_link_that_does_not_open_now_ends_with_a_code_that_a_service_tries_again(
     command: str, closed: Callable[[], AbstractContextManager[str]], tmp_path: Path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(link, "FIRST_CALL_S", 0.0)
+    monkeypatch.setattr(link, "CONNECT_TIMEOUT_S", 0.0)
     with closed() as url:
         words = [command, "--link", url, "--mission", "default", "--run-dir", str(tmp_path / "run")]
         done = CliRunner().invoke(app, words)

@@ -1,9 +1,8 @@
-"""The vehicle's side of the desk without a network: what it keeps, and what if it cannot."""
+"""The vehicle's side of the fleet link without a network: stored state, and storage failures."""
 
 import contextlib
 import errno
 import json
-from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -12,48 +11,51 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.adapters.clock import epoch_us, wall_s
+from companion.adapters.clock import unix_time_us, wall_s
 from companion.app.flight import fleet_port
-from companion.app.flight.assignment import MISSION, take_up, write_assignment
+from companion.app.flight.assignment import MISSION, load_current_assignment, write_assignment
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
 from companion.core.base.errors import LeewayError
-from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet import member as fleet_member
-from companion.fleet.command_log import Verdict
-from companion.fleet.event_log import BATCH, KEPT, LEAP, SLACK, EventLog
-from companion.fleet.identity import TLS_CERTIFICATE, read_identity
+from companion.fleet.command_log import CommandReply
+from companion.fleet.event_log import (
+    MAX_EVENTS,
+    MAX_EVENTS_PER_REPLY,
+    REWRITE_SURPLUS,
+    SEQ_GAP_AT_RESTART,
+    EventLog,
+)
+from companion.fleet.identity import TLS_CERTIFICATE, read_and_verify_identity
 from companion.fleet.member import FleetMember
 from companion.fleet.messages import (
-    Answered,
     Assign,
     Command,
-    Deed,
+    CommandAction,
+    CommandStatus,
     EventKind,
     FleetEvent,
     Launch,
     Recall,
     Result,
     State,
-    decode_event,
-    decode_result,
-    decode_state,
+    decode_message,
 )
-from companion.fleet.messages import encode as encoded
-from companion.fleet.network import Ask, Asked
+from companion.fleet.messages import encode_message as encoded
+from companion.fleet.network import MemberRequest, RequestKind
 from companion.fleet.roles import Role
 from companion.fleet.signed_link import SignedLink
-from companion.fleet.trust import Trust
+from companion.fleet.trust import MemberTrust
 from ground_station.adapters.files.day_files import read_day
-from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
-from ground_station.core.dispatch.flight_tables import delivery_table
+from ground_station.adapters.pki.pki_folder import PkiFolder, utc_datetime
+from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from tests.fleet.zenoh_net import Vehicle, config_file, free_port
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
 OPTIONS = RunOptions("memory", "m100", Path(), Path())
-SETTINGS = Settings.read(OPTIONS)
+SETTINGS = Settings.read_settings_files(OPTIONS)
 
 
-def an_event(text: str, kind: EventKind = EventKind.SAID) -> FleetEvent:
+def an_event(text: str, kind: EventKind = EventKind.TEXT) -> FleetEvent:
     return FleetEvent(vehicle="d1", log="x", seq=1, epoch_us=0, kind=kind, text=text)
 
 
@@ -66,16 +68,23 @@ def port(tmp_path: Path) -> Any:
     vehicle.port.close()
 
 
-def ask(port: fleet_port.FleetPort, deed: Deed, id_: str = "c1") -> Result:
-    """Hand it a command as its link would."""
+def ask(port: fleet_port.FleetPort, deed: CommandAction, id_: str = "c1") -> Result:
+    """Pass the port a command as its link would."""
     replies: list[bytes] = []
     command = Command(
-        id=id_, vehicle="d1", life=port.life, as_of_s=port.uptime_s, by="desk", deed=deed
+        id=id_,
+        vehicle="d1",
+        instance_id=port.member.instance_id,
+        as_of_s=port.member.uptime_s,
+        by="desk",
+        action=deed,
     )
-    port.link.put(Asked(Ask.COMMAND, replies.extend, encoded(command)))
-    port.turn(lambda asked: Verdict(Answered.DONE, "done"))
+    port.member.link.request_queues.add_request_and_call_back(
+        MemberRequest(RequestKind.COMMAND, replies.extend, encoded(command))
+    )
+    port.process_commands(lambda asked: CommandReply(CommandStatus.DONE, "done"))
     (raw,) = replies
-    result = decode_result(raw)
+    result = decode_message(Result, raw)
     assert isinstance(result, Result)
     return result
 
@@ -85,14 +94,14 @@ def test_on_a_full_disk_nothing_is_launched_but_a_recall_is_taken(port, monkeypa
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as disk:
-        disk.setattr(fleet_member, "write_whole", full)
+        disk.setattr(fleet_member, "write_json_atomically", full)
         launch = ask(port, Launch(assignment="a1"))
-        assert (launch.answer, launch.reason) == (
-            Answered.LATER,
-            "cannot write it down: No space left on device",
+        assert (launch.status, launch.reason) == (
+            CommandStatus.LATER,
+            "cannot store the command: No space left on device",
         )
-        assert ask(port, Recall(), "c2").answer is Answered.DONE
-    assert ask(port, Launch(assignment="a1")).answer is Answered.DONE
+        assert ask(port, Recall(), "c2").status is CommandStatus.DONE
+    assert ask(port, Launch(assignment="a1")).status is CommandStatus.DONE
 
 
 def written(port: fleet_port.FleetPort, deed: Assign) -> LoadedFlight:
@@ -100,7 +109,7 @@ def written(port: fleet_port.FleetPort, deed: Assign) -> LoadedFlight:
 
 
 def test_a_flight_that_the_vehicle_may_not_fly_is_refused_in_words(port):
-    good = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
+    good = depot_delivery_flight_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
     deed = Assign(assignment="a1", order="o1", flight=good, obstacles=DAY.no_fly)
     path = written(port, deed).options.mission
     assert json.loads(path.read_text())["site"]["obstacles"] == "obstacles.geojson"
@@ -128,7 +137,7 @@ NASTY = st.sampled_from(
 
 
 def replaced(tree: Any, path: list[int], value: Any) -> Any:
-    """The tree with one of its branches, found by numbers, replaced."""
+    """Return the tree with one branch, located by indices, replaced."""
     if not isinstance(tree, dict | list) or not tree or not path:
         return value
     keys = list(tree) if isinstance(tree, dict) else list(range(len(tree)))
@@ -141,10 +150,12 @@ def replaced(tree: Any, path: list[int], value: Any) -> Any:
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    in_flight=st.booleans(), path=st.lists(st.integers(0, 30), min_size=1, max_size=6), value=NASTY
+    in_flight=st.booleans(),
+    path=st.lists(st.integers(0, 30), min_size=1, max_size=6),
+    value=NASTY,
 )
 def test_a_mutated_assignment_is_loaded_whole_or_refused_in_words(port, in_flight, path, value):
-    flight = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
+    flight = depot_delivery_flight_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
     assert DAY.no_fly is not None
     flight = replaced(flight, path, value) if in_flight else flight
     no_fly = DAY.no_fly if in_flight else replaced(DAY.no_fly, path, value)
@@ -155,29 +166,31 @@ def test_a_mutated_assignment_is_loaded_whole_or_refused_in_words(port, in_fligh
 
 
 def aboard(port: fleet_port.FleetPort, **mission: object) -> Path:
-    """An assignment in the folder, as an earlier version may have left it; its flight file."""
-    table = delivery_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
+    """Store an assignment as an earlier version may have left it; return its flight file."""
+    table = depot_delivery_flight_table(DAY.day, DAY.day.drones[0], DAY.orders[0])
     table["mission"] |= mission
-    port.take_aboard(fleet_port.Assigned(assignment="a1", order="o1"))
-    path = port.folder_of("a1") / MISSION
+    port.store_assignment(fleet_port.StoredAssignment(assignment="a1", order="o1"))
+    path = port.assignment_folder("a1") / MISSION
     path.parent.mkdir()
     path.write_text(json.dumps(table))
     return path
 
 
 def taken_up(port: fleet_port.FleetPort) -> Any:
-    return take_up(port, OPTIONS, SETTINGS)
+    return load_current_assignment(port, OPTIONS, SETTINGS)
 
 
 def test_a_bad_assignment_aboard_at_a_restart_is_refused_and_the_companion_stands_by(port):
     aboard(port, wind_process="moon")
     assert taken_up(port) is None
     assert port.current is None
-    (told,) = [e for e in port.log.after(0) if e.kind is EventKind.OUTCOME]
+    (told,) = [
+        e for e in port.member.log.next_stored_events_after(0) if e.kind is EventKind.OUTCOME
+    ]
     assert (told.outcome, told.home, told.assignment) == ("ABRT", True, "a1")
     assert "no such wind process" in told.text
     again = ask(port, Launch(assignment="a1"))
-    assert (again.answer, again.reason) == (Answered.REFUSED, "assignment a1 is over")
+    assert (again.status, again.reason) == (CommandStatus.REFUSED, "assignment a1 is closed")
 
 
 def test_a_flight_that_began_and_cannot_be_read_any_more_is_not_said_to_be_home(port):
@@ -185,7 +198,9 @@ def test_a_flight_that_began_and_cannot_be_read_any_more_is_not_said_to_be_home(
     (path.parent / "checkpoint.json").write_text("{}")
     path.write_text("torn")
     assert taken_up(port) is None
-    (told,) = [e for e in port.log.after(0) if e.kind is EventKind.OUTCOME]
+    (told,) = [
+        e for e in port.member.log.next_stored_events_after(0) if e.kind is EventKind.OUTCOME
+    ]
     assert (told.outcome, told.home, told.drop_unproven) == ("FAIL", False, True)
 
 
@@ -204,33 +219,35 @@ def test_a_record_of_the_assignment_that_is_torn_is_moved_aside(tmp_path):
     vehicle.close()
     assert vehicle.port.current is None
     assert (folder / "current.broken").exists()
-    assert "moved aside" in vehicle.port.log.after(0)[0].text
+    assert "moved aside" in vehicle.port.member.log.next_stored_events_after(0)[0].text
 
 
 def test_events_outlive_a_kill_and_a_torn_last_line_is_left_out(tmp_path):
     path = tmp_path / "events.jsonl"
     first = EventLog(path)
     for n in range(3):
-        first.append(an_event(f"words {n}"))
+        first.number_and_store_event(an_event(f"words {n}"))
     path.write_bytes(path.read_bytes()[:-20])
     again = EventLog(path)
-    assert (again.log, again.last_seq) == (first.log, 2)
-    assert again.append(an_event("next")).seq == 2 + LEAP  # 3 may have been told before the cut
-    assert [e.text for e in again.after(1)] == ["words 1", "next"]
+    assert (again.log, again.last_stored_seq) == (first.log, 2)
+    assert (
+        again.number_and_store_event(an_event("next")).seq == 2 + SEQ_GAP_AT_RESTART
+    )  # 3 may have been sent before the cut
+    assert [e.text for e in again.next_stored_events_after(1)] == ["words 1", "next"]
     first.close()
     again.close()
 
 
 def test_a_vehicle_without_a_ground_keeps_its_newest_events_and_never_fills_its_disk(tmp_path):
     log = EventLog(tmp_path / "events.jsonl")
-    for n in range(KEPT + SLACK + 5):
-        log.append(an_event(f"{n}"))
+    for n in range(MAX_EVENTS + REWRITE_SURPLUS + 5):
+        log.number_and_store_event(an_event(f"{n}"))
     kept = len((tmp_path / "events.jsonl").read_bytes().splitlines())
-    assert kept == KEPT + 4
-    oldest = log.after(0)
-    assert len(oldest) == BATCH
-    assert oldest[0].seq == SLACK + 2
-    assert log.after(log.last_seq) == []
+    assert kept == MAX_EVENTS + 4
+    oldest = log.next_stored_events_after(0)
+    assert len(oldest) == MAX_EVENTS_PER_REPLY
+    assert oldest[0].seq == REWRITE_SURPLUS + 2
+    assert log.next_stored_events_after(log.last_stored_seq) == []
     log.close()
 
 
@@ -239,11 +256,11 @@ def test_an_outcome_is_known_again_after_a_restart(tmp_path):
     event = FleetEvent(
         vehicle="d1", log="x", seq=1, epoch_us=0, kind=EventKind.OUTCOME, text="", assignment="a1"
     )
-    log.append(event)
+    log.number_and_store_event(event)
     log.close()
     again = EventLog(tmp_path / "events.jsonl")
-    assert again.has_outcome("a1")
-    assert not again.has_outcome("a2")
+    assert again.has_stored_outcome("a1")
+    assert not again.has_stored_outcome("a2")
     again.close()
 
 
@@ -251,71 +268,97 @@ def test_an_outcome_is_known_again_after_a_restart(tmp_path):
     "deed", [Launch(assignment="a1"), Assign(assignment="a1", order="o1", flight={})]
 )
 def test_no_flight_begins_that_would_outlast_the_certificate_and_a_recall_is_taken(port, deed):
-    assert ask(port, deed).answer is Answered.DONE
-    port.begin_trouble = lambda: "the certificate of d1 ends in 9 min"
-    assert ask(port, deed).answer is Answered.DONE  # answered before: it is known, not begun anew
+    assert ask(port, deed).status is CommandStatus.DONE
+    port.start_refusal_reason = lambda: "the certificate of d1 ends in 9 min"
+    assert (
+        ask(port, deed).status is CommandStatus.DONE
+    )  # already answered: known, not started again
     refused = ask(port, deed, "c2")
-    assert (refused.answer, refused.reason) == (
-        Answered.REFUSED,
+    assert (refused.status, refused.reason) == (
+        CommandStatus.REFUSED,
         "the certificate of d1 ends in 9 min",
     )
-    assert ask(port, Recall(), "c3").answer is Answered.DONE
+    assert ask(port, Recall(), "c3").status is CommandStatus.DONE
 
 
 def test_what_is_aboard_stays_aboard_when_the_certificate_ends(port):
-    port.take_aboard(fleet_port.Assigned(assignment="a1", order="o1"))
-    port.begin_trouble = lambda: "the certificate of d1 ends in 9 min"
+    port.store_assignment(fleet_port.StoredAssignment(assignment="a1", order="o1"))
+    port.start_refusal_reason = lambda: "the certificate of d1 ends in 9 min"
     again = Assign(assignment="a1", order="o1", flight={})
-    assert ask(port, again).answer is Answered.DONE
+    assert ask(port, again).status is CommandStatus.DONE
 
 
 @pytest.mark.parametrize("carried", [False, True], ids=["not carried", "canary: carried"])
 def test_a_launch_waits_until_the_renewed_certificate_is_carried(port, tmp_path, carried):
-    """The desk tells the new roster at once; what the vehicle joins with lies in its folder."""
-    pki = PkiFolder.init(tmp_path / "pki", "harbour", utc_at(epoch_us()) - timedelta(days=365))
-    pki.add("desk", Role.DESK, 800, "")
-    pki.add("d1", Role.VEHICLE, 365, "")
+    """The desk sends the new roster immediately; the vehicle's certificate is in its folder."""
+    pki = PkiFolder.create_fleet(
+        tmp_path / "pki", "harbour", utc_datetime(unix_time_us()) - timedelta(days=365)
+    )
+    pki.add_member("desk", Role.DESK, 800, "")
+    pki.add_member("d1", Role.VEHICLE, 365, "")
     home = pki.folder / "members" / "d1"
-    d1, desk = read_identity(home).trust, read_identity(pki.folder / "members" / "desk").trust
+    d1, desk = (
+        read_and_verify_identity(home).trust,
+        read_and_verify_identity(pki.folder / "members" / "desk").trust,
+    )
     old = (home / TLS_CERTIFICATE).read_bytes()
-    pki.renew("d1", 800)
+    pki.renew_member_certificate("d1", 800)
     if not carried:
         (home / TLS_CERTIFICATE).write_bytes(old)
-    wire = port.link
-    port.member.link = SignedLink(wire, d1, port.life, wall_s)
-    port.begin_trouble = lambda: d1.trouble_until(3600.0)
+    wire = port.member.link
+    port.member.link = SignedLink(wire, d1, port.member.instance_id, wall_s)
+    port.start_refusal_reason = lambda: d1.certificate_error_within(3600.0)
     roster = (pki.folder / "roster.json").read_bytes()
-    wire.put(Asked(Ask.ROSTER, lambda replies: None, roster))
-    port.turn(lambda asked: Verdict(Answered.DONE, "done"))
+    wire.request_queues.add_request_and_call_back(
+        MemberRequest(RequestKind.ROSTER, lambda replies: None, roster)
+    )
+    port.process_commands(lambda asked: CommandReply(CommandStatus.DONE, "done"))
     assert d1.roster.number == pki.roster.number
     result = ask_signed(port, wire, desk, Launch(assignment="a1"))
-    assert result.answer is (Answered.DONE if carried else Answered.REFUSED)
-    assert carried or "carry tls.pem to d1" in result.reason
+    assert result.status is (CommandStatus.DONE if carried else CommandStatus.REFUSED)
+    assert carried or "copy tls.pem to d1" in result.reason
 
 
-def ask_signed(port: fleet_port.FleetPort, wire: Any, desk: Trust, deed: Deed) -> Result:
-    """What the vehicle answers, signed, to a command that the desk signed."""
+def ask_signed(
+    port: fleet_port.FleetPort, wire: Any, desk: MemberTrust, deed: CommandAction
+) -> Result:
+    """Return the vehicle's signed reply to a command that the desk signed."""
     replies: list[bytes] = []
-    made = {"id": "c1", "vehicle": "d1", "life": port.life, "as_of_s": 0.0, "by": "desk"}
-    command = desk.seal("command", encoded(Command(**made, deed=deed)))
-    wire.put(Asked(Ask.COMMAND, replies.extend, command))
-    port.turn(lambda asked: Verdict(Answered.DONE, "done"))
+    made = {
+        "id": "c1",
+        "vehicle": "d1",
+        "instance_id": port.member.instance_id,
+        "as_of_s": 0.0,
+        "by": "desk",
+    }
+    command = desk.sign_in_envelope("command", encoded(Command(**made, action=deed)))
+    wire.request_queues.add_request_and_call_back(
+        MemberRequest(RequestKind.COMMAND, replies.extend, command)
+    )
+    port.process_commands(lambda asked: CommandReply(CommandStatus.DONE, "done"))
     (sealed,) = replies
-    raw = desk.told("result", sealed, "d1")
+    raw = desk.verify_message_of_signer("result", sealed, "d1")
     assert isinstance(raw, bytes), raw
-    result = decode_result(raw)
+    result = decode_message(Result, raw)
     assert isinstance(result, Result)
     return result
 
 
 class HeldDisk:
-    """A card that is busy until `let_go`: every deed waits; `full` takes none."""
+    """A card that is busy until `let_go`: all writes wait; `full` accepts none."""
 
     def __init__(self) -> None:
         self.waiting: list[Any] = []
         self.full = False
 
-    def do(self, record: str, deed: Any, *, whole: bool = False, newest_only: bool = False) -> bool:
+    def submit_write_job(
+        self,
+        record: str,
+        deed: Any,
+        *,
+        is_replaced_at_each_write: bool = False,
+        replace_queued_job: bool = False,
+    ) -> bool:
         if not self.full:
             self.waiting.append(deed)
         return not self.full
@@ -324,68 +367,71 @@ class HeldDisk:
         while self.waiting:
             self.waiting.pop(0)()
 
-    settle = close = let_go
+    wait_until_done = close = let_go
 
 
 class HandLink:
-    """A network by hand: what is asked is put in `waiting`, what is told stands in lists."""
+    """A manual network: requests are put in `waiting`, published messages are kept in lists."""
 
     def __init__(self) -> None:
-        self.waiting: list[Asked] = []
+        self.waiting: list[MemberRequest] = []
         self.events: list[FleetEvent] = []
         self.states: list[State] = []
 
-    def asked(self) -> list[Asked]:
+    def drain_requests(self) -> list[MemberRequest]:
         waiting, self.waiting = self.waiting, []
         return waiting
 
     def publish_event(self, raw: bytes) -> None:
-        event = decode_event(raw)
+        event = decode_message(FleetEvent, raw)
         assert isinstance(event, FleetEvent)
         self.events.append(event)
 
     def publish_state(self, raw: bytes) -> None:
-        state = decode_state(raw)
+        state = decode_message(State, raw)
         assert isinstance(state, State)
         self.states.append(state)
-
-    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
-        del neighbours
-
-    def wind_cov_is_read(self) -> bool:
-        return True
 
     def close(self) -> None:
         pass
 
 
 class OnBusyDisk:
-    """A member whose disk is busy: its commands, its answers, and what it carried out."""
+    """A member whose disk is busy: its commands, its replies, and the executed commands."""
 
     def __init__(self, folder: Path) -> None:
         self.link, self.disk = HandLink(), HeldDisk()
-        self.member = FleetMember.open("d1", folder, lambda life: self.link, disk=self.disk)
-        self.done: list[Deed] = []
+        self.member = FleetMember.restore_and_open_link(
+            "d1", folder, lambda life: self.link, disk=self.disk
+        )
+        self.done: list[CommandAction] = []
         self.answers: dict[str, list[bytes]] = {}
 
-    def ask(self, deed: Deed, id_: str) -> None:
+    def ask(self, deed: CommandAction, id_: str) -> None:
         command = Command(
-            id=id_, vehicle="d1", life=self.member.life, as_of_s=0.0, by="desk", deed=deed
+            id=id_,
+            vehicle="d1",
+            instance_id=self.member.instance_id,
+            as_of_s=0.0,
+            by="desk",
+            action=deed,
         )
         replies = self.answers.setdefault(id_, [])
-        self.link.waiting.append(Asked(Ask.COMMAND, replies.extend, encoded(command)))
+        self.link.waiting.append(
+            MemberRequest(RequestKind.COMMAND, replies.extend, encoded(command))
+        )
 
     def turn(self) -> None:
-        def carry_out(command: Command) -> Verdict:
-            self.done.append(command.deed)
-            return Verdict(Answered.DONE)
+        def carry_out(command: Command) -> CommandReply:
+            self.done.append(command.action)
+            return CommandReply(CommandStatus.DONE)
 
-        self.member.turn(carry_out)
+        self.member.process_requests_and_publish_events(carry_out)
 
-    def answer(self, id_: str) -> tuple[Answered, str] | None:
-        results = [decode_result(raw) for raw in self.answers[id_]]
+    def answer(self, id_: str) -> tuple[CommandStatus, str] | None:
+        results = [decode_message(Result, raw) for raw in self.answers[id_]]
         assert all(isinstance(result, Result) for result in results)
-        return (results[-1].answer, results[-1].reason) if results else None
+        return (results[-1].status, results[-1].reason) if results else None
 
 
 @pytest.fixture
@@ -404,7 +450,7 @@ def test_a_launch_is_carried_out_once_it_lies_on_the_disk_and_nobody_waits_for_i
     one.disk.let_go()
     one.turn()
     assert one.done == [Launch(assignment="a1")]
-    assert one.answer("c1") == (Answered.DONE, "")
+    assert one.answer("c1") == (CommandStatus.DONE, "")
 
 
 def test_a_recall_waits_for_no_disk_and_a_launch_behind_it_is_not_carried_out(on_busy_disk):
@@ -414,8 +460,8 @@ def test_a_recall_waits_for_no_disk_and_a_launch_behind_it_is_not_carried_out(on
     one.ask(Recall(), "c2")
     one.turn()
     assert one.done == [Recall()]
-    assert one.answer("c2") == (Answered.DONE, "")
-    assert one.answer("c1") == (Answered.LATER, "overtaken by recall (c2)")
+    assert one.answer("c2") == (CommandStatus.DONE, "")
+    assert one.answer("c1") == (CommandStatus.LATER, "superseded by recall (c2)")
     one.disk.let_go()
     one.turn()
     assert one.done == [Recall()]
@@ -434,14 +480,14 @@ def test_a_launch_comes_once_though_the_desk_asks_again_while_it_is_written(on_b
 
 def test_nobody_hears_of_an_outcome_that_does_not_lie_on_the_disk_yet(on_busy_disk):
     one = on_busy_disk
-    one.member.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    one.member.record_event(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
     one.turn()
-    one.member.publish("m100", 1.0, "standby")
+    one.member.publish_state("m100", 1.0, "standby")
     assert (one.link.events, one.link.states[-1].last_seq) == ([], 0)
-    assert one.member.log.after(0) == []
+    assert one.member.log.next_stored_events_after(0) == []
     one.disk.let_go()
     one.turn()
-    one.member.publish("m100", 1.0, "standby")
+    one.member.publish_state("m100", 1.0, "standby")
     assert [event.outcome for event in one.link.events] == ["SUC"]
     assert one.link.states[-1].last_seq == one.link.events[0].seq
     one.turn()
@@ -451,21 +497,24 @@ def test_nobody_hears_of_an_outcome_that_does_not_lie_on_the_disk_yet(on_busy_di
 def test_where_the_disk_takes_no_more_it_is_told_all_the_same_and_nothing_is_launched(on_busy_disk):
     one = on_busy_disk
     one.disk.full = True
-    one.member.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    one.member.record_event(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
     one.ask(Launch(assignment="a1"), "c1")
     one.turn()
-    one.member.publish("m100", 1.0, "standby")
+    one.member.publish_state("m100", 1.0, "standby")
     assert [event.outcome for event in one.link.events] == ["SUC"]
-    assert "only kept in memory" in one.link.states[-1].text
+    assert "in memory only" in one.link.states[-1].text
     assert one.done == []
-    assert one.answer("c1") == (Answered.LATER, "cannot write it down: the disk takes no more")
+    assert one.answer("c1") == (
+        CommandStatus.LATER,
+        "cannot store the command: the disk queue is full",
+    )
 
 
 def test_what_waits_for_the_disk_when_a_member_leaves_is_written_and_told(on_busy_disk):
     one = on_busy_disk
-    one.member.tell(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
+    one.member.record_event(EventKind.OUTCOME, "home", outcome="SUC", delivered=True, home=True)
     one.member.close()
     assert [event.outcome for event in one.link.events] == ["SUC"]
     again = EventLog(one.member.folder / "events.jsonl")
-    assert [event.outcome for event in again.after(0)] == ["SUC"]
+    assert [event.outcome for event in again.next_stored_events_after(0)] == ["SUC"]
     again.close()

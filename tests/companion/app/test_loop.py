@@ -1,28 +1,34 @@
-"""The loop in lockstep and without: answers last, ticks on telemetry, survives what it is fed."""
+"""The main loop, in lockstep and free-running: replies, ticks on telemetry, invalid input."""
 
 import json
 import math
 import os
 import random
 import threading
-from collections import deque
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import pytest
 
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
-from companion.adapters.autopilots.link import Incoming
 from companion.adapters.files.folder_lock import FolderLock
-from companion.adapters.files.params import digest_of, read_airframe, read_flight, read_wind_process
+from companion.adapters.files.params import (
+    flight_configuration_digest,
+    read_airframe,
+    read_flight,
+    read_wind_process,
+)
+from companion.adapters.files.signing_files import SigningStampStore
 from companion.app.flight import run as run_module
-from companion.app.flight.loaded_flight import requirements
+from companion.app.flight.loaded_flight import autopilot_parameter_requirements
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
-from companion.app.flight.run import BROKEN
+from companion.app.flight.run import INTERNAL_ERROR
+from companion.app.flight.signing_monitor import SigningMonitor
 from companion.core.mission.actions import (
-    DropOrders,
-    Publish,
+    CancelOrders,
+    PublishValues,
     SaveCheckpoint,
     SetGroundSpeed,
     SetMode,
@@ -32,79 +38,57 @@ from companion.core.mission.find_plan import FindPlan
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import Phase
+from sim_bridge.app.world.memory_link import MemoryLink
 
 ROOT = Path(__file__).parents[3]
 FLIGHT = ROOT / "params" / "flights" / "default.toml"
 
 
-class WireTap:
-    """A link without a wire: what is put in is received, what is sent is kept."""
-
-    datagrams = True
-    strangers = 0
-
-    def __init__(self) -> None:
-        self.incoming: deque[bytes] = deque()
-        self.sent: list[bytes] = []
-        self.tells_waiting = False
-
-    def receive(self, timeout_s: float) -> Incoming | None:
-        return Incoming(self.incoming.popleft(), ("here", 1)) if self.incoming else None
-
-    def send(self, data: bytes) -> None:
-        self.sent.append(data)
-
-    def settle(self) -> None:
-        return
-
-    def waiting(self) -> int:
-        return len(self.incoming) if self.tells_waiting else 0
-
-    def answer_to(self, peer: Any) -> None:
-        return
-
-    def close(self) -> None:
-        return
-
-
 class Station:
-    """A loop on a tapped wire, and an autopilot's mouth."""
+    """A loop on a tapped wire, and a sender of autopilot messages."""
 
-    def __init__(self, folder: Path, system: int = 1) -> None:
+    def __init__(self, folder: Path, system: int = 1, key: bytes | None = None) -> None:
         flight, airframe = read_flight(FLIGHT), read_airframe("m100")
         wind_process = read_wind_process("coast")
-        self.wire = WireTap()
+        self.wire, self.wall_clock_s = MemoryLink(), monotonic
         self.recorder = Recorder(folder)
         self.pilot = Pilot(
             flight,
             airframe,
             wind_process,
             obstacles=None,
-            requirements=requirements,
-            digest=digest_of(FLIGHT, airframe, wind_process),
+            requirements=autopilot_parameter_requirements,
+            flight_digest=flight_configuration_digest(FLIGHT, airframe, wind_process),
             options=PilotOptions(),
         )
-        self.loop = Loop.wire(
+        codec = MavlinkCodec(datagrams=True, signing_key=key)
+        signing = None
+        if key is not None:
+            stamps = SigningStampStore(folder, codec)
+            signing = SigningMonitor(codec, self.recorder.submit_latest_write, stamps)
+        self.loop = Loop(
             self.wire,
-            MavlinkCodec(datagrams=True),
+            codec,
             self.recorder,
             self.pilot,
             system_id=None,
             silence_limit_s=1e9,
+            wall_clock_s=lambda: self.wall_clock_s(),
+            signing=signing,
         )
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self.ear = mavlink.MAVLink(None)
 
     def put(self, *messages: Any) -> None:
         for message in messages:
-            self.wire.incoming.append(bytes(message.pack(self.mav)))
+            self.wire.received.append(bytes(message.pack(self.mav)))
             self.mav.seq = (self.mav.seq + 1) % 256
 
     def turn(self) -> list[Any]:
-        """Let the loop handle everything; what it said."""
-        while self.wire.incoming:
+        """Run the loop until its input is empty; return the messages sent."""
+        while self.wire.received:
             self.loop.step()
-        sent, self.wire.sent[:] = list(self.wire.sent), []
+        sent = self.wire.take_sent_datagrams()
         return [m for data in sent for m in self.ear.parse_buffer(data) or []]
 
     def sync(self, t_s: float) -> Any:
@@ -112,7 +96,7 @@ class Station:
 
     def identify(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3)
-        self.put(*[beat] * 10)  # as many as it takes from one that never tells the time
+        self.put(*[beat] * 10)  # enough for an autopilot that never sends its time
         self.turn()
 
     def telemetry(self, ms: int) -> list[Any]:
@@ -136,18 +120,17 @@ KEY = bytes(range(32))
 
 
 def signed_loop(folder: Path, autopilot_off_s: float) -> tuple[Station, list[float]]:
-    """A loop with a key, an autopilot whose clock is off, and the wall clock."""
-    made, wall = Station(folder), [0.0]
-    made.loop.codec = MavlinkCodec(datagrams=True, signing_key=KEY)
-    made.loop.wall_clock_s = lambda: wall[0]
+    """A loop with a key, an autopilot whose clock has an offset, and the wall clock."""
+    made, wall = Station(folder, key=KEY), [0.0]
+    made.wall_clock_s = lambda: wall[0]
     made.mav.signing.secret_key, made.mav.signing.sign_outgoing = KEY, True
-    off = round(autopilot_off_s * 1e5)
-    made.mav.signing.timestamp = made.loop.codec.mav.signing.timestamp + off
+    own_timestamp = MavlinkCodec(datagrams=True, signing_key=KEY).mav.signing.timestamp
+    made.mav.signing.timestamp = own_timestamp + round(autopilot_off_s * 1e5)
     return made, wall
 
 
 def beats(station: Station, wall: list[float], seconds: int) -> list[str]:
-    """Heartbeats at 1 Hz; what the operator was told."""
+    """Send heartbeats at 1 Hz; return the texts sent to the operator."""
     said: list[str] = []
     for _ in range(seconds):
         station.put(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
@@ -161,24 +144,46 @@ def test_signed_frames_that_our_clock_refuses_are_told_within_five_seconds_with_
 ):
     made, wall = signed_loop(tmp_path, -3600.0)
     said = beats(made, wall, 5)
-    assert "signing: autopilot's clock 3600 s behind ours" in said
-    assert any(text.startswith("autopilot: 20") for text in said)
-    assert any(text.startswith("this computer: 20") for text in said)
-    assert said[-1] == "set the clock that is wrong, then start again"
+    assert "signing: autopilot clock 3600 s behind" in said
+    assert any(text.startswith("autopilot signing clock: 20") for text in said)
+    assert any(text.startswith("companion clock: 20") for text in said)
+    assert said[-1] == "on the ground: set the clock, restart companion"
     assert beats(made, wall, 30) == []
     made.recorder.close()
 
 
 def test_a_flood_of_strangers_is_told_once(station):
     station.identify()
-    station.wire.strangers = 7
-    words = [m.text for n in range(5) for m in heard_after(station, n)]
-    assert words.count("strangers flood the link: not heard") == 1
+    station.wire.rejected_packets = 7
+    words = texts(flown(station, 0, 50, 10))
+    assert words.count("unknown senders flood the link: theirs dropped") == 1
 
 
-def heard_after(station: Station, second: int) -> list[Any]:
-    station.put(*station.telemetry(1000 * second), station.sync(float(second)))
-    return [m for m in station.turn() if m.get_type() == "STATUSTEXT"]
+def texts(messages: list[Any]) -> list[str]:
+    return [m.text for m in messages if m.get_type() == "STATUSTEXT"]
+
+
+def ticks_of(station: Station) -> list[Tick]:
+    """Return a list to which each later tick of the pilot is appended."""
+    ticks: list[Tick] = []
+    take = station.pilot.process_event
+
+    def handle(event: Any) -> list[Any]:
+        if isinstance(event, Tick):
+            ticks.append(event)
+        return take(event)
+
+    station.pilot.process_event = handle  # type: ignore[method-assign]
+    return ticks
+
+
+def flown(station: Station, *tenths: int) -> list[Any]:
+    """Send telemetry and a tick at each tenth of a second; return the messages sent."""
+    said: list[Any] = []
+    for k in range(*tenths):
+        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
+        said += station.turn()
+    return said
 
 
 @pytest.mark.parametrize("off_s", [0.0, -30.0, 3600.0])
@@ -191,7 +196,7 @@ def test_signed_frames_of_a_clock_that_agrees_or_is_ahead_are_heard(tmp_path, of
 
 
 def claims(station: Station) -> list[Any]:
-    """What a second companion says: the same frames as ours would be, by another hand."""
+    """Return a second companion's frames: equal to the own ones, but from another sender."""
     said = [mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)]
     return [bytes(m.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=191))) for m in said]
 
@@ -199,15 +204,15 @@ def claims(station: Station) -> list[Any]:
 def test_our_own_frames_that_the_wiring_echoes_are_nobody_else(station):
     station.identify()
     station.put(*station.telemetry(3500), station.sync(3.5))
-    while station.wire.incoming:
+    while station.wire.received:
         station.loop.step()
     own = list(station.wire.sent)
     phase = station.pilot.phase
     assert phase is not Phase.IDENTIFY
-    station.wire.incoming.extend(own)
+    station.wire.received.extend(own)
     station.turn()
     assert station.pilot.phase is phase
-    station.wire.incoming.extend(claims(station))
+    station.wire.received.extend(claims(station))
     station.turn()
     assert station.pilot.phase is Phase.PASSIVE
 
@@ -233,12 +238,12 @@ def test_a_timesync_request_is_answered_last_after_everything_before_it_was_hand
 
 def test_what_is_said_leaves_together_in_whole_frames_that_an_ethernet_carries(station):
     for _ in range(40):
-        station.loop.send(mavlink.MAVLink_statustext_message(6, b"x" * 50))
-    station.loop.flush()
+        station.loop.send_queue.queue_message(mavlink.MAVLink_statustext_message(6, b"x" * 50))
+    station.loop.send_queue.send_queued_frames()
     sent = station.wire.sent
     assert [len(data) <= 1400 for data in sent] == [True, True]  # 40 frames of 63 bytes
     assert sum(len(station.ear.parse_buffer(data) or []) for data in sent) == 40
-    station.loop.flush()
+    station.loop.send_queue.send_queued_frames()
     assert len(sent) == 2
 
 
@@ -254,84 +259,69 @@ def test_a_repeated_request_is_answered_again_but_ticks_once(station):
 
 def test_without_timesync_telemetry_itself_ticks_about_ten_times_a_second(station):
     station.identify()
-    ticks = []
-    take = station.pilot.handle
-    station.pilot.handle = lambda event: (
-        ticks.append(event.t_s) if type(event).__name__ == "Tick" else None,
-        take(event),
-    )[1]
+    ticks = ticks_of(station)
     for ms in range(0, 10_000, 20):
         station.put(mavlink.MAVLink_attitude_message(ms, 0, 0, 0, 0, 0, 0))
     station.turn()
     assert 80 <= len(ticks) <= 101
-    assert ticks == sorted(ticks)
+    assert [tick.t_s for tick in ticks] == sorted(tick.t_s for tick in ticks)
 
 
 @pytest.mark.parametrize("asked", [False, True])
 def test_when_late_it_hears_everything_before_it_decides_and_orders_again(station, asked):
-    # A busy computer: two seconds of telemetry wait. An order given at their beginning would count
-    # its time-outs from there, and be found disobeyed by telemetry older than itself.
+    # A busy computer: two seconds of telemetry wait. An order given at their start would count its
+    # time-outs from there, and be found disobeyed by telemetry older than the order.
     station.identify()
-    station.loop.wall_clock_s = lambda: 0.0  # else a slow machine decides before it has heard all
-    ticks = []
-    take = station.pilot.handle
-    station.pilot.handle = lambda event: (
-        ticks.append(event) if type(event).__name__ == "Tick" else None,
-        take(event),
-    )[1]
-    station.wire.tells_waiting = True
+    station.wall_clock_s = lambda: 0.0  # else a slow machine decides before it has read all
+    ticks = ticks_of(station)
+    station.wire.reports_queue_length = True
     for k in range(200):
         station.put(mavlink.MAVLink_attitude_message(10 * k, 0, 0, 0, 0, 0, 0))
         if asked and k % 10 == 0:
             station.put(station.sync(0.01 * k))
     said = station.turn()
-    decided = [tick.t_s for tick in ticks if not tick.late]
-    assert decided[1] >= 1.5  # the first has none before it, and is not put off
+    decided = [tick.t_s for tick in ticks if not tick.is_backlog]
+    assert decided[1] >= 1.5  # the first has no predecessor, so it is not delayed
     assert len(decided) <= 6
-    assert len(ticks) >= 19  # the estimators miss nothing
+    assert len(ticks) >= 19  # the estimators receive all ticks
     if asked:
         assert sum(m.get_type() == "TIMESYNC" for m in said) == 20
 
 
-def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station):
+def test_a_link_that_is_always_behind_does_not_keep_it_from_deciding(station, monkeypatch):
     station.identify()
-    station.wire.waiting = lambda: 1_000_000
-    ticks = []
-    take = station.pilot.handle
-    station.pilot.handle = lambda event: (
-        ticks.append(event) if type(event).__name__ == "Tick" else None,
-        take(event),
-    )[1]
+    monkeypatch.setattr(MemoryLink, "queued_chunk_count", lambda self: 1_000_000)
+    ticks = ticks_of(station)
     now = [100.0]
-    station.loop.wall_clock_s = lambda: now[0]
+    station.wall_clock_s = lambda: now[0]
     for k in range(100):
         now[0] += 0.1
         station.put(mavlink.MAVLink_attitude_message(100 * k, 0, 0, 0, 0, 0, 0))
         station.turn()
     assert len(ticks) == 100
-    assert 10 <= sum(not tick.late for tick in ticks) <= 21
+    assert 10 <= sum(not tick.is_backlog for tick in ticks) <= 21
 
 
 class Stalled:
-    """A station whose computer stands still at a wall clock of the test's own."""
+    """A station whose computer stalls at a wall clock set by the test."""
 
     def __init__(self, station: Station) -> None:
         self.station, self.wall_s = station, 100.0
-        station.loop.wall_clock_s = lambda: self.wall_s
-        station.wire.tells_waiting = True
+        station.wall_clock_s = lambda: self.wall_s
+        station.wire.reports_queue_length = True
         station.identify()
         self.ticks: list[Tick] = []
         self.told_silent = False
-        station.pilot.handle = self._handle  # type: ignore[method-assign]
+        station.pilot.process_event = self._handle  # type: ignore[method-assign]
         self.hear(1.0)
 
     def _handle(self, event: Any) -> list[Any]:
-        """A pilot that lets go in any mode but its own, and orders nothing by itself."""
+        """A pilot that releases control in any other mode, and gives no orders itself."""
         self.told_silent = self.told_silent or isinstance(event, LinkSilent)
         if isinstance(event, Tick):
             self.ticks.append(event)
         if isinstance(event, VehicleState) and event.mode is not Mode.MISSION:
-            return [DropOrders()]
+            return [CancelOrders()]
         return []
 
     def beat(self, mode: int) -> Any:
@@ -340,14 +330,14 @@ class Stalled:
         return mavlink.MAVLink_heartbeat_message(2, 12, 0b10000001, custom, 4, 3)
 
     def arrive(self, first_s: float, last_s: float, mode: int) -> None:
-        """Telemetry of some seconds arrives, a heartbeat in each."""
+        """Deliver the telemetry of some seconds, with a heartbeat in each."""
         for k in range(round(10 * first_s), round(10 * last_s)):
             if k % 10 == 5:
                 self.station.put(self.beat(mode))
             self.station.put(*self.station.telemetry(100 * k), self.station.sync(0.1 * k))
 
     def hear(self, t_s: float) -> list[Any]:
-        """The telemetry of one instant, at once; what is said then, but for TIMESYNC."""
+        """Deliver the telemetry of one instant; return the messages sent, except TIMESYNC."""
         self.wall_s += 0.1
         self.station.put(*self.station.telemetry(round(1000 * t_s)), self.station.sync(t_s))
         return self.commands()
@@ -362,22 +352,24 @@ def test_safety_rule_1_after_a_stall_all_that_waited_is_heard_before_anything_is
     still.arrive(1.1, 7.0, mode=4)
     assert still.commands() == []
     since = [tick for tick in still.ticks if tick.t_s > 1.05]
-    assert len(since) > 55  # the estimators miss nothing
-    assert all(tick.late for tick in since)
+    assert len(since) > 55  # the estimators receive all ticks
+    assert all(tick.is_backlog for tick in since)
     still.hear(7.1)
-    assert still.ticks[-1].late  # the newest may have been dropped: no heartbeat came since
+    assert still.ticks[
+        -1
+    ].is_backlog  # no heartbeat came since: the latest one may have been dropped
     station.put(still.beat(4))
     still.hear(7.2)
-    assert not still.ticks[-1].late
-    assert not station.loop.hearing.is_late
+    assert not still.ticks[-1].is_backlog
+    assert not station.loop.backlog.is_vehicle_state_unconfirmed
 
 
 def test_safety_rule_1_an_order_from_before_a_stall_does_not_leave_before_it_is_examined(station):
     still = Stalled(station)
-    station.loop.carry_out([SetMode(Mode.MISSION)])
+    station.loop.execute_actions([SetMode(Mode.MISSION)])
     still.wall_s += 6.0
-    still.arrive(1.1, 7.0, mode=3)  # a pilot took over meanwhile
-    station.loop.flush()
+    still.arrive(1.1, 7.0, mode=3)  # an operator took control in the meantime
+    station.loop.send_queue.send_queued_frames()
     assert still.commands() == []
     station.put(still.beat(3))
     assert [still.hear(7.0 + 0.1 * k) for k in range(1, 40)] == [[]] * 39
@@ -385,13 +377,13 @@ def test_safety_rule_1_an_order_from_before_a_stall_does_not_leave_before_it_is_
 
 def test_safety_rule_1_dropped_orders_that_are_encoded_already_do_not_leave(station):
     still = Stalled(station)
-    station.loop.carry_out([SetGroundSpeed(8.0), SetMode(Mode.MISSION), DropOrders()])
+    station.loop.execute_actions([SetGroundSpeed(8.0), SetMode(Mode.MISSION), CancelOrders()])
     assert [still.hear(1.0 + 0.1 * k) for k in range(1, 20)] == [[]] * 19
 
 
 def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(station):
     still = Stalled(station)
-    station.loop.carry_out([SetGroundSpeed(8.0)])
+    station.loop.execute_actions([SetGroundSpeed(8.0)])
     still.wall_s += 6.0
     still.arrive(1.1, 7.0, mode=4)
     assert still.commands() == []
@@ -401,12 +393,12 @@ def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(sta
 
 
 def test_a_stall_during_which_the_vehicles_time_stood_still_changes_nothing(station):
-    # Lockstep on a busy machine: the world waits, and the same seed must give the same decisions.
+    # Lockstep on a busy machine: the simulation waits, and the same seed gives the same decisions.
     still = Stalled(station)
-    station.loop.carry_out([SetMode(Mode.MISSION)])
+    station.loop.execute_actions([SetMode(Mode.MISSION)])
     still.wall_s += 6.0
     assert len(still.hear(1.1)) == 1
-    assert not still.ticks[-1].late
+    assert not still.ticks[-1].is_backlog
 
 
 def test_a_stall_of_our_own_is_no_silence_of_the_link(station):
@@ -424,12 +416,12 @@ def test_an_fsync_that_hangs_delays_no_answer(station, monkeypatch):
     answered = 0
     for k in range(1, 300):
         station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
-        station.loop.carry_out([SaveCheckpoint({"k": k}, routine=k % 50 > 0)])
+        station.loop.execute_actions([SaveCheckpoint({"k": k}, routine=k % 50 > 0)])
         answered += sum(m.get_type() == "TIMESYNC" for m in station.turn())
     assert answered == 299
     assert not (station.recorder.run_dir / "checkpoint.json").exists()  # the disk still hangs
     hangs.set()
-    station.recorder.settle()
+    station.recorder.wait_until_stored()
     kept = json.loads((station.recorder.run_dir / "checkpoint.json").read_text())
     assert json.loads(kept["content"]) == {"k": 299}
 
@@ -437,15 +429,11 @@ def test_an_fsync_that_hangs_delays_no_answer(station, monkeypatch):
 def test_that_a_record_is_given_up_is_said_once(tmp_path):
     (tmp_path / "file").write_text("no folder")
     station = Station(tmp_path / "file" / "run")
-    station.recorder.settle()
+    station.recorder.wait_until_stored()
     station.identify()
-    said = []
-    for k in range(1, 30):
-        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
-        said += [m.text for m in station.turn() if m.get_type() == "STATUSTEXT"]
-    assert [text for text in said if "record" in text] == [
-        "record given up, companion.log: Not a directory"
-    ]
+    said = texts(flown(station, 1, 30))
+    words = "recording stopped, companion.log: Not a directory"
+    assert [text for text in said if "record" in text] == [words]
     station.recorder.close()
 
 
@@ -454,10 +442,7 @@ def test_its_heartbeat_comes_once_a_second_as_an_onboard_controller_of_the_vehic
 ):
     station = Station(tmp_path, system=7)
     station.identify()
-    beats = []
-    for k in range(100):
-        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
-        beats += [m for m in station.turn() if m.get_type() == "HEARTBEAT"]
+    beats = [m for m in flown(station, 100) if m.get_type() == "HEARTBEAT"]
     station.recorder.close()
     assert 9 <= len(beats) <= 13  # one more at each change of phase
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in beats} == {(7, 191)}
@@ -468,7 +453,7 @@ def test_named_values_leave_one_a_tick_so_that_the_autopilots_log_keeps_them_all
     # PX4's ULog kept LW_ENERGY and LW_PSUCC, the last of each burst, and nothing else (flown).
     station.identify()
     wanted = {f"LW_{k}": float(k) for k in range(7)}
-    station.loop.carry_out([Publish(wanted)])
+    station.loop.execute_actions([PublishValues(wanted)])
     heard: list[list[Any]] = []
     for k in range(1, 10):
         station.put(station.sync(0.1 * k))
@@ -479,15 +464,9 @@ def test_named_values_leave_one_a_tick_so_that_the_autopilots_log_keeps_them_all
 
 
 def test_safety_rule_1_beside_another_computer_it_stands_by_and_only_reports(station):
-    other = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-    station.wire.incoming.append(
-        bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(other))
-    )
+    station.wire.received.extend(claims(station))
     station.identify()
-    said = []
-    for k in range(60):
-        station.put(*station.telemetry(100 * k), station.sync(0.1 * k))
-        said += station.turn()
+    said = flown(station, 60)
     assert station.pilot.phase is Phase.PASSIVE
     kinds = {m.get_type() for m in said}
     assert kinds <= {"HEARTBEAT", "TIMESYNC", "NAMED_VALUE_FLOAT", "STATUSTEXT"}
@@ -495,6 +474,9 @@ def test_safety_rule_1_beside_another_computer_it_stands_by_and_only_reports(sta
 
 
 def test_garbage_foreigners_nan_and_torn_frames_change_nothing_that_it_says(tmp_path):
+    def attitude(ms: int, roll_rad: float, mav: Any) -> bytes:
+        return bytes(mavlink.MAVLink_attitude_message(ms, roll_rad, 0, 0, 0, 0, 0).pack(mav))
+
     def flight(folder: Path, noisy: bool) -> list[dict[str, Any]]:
         station, rng = Station(folder), random.Random(3)
         foreign = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
@@ -504,22 +486,14 @@ def test_garbage_foreigners_nan_and_torn_frames_change_nothing_that_it_says(tmp_
             for message in station.telemetry(100 * k):
                 station.put(message)
                 if noisy:
-                    whole = station.wire.incoming[-1]
-                    station.wire.incoming += [
+                    whole = station.wire.received[-1]
+                    station.wire.received += [
                         rng.randbytes(rng.randint(1, 300)),
                         whole[: rng.randint(1, len(whole) - 1)],
-                        whole,  # a duplicate
-                        bytes(
-                            mavlink.MAVLink_attitude_message(999_999, math.nan, 0, 0, 0, 0, 0).pack(
-                                foreign
-                            )
-                        ),
+                        whole,  # duplicate
+                        attitude(999_999, math.nan, foreign),
                         bytes(mavlink.MAVLink_heartbeat_message(2, 3, 128, 5, 4, 3).pack(foreign)),
-                        bytes(
-                            mavlink.MAVLink_attitude_message(100 * k, math.inf, 0, 0, 0, 0, 0).pack(
-                                station.mav
-                            )
-                        ),
+                        attitude(100 * k, math.inf, station.mav),
                     ]
             station.put(station.sync(0.1 * k))
             said += [m.to_dict() for m in station.turn()]
@@ -536,24 +510,15 @@ def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path
     def broken(event: Any) -> list[Any]:
         raise RuntimeError("boom")
 
-    station.pilot.handle = broken  # type: ignore[method-assign]
+    station.pilot.process_event = broken  # type: ignore[method-assign]
     station.put(*station.telemetry(1000), station.sync(1.0))
-    assert (
-        run_module.fly_to_the_end(
-            run_module.Run(station.loop, station.recorder, station.pilot, FolderLock(None))
-        )
-        == BROKEN
-    )
+    run = run_module.Run(station.loop, station.recorder, station.pilot, FolderLock(None))
+    assert run_module.run_until_exit_and_return_code(run) == INTERNAL_ERROR
     log = (tmp_path / "companion.log").read_text()
     assert "boom" in log
     assert "Traceback" in log
-    texts = [
-        m.text
-        for data in station.wire.sent
-        for m in station.ear.parse_buffer(data) or []
-        if m.get_type() == "STATUSTEXT"
-    ]
-    assert texts == ["companion broken: mission aboard goes home"]
+    sent = [m for data in station.wire.sent for m in station.ear.parse_buffer(data) or []]
+    assert texts(sent) == ["companion failed: it sends no more commands"]
     assert json.loads((tmp_path / "result.json").read_text())["phase"] == "configure"
 
 
@@ -570,7 +535,7 @@ def test_nothing_is_ticked_while_the_clock_is_in_doubt(station):
 
 
 def fix(ms: int) -> list[object]:
-    """What a position needs beside itself to be believed."""
+    """The messages that the companion needs to accept a position estimate."""
     return [
         mavlink.MAVLink_gps_raw_int_message(
             1000 * ms, 3, 554_700_000, 84_500_000, 12_000, 60, 60, 0, 0, 14
@@ -583,16 +548,19 @@ def fix(ms: int) -> list[object]:
 
 
 def test_the_loop_ticks_and_beats_while_a_plan_takes_long(station, monkeypatch):
-    """The vehicle hears its companion all the while; the plan counts once it is there."""
-    begun, go_on = threading.Event(), threading.Event()
-    real = FindPlan.work
+    """The vehicle receives heartbeats throughout; the plan takes effect when it is complete."""
+    begun, go_on, finished = threading.Event(), threading.Event(), threading.Event()
+    real = FindPlan.compute_plan
 
     def slow(asked: FindPlan):
         begun.set()
         assert go_on.wait(60.0)
-        return real(asked)
+        try:
+            return real(asked)
+        finally:
+            finished.set()
 
-    monkeypatch.setattr(FindPlan, "work", slow)
+    monkeypatch.setattr(FindPlan, "compute_plan", slow)
     station.identify()
 
     def second(number: int) -> list[str]:
@@ -613,7 +581,8 @@ def test_the_loop_ticks_and_beats_while_a_plan_takes_long(station, monkeypatch):
         assert heard.count("TIMESYNC") == 10
     assert station.pilot.flight_plan is None
     go_on.set()
-    for _ in range(600):
+    assert finished.wait(60.0)
+    for _ in range(60):
         number += 1
         second(number)
         if station.pilot.flight_plan is not None:

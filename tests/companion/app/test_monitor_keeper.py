@@ -1,4 +1,4 @@
-"""The monitor's record through flights, kills, torn files and a change of what was promised."""
+"""The monitor's stored record through flights, kills, torn files and changed certificates."""
 
 import math
 
@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from companion.adapters.files.monitor_file import read_service
+from companion.adapters.files.monitor_file import read_service_record
 from companion.adapters.files.params import (
     params_dir,
     read_airframe,
@@ -16,9 +16,9 @@ from companion.adapters.files.params import (
 from companion.app.cli.main import app
 from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.core.mission.actions import Finished
-from companion.core.monitor.doubts import NO_DOUBTS, Doubts
-from companion.core.monitor.figures import FlightFigures, LogRatio
-from companion.core.pilot.estimates import Estimates
+from companion.core.monitor.corrections import NO_CORRECTIONS, MonitorCorrections
+from companion.core.monitor.flight_evidence import FlightEvidence, LogRatio
+from companion.core.pilot.estimates import FlightEstimates
 from companion.core.routing.leg_energy import RouteEnergy
 
 AIRFRAME = read_airframe("m100")
@@ -30,8 +30,8 @@ def at_once(deed):
 
 
 def ended(draw, took_off_s):
-    told = FlightFigures(LogRatio(math.log(draw), 0.028))
-    return Finished("SUC", True, "home", took_off_s=took_off_s, figures=told)
+    told = FlightEvidence(LogRatio(math.log(draw), 0.028))
+    return Finished("SUC", True, "home", takeoff_s=took_off_s, flight_statistics=told)
 
 
 class Service:
@@ -41,16 +41,18 @@ class Service:
         self.folder, self.flights = folder, 0
 
     def open(self, airframe=AIRFRAME):
-        keeper = MonitorKeeper.open(self.folder, "d1", airframe, "A", "digest")
+        keeper = MonitorKeeper.read_or_create(self.folder, "d1", airframe, "A", "digest")
         keeper.epoch_s = lambda: self.flights // 10 * DAY_S + self.flights % 10 * 1800.0
-        keeper.begin(at_once)
+        keeper.replace_damaged_record(at_once)
         return keeper
 
     def fly(self, draw, flights=1):
         said = []
         for _ in range(flights):
             self.flights += 1
-            said += self.open().take(ended(draw, float(self.flights)), at_once)[1]
+            said += self.open().record_flight_and_get_new_findings(
+                ended(draw, float(self.flights)), at_once
+            )[1]
         return said
 
 
@@ -64,16 +66,16 @@ def test_an_alarm_comes_once_and_outlives_the_companion(service):
     said = service.fly(1.15, 30)
     assert len(said) == 1
     assert "companion monitor reset draw" in said[0]
-    assert service.open().doubts.draw_log == pytest.approx(math.log(1.15), abs=0.01)
+    assert service.open().corrections.draw_log == pytest.approx(math.log(1.15), abs=0.01)
 
 
 def test_a_companion_that_is_killed_before_its_record_is_written_loses_no_earlier_flight(service):
     service.fly(1.0, 3)
-    service.open().take(ended(1.0, 99.0), lambda deed: None)
+    service.open().record_flight_and_get_new_findings(ended(1.0, 99.0), lambda deed: None)
     assert service.open().service.flights == 3
-    # It comes up again, sees the same landing, and this time the disk takes it; then twice.
+    # After the restart it sees the same landing, and the disk accepts it; then twice.
     for _ in range(2):
-        service.open().take(ended(1.0, 99.0), at_once)
+        service.open().record_flight_and_get_new_findings(ended(1.0, 99.0), at_once)
     assert service.open().service.flights == 4
 
 
@@ -96,19 +98,19 @@ def test_a_torn_record_says_so_and_begins_anew_with_the_careful_belief(service, 
     break_it(path)
     broken = path.read_bytes()
     keeper = service.open()
-    assert "begins anew" in keeper.trouble
-    assert str(path) in keeper.trouble
-    assert keeper.doubts.draw_log == pytest.approx(math.log(1.1))
+    assert "record reset" in keeper.error_text
+    assert str(path) in keeper.error_text
+    assert keeper.corrections.draw_log == pytest.approx(math.log(1.1))
     assert path.with_suffix(".broken").read_bytes() == broken
-    again = service.open()  # a companion killed at once after that is as careful
-    assert again.trouble == ""
-    assert again.doubts == keeper.doubts
+    again = service.open()  # a companion killed right after that is equally cautious
+    assert again.error_text == ""
+    assert again.corrections == keeper.corrections
 
 
 def test_a_flight_that_never_was_is_not_counted(service):
     keeper = service.open()
     grounded = Finished("ABRT", False, "never took off", home=True)
-    assert keeper.take(grounded, at_once) == (grounded, ())
+    assert keeper.record_flight_and_get_new_findings(grounded, at_once) == (grounded, ())
     assert not (service.folder / "d1.json").exists()
 
 
@@ -116,23 +118,25 @@ def test_another_airframe_file_begins_the_draw_anew_on_record(service):
     service.fly(1.15, 30)
     power = msgspec.structs.replace(AIRFRAME.power_rotor, drive_efficiency=0.8)
     keeper = service.open(msgspec.structs.replace(AIRFRAME, power_rotor=power))
-    assert keeper.doubts == NO_DOUBTS
-    assert keeper.service.resets[-1].why == "the airframe file has changed"
+    assert keeper.corrections == NO_CORRECTIONS
+    assert keeper.service.resets[-1].reason == "the airframe file has changed"
 
 
 def test_the_command_shows_an_alarm_and_a_person_resets_it_by_name(service):
+    def monitor(*words):
+        return CliRunner().invoke(app, ["monitor", *words, "--monitor", str(service.folder)])
+
     service.fly(1.15, 30)
-    runner = CliRunner()
-    shown = runner.invoke(app, ["monitor", "status", "--monitor", str(service.folder)])
+    shown = monitor("status")
     assert shown.exit_code == 0
     assert "ALARM  draw: 30 flights" in shown.output
-    asked = ["monitor", "reset", "draw", "--by", "Kim", "--monitor", str(service.folder)]
-    assert runner.invoke(app, asked).exit_code == 2, "without a reason"
-    assert runner.invoke(app, [*asked, "--why", "new propellers"]).exit_code == 0
-    kept = read_service(service.folder / "d1.json")
+    asked = ["reset", "draw", "--by", "Kim"]
+    assert monitor(*asked).exit_code == 2, "without a reason"
+    assert monitor(*asked, "--why", "new propellers").exit_code == 0
+    kept = read_service_record(service.folder / "d1.json")
     assert kept is not None
     assert kept.draw.alarm_flight is None
-    after = runner.invoke(app, ["monitor", "status", "--monitor", str(service.folder)]).output
+    after = monitor("status").output
     assert "nothing is in doubt" in after
     assert "draw reset after flight 30 by Kim: new propellers" in after
 
@@ -140,13 +144,20 @@ def test_the_command_shows_an_alarm_and_a_person_resets_it_by_name(service):
 def estimates(doubts):
     flight = read_flight(params_dir() / "flights" / "default.toml")
     process = read_wind_process("coast")
-    return Estimates(flight, AIRFRAME, RouteEnergy(AIRFRAME), process, doubts=doubts)
+    return FlightEstimates(
+        flight, AIRFRAME, RouteEnergy(AIRFRAME), process, monitor_corrections=doubts
+    )
 
 
 def test_what_is_in_doubt_enters_the_estimates_and_nothing_else_does():
-    usual, untroubled = estimates(NO_DOUBTS).snapshot(), estimates(Doubts()).snapshot()
+    usual, untroubled = (
+        estimates(NO_CORRECTIONS).snapshot(),
+        estimates(MonitorCorrections()).snapshot(),
+    )
     assert usual == untroubled
-    doubted = estimates(Doubts(draw_log=0.1, draw_std=0.03, capacity_frac=0.8, wind_variance=2.0))
+    doubted = estimates(
+        MonitorCorrections(draw_log=0.1, draw_std=0.03, capacity_frac=0.8, wind_variance=2.0)
+    )
     kept = doubted.snapshot()
     assert kept["ledger"]["usable_full_wh"] == pytest.approx(
         0.8 * usual["ledger"]["usable_full_wh"]

@@ -1,4 +1,4 @@
-"""What a run reads and leaves: files, checkpoint, decision log, stream; whole after any end."""
+"""Files that a run reads and writes: checkpoint, decision log, stream; intact after any exit."""
 
 import json
 import os
@@ -15,9 +15,13 @@ from pymavlink import mavutil
 from typer.testing import CliRunner
 
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
-from companion.adapters.files.checkpoint_file import NAME, read_checkpoint, write_checkpoint
+from companion.adapters.files.checkpoint_file import (
+    CHECKPOINT_NAME,
+    checkpoint_write_job,
+    read_checkpoint,
+)
 from companion.adapters.files.params import (
-    digest_of,
+    flight_configuration_digest,
     params_dir,
     read_airframe,
     read_flight,
@@ -27,22 +31,22 @@ from companion.adapters.files.params import (
 from companion.adapters.logs.decision_log import (
     SCHEMAS,
     DecisionLog,
-    free_name,
-    read_log,
-    read_rows,
+    iterate_mcap_rows,
+    next_free_path,
+    read_mcap_rows,
 )
-from companion.adapters.logs.open_log import open_log
-from companion.adapters.logs.tlog_writer import Tlog
+from companion.adapters.logs.open_log import read_log_of_any_format
+from companion.adapters.logs.tlog_writer import TlogFile
 from companion.app.cli.main import app
 from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
-from companion.core.mission.events import Attitude, AutopilotKind
+from companion.core.mission.events import Attitude, AutopilotDetected, AutopilotKind
 from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
-from companion.core.pilot.ground_sequence import SettingChange
+from companion.core.pilot.ground.autopilot_settings import SettingChange
 from companion.core.pilot.telemetry_state import TelemetryState
-from companion.core.routing.route_planner import Plan, RallyWay
+from companion.core.routing.route_planner import Plan, RallySite
 
 ROOT = Path(__file__).parents[3]
 PLAN = Plan(
@@ -51,7 +55,7 @@ PLAN = Plan(
     outbound_ned_m=((100.0, 0.0, -40.0),),
     return_ned_m=((0.0, 0.0, -40.0),),
     entry=(0,),
-    rally=(RallyWay("quay", (50.0, 50.0, 0.0), (0,), ()),),
+    rally=(RallySite("quay", (50.0, 50.0, 0.0), (0,), ()),),
     home_ground_speed_mps=9.0,
     energy_wh=20.0,
     time_s=100.0,
@@ -80,40 +84,31 @@ KEPT = Checkpoint(
 # --- checkpoint ----------------------------------------------------------------------------------
 
 
-def test_a_checkpoint_comes_back_as_it_went(tmp_path):
-    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
+def test_a_checkpoint_comes_back_as_it_went_and_after_a_write_that_dies_halfway(tmp_path):
+    checkpoint_write_job(tmp_path, checkpoint_to_dict(KEPT))()
     assert read_checkpoint(tmp_path, "abc") == KEPT
     assert read_checkpoint(tmp_path / "nowhere", "abc") is None
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
-def test_a_torn_checkpoint_is_known_for_one(tmp_path, share):
-    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
-    path = tmp_path / NAME
-    data = path.read_bytes()
-    path.write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(LeewayError, match=r"checkpoint\.json: not a whole checkpoint"):
-        read_checkpoint(tmp_path, "abc")
-
-
-def test_a_checkpoint_with_one_flipped_digit_is_not_believed(tmp_path):
-    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
-    path = tmp_path / NAME
-    path.write_text(path.read_text().replace("120.5", "520.5"))
-    with pytest.raises(LeewayError, match="checksum"):
-        read_checkpoint(tmp_path, "abc")
-
-
-def test_a_checkpoint_of_another_flight_is_not_ours(tmp_path):
-    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
-    with pytest.raises(LeewayError, match="another flight"):
-        read_checkpoint(tmp_path, "xyz")
-
-
-def test_a_write_that_dies_halfway_leaves_the_checkpoint_before(tmp_path):
-    write_checkpoint(tmp_path, checkpoint_to_dict(KEPT))
-    (tmp_path / f"{NAME}.new").write_text('{"crc32": 1, "con')
+    (tmp_path / f"{CHECKPOINT_NAME}.new").write_text('{"crc32": 1, "con')
     assert read_checkpoint(tmp_path, "abc") == KEPT
+
+
+@pytest.mark.parametrize(
+    ("changed", "flight", "words"),
+    [
+        *(
+            (lambda text, share=share: text[: int(len(text) * share)], "abc", r"incomplete or")
+            for share in (0.0, 0.1, 0.5, 0.9, 0.99)
+        ),
+        (lambda text: text.replace("120.5", "520.5"), "abc", "checksum"),
+        (lambda text: text, "xyz", "another flight"),
+    ],
+)
+def test_a_torn_changed_or_foreign_checkpoint_is_known_for_one(tmp_path, changed, flight, words):
+    checkpoint_write_job(tmp_path, checkpoint_to_dict(KEPT))()
+    path = tmp_path / CHECKPOINT_NAME
+    path.write_text(changed(path.read_text()))
+    with pytest.raises(LeewayError, match=rf"checkpoint\.json: .*{words}"):
+        read_checkpoint(tmp_path, flight)
 
 
 # --- decision log and result ---------------------------------------------------------------------
@@ -157,7 +152,7 @@ def test_after_kill_9_every_decision_that_was_made_is_in_the_log(tmp_path):
     )
     ended = subprocess.run([sys.executable, "-c", code, str(path)], cwd=ROOT, check=False)
     assert ended.returncode == -signal.SIGKILL
-    rows = [row for topic, row in read_rows(path) if topic == "said"]
+    rows = [row for topic, row in iterate_mcap_rows(path) if topic == "said"]
     assert [row["t_s"] for row in rows] == [float(k) for k in range(25)]
 
 
@@ -170,21 +165,21 @@ def test_a_log_cut_anywhere_gives_what_was_whole(tmp_path, cut):
     written = path.read_bytes()
     log.close()
     path.write_bytes(written[:-cut])
-    rows = [row["t_s"] for _, row in read_rows(path)]
+    rows = [row["t_s"] for _, row in iterate_mcap_rows(path)]
     assert rows == [float(k) for k in range(len(rows))]
     assert 7 <= len(rows) < 10
 
 
 def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_path):
     first = Recorder(tmp_path)
-    first.take(DECISION, 12.5)
-    first.take(WindReport(13.0, 1.0, 2.0, 0.1, 0.0, 0.1), 13.0)
-    first.settle()  # killed here: no result was written
-    second = Recorder(tmp_path, continues=True)
-    second.take(Decision(40.0, "recognised", "our mission"), 40.0)
-    second.take(Finished("SUC", True, "home"), 50.0)
+    first.record_action(DECISION, 12.5)
+    first.record_action(WindReport(13.0, 1.0, 2.0, 0.1, 0.0, 0.1), 13.0)
+    first.wait_until_stored()  # killed here: no result was written
+    second = Recorder(tmp_path, is_resumed=True)
+    second.record_action(Decision(40.0, "recognised", "our mission"), 40.0)
+    second.record_action(Finished("SUC", True, "home"), 50.0)
     changed = SettingChange("LOW_ACT", 0.0, 3.0, restored=True)
-    second.write_result(delivered=True, flown=None, phase="done", settings=[changed])
+    second.write_result_and_wait(delivered=True, flown=None, phase="done", settings=[changed])
     second.close()
     first.close()
     result = json.loads((tmp_path / "result.json").read_text())
@@ -197,12 +192,12 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
     assert {"t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason"} == set(
         result["decisions"][0]
     )
-    assert free_name(tmp_path / "decisions.mcap").name == "decisions-3.mcap"
+    assert next_free_path(tmp_path / "decisions.mcap").name == "decisions-3.mcap"
 
 
 def test_the_recorder_puts_checkpoints_on_disk(tmp_path):
     recorder = Recorder(tmp_path)
-    recorder.take(SaveCheckpoint(checkpoint_to_dict(KEPT)), 1.0)
+    recorder.record_action(SaveCheckpoint(checkpoint_to_dict(KEPT)), 1.0)
     recorder.close()
     assert read_checkpoint(tmp_path, "abc") == KEPT
     assert "gate" not in (tmp_path / "companion.log").read_text()
@@ -210,7 +205,7 @@ def test_the_recorder_puts_checkpoints_on_disk(tmp_path):
 
 def test_the_stream_opens_in_pymavlinks_log_reader(tmp_path):
     path = tmp_path / "stream.tlog"
-    tlog = Tlog(path)
+    tlog = TlogFile(path)
     codec = MavlinkCodec(datagrams=True)
     for k in range(3):
         message = mavlink.MAVLink_named_value_float_message(1000 * k, b"LW_PHOME", 0.5 + k)
@@ -228,7 +223,7 @@ def test_the_stream_opens_in_pymavlinks_log_reader(tmp_path):
     assert stamp > 1.6e15, "microseconds since 1970"
 
 
-# --- a disk that fails -----------------------------------------------------------------------
+# --- disk failures ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("opcode", [1, 5, 15, 200])
@@ -236,36 +231,36 @@ def test_garbage_that_begins_like_a_record_is_not_taken_for_a_log_that_was_cut_o
     tmp_path, opcode
 ):
     path = tmp_path / "decisions.mcap"
-    log = DecisionLog(path, wall_clock_us=lambda: 0)
+    log = DecisionLog(path, unix_clock_us=lambda: 0)
     log.write("said", {"t_s": 1.0, "text": "one", "severity": 6})
-    whole = path.read_bytes()  # as a companion that is killed leaves it
+    whole = path.read_bytes()  # as a killed companion leaves it
     log.close()
     path.write_bytes(whole + bytes([opcode]) + b"\xd3" * 500)
-    assert read_log(path).damage is not None
+    assert read_mcap_rows(path).error_text is not None
     path.write_bytes(whole + struct.pack("<BQ", 5, 800) + b"x" * 500)
-    assert read_log(path).damage is None, "cut off in the middle of a record"
+    assert read_mcap_rows(path).error_text is None, "cut off in the middle of a record"
 
 
 def test_a_torn_decision_log_is_moved_aside_and_what_was_whole_in_it_is_kept(tmp_path):
     first = Recorder(tmp_path)
     for k in range(20):
-        first.take(Decision(float(k), "go", "gate open"), float(k))
+        first.record_action(Decision(float(k), "go", "gate open"), float(k))
     first.close()
     path = tmp_path / "decisions.mcap"
     raw = bytearray(path.read_bytes())
     row = raw.index(b'{"t_s": 9.0')
     raw[row : row + 4] = b"\xff\xfe\x00{"
     path.write_bytes(raw)
-    second = Recorder(tmp_path, continues=True)
-    second.take(Decision(40.0, "recognised", "our mission"), 40.0)
-    second.write_result(delivered=False, flown=None, phase="outbound")
+    second = Recorder(tmp_path, is_resumed=True)
+    second.record_action(Decision(40.0, "recognised", "our mission"), 40.0)
+    second.write_result_and_wait(delivered=False, flown=None, phase="outbound")
     second.close()
     kinds = [d["kind"] for d in json.loads((tmp_path / "result.json").read_text())["decisions"]]
     assert kinds[-1] == "recognised"
     assert kinds.count("go") == 19
     assert (tmp_path / "decisions.mcap.torn-1").read_bytes() == raw
-    assert [row["kind"] for _, row in read_rows(path)] == ["recognised"]
-    assert "moved aside" in str(second.new_trouble())
+    assert [row["kind"] for _, row in iterate_mcap_rows(path)] == ["recognised"]
+    assert "moved aside" in str(second.take_next_error_text())
 
 
 @pytest.mark.parametrize("at_once", [True, False])
@@ -273,14 +268,14 @@ def test_in_a_folder_that_cannot_be_written_records_are_given_up_and_it_is_told(
     tmp_path, at_once, capsys
 ):
     (tmp_path / "file").write_text("no folder")
-    recorder = Recorder(tmp_path / "file" / "run", at_once=at_once)
-    recorder.take(DECISION, 12.5)
-    recorder.take(SaveCheckpoint(checkpoint_to_dict(KEPT)), 1.0)
-    recorder.stream(b"frame", 1.0)
-    recorder.write_result(delivered=True, flown=None, phase="done")
+    recorder = Recorder(tmp_path / "file" / "run", synchronous=at_once)
+    recorder.record_action(DECISION, 12.5)
+    recorder.record_action(SaveCheckpoint(checkpoint_to_dict(KEPT)), 1.0)
+    recorder.buffer_frame(b"frame", 1.0)
+    recorder.write_result_and_wait(delivered=True, flown=None, phase="done")
     recorder.close()
-    assert "companion.log: Not a directory" in str(recorder.new_trouble())
-    assert "record given up: companion.log: Not a directory" in capsys.readouterr().err
+    assert "companion.log: Not a directory" in str(recorder.take_next_error_text())
+    assert "recording stopped: companion.log: Not a directory" in capsys.readouterr().err
 
 
 # --- files ---------------------------------------------------------------------------------------
@@ -334,10 +329,10 @@ def test_a_digest_tells_flights_and_airframes_apart(tmp_path):
     coast = read_wind_process("coast")
     calmer = msgspec.structs.replace(coast, variance_m2ps2=(0.1, 0.1, 0.1))
     digests = {
-        digest_of(one, m100, coast),
-        digest_of(two, m100, coast),
-        digest_of(one, octo, coast),
-        digest_of(one, m100, calmer),
+        flight_configuration_digest(one, m100, coast),
+        flight_configuration_digest(two, m100, coast),
+        flight_configuration_digest(one, octo, coast),
+        flight_configuration_digest(one, m100, calmer),
     }
     assert len(digests) == 4
 
@@ -390,35 +385,20 @@ def test_without_an_autopilot_it_gives_up_with_exit_code_4(tmp_path):
     assert result_file["phase"] == "identify"
 
 
-def test_the_transition_table_can_be_printed():
-    assert "| ready | authorised | arm |" in runner.invoke(app, ["transitions"]).output
-    assert "stateDiagram" in runner.invoke(app, ["transitions", "--mermaid"]).output
+OF_OTHERS = ("matplotlib", "filterpy", "pandas", "pyulog", "networkx", "scipy.optimize")
 
 
-def test_in_flight_no_plotting_training_oracle_or_desk_library_is_loaded():
-    heavy = (
-        "matplotlib",
-        "torch",
-        "filterpy",
-        "pandas",
-        "pyulog",
-        "sqlalchemy",
-        "zenoh",
-        "networkx",
-        "scipy.optimize",
-    )
-    imports = "import sys; import companion.app.cli.main, companion.app.cli.flying"
-    code = f"{imports}; print([m for m in {heavy} if m in sys.modules])"
-    seen = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    assert seen.stdout.strip() == "[]"
-
-
-def test_the_simulators_commands_start_without_the_desks_and_the_planners_libraries():
-    heavy = ("zenoh", "numba", "sqlalchemy", "torch")
-    imports = "import sys; import sim_bridge.main"
-    code = f"{imports}; print([m for m in {heavy} if m in sys.modules])"
+@pytest.mark.sample
+@pytest.mark.parametrize(
+    ("modules", "heavy"),
+    [
+        ("companion.app.cli.main, companion.app.cli.flying", ("torch", "sqlalchemy", *OF_OTHERS)),
+        ("sim_bridge.main", ("numba", "sqlalchemy", "torch")),
+    ],
+)
+def test_no_plotting_training_oracle_or_desk_library_is_loaded_to_fly_or_to_start(modules, heavy):
+    heavy = ("zenoh", *heavy)
+    code = f"import sys; import {modules}; print([m for m in {heavy} if m in sys.modules])"
     seen = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )
@@ -427,16 +407,18 @@ def test_the_simulators_commands_start_without_the_desks_and_the_planners_librar
 
 def test_whose_autopilot_it_was_is_read_back_from_the_decision_log(tmp_path):
     recorder, now = Recorder(tmp_path), TelemetryState()
-    now.update(Attitude(3.0, 0.01, 0.02, 0.03))
-    recorder.heard(now, AutopilotKind.PX4, 7)
+    now.store_event(AutopilotDetected(3.0, AutopilotKind.PX4, 7))
+    now.store_event(Attitude(3.0, 0.01, 0.02, 0.03))
+    recorder.record_new_telemetry(now, 7)
     recorder.close()
-    log = open_log(tmp_path / "decisions.mcap")
+    log = read_log_of_any_format(tmp_path / "decisions.mcap")
     assert log.autopilot_kind is AutopilotKind.PX4
     assert not log.findings
-    rows = [row for topic, row in read_rows(tmp_path / "decisions.mcap") if "auto" in topic]
+    rows = [row for topic, row in iterate_mcap_rows(tmp_path / "decisions.mcap") if "auto" in topic]
     assert rows == [{"t_s": 3.0, "flavour": "px4", "system_id": 7}]
 
 
+@pytest.mark.sample
 def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
     command = [
         sys.executable, "-c", "from companion.app.cli.main import main; main()", "run",
@@ -457,7 +439,7 @@ def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
     process.communicate(timeout=20)
     assert process.returncode == 5
     assert json.loads((tmp_path / "result.json").read_text())["outcome"] is None
-    assert list(read_rows(tmp_path / "decisions.mcap")) is not None
+    assert list(iterate_mcap_rows(tmp_path / "decisions.mcap")) is not None
     assert "signal" in log.read_text()
 
 

@@ -1,9 +1,9 @@
-"""What is said of a document of another kind, and of a name that nothing has."""
+"""Error messages for a document of another kind and for an unknown name."""
 
 import pytest
 
-from companion.adapters.files.params import flight_path, params_dir, read_flight
-from companion.core.base.documents import expect_kind
+from companion.adapters.files.params import flight_file_path, params_dir, read_flight
+from companion.core.base.documents import check_not_other_document_kind
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.day_files import DayFilesError, read_day
 
@@ -20,11 +20,11 @@ def test_a_flight_given_as_a_day_is_called_a_flight_with_the_commands_that_take_
 
 @pytest.mark.parametrize("table", [{}, {"format": "flight/2"}, {"format": 7}, {"format": "x/1"}])
 def test_what_is_of_no_other_known_kind_is_left_to_the_schema(table):
-    expect_kind(table, "flight", "f.toml")
+    check_not_other_document_kind(table, "flight", "f.toml")
 
 
 def test_the_nearest_name_is_offered_and_none_where_nothing_is_near():
     with pytest.raises(LeewayError, match=r"^deflaut: no such flight, did you mean default\?"):
-        flight_path("deflaut")
+        flight_file_path("deflaut")
     with pytest.raises(LeewayError, match=r"^xyz: no such flight; names: .*default"):
-        flight_path("xyz")
+        flight_file_path("xyz")

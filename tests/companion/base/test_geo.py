@@ -1,4 +1,4 @@
-"""The local frame and the obstacles in it."""
+"""The local frame and obstacles in it."""
 
 import math
 
@@ -11,13 +11,13 @@ from companion.core.base.geo import (
     Obstacle,
     ObstacleMap,
     course_rad,
-    moved_deg,
-    offset_m,
-    place_ned,
+    location_to_ground_ned_m,
+    ne_offset_m,
+    offset_position_deg,
     wrap_pi,
 )
-from companion.core.base.obstacle_document import obstacles_of
-from companion.core.base.place import Place
+from companion.core.base.location import Location
+from companion.core.base.obstacle_document import parse_obstacles
 
 FRAME = LocalFrame(math.radians(55.47), math.radians(8.45), 12.0)
 BLOCK = Obstacle("block", ((100.0, -20.0), (100.0, 20.0), (140.0, 20.0), (140.0, -20.0)), 50.0)
@@ -50,11 +50,13 @@ def test_down_is_height_above_the_depot_not_above_the_tangent_plane() -> None:
 
 
 def test_places_come_geodetic_or_relative() -> None:
-    relative = Place(name="customer", east_m=100.0, north_m=-50.0, up_m=7.0)
-    assert place_ned(FRAME, relative) == (-50.0, 100.0, -7.0)
+    relative = Location(name="customer", east_m=100.0, north_m=-50.0, up_m=7.0)
+    assert location_to_ground_ned_m(FRAME, relative) == (-50.0, 100.0, -7.0)
     lat, lon, alt = FRAME.to_geodetic((-50.0, 100.0, -7.0))
-    geodetic = Place(lat_deg=math.degrees(lat), lon_deg=math.degrees(lon), alt_amsl_m=alt)
-    assert place_ned(FRAME, geodetic) == pytest.approx((-50.0, 100.0, -7.0), abs=0.01)
+    geodetic = Location(lat_deg=math.degrees(lat), lon_deg=math.degrees(lon), alt_amsl_m=alt)
+    assert location_to_ground_ned_m(FRAME, geodetic) == pytest.approx(
+        (-50.0, 100.0, -7.0), abs=0.01
+    )
 
 
 def feature(ring: list, **properties: object) -> dict:
@@ -67,7 +69,7 @@ SQUARE = [[8.451, 55.471], [8.452, 55.471], [8.452, 55.472], [8.451, 55.472], [8
 
 
 def test_geojson_polygons_become_obstacles_in_metres() -> None:
-    (block,) = obstacles_of(FRAME, feature(SQUARE, name="silo", height_m=75))
+    (block,) = parse_obstacles(FRAME, feature(SQUARE, name="silo", height_m=75))
     assert (block.name, block.height_m) == ("silo", 75.0)
     norths = [n for n, _ in block.ring_ne_m]
     assert min(norths) == pytest.approx(111.36, abs=0.2)
@@ -90,23 +92,29 @@ def test_geojson_polygons_become_obstacles_in_metres() -> None:
 )
 def test_a_broken_feature_is_refused_and_named(document: dict, names: str) -> None:
     with pytest.raises(LeewayError, match=names):
-        obstacles_of(FRAME, document)
+        parse_obstacles(FRAME, document)
 
 
 def test_a_line_through_over_and_past_an_obstacle() -> None:
     obstacles = ObstacleMap((BLOCK,), clearance_m=15.0, clearance_up_m=8.0)
-    assert obstacles.blocking((0.0, 0.0, -40.0), (300.0, 0.0, -40.0)) is BLOCK
-    assert obstacles.blocking((0.0, 0.0, -60.0), (300.0, 0.0, -60.0)) is None  # over: 50 + 8
-    assert obstacles.blocking((0.0, 34.0, -40.0), (300.0, 34.0, -40.0)) is BLOCK  # 14 m beside
-    assert obstacles.blocking((0.0, 36.0, -40.0), (300.0, 36.0, -40.0)) is None  # 16 m beside
-    assert obstacles.highest_m((0.0, 0.0, -60.0), (300.0, 0.0, -60.0)) == 50.0
+    assert obstacles.first_blocking_obstacle((0.0, 0.0, -40.0), (300.0, 0.0, -40.0)) is BLOCK
+    assert (
+        obstacles.first_blocking_obstacle((0.0, 0.0, -60.0), (300.0, 0.0, -60.0)) is None
+    )  # above: 50 + 8
+    assert (
+        obstacles.first_blocking_obstacle((0.0, 34.0, -40.0), (300.0, 34.0, -40.0)) is BLOCK
+    )  # 14 m to the side
+    assert (
+        obstacles.first_blocking_obstacle((0.0, 36.0, -40.0), (300.0, 36.0, -40.0)) is None
+    )  # 16 m to the side
+    assert obstacles.max_obstacle_height_near_line_m((0.0, 0.0, -60.0), (300.0, 0.0, -60.0)) == 50.0
 
 
 def test_a_climbing_line_is_judged_where_it_is_over_the_obstacle() -> None:
     obstacles = ObstacleMap((BLOCK,), clearance_m=10.0, clearance_up_m=5.0)
-    # From 20 m at 0 to 120 m at 200: at 90 m, where it enters, it is at 65 m; at 100 from 10: 59.5.
-    assert obstacles.blocking((0.0, 0.0, -20.0), (200.0, 0.0, -120.0)) is None
-    assert obstacles.blocking((0.0, 0.0, 0.0), (200.0, 0.0, -110.0)) is BLOCK
+    # From 20 m at 0 to 120 m at 200: at 90 m, the entry, it is at 65 m; at 100 from 10: 59.5.
+    assert obstacles.first_blocking_obstacle((0.0, 0.0, -20.0), (200.0, 0.0, -120.0)) is None
+    assert obstacles.first_blocking_obstacle((0.0, 0.0, 0.0), (200.0, 0.0, -110.0)) is BLOCK
 
 
 def test_courses_run_clockwise_from_north() -> None:
@@ -116,10 +124,10 @@ def test_courses_run_clockwise_from_north() -> None:
 
 @pytest.mark.parametrize("lat_deg", [-33.9, 0.0, 55.47])
 def test_a_place_that_is_moved_lies_so_far_off_by_the_reference_ellipsoid(lat_deg: float) -> None:
-    # Vincenty's inverse formula on WGS 84, pymap3d's own implementation of another method.
-    lat, lon = moved_deg(lat_deg, 8.45, 300.0, -400.0)
+    # Vincenty's inverse formula on WGS 84, by pymap3d, an independent implementation.
+    lat, lon = offset_position_deg(lat_deg, 8.45, 300.0, -400.0)
     distance_m, _ = vdist(lat_deg, 8.45, lat, lon)
     assert float(distance_m) == pytest.approx(500.0, abs=0.01)
-    assert offset_m(lat_deg, 8.45, float(lat), float(lon)) == pytest.approx(
+    assert ne_offset_m(lat_deg, 8.45, float(lat), float(lon)) == pytest.approx(
         (300.0, -400.0), abs=1e-4
     )

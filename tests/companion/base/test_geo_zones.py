@@ -1,4 +1,4 @@
-"""Geo-zones of ED-269 and ED-318: what is read, what is entered, what is refused."""
+"""Geo-zones of ED-269 and ED-318: reading, containment, rejection."""
 
 import copy
 import json
@@ -10,9 +10,9 @@ import pytest
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap
-from companion.core.base.geo_zones import ZoneTerms
-from companion.core.base.obstacle_document import obstacles_of, zones_passed
-from companion.core.base.zone_times import UtcSpan, utc_s
+from companion.core.base.geo_zones import ZoneAuthorisation
+from companion.core.base.obstacle_document import exempt_zone_lines, parse_obstacles
+from companion.core.base.zone_times import UtcSpan, parse_utc_s
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "how-to" / "geo-zones"
 FRAME = LocalFrame(math.radians(55.47), math.radians(8.45), 12.0)
@@ -23,8 +23,8 @@ def example(name: str) -> dict[str, Any]:
     return json.loads((EXAMPLES / name).read_text())
 
 
-def hours(start: str, end: str) -> ZoneTerms:
-    return ZoneTerms(span=UtcSpan(utc_s("from", start), utc_s("until", end)))
+def hours(start: str, end: str) -> ZoneAuthorisation:
+    return ZoneAuthorisation(span=UtcSpan(parse_utc_s("from", start), parse_utc_s("until", end)))
 
 
 MORNING = hours("2026-05-01T10:00:00Z", "2026-05-01T10:30:00Z")
@@ -32,7 +32,7 @@ NOON = hours("2026-05-01T12:00:00Z", "2026-05-01T12:30:00Z")
 
 
 def changed(document: dict[str, Any], path: list[Any], value: Any) -> dict[str, Any]:
-    """The same document with another value at a path."""
+    """Return the document with another value at a path."""
     made = copy.deepcopy(document)
     table: Any = made["features"][0]
     for key in path[:-1]:
@@ -42,7 +42,7 @@ def changed(document: dict[str, Any], path: list[Any], value: Any) -> dict[str, 
 
 
 def test_a_circle_becomes_a_polygon_that_holds_it() -> None:
-    (zone,) = obstacles_of(FRAME, example("ed269.json"))
+    (zone,) = parse_obstacles(FRAME, example("ed269.json"))
     assert zone.name == "XXX0001 Lock works"
     norths = [north for north, _ in zone.ring_ne_m]
     assert (max(norths) - min(norths)) / 2 == pytest.approx(80.0, abs=0.2)
@@ -51,20 +51,20 @@ def test_a_circle_becomes_a_polygon_that_holds_it() -> None:
     corners = [((n0 + n1) / 2, (e0 + e1) / 2) for (n0, e0), (n1, e1)
                in zip(zone.ring_ne_m, zone.ring_ne_m[1:], strict=False)]  # fmt: skip
     assert min(math.hypot(n - middle, e - east) for n, e in corners) >= 80.0 - 1e-6
-    # Above unknown ground it reaches from the ground without end.
-    assert (zone.floor_m, zone.height_m) == (-math.inf, math.inf)
+    # Over unknown ground the zone has no upper limit.
+    assert (zone.bottom_m, zone.height_m) == (-math.inf, math.inf)
 
 
 def test_known_ground_gives_heights_above_it() -> None:
     document = changed(example("ed269.json"), ["geometry", 0, "lowerLimit"], 45)
-    (zone,) = obstacles_of(FRAME, document, ground=lambda _: (-3.0, 20.0))
-    assert (zone.floor_m, zone.height_m) == (42.0, 140.0)
+    (zone,) = parse_obstacles(FRAME, document, ground_bounds_of_ring_m=lambda _: (-3.0, 20.0))
+    assert (zone.bottom_m, zone.height_m) == (42.0, 140.0)
 
 
 def test_feet_above_the_sea_become_metres_above_the_depot() -> None:
-    (zone,) = obstacles_of(FRAME, example("ed318.json"))
+    (zone,) = parse_obstacles(FRAME, example("ed318.json"))
     assert zone.name == "XXX0002 Approach"
-    assert zone.floor_m == pytest.approx(450 * FOOT_M - 12.0)
+    assert zone.bottom_m == pytest.approx(450 * FOOT_M - 12.0)
     assert zone.height_m == pytest.approx(2500 * FOOT_M - 12.0)
 
 
@@ -72,33 +72,35 @@ def test_heights_above_the_ellipsoid_are_widened_by_what_the_geoid_may_be() -> N
     document = changed(example("ed318.json"), ["geometry", "layer"], {
         "lower": 300, "lowerReference": "WGS84", "upper": 400, "upperReference": "WGS84",
         "uom": "m"})  # fmt: skip
-    (zone,) = obstacles_of(FRAME, document)
-    # The geoid at the depot is about 40 m over the ellipsoid: 260 m to 360 m above the sea.
-    assert zone.floor_m <= 260.0 - 12.0
+    (zone,) = parse_obstacles(FRAME, document)
+    # The geoid at the depot is about 40 m above the ellipsoid: 260 m to 360 m above sea level.
+    assert zone.bottom_m <= 260.0 - 12.0
     assert zone.height_m >= 360.0 - 12.0
 
 
 def test_a_zone_out_of_its_hours_is_flown_through_and_without_a_time_it_is_not() -> None:
     document = example("ed269.json")
-    assert not obstacles_of(FRAME, document, MORNING)
-    assert obstacles_of(FRAME, document, NOON)
-    assert obstacles_of(FRAME, document)
-    assert zones_passed(document, MORNING) == [
+    assert not parse_obstacles(FRAME, document, MORNING)
+    assert parse_obstacles(FRAME, document, NOON)
+    assert parse_obstacles(FRAME, document)
+    assert exempt_zone_lines(document, MORNING) == [
         "zone XXX0001: not in force at the time of the flight"
     ]
 
 
 def test_leave_opens_what_asks_for_leave_and_never_what_is_prohibited() -> None:
-    may = ZoneTerms(frozenset({"XXX0001", "XXX0002"}))
-    assert not obstacles_of(FRAME, example("ed318.json"), may)
-    assert obstacles_of(FRAME, example("ed318.json"), ZoneTerms(frozenset({"XXX0003"})))
-    assert obstacles_of(FRAME, example("ed269.json"), may)
+    may = ZoneAuthorisation(frozenset({"XXX0001", "XXX0002"}))
+    assert not parse_obstacles(FRAME, example("ed318.json"), may)
+    assert parse_obstacles(FRAME, example("ed318.json"), ZoneAuthorisation(frozenset({"XXX0003"})))
+    assert parse_obstacles(FRAME, example("ed269.json"), may)
 
 
 def test_a_zone_without_restriction_is_ignored_with_a_word() -> None:
     document = changed(example("ed269.json"), ["restriction"], "NO_RESTRICTION")
-    assert not obstacles_of(FRAME, document)
-    assert zones_passed(document, ZoneTerms()) == ["zone XXX0001: no restriction, ignored"]
+    assert not parse_obstacles(FRAME, document)
+    assert exempt_zone_lines(document, ZoneAuthorisation()) == [
+        "zone XXX0001: no restriction, ignored"
+    ]
 
 
 def test_zones_and_our_own_obstacles_may_stand_in_one_file() -> None:
@@ -107,7 +109,7 @@ def test_zones_and_our_own_obstacles_may_stand_in_one_file() -> None:
     silo = {"type": "Feature", "properties": {"name": "silo", "height_m": 75},
             "geometry": {"type": "Polygon", "coordinates": ring}}  # fmt: skip
     document["features"].append(silo)
-    assert [o.name for o in obstacles_of(FRAME, document)] == ["XXX0002 Approach", "silo"]
+    assert [o.name for o in parse_obstacles(FRAME, document)] == ["XXX0002 Approach", "silo"]
 
 
 @pytest.mark.parametrize(
@@ -140,7 +142,7 @@ def test_a_wrong_zone_is_named_with_its_key(
     name: str, path: list[Any], value: Any, words: str
 ) -> None:
     with pytest.raises(LeewayError, match=words) as caught:
-        obstacles_of(FRAME, changed(example(name), path, value))
+        parse_obstacles(FRAME, changed(example(name), path, value))
     assert "\n" not in str(caught.value)
 
 
@@ -149,19 +151,25 @@ LOW, HIGH = ((0.0, 0.0, -40.0), (300.0, 0.0, -40.0)), ((0.0, 0.0, -85.0), (300.0
 
 
 def test_a_zone_above_the_flight_is_flown_under_with_the_margin_below_it() -> None:
-    site = ObstacleMap((AIR,), 15.0, 8.0, flown_up_to_m=64.0)
-    assert site.flown_under(AIR)
-    assert site.blocking(*LOW) is None
-    assert site.blocking(*HIGH) is AIR  # 82 m is the highest under it
-    assert (len(site.grown_at(82.0)), len(site.grown_at(82.1))) == (0, 1)
-    assert (site.highest_m(*LOW), site.room_m(*LOW)) == (0.0, 82.0)
+    site = ObstacleMap((AIR,), 15.0, 8.0, max_flight_height_m=64.0)
+    assert site.is_flown_under(AIR)
+    assert site.first_blocking_obstacle(*LOW) is None
+    assert site.first_blocking_obstacle(*HIGH) is AIR  # the highest height below the zone is 82 m
+    assert (len(site.buffered_outlines_at(82.0)), len(site.buffered_outlines_at(82.1))) == (0, 1)
+    assert (site.max_obstacle_height_near_line_m(*LOW), site.max_height_under_zones_m(*LOW)) == (
+        0.0,
+        82.0,
+    )
     climb = (0.0, 0.0, -40.0), (300.0, 0.0, -300.0)
-    assert site.blocking(*climb) is AIR
+    assert site.first_blocking_obstacle(*climb) is AIR
 
 
 def test_a_zone_that_the_flight_may_reach_counts_from_the_ground() -> None:
-    site = ObstacleMap((AIR,), 15.0, 8.0, flown_up_to_m=83.0)
-    assert not site.flown_under(AIR)
-    assert site.blocking(*LOW) is AIR
-    assert len(site.grown_at(0.0)) == 1
-    assert (site.highest_m(*LOW), site.room_m(*LOW)) == (300.0, math.inf)
+    site = ObstacleMap((AIR,), 15.0, 8.0, max_flight_height_m=83.0)
+    assert not site.is_flown_under(AIR)
+    assert site.first_blocking_obstacle(*LOW) is AIR
+    assert len(site.buffered_outlines_at(0.0)) == 1
+    assert (site.max_obstacle_height_near_line_m(*LOW), site.max_height_under_zones_m(*LOW)) == (
+        300.0,
+        math.inf,
+    )

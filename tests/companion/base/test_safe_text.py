@@ -1,4 +1,4 @@
-"""Words from outside are read and nothing else: on a terminal, in a log, in a spreadsheet."""
+"""External text is harmless when shown on a terminal, in a log or in a spreadsheet."""
 
 import csv
 import io
@@ -16,36 +16,35 @@ from rich.console import Console
 from rich.errors import MarkupError
 from rich.table import Table
 
-from companion.adapters.logs.text_log import TextLog, dated
+from companion.adapters.logs.text_log import TextLog, format_log_entry
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import (
-    LONGEST_WORD,
+    MAX_WORD_LENGTH,
     check_name,
-    csv_cell,
-    log_text,
-    one_line,
+    escape_csv_formula,
+    flatten_to_one_line,
     safe_text,
+    to_indented_log_lines,
 )
 from companion.core.base.wire_message import WireMessage
 from companion.core.separation.track import Track
 from companion.fleet import messages
 from companion.fleet.messages import (
-    WORDS,
-    Answered,
+    TEXT_FIELDS,
     Command,
+    CommandStatus,
     EventKind,
     FleetEvent,
     Recall,
     Refused,
     Result,
     State,
-    decode_event,
-    decode_state,
-    encode,
+    decode_message,
+    encode_message,
 )
-from ground_station.app.views.terminal import terminal
+from ground_station.app.views.day_content import DisplayRows
+from ground_station.app.views.terminal import plain_console
 from ground_station.app.views.watch_view import watch_view
-from ground_station.app.views.watched_rows import WatchRows
 from ground_station.core.fleet.fleet_status import FleetStatus
 
 ATTACKS = (
@@ -81,19 +80,21 @@ def is_harmless(text: str) -> bool:
     return not kinds & {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
+@pytest.mark.sample
 @given(hostile)
 def test_safe_text_is_harmless_not_longer_and_the_same_when_taken_twice(text: str):
     safe = safe_text(text)
     assert is_harmless(safe)
     assert len(safe) <= len(text)
     assert safe_text(safe) == safe
-    assert max(map(len, safe.split(" "))) <= LONGEST_WORD
+    assert max(map(len, safe.split(" "))) <= MAX_WORD_LENGTH
 
 
+@pytest.mark.sample
 @settings(max_examples=60, deadline=None)
 @given(hostile)
 def test_no_console_takes_safe_text_for_markup(text: str):
-    """Also one that somebody opens with rich's own settings."""
+    """Also a console with rich's default settings."""
     out = io.StringIO()
     table = Table("says", title=safe_text(text))
     table.add_row(safe_text(text))
@@ -118,7 +119,7 @@ def test_words_of_ours_and_of_other_languages_stay_as_they_are(words: str):
     assert safe_text(words) == words
 
 
-# --- at the decoding of messages -----------------------------------------------------------------
+# --- decoding of messages ------------------------------------------------------------------------
 
 
 def state_of(text: str) -> bytes:
@@ -130,14 +131,14 @@ def state_of(text: str) -> bytes:
 
 
 def watched(raw: bytes) -> str:
-    """What a dispatcher sees of a state, on a terminal that knows colours."""
+    """Return a state as displayed on a dispatcher's colour terminal."""
     out = io.StringIO()
-    console = terminal(out, 120)
-    state = decode_state(raw)
+    console = plain_console(out, 120)
+    state = decode_message(State, raw)
     assert isinstance(state, State), state
     status = FleetStatus()
-    status.on_state(state, 0.0, 0)
-    console.print(watch_view(status, WatchRows(), 0.0))
+    status.record_state_and_new_doubts(state, 0.0, 0)
+    console.print(watch_view(status, DisplayRows(), 0.0))
     return out.getvalue()
 
 
@@ -157,26 +158,28 @@ def test_canary_undecoded_words_reach_the_terminal_as_escape_sequences(monkeypat
 @given(SENT)
 def test_every_word_of_every_message_is_safe_when_it_is_decoded(text: str):
     event = FleetEvent(
-        vehicle="d1", log="l", seq=1, epoch_us=0, kind=EventKind.SAID, text=text[:500]
+        vehicle="d1", log="l", seq=1, epoch_us=0, kind=EventKind.TEXT, text=text[:500]
     )
-    told = decode_event(encode(event))
+    told = decode_message(FleetEvent, encode_message(event))
     assert isinstance(told, FleetEvent)
     assert told.text == safe_text(text[:500])
-    result = Result(id="c", vehicle="d1", life="l", answer=Answered.DONE, reason=text[:500])
-    assert messages.decode_result(encode(result)) == msgspec.structs.replace(
+    result = Result(
+        id="c", vehicle="d1", instance_id="l", status=CommandStatus.DONE, reason=text[:500]
+    )
+    assert messages.decode_message(Result, encode_message(result)) == msgspec.structs.replace(
         result, reason=safe_text(text[:500])
     )
     command = Command(
-        id="c", vehicle="d1", life="l", as_of_s=0.0, by=text[:60] or "x", deed=Recall()
+        id="c", vehicle="d1", instance_id="l", as_of_s=0.0, by=text[:60] or "x", action=Recall()
     )
-    asked = messages.decode_command(encode(command))
+    asked = messages.decode_message(Command, encode_message(command))
     assert isinstance(asked, Command)
     assert is_harmless(asked.by)
 
 
 @given(SENT)
 def test_a_refusal_quotes_what_was_sent_and_is_safe_too(text: str):
-    refused = decode_state(msgspec.json.encode({"v": 1, text: 1}))
+    refused = decode_message(State, msgspec.json.encode({"v": 1, text: 1}))
     assert isinstance(refused, Refused)
     assert is_harmless(refused.reason)
 
@@ -187,7 +190,7 @@ def test_every_text_of_a_message_is_a_name_with_a_pattern_or_one_of_its_words(
 ):
     hints = typing.get_type_hints(kind, include_extras=True)
     loose = [name for name, hint in hints.items() if _is_loose_text(hint)]
-    assert loose == list(WORDS.get(kind, ()))
+    assert loose == list(TEXT_FIELDS.get(kind, ()))
 
 
 def _is_loose_text(hint: Any) -> bool:
@@ -202,14 +205,14 @@ def _is_loose_text(hint: Any) -> bool:
 
 @given(hostile)
 def test_no_words_make_an_entry_of_a_log(text: str):
-    shown = log_text(text)
+    shown = to_indented_log_lines(text)
     assert all(line.startswith("    ") for line in shown.split("\n")[1:])
     assert is_harmless(shown.replace("\n", ""))
 
 
 def test_a_forged_entry_stands_indented_under_the_one_that_carries_it(tmp_path: Path):
     log = TextLog(tmp_path / "log")
-    log.write(dated(1.0, "first\n2026-01-01 00:00:00      2.00  delivered"))
+    log.write(format_log_entry(1.0, "first\n2026-01-01 00:00:00      2.00  delivered"))
     log.close()
     entries = [x for x in (tmp_path / "log").read_text().splitlines() if not x.startswith(" ")]
     assert len(entries) == 1
@@ -218,7 +221,7 @@ def test_a_forged_entry_stands_indented_under_the_one_that_carries_it(tmp_path: 
 @given(SENT)
 def test_no_cell_of_a_table_is_a_formula(text: str):
     out = io.StringIO(newline="")
-    csv.writer(out).writerow([csv_cell(text), "next"])
+    csv.writer(out).writerow([escape_csv_formula(text), "next"])
     (row,) = list(csv.reader(io.StringIO(out.getvalue(), newline=""), strict=True))
     first = row[0]
     assert row[1] == "next"
@@ -234,12 +237,12 @@ def _is_a_number(text: str) -> bool:
 
 
 def test_canary_a_formula_stays_one_without_the_apostrophe():
-    assert csv_cell("=HYPERLINK(A1)") == "'=HYPERLINK(A1)"
-    assert csv_cell("-5.3") == "-5.3"
+    assert escape_csv_formula("=HYPERLINK(A1)") == "'=HYPERLINK(A1)"
+    assert escape_csv_formula("-5.3") == "-5.3"
 
 
 @pytest.mark.parametrize("name", ["a\nb", "\x1b[2J", "[/x]", "x" * 101, "\u202eabc"])
 def test_a_name_that_would_do_more_than_be_read_is_refused(name: str):
     with pytest.raises(LeewayError, match="name = "):
         check_name("name", name)
-    assert one_line(name).isprintable() or "\u202e" not in one_line(name)
+    assert flatten_to_one_line(name).isprintable() or "\u202e" not in flatten_to_one_line(name)

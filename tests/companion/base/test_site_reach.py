@@ -1,4 +1,4 @@
-"""Polygons in longitude and latitude in the local frame: edges, the reach, likely mistakes."""
+"""Longitude and latitude polygons in the local frame: edges, reach, likely mistakes."""
 
 import math
 from typing import Any
@@ -9,10 +9,15 @@ import shapely
 from pymap3d.vincenty import vdist
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import LocalFrame, distance_m, place_ned
-from companion.core.base.obstacle_document import obstacles_of, reach_note
-from companion.core.base.place import Place
-from companion.core.base.site_reach import SITE_REACH_M, beyond_reach, circle_deg, site_rings
+from companion.core.base.geo import LocalFrame, distance_from_depot_m, location_to_ground_ned_m
+from companion.core.base.location import Location
+from companion.core.base.obstacle_document import features_within_reach_note, parse_obstacles
+from companion.core.base.site_reach import (
+    MAX_SITE_DISTANCE_M,
+    clip_ring_to_site_and_project,
+    polygon_around_circle_lon_lat_deg,
+    site_distance_error_text,
+)
 
 EDGE_M = 1.0
 """Points nearer than this to an edge are not judged."""
@@ -30,16 +35,18 @@ def box(west: float, south: float, east: float, north: float) -> tuple[tuple[flo
 
 
 def disagreements(frame: LocalFrame, ring_deg: tuple[tuple[float, float], ...], seed: int) -> int:
-    """Count drawn positions in reach that lie inside in degrees and outside in metres, or vice
+    """Count sampled positions in reach that are inside in degrees and outside in metres, or vice
     versa: RFC 7946 defines the polygon in degrees.
     """
     lat0, lon0 = math.degrees(frame.lat_rad), math.degrees(frame.lon_rad)
     in_degrees = shapely.Polygon(ring_deg)
-    in_metres = shapely.union_all([shapely.Polygon(ring) for ring in site_rings(frame, ring_deg)])
+    in_metres = shapely.union_all(
+        [shapely.Polygon(ring) for ring in clip_ring_to_site_and_project(frame, ring_deg)]
+    )
     rng = np.random.default_rng(seed)
     deg_per_m = math.degrees(1.0 / 6_371_000.0)
     wrong = 0
-    for _ in range(400):  # near the polygon's edges, where a displacement shows
+    for _ in range(400):  # near the polygon's edges, where a displacement is visible
         edge = in_degrees.exterior.interpolate(rng.uniform(0.0, 1.0), normalized=True)
         lon = edge.x + rng.normal() * 200.0 * deg_per_m
         lat = edge.y + rng.normal() * 200.0 * deg_per_m
@@ -71,19 +78,19 @@ def test_a_polygon_keeps_its_edges_in_degrees(
 
 
 def test_short_edges_keep_their_corners() -> None:
-    assert len(site_rings(HARBOUR, box(8.448, 55.4705, 8.452, 55.4725))[0]) == 5
+    assert len(clip_ring_to_site_and_project(HARBOUR, box(8.448, 55.4705, 8.452, 55.4725))[0]) == 5
 
 
 def test_a_polygon_around_the_world_covers_the_reach() -> None:
-    (ring,) = site_rings(HARBOUR, box(-180.0, -90.0, 180.0, 90.0))
+    (ring,) = clip_ring_to_site_and_project(HARBOUR, box(-180.0, -90.0, 180.0, 90.0))
     covered = shapely.Polygon(ring)
-    assert covered.contains(shapely.Point(0.0, 0.0).buffer(SITE_REACH_M * 0.99))
+    assert covered.contains(shapely.Point(0.0, 0.0).buffer(MAX_SITE_DISTANCE_M * 0.99))
 
 
 def test_a_site_at_the_antimeridian_sees_zones_on_both_sides() -> None:
     frame = frame_at(-17.0, 179.99)
     east_of_it = box(-179.999, -17.01, -179.98, -16.99)
-    (ring,) = site_rings(frame, east_of_it)
+    (ring,) = clip_ring_to_site_and_project(frame, east_of_it)
     # 0.011 to 0.030 degrees east at 17 degrees south: 1.2 to 3.2 km.
     assert [min(e for _, e in ring), max(e for _, e in ring)] == pytest.approx(
         [1171.4, 3194.7], abs=2.0
@@ -93,8 +100,10 @@ def test_a_site_at_the_antimeridian_sees_zones_on_both_sides() -> None:
 def test_a_large_circle_ends_at_its_geodesic_radius() -> None:
     lon, lat, radius_m = 14.0, 55.0, 356_000.0
     away_m, azimuth_deg = vdist(lat, lon, 55.47, 8.45)
-    assert abs(away_m - radius_m) < SITE_REACH_M / 2.0  # its edge lies within reach
-    rings = site_rings(HARBOUR, circle_deg(lon, lat, radius_m))
+    assert abs(away_m - radius_m) < MAX_SITE_DISTANCE_M / 2.0  # its edge is within reach
+    rings = clip_ring_to_site_and_project(
+        HARBOUR, polygon_around_circle_lon_lat_deg(lon, lat, radius_m)
+    )
     inside = shapely.union_all([shapely.Polygon(ring) for ring in rings])
     edge_m = float(inside.exterior.distance(shapely.Point(0.0, 0.0)))
     assert azimuth_deg is not None
@@ -111,14 +120,17 @@ def zone(ring: Any, **height: Any) -> dict[str, Any]:
 def test_an_obstacle_with_latitude_first_is_refused_as_swapped() -> None:
     swapped = [(lat, lon) for lon, lat in box(8.448, 55.4705, 8.452, 55.4725)]
     with pytest.raises(LeewayError, match=r"features\[0\].*66[0-9]{2} km.*swapped"):
-        obstacles_of(HARBOUR, zone(swapped))
+        parse_obstacles(HARBOUR, zone(swapped))
 
 
 def test_zones_of_another_country_are_counted() -> None:
     far = zone(box(20.0, 48.0, 20.1, 48.1))
-    assert obstacles_of(HARBOUR, far) == ()
-    assert reach_note(HARBOUR, far) == "0 of 1 zones and obstacles lie within 100 km of the depot"
-    assert reach_note(HARBOUR, zone(box(8.448, 55.4705, 8.452, 55.4725))) == ""
+    assert parse_obstacles(HARBOUR, far) == ()
+    assert (
+        features_within_reach_note(HARBOUR, far)
+        == "0 of 1 zones and obstacles lie within 100 km of the depot"
+    )
+    assert features_within_reach_note(HARBOUR, zone(box(8.448, 55.4705, 8.452, 55.4725))) == ""
 
 
 @pytest.mark.parametrize(
@@ -136,7 +148,7 @@ def test_zones_of_another_country_are_counted() -> None:
 def test_a_position_beyond_reach_states_the_likely_cause(
     lat_deg: float, lon_deg: float, cause: str
 ) -> None:
-    words = beyond_reach(HARBOUR, lat_deg, lon_deg)
+    words = site_distance_error_text(HARBOUR, lat_deg, lon_deg)
     assert words.endswith(cause)
     assert bool(words) == (cause != "")
 
@@ -144,9 +156,9 @@ def test_a_position_beyond_reach_states_the_likely_cause(
 def test_distances_are_those_of_the_ellipsoid_to_half_a_percent() -> None:
     for lat, lon in ((55.9, 8.1), (8.4, 55.5), (-55.0, -170.0)):
         exact_m = float(vdist(55.47, 8.45, lat, lon)[0])
-        assert distance_m(HARBOUR, lat, lon) == pytest.approx(exact_m, rel=0.005)
+        assert distance_from_depot_m(HARBOUR, lat, lon) == pytest.approx(exact_m, rel=0.005)
 
 
 def test_the_antipode_is_not_next_door() -> None:
-    antipode = Place(lat_deg=-55.469, lon_deg=-171.556, alt_amsl_m=12.0)
-    assert math.hypot(*place_ned(HARBOUR, antipode)[:2]) > 20_000_000.0
+    antipode = Location(lat_deg=-55.469, lon_deg=-171.556, alt_amsl_m=12.0)
+    assert math.hypot(*location_to_ground_ned_m(HARBOUR, antipode)[:2]) > 20_000_000.0

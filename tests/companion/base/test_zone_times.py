@@ -1,4 +1,4 @@
-"""When zones are in force, against the calendar walked minute by minute."""
+"""Applicability periods of zones, against the calendar evaluated minute by minute."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.zone_times import DAYS, UtcSpan, ZonePeriod, periods_of
+from companion.core.base.zone_times import DAYS, UtcSpan, ZonePeriod, parse_zone_periods
 
 FRIDAY = datetime(2026, 5, 1, tzinfo=UTC)  # a Friday, by the calendar
 MINUTE = timedelta(minutes=1)
@@ -19,12 +19,12 @@ def clock(minutes: int) -> str:
 
 def schedule(day: list[str], start: int, end: int) -> ZonePeriod:
     table = {"day": day, "startTime": clock(start), "endTime": clock(end)}
-    (period,) = periods_of("applicability", [{"schedule": [table]}])
+    (period,) = parse_zone_periods("applicability", [{"schedule": [table]}])
     return period
 
 
 def in_force(moment: datetime, day: list[str], start: int, end: int) -> bool:
-    """By the calendar: the day's own hours, or those that began the day before."""
+    """Return True if the moment is in the day's hours, or in those that started the day before."""
     minute = moment.hour * 60 + moment.minute
     today, before = DAYS[moment.weekday()], DAYS[(moment.weekday() - 1) % 7]
     on, was_on = ({"ANY", name} & set(day) for name in (today, before))
@@ -48,7 +48,7 @@ def test_a_schedule_is_in_force_when_the_calendar_says_so(
     moments = [FRIDAY + (at + k) * MINUTE for k in range(length + 1)]
     span = UtcSpan(moments[0].timestamp(), moments[-1].timestamp())
     expected = any(in_force(moment, day, start, end) for moment in moments)
-    assert schedule(day, start, end).touches(span) == expected
+    assert schedule(day, start, end).overlaps(span) == expected
 
 
 def span(start: str, end: str) -> UtcSpan:
@@ -57,23 +57,23 @@ def span(start: str, end: str) -> UtcSpan:
 
 def test_a_permanent_zone_is_in_force_whatever_its_dates_say() -> None:
     table = {"permanent": "YES", "endDateTime": "2020-01-01T00:00:00Z"}
-    (period,) = periods_of("applicability", [table])
-    assert period.touches(span("2026-05-01T10:00:00Z", "2026-05-01T11:00:00Z"))
+    (period,) = parse_zone_periods("applicability", [table])
+    assert period.overlaps(span("2026-05-01T10:00:00Z", "2026-05-01T11:00:00Z"))
 
 
 def test_dates_bound_a_zone_and_both_ends_belong_to_it() -> None:
     table = {"startDateTime": "2026-05-01T12:00:00+02:00", "endDateTime": "2026-05-01T11:00:00Z"}
-    (period,) = periods_of("applicability", [table])
-    assert period.touches(span("2026-05-01T09:00:00Z", "2026-05-01T10:00:00Z"))
-    assert not period.touches(span("2026-05-01T09:00:00Z", "2026-05-01T09:59:59Z"))
-    assert not period.touches(span("2026-05-01T11:00:01Z", "2026-05-01T12:00:00Z"))
+    (period,) = parse_zone_periods("applicability", [table])
+    assert period.overlaps(span("2026-05-01T09:00:00Z", "2026-05-01T10:00:00Z"))
+    assert not period.overlaps(span("2026-05-01T09:00:00Z", "2026-05-01T09:59:59Z"))
+    assert not period.overlaps(span("2026-05-01T11:00:01Z", "2026-05-01T12:00:00Z"))
 
 
 def test_an_offset_moves_a_schedule_to_utc() -> None:
     table = {"day": ["FRI"], "startTime": "00:30:00+02:00", "endTime": "01:00:00+02:00"}
-    (period,) = periods_of("applicability", [{"schedule": [table]}])
-    assert period.touches(span("2026-04-30T22:30:00Z", "2026-04-30T22:40:00Z"))
-    assert not period.touches(span("2026-05-01T00:30:00Z", "2026-05-01T00:40:00Z"))
+    (period,) = parse_zone_periods("applicability", [{"schedule": [table]}])
+    assert period.overlaps(span("2026-04-30T22:30:00Z", "2026-04-30T22:40:00Z"))
+    assert not period.overlaps(span("2026-05-01T00:30:00Z", "2026-05-01T00:40:00Z"))
 
 
 @pytest.mark.parametrize(
@@ -86,17 +86,17 @@ def test_an_offset_moves_a_schedule_to_utc() -> None:
 )
 def test_a_start_and_an_end_may_have_offsets_of_their_own(start: str, end: str, noon: bool) -> None:
     table = {"day": ["FRI"], "startTime": start, "endTime": end}
-    (period,) = periods_of("applicability", [{"schedule": [table]}])
+    (period,) = parse_zone_periods("applicability", [{"schedule": [table]}])
     for hours, is_in_force in ((12.0, noon), (28.5, not noon)):
         at_s = (FRIDAY + timedelta(hours=hours)).timestamp()
-        assert period.touches(UtcSpan(at_s, at_s)) == is_in_force
+        assert period.overlaps(UtcSpan(at_s, at_s)) == is_in_force
 
 
 def test_sunrise_and_sunset_are_not_known_and_count_as_all_that_day() -> None:
     table = {"day": ["FRI"], "startEvent": "SR", "endEvent": "SS"}
-    (period,) = periods_of("limitedApplicability", [{"schedule": [table]}])
-    assert period.touches(span("2026-05-01T00:00:00Z", "2026-05-01T00:01:00Z"))
-    assert not period.touches(span("2026-05-04T00:00:00Z", "2026-05-04T00:01:00Z"))
+    (period,) = parse_zone_periods("limitedApplicability", [{"schedule": [table]}])
+    assert period.overlaps(span("2026-05-01T00:00:00Z", "2026-05-01T00:01:00Z"))
+    assert not period.overlaps(span("2026-05-04T00:00:00Z", "2026-05-04T00:01:00Z"))
 
 
 TIMES = {"day": ["MON"], "startTime": "08:00Z", "endTime": "16:00Z"}
@@ -127,5 +127,5 @@ TIMES = {"day": ["MON"], "startTime": "08:00Z", "endTime": "16:00Z"}
 )
 def test_a_wrong_time_is_named_with_its_key(value: object, words: str) -> None:
     with pytest.raises(LeewayError, match=words) as caught:
-        periods_of("applicability", value)
+        parse_zone_periods("applicability", value)
     assert "\n" not in str(caught.value)

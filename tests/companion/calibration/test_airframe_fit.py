@@ -1,4 +1,4 @@
-"""Calibration on flights made by formulas of the test's own: what it recovers, what it refuses."""
+"""Airframe calibration on flights simulated in this file: recovered values and refusals."""
 
 import math
 from dataclasses import replace
@@ -11,25 +11,36 @@ import pytest
 
 from companion.adapters.files.airframe_toml import write_airframe
 from companion.adapters.files.params import params_dir, read_airframe
-from companion.core.base.errors import LeewayError
-from companion.core.calibration.airframe_fit import calibrate, predict
-from companion.core.calibration.battery import fit_battery
-from companion.core.calibration.drag import (
+from companion.analysis.calibration.airframe_fit import (
+    fit_airframe_to_flights,
+    predict_flight_energy,
+)
+from companion.analysis.calibration.battery import fit_battery
+from companion.analysis.calibration.drag import (
     DRAG_KEYS,
     DragPriors,
-    WindSeen,
-    drag_values,
+    EstimatedWind,
+    drag_parameter_vector,
     fit_drag,
 )
-from companion.core.calibration.flight import (
+from companion.analysis.calibration.flight import (
     CHANGE_SPEED,
     WAYPOINT,
     PlanOptions,
-    calibration_items,
+    calibration_mission_items,
 )
-from companion.core.calibration.power import fit_power
-from companion.core.calibration.quantities import avionics_std_w, power_and_slope
-from companion.core.calibration.records import BLOCK_S, Blocks, FlightRecord, prepare
+from companion.analysis.calibration.power import fit_power
+from companion.analysis.calibration.quantities import (
+    avionics_power_std_w,
+    level_power_and_derivatives_w,
+)
+from companion.analysis.calibration.records import (
+    BLOCK_S,
+    Blocks,
+    FlightRecord,
+    convert_record_to_blocks,
+)
+from companion.core.base.errors import LeewayError
 from companion.core.vehicle.power import multirotor_power_w
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import load_airframe
@@ -41,7 +52,7 @@ SPEEDS = np.arange(0.0, 25.0, 0.5)
 
 
 class World:
-    """A vehicle as params/truth has it, at sea level density: N per m/s, N per (m/s)^2, W."""
+    """A vehicle as in params/truth, at sea level density: N per m/s, N per (m/s)^2, W."""
 
     def __init__(self, name, loads_kg):
         self.truth = load_airframe(params_dir() / "truth" / f"{name}.toml")
@@ -63,7 +74,7 @@ MEASURED = Path(__file__).resolve().parents[4] / "shared" / "data" / "energy" / 
 
 
 def wrong_start():
-    """A belief that is off by a quarter and more in all that is fitted."""
+    """Return an initial airframe whose fitted parameters are all off by at least a quarter."""
     m100 = read_airframe("m100")
     drag = msgspec.structs.replace(
         m100.drag,
@@ -84,7 +95,7 @@ def wrong_start():
 
 
 def square(speeds, legs=12, side_m=150.0, heading=None):
-    """(seconds, north m/s, east m/s, heading or None for the course's) leg by leg."""
+    """Return (seconds, north m/s, east m/s, heading or None for the course) for each leg."""
     for leg in range(legs):
         speed = speeds[leg % len(speeds)]
         course = math.radians(90.0 * leg)
@@ -94,7 +105,7 @@ def square(speeds, legs=12, side_m=150.0, heading=None):
 def fly(
     segments, *, seed=1, payload_kg=0.0, wind_ne=(2.0, -1.5), name="log", stand_s=20.0, world=M100
 ):
-    """A record: velocity ramps at 2.5 m/s^2, tilt balances drag and acceleration."""
+    """Return a record: velocity ramps at 2.5 m/s^2, tilt balances drag and acceleration."""
     rng = np.random.default_rng(seed)
     mass = world.mass_kg + payload_kg
     vel, yaws, aloft = [[0.0, 0.0]] * round(stand_s / DT_S), [0.0] * round(stand_s / DT_S), []
@@ -147,7 +158,7 @@ def fly(
 
 
 def blocks(record):
-    return prepare(record, 480.0, 6).blocks
+    return convert_record_to_blocks(record, 480.0, 6).blocks
 
 
 HOVER = [(80.0, 0.0, 0.0, 0.0)]
@@ -164,11 +175,12 @@ def squares():
 
 @pytest.fixture(scope="module")
 def done(squares):
-    return calibrate(squares, wrong_start())
+    return fit_airframe_to_flights(squares, wrong_start())
 
 
+@pytest.mark.sample
 def test_squares_identify_all_that_is_needed(done):
-    assert not done.missing
+    assert not done.unidentified_required_quantities
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -184,11 +196,11 @@ def test_drag_comes_back_within_three_of_its_own_standard_deviations(done, axis,
 
 @pytest.mark.parametrize("payload_kg", [0.0, 0.4, 0.8])
 def test_the_truths_power_curve_is_within_the_stated_intervals(done, payload_kg):
-    """0 to 16 m/s: three standard deviations of the fit and the model's own error together."""
+    """0 to 16 m/s: three standard deviations of the fit combined with the model's own error."""
     for speed, true_w in zip(SPEEDS, POWER[payload_kg], strict=True):
         if speed > 16.0:
             continue
-        value_w, slope = power_and_slope(
+        value_w, slope = level_power_and_derivatives_w(
             done.airframe, done.power.values, done.drag.values, payload_kg, speed
         )
         model_w = done.airframe.power_rotor.model_std_frac * value_w
@@ -198,7 +210,7 @@ def test_the_truths_power_curve_is_within_the_stated_intervals(done, payload_kg)
 
 
 def octo_guess(vertical):
-    """The data sheet's guess: drag a third too little, blades of a drag that small rotors have."""
+    """Return an airframe by data sheet: drag a third too low, blade drag of small rotors."""
     octo = read_airframe("octo8")
     drag = msgspec.structs.replace(
         octo.drag,
@@ -225,15 +237,15 @@ def octo_squares():
     for seed, payload_kg, speeds in ((1, 0.0, (18.0, 9.0, 18.0)), (2, 8.0, (13.5, 5.2, 9.0))):
         legs = [*HOVER, *square(speeds, legs=8, side_m=250.0)]
         record = fly(legs, seed=seed, payload_kg=payload_kg, name=f"{payload_kg}", world=OCTO8)
-        flown.append(prepare(record, 1080.0, 6).blocks)
+        flown.append(convert_record_to_blocks(record, 1080.0, 6).blocks)
     return flown
 
 
 def power_errors(airframe, speeds_mps):
-    """Predicted over true power less 1, empty and with 8 kg."""
+    """Return predicted over true power minus 1, empty and with 8 kg."""
     return np.array(
         [
-            float(multirotor_power_w(airframe, airframe.mass_kg(kg), v))
+            float(multirotor_power_w(airframe, airframe.flying_mass_kg(kg), v))
             / float(np.interp(v, SPEEDS, OCTO8.power_w[kg]))
             - 1.0
             for kg in OCTO8.power_w
@@ -242,43 +254,47 @@ def power_errors(airframe, speeds_mps):
     )
 
 
+@pytest.mark.sample
 def test_drag_from_above_is_told_by_fast_flight_and_power_at_the_tilt_limit_with_it(octo_squares):
-    """params/truth/octo8.toml: 0.40 m^2 of plan; the guess is 0.16."""
-    found = calibrate(octo_squares, octo_guess(0.1))
+    """params/truth/octo8.toml: vertical drag area 0.40 m^2; the initial value is 0.16."""
+    found = fit_airframe_to_flights(octo_squares, octo_guess(0.1))
     above = next(q for q in found.quantities if q.name == "drag from above")
-    assert above.identified
+    assert above.is_identifiable
     assert abs(above.value - OCTO8.vertical) < 3.0 * above.std
     assert above.value == found.airframe.drag.vertical_quadratic_n_per_mps2
     assert np.abs(power_errors(found.airframe, (0.0, 5.0, 10.0, 15.0, 17.0, 19.0))).max() < 0.05
     assert found.airframe.power_rotor.blade_drag_coefficient > 0.01
 
 
+@pytest.mark.sample
 def test_without_drag_from_above_blades_without_drag_are_said_and_the_number_to_state(octo_squares):
-    """The canary of the test above: the same flights, power at 19 m/s empty too low by more."""
-    found = calibrate(octo_squares, octo_guess(None))
+    """The canary of the test above: the same flights; power at 19 m/s, empty, is over 5 % low."""
+    found = fit_airframe_to_flights(octo_squares, octo_guess(None))
     assert power_errors(found.airframe, (19.0,)).min() < -0.05
-    said = next(note for note in found.notes if note.startswith("blade drag came out at 0.00"))
+    said = next(note for note in found.notes if note.startswith("blade drag is 0.00"))
     assert "drag.vertical_quadratic_n_per_mps2 in octo8" in said
 
 
 def test_fast_sides_hold_the_fastest_speed_for_8_seconds_after_gaining_and_before_losing_it():
     octo = read_airframe("octo8")
-    items = calibration_items(octo, PlanOptions(fast=True))
+    items = calibration_mission_items(octo, PlanOptions(fast=True))
     told = [item.params[1] for item in items if item.command == CHANGE_SPEED]
-    assert told.count(18.0) >= 2 * (told.count(9.0) - 1) - 1  # the way home is at 9 m/s, too
-    corners = [item.place_neu_m for item in items if item.command == WAYPOINT]
+    assert told.count(18.0) >= 2 * (told.count(9.0) - 1) - 1  # the return leg is at 9 m/s as well
+    corners = [item.position_neu_m for item in items if item.command == WAYPOINT]
     sides = [math.dist(a, b) for a, b in pairwise(corners) if a[2] == b[2] and a != b]
     gained_m = 18.0**2 / (2.0 * octo.speeds.accel_mps2)
     assert min(sides) >= 8.0 * 18.0 + 2.0 * gained_m
-    slow = calibration_items(octo, PlanOptions())
+    slow = calibration_mission_items(octo, PlanOptions())
     assert all(item.params[1] < 14.0 for item in slow if item.command == CHANGE_SPEED)
 
 
 def test_slow_flight_alone_leaves_drag_from_above_as_believed_and_the_fast_plan_is_named():
     slow = fly([*HOVER, *square((7.0, 4.0), legs=8, side_m=100.0)], world=OCTO8)
-    found = calibrate([prepare(slow, 1080.0, 6).blocks], octo_guess(0.2))
+    found = fit_airframe_to_flights(
+        [convert_record_to_blocks(slow, 1080.0, 6).blocks], octo_guess(0.2)
+    )
     above = next(q for q in found.quantities if q.name == "drag from above")
-    assert not above.identified
+    assert not above.is_identifiable
     assert any("calibrate-plan --fast" in n for n in found.notes if n.startswith("drag from above"))
 
 
@@ -286,7 +302,7 @@ def test_a_load_and_a_wind_that_were_not_seen_are_predicted(done):
     unseen = blocks(
         fly([*HOVER, *square((9.0, 6.0), legs=8)], seed=9, payload_kg=0.4, wind_ne=(-5.0, 3.0))
     )
-    assert abs(predict(unseen, done.airframe).error_frac) < 0.05
+    assert abs(predict_flight_energy(unseen, done.airframe).relative_energy_error) < 0.05
 
 
 def test_the_packs_resistance_is_ohms_law(done):
@@ -294,8 +310,8 @@ def test_the_packs_resistance_is_ohms_law(done):
 
 
 def said_missing(*flights):
-    found = calibrate([blocks(f) for f in flights], wrong_start())
-    return {q.name: q.flight for q in found.missing}
+    found = fit_airframe_to_flights([blocks(f) for f in flights], wrong_start())
+    return {q.name: q.flight for q in found.unidentified_required_quantities}
 
 
 def test_hover_alone_cannot_tell_drag_and_the_square_is_named():
@@ -304,26 +320,29 @@ def test_hover_alone_cannot_tell_drag_and_the_square_is_named():
     assert "power in hover, empty" not in missing
 
 
+@pytest.mark.sample
 def test_one_speed_alone_cannot_tell_linear_from_quadratic():
-    """Circles of a minute at 12 m/s in nearly still air, begun after two seconds of ramp."""
+    """Circles of one minute at 12 m/s in nearly still air, after a ramp of two seconds."""
     courses = np.radians(np.arange(0.0, 1800.0, 6.0))
     circle = [(1.0, 12.0 * math.cos(c), 12.0 * math.sin(c), None) for c in courses]
     flown = blocks(fly(circle, wind_ne=(0.3, 0.0)))
-    found = calibrate([flown.pick(flown.t_s > 40.0)], wrong_start())
-    flights = {q.name: q.flight for q in found.missing}
+    found = fit_airframe_to_flights([flown.select(flown.t_s > 40.0)], wrong_start())
+    flights = {q.name: q.flight for q in found.unidentified_required_quantities}
     assert "two speeds" in flights["drag forward at 4.9 m/s"]
 
 
+@pytest.mark.sample
 def test_one_course_alone_cannot_tell_drag_from_wind():
     missing = said_missing(fly([(300.0, 10.0, 0.0, None)]))
     assert any(name.startswith("drag forward") for name in missing)
 
 
+@pytest.mark.sample
 def test_what_never_flew_sideways_keeps_the_right_axis_uncertain(squares):
     calm = fly([*HOVER, *square((12.6, 4.9, 8.4))], wind_ne=(0.0, 0.0), seed=4)
-    found = calibrate([blocks(calm)], wrong_start())
+    found = fit_airframe_to_flights([blocks(calm)], wrong_start())
     right = next(q for q in found.quantities if q.name == "drag right at 14 m/s")
-    held = calibrate(squares[2:], wrong_start())
+    held = fit_airframe_to_flights(squares[2:], wrong_start())
     better = next(q for q in held.quantities if q.name == "drag right at 14 m/s")
     assert right.std > 1.3 * better.std
     assert "MPC_YAW_MODE" in right.flight
@@ -332,15 +351,17 @@ def test_what_never_flew_sideways_keeps_the_right_axis_uncertain(squares):
 def test_an_airframe_told_to_be_symmetric_has_to_the_right_the_drag_that_its_front_shows(squares):
     calm = [blocks(fly([*HOVER, *square((12.6, 4.9, 8.4))], wind_ne=(0.0, 0.0), seed=4))]
     start = wrong_start()
-    free = calibrate(calm, start, leave_out=False)
-    held = calibrate(calm, start, leave_out=False, priors=DragPriors.symmetric())
+    free = fit_airframe_to_flights(calm, start, measure_holdout_error=False)
+    held = fit_airframe_to_flights(
+        calm, start, measure_holdout_error=False, priors=DragPriors.for_symmetric_airframe()
+    )
     name = "drag right at 14 m/s"
     stds = [next(q.std for q in one.quantities if q.name == name) for one in (free, held)]
     assert stds[1] < 0.8 * stds[0]
-    # Drag of the two axes at 14 m/s, in the start's ratio within the 5 % that was told.
+    # Drag of both axes at 14 m/s, in the initial ratio within the stated 5 %.
     of_start, found = (
         np.dot((14.0, 14.0**2), one[1:4:2]) / np.dot((14.0, 14.0**2), one[0:4:2])
-        for one in (drag_values(start), held.drag.values)
+        for one in (drag_parameter_vector(start), held.drag.values)
     )
     assert found == pytest.approx(of_start, rel=0.1)
 
@@ -351,18 +372,18 @@ ORDINARY = fly([*HOVER, *square((12.0, 5.0), legs=6)])
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"current_a": np.full_like(ORDINARY.current_a, np.nan)}, "current_a: no row has it"),
+        ({"current_a": np.full_like(ORDINARY.current_a, np.nan)}, "current_a: no value"),
         ({"voltage_v": ORDINARY.voltage_v * 1000.0}, "row 0: voltage_v"),
         ({"current_a": ORDINARY.current_a * 100.0}, "current_a: voltage times current"),
         ({"yaw_rad": np.degrees(ORDINARY.yaw_rad)}, "yaw_rad"),
         ({"vel_ned_mps": ORDINARY.vel_ned_mps * 100.0}, "vel_ned_mps"),
         ({"voltage_v": ORDINARY.voltage_v / 6.0}, "6 cells"),
-        ({"roll_rad": np.full_like(ORDINARY.roll_rad, np.nan)}, "roll_rad: no row has it"),
+        ({"roll_rad": np.full_like(ORDINARY.roll_rad, np.nan)}, "roll_rad: no value"),
     ],
 )
 def test_what_cannot_be_used_is_named(change, words):
     with pytest.raises(LeewayError, match=r"log: .*") as error:
-        prepare(replace(ORDINARY, **change), 480.0, 6)
+        convert_record_to_blocks(replace(ORDINARY, **change), 480.0, 6)
     assert words in str(error.value)
 
 
@@ -372,7 +393,7 @@ def test_a_cut_log_is_used_up_to_there_and_said():
         for n in FlightRecord.__slots__
         if isinstance(getattr(ORDINARY, n), np.ndarray)
     }
-    prepared = prepare(replace(ORDINARY, **cut), 480.0, 6)
+    prepared = convert_record_to_blocks(replace(ORDINARY, **cut), 480.0, 6)
     assert any("cut off in flight" in note for note in prepared.notes)
     assert prepared.blocks.airborne.sum() > 30
 
@@ -381,20 +402,20 @@ def test_rows_of_nan_and_a_clock_that_jumps_back_are_left_out_and_said():
     pitch, t_s = ORDINARY.pitch_rad.copy(), ORDINARY.t_s.copy()
     pitch[600:650] = np.nan
     t_s[1000:] -= 3.0
-    prepared = prepare(replace(ORDINARY, pitch_rad=pitch, t_s=t_s), 480.0, 6)
+    prepared = convert_record_to_blocks(replace(ORDINARY, pitch_rad=pitch, t_s=t_s), 480.0, 6)
     assert any("row 1000: time does not rise" in note for note in prepared.notes)
-    assert any("left out" in note and "attitude" in note for note in prepared.notes)
+    assert any("excluded" in note and "attitude" in note for note in prepared.notes)
     assert np.isfinite(prepared.blocks.thrust_forward_mps2).all()
 
 
 def discharge(draw_w, charge_frac=1.0, down_to=0.0, sensor=1.0):
-    """A hover at a constant draw on the simulator's pack, landed at a charge; the sensor's factor
-    is on the current.
+    """Return a hover at a constant draw on the simulator's pack, landed at a given charge; `sensor`
+    is a factor on the current.
     """
     pack = Battery(TRUTH.battery, charge_frac=charge_frac)
     rows = []
     for second in range(3000):
-        pack.step(15.0 if second < 30 else draw_w, 1.0)
+        pack.discharge_at_power(15.0 if second < 30 else draw_w, 1.0)
         if pack.cut_off or pack.charge_frac < down_to:
             break
         rows.append((pack.voltage_v, sensor * pack.current_a, second >= 30))
@@ -412,12 +433,12 @@ def discharge(draw_w, charge_frac=1.0, down_to=0.0, sensor=1.0):
     return Blocks(name=f"{draw_w:.0f} W", density_kgpm3=1.225, **arrays), pack.delivered_j / 3600.0
 
 
-# The planner's pack with the simulator's cut-off: what "usable" ends at has to be the same thing.
+# The planner's pack with the simulator's cut-off: "usable" must mean the same in both.
 PACK = msgspec.structs.replace(read_airframe("m100").battery, cutoff_cell_v=3.2)
 
 
 def true_usable_wh(draw_w):
-    """What the simulator's pack delivers from full to cut-off, flown to its very end."""
+    """Return the energy that the simulator's pack delivers from full to cut-off."""
     return discharge(draw_w)[1]
 
 
@@ -427,12 +448,12 @@ def test_a_discharge_to_cut_off_gives_the_usable_energy():
     assert fit is not None
     assert fit.frac * PACK.nominal_wh == pytest.approx(delivered_wh, rel=0.02)
     assert fit.at_w == pytest.approx(478.0, rel=0.01)
-    assert fit.loss_per_w == pytest.approx(PACK.usable_loss_per_w)  # one draw tells no slope
+    assert fit.loss_per_w == pytest.approx(PACK.usable_loss_per_w)  # a single draw gives no slope
 
 
 @pytest.mark.parametrize("sensor", [0.98, 1.0, 1.02])
 def test_two_discharges_landed_at_a_tenth_recover_the_truths_usable_energy(sensor):
-    """By the stated intervals: the sensor is off by its own one sigma, the guess by 10 %."""
+    """Within the stated intervals: the sensor is off by one sigma, the initial value by 10 %."""
     guess = msgspec.structs.replace(PACK, usable_frac=0.87, usable_loss_per_w=2.4e-4)
     flown = [discharge(draw, down_to=0.09, sensor=sensor)[0] for draw in (478.0, 700.0)]
     fit = fit_battery(flown, guess).usable
@@ -444,7 +465,7 @@ def test_two_discharges_landed_at_a_tenth_recover_the_truths_usable_energy(senso
     assert fit.std_frac < 0.04
     slope = (light - heavy) / (700.0 - 478.0)
     assert abs(fit.loss_per_w - slope) < 2.0 * fit.loss_std_per_w
-    assert fit.loss_std_per_w < 0.6 * guess.usable_loss_per_w  # told by the logs, not by the guess
+    assert fit.loss_std_per_w < 0.6 * guess.usable_loss_per_w  # identified by logs, not the guess
 
 
 @pytest.mark.parametrize("how", [{"charge_frac": 0.7}, {"down_to": 0.4}])
@@ -468,7 +489,7 @@ def test_an_airframe_file_reads_back_as_it_was_written(tmp_path, done, vertical)
 
 
 def level_blocks(name, speeds, watts, ground_w=()):
-    """Blocks of level flight, nose on, in still air, after some at rest."""
+    """Return blocks of level flight, nose forward, in still air, after some at rest."""
     down = len(ground_w)
     zero = np.zeros(down + len(speeds))
     arrays = {n: zero for n in Blocks.__slots__ if n not in ("name", "density_kgpm3")}
@@ -485,43 +506,43 @@ def level_blocks(name, speeds, watts, ground_w=()):
 
 
 def test_motors_that_spin_up_on_the_ground_are_not_taken_for_avionics():
-    """15 W by params/truth/m100.toml; two of ten blocks at rest have the motors turning."""
+    """15 W by params/truth/m100.toml; in two of ten blocks at rest the motors turn."""
     ground = np.array([15.5, 14.5, 16.0, 14.0, 15.0, 15.5, 14.0, 15.5, 65.0, 60.0])
     speeds = np.repeat(np.arange(0.0, 15.0, 3.0), 15)
     flown = level_blocks("m", speeds, np.interp(speeds, SPEEDS, POWER[0.0]), ground)
     still = np.zeros(len(speeds))
-    fit = fit_power([flown], [WindSeen(still, still, still + 0.1, 0.0)], read_airframe("m100"))
+    fit = fit_power([flown], [EstimatedWind(still, still, still + 0.1, 0.0)], read_airframe("m100"))
     assert fit.values[3] == pytest.approx(15.0, abs=2.0)
 
 
 def rests(watts, logs=1):
-    """The fit to logs that read this much at rest, at 24 V."""
+    """Return the fit to logs with these readings at rest, at 24 V."""
     speeds = np.repeat(np.arange(0.0, 15.0, 3.0), 15)
     still = np.zeros(len(speeds))
     power = np.interp(speeds, SPEEDS, POWER[0.0])
     flown = [level_blocks(f"m{i}", speeds, power, np.full(10, watts)) for i in range(logs)]
     return fit_power(
-        flown, [WindSeen(still, still, still + 0.1, 0.0)] * logs, read_airframe("m100")
+        flown, [EstimatedWind(still, still, still + 0.1, 0.0)] * logs, read_airframe("m100")
     )
 
 
 def test_a_current_sensor_that_reads_less_than_nothing_at_rest_tells_no_avionics():
-    """The M100's own sensor: -0.15 A with everything on and the motors off."""
+    """The M100's current sensor: -0.15 A with everything on and the motors off."""
     fit = rests(-4.0)
     assert fit.standing is not None
     assert fit.standing.least_a == pytest.approx(-4.0 / 24.0)
-    assert avionics_std_w(fit) == pytest.approx(float(np.sqrt(fit.prior_cov[3, 3])))
+    assert avionics_power_std_w(fit) == pytest.approx(float(np.sqrt(fit.prior_cov[3, 3])))
 
 
 def test_many_logs_tell_avionics_no_better_than_one_sensor_s_zero():
     fit = rests(15.0, logs=9)
-    # 0.2 A of 24 V about the reading, and 9 W about what was believed.
+    # 0.2 A at 24 V about the reading, and 9 W about the prior.
     zero, believed = 0.2 * 24.0, float(np.sqrt(fit.prior_cov[3, 3]))
-    assert avionics_std_w(fit) >= (zero**-2 + believed**-2) ** -0.5 - 1e-9
-    assert avionics_std_w(fit) < 0.6 * believed
+    assert avionics_power_std_w(fit) >= (zero**-2 + believed**-2) ** -0.5 - 1e-9
+    assert avionics_power_std_w(fit) < 0.6 * believed
 
 
-PUBLISHED = {  # rms that the fit leaves, of the power; masses as the publications state
+PUBLISHED = {  # rms residual of the fit as a share of power; masses as in the publications
     "DJI Matrice 100": ("m100", 3.65, 0.04),
     "quadcopter 1.3 kg": ("px4_sih", 1.3, 0.04),
     "IRIS quadcopter": ("px4_sih", 1.3, 0.06),
@@ -542,7 +563,7 @@ def test_published_curves_are_met(vehicle):
     speeds, watts = np.repeat(points, 15, axis=0).T
     zero = np.zeros(len(speeds))
     fit = fit_power(
-        [level_blocks(vehicle, speeds, watts)], [WindSeen(zero, zero, zero + 0.1, 0.0)], start
+        [level_blocks(vehicle, speeds, watts)], [EstimatedWind(zero, zero, zero + 0.1, 0.0)], start
     )
     fitted = msgspec.structs.replace(
         start,
@@ -560,8 +581,9 @@ def test_published_curves_are_met(vehicle):
     assert math.sqrt(np.mean(errors**2)) < limit
 
 
+@pytest.mark.sample
 def test_drag_that_was_flown_in_thin_air_is_fitted_at_the_files_density():
-    """As drag is stated: rotors' with the root of density, the body's with density."""
+    """Reference density scaling: rotor drag with the root of density, body drag with density."""
     thin, density = World("m100", (0.0,)), 0.784
     thin.linear = tuple(0.8 * k for k in thin.linear)
     thin.quadratic = tuple(0.64 * q for q in thin.quadratic)
@@ -574,11 +596,11 @@ def test_drag_that_was_flown_in_thin_air_is_fitted_at_the_files_density():
 
 
 def test_power_s_slope_is_known_where_an_ideal_rotor_is_the_limit():
-    # Induced power of exactly the ideal rotor's is the least that an airframe may state.
+    # The induced power of the ideal rotor is the lower bound of an airframe file.
     m100 = read_airframe("m100")
     values = np.array([1.0, 0.7, 0.02, 15.0])
     drag = np.array([getattr(m100.drag, key) for key in DRAG_KEYS])
-    value, slopes = power_and_slope(m100, values, drag, 0.0, 0.0)
+    value, slopes = level_power_and_derivatives_w(m100, values, drag, 0.0, 0.0)
     assert value > 0.0
     assert slopes[0] > 0.0
     assert slopes[1] < 0.0

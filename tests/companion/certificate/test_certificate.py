@@ -11,14 +11,14 @@ from scipy.stats import beta
 from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import certificate_from_dict
-from companion.core.certificate.certify import MeasuredFlight, Scatter, certify
+from companion.core.certificate.certify import MeasuredFlight, Scatter, create_certificate
 from companion.core.certificate.support import (
-    confident_loss,
-    days_needed,
-    days_needed_confidently,
-    supported_loss,
+    days_needed_for_loss,
+    loss_free_days_needed,
+    loss_upper_confidence_limit,
+    supported_loss_probability,
 )
-from companion.core.certificate.watch import HOLD_S, EnvelopeWatch
+from companion.core.certificate.watch import MIN_OUTSIDE_S, EnvelopeMonitor
 from companion.core.vehicle.power_bias import ModelError
 
 M100 = read_airframe("m100")
@@ -44,56 +44,58 @@ def flight(
 
 def certificate(flights=None, left_out=()):
     flights = flights or [flight(day, 1.0 + 0.01 * day) for day in range(1, 12)]
-    return certify(M100, flights, USUAL, list(left_out))
+    return create_certificate(M100, flights, USUAL, list(left_out))
 
 
 def test_eleven_days_support_a_twelfth_and_a_quarter_with_confidence():
-    assert supported_loss(11) == pytest.approx(1 / 12)
+    assert supported_loss_probability(11) == pytest.approx(1 / 12)
     # Clopper and Pearson's upper limit of 0 in n, by scipy's beta.
     for days in (3, 11, 299):
-        assert confident_loss(days) == pytest.approx(beta.ppf(0.95, 1, days))
-    assert days_needed(0.01) == 99
-    assert days_needed_confidently(0.01) == 299
+        assert loss_upper_confidence_limit(days) == pytest.approx(beta.ppf(0.95, 1, days))
+    assert days_needed_for_loss(0.01) == 99
+    assert loss_free_days_needed(0.01) == 299
 
 
 @pytest.mark.parametrize("loss", [0.0, 1.0, -0.1, math.nan])
 def test_a_loss_that_is_none_is_refused(loss):
-    for asked in (days_needed, days_needed_confidently):
-        with pytest.raises(LeewayError, match="more than 0 and less than 1"):
+    for asked in (days_needed_for_loss, loss_free_days_needed):
+        with pytest.raises(LeewayError, match="expected more than 0 and less than 1"):
             asked(loss)
 
 
 def test_a_new_day_is_over_the_bound_as_often_as_is_said():
-    """Exchangeable days of correlated flights; flights instead of days would say 1 in 67."""
+    """Exchangeable days of correlated flights; counting flights, not days, would give 1 in 67."""
     rng = np.random.default_rng(3)
     days, flights, over, tries = 11, 6, 0, 4000
     for _ in range(tries):
         of_day = rng.normal(0.0, 0.02, days + 1)
         worst = (of_day[:, None] + rng.normal(0.0, 0.01, (days + 1, flights))).max(axis=1)
         over += worst[-1] > worst[:-1].max()
-    expected = supported_loss(days)
+    expected = supported_loss_probability(days)
     assert over / tries == pytest.approx(expected, abs=4.0 * math.sqrt(expected / tries))
 
 
 def test_the_bound_is_the_worst_flight_of_all_days():
     found = certificate([flight(1), flight(1, 1.2), flight(2, 0.9), flight(3, 1.1)])
     assert [(day.date[-2:], day.flights) for day in found.days] == [("01", 2), ("02", 1), ("03", 1)]
-    assert found.bound_ratio == pytest.approx(1.2)
-    assert "with these 3 (4 flights, 600 decision points)" in found.statement
-    assert "takes over 1.200 of what m100 predicts" in found.statement
-    assert "any flight, with at most 25 % (with 95 % confidence at most 63 %)" in found.statement
+    assert found.max_measured_to_predicted_ratio == pytest.approx(1.2)
+    assert "with these 3 (4 flights, 600 decision points)" in found.summary_text
+    assert "energy to home exceeds 1.200 of what m100 predicts" in found.summary_text
+    assert "any flight, with at most 25 % (with 95 % confidence at most 63 %)" in found.summary_text
 
 
 def test_the_worst_moment_of_a_flight_counts_and_not_its_whole():
     found = certificate([flight(1), flight(2, 1.02, worst=1.25), flight(3, 1.1)])
     assert [day.worst_ratio for day in found.days] == pytest.approx([1.0, 1.25, 1.1])
-    assert found.bound_ratio == pytest.approx(1.25)
+    assert found.max_measured_to_predicted_ratio == pytest.approx(1.25)
 
 
 def test_what_is_missing_for_a_smaller_loss_is_said():
     found = certificate()
-    assert found.support_of(0.1) == ""
-    assert "99 would, and 299 without a loss with 95 % confidence" in found.support_of(0.01)
+    assert found.missing_support_text(0.1) == ""
+    assert "99 would, and 299 without a loss with 95 % confidence" in found.missing_support_text(
+        0.01
+    )
 
 
 def test_two_days_or_a_log_of_another_vehicle_certify_nothing():
@@ -132,60 +134,66 @@ INSIDE = {"t_s": 0.0, "wind_mps": 4.0, "airspeed_mps": 11.0}
 
 
 def test_inside_nothing_is_said_and_nothing_changes():
-    watch = EnvelopeWatch(certificate())
-    assert watch.settle(0.25, 20.0) == ()
+    watch = EnvelopeMonitor(certificate())
+    assert watch.record_exits_on_ground(0.25, 20.0) == ()
     for t_s in range(100):
-        assert watch.observe(**{**INSIDE, "t_s": float(t_s)}) == ()
+        assert watch.record_exits_in_flight(**{**INSIDE, "t_s": float(t_s)}) == ()
     error = ModelError(1.02, 0.03)
-    assert watch.careful(error) is error
+    assert watch.model_error_widened_outside(error) is error
 
 
 def test_wind_and_airspeed_outside_are_said_once_after_their_hold():
     for key, words in (("wind_mps", "wind of 8.0 m/s"), ("airspeed_mps", "airspeed of 14.0 m/s")):
-        watch, said = EnvelopeWatch(certificate()), []
+        watch, said = EnvelopeMonitor(certificate()), []
         outside = {**INSIDE, key: 14.0 if "air" in key else 8.0}
         for t_s in range(40):
-            said += [(t_s, one) for one in watch.observe(**{**outside, "t_s": float(t_s)})]
-        assert [t_s for t_s, _ in said] == [HOLD_S]
+            said += [
+                (t_s, one) for one in watch.record_exits_in_flight(**{**outside, "t_s": float(t_s)})
+            ]
+        assert [t_s for t_s, _ in said] == [MIN_OUTSIDE_S]
         assert words in said[0][1]
-        assert watch.outside == (said[0][1],)
+        assert watch.envelope_exit_texts == (f"certificate: {said[0][1]}",)
 
 
 def test_a_gust_shorter_than_the_hold_leaves_nothing():
-    watch = EnvelopeWatch(certificate())
+    watch = EnvelopeMonitor(certificate())
     for t_s in range(60):
         gust = 8.0 if t_s % 10 < 9 else 4.0
-        assert watch.observe(float(t_s), gust, None) == ()
-    assert watch.observe(61.0, None, None) == ()
+        assert watch.record_exits_in_flight(float(t_s), gust, None) == ()
+    assert watch.record_exits_in_flight(61.0, None, None) == ()
 
 
 def test_a_parcel_or_an_air_that_nobody_flew_is_said_on_the_ground():
     warm = [flight(day, celsius=10.0 + day) for day in range(1, 12)]
-    watch = EnvelopeWatch(certificate(warm))
-    assert watch.settle(0.25, None) == ()
-    (words,) = watch.settle(0.6, 15.0)
-    assert "parcel of 0.6 kg is outside what was flown (0.25)" in words
-    (words,) = watch.settle(0.25, 30.0)
-    assert "air of 30 C is outside what was flown (12 to 20)" in words
-    assert watch.settle(0.6, 30.0) == ()
+    watch = EnvelopeMonitor(certificate(warm))
+    assert watch.record_exits_on_ground(0.25, None) == ()
+    (words,) = watch.record_exits_on_ground(0.6, 15.0)
+    assert "parcel of 0.6 kg (certified: 0.25)" in words
+    (words,) = watch.record_exits_on_ground(0.25, 30.0)
+    assert "air of 30 C (certified: 12 to 20)" in words
+    assert watch.record_exits_on_ground(0.6, 30.0) == ()
 
 
 def test_outside_the_gate_counts_with_a_tenth_more_and_never_with_less_than_was_learned():
-    watch = EnvelopeWatch(certificate())
-    watch.settle(5.0, None)
-    careful = watch.careful(ModelError(1.0, 0.03))
+    watch = EnvelopeMonitor(certificate())
+    watch.record_exits_on_ground(5.0, None)
+    careful = watch.model_error_widened_outside(ModelError(1.0, 0.03))
     assert careful.scale == pytest.approx(1.10)
     assert careful.std_frac == pytest.approx(math.hypot(0.03, 0.05))
-    assert watch.careful(ModelError(1.3, 0.03)).scale == 1.3
+    assert watch.model_error_widened_outside(ModelError(1.3, 0.03)).scale == 1.3
 
 
 def test_a_restarted_companion_stays_outside_and_without_a_certificate_nothing_is_watched():
-    watch = EnvelopeWatch(certificate())
-    watch.settle(5.0, None)
-    again = EnvelopeWatch(certificate())
+    watch = EnvelopeMonitor(certificate())
+    watch.record_exits_on_ground(5.0, None)
+    again = EnvelopeMonitor(certificate())
     again.restore(watch.snapshot())
-    assert again.outside == watch.outside
-    unwatched = EnvelopeWatch(None)
-    assert unwatched.settle(5.0, 90.0) == unwatched.observe(0.0, 99.0, 99.0) == ()
+    assert again.envelope_exit_texts == watch.envelope_exit_texts
+    unwatched = EnvelopeMonitor(None)
+    assert (
+        unwatched.record_exits_on_ground(5.0, 90.0)
+        == unwatched.record_exits_in_flight(0.0, 99.0, 99.0)
+        == ()
+    )
     unwatched.restore(watch.snapshot())
-    assert unwatched.outside == ()
+    assert unwatched.envelope_exit_texts == ()

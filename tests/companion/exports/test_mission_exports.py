@@ -1,4 +1,4 @@
-"""Exported missions, opened by the readers of the tools that they are for."""
+"""Exported missions, opened by the readers of the target tools."""
 
 import json
 import math
@@ -16,20 +16,20 @@ from fastkml import KML
 from typer.testing import CliRunner
 
 from companion.adapters.files.params import (
-    flight_path,
+    flight_file_path,
     read_airframe,
     read_flight,
     read_obstacle_document,
 )
 from companion.app.cli.main import app
-from companion.app.tools.export import ExportRequest, export
+from companion.app.tools.export import ExportRequest, export_mission_or_track
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
-from companion.core.exports.exported import MissionExport, mission_export
-from companion.core.exports.formats import texts_beside
+from companion.core.exports.exported import MissionExport, build_mission_export
+from companion.core.exports.formats import auxiliary_document_by_suffix
 from companion.core.exports.geojson import mission_geojson
-from companion.core.exports.ground_plan import plan_on_the_ground
-from companion.core.exports.qgc_plan import mission_plan
+from companion.core.exports.ground_plan import plan_flight_without_vehicle
+from companion.core.exports.qgc_plan import mission_plan_document
 from companion.core.mission.mission_items import ItemKind
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
@@ -40,10 +40,10 @@ MISSION_FRAME, RELATIVE_FRAME = 2, 3
 
 
 def planned(name: str = "default"):
-    path = flight_path(name)
+    path = flight_file_path(name)
     flight = read_flight(path)
     energy = RouteEnergy(read_airframe(flight.vehicle.airframe), REFERENCE_DENSITY_KGPM3)
-    return plan_on_the_ground(flight, energy, read_obstacle_document(flight, path))
+    return plan_flight_without_vehicle(flight, energy, read_obstacle_document(flight, path))
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +53,13 @@ def flown():
 
 @pytest.fixture(scope="module")
 def mission(flown) -> MissionExport:
-    return mission_export(flown, "harbour")
+    return build_mission_export(flown, "harbour")
 
 
 def text_of(file_format: ExportFormat) -> str:
-    return export(ExportRequest(Path("default"), file_format, autopilot="ardupilot")).text
+    return export_mission_or_track(
+        ExportRequest(Path("default"), file_format, autopilot="ardupilot")
+    ).text
 
 
 READ_WPL = """
@@ -71,13 +73,14 @@ print(json.dumps([[i.command, i.frame, i.param1, i.x, i.y, i.z] for i in items])
 
 
 def read_by_mavproxys_loader(path: Path) -> list[list[float]]:
-    """Command, frame, first parameter and place of each item, in a process of MAVLink 2's own."""
+    """Return command, frame, parameter 1 and position of each item, read in a MAVLink 2 process."""
     words = [sys.executable, "-c", READ_WPL, str(path)]
     done = subprocess.run(words, env=os.environ | {"MAVLINK20": "1"}, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()
     return json.loads(done.stdout)
 
 
+@pytest.mark.sample
 def test_mavproxy_reads_the_waypoints_and_finds_every_item_where_it_is(flown, tmp_path):
     path = tmp_path / "harbour.waypoints"
     path.write_text(text_of(ExportFormat.WPL))
@@ -108,6 +111,7 @@ print(json.dumps([[[i.command, i.param1, i.x, i.y] for i in fence.wpoints],
 FENCE_RETURN, FENCE_EXCLUSION, RALLY_POINT = 5000, 5002, 5100
 
 
+@pytest.mark.sample
 def test_mavproxys_loaders_read_fence_and_rally_points_beside_the_mission(mission, tmp_path):
     done = CliRunner().invoke(
         app, ["export", "default", "--format", "wpl", "--out", str(tmp_path / "h.waypoints")]
@@ -126,15 +130,15 @@ def test_mavproxys_loaders_read_fence_and_rally_points_beside_the_mission(missio
             assert (command, count) == (FENCE_EXCLUSION, len(area.ring_deg))
             assert at == pytest.approx(expected, abs=1e-7)
     assert corners == []
-    (place,) = [place.point for place in mission.places if place.name == "quay"]
+    (place,) = [place.point for place in mission.locations if place.name == "quay"]
     lat_lon = [pytest.approx(at, abs=1e-7) for at in (place.lat_deg, place.lon_deg)]
     assert rally == [[RALLY_POINT, RELATIVE_FRAME, *lat_lon, 40.0]] * 2, "Mission Planner drops one"
 
 
 def test_a_mission_without_areas_and_sites_has_its_own_file_only(mission):
     bare = replace(mission, areas=(), rally=())
-    assert texts_beside(bare, ExportFormat.WPL) == {}
-    assert texts_beside(mission, ExportFormat.PLAN) == {}
+    assert auxiliary_document_by_suffix(bare, ExportFormat.WPL) == {}
+    assert auxiliary_document_by_suffix(mission, ExportFormat.PLAN) == {}
 
 
 def test_gpxpy_reads_places_and_both_ways(mission):
@@ -150,7 +154,7 @@ def test_gpxpy_reads_places_and_both_ways(mission):
     )
     assert out == [pytest.approx(p, abs=1e-6) for p in mission.outbound]
     assert back[-1] == pytest.approx(DEPOT, abs=1e-6), "lands at the depot's ground"
-    # 40 m above the depot, which lies 12 m above the sea
+    # 40 m above the depot, which is 12 m above sea level
     assert max(elevation for *_, elevation in out) == pytest.approx(52.0)
 
 
@@ -167,7 +171,7 @@ def test_fastkml_reads_places_ways_and_obstacles_as_they_stand(mission):
 
 
 def wrong_handed(document) -> list[str]:
-    """Names of polygons whose outline does not run counterclockwise, by shapely."""
+    """Return the names of polygons whose ring is not counterclockwise, by shapely."""
     shapes = [(f["properties"]["name"], shapely.geometry.shape(f["geometry"]))
               for f in document["features"] if f["geometry"]["type"] == "Polygon"]  # fmt: skip
     assert shapes
@@ -190,10 +194,10 @@ def backwards(mission: MissionExport) -> MissionExport:
 
 
 def test_the_fence_of_a_plan_has_what_stands_as_high_as_the_mission_flies(mission):
-    """Of 75, 62, 22 and 30 m the first two: the mission flies at 40 m, 8 m clear of what it
-    crosses.
+    """The first two of 75, 62, 22 and 30 m: the mission flies at 40 m, with 8 m of clearance over
+    obstacles.
     """
-    document = mission_plan(mission, "px4")
+    document = mission_plan_document(mission, "px4")
     polygons = document["geoFence"]["polygons"]
     corners = {tuple(corner) for polygon in polygons for corner in polygon["polygon"]}
     high = {"silo", "wind turbine works"}
@@ -203,13 +207,13 @@ def test_the_fence_of_a_plan_has_what_stands_as_high_as_the_mission_flies(missio
 
 
 def test_the_rally_points_of_a_plan_are_the_sites(mission):
-    (quay,) = mission_plan(mission, "px4")["rallyPoints"]["points"]
-    (place,) = [place for place in mission.places if place.name == "quay"]
+    (quay,) = mission_plan_document(mission, "px4")["rallyPoints"]["points"]
+    (place,) = [place for place in mission.locations if place.name == "quay"]
     assert quay == pytest.approx([place.point.lat_deg, place.point.lon_deg, 40.0], abs=1e-6)
 
 
 def test_jumps_of_a_plan_lead_to_the_items_own_numbers(mission, flown):
-    items = mission_plan(mission, "px4")["mission"]["items"]
+    items = mission_plan_document(mission, "px4")["mission"]["items"]
     numbered = {item["doJumpId"]: item for item in items}
     for item, ours in zip(items, flown.mission.items, strict=True):
         if ours.kind is ItemKind.JUMP:
@@ -221,13 +225,13 @@ def test_jumps_of_a_plan_lead_to_the_items_own_numbers(mission, flown):
 
 def test_a_yaw_that_is_free_is_null_in_a_plan_and_zero_for_ardupilot(flown):
     for free, expected in ((math.nan, None), (0.0, 0.0)):
-        mission = mission_export(flown, "harbour", free_yaw=free)
-        takeoff = mission_plan(mission, "px4")["mission"]["items"][0]
+        mission = build_mission_export(flown, "harbour", free_yaw_value=free)
+        takeoff = mission_plan_document(mission, "px4")["mission"]["items"][0]
         assert takeoff["params"][3] == expected
 
 
 def test_a_flight_that_lands_elsewhere_shows_launch_and_home_apart():
-    kinds = {place.kind for place in mission_export(planned("truck_stop"), "t").places}
+    kinds = {place.kind for place in build_mission_export(planned("truck_stop"), "t").locations}
     assert {"launch", "home"} <= kinds
     assert "launch and home" not in kinds
 
@@ -268,4 +272,4 @@ def test_a_flight_without_a_depot_is_refused_with_its_key(tmp_path):
         '[vehicle]\nairframe = "m100"\n[mission]\n'
     )
     with pytest.raises(LeewayError, match=r"flight\.toml: site\.depot: expected"):
-        export(ExportRequest(path, ExportFormat.KML))
+        export_mission_or_track(ExportRequest(path, ExportFormat.KML))

@@ -1,4 +1,4 @@
-"""Exported tracks, opened by the readers of the tools that they are for."""
+"""Exported tracks, opened by the readers of the target tools."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -11,12 +11,12 @@ from fastkml import KML
 from fastkml.gx import Track
 
 from companion.adapters.logs.decision_log import DecisionLog
-from companion.app.tools.export import ExportRequest, export
+from companion.app.tools.export import ExportRequest, export_mission_or_track
 from companion.core.base.errors import LeewayError
 from companion.core.exports.export_format import ExportFormat
 from companion.core.exports.exported import TrackExport
-from companion.core.exports.flown_track import track_export
-from companion.core.exports.formats import track_text
+from companion.core.exports.flown_track import build_track_export
+from companion.core.exports.formats import track_document_text
 from companion.core.mission.events import GnssTime, Position
 
 START = datetime(2026, 5, 4, 6, 30, 0, 250_000, UTC)
@@ -40,7 +40,7 @@ def run_folder(tmp_path) -> Path:
 
 
 def exported(what: Path, file_format: ExportFormat) -> str:
-    return export(ExportRequest(what, file_format)).text
+    return export_mission_or_track(ExportRequest(what, file_format)).text
 
 
 def test_gpxpy_reads_a_run_folders_track_a_point_a_second_in_utc(run_folder):
@@ -74,25 +74,25 @@ def test_geojson_has_the_track_as_a_line_with_its_times(run_folder):
 
 def test_satellite_time_in_a_log_dates_its_track():
     events = [position(10.0), GnssTime(10.5, START.timestamp()), position(12.5)]
-    track = track_export(events, "log", every_s=1.0)
+    track = build_track_export(events, "log", min_interval_s=1.0)
     assert track.points[1].utc_s == pytest.approx(START.timestamp() + 2.0)
 
 
 def test_a_track_without_dates_is_a_track_all_the_same():
-    track = track_export([position(10.0), position(12.5)], "log", every_s=1.0)
+    track = build_track_export([position(10.0), position(12.5)], "log", min_interval_s=1.0)
     assert [point.utc_s for point in track.points] == [None, None]
-    (read,) = gpxpy.parse(track_text(track, ExportFormat.GPX)).tracks
+    (read,) = gpxpy.parse(track_document_text(track, ExportFormat.GPX)).tracks
     assert [point.time for point in read.segments[0].points] == [None, None]
-    (document,) = KML.parse(BytesIO(track_text(track, ExportFormat.KML).encode())).features
+    (document,) = KML.parse(BytesIO(track_document_text(track, ExportFormat.KML).encode())).features
     assert document.features[0].geometry.geom_type == "LineString"
 
 
 @pytest.mark.parametrize("file_format", [ExportFormat.PLAN, ExportFormat.WPL])
 def test_a_format_of_missions_takes_no_track_and_says_where_the_mission_is(file_format):
     with pytest.raises(LeewayError, match=r"mission, not a track.*mission\.plan"):
-        track_text(TrackExport("log", ()), file_format)
+        track_document_text(TrackExport("log", ()), file_format)
 
 
 def test_a_log_without_a_position_has_no_track():
     with pytest.raises(LeewayError, match="log: no position"):
-        track_export([GnssTime(1.0, 1e9)], "log", every_s=1.0)
+        build_track_export([GnssTime(1.0, 1e9)], "log", min_interval_s=1.0)

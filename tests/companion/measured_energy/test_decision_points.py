@@ -1,12 +1,15 @@
-"""Energy home from every decision point of flights whose truth is known in closed form."""
+"""Energy home from each decision point of flights with a closed-form truth."""
 
 import numpy as np
 import pytest
 
 from companion.adapters.files.params import read_airframe
+from companion.analysis.measured_energy.decision_points import (
+    last_descent_start_index,
+    remaining_energy_at_decision_points,
+)
+from companion.analysis.measured_energy.flown_track import STEP_S, FlownTrack
 from companion.core.base.errors import LeewayError
-from companion.core.measured_energy.decision_points import decision_points, last_decision
-from companion.core.measured_energy.flown_track import STEP_S, FlownTrack
 from companion.core.vehicle.power import multirotor_power_w
 
 M100 = read_airframe("m100")
@@ -39,7 +42,7 @@ def hovers(power_w, height_m=None, climb_mps=None):
         climb_mps=climb_mps,
         power_w=np.broadcast_to(power_w, n) + still,
         alt_amsl_m=0.0,
-        cut_short=False,
+        ends_in_flight=False,
     )
 
 
@@ -50,11 +53,13 @@ def calm(track):
 def test_a_draw_that_rises_half_way_is_seen_at_its_worst_and_not_as_the_mean_of_the_flight():
     late = np.arange(round((HOVER_S + DOWN_S) / STEP_S)) * STEP_S >= 30.0
     track = hovers(hover_w() * np.where(late, 1.2, 1.0))
-    points = decision_points(M100, track, calm(track), DENSITY)
+    points = remaining_energy_at_decision_points(M100, track, calm(track), DENSITY)
     assert points[0].at_s == 0.0
-    assert points[0].ratio == pytest.approx((30.0 + 1.2 * 40.0) / 70.0)
-    assert max(point.ratio for point in points) == pytest.approx(1.2)
-    assert [p.at_s for p in points if p.ratio > 1.1999] == pytest.approx(np.arange(30.0, 60.0))
+    assert points[0].measured_to_predicted_ratio == pytest.approx((30.0 + 1.2 * 40.0) / 70.0)
+    assert max(point.measured_to_predicted_ratio for point in points) == pytest.approx(1.2)
+    assert [p.at_s for p in points if p.measured_to_predicted_ratio > 1.1999] == pytest.approx(
+        np.arange(30.0, 60.0)
+    )
     half = points[35]
     assert half.measured_wh == pytest.approx(1.2 * hover_w() * 35.0 / 3600.0)
 
@@ -63,23 +68,23 @@ def test_each_point_knows_the_wind_that_was_believed_there_and_no_other():
     track = hovers(hover_w())
     wind = calm(track)
     wind[track.t_s >= 20.0] = (-9.0, 12.0)
-    points = decision_points(M100, track, wind, DENSITY)
-    assert points[19].ratio == pytest.approx(1.0)
-    assert points[20].ratio == pytest.approx(hover_w() / hover_w(15.0))
-    assert abs(points[20].ratio - 1.0) > 0.03
+    points = remaining_energy_at_decision_points(M100, track, wind, DENSITY)
+    assert points[19].measured_to_predicted_ratio == pytest.approx(1.0)
+    assert points[20].measured_to_predicted_ratio == pytest.approx(hover_w() / hover_w(15.0))
+    assert abs(points[20].measured_to_predicted_ratio - 1.0) > 0.03
 
 
 def test_nothing_is_decided_in_the_last_descent():
-    points = decision_points(M100, hovers(400.0), calm(hovers(400.0)), DENSITY)
+    points = remaining_energy_at_decision_points(M100, hovers(400.0), calm(hovers(400.0)), DENSITY)
     assert points[-1].at_s == pytest.approx(HOVER_S - 1.0)
-    # One that stops on its way down at 10 m is still deciding there.
+    # A vehicle that stops its descent at 10 m still has a decision point there.
     climb = hovers(400.0).climb_mps.copy()
     at = np.arange(len(climb)) * STEP_S
     climb[(at >= 65.0) & (at < 67.0)] = 0.0
-    assert last_decision(hovers(400.0, climb_mps=climb)) * STEP_S == pytest.approx(66.8)
+    assert last_descent_start_index(hovers(400.0, climb_mps=climb)) * STEP_S == pytest.approx(66.8)
 
 
 def test_what_never_flew_is_refused_by_name():
     n = round((HOVER_S + DOWN_S) / STEP_S)
     with pytest.raises(LeewayError, match=r"^f: never more than 5 m above"):
-        last_decision(hovers(400.0, height_m=np.full(n, 3.0)))
+        last_descent_start_index(hovers(400.0, height_m=np.full(n, 3.0)))

@@ -1,14 +1,17 @@
-"""Scatter by days, charges and flights: against a closed form, statsmodels, and its own promise."""
+"""Scatter by days, charges and flights: closed form, statsmodels, stated coverage."""
 
 import numpy as np
 import pytest
 
+from companion.analysis.measured_energy.energy_scatter import (
+    charge_number_by_flight,
+    fit_energy_ratio_scatter,
+)
 from companion.core.base.errors import LeewayError
-from companion.core.measured_energy.energy_scatter import charges_of, fit_scatter
 
 
 def drawn(rng, days, per_charge, charges, stds):
-    """Logarithms with their labels; stds of day, charge, flight."""
+    """Return logarithms with their labels; stds of day, charge, flight."""
     logs, day_names, numbers = [], [], []
     for day in range(days):
         of_day = rng.normal(0.0, stds[0])
@@ -21,21 +24,23 @@ def drawn(rng, days, per_charge, charges, stds):
     return np.array(logs), day_names, numbers
 
 
+@pytest.mark.sample
 def test_balanced_variances_are_those_of_the_analysis_of_variance():
-    # Nested and balanced, estimates inside: REML is the analysis of variance (Searle, Casella and
-    # McCulloch, Variance Components, 1992, 4.3).
+    # Nested and balanced, estimates in the interior: REML is the analysis of variance (Searle,
+    # Casella and McCulloch, Variance Components, 1992, 4.3).
     logs, days, charges = drawn(np.random.default_rng(3), 12, 3, 4, (0.03, 0.02, 0.02))
     cube = logs.reshape(12, 4, 3)
     within = cube.var(axis=2, ddof=1).mean()
     by_charge = 3 * cube.mean(axis=2).var(axis=1, ddof=1).mean()
     by_day = 12 * cube.mean(axis=(1, 2)).var(ddof=1)
-    found = fit_scatter(logs, days, charges)
+    found = fit_energy_ratio_scatter(logs, days, charges)
     assert found.flight_variance == pytest.approx(within, rel=1e-3)
     assert found.charge_variance == pytest.approx((by_charge - within) / 3, rel=1e-2)
     assert found.day_variance == pytest.approx((by_day - by_charge) / 12, rel=1e-2)
     assert found.mean == pytest.approx(logs.mean())
 
 
+@pytest.mark.sample
 def test_unbalanced_variances_are_those_of_statsmodels():
     mixed = pytest.importorskip("statsmodels.regression.mixed_linear_model")
     rng = np.random.default_rng(8)
@@ -53,25 +58,28 @@ def test_unbalanced_variances_are_those_of_statsmodels():
         [list(by_day.values())],
     )
     ones = np.ones((len(logs), 1))
-    scale = 100.0  # its optimiser wants numbers of about one
+    scale = 100.0  # its optimiser needs numbers of about one
     model = mixed.MixedLM(scale * logs, ones, days, exog_re=ones, exog_vc=vcs)
     other = model.fit(reml=True)
-    found = fit_scatter(logs, days, charges)
+    found = fit_energy_ratio_scatter(logs, days, charges)
     assert found.day_variance == pytest.approx(float(other.cov_re[0, 0]) / scale**2, rel=0.03)
     assert found.charge_variance == pytest.approx(float(other.vcomp[0]) / scale**2, rel=0.03)
     assert found.flight_variance == pytest.approx(float(other.scale) / scale**2, rel=0.03)
     assert found.mean == pytest.approx(float(other.fe_params[0]) / scale, abs=1e-4)
 
 
+@pytest.mark.sample
 def test_the_bound_covers_its_share_of_flights_on_new_days():
-    # 150 campaigns of ten days each, one flight on a new day of each: 95 % give or take 1.8 % (one
-    # sigma, binomial). A bound from flights as if they were exchangeable covers 87 %.
+    # 150 campaigns of ten days, each with one flight on another day: 95 % +- 1.8 % (one sigma,
+    # binomial). A bound that treats flights as exchangeable covers 87 %.
     rng = np.random.default_rng(5)
     stds, under, plain = (0.03, 0.01, 0.015), 0, 0
     for _ in range(150):
         logs, days, charges = drawn(rng, 10, 2, 3, stds)
         new = rng.normal(0.0, np.sqrt(np.sum(np.square(stds))))
-        under += new <= np.log(fit_scatter(logs, days, charges).bound(0.95))
+        under += new <= np.log(
+            fit_energy_ratio_scatter(logs, days, charges).upper_bound_factor(0.95)
+        )
         plain += new <= logs.mean() + 1.645 * logs.std() * np.sqrt(1 / len(logs))
     assert 0.91 <= under / 150 <= 0.99
     assert plain / 150 < 0.9
@@ -79,16 +87,19 @@ def test_the_bound_covers_its_share_of_flights_on_new_days():
 
 def test_days_that_differ_widen_the_bound():
     rng = np.random.default_rng(2)
-    alike = fit_scatter(*drawn(rng, 10, 3, 3, (0.0, 0.0, 0.02)))
-    apart = fit_scatter(*drawn(rng, 10, 3, 3, (0.03, 0.0, 0.02)))
-    assert apart.bound(0.95) / apart.factor > alike.bound(0.95) / alike.factor + 0.02
+    alike = fit_energy_ratio_scatter(*drawn(rng, 10, 3, 3, (0.0, 0.0, 0.02)))
+    apart = fit_energy_ratio_scatter(*drawn(rng, 10, 3, 3, (0.03, 0.0, 0.02)))
+    assert (
+        apart.upper_bound_factor(0.95) / apart.median_factor
+        > alike.upper_bound_factor(0.95) / alike.median_factor + 0.02
+    )
 
 
 def test_two_days_tell_nothing_of_a_third():
     with pytest.raises(LeewayError, match="2 days, at least 3"):
-        fit_scatter(np.zeros(6), ["a", "a", "a", "b", "b", "b"], [0, 0, 1, 2, 2, 3])
+        fit_energy_ratio_scatter(np.zeros(6), ["a", "a", "a", "b", "b", "b"], [0, 0, 1, 2, 2, 3])
 
 
 def test_a_charge_ends_with_the_day_and_where_the_voltage_rises():
     days = ["a", "a", "a", "a", "b", "b"]
-    assert charges_of(days, [25.6, 24.5, 23.4, 25.5, 25.4, 24.3]) == [0, 0, 0, 1, 2, 2]
+    assert charge_number_by_flight(days, [25.6, 24.5, 23.4, 25.5, 25.4, 24.3]) == [0, 0, 0, 1, 2, 2]

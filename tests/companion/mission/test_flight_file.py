@@ -1,4 +1,4 @@
-"""flight/1 files: the shipped ones load, and what breaks the format is named in one line."""
+"""flight/1 files: the shipped ones load, and format errors are reported in one line."""
 
 import tomllib
 from pathlib import Path
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from companion.core.mission.flight_file import Flight
-from sim_bridge.app.flight.scenario import read_faults, read_wind
+from sim_bridge.app.flight.scenario import read_faults, read_or_draw_true_wind
 
 FLIGHTS = sorted((Path(__file__).parents[3] / "params" / "flights").glob("*.toml"))
 MINIMAL = {
@@ -27,7 +27,7 @@ def flight(**changes) -> Flight:
 @pytest.mark.parametrize("path", FLIGHTS, ids=lambda p: p.stem)
 def test_shipped_flights_load_with_their_wind_and_faults(path):
     loaded = msgspec.convert(tomllib.loads(path.read_text()), Flight)
-    _, mean = read_wind(loaded, path, np.random.default_rng(1))
+    _, mean = read_or_draw_true_wind(loaded, path, np.random.default_rng(1))
     assert all(np.isfinite(mean.to_ne_mps(t)).all() for t in (0.0, 300.0))
     assert [f.at_s for f in read_faults(loaded, path)] == sorted(f["at_s"] for f in loaded.faults)
 
@@ -75,7 +75,7 @@ def test_a_broken_flight_file_is_refused_and_the_key_is_named(changes, named):
 )
 def test_a_broken_wind_table_is_refused_and_the_place_is_named(wind, named):
     with pytest.raises((LeewayError, msgspec.ValidationError), match=named):
-        read_wind(flight(wind=wind), Path("f.toml"), np.random.default_rng(1))
+        read_or_draw_true_wind(flight(wind=wind), Path("f.toml"), np.random.default_rng(1))
 
 
 def test_a_recording_is_started_where_the_seed_says_and_fits_the_mission(tmp_path):
@@ -83,7 +83,9 @@ def test_a_recording_is_started_where_the_seed_says_and_fits_the_mission(tmp_pat
     rows = "".join(f"{t},5.0,{t / 10}\n" for t in range(2001))
     log.write_text("t_s,wind_speed_mps,wind_from_deg\n" + rows)
     starts = [
-        read_wind(flight(), tmp_path / "f.toml", np.random.default_rng(seed), log)[0].start_s
+        read_or_draw_true_wind(flight(), tmp_path / "f.toml", np.random.default_rng(seed), log)[
+            0
+        ].start_s
         for seed in (1, 1, 2, 3, 4, 5, 6, 7)
     ]
     assert starts[0] == starts[1]
@@ -101,6 +103,6 @@ def test_a_home_that_moves_to_no_stop_of_the_flight_is_refused_with_its_index():
     stop = {"name": "stop-2", "east_m": 300.0, "north_m": 0.0}
     faults = [{"kind": "home_moves", "to": "stop-2"}, {"kind": "home_moves", "to": "stop-9"}]
     table = flight(faults=faults)
-    site = msgspec.structs.replace(table.site, stops=[msgspec.convert(stop, Place)])
-    with pytest.raises(LeewayError, match=r"faults\[1\].to = 'stop-9': expected the name of one"):
+    site = msgspec.structs.replace(table.site, stops=[msgspec.convert(stop, Location)])
+    with pytest.raises(LeewayError, match=r"faults\[1\].to = 'stop-9': expected a name from site"):
         read_faults(msgspec.structs.replace(table, site=site), Path("f.toml"))

@@ -1,4 +1,4 @@
-"""A flight planned among geo-zones: through, round and under them; and its hours at the launch."""
+"""Flight planning with geo-zones: through, around and below them; validity at launch."""
 
 import json
 from pathlib import Path
@@ -12,11 +12,11 @@ from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.px4 import Px4
 from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
-from companion.core.exports.exported import mission_export
-from companion.core.exports.ground_plan import plan_on_the_ground
+from companion.core.exports.exported import build_mission_export
+from companion.core.exports.ground_plan import plan_flight_without_vehicle
 from companion.core.mission.events import GnssTime
 from companion.core.mission.flight_file import Flight
-from companion.core.mission.flight_plan import FlightPlan, route_facts
+from companion.core.mission.flight_plan import FlightPlan, route_properties
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.core.routing.leg_energy import RouteEnergy
@@ -33,7 +33,7 @@ def example(name: str) -> dict[str, Any]:
 
 
 def flight(**mission: Any) -> Flight:
-    """From the depot to 1,200 m east: the examples' zones stand in the middle of the way."""
+    """From the depot to 1,200 m east: the examples' zones are on the middle of the route."""
     table = {
         "format": "flight/1",
         "site": {
@@ -48,11 +48,11 @@ def flight(**mission: Any) -> Flight:
 
 def planned(name: str, **mission: Any) -> FlightPlan:
     asked = flight(**mission)
-    return plan_on_the_ground(asked, RouteEnergy(M100, 1.225), example(name))
+    return plan_flight_without_vehicle(asked, RouteEnergy(M100, 1.225), example(name))
 
 
 def aside_m(flown: FlightPlan) -> float:
-    """How far off the straight line the flight goes, out or back."""
+    """Return the largest distance from the straight line, outbound or returning."""
     plan = flown.plan
     return max(abs(north) for north, _, _ in (*plan.outbound_ned_m, *plan.return_ned_m))
 
@@ -60,7 +60,7 @@ def aside_m(flown: FlightPlan) -> float:
 def test_at_ten_the_flight_goes_through_a_zone_and_at_noon_round_it() -> None:
     assert aside_m(planned("ed269.json", **MORNING)) < 1.0
     assert aside_m(planned("ed269.json", **NOON)) > 80.0
-    assert aside_m(planned("ed269.json")) > 80.0  # nobody knows when
+    assert aside_m(planned("ed269.json")) > 80.0  # applicability unknown
     round_it = shapely.LineString(
         [p[:2] for p in planned("ed269.json", **NOON).plan.outbound_ned_m]
     )
@@ -79,11 +79,11 @@ def test_a_place_beyond_the_depots_reach_is_refused(table: dict[str, Any]) -> No
     document["site"] |= table
     of = msgspec.convert(document, Flight)
     with pytest.raises(LeewayError, match=r"km from the depot: expected at most 100 km"):
-        plan_on_the_ground(of, RouteEnergy(M100, 1.225), None)
+        plan_flight_without_vehicle(of, RouteEnergy(M100, 1.225), None)
 
 
 def test_leave_opens_the_straight_way() -> None:
-    # 105 m cruise: the zone's floor, 137 m above the sea, is not 8 m over all that may be flown.
+    # 105 m cruise: the zone's floor, 137 m above sea level, is under 8 m above some flown height.
     assert aside_m(planned("ed318.json", cruise_height_m=105.0)) > 200.0
     leave = {"cruise_height_m": 105.0, "authorised_zones": ["XXX0002"]}
     assert aside_m(planned("ed318.json", **leave)) < 1.0
@@ -92,11 +92,13 @@ def test_leave_opens_the_straight_way() -> None:
 def test_a_zone_that_begins_above_the_flight_is_flown_under() -> None:
     flown = planned("ed318.json", cruise_height_m=60.0)
     assert aside_m(flown) < 1.0
-    assert flown.sees((0.0, 0.0, -60.0), (0.0, 1200.0, -60.0))
-    assert not flown.sees((0.0, 0.0, -125.0), (0.0, 1200.0, -60.0))  # out of its height
-    (area,) = mission_export(flown, "under").areas
+    assert flown.is_line_clear_with_height_change((0.0, 0.0, -60.0), (0.0, 1200.0, -60.0))
+    assert not flown.is_line_clear_with_height_change(
+        (0.0, 0.0, -125.0), (0.0, 1200.0, -60.0)
+    )  # outside its height range
+    (area,) = build_mission_export(flown, "under").areas
     assert not area.in_fence
-    assert area.floor_m == pytest.approx(450 * 0.3048 - 12.0)
+    assert area.bottom_m == pytest.approx(450 * 0.3048 - 12.0)
 
 
 @pytest.mark.parametrize(
@@ -106,11 +108,11 @@ def test_the_autopilots_own_return_stays_under_the_zone_too(
     profile: ArduPilot | Px4, name: str, per_m: float
 ) -> None:
     asked = flight(cruise_height_m=60.0)
-    facts = route_facts(asked, M100, planned("ed318.json", cruise_height_m=60.0))
-    assert facts.room_m == pytest.approx(450 * 0.3048 - 12.0 - 8.0)
-    (rtl,) = (r for r in profile.requirements(facts) if r.names[0] == name)
-    assert rtl.holds({name: 80.0 * per_m})
-    assert not rtl.holds({name: 130.0 * per_m})
+    facts = route_properties(asked, M100, planned("ed318.json", cruise_height_m=60.0))
+    assert facts.ceiling_m == pytest.approx(450 * 0.3048 - 12.0 - 8.0)
+    (rtl,) = (r for r in profile.parameter_requirements(facts) if r.names[0] == name)
+    assert rtl.is_met({name: 80.0 * per_m})
+    assert not rtl.is_met({name: 130.0 * per_m})
 
 
 @pytest.mark.parametrize(
@@ -156,5 +158,5 @@ def test_a_flight_takes_off_within_its_hours_only() -> None:
 
 def test_a_flight_with_hours_waits_for_a_time_of_day() -> None:
     w = timed_world(None)
-    w.run(lambda w: "waiting: the autopilot tells no time of day" in w.said)
+    w.run(lambda w: "waiting: the autopilot reports no time of day" in w.said)
     assert not w.armed

@@ -1,4 +1,4 @@
-"""The dead man's mission, walked as an autopilot walks it; and what reading it back may change."""
+"""The autonomous mission, followed as an autopilot does; changes accepted at its read-back."""
 
 import dataclasses
 import math
@@ -9,44 +9,50 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.adapters.autopilots.codec import mavlink
-from companion.adapters.autopilots.mission_wire import item_from_wire, wire_items
+from companion.adapters.autopilots.mission_wire import decode_mission_item, encode_mission_items
 from companion.core.base.errors import LeewayError
-from companion.core.mission.jump_watch import JumpStatus, JumpWatch, Purpose
+from companion.core.mission.jump_watch import JumpMonitor, JumpStatus, JumpType
 from companion.core.mission.mission_items import (
-    PLACED,
-    DeadMansMission,
+    POSITIONED_KINDS,
     ItemKind,
+    MissionPosition,
     Part,
-    Spot,
-    build_dead_mans_mission,
-    differences,
+    ReturnByDefaultMission,
+    build_return_by_default_mission,
+    mission_differences,
 )
 
+TIMES = {
+    "settle_hover_s": 18.0,
+    "customer_hold_s": 6.0,
+    "loaded_hover_s": 5.0,
+    "release_hover_s": 8.0,
+}
 
-def mission(legs: int = 3, rallies: int = 2, entries: list[int] | None = None) -> DeadMansMission:
-    """A straight mission eastwards, its way back through the same points."""
-    out = [Spot(55.47, 8.45 + 0.01 * (i + 1), 40.0) for i in range(legs)]
-    back = [out[-1], *reversed(out[:-1]), Spot(55.47, 8.45, 40.0)]
-    return build_dead_mans_mission(
-        depot=Spot(55.47, 8.45, 0.0),
+
+def mission(
+    legs: int = 3, rallies: int = 2, entries: list[int] | None = None
+) -> ReturnByDefaultMission:
+    """A straight mission to the east that returns over the same points."""
+    out = [MissionPosition(55.47, 8.45 + 0.01 * (i + 1), 40.0) for i in range(legs)]
+    back = [out[-1], *reversed(out[:-1]), MissionPosition(55.47, 8.45, 40.0)]
+    sites = [(55.48, 8.45 + 0.01 * i) for i in range(rallies)]
+    return build_return_by_default_mission(
+        landing_position=MissionPosition(55.47, 8.45, 0.0),
         outbound=out,
-        drop=dataclasses.replace(out[-1], height_rel_m=6.0),
+        drop_position=dataclasses.replace(out[-1], height_rel_m=6.0),
         returning=back,
-        entries=entries or [legs - i for i in range(legs)],
-        rally=[
-            (Spot(55.48, 8.45 + 0.01 * i, 40.0), Spot(55.48, 8.45 + 0.01 * i, 2.0))
-            for i in range(rallies)
+        return_entry_by_outbound=entries or [legs - i for i in range(legs)],
+        rally_overhead_and_ground=[
+            (MissionPosition(*site, 40.0), MissionPosition(*site, 2.0)) for site in sites
         ],
-        settle_s=18.0,
-        hold_s=6.0,
-        weigh_s=5.0,
-        delay_s=8.0,
         home_speed_mps=9.0,
+        **TIMES,
     )
 
 
-def walk(flight: DeadMansMission, index: int, steps: int = 200) -> list[int]:
-    """Items that an autopilot passes by itself from one on, following every JUMP, to the end."""
+def walk(flight: ReturnByDefaultMission, index: int, steps: int = 200) -> list[int]:
+    """Return the items that an autopilot passes from one on, following each JUMP, to the end."""
     passed = []
     while 0 <= index < len(flight.items) and len(passed) < steps:
         passed.append(index)
@@ -61,13 +67,13 @@ def test_safety_rule_2_from_every_item_the_untouched_mission_ends_in_a_landing(l
     entries = data.draw(st.lists(st.integers(0, legs), min_size=legs, max_size=legs))
     flight = mission(legs, rallies, entries)
     for start in range(len(flight.items)):
-        placed = [i for i in walk(flight, start) if flight.items[i].kind in PLACED]
+        placed = [i for i in walk(flight, start) if flight.items[i].kind in POSITIONED_KINDS]
         landings = [i for i in placed if flight.items[i].kind is ItemKind.LAND]
         if flight.items[start].part is Part.END or flight.items[start].label == "end":
             assert not placed
             continue
         assert landings
-        # Once a landing is reached nothing but that landing follows.
+        # After a landing only that landing follows.
         first = placed.index(landings[0])
         assert set(placed[first:]) == {landings[0]}
 
@@ -96,7 +102,7 @@ def test_the_drop_is_left_by_itself_for_the_climb_out():
 
 
 def test_every_landing_leads_to_an_end_without_a_place_because_px4_goes_on_after_one():
-    """Flown on PX4 1.18: led to a last item without a place it finishes, landed, and disarms."""
+    """Flown on PX4 1.18: with a last item without a position it finishes, landed, and disarms."""
     flight = mission()
     end = len(flight.items) - 1
     assert flight.items[end].kind is ItemKind.SPEED
@@ -109,95 +115,89 @@ def test_every_landing_leads_to_an_end_without_a_place_because_px4_goes_on_after
 def test_the_mission_follows_itself_but_not_a_hand_that_moves_it():
     flight = mission()
     first, second = flight.outbound[:2]
-    assert flight.follows(first, flight.entry_of_outbound[0])
-    assert flight.follows(flight.takeoff, flight.settle)
-    assert not flight.follows(first, second)
-    assert not flight.follows(flight.settle, first)
-    assert not flight.follows(flight.returning[0], flight.deliver)
+    assert flight.is_item_reachable_without_jump(first, flight.entry_of_outbound[0])
+    assert flight.is_item_reachable_without_jump(flight.takeoff, flight.settle)
+    assert not flight.is_item_reachable_without_jump(first, second)
+    assert not flight.is_item_reachable_without_jump(flight.settle, first)
+    assert not flight.is_item_reachable_without_jump(flight.returning[0], flight.deliver)
 
 
 def test_an_item_of_the_way_home_shows_no_jump_outward_though_it_follows_one():
-    # Flown on ArduCopter: sent onward again from the way home, the item that it still told was
-    # taken for the jump's own outcome, and the flight for one that had gone home by itself.
+    # Flown on ArduCopter: sent onward again on the return route, the previously reported item was
+    # mistaken for the jump's result, and the flight for one that returned by itself.
     flight = mission()
     out, home = flight.outbound[1], flight.entry_of_outbound[1]
-    assert flight.follows(out, home)
-    onward = JumpWatch(out, Purpose.ONWARD, 0.0)
-    assert not onward.confirms(flight, home, 0.1)
-    assert onward.confirms(flight, out, 0.2)
-    assert onward.confirms(flight, out + 1, 0.2)
-    back = JumpWatch(home, Purpose.HOME, 0.0)
-    assert back.confirms(flight, home + 1, 0.1)
+    assert flight.is_item_reachable_without_jump(out, home)
+    onward = JumpMonitor(out, JumpType.ONWARD, 0.0)
+    assert not onward.is_confirmed_by_report(flight, home, 0.1)
+    assert onward.is_confirmed_by_report(flight, out, 0.2)
+    assert onward.is_confirmed_by_report(flight, out + 1, 0.2)
+    back = JumpMonitor(home, JumpType.HOME, 0.0)
+    assert back.is_confirmed_by_report(flight, home + 1, 0.1)
 
 
 def test_a_report_that_may_be_older_than_the_jump_says_nothing_of_it():
     flight = mission()
     out, home = flight.outbound[1], flight.entry_of_outbound[1]
-    again = JumpWatch(out, Purpose.ONWARD, 10.0, before=frozenset({out, home}))
-    assert not again.confirms(flight, out, 10.4), "overtaken by the one that said: homeward"
-    assert again.confirms(flight, out, 11.2)
-    assert again.left_behind(flight, home)
-    assert not again.left_behind(flight, out)
-    assert JumpWatch(out, Purpose.ONWARD, 10.0).confirms(flight, out, 10.1), "not flown before"
+    again = JumpMonitor(out, JumpType.ONWARD, 10.0, previous_items=frozenset({out, home}))
+    assert not again.is_confirmed_by_report(flight, out, 10.4), (
+        "overtaken by the one that said: homeward"
+    )
+    assert again.is_confirmed_by_report(flight, out, 11.2)
+    assert again.is_possibly_stale_item(flight, home)
+    assert not again.is_possibly_stale_item(flight, out)
+    assert JumpMonitor(out, JumpType.ONWARD, 10.0).is_confirmed_by_report(flight, out, 10.1), (
+        "not flown before"
+    )
 
 
 def test_a_jump_that_no_report_confirms_is_asked_again_and_then_given_up():
-    jump = JumpWatch(4, Purpose.HOME, 10.0)
-    assert jump.wait(12.4) is JumpStatus.WAITING
-    assert jump.wait(12.5) is JumpStatus.ASK_AGAIN
-    assert jump.wait(15.0) is JumpStatus.ASK_AGAIN
-    assert jump.wait(17.5) is JumpStatus.REFUSED
+    jump = JumpMonitor(4, JumpType.HOME, 10.0)
+    assert jump.update_retry_status(12.4) is JumpStatus.WAITING
+    assert jump.update_retry_status(12.5) is JumpStatus.REPEAT
+    assert jump.update_retry_status(15.0) is JumpStatus.REPEAT
+    assert jump.update_retry_status(17.5) is JumpStatus.REFUSED
 
 
 def test_the_spot_of_an_item_without_a_place_is_where_the_mission_flies_next():
     flight = mission(entries=[3, 2, 1])
     jump = flight.outbound[0] + 2
-    assert flight.spot_at(jump) == flight.items[flight.returning[3]].spot
-    assert flight.spot_at(len(flight.items)) is None
+    assert flight.position_at_or_after_item(jump) == flight.items[flight.returning[3]].spot
+    assert flight.position_at_or_after_item(len(flight.items)) is None
 
 
 def test_a_way_home_that_does_not_exist_is_refused():
-    with pytest.raises(LeewayError, match="way home"):
+    with pytest.raises(LeewayError, match="return entr"):
         mission(3, 0, [0, 0, 9])
+    over = MissionPosition(0, 0, 40)
     with pytest.raises(LeewayError, match="home speed"):
-        build_dead_mans_mission(
-            depot=Spot(0, 0, 0),
-            outbound=[Spot(0, 0, 40)],
-            drop=Spot(0, 0, 6),
-            returning=[Spot(0, 0, 40), Spot(0, 0, 40)],
-            entries=[1],
-            rally=[],
-            settle_s=1,
-            hold_s=1,
-            weigh_s=1,
-            delay_s=1,
-            home_speed_mps=math.nan,
-        )
+        build_return_by_default_mission(
+            landing_position=MissionPosition(0, 0, 0), outbound=[over],
+            drop_position=MissionPosition(0, 0, 6),
+            returning=[over, over],
+            return_entry_by_outbound=[1], rally_overhead_and_ground=[], home_speed_mps=math.nan,
+            **TIMES,
+        )  # fmt: skip
 
 
 # --- the wire and the read-back ------------------------------------------------------------------
 
 
-def aboard(flight: DeadMansMission, home_items: int, **changes: object) -> list[SimpleNamespace]:
-    """The mission as MISSION_ITEM_INT messages of an autopilot that keeps it as it came."""
-    wire = wire_items(
-        flight.items, home_items=home_items, home=Spot(55.47, 8.45, 12.0), free_yaw=math.nan
+def aboard(
+    flight: ReturnByDefaultMission, home_items: int, **changes: object
+) -> list[SimpleNamespace]:
+    """Return the mission as MISSION_ITEM_INT messages of an autopilot that stores it unchanged."""
+    home = MissionPosition(55.47, 8.45, 12.0)
+    wire = encode_mission_items(
+        flight.items, home_item_count=home_items, home=home, autopilot_chosen_yaw_value=math.nan
     )
     messages = [
         SimpleNamespace(
-            seq=seq,
-            frame=item.frame,
-            command=item.command,
-            param1=item.params[0],
-            param2=item.params[1],
-            param3=item.params[2],
-            param4=item.params[3],
-            x=item.x,
-            y=item.y,
-            z=item.z,
+            seq=seq, frame=item.frame, command=item.command, x=item.x, y=item.y, z=item.z,
+            **{f"param{k}": value for k, value in enumerate(item.params, 1)},
         )
         for seq, item in enumerate(wire)
-    ]
+    ]  # fmt: skip
     for message in messages:
         for name, change in changes.items():
             setattr(message, name, change(getattr(message, name)))  # type: ignore[operator]
@@ -205,13 +205,15 @@ def aboard(flight: DeadMansMission, home_items: int, **changes: object) -> list[
 
 
 def read(messages: list[SimpleNamespace], home_items: int) -> list:
-    return [item_from_wire(m, home_items=home_items) for m in messages][home_items:]
+    return [decode_mission_item(m, home_item_count=home_items) for m in messages][home_items:]
 
 
 @pytest.mark.parametrize("home_items", [0, 1])
 def test_a_mission_that_came_back_as_it_went_shows_no_difference(home_items):
     flight = mission()
-    assert differences(flight.items, read(aboard(flight, home_items), home_items)) == ()
+    assert mission_differences(flight.items, read(aboard(flight, home_items), home_items)) == ()
+    cut = mission_differences(flight.items, flight.items[:-1])
+    assert cut == (f"{len(flight.items) - 1} items onboard, {len(flight.items)} uploaded",)
 
 
 def test_what_arducopter_rewrites_is_not_a_difference():
@@ -227,11 +229,11 @@ def test_what_arducopter_rewrites_is_not_a_difference():
         if message.command == mavlink.MAV_CMD_NAV_WAYPOINT:
             message.param2 = 0.0
     messages[0].x, messages[0].y, messages[0].z = 1, 2, 3.0
-    assert differences(flight.items, read(messages, 1)) == ()
+    assert mission_differences(flight.items, read(messages, 1)) == ()
 
 
 def test_jumps_are_numbered_as_the_autopilot_counts():
-    # ArduPilot keeps its home at 0, so that every item and every jump target lies one higher.
+    # ArduPilot stores its home at 0, so that each item and jump target is one higher.
     flight = mission()
     jump = next(i for i, item in enumerate(flight.items) if item.kind is ItemKind.JUMP)
     assert aboard(flight, 0)[jump].param1 == flight.items[jump].value
@@ -258,12 +260,6 @@ def test_what_changes_the_flight_is_a_difference_and_is_named(name):
     index = next(i for i, item in enumerate(flight.items) if item.kind.value == kind)
     messages = aboard(flight, 0)
     setattr(messages[index], key, value)
-    found = differences(flight.items, read(messages, 0))
+    found = mission_differences(flight.items, read(messages, 0))
     assert len(found) == 1
     assert found[0].startswith(f"item {index} ")
-
-
-def test_a_mission_cut_short_is_a_difference():
-    flight = mission()
-    found = differences(flight.items, flight.items[:-1])
-    assert found == (f"{len(flight.items) - 1} items aboard, {len(flight.items)} uploaded",)

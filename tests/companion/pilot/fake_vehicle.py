@@ -1,7 +1,7 @@
-"""A vehicle of a few lines for the pilot to fly, with scripted estimates.
+"""A minimal fake vehicle for the pilot, with scripted estimates.
 
-The vehicle obeys orders at once and follows the mission as autopilots do. Wind, energy and the
-gate are scripted: how the mission acts on what they say is what is tested with it.
+The vehicle obeys orders immediately and follows the mission as autopilots do. Wind, energy and the
+gate are scripted: the tests check the mission's reaction to their output.
 """
 
 import math
@@ -17,37 +17,41 @@ from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
     Action,
+    AlertReport,
     Arm,
-    AskParameters,
-    AskTelemetry,
     ClearMission,
-    Configure,
     Decision,
     Disarm,
     Finished,
     JumpTo,
+    LogNote,
     Order,
-    ReadMissionBack,
-    Release,
-    Say,
+    ReleaseParcel,
+    RequestParameters,
+    RequestTelemetry,
+    SaveCheckpoint,
     SetGroundSpeed,
     SetHome,
     SetMode,
+    SetParameters,
     UploadMission,
+    VerifyMission,
 )
-from companion.core.mission.events import Ground, Mode
+from companion.core.mission.events import Mode, VehicleLandedState
 from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.flight_file import Flight
-from companion.core.mission.mission_items import ItemKind, MissionItem, differences
-from companion.core.mission.preflight_checks import Requirement
-from companion.core.monitor.figures import FlightFigures
+from companion.core.mission.mission_items import ItemKind, MissionItem, mission_differences
+from companion.core.mission.preflight_checks import ParameterRequirement
+from companion.core.monitor.flight_evidence import FlightEvidence
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
-from companion.core.pilot.estimates import Limits
-from companion.core.pilot.ground_sequence import Requirements
+from companion.core.pilot.estimators.flight_gate import AcceptedLimits
+from companion.core.pilot.flight_state import CurrentItem
+from companion.core.pilot.ground.autopilot_settings import RequirementsFunction
+from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import COMMANDING_PHASES, Phase
-from companion.core.return_budget.budget import Ahead, Assessment
+from companion.core.return_budget.budget import Assessment, RemainingMission
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.air import Air
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -81,27 +85,25 @@ CLOSED = "the return needs more than is left"
 
 @dataclass
 class ScriptedJudge:
-    """Wind, energy and gate as the test says."""
+    """Wind, energy and gate scripted by the test."""
 
     route_energy: Any
     payload_kg: float = 0.6
-    limits: Limits = field(default_factory=lambda: Limits(0.01, 0.15))
+    limits: AcceptedLimits = field(default_factory=lambda: AcceptedLimits(0.01, 0.15))
     turn_back: Callable[["ScriptedJudge"], bool] = lambda judge: False
     best_landing: str = "depot"
     depot_p_home: float = 0.999
     wind_ne: tuple[float, float] = (0.0, 0.0)
     known: bool = True
     t_s: float = 0.0
-    asked: list[Ahead] = field(default_factory=list)
+    asked: list[RemainingMission] = field(default_factory=list)
     restored: bool = False
-    draw_change: str = ""
-    left_envelope: tuple[str, ...] = ()
-    outside_envelope: tuple[str, ...] = ()
+    envelope_exit_texts: tuple[str, ...] = ()
     air: Air | None = None
 
-    def fly_in(self, air: Air) -> None:
+    def fix_air_properties(self, air: Air) -> None:
         self.air = air
-        self.route_energy.fly_in(air.density_kgpm3)
+        self.route_energy.set_air_density_and_clear_cached_tables(air.density_kgpm3)
 
     @property
     def energy(self) -> EnergyBelief | None:
@@ -111,27 +113,27 @@ class ScriptedJudge:
     def wind(self) -> WindBelief:
         return WindBelief(self.t_s, np.array(self.wind_ne), np.eye(2), ("test",), self.known)
 
-    def observe(self, now: Any, autopilot_kind: Any) -> tuple[str, ...]:
+    def update_from_telemetry(self, now: Any, autopilot_kind: Any) -> list[LogNote | AlertReport]:
         self.t_s = now.t_s
+        return []
+
+    def new_fleet_wind_change_texts(self, t_s: float) -> tuple[str, ...]:
         return ()
 
-    def wind_news(self, t_s: float) -> tuple[str, ...]:
-        return ()
+    def monitor_evidence_so_far(self) -> FlightEvidence:
+        return FlightEvidence()
 
-    def figures(self) -> FlightFigures:
-        return FlightFigures()
-
-    def depart(self, ahead: Ahead) -> Assessment | None:
+    def assess_departure_and_fix_loss(self, ahead: RemainingMission) -> Assessment | None:
         return self.assess(ahead)
 
-    def limit(self, limits: Limits) -> None:
+    def set_accepted_limits(self, limits: AcceptedLimits) -> None:
         self.limits = limits
 
-    def assess(self, ahead: Ahead) -> Assessment | None:
+    def assess(self, ahead: RemainingMission) -> Assessment | None:
         if not self.known:
             return None
         self.asked.append(ahead)
-        only_depot = {way.landing for way in ahead.ways_home_now} == {"depot"}
+        only_depot = {way.landing for way in ahead.current_return_routes} == {"depot"}
         p_home = self.depot_p_home if only_depot else 0.999
         closed = self.turn_back(self)
         return Assessment(
@@ -139,7 +141,7 @@ class ScriptedJudge:
             CLOSED if closed else "open",
         )  # fmt: skip
 
-    def ground_speed_mps(self, here: Any, to: Any) -> float:
+    def ground_speed_to_command_mps(self, here: Any, to: Any) -> float:
         return 10.0 + self.wind_ne[0]
 
     def snapshot(self) -> dict[str, object]:
@@ -151,10 +153,10 @@ class ScriptedJudge:
         self.payload_kg = kept.payload_kg
 
 
-def one_requirement(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:
-    """A failsafe that is off until it is configured."""
+def one_requirement(autopilot_kind: Any, facts: Any) -> tuple[ParameterRequirement, ...]:
+    """Return a failsafe requirement that is off until configured."""
     return (
-        Requirement(
+        ParameterRequirement(
             ("LOW_ACT",),
             "a low-battery action is set",
             lambda v: None if v.get("LOW_ACT") is None else v["LOW_ACT"] == 2.0,
@@ -166,7 +168,7 @@ def one_requirement(autopilot_kind: Any, facts: Any) -> tuple[Requirement, ...]:
 
 @dataclass
 class World:
-    """A vehicle that obeys, its clock, and everything that the pilot did."""
+    """A vehicle that obeys, its clock, and a log of all pilot actions."""
 
     pilot: Pilot
     judge: ScriptedJudge
@@ -212,25 +214,27 @@ class World:
     rewrite: Callable[[tuple[MissionItem, ...]], tuple[MissionItem, ...]] = lambda items: items
 
     def tell(self, event: ev.Event) -> list[Action]:
-        """Give the pilot one event; obey its orders."""
-        actions = self.pilot.handle(event)
+        """Pass the pilot one event; obey its orders."""
+        actions = self.pilot.process_event(event)
         for action in actions:
             self.log.append((self.t_s, action))
             if isinstance(action, FindPlan):
-                self.answers.append(PlanFound(self.t_s, action.number, action.work()))
+                self.answers.append(
+                    PlanFound(self.t_s, action.request_number, action.compute_plan())
+                )
             if isinstance(action, Order):
                 assert self.pilot.phase in COMMANDING_PHASES
-                self.obey(action)
+                self.process_line(action)
         return actions
 
-    def obey(self, order: Order) -> None:
+    def process_line(self, order: Order) -> None:
         match order:
-            case AskTelemetry():
+            case RequestTelemetry():
                 self.streams = True
-                self.answers.append(ev.StreamsAsked(self.t_s))
-            case AskParameters():
+                self.answers.append(ev.StreamsConfigured(self.t_s))
+            case RequestParameters():
                 self.answers.append(ev.AutopilotParameters(self.t_s, dict(self.values)))
-            case Configure():
+            case SetParameters():
                 self.values |= order.values
                 self.answers += [
                     ev.ParametersSet(self.t_s),
@@ -247,10 +251,10 @@ class World:
             case ClearMission():
                 self.items = ()
                 self.answers.append(ev.MissionUploaded(self.t_s))
-            case ReadMissionBack():
-                found = differences(order.items, self.items)
+            case VerifyMission():
+                found = mission_differences(order.items, self.items)
                 self.reads += 1
-                self.answers.append(ev.MissionReadBack(self.t_s, found))
+                self.answers.append(ev.MissionVerified(self.t_s, found))
             case SetMode():
                 self.mode = order.mode
             case Arm():
@@ -267,19 +271,19 @@ class World:
                 self.home_east = east_deg * M_PER_DEG * math.cos(math.radians(DEPOT[0]))
             case SetGroundSpeed():
                 self.speed = order.ground_speed_mps
-            case Release():
+            case ReleaseParcel():
                 self.loaded = self.loaded and not self.gripper_works
             case _:
                 return
 
     def goal_height(self, item_height: float) -> float:
-        """As both autopilots: an item's height above home counts from when it is begun."""
+        """Return the goal height: above home at the item's start, as in both autopilots."""
         if self.leg is None or self.leg[0] != self.index:
             self.leg = (self.index, item_height + self.home_up)
         return self.leg[1]
 
     def fly(self, dt_s: float) -> None:
-        """Follow the mission, by itself; in the mode LAND come down where it is."""
+        """Follow the mission autonomously; in mode LAND descend on the spot."""
         self.velocity = (0.0, 0.0, 0.0)
         if self.armed and self.mode is Mode.LAND:
             down = min(2.0 * dt_s, self.height)
@@ -310,7 +314,7 @@ class World:
             goal_n, goal_e = self.north, self.east
         goal_up = self.goal_height(item.spot.height_rel_m)
         if item.kind is ItemKind.LAND:
-            goal_up = item.spot.height_rel_m  # down to the ground, wherever home is
+            goal_up = item.spot.height_rel_m  # down to the ground, for any home height
         away = math.dist((goal_n, goal_e), (self.north, self.east))
         step = min(away, self.speed * dt_s, 0.8 * away + 0.05)
         if away > 0.0:
@@ -346,7 +350,9 @@ class World:
             ev.GnssFix(t, self.gnss),
             ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
             ev.MissionProgress(t, self.index, len(self.items), None, self.mission_id),
-            ev.GroundState(t, Ground.IN_AIR if self.height > 0.3 else Ground.ON_GROUND),
+            ev.GroundState(
+                t, VehicleLandedState.IN_AIR if self.height > 0.3 else VehicleLandedState.ON_GROUND
+            ),
         ]
         if round(t * 10) % 5 == 0:
             found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed, self.failsafe))
@@ -360,15 +366,41 @@ class World:
             lon_deg = DEPOT[1] + self.home_east / east_m_per_deg
             found.append(ev.Home(t, lat_deg, lon_deg, DEPOT[2] + self.home_up))
         if self.station and round(t * 10) % 10 == 0:
-            found.append(ev.OperatorReached(t))
+            found.append(ev.OperatorMessageReceived(t))
         return [event for event in found if type(event) not in self.mute]
 
     def reboot(self, mode: Mode) -> None:
-        """It stands in another mode, and sends nothing that it is not asked for again."""
+        """Change the mode, and send no messages until they are requested again."""
         self.mode, self.armed, self.streams, self.answers = mode, False, False, []
 
+    def with_pilot_of(self, again: "World", *also: str) -> "World":
+        """Return the same vehicle with another companion process."""
+        kept = ("t_s", "north", "east", "height", "items", "index", "waited", "loaded", "values")
+        for name in (*kept, "mode", *also):
+            setattr(again, name, getattr(self, name))
+        return again
+
+    @property
+    def progress(self) -> MissionProgressMonitor:
+        """Return the pilot's monitor of the mission's progress."""
+        return self.pilot.parts.part_of_class(MissionProgressMonitor)
+
+    @property
+    def item(self) -> CurrentItem:
+        """The mission item that is flown."""
+        return self.pilot.parts.part_of_class(CurrentItem)
+
+    @property
+    def last_kept(self) -> Checkpoint:
+        """Return the latest saved checkpoint."""
+        return msgspec.convert(self.sent(SaveCheckpoint)[-1].content, Checkpoint)
+
+    def said_of(self, kind: str) -> list[str]:
+        """Return the reasons of the decisions of this kind."""
+        return [a.reason for a in self.sent(Decision) if a.kind == kind]
+
     def step(self, dt_s: float = 0.1) -> None:
-        """One tick of the autopilot's clock."""
+        """Advance by one tick of the autopilot's clock."""
         self.t_s = round(self.t_s + dt_s, 3)
         self.fly(dt_s)
         answers, self.answers = self.answers, []
@@ -376,22 +408,30 @@ class World:
             self.tell(event)
 
     def run(self, until: Callable[["World"], bool], limit_s: float = 300.0) -> "World":
-        """Fly until something holds."""
+        """Fly until a condition is true."""
         end_s = self.t_s + limit_s
         while not until(self):
             assert self.t_s < end_s, f"never came: {self.pilot.phase}, {self.kinds}"
             self.step()
         return self
 
-    def until(self, phase: Phase) -> "World":
-        return self.run(lambda w: w.pilot.phase is phase)
+    def steps(self, count: int) -> None:
+        for _ in range(count):
+            self.step()
+
+    def until(self, phase: Phase, limit_s: float = 300.0) -> "World":
+        return self.run(lambda w: w.pilot.phase is phase, limit_s)
 
     def to_the_end(self) -> Finished:
-        self.run(lambda w: any(isinstance(a, Finished) for _, a in w.log))
+        self.run(lambda w: w.sent(Finished))
         return next(a for _, a in self.log if isinstance(a, Finished))
 
+    def sent(self, kind: Any, after_s: float = -1.0) -> list[Any]:
+        """Return the actions of a kind after this time."""
+        return [a for t, a in self.log if isinstance(a, kind) and t > after_s]
+
     def orders_after(self, t_s: float) -> list[Order]:
-        return [a for t, a in self.log if isinstance(a, Order) and t > t_s]
+        return self.sent(Order, t_s)
 
     @property
     def kinds(self) -> list[str]:
@@ -399,7 +439,7 @@ class World:
 
     @property
     def said(self) -> str:
-        return "; ".join(a.text for _, a in self.log if isinstance(a, Say))
+        return "; ".join(a.text for _, a in self.log if isinstance(a, AlertReport))
 
 
 def world(
@@ -409,9 +449,9 @@ def world(
     flight: Flight = FLIGHT,
     armed: bool = False,
     judge: "ScriptedJudge | None" = None,
-    requirements: Requirements = one_requirement,
+    requirements: RequirementsFunction = one_requirement,
 ) -> World:
-    """A pilot with a scripted judge beside a vehicle at the depot."""
+    """Return a pilot with a scripted judge and a vehicle at the depot."""
     judge = judge or ScriptedJudge(RouteEnergy.for_mission(AIRFRAME, flight.mission, 1.225))
     pilot = Pilot(
         flight,
@@ -419,7 +459,7 @@ def world(
         WIND_PROCESS,
         obstacles=None,
         requirements=requirements,
-        digest="test",
+        flight_digest="test",
         options=options or PilotOptions(configure=True, authorise=True),
         checkpoint=kept,
         estimates=judge,
@@ -433,4 +473,4 @@ def world(
 def start(made: World) -> None:
     """Let the pilot recognise the autopilot."""
     made.tell(ev.VehicleState(made.t_s, made.mode, made.mode.value, made.armed))
-    made.tell(ev.Identified(made.t_s, ev.AutopilotKind.PX4, 1))
+    made.tell(ev.AutopilotDetected(made.t_s, ev.AutopilotKind.PX4, 1))

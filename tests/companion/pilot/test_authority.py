@@ -1,4 +1,4 @@
-"""Who may arm, who has disarmed, and when a flight is over: the pilot against a fake vehicle."""
+"""Arming and disarming authority and the end of a flight: the pilot against a fake vehicle."""
 
 import math
 
@@ -7,17 +7,17 @@ import pytest
 
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
-    Answer,
     Arm,
-    Configure,
     Decision,
     JumpTo,
+    OperatorResponse,
     Order,
-    ReadMissionBack,
-    Reply,
+    ResponseStatus,
     SaveCheckpoint,
+    SetParameters,
+    VerifyMission,
 )
-from companion.core.mission.events import Ground, Mode
+from companion.core.mission.events import Mode, VehicleLandedState
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
@@ -40,33 +40,33 @@ def disarmed_heartbeat(w: World) -> None:
 
 
 class UndoneAtOnce(World):
-    """Somebody disarms before a heartbeat has shown it armed; the answer to ARM is lost too."""
+    """Disarmed before a heartbeat shows it armed; the reply to ARM is lost as well."""
 
-    def obey(self, order: Order) -> None:
+    def process_line(self, order: Order) -> None:
         if not isinstance(order, Arm):
-            super().obey(order)
+            super().process_line(order)
 
 
 class UndoneOnceAccepted(UndoneAtOnce):
-    """The same; the answer comes."""
+    """As `UndoneAtOnce`, but the reply arrives."""
 
-    def obey(self, order: Order) -> None:
+    def process_line(self, order: Order) -> None:
         if isinstance(order, Arm):
             self.answers.append(ev.OrderAccepted(self.t_s, "arm"))
-        super().obey(order)
+        super().process_line(order)
 
 
 class Deaf(World):
-    """Refuses to arm some times, in words."""
+    """Refuses some ARM commands with a status text."""
 
     refusals = 2
 
-    def obey(self, order: Order) -> None:
+    def process_line(self, order: Order) -> None:
         if isinstance(order, Arm) and self.refusals:
             self.refusals -= 1
             self.answers.append(ev.OrderRefused(self.t_s, "arm", "denied"))
         else:
-            super().obey(order)
+            super().process_line(order)
 
 
 def beside(kind: type[World]) -> World:
@@ -81,7 +81,7 @@ def test_safety_rule_1_an_arm_that_nobody_answered_and_nobody_saw_is_not_ordered
     done = w.to_the_end()
     assert arms(w) == 1
     assert done.outcome == "ABRT"
-    assert "not sent again" in w.said
+    assert "not repeated" in w.said
 
 
 def test_safety_rule_1_accepted_and_never_seen_armed_it_was_disarmed_by_another_hand():
@@ -89,8 +89,8 @@ def test_safety_rule_1_accepted_and_never_seen_armed_it_was_disarmed_by_another_
     w.run(lambda w: arms(w) == 1)
     armed_s = w.t_s
     w.run(lambda w: w.pilot.phase is not Phase.ARM, 2.3)  # two heartbeats
-    assert w.t_s - armed_s > 0.5  # one heartbeat alone, at 2 Hz here, may be wrong
-    assert "hands off: disarmed by another hand" in w.said
+    assert w.t_s - armed_s > 0.5  # a single heartbeat, at 2 Hz here, may be wrong
+    assert "companion released control: disarmed by someone else" in w.said
     done = w.to_the_end()
     assert (done.outcome, arms(w)) == ("ABRT", 1)
     assert w.orders_after(armed_s) == []
@@ -107,36 +107,38 @@ def test_safety_rule_1_disarmed_before_take_off_it_lets_go_at_once_and_never_arm
     w = world().until(Phase.CLIMB)
     w.armed, w.height, w.velocity = False, 0.0, (0.0, 0.0, 0.0)
     taken_s = w.t_s
-    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 0.6)  # by the next heartbeat
-    assert "disarmed by another hand" in w.said
+    w.until(Phase.SUSPENDED, 0.6)  # by the next heartbeat
+    assert "disarmed by someone else" in w.said
     done = w.to_the_end()
     assert (done.outcome, arms(w)) == ("ABRT", 1)
-    questions = ReadMissionBack  # a list is read until the heartbeat shows the other hand
+    questions = VerifyMission  # it is read until the heartbeat shows the override
     assert [o for o in w.orders_after(taken_s) if not isinstance(o, questions)] == []
-    assert Answer(Reply.DENIED) in w.tell(ev.Authorised(w.t_s, "255/190"))
+    assert OperatorResponse(ResponseStatus.DENIED) in w.tell(ev.MissionAuthorised(w.t_s, "255/190"))
 
 
 def test_safety_rule_1_what_another_hand_disarmed_is_not_armed_after_a_restart_either():
     w = world().until(Phase.CLIMB)
     w.armed, w.height = False, 0.0
-    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 0.6)
+    w.until(Phase.SUSPENDED, 0.6)
     kept = [a.content for _, a in w.log if isinstance(a, SaveCheckpoint)][-1]
     before = msgspec.structs.replace(msgspec.convert(kept, Checkpoint), flying=False)
     assert before.disarmed_by_another
     again = world(kept=before, options=PilotOptions(configure=True)).until(Phase.READY)
-    assert Answer(Reply.DENIED) in again.tell(ev.Authorised(again.t_s, "255/190"))
-    assert "not armed again" in again.to_the_end().reason
+    assert OperatorResponse(ResponseStatus.DENIED) in again.tell(
+        ev.MissionAuthorised(again.t_s, "255/190")
+    )
+    assert "not re-armed" in again.to_the_end().reason
     assert arms(again) == 0
 
 
 def test_safety_rule_1_armed_after_it_gave_up_it_lets_go_and_sets_nothing():
     w = beside(UndoneAtOnce)
-    w.run(lambda w: "not sent again" in w.said)
-    w.answers.clear()  # the settings are still on their way back
+    w.run(lambda w: "not repeated" in w.said)
+    w.answers.clear()  # the settings are not restored yet
     w.armed = True
     w.step(0.5)
     taken_s = w.t_s
-    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 1.0)
+    w.until(Phase.SUSPENDED, 1.0)
     assert w.orders_after(taken_s) == []
 
 
@@ -148,13 +150,13 @@ def test_safety_rule_1_disarmed_while_another_hand_has_it_it_is_not_armed_when_h
     w.run(lambda w: w.t_s > 30.0)
     w.tell(ev.ControlHandedBack(w.t_s, "255/190"))
     handed_s = w.t_s
-    w.run(lambda w: w.pilot.phase is Phase.READY)
-    assert Answer(Reply.DENIED) in w.tell(ev.Authorised(w.t_s, "255/190"))
-    assert "not armed again" in w.to_the_end().reason
+    w.until(Phase.READY)
+    assert OperatorResponse(ResponseStatus.DENIED) in w.tell(ev.MissionAuthorised(w.t_s, "255/190"))
+    assert "not re-armed" in w.to_the_end().reason
     assert not any(isinstance(order, Arm) for order in w.orders_after(handed_s))
 
 
-# --- landed, by agreement ------------------------------------------------------------------------
+# --- landing detection ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("phase", [Phase.MEASURE, Phase.OUTBOUND, Phase.DELIVER, Phase.RETURN])
@@ -171,11 +173,11 @@ def test_one_false_disarmed_heartbeat_and_a_second_of_silence_end_nothing(phase)
     assert done.outcome == "SUC"
     in_air_s = next(t for t, a in w.log if isinstance(a, Decision) and a.kind == "landed")
     took_off_s = next(t for t, a in w.log if isinstance(a, Decision) and a.kind == "take_off")
-    assert not [t for t, a in w.log if isinstance(a, Configure) and took_off_s < t < in_air_s]
+    assert not [t for t, a in w.log if isinstance(a, SetParameters) and took_off_s < t < in_air_s]
 
 
 def drop_out_of_the_air(w: World) -> None:
-    """The motors stop: it falls to the ground, and lies there."""
+    """Stop the motors: the vehicle falls to the ground and stays there."""
     w.armed = False
     speed_mps = 0.0
     while w.height > 0.0:
@@ -193,7 +195,7 @@ def test_safety_rule_1_disarmed_in_the_air_it_lets_go_says_where_and_sets_nothin
     cut_s = w.t_s
     drop_out_of_the_air(w)
     assert w.pilot.phase is Phase.SUSPENDED
-    assert "disarmed in the air, it falls: 55.47" in w.said
+    assert "disarmed in flight, falling: 55.47" in w.said
     done = w.to_the_end()
     assert done.home is False
     assert done.outcome in ("FAIL", "DEL")
@@ -212,18 +214,18 @@ def test_safety_rule_1_disarmed_low_in_a_landing_it_lets_go_when_it_hears_of_it_
     w.step(0.3)
     w.mute = set()
     cut_s = w.t_s
-    w.run(lambda w: w.pilot.phase is Phase.SUSPENDED, 1.1)
-    assert "disarmed in the air, it falls: 55.47" in w.said
+    w.until(Phase.SUSPENDED, 1.1)
+    assert "disarmed in flight, falling: 55.47" in w.said
     done = w.to_the_end()
     assert done.home is False
     assert w.orders_after(cut_s) == []
 
 
-# --- landed by another hand ----------------------------------------------------------------------
+# --- landings by another operator ----------------------------------------------------------------
 
 
 def flown_down_by(w: World, *, failsafe: bool = False) -> None:
-    """Another hand, or the autopilot's failsafe, brings it straight down and it disarms."""
+    """Descend vertically and disarm under an operator's control or the autopilot's failsafe."""
     w.mute = {ev.VehicleState}
 
     def fly(dt_s: float) -> None:
@@ -271,7 +273,7 @@ def moving(w: World) -> None:
 
 
 def in_air(w: World) -> None:
-    w.tell(ev.GroundState(w.t_s, Ground.IN_AIR))
+    w.tell(ev.GroundState(w.t_s, VehicleLandedState.IN_AIR))
 
 
 @pytest.mark.parametrize("differs", [high, moving, in_air])
@@ -288,7 +290,7 @@ def test_landed_is_what_landed_state_height_and_speed_agree_on(differs):
             in_air(w)
     assert not landed(w)
     w.velocity, w.height = (0.0, 0.0, 0.0), 0.0
-    w.tell(ev.GroundState(w.t_s, Ground.ON_GROUND))
+    w.tell(ev.GroundState(w.t_s, VehicleLandedState.ON_GROUND))
     w.run(landed, 1.2)
 
 
@@ -306,11 +308,11 @@ def test_on_ground_of_unknown_height_it_is_down_after_a_time_that_no_fall_takes(
 
 
 def turned_home_by_itself(leg: int) -> World:
-    """No leave was given at this leg's end for want of a fix; the mission aboard turned home."""
+    """Return home from this leg's end: without a GNSS fix the mission was not continued."""
     w = world().until(Phase.OUTBOUND)
-    w.run(lambda w: w.pilot.leg == leg and w.pilot.jump_item is None)
+    w.run(lambda w: w.item.outbound_leg == leg and w.progress.pending_jump_item_index is None)
     w.gnss = False
-    return w.run(lambda w: w.pilot.phase is Phase.RETURN)
+    return w.until(Phase.RETURN)
 
 
 def goes_on_again(w: World) -> bool:
@@ -318,12 +320,12 @@ def goes_on_again(w: World) -> bool:
 
 
 def test_a_report_from_before_the_jump_does_not_undo_going_on():
-    # UDP reorders, and PX4 tells its item once a second: "gate open: going on" undid itself.
+    # UDP reorders, and PX4 reports its item at 1 Hz: "gate open again: continuing" was undone.
     w = turned_home_by_itself(0)
     homeward = w.index
     w.gnss = True
     w.run(goes_on_again)
-    w.run(lambda w: w.pilot.phase is Phase.OUTBOUND, 2.0)
+    w.until(Phase.OUTBOUND, 2.0)
     for _ in range(2):
         w.tell(ev.MissionProgress(w.t_s, homeward, len(w.items)))
         w.tell(ev.Tick(w.t_s))
@@ -340,7 +342,7 @@ def test_a_report_from_before_the_jump_does_not_confirm_it():
     w.run(goes_on_again, 1.0)
     ordered_s = w.t_s
     w.tell(ev.MissionProgress(w.t_s, outward, len(w.items)))
-    assert w.pilot.jump_item == outward, "still waited for"
+    assert w.progress.pending_jump_item_index == outward, "still waited for"
     w.obeys_jumps = True
     assert w.to_the_end().outcome == "SUC"
     again = [t for t, a in w.log if isinstance(a, JumpTo) and t > ordered_s]
@@ -352,7 +354,7 @@ def test_after_a_second_the_way_home_is_believed_again():
     homeward = w.index
     w.gnss = True
     w.run(goes_on_again)
-    w.run(lambda w: w.pilot.phase is Phase.OUTBOUND, 2.0)
+    w.until(Phase.OUTBOUND, 2.0)
     for _ in range(12):
         w.index = homeward
         w.step()

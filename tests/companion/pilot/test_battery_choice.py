@@ -1,6 +1,6 @@
-"""Which battery monitor measures the pack: the one with a voltage, whatever its number.
+"""Selection of the battery monitor that measures the pack: the one with a voltage.
 
-Expected energies are those of the same pack reported as monitor 0 and alone.
+Expected energies are those of the same pack reported as the only monitor, number 0.
 """
 
 import math
@@ -8,13 +8,13 @@ import math
 import pytest
 
 from companion.adapters.files.params import read_airframe, read_wind_process
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from companion.core.mission import events as ev
-from companion.core.mission.actions import Answer, Reply
+from companion.core.mission.actions import OperatorResponse, ResponseStatus
 from companion.core.mission.flight_file import Flight, Mission, Site, Vehicle
 from companion.core.pilot.context import PilotOptions
-from companion.core.pilot.estimates import Estimates
-from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.pilot.estimates import FlightEstimates
+from companion.core.pilot.telemetry_state import PackTelemetry, TelemetryState
 from companion.core.pilot.transitions import Phase
 from companion.core.routing.leg_energy import RouteEnergy
 from tests.companion.pilot.fake_vehicle import World, start, world
@@ -28,22 +28,22 @@ KINDS = [ev.AutopilotKind.PX4, ev.AutopilotKind.ARDUPILOT]
 
 def judgement(charge_frac=None):
     vehicle = Vehicle(airframe="m100", charge_frac=charge_frac or [0.05, 1.0])
-    site = Site(customer=Place(east_m=0.0, north_m=0.0))
+    site = Site(customer=Location(east_m=0.0, north_m=0.0))
     flight = Flight(format="flight/1", site=site, vehicle=vehicle, mission=Mission())
-    return Estimates(flight, AIRFRAME, RouteEnergy(AIRFRAME), read_wind_process("coast"))
+    return FlightEstimates(flight, AIRFRAME, RouteEnergy(AIRFRAME), read_wind_process("coast"))
 
 
 def stood(messages, kind, judge=None, seconds=10):
-    """Energy and telemetry after standing so long with these monitors reporting at 2 Hz."""
-    now, judge = TelemetryState().expecting(V_RANGE), judge or judgement()
+    """Return energy and telemetry after standing with these monitors reporting at 2 Hz."""
+    now, judge = TelemetryState(pack=PackTelemetry(V_RANGE)), judge or judgement()
     warnings = []
     for k in range(2 * seconds):
         t_s = 1.0 + 0.5 * k
-        now.update(ev.VehicleState(t_s, ev.Mode.HOLD, "HOLD", armed=False))
+        now.store_event(ev.VehicleState(t_s, ev.Mode.HOLD, "HOLD", armed=False))
         for pack, fields in messages:
-            now.update(ev.Battery(t_s, **fields, pack=pack))
-        now.update(ev.Tick(t_s))
-        warnings += judge.observe(now, kind)
+            now.store_event(ev.Battery(t_s, **fields, pack=pack))
+        now.store_event(ev.Tick(t_s))
+        warnings += [found.text for found in judge.update_from_telemetry(now, kind)]
     return judge.energy, now, warnings
 
 
@@ -72,14 +72,14 @@ def test_a_monitor_without_a_pack_changes_nothing_of_the_packs_energy(kind, pack
             assert wh(energy) == wh(alone)
             assert now.battery is not None
             assert now.battery.voltage_v == pack["voltage_v"]
-            assert sum("the pack is battery" in words for words in warnings) == 1
+            assert sum("monitor in use: battery" in words for words in warnings) == 1
 
 
 def test_what_speaks_of_the_whole_vehicle_counts_where_it_is_about_the_pack():
-    # PX4's SYS_STATUS is of the connected battery with the least charge.
+    # PX4's SYS_STATUS reports the connected battery with the lowest charge.
     told = [(0, {"remaining_frac": 1.0}), (1, LOW), (None, LOW | {"remaining_frac": 0.05})]
     _, now, _ = stood(told, ev.AutopilotKind.PX4)
-    assert [one.pack for one in now.pack_messages] == [1, None]
+    assert [one.pack for one in now.pack.latest_messages] == [1, None]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -91,9 +91,11 @@ def test_without_a_voltage_no_stated_charge_becomes_energy(kind):
     ):
         energy, now, _ = stood(messages, kind, judgement(charge_frac=1.0))
         assert energy is None
-        assert "expected a monitor that measures the pack" in now.pack_missing()
+        assert "expected a monitor that measures the pack" in now.pack.missing_reason(now.t_s)
         for pack, _ in messages:
-            assert ("SYS_STATUS" if pack is None else f"battery {pack}") in now.pack_missing()
+            assert ("SYS_STATUS" if pack is None else f"battery {pack}") in now.pack.missing_reason(
+                now.t_s
+            )
 
 
 def test_two_real_packs_are_reported_by_the_first_and_the_lower_charge_counts():
@@ -104,24 +106,24 @@ def test_two_real_packs_are_reported_by_the_first_and_the_lower_charge_counts():
     assert now.battery.voltage_v == 25.0
     assert energy is not None
     assert energy.mean_wh == pytest.approx(0.7 * energy.usable_full_wh, rel=1e-6)
-    assert not any("the pack is" in words for words in warnings)
+    assert not any("monitor in use:" in words for words in warnings)
 
 
 def test_in_flight_another_monitor_does_not_take_the_packs_place():
-    now = TelemetryState().expecting(V_RANGE)
-    now.update(ev.Battery(1.0, voltage_v=25.0, pack=0))  # no current sensor, as PX4's SIH
-    now.update(ev.VehicleState(1.0, ev.Mode.MISSION, "AUTO", armed=True))
-    now.update(ev.Battery(1.5, voltage_v=24.0, current_a=10.0, pack=7))
+    now = TelemetryState(pack=PackTelemetry(V_RANGE))
+    now.store_event(ev.Battery(1.0, voltage_v=25.0, pack=0))  # no current sensor, as PX4's SIH
+    now.store_event(ev.VehicleState(1.0, ev.Mode.MISSION, "AUTO", armed=True))
+    now.store_event(ev.Battery(1.5, voltage_v=24.0, current_a=10.0, pack=7))
     assert now.battery is not None
     assert now.battery.voltage_v == 25.0
-    now.update(ev.Tick(math.nextafter(9.0, 10.0)))
-    now.update(ev.Battery(9.0, voltage_v=24.0, current_a=10.0, pack=7))
+    now.store_event(ev.Tick(math.nextafter(9.0, 10.0)))
+    now.store_event(ev.Battery(9.0, voltage_v=24.0, current_a=10.0, pack=7))
     assert now.battery is not None
     assert now.battery.t_s == 1.0
 
 
 class Unmeasured(World):
-    """Its battery monitor states a charge and measures nothing, once `measures` is false."""
+    """While `measures` is false its battery monitor states a charge without measurements."""
 
     measures = True
 
@@ -139,15 +141,13 @@ def test_no_measured_pack_no_take_off_and_the_operator_reads_why(until):
     made = world(options=PilotOptions(configure=True))
     w = Unmeasured(made.pilot, made.judge)
     w.measures = until is not None
-    w.judge.known = until is not None  # the ledger begins with a measured pack only
+    w.judge.known = until is not None  # the ledger starts with a measured pack only
     start(w)
     if until is not None:
         w.until(until)
         w.measures = False
-    for _ in range(300):
-        w.step()
-    assert Answer(Reply.LATER) in w.tell(ev.Authorised(w.t_s, "255/190"))
-    for _ in range(100):
-        w.step()
+    w.steps(300)
+    assert OperatorResponse(ResponseStatus.LATER) in w.tell(ev.MissionAuthorised(w.t_s, "255/190"))
+    w.steps(100)
     assert not w.armed
     assert "no battery voltage: received battery 0 at 100%; expected a monitor" in w.said

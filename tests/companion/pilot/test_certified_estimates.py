@@ -1,4 +1,4 @@
-"""A flight under a certificate: outside its envelope the gate counts with a tenth more."""
+"""A flight under a certificate: outside its envelope the gate adds a tenth to the need."""
 
 from pathlib import Path
 
@@ -14,9 +14,11 @@ from companion.core.certificate.certificate import (
     airframe_digest,
 )
 from companion.core.mission import events as ev
-from companion.core.pilot.estimates import Estimates
+from companion.core.mission.actions import AlertReport
+from companion.core.mission.alerts import Alert
+from companion.core.pilot.estimates import FlightEstimates
 from companion.core.pilot.telemetry_state import TelemetryState
-from companion.core.return_budget.remaining_from_plan import ahead_outbound
+from companion.core.return_budget.remaining_from_plan import remaining_outbound
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.air import Air
@@ -54,26 +56,28 @@ def certified(*, wind_mps=9.0, celsius=None, factor=1.0, std_frac=0.0) -> Certif
     )
 
 
-def estimates(certificate: Certificate | None) -> Estimates:
+def estimates(certificate: Certificate | None) -> FlightEstimates:
     flight = replace(FLIGHT, vehicle=replace(FLIGHT.vehicle, autopilot_wind=True))
     energy = RouteEnergy(AIRFRAME)
-    return Estimates(flight, AIRFRAME, energy, WIND_PROCESS, certificate=certificate)
+    return FlightEstimates(flight, AIRFRAME, energy, WIND_PROCESS, certificate=certificate)
 
 
-def need_wh(judge: Estimates, wind_mps: float) -> float:
-    """Half a minute in the air, in a wind that the autopilot tells; then what the mission needs."""
+def need_wh(judge: FlightEstimates, wind_mps: float) -> float:
+    """Fly for 30 s in a wind reported by the autopilot; return the mission's energy need."""
     now = TelemetryState()
-    now.update(ev.Battery(0.0, voltage_v=25.2, current_a=0.5))
-    judge.observe(now, ev.AutopilotKind.ARDUPILOT)
+    now.store_event(ev.Battery(0.0, voltage_v=25.2, current_a=0.5))
+    judge.update_from_telemetry(now, ev.AutopilotKind.ARDUPILOT)
     for tick in range(1, 301):
         t_s = 0.1 * tick
-        now.update(ev.VehicleState(t_s, ev.Mode.MISSION, "AUTO", armed=True))
-        now.update(ev.Battery(t_s, voltage_v=25.0))
-        now.update(ev.AutopilotWind(t_s, wind_mps, 0.0, 0.3))
-        now.update(ev.Position(t_s, 55.0, 8.0, 50.0, 40.0, 0.0, 0.0, 0.0))
-        now.update(ev.Tick(t_s))
-        judge.observe(now, ev.AutopilotKind.ARDUPILOT)
-    answer = judge.assess(ahead_outbound(PLAN, (0.0, 0.0, LEVEL), 0, judge.payload_kg, 6.0, 12.0))
+        now.store_event(ev.VehicleState(t_s, ev.Mode.MISSION, "AUTO", armed=True))
+        now.store_event(ev.Battery(t_s, voltage_v=25.0))
+        now.store_event(ev.AutopilotWind(t_s, wind_mps, 0.0, 0.3))
+        now.store_event(ev.Position(t_s, 55.0, 8.0, 50.0, 40.0, 0.0, 0.0, 0.0))
+        now.store_event(ev.Tick(t_s))
+        judge.update_from_telemetry(now, ev.AutopilotKind.ARDUPILOT)
+    answer = judge.assess(
+        remaining_outbound(PLAN, (0.0, 0.0, LEVEL), 0, judge.payload_kg, 6.0, 12.0)
+    )
     assert answer is not None
     return answer.energy_need_wh
 
@@ -82,15 +86,17 @@ def need_wh(judge: Estimates, wind_mps: float) -> float:
 def test_in_a_wind_that_nobody_flew_the_gate_counts_with_a_tenth_more(certified_mps, factor):
     plain, watched = estimates(None), estimates(certified(wind_mps=certified_mps))
     assert need_wh(watched, 6.0) / need_wh(plain, 6.0) == pytest.approx(factor, rel=1e-6)
-    assert len(watched.outside_envelope) == (factor > 1.0)
+    assert len(watched.envelope_exit_texts) == (factor > 1.0)
 
 
 def test_air_that_was_measured_is_watched_and_the_standard_atmosphere_is_not():
     for source, outside in (("temperature stated", 1), ("standard temperature", 0)):
         judge = estimates(certified(celsius=(5.0, 25.0)))
-        judge.fly_in(Air(101_000.0, -10.0, f"barometer, {source}"))
-        judge.observe(TelemetryState(), ev.AutopilotKind.PX4)
-        assert len(judge.left_envelope) == len(judge.outside_envelope) == outside
+        judge.fix_air_properties(Air(101_000.0, -10.0, f"barometer, {source}"))
+        found = judge.update_from_telemetry(TelemetryState(), ev.AutopilotKind.PX4)
+        reported = [a for a in found if isinstance(a, AlertReport)]
+        assert [a.alert for a in reported] == [Alert.ENVELOPE_LEFT] * outside
+        assert len(reported) == len(judge.envelope_exit_texts) == outside
 
 
 def test_days_that_drew_more_are_believed_over_the_airframe_file_and_days_that_drew_less_are_not():

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from companion.core.base.errors import LeewayError
-from companion.core.mission.actions import Note
+from companion.core.mission.actions import LogNote
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from tests.companion.pilot.fake_vehicle import FLIGHT, World, world
@@ -27,7 +27,7 @@ def test_a_rate_bounds_the_flights_loss_by_its_planned_hours_and_is_said():
     made = planned(1e-3)
     assert made.judge.limits.max_loss == pytest.approx(1e-3 * hours(made))
     assert made.judge.limits.reserve_frac == FLIGHT.mission.reserve_frac
-    notes = [a.text for _, a in made.log if isinstance(a, Note)]
+    notes = [a.text for _, a in made.log if isinstance(a, LogNote)]
     assert any("0.001 per flight hour" in words for words in notes)
 
 

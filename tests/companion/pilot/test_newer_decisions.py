@@ -1,5 +1,5 @@
-"""Safety rules 1 and 2: no retry outlives a person's decision, no motion before a verified mission,
-and the last resort is ordered until it is flown (fake vehicle)."""
+"""Safety rules 1 and 2: no retry overrides an operator's later decision, no motion before the
+mission is verified, and the last resort is ordered until it is flown (fake vehicle)."""
 
 from dataclasses import dataclass, field, replace
 
@@ -8,17 +8,17 @@ import pytest
 
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
-    Answer,
+    AlertReport,
     Arm,
     JumpTo,
+    OperatorResponse,
     Order,
-    Reply,
+    ResponseStatus,
     SaveCheckpoint,
-    Say,
     SetMode,
-    Severity,
     UploadMission,
 )
+from companion.core.mission.alerts import Severity
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
 from companion.core.pilot.checkpoint import Checkpoint
@@ -31,19 +31,19 @@ OPERATOR = "255/190"
 
 @dataclass
 class Recorded(World):
-    """Notes what was aboard when a mode or arming was ordered, and may refuse modes."""
+    """Records the onboard mission at each mode or arm order, and may refuse modes."""
 
     aboard: list[tuple[Order, tuple[MissionItem, ...]]] = field(default_factory=list)
     refuses: bool = False
     ignores: bool = False
 
-    def obey(self, order: Order) -> None:
+    def process_line(self, order: Order) -> None:
         if isinstance(order, SetMode | Arm):
             self.aboard.append((order, self.items))
         if isinstance(order, SetMode) and self.refuses:
-            self.answers.append(ev.OrderRefused(self.t_s, f"mode {order.mode.value}", "failed"))
+            self.answers.append(ev.OrderRefused(self.t_s, "mode", "failed", mode=order.mode))
         elif not (isinstance(order, SetMode) and self.ignores):
-            super().obey(order)
+            super().process_line(order)
 
 
 def reach(
@@ -57,7 +57,7 @@ def reach(
 
 
 def held(phase: Phase = Phase.OUTBOUND, mission_id: int | None = 7) -> Recorded:
-    """A person has selected HOLD."""
+    """Fly with HOLD selected by an operator."""
     w = reach(phase, mission_id=mission_id)
     w.mode = Mode.HOLD
     w.until(Phase.SUSPENDED)
@@ -71,7 +71,7 @@ def let(w: Recorded, duration_s: float) -> Recorded:
 
 
 def replace_mission(w: World) -> None:
-    """Another station's mission of the same length, 1.5 km to the north."""
+    """Replace the mission by another station's of the same length, 1.5 km to the north."""
     w.items = tuple(
         i if i.spot is None else replace(i, spot=replace(i.spot, lat_deg=i.spot.lat_deg + 0.0135))
         for i in w.items
@@ -91,7 +91,7 @@ def test_safety_rule_1_hold_selected_again_after_a_hand_back_is_not_left_again()
     handed_s = w.t_s
     w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
     w.run(lambda w: bool(modes(w, handed_s)), 5.0)
-    w.mode = Mode.HOLD  # obeyed, and undone before the next report
+    w.mode = Mode.HOLD  # obeyed, and changed back before the next report
     let(w, 20.0)
     assert modes(w, handed_s) == [Mode.MISSION]
     assert w.pilot.phase is Phase.SUSPENDED
@@ -100,7 +100,7 @@ def test_safety_rule_1_hold_selected_again_after_a_hand_back_is_not_left_again()
 
 @pytest.mark.parametrize("mission_id", [7, None])
 def test_safety_rule_1_a_hand_back_resumes_as_soon_as_the_mission_is_verified(mission_id):
-    """So that a person who selects HOLD again is seen to do so: from HOLD it would show nothing."""
+    """A later HOLD of the operator must be visible: in HOLD it would not change the mode."""
     w = held(mission_id=mission_id)
     let(w, 15.0)
     handed_s = w.t_s
@@ -116,12 +116,12 @@ def test_safety_rule_1_a_hand_back_resumes_as_soon_as_the_mission_is_verified(mi
 
 def test_safety_rule_1_a_gap_in_the_reports_of_the_mode_ends_a_hand_back():
     w = held()
-    w.mission_id = 6  # not proven: it is read first
+    w.mission_id = 6  # not verified: it is read first
     let(w, 0.2)
     handed_s = w.t_s
     w.reads, w.takes_uploads = 0, False
     w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
-    w.answers.clear()  # the reading takes a while
+    w.answers.clear()  # the read-back is delayed
     w.mute = {ev.VehicleState}
     let(w, 1.5)
     w.mute = set()
@@ -159,7 +159,9 @@ def test_safety_rule_2_at_a_hand_back_our_mission_is_restored_before_the_mode_is
     ours, handed_s = w.items, w.t_s
     replace_mission(w)
     w.aboard.clear()
-    assert Answer(Reply.ACCEPTED) in w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    assert OperatorResponse(ResponseStatus.ACCEPTED) in w.tell(
+        ev.ControlHandedBack(w.t_s, OPERATOR)
+    )
     done = w.to_the_end()
     assert [(order, items == ours) for order, items in w.aboard] == [(SetMode(Mode.MISSION), True)]
     assert len([a for a in w.orders_after(handed_s) if isinstance(a, UploadMission)]) == 1
@@ -177,7 +179,7 @@ def test_safety_rule_2_a_hand_back_whose_mission_cannot_be_restored_is_refused_a
     assert w.pilot.phase is Phase.SUSPENDED
     assert "cannot resume: upload failed: error" in w.said
     w.takes_uploads = True
-    assert Answer(Reply.ACCEPTED) in w.tell(ev.AbortOrdered(w.t_s, OPERATOR))
+    assert OperatorResponse(ResponseStatus.ACCEPTED) in w.tell(ev.AbortOrdered(w.t_s, OPERATOR))
     assert w.to_the_end().home
 
 
@@ -196,9 +198,11 @@ def test_safety_rule_2_after_a_restart_a_foreign_mission_is_replaced_on_an_opera
     start(again)
     again.until(Phase.PASSIVE)
     let(again, 21.0)
-    alarms = [a for _, a in again.log if isinstance(a, Say) and a.severity is Severity.CRITICAL]
+    alarms = [
+        a for _, a in again.log if isinstance(a, AlertReport) and a.severity is Severity.CRITICAL
+    ]
     assert len(alarms) == 3, "every 10 s"
-    assert Answer(Reply.ACCEPTED) in again.tell(word(again.t_s, OPERATOR))
+    assert OperatorResponse(ResponseStatus.ACCEPTED) in again.tell(word(again.t_s, OPERATOR))
     done = again.to_the_end()
     assert again.items == ours
     assert done.home
@@ -207,10 +211,14 @@ def test_safety_rule_2_after_a_restart_a_foreign_mission_is_replaced_on_an_opera
 def test_safety_rule_1_a_flight_that_another_computer_has_is_not_taken_back():
     w = reach(Phase.OUTBOUND)
     later = w.t_s + 1.0
-    w.tell(ev.OtherComputer(w.t_s, active=True, flies=True, since_ms=round(1000.0 * later)))
+    w.tell(
+        ev.OtherCompanionReport(
+            w.t_s, active=True, has_control=True, control_since_ms=round(1000.0 * later)
+        )
+    )
     assert w.pilot.phase is Phase.PASSIVE
     for word in (ev.ControlHandedBack, ev.AbortOrdered):
-        assert Answer(Reply.DENIED) in w.tell(word(w.t_s, OPERATOR))
+        assert OperatorResponse(ResponseStatus.DENIED) in w.tell(word(w.t_s, OPERATOR))
 
 
 def test_safety_rule_2_a_mission_that_was_replaced_is_restored_before_arming():
@@ -220,7 +228,9 @@ def test_safety_rule_2_a_mission_that_was_replaced_is_restored_before_arming():
     replace_mission(w)
     let(w, 3.0)
     w.aboard.clear()
-    assert Answer(Reply.ACCEPTED) in w.tell(ev.Authorised(w.t_s, OPERATOR))
+    assert OperatorResponse(ResponseStatus.ACCEPTED) in w.tell(
+        ev.MissionAuthorised(w.t_s, OPERATOR)
+    )
     assert w.to_the_end().outcome == "SUC"
     assert [items == ours for _, items in w.aboard] == [True, True]  # the mode, then arming
 
@@ -230,7 +240,7 @@ def test_safety_rule_2_a_mission_that_cannot_be_restored_is_not_started():
     let(w, 3.0)
     replace_mission(w)
     w.takes_uploads = False
-    w.tell(ev.Authorised(w.t_s, OPERATOR))
+    w.tell(ev.MissionAuthorised(w.t_s, OPERATOR))
     assert "upload refused" in w.to_the_end().reason
     assert not any(isinstance(order, Arm) for order, _ in w.aboard)
 
@@ -239,7 +249,7 @@ def test_safety_rule_2_a_mission_that_cannot_be_restored_is_not_started():
 
 
 def last_resort() -> Recorded:
-    """The mission cannot be put back: RTL is ordered, and refused."""
+    """The mission cannot be restored: RTL is ordered, and refused."""
     w = reach(Phase.OUTBOUND)
     w.takes_uploads, w.refuses = False, True
     replace_mission(w)
@@ -248,7 +258,9 @@ def last_resort() -> Recorded:
 
 
 def critical(w: World) -> list[str]:
-    return [a.text for _, a in w.log if isinstance(a, Say) and a.severity is Severity.CRITICAL]
+    return [
+        a.text for _, a in w.log if isinstance(a, AlertReport) and a.severity is Severity.CRITICAL
+    ]
 
 
 def test_an_rtl_that_is_refused_for_12_s_is_ordered_until_it_is_flown():
@@ -256,7 +268,7 @@ def test_an_rtl_that_is_refused_for_12_s_is_ordered_until_it_is_flown():
     began_s = w.t_s
     let(w, 12.0)
     assert set(modes(w, began_s)) == {Mode.RTL}
-    assert "RTL not in effect (failed): repeating" in critical(w)
+    assert "RTL not entered (failed): repeating orders" in critical(w)
     w.refuses = False
     let(w, 4.0)
     flown_s = w.t_s
@@ -271,7 +283,7 @@ def test_after_20_s_without_rtl_land_is_ordered_in_turn(way):
     began_s = w.t_s
     let(w, 30.0)
     assert modes(w, began_s)[:11] == [*[Mode.RTL] * 9, Mode.LAND, Mode.RTL]
-    assert len([text for text in critical(w) if "not in effect" in text]) >= 3, "every 10 s"
+    assert len([text for text in critical(w) if "not entered" in text]) >= 3, "every 10 s"
 
 
 def test_safety_rule_1_another_mode_ends_the_last_resort_at_once():

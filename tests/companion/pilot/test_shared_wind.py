@@ -1,5 +1,5 @@
-"""Whole flights of the pilot with its own gate, while a desk tells the winds of others: honestly,
-falsely, or not at all. The wind that the vehicle feels is scripted.
+"""Whole flights of the pilot with its own gate, while a desk publishes other vehicles' winds:
+correct, false, or none. The vehicle's own wind is scripted.
 """
 
 import math
@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from companion.core.mission import events as ev
-from companion.core.mission.actions import Assessed, Decision, Say
-from companion.core.pilot.estimates import Estimates
+from companion.core.mission.actions import AlertReport, AssessmentReport, Decision
+from companion.core.pilot.estimates import FlightEstimates
 from companion.core.pilot.transitions import Phase
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind_field.shared_winds import SharedWinds, ToldFront, ToldWind
+from companion.core.wind_field.shared_winds import EncodedFront, EncodedWindReport, SharedWinds
 from tests.companion.pilot.fake_vehicle import AIRFRAME, DEPOT, FLIGHT, WIND_PROCESS, World, world
 
 FAR = msgspec.structs.replace(
@@ -33,19 +33,19 @@ REJUDGED_S = 10.0
 
 
 class ScriptedWind:
-    """A wind filter that feels a light wind to the east, with gusts."""
+    """A wind filter that estimates a light wind to the east, with gusts."""
 
     def __init__(self) -> None:
         self.gusts = np.random.default_rng(5).normal(0.0, 0.4, (3000, 2))
 
-    def felt(self, t_s: float) -> Any:
+    def detections(self, t_s: float) -> Any:
         return np.array([0.5, 3.0]) + self.gusts[int(t_s)]
 
     def update(self, observation: Any) -> tuple[str, ...]:
         return ()
 
     def belief(self, t_s: float) -> WindBelief:
-        return WindBelief(t_s, self.felt(t_s), 0.25 * np.eye(2), ("tilt",), True)
+        return WindBelief(t_s, self.detections(t_s), 0.25 * np.eye(2), ("tilt",), True)
 
     def snapshot(self) -> dict[str, object]:
         return {}
@@ -58,35 +58,37 @@ Tells = Callable[[float, str, Any], "tuple[float, float] | None"]
 
 
 def word(t_s: float, tells: Tells, front: Any = msgspec.UNSET) -> SharedWinds:
-    """What others feel: each its own gusts, as `tells` has it."""
+    """Return the winds of other members: each has its own gusts, as modified by `tells`."""
     told = []
     for number, (name, place) in enumerate(AT.items()):
         gust = np.random.default_rng([int(t_s), number]).normal(0.0, 0.4, 2)
         wind = tells(t_s, name, np.array([0.5, 3.0]) + gust)
         if wind is not None:
             north, east = (round(100.0 * float(x)) for x in wind)
-            told.append(ToldWind(name, 2, *place, 40, north, east, 25, 25))
+            told.append(EncodedWindReport(name, 2, *place, 40, north, east, 25, 25))
     return SharedWinds(
-        vehicle="d1", life="a", as_of_s=0.0, lat_deg=DEPOT[0], lon_deg=DEPOT[1], told=told,
-        front=front,
+        vehicle="d1", instance_id="a", as_of_s=0.0, lat_deg=DEPOT[0], lon_deg=DEPOT[1],
+        reports=told, front=front,
     )  # fmt: skip
 
 
 class Flown:
-    """One flight; `tells` None: nobody says a word. `front`: told 40 s after leaving, and withdrawn
-    so long after that.
+    """One flight; `tells` None: no wind reports. `front`: reported 40 s after departure, and
+    withdrawn after `withdrawn_after_s`.
     """
 
     def __init__(
         self,
         tells: Tells | None,
         until_s: float = 1e6,
-        front: ToldFront | None = None,
+        front: EncodedFront | None = None,
         volts: float = 25.0,
         withdrawn_after_s: float | None = None,
     ) -> None:
         route_energy = RouteEnergy.for_mission(AIRFRAME, FAR.mission, 1.225)
-        judge = Estimates(FAR, AIRFRAME, route_energy, WIND_PROCESS, wind_filter=ScriptedWind())
+        judge = FlightEstimates(
+            FAR, AIRFRAME, route_energy, WIND_PROCESS, wind_filter=ScriptedWind()
+        )
         self.made: World = world(flight=FAR, judge=judge)  # type: ignore[arg-type]
         self.made.volts = volts
         self.front_s: float | None = None
@@ -103,7 +105,7 @@ class Flown:
             if comes and left_s is not None and now_s - left_s >= 40.0:
                 self.front_s, due = now_s, True
             over = withdrawn_after_s is not None and (
-                withdrawn_after_s < 0.0  # nothing was told before
+                withdrawn_after_s < 0.0  # no report before
                 or (self.front_s is not None and now_s - self.front_s >= withdrawn_after_s)
             )
             if due or over:
@@ -112,15 +114,15 @@ class Flown:
                 if over:
                     sent, withdrawn_after_s = None, None
                 winds = word(now_s, tells or (lambda t, n, w: None), sent)
-                self.made.tell(ev.WindsTold(now_s, winds, 0.0))
+                self.made.tell(ev.FleetWindReceived(now_s, winds, 0.0))
 
     @property
     def decided(self) -> list[Any]:
-        """Every decision and every assessment, less what is only said of the fleet's wind."""
+        """Return all decisions and assessments, except log entries on the fleet's wind."""
         return [
             action
             for _, action in self.made.log
-            if isinstance(action, Assessed)
+            if isinstance(action, AssessmentReport)
             or (isinstance(action, Decision) and action.kind != "fleet_wind")
         ]
 
@@ -149,21 +151,23 @@ def alone() -> Flown:
     return Flown(None)
 
 
+@pytest.mark.sample
 def test_honest_winds_are_used_and_said_in_the_decision_and_to_people(alone: Flown) -> None:
     flown = Flown(honest)
     assert flown.decided != alone.decided
     go = flown.decision("go")
     assert go is not None
     assert "; wind of the fleet: 3 others" in go[1].reason
-    said = [a.text for _, a in flown.made.log if isinstance(a, Say)]
+    said = [a.text for _, a in flown.made.log if isinstance(a, AlertReport)]
     assert any(
-        words.startswith("wind of the fleet: 3 others: next 5 min") and "own alone" in words
+        words.startswith("wind of the fleet: 3 others: next 5 min") and "own estimate" in words
         for words in said
     )
     assert flown.decision("fleet_wind") is not None
     assert not any("wind of the fleet" in words for words in alone.words())
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     "tells", [lying, lambda t, n, w: None], ids=["the desk lies from the start", "it tells nothing"]
 )
@@ -173,26 +177,28 @@ def test_with_a_desk_that_is_not_believed_every_decision_is_as_if_alone(
     assert Flown(tells).decided == alone.decided
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(("tells", "until_s"), [(honest, 60.0), (frozen, 1e6)])
 def test_after_the_desk_falls_silent_or_is_frozen_the_answers_are_again_as_if_alone(
     alone: Flown, tells: Tells, until_s: float
 ) -> None:
     flown = Flown(tells, until_s)
-    ends = [a for a in flown.decided if isinstance(a, Assessed)]
-    ends_alone = [a for a in alone.decided if isinstance(a, Assessed)]
+    ends = [a for a in flown.decided if isinstance(a, AssessmentReport)]
+    ends_alone = [a for a in alone.decided if isinstance(a, AssessmentReport)]
     assert ends[-1] == ends_alone[-1]
     assert any("not used" in words for words in flown.words())
 
 
-AGAINST = ToldFront(
+AGAINST = EncodedFront(
     arrives_in_s=45.0, slow_n_spm=0.0, slow_e_spm=0.05, std_s=12.0, slow_std_spm=0.001,
-    behind_n_mps=15.0, behind_e_mps=3.0, change_mps=14.0,
+    post_front_n_mps=15.0, post_front_e_mps=3.0, change_mps=14.0,
 )  # fmt: skip
 
 
+@pytest.mark.sample
 def test_a_front_that_is_told_is_judged_within_ten_seconds_and_only_against_flying_on() -> None:
     calm, against = Flown(None, volts=23.75), Flown(None, front=AGAINST, volts=23.75)
-    helping = msgspec.structs.replace(AGAINST, behind_n_mps=-4.0, behind_e_mps=0.0)
+    helping = msgspec.structs.replace(AGAINST, post_front_n_mps=-4.0, post_front_e_mps=0.0)
     helped = Flown(None, front=helping, volts=23.75)
     assert calm.decision("turn_back") is None
     turned = against.decision("turn_back")
@@ -202,15 +208,20 @@ def test_a_front_that_is_told_is_judged_within_ten_seconds_and_only_against_flyi
     assert "wind of the fleet: a front" in turned[1].reason
     assert any("a front of 14 m/s, here in" in words for words in against.words())
     assert helped.decision("turn_back") is None
-    hopes, told = ([a for a in f.decided if isinstance(a, Assessed)] for f in (calm, helped))
+    hopes, told = (
+        [a for a in f.decided if isinstance(a, AssessmentReport)] for f in (calm, helped)
+    )
     pairs = list(zip(hopes, told, strict=True))
     assert all(with_it.p_home <= without.p_home for without, with_it in pairs)
     assert any(with_it.p_home < without.p_home for without, with_it in pairs), "canary"
 
 
+@pytest.mark.sample
 def test_a_front_that_is_withdrawn_counts_no_more() -> None:
-    """The canary: the same front that is not withdrawn goes on counting."""
-    far = msgspec.structs.replace(AGAINST, arrives_in_s=200.0, behind_n_mps=-4.0, behind_e_mps=0.0)
+    """The canary: the same front, not withdrawn, keeps its effect."""
+    far = msgspec.structs.replace(
+        AGAINST, arrives_in_s=200.0, post_front_n_mps=-4.0, post_front_e_mps=0.0
+    )
     calm, told = Flown(None, volts=23.75), Flown(None, front=far, volts=23.75)
     over = Flown(None, front=far, volts=23.75, withdrawn_after_s=20.0)
     assert over.front_s is not None
@@ -218,7 +229,7 @@ def test_a_front_that_is_withdrawn_counts_no_more() -> None:
     before, after = over.front_s + 20.0, over.front_s + 22.0
 
     def hopes(flown: Flown) -> list[tuple[float, float]]:
-        return [(t, a.p_home) for t, a in flown.made.log if isinstance(a, Assessed)]
+        return [(t, a.p_home) for t, a in flown.made.log if isinstance(a, AssessmentReport)]
 
     def differ(flown: Flown) -> list[float]:
         pairs = zip(hopes(calm), hopes(flown), strict=False)
@@ -231,6 +242,7 @@ def test_a_front_that_is_withdrawn_counts_no_more() -> None:
     assert words[-1].endswith("the front is withdrawn")
 
 
+@pytest.mark.sample
 def test_a_word_that_withdraws_what_was_never_told_says_nothing() -> None:
     flown = Flown(lambda t_s, name, wind: wind, withdrawn_after_s=-math.inf)
     assert not [one for one in flown.words() if "front" in one]

@@ -1,24 +1,28 @@
-"""A HOLD that the autopilot entered by itself: alarms, and what the operator chose for it."""
+"""A HOLD entered by the autopilot itself: alarms, and the action configured by the operator."""
 
 import pytest
 
 from companion.core.mission import events as ev
-from companion.core.mission.actions import Say, SetMode, Severity
+from companion.core.mission.actions import AlertReport, SetMode
+from companion.core.mission.alerts import Severity
 from companion.core.mission.events import Mode
-from companion.core.pilot.context import PilotOptions, Unanswered
+from companion.core.pilot.context import PilotOptions, UnansweredHoldAction
 from companion.core.pilot.transitions import Phase
 from tests.companion.pilot.fake_vehicle import World, world
 
-RETURN = PilotOptions(configure=True, authorise=True, unanswered_hold=Unanswered.RETURN)
-LAND = PilotOptions(configure=True, authorise=True, unanswered_hold=Unanswered.LAND)
+RETURN = PilotOptions(
+    configure=True, authorise=True, unanswered_hold_action=UnansweredHoldAction.RETURN
+)
+LAND = PilotOptions(
+    configure=True, authorise=True, unanswered_hold_action=UnansweredHoldAction.LAND
+)
 FLOWN = [Phase.CLIMB, Phase.OUTBOUND, Phase.RELEASE, Phase.RETURN]
 WAIT_S = 30.0
 
 
 def cleared(phase: Phase, options: PilotOptions | None = None) -> World:
-    """Somebody clears the mission, and the vehicle holds."""
-    w = world(options=options)
-    w.until(phase)
+    """Clear the mission in flight; the vehicle holds."""
+    w = world(options=options).until(phase)
     w.takes_uploads = False
     w.items, w.index = (), 0
     w.mode = Mode.HOLD
@@ -26,9 +30,8 @@ def cleared(phase: Phase, options: PilotOptions | None = None) -> World:
 
 
 def fails_safe(options: PilotOptions | None = None) -> World:
-    """A failsafe of the autopilot's holds, as PX4 beyond a fence."""
-    w = world(options=options)
-    w.until(Phase.OUTBOUND)
+    """Hold by a failsafe of the autopilot, as PX4 beyond a fence."""
+    w = world(options=options).until(Phase.OUTBOUND)
     w.mode, w.failsafe = Mode.HOLD, True
     return w.until(Phase.SUSPENDED)
 
@@ -40,11 +43,11 @@ def let(w: World, duration_s: float) -> World:
 
 
 def alarms(w: World) -> list[float]:
-    return [t for t, a in w.log if isinstance(a, Say) and ", on HOLD: " in a.text]
+    return [t for t, a in w.log if isinstance(a, AlertReport) and ", on HOLD: " in a.text]
 
 
 def modes(w: World) -> list[Mode]:
-    """Ordered in flight: the first brought it into its mission."""
+    """Return the modes ordered in flight, without the first, which started the mission."""
     return [a.mode for _, a in w.log if isinstance(a, SetMode)][1:]
 
 
@@ -57,7 +60,7 @@ def test_safety_rule_1_without_a_choice_it_alarms_again_and_again_and_orders_not
     gaps = [b - a for a, b in zip(alarms(w), alarms(w)[1:], strict=False)]
     assert gaps == pytest.approx([10.0] * len(gaps), abs=0.15)
     assert len(gaps) == 6
-    said = [a for _, a in w.log if isinstance(a, Say) and "on HOLD" in a.text]
+    said = [a for _, a in w.log if isinstance(a, AlertReport) and "on HOLD" in a.text]
     assert {a.severity for a in said} == {Severity.CRITICAL}
     assert all(len(a.text.encode()) <= 50 for a in said)
     assert w.orders_after(held_s) == []
@@ -97,7 +100,7 @@ def takes_another_mode(w: World) -> None:
 
 
 def says_hands_off(w: World) -> None:
-    w.tell(ev.ControlTaken(w.t_s, "255/190"))
+    w.tell(ev.ControlReleaseOrdered(w.t_s, "255/190"))
 
 
 @pytest.mark.parametrize("answer", [takes_another_mode, says_hands_off])
@@ -112,7 +115,7 @@ def test_safety_rule_1_who_answers_keeps_the_vehicle(answer):
 
 def test_safety_rule_1_who_writes_to_the_mission_meanwhile_is_given_the_time_anew():
     w = let(cleared(Phase.OUTBOUND, RETURN), WAIT_S - 5.0)
-    w.tell(ev.MissionTouched(w.t_s, "254/190 wrote the mission"))
+    w.tell(ev.MissionWriteDetected(w.t_s, "254/190 wrote the mission"))
     let(w, WAIT_S - 1.0)
     assert modes(w) == []
     let(w, 2.0)
@@ -120,12 +123,11 @@ def test_safety_rule_1_who_writes_to_the_mission_meanwhile_is_given_the_time_ane
 
 
 def test_safety_rule_1_a_pilots_hold_is_a_take_over_whatever_was_chosen():
-    w = world(options=RETURN)
-    w.until(Phase.OUTBOUND)
+    w = world(options=RETURN).until(Phase.OUTBOUND)
     w.mode = Mode.HOLD
     w.until(Phase.SUSPENDED)
     let(w, 3.0)
-    w.items = ()  # cleared later: to stop there was what the pilot wanted
+    w.items = ()  # cleared later: the pilot wanted to stop there
     let(w, 90.0)
     assert alarms(w) == []
     assert modes(w) == []
@@ -133,10 +135,10 @@ def test_safety_rule_1_a_pilots_hold_is_a_take_over_whatever_was_chosen():
 
 def test_safety_rule_3_no_return_is_ordered_to_a_home_that_moved():
     w = cleared(Phase.OUTBOUND, RETURN)
-    w.home_up = 40.0  # and it is not set back while hands are off
+    w.home_up = 40.0  # not restored after a release of control
     let(w, WAIT_S + 10.0)
     assert modes(w) == []
-    assert "nobody flies it" in w.said
+    assert "no pilot" in w.said
 
 
 def test_safety_rule_1_a_failsafes_hold_unanswered_is_ended_as_the_operator_chose():
@@ -159,8 +161,7 @@ def test_safety_rule_1_a_failsafes_hold_without_a_choice_alarms_and_orders_nothi
 
 
 def test_safety_rule_1_a_failsafe_that_acted_long_before_makes_no_hold_its_own():
-    w = world(options=RETURN)
-    w.until(Phase.OUTBOUND)
+    w = world(options=RETURN).until(Phase.OUTBOUND)
     w.failsafe = True
     let(w, 5.0)
     w.mode = Mode.HOLD
@@ -171,8 +172,7 @@ def test_safety_rule_1_a_failsafe_that_acted_long_before_makes_no_hold_its_own()
 
 
 def test_safety_rule_1_a_failsafe_that_begins_in_a_pilots_hold_is_not_its_cause():
-    w = world(options=RETURN)
-    w.until(Phase.OUTBOUND)
+    w = world(options=RETURN).until(Phase.OUTBOUND)
     w.mode = Mode.HOLD
     let(w, 5.0)
     w.failsafe = True

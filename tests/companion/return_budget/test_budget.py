@@ -1,46 +1,41 @@
-"""The gate: closed forms, brute force, monotony, and calibration in a toy world of its own."""
+"""The return gate: closed forms, brute force, monotonicity, and calibration in a toy simulation."""
 
 import math
 import re
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
+from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.core.return_budget.budget import (
-    KEEPS_PROMISE,
-    Ahead,
+    CONTINUE_REASON,
     Assessment,
     Gate,
     GateParams,
+    RemainingMission,
+    ReturnRoute,
     Stage,
-    WayHome,
-    told_apart,
+    format_distinct_probabilities,
+    reserve_margin_text,
 )
 from companion.core.return_budget.outcomes import Budget
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
-from companion.core.vehicle.airframe import airframe_from_dict
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindOutlook
-from companion.core.wind.process import wind_process_from_dict
 
-ROOT = Path(__file__).parents[3]
-M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
+M100 = read_airframe("m100")
 ROUTE = RouteEnergy(M100)
-WIND_PROCESS = wind_process_from_dict(
-    tomllib.loads((ROOT / "params/wind/coast.toml").read_text()), "coast"
-)
+WIND_PROCESS = read_wind_process("coast")
 MODEL_STD = M100.power_rotor.model_std_frac
 PARCEL = 0.6
 UP = -40.0
 
 
 class StillWind(WindOutlook):
-    """An outlook in which the wind stays exactly as believed."""
+    """An outlook in which the wind stays exactly at its estimate."""
 
     def forecast(self, belief: WindBelief, horizon_s: np.ndarray) -> WindForecast:
         count = horizon_s.size
@@ -55,7 +50,7 @@ def believed(north: float, east: float, std: float = 0.5, t_s: float = 300.0) ->
 def followed(north: float, east: float) -> WindOutlook:
     outlook = WindOutlook(WIND_PROCESS)
     for t in range(0, 300, 5):
-        outlook.observe(believed(north, east, t_s=float(t)))
+        outlook.update_from_estimate(believed(north, east, t_s=float(t)))
     return outlook
 
 
@@ -67,15 +62,15 @@ def over(metres_west: float) -> tuple[float, float, float]:
     return (0.0, -metres_west, UP)
 
 
-def home_from(metres: float, payload: float, landing: str = "depot") -> WayHome:
+def home_from(metres: float, payload: float, landing: str = "depot") -> ReturnRoute:
     land = Leg(LegKind.LAND, over(0.0), (0.0, 0.0, 0.0), payload)
     if metres == 0.0:
-        return WayHome(landing, (land,), (land,))
+        return ReturnRoute(landing, (land,), (land,))
     back = Leg(LegKind.CRUISE, over(metres), over(0.0), payload)
-    return WayHome(landing, (back, land), (replace(back, ground_speed_mps=11.0), land))
+    return ReturnRoute(landing, (back, land), (replace(back, ground_speed_mps=11.0), land))
 
 
-def mission(distance: float, legs: int, done: int = 0) -> Ahead:
+def mission(distance: float, legs: int, done: int = 0) -> RemainingMission:
     """Straight west in equal legs, `done` of them flown; deliver; straight back."""
     points = [distance * i / legs for i in range(legs + 1)]
     stages = [
@@ -92,13 +87,13 @@ def mission(distance: float, legs: int, done: int = 0) -> Ahead:
     )
     rise = Leg(LegKind.CLIMB, drop, over(distance), 0.0)
     back = home_from(distance, 0.0)
-    way = WayHome("depot", (rise, *back.legs), (rise, *back.unattended_legs))
+    way = ReturnRoute("depot", (rise, *back.leg_sequence), (rise, *back.unattended_sequence))
     stages.append(Stage(lower, (way,), delivers=True))
-    return Ahead((home_from(points[done], PARCEL),), tuple(stages))
+    return RemainingMission((home_from(points[done], PARCEL),), tuple(stages))
 
 
 def judge(
-    ahead: Ahead,
+    ahead: RemainingMission,
     left_wh: float,
     wind: tuple = (0.0, -6.0),
     outlook: WindOutlook | None = None,
@@ -110,53 +105,53 @@ def judge(
     gate = Gate(ROUTE, GateParams(**{"max_loss": 0.01, "reserve_wh": 15.0, **params}))
     wind_seen = outlook or followed(*wind)
     return gate.assess(
-        ahead, believed(*wind, std), wind_seen, energy(left_wh), weighs_worth=weighs_worth
+        ahead, believed(*wind, std), wind_seen, energy(left_wh), check_value=weighs_worth
     )
 
 
 @pytest.mark.parametrize("p", [0.5, 0.9, 0.99, 0.999])
 @pytest.mark.parametrize("left_wh", [10.0, 47.3, 80.0])
 def test_a_margin_is_the_normal_distributions_and_never_more(p: float, left_wh: float) -> None:
-    # One need: what suffices with probability p is its quantile, in closed form.
+    # One need: the energy sufficient with probability p is its quantile, in closed form.
     budget = Budget(left_wh, battery_std_wh=2.0, model_std_frac=0.04, scale=1.1)
     spread = math.hypot(2.0, 0.04 * 1.1 * 40.0)
     exact = left_wh - (1.1 * 40.0 + float(norm.ppf(p)) * spread)
-    assert exact - 0.005 <= budget.margin_wh(np.full(3, 40.0), p) <= exact
+    assert exact - 0.005 <= budget.margin_to_probability_wh(np.full(3, 40.0), p) <= exact
 
 
-RETURN = Ahead((home_from(1500.0, 0.0),), (), delivered=True)
+RETURN = RemainingMission((home_from(1500.0, 0.0),), (), delivered=True)
 
 
-def need_wh(way: WayHome, wind: tuple) -> float:
-    return float(ROUTE.costs(way.legs, np.array([wind])).energy_wh.sum())
+def need_wh(way: ReturnRoute, wind: tuple) -> float:
+    return float(ROUTE.leg_costs_wind_major(way.leg_sequence, np.array([wind])).energy_wh.sum())
 
 
 @pytest.mark.parametrize("sigmas", [-1.0, 0.0, 1.5, 2.326])
 def test_in_a_wind_that_stays_p_home_is_the_normal_distributions(sigmas: float) -> None:
     # Closed form: need known but for a relative model error and the battery's own.
     wind = (0.0, -7.0)
-    need = need_wh(RETURN.ways_home_now[0], wind)
+    need = need_wh(RETURN.current_return_routes[0], wind)
     spread = math.hypot(2.0, MODEL_STD * need)
     answer = judge(RETURN, need + 15.0 + sigmas * spread, wind, StillWind(WIND_PROCESS))
     assert answer.p_home == pytest.approx(norm.cdf(sigmas), abs=1e-3)
     assert answer.p_home_now == answer.p_home == answer.p_success
-    # The margin is 0 where the promise of 0.99 is just kept.
+    # The margin is 0 where the required 0.99 is just reached.
     assert answer.margin_wh == pytest.approx((sigmas - norm.ppf(0.99)) * spread, abs=0.05)
 
 
 def brute_force_p(
     legs: tuple[Leg, ...], left_wh: float, wind: tuple, std: float, count: int = 8_000
 ) -> float:
-    """P(home) by plain sampling, leg after leg at the time that each sample flies it."""
+    """P(home) by plain sampling, leg by leg at the time at which each sample flies it."""
     rng = np.random.default_rng(8)
     nodes = np.concatenate([np.arange(0.0, 200.0, 10.0), np.arange(200.0, 1201.0, 50.0)])
-    paths = followed(*wind).forecast(believed(*wind, std), nodes).sample(count, rng)
+    paths = followed(*wind).forecast(believed(*wind, std), nodes).draw_wind_paths(count, rng)
     clock, used = np.zeros(count), np.zeros(count)
     for leg in legs:
         middle = clock
-        for _ in range(2):  # once to learn how long it takes, once at its middle
+        for _ in range(2):  # first for the duration, then at its middle
             index = np.clip(np.searchsorted(nodes, middle), 0, nodes.size - 1)
-            costs = ROUTE.costs((leg,), paths[np.arange(count), index])
+            costs = ROUTE.leg_costs_wind_major((leg,), paths[np.arange(count), index])
             middle = clock + 0.5 * costs.time_s[:, 0]
         clock = clock + costs.time_s[:, 0]
         used += costs.energy_wh[:, 0]
@@ -169,7 +164,7 @@ def brute_force_p(
     [((0.0, -6.0), 0.5, 49.0), ((0.0, -11.0), 0.8, 70.0), ((4.0, -12.0), 0.6, 100.0)],
 )
 def test_p_home_is_what_brute_force_finds(wind: tuple, std: float, left_wh: float) -> None:
-    legs = home_from(1500.0, 0.0).legs
+    legs = home_from(1500.0, 0.0).leg_sequence
     # Cut so that brute force reads the wind often; turns and stops are the same.
     back = legs[0]
     cut = tuple(
@@ -179,7 +174,7 @@ def test_p_home_is_what_brute_force_finds(wind: tuple, std: float, left_wh: floa
     expected = brute_force_p((*cut, *legs[1:]), left_wh, wind, std)
     answer = judge(RETURN, left_wh, wind, std=std)
     assert 0.3 < expected < 0.999
-    # The gate takes the fastest gusts a minute at a time, which errs low by a point or two.
+    # The gate takes the fastest gusts a minute at a time, so it is one or two points too low.
     assert expected - 0.03 < answer.p_home < expected + 0.015
 
 
@@ -216,45 +211,45 @@ def test_who_accepts_more_loss_flies_on_longer() -> None:
 def test_the_gate_closes_exactly_where_the_margin_is_gone() -> None:
     for done in (2, 4, 5):
         for left in np.arange(48.0, 90.0, 3.0):
-            # The promise alone: the worth of flying on may close the gate sooner.
+            # Only the constraint: the value of continuing may close the gate sooner.
             ahead = mission(1800.0, 6, done)
             answer = judge(ahead, left, (0.0, -8.0), weighs_worth=False)
             assert answer.turn_back == (answer.margin_wh < 0.0)
 
 
 def test_when_all_is_nearly_lost_the_better_chance_is_taken() -> None:
-    # Over the customer, short of energy: delivered is lighter, and so the likelier way home.
+    # Over the customer, short of energy: after delivery it is lighter, so home is likelier.
     answer = judge(mission(1800.0, 6, 6), 52.0, (0.0, -8.0), min_success=0.0)
     assert answer.margin_wh < 0.0
     assert not answer.turn_back
     assert answer.p_home > answer.p_home_now + 0.02
-    assert "turning here is no better" in answer.reason
+    assert "turning back here is no better" in answer.reason
 
 
 def test_the_figures_of_a_reason_differ_as_its_words_say() -> None:
-    """What is "under" is lower as it is printed, and the bound that is named is the one that held:
-    one decision's, or the whole mission's."""
+    """A figure that is "below" another is lower as printed, and the message names the applied
+    bound: that of one decision or of the whole mission."""
     gate = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=15.0))
     ahead, seen = mission(1800.0, 6, 5), set[str]()
     for left_wh in np.arange(67.0, 75.0, 0.05):
         answer = gate.assess(
             ahead, believed(0.0, -8.0, 0.5), followed(0.0, -8.0), energy(left_wh),
-            accepted_loss=0.03, weighs_worth=False,
+            accepted_loss=0.03, check_value=False,
         )  # fmt: skip
         figures = [float(figure) for figure in re.findall(r"0\.\d+", answer.reason)]
-        if " is under " in answer.reason:
-            seen.add("under")
+        if " is below " in answer.reason:
+            seen.add("below")
             assert figures[0] < figures[1] == 0.97
-            assert answer.reason.endswith(("the least at one decision", "is no better"))
+            assert answer.reason.endswith(("the minimum at one decision", "is no better"))
         elif figures:
             seen.add("between")
             assert figures[0] > figures[1] == 0.97
             assert figures[2] == 0.99
         else:
             seen.add("kept")
-            assert answer.reason == KEEPS_PROMISE
+            assert answer.reason == CONTINUE_REASON
             assert answer.p_home >= 0.99
-    assert seen == {"under", "between", "kept"}
+    assert seen == {"below", "between", "kept"}
 
 
 @pytest.mark.parametrize(
@@ -266,7 +261,12 @@ def test_the_figures_of_a_reason_differ_as_its_words_say() -> None:
     ],
 )
 def test_two_figures_have_as_many_digits_as_it_takes_to_tell_them_apart(low, high, words) -> None:
-    assert told_apart(low, high) == words
+    assert format_distinct_probabilities(low, high) == words
+
+
+def test_a_margin_below_the_reserve_is_stated_as_below() -> None:
+    texts = [reserve_margin_text(margin_wh) for margin_wh in (23.8, -17.2)]
+    assert texts == ["23.8 Wh above the reserve", "17.2 Wh below the reserve"]
 
 
 def test_a_stronger_headwind_home_or_a_less_certain_one_lowers_the_margin() -> None:
@@ -277,8 +277,8 @@ def test_a_stronger_headwind_home_or_a_less_certain_one_lowers_the_margin() -> N
 
 
 def test_the_gate_is_option_aware() -> None:
-    """Go while home stays certain from the next point, not only while the
-    whole trip is certain."""
+    """Continue while home stays certain from the next point, not only while the whole trip is
+    certain."""
     ahead = mission(2500.0, 8)
     answer = judge(ahead, 79.0, (0.0, -9.0), min_success=0.0)
     assert answer.p_success < 0.9
@@ -289,23 +289,23 @@ def test_the_gate_is_option_aware() -> None:
 def test_a_flight_that_cannot_deliver_is_not_begun() -> None:
     answer = judge(mission(2500.0, 8), 45.0, (0.0, -6.0))
     assert answer.turn_back
-    assert "not worth" in answer.reason
+    assert "too low to continue" in answer.reason
     assert answer.p_home == answer.p_home_now
 
 
 def test_turning_back_goes_to_the_landing_site_with_the_better_chance() -> None:
     quay = replace(home_from(300.0, 0.0), landing="quay")
-    far = Ahead((home_from(2200.0, 0.0), quay), (), delivered=True)
+    far = RemainingMission((home_from(2200.0, 0.0), quay), (), delivered=True)
     answer = judge(far, 40.0, (0.0, -10.0))
     assert answer.best_landing == "quay"
     assert answer.p_home == pytest.approx(1.0, abs=0.01)
-    assert judge(far, 110.0, (0.0, -3.0)).best_landing == "depot"  # as good: the first of them
+    assert judge(far, 110.0, (0.0, -3.0)).best_landing == "depot"  # equal: the first one is chosen
 
 
 def test_a_landing_site_ahead_keeps_the_promise_that_turning_would_break() -> None:
     ahead = mission(2400.0, 6, 4)
     quay = replace(home_from(200.0, PARCEL), landing="quay")
-    stage = replace(ahead.stages[1], ways_home=(*ahead.stages[1].ways_home, quay))
+    stage = replace(ahead.stages[1], return_routes=(*ahead.stages[1].return_routes, quay))
     with_quay = replace(ahead, stages=(ahead.stages[0], stage, *ahead.stages[2:]))
     alone = judge(ahead, 40.0, (0.0, -12.0), min_success=0.0)
     beside = judge(with_quay, 40.0, (0.0, -12.0), min_success=0.0)
@@ -315,20 +315,22 @@ def test_a_landing_site_ahead_keeps_the_promise_that_turning_would_break() -> No
 
 def test_safety_rule_6_without_further_commands_it_is_predicted_at_the_speed_aboard() -> None:
     wind = (0.0, -5.0)
-    way = RETURN.ways_home_now[0]
-    fixed = float(ROUTE.costs(way.unattended_legs, np.array([wind])).energy_wh.sum())
+    way = RETURN.current_return_routes[0]
+    fixed = float(
+        ROUTE.leg_costs_wind_major(way.unattended_sequence, np.array([wind])).energy_wh.sum()
+    )
     spread = math.hypot(2.0, MODEL_STD * fixed)
     answer = judge(RETURN, fixed + 15.0 + spread, wind, StillWind(WIND_PROCESS))
     assert answer.p_home_unattended == pytest.approx(norm.cdf(1.0), abs=2e-3)
-    silent = Ahead((WayHome("depot", way.legs),), (), delivered=True)
+    silent = RemainingMission((ReturnRoute("depot", way.leg_sequence),), (), delivered=True)
     assert judge(silent, 60.0).p_home_unattended is None
 
 
 def test_outbound_a_dead_companion_flies_on_to_the_next_point_first() -> None:
     wind = (0.0, -6.0)
     ahead = mission(1800.0, 6, 3)
-    legs = (*ahead.stages[0].legs, *ahead.stages[0].ways_home[0].unattended_legs)
-    need = float(ROUTE.costs(legs, np.array([wind])).energy_wh.sum())
+    legs = (*ahead.stages[0].leg_sequence, *ahead.stages[0].return_routes[0].unattended_sequence)
+    need = float(ROUTE.leg_costs_wind_major(legs, np.array([wind])).energy_wh.sum())
     answer = judge(ahead, need + 15.0, wind, StillWind(WIND_PROCESS), min_success=0.0)
     assert answer.p_home_unattended == pytest.approx(0.5, abs=0.08)
 
@@ -339,11 +341,11 @@ def test_the_same_question_has_the_same_answer() -> None:
 
 
 def test_a_decision_point_without_a_way_home_is_refused() -> None:
-    with pytest.raises(ValueError, match="way home"):
-        Ahead(())
+    with pytest.raises(ValueError, match="route home"):
+        RemainingMission(())
 
 
-# -- a toy world: its own wind, its own power curve look-up, its own one-second stepping -------
+# -- a toy simulation: its own wind, its own power curve look-up, its own one-second stepping --
 
 
 def toy_wind(rng: np.random.Generator, seconds: int) -> np.ndarray:
@@ -360,7 +362,7 @@ def toy_wind(rng: np.random.Generator, seconds: int) -> np.ndarray:
 
 
 SPEEDS = np.arange(0.0, 30.0, 0.5)
-CURVE = {kg: np.array([ROUTE.power_w(kg, v) for v in SPEEDS]) for kg in (0.0, PARCEL)}
+CURVE = {kg: np.array([ROUTE.steady_flight_power_w(kg, v) for v in SPEEDS]) for kg in (0.0, PARCEL)}
 
 
 class Toy:
@@ -379,7 +381,7 @@ class Toy:
         while done < metres and self.t_s < len(self.wind) - 1:
             now = int(self.t_s)
             mean = self.wind[now - 10 : now + 1].mean(axis=0)
-            if done == 0.0 or now % 5 == 0:  # somebody commands the best ground speed
+            if done == 0.0 or now % 5 == 0:  # the best ground speed is commanded every 5 s
                 airspeeds = np.arange(14.0, 20.1, 0.5)
                 ground = np.sqrt(np.maximum(airspeeds**2 - mean[0] ** 2, 0.0)) + sign * mean[1]
                 per_wh = ground / np.interp(airspeeds, SPEEDS, CURVE[payload])
@@ -407,7 +409,7 @@ class Toy:
 
 
 class ToyEyes:
-    """What the toy's companion sees: a 10 s mean with noise and a lasting error."""
+    """The toy's wind measurement: a 10 s mean with noise and a constant error."""
 
     def __init__(self, rng: np.random.Generator, wind: np.ndarray) -> None:
         self.rng, self.wind, self.bias = rng, wind, 0.3 * rng.standard_normal(2)
@@ -418,10 +420,11 @@ class ToyEyes:
         seen = mean + self.bias + 0.4 * self.rng.standard_normal(2)
         cov = (0.3**2 + 0.4**2) * np.eye(2)
         belief = WindBelief(t_s, seen, cov, ("tilt",), True)
-        self.outlook.observe(belief)
+        self.outlook.update_from_estimate(belief)
         return belief
 
 
+@pytest.mark.sample
 def test_stated_p_home_is_how_often_one_comes_home() -> None:
     rng = np.random.default_rng(11)
     stated, home = [], []
@@ -432,11 +435,13 @@ def test_stated_p_home_is_how_often_one_comes_home() -> None:
             belief = eyes.look(float(t))
         distance = rng.uniform(1000.0, 2500.0)
         stage = mission(distance, 1, 1).stages[0]
-        legs = (*stage.legs, *stage.ways_home[0].legs)
-        need = float(ROUTE.costs(legs, belief.mean_to_ne_mps[None, :]).energy_wh.sum())
+        legs = (*stage.leg_sequence, *stage.return_routes[0].leg_sequence)
+        need = float(
+            ROUTE.leg_costs_wind_major(legs, belief.mean_to_ne_mps[None, :]).energy_wh.sum()
+        )
         left = need * rng.uniform(0.85, 1.4)
         gate = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=0.0, samples=128))
-        asked = Ahead((WayHome("depot", legs),), (), delivered=True)
+        asked = RemainingMission((ReturnRoute("depot", legs),), (), delivered=True)
         stated.append(gate.assess(asked, belief, eyes.outlook, energy(left)).p_home)
         craft = Toy(wind, 300, MODEL_STD * rng.standard_normal())
         craft.deliver()
@@ -452,9 +457,9 @@ def test_stated_p_home_is_how_often_one_comes_home() -> None:
 
 
 def fly_toy(rng: np.random.Generator, gate_open: bool, bold: bool = False) -> tuple[bool, bool]:
-    """(delivered, home) of a mission that is often too far; the gate decides, or is ignored.
+    """Return (delivered, home) of an often infeasible mission; the gate is applied or ignored.
 
-    `bold`: what later decisions may risk is settled at departure.
+    `bold`: the accepted loss of later decisions is fixed at departure.
     """
     wind = toy_wind(rng, 2500)
     eyes = ToyEyes(rng, wind)
@@ -469,7 +474,7 @@ def fly_toy(rng: np.random.Generator, gate_open: bool, bold: bool = False) -> tu
         ahead = mission(distance, 4, flown)
         seen = (ahead, eyes.look(craft.t_s), eyes.outlook, energy(left - craft.used_wh))
         if bold and flown == 0:
-            accepted, answer = gate.depart(*seen)
+            accepted, answer = gate.accepted_loss_and_assessment(*seen)
         else:
             answer = gate.assess(*seen, None, accepted)
         if gate_open and answer.turn_back:
@@ -495,14 +500,15 @@ def test_with_the_gate_vehicles_come_home_and_without_it_many_are_lost() -> None
     without = [fly_toy(np.random.default_rng(seed), False) for seed in range(25)]
     assert sum(not home for _, home in with_gate) <= 1
     assert sum(delivered for delivered, _ in with_gate) >= 3
-    assert sum(not home for _, home in without) >= 7  # the canary: the world is that hard
+    assert sum(not home for _, home in without) >= 7  # the canary: it is hard without the gate
 
 
+@pytest.mark.sample
 def test_risk_settled_at_departure_delivers_more_and_keeps_the_bound() -> None:
     plain = [fly_toy(np.random.default_rng(seed), True) for seed in range(60)]
     bold = [fly_toy(np.random.default_rng(seed), True, bold=True) for seed in range(60)]
     assert sum(delivered for delivered, _ in bold) > sum(delivered for delivered, _ in plain)
-    # 2 % of 60 is 1.2 expected at the very most; 5 or more would come by chance 1 time in 100.
+    # 2 % of 60 is 1.2 expected at most; 5 or more would occur by chance 1 time in 100.
     assert sum(not home for _, home in bold) <= 4
 
 
@@ -510,7 +516,9 @@ def test_risk_settled_at_departure_delivers_more_and_keeps_the_bound() -> None:
 def test_departure_never_accepts_more_than_the_bound_for_the_mission(left_wh: float) -> None:
     gate = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=15.0))
     ahead, wind = mission(1000.0, 4), believed(0.0, -9.0)
-    accepted, answer = gate.depart(ahead, wind, followed(0.0, -9.0), energy(left_wh))
+    accepted, answer = gate.accepted_loss_and_assessment(
+        ahead, wind, followed(0.0, -9.0), energy(left_wh)
+    )
     assert 0.01 <= accepted <= 0.03 + 1e-12
     if accepted > 0.01:
         assert answer.p_home >= 0.99
@@ -521,39 +529,39 @@ def test_departure_never_accepts_more_than_the_bound_for_the_mission(left_wh: fl
 def test_in_a_wind_that_stays_p_success_is_whether_the_energy_does_for_the_whole_trip(
     spare_frac: float,
 ) -> None:
-    # Closed form, from both sides: no policy delivers more often than the energy does, and no gate
-    # on the way asks for more than the promise on the whole of what the trip needs.
+    # Closed form bounds: no policy delivers more often than the energy suffices, and no gate on the
+    # route requires more than the limit for the whole energy of the trip.
     ahead, wind = mission(1500.0, 5), (0.0, -5.0)
-    legs = [leg for stage in ahead.stages for leg in stage.legs]
-    legs += ahead.stages[-1].ways_home[0].legs
-    need = float(ROUTE.costs(tuple(legs), np.array([wind])).energy_wh.sum())
+    legs = [leg for stage in ahead.stages for leg in stage.leg_sequence]
+    legs += ahead.stages[-1].return_routes[0].leg_sequence
+    need = float(ROUTE.leg_costs_wind_major(tuple(legs), np.array([wind])).energy_wh.sum())
     answer = judge(ahead, 15.0 + (1.0 + spare_frac) * need, wind, StillWind(WIND_PROCESS))
     sigmas = spare_frac * need / math.hypot(2.0, MODEL_STD * need)
     assert answer.p_success <= norm.cdf(sigmas) + 0.01
     assert answer.p_success >= norm.cdf(sigmas - norm.ppf(0.99)) - 0.01
 
 
-def turned(north: float, east: float) -> Ahead:
-    """The same way out and home, laid along another course from the depot."""
+def turned(north: float, east: float) -> RemainingMission:
+    """Return the same route out and home on another course from the depot."""
 
     def at(metres: float, down: float = UP) -> tuple[float, float, float]:
         return north * metres, east * metres, down
 
-    def home(metres: float) -> WayHome:
+    def home(metres: float) -> ReturnRoute:
         land = Leg(LegKind.LAND, at(0.0), at(0.0, 0.0), PARCEL)
-        return WayHome("depot", (Leg(LegKind.CRUISE, at(metres), at(0.0), PARCEL), land))
+        return ReturnRoute("depot", (Leg(LegKind.CRUISE, at(metres), at(0.0), PARCEL), land))
 
     out = Leg(LegKind.CRUISE, at(1500.0), at(2500.0), PARCEL)
-    return Ahead((home(1500.0),), (Stage((out,), (home(2500.0),)),))
+    return RemainingMission((home(1500.0),), (Stage((out,), (home(2500.0),)),))
 
 
 @pytest.mark.parametrize(("north", "east"), [(-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.6, 0.8)])
 def test_in_calm_air_turning_round_costs_the_same_on_every_course(north, east) -> None:
-    # By symmetry: no wind knows north from south.
+    # By symmetry: the wind model has no preferred direction.
     gate = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=0.0))
     said = [
         gate.assess(turned(*way), believed(0.0, 0.0), StillWind(WIND_PROCESS), energy(25.0))
         for way in ((1.0, 0.0), (north, east))
     ]
-    assert 0.02 < said[0].p_home_now < 0.98  # on the slope, where a tenth of a Wh shows
+    assert 0.02 < said[0].p_home_now < 0.98  # on the slope, where a tenth of a Wh is visible
     assert said[1].p_home_now == pytest.approx(said[0].p_home_now, abs=1e-6)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.core.routing.energy_graph import EnergyGraph, prune
+from companion.core.routing.energy_graph import EnergyGraph, prune_edges_unusable_within_budget
 
 
 def square(powers=(1000.0, 500.0)):
@@ -23,20 +23,20 @@ def test_a_tailwind_adds_to_and_a_crosswind_takes_from_the_ground_speed():
     graph = square()
     east = edge(graph, 0, 1)
     # Closed form of the wind triangle: 15 + 5, 15 - 5, sqrt(15^2 - 9^2) = 12 m/s.
-    speeds = graph.ground_speed_mps([[5.0, 0.0], [-5.0, 0.0], [0.0, 9.0]])[east]
+    speeds = graph.edge_ground_speed_mps([[5.0, 0.0], [-5.0, 0.0], [0.0, 9.0]])[east]
     assert speeds == pytest.approx([20.0, 10.0, 12.0])
 
 
 def test_wind_across_beyond_the_airspeed_or_against_it_makes_an_edge_infeasible():
     graph = square()
-    energy = graph.energy_wh([[0.0, 15.1], [-15.0, 0.0], [-14.9, 0.0]], delivered=False)
+    energy = graph.edge_energy_wh([[0.0, 15.1], [-15.0, 0.0], [-14.9, 0.0]], delivered=False)
     assert np.isinf(energy[edge(graph, 0, 1), :2]).all()
     assert np.isfinite(energy[edge(graph, 0, 1), 2])
 
 
 def test_energy_is_power_times_length_over_ground_speed():
     graph = square()
-    energy = graph.energy_wh([5.0, 0.0], delivered=True)
+    energy = graph.edge_energy_wh([5.0, 0.0], delivered=True)
     assert energy[edge(graph, 0, 1)] == pytest.approx(500.0 * 100.0 / 20.0 / 3600.0)
 
 
@@ -50,7 +50,7 @@ def test_an_edge_of_no_length_is_free_and_a_vertical_one_has_all_wind_across():
         15.0,
         (900.0, 900.0),
     )
-    duration = graph.duration_s([[9.0, 0.0], [0.0, 16.0]])
+    duration = graph.edge_duration_s([[9.0, 0.0], [0.0, 16.0]])
     assert duration[0] == pytest.approx([0.0, 0.0])
     assert duration[1, 0] == pytest.approx(30.0 / 12.0)
     assert np.isinf(duration[1, 1])
@@ -59,26 +59,26 @@ def test_an_edge_of_no_length_is_free_and_a_vertical_one_has_all_wind_across():
 def test_wind_length_is_never_negative_and_the_synthetic_length_grows_with_lambda():
     graph = square()
     for wind in ([5.0, 0.0], [-5.0, 0.0], [3.0, 4.0]):
-        assert (graph.wind_length_m(wind) >= 0.0).all()
+        assert (graph.edge_excess_length_from_wind_m(wind) >= 0.0).all()
     against = edge(graph, 0, 1)
     # E(w)/E(calm) = 15/10 against 5 m/s of headwind: half the length more.
-    assert graph.wind_length_m([-5.0, 0.0])[against] == pytest.approx(50.0)
-    assert graph.synthetic_length_m([-5.0, 0.0], 2.0)[against] == pytest.approx(200.0)
+    assert graph.edge_excess_length_from_wind_m([-5.0, 0.0])[against] == pytest.approx(50.0)
+    assert graph.edge_synthetic_length_m([-5.0, 0.0], 2.0)[against] == pytest.approx(200.0)
 
 
 @pytest.mark.parametrize("wind", [(0.0, 0.0), (3.0, -4.0), (-6.0, 2.0)])
 @pytest.mark.parametrize("delivered", [False, True])
 def test_the_energy_gradient_is_the_slope_of_the_energy(wind, delivered):
     graph = square()
-    gradient = graph.energy_gradient_wh_per_mps(wind, delivered)
+    gradient = graph.edge_energy_gradient_wh_per_mps(wind, delivered)
     step = 1e-4
     for axis in (0, 1):
         ahead, behind = np.array(wind), np.array(wind)
         ahead[axis] += step
         behind[axis] -= step
-        slope = (graph.energy_wh(ahead, delivered) - graph.energy_wh(behind, delivered)) / (
-            2 * step
-        )
+        slope = (
+            graph.edge_energy_wh(ahead, delivered) - graph.edge_energy_wh(behind, delivered)
+        ) / (2 * step)
         assert gradient[:, axis] == pytest.approx(slope, rel=1e-6)
 
 
@@ -109,7 +109,7 @@ def test_a_route_std_agrees_with_sampled_winds():
     covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
     random = np.random.default_rng(3)
     winds = random.multivariate_normal([2.0, 1.0], covariance, size=20_000)
-    energy = [graph.energy_wh(winds, load) for load in (False, True)]
+    energy = [graph.edge_energy_wh(winds, load) for load in (False, True)]
     total = sum(energy[int(load)][e] for e, load in zip(route, loads, strict=True))
     predicted = graph.route_energy_std_wh(route, [2.0, 1.0], covariance, loads)
     assert predicted == pytest.approx(total.std(), rel=0.05)  # linear in a small wind error
@@ -117,7 +117,9 @@ def test_a_route_std_agrees_with_sampled_winds():
 
 def test_pruning_leaves_out_only_edges_beyond_the_budget():
     graph = square((900.0, 900.0))
-    calm = np.stack([graph.energy_wh([[0.0, 0.0]], load) for load in (False, True)])
+    calm = np.stack([graph.edge_energy_wh([[0.0, 0.0]], load) for load in (False, True)])
     side = calm[0, 0, 0]
-    assert prune(graph, calm, 4.0 * side).graph.edge_count == 8
-    assert prune(graph, calm, 1.9 * side).graph.edge_count == 1  # never quite empty
+    assert prune_edges_unusable_within_budget(graph, calm, 4.0 * side).graph.edge_count == 8
+    assert (
+        prune_edges_unusable_within_budget(graph, calm, 1.9 * side).graph.edge_count == 1
+    )  # never quite empty

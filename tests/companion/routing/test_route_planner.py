@@ -1,38 +1,35 @@
 """The waypoint graph and the first BER on it."""
 
 import math
-import tomllib
 from dataclasses import replace
 from itertools import pairwise, permutations
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
 import pytest
 
+from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap, horizontal_m
+from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap, horizontal_distance_m
 from companion.core.return_budget.remaining_from_plan import (
-    ahead_delivering,
-    ahead_outbound,
-    ahead_returning,
+    remaining_delivery,
+    remaining_outbound,
+    remaining_return,
 )
 from companion.core.routing.leg_energy import LegKind, RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute, Plan, PlanRequest
-from companion.core.routing.shortest_paths import RouteFinder, path_to
-from companion.core.routing.smooth_route import largest_turn_rad
+from companion.core.routing.shortest_paths import RouteFinder, path_vertices_in_first_problem
+from companion.core.routing.smooth_route import max_route_turn_rad
 from companion.core.routing.waypoint_graph import (
     SiteMap,
     WaypointGraph,
-    build_graph,
-    cut_into_legs,
+    build_visibility_graph,
+    split_route_into_legs,
 )
-from companion.core.vehicle.airframe import airframe_from_dict
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.forecast import WindForecast
 
-ROOT = Path(__file__).parents[3]
-M100 = airframe_from_dict(tomllib.loads((ROOT / "params/airframes/m100.toml").read_text()))
+M100 = read_airframe("m100")
 ROUTE = RouteEnergy(M100)
 WALL = Obstacle("wall", ((-300.0, 600.0), (250.0, 600.0), (250.0, 640.0), (-300.0, 640.0)), 80.0)
 SHED = Obstacle("shed", ((-50.0, 300.0), (50.0, 300.0), (50.0, 340.0), (-50.0, 340.0)), 20.0)
@@ -61,8 +58,8 @@ def steady(north: float, east: float) -> WindForecast:
 
 def test_legs_are_no_longer_than_asked_and_a_way_keeps_its_corners() -> None:
     corners = [(0.0, 0.0, -40.0), (310.0, 0.0, -40.0), (310.0, 450.0, -40.0)]
-    way = cut_into_legs(corners, 150.0)
-    assert [round(horizontal_m(a, b), 6) for a, b in pairwise(way)] == [103.333333] * 3 + [
+    way = split_route_into_legs(corners, 150.0)
+    assert [round(horizontal_distance_m(a, b), 6) for a, b in pairwise(way)] == [103.333333] * 3 + [
         150.0
     ] * 3
     assert set(corners) <= set(way)
@@ -70,73 +67,83 @@ def test_legs_are_no_longer_than_asked_and_a_way_keeps_its_corners() -> None:
 
 def test_every_line_of_the_graph_keeps_clear_and_every_other_does_not() -> None:
     where = site(WALL, SHED)
-    graph = build_graph(where, 40.0)
+    graph = build_visibility_graph(where, 40.0)
     seen = set(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
     for a, b in permutations(range(len(graph.vertices_ned_m)), 2):
-        clear = where.obstacles.blocking(graph.point(a), graph.point(b)) is None
+        clear = (
+            where.obstacles.first_blocking_obstacle(graph.vertex_ned_m(a), graph.vertex_ned_m(b))
+            is None
+        )
         assert ((a, b) in seen) == clear
 
 
 def test_the_graph_is_directed_both_ways_and_connected() -> None:
-    graph = in_networkx(build_graph(site(WALL), 40.0))
+    graph = in_networkx(build_visibility_graph(site(WALL), 40.0))
     assert nx.is_strongly_connected(graph)
     assert all(graph.has_edge(b, a) for a, b in graph.edges)
 
 
 def in_networkx(graph: WaypointGraph) -> "nx.DiGraph[int]":
     made: nx.DiGraph[int] = nx.DiGraph()
-    edges = zip(graph.tail.tolist(), graph.head.tolist(), graph.length_m().tolist(), strict=True)
+    edges = zip(
+        graph.tail.tolist(), graph.head.tolist(), graph.edge_lengths_m().tolist(), strict=True
+    )
     made.add_weighted_edges_from(edges, weight="length_m")
     return made
 
 
 def shortest(graph: WaypointGraph) -> list[int] | None:
-    planned = graph.energy_graph(ROUTE, 0.0)
-    routes = RouteFinder(planned).to(graph.customer, graph.length_m()[:, None])
-    return path_to(planned, routes, graph.depot)
+    planned = graph.to_energy_graph(ROUTE, 0.0)
+    routes = RouteFinder(planned).find_routes_to_goal(
+        graph.customer, graph.edge_lengths_m()[:, None]
+    )
+    return path_vertices_in_first_problem(planned, routes, graph.depot)
 
 
 def test_the_planners_graph_is_the_sites() -> None:
-    graph = build_graph(site(WALL, SHED), 40.0)
-    planned = graph.energy_graph(ROUTE, 0.5)
-    np.testing.assert_allclose(planned.length_m, graph.length_m())
+    graph = build_visibility_graph(site(WALL, SHED), 40.0)
+    planned = graph.to_energy_graph(ROUTE, 0.5)
+    np.testing.assert_allclose(planned.edge_length_m, graph.edge_lengths_m())
     first = planned.vertices_m[0]
-    north, east, down = graph.point(0)
+    north, east, down = graph.vertex_ned_m(0)
     assert tuple(first) == (east, north, -down)
     assert (np.diff(graph.tail) >= 0).all()  # what EnergyGraph's slices rest on
 
 
 def test_the_shortest_path_is_networkxs() -> None:
-    graph = build_graph(site(WALL, SHED), 40.0)
+    graph = build_visibility_graph(site(WALL, SHED), 40.0)
     path = shortest(graph)
     assert path is not None
     oracle = nx.shortest_path_length(
         in_networkx(graph), graph.depot, graph.customer, weight="length_m"
     )
-    flown = sum(horizontal_m(graph.point(a), graph.point(b)) for a, b in pairwise(path))
+    flown = sum(
+        horizontal_distance_m(graph.vertex_ned_m(a), graph.vertex_ned_m(b))
+        for a, b in pairwise(path)
+    )
     assert flown == pytest.approx(oracle)
     # Round the wall's end at north 250: at least hypot(600, 265) + hypot(560, 265) long.
     assert 1265.0 < flown < 1340.0
 
 
 def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
-    graph = build_graph(site(SHED), 40.0)
+    graph = build_visibility_graph(site(SHED), 40.0)
     path = shortest(graph)
     assert path is not None
-    assert all(abs(graph.point(v)[0]) < 1e-9 for v in path)
+    assert all(abs(graph.vertex_ned_m(v)[0]) < 1e-9 for v in path)
 
 
 def test_a_customer_inside_an_obstacle_is_refused_by_name() -> None:
-    with pytest.raises(LeewayError, match="customer: stands within 15 m of wall"):
-        build_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0)
+    with pytest.raises(LeewayError, match="customer: within 15 m of wall"):
+        build_visibility_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0)
 
 
 def test_no_path_leads_over_a_closed_edge() -> None:
-    graph = build_graph(site(), 40.0)
-    planned = graph.energy_graph(ROUTE, 0.0)
+    graph = build_visibility_graph(site(), 40.0)
+    planned = graph.to_energy_graph(ROUTE, 0.0)
     cost = np.where(graph.head == graph.customer, np.inf, 1.0)
-    routes = RouteFinder(planned).to(graph.customer, cost[:, None])
-    assert path_to(planned, routes, graph.depot) is None
+    routes = RouteFinder(planned).find_routes_to_goal(graph.customer, cost[:, None])
+    assert path_vertices_in_first_problem(planned, routes, graph.depot) is None
 
 
 def planned(where: SiteMap, **changes: object) -> Plan:
@@ -153,7 +160,7 @@ def test_a_plan_goes_out_and_home_in_clear_legs() -> None:
     out = [(0.0, 0.0, -40.0), *plan.outbound_ned_m]
     back = [plan.outbound_ned_m[-1], *plan.return_ned_m]
     for a, b in [*pairwise(out), *pairwise(back)]:
-        assert where.obstacles.blocking(a, b) is None
+        assert where.obstacles.first_blocking_obstacle(a, b) is None
 
 
 def test_safety_rule_2_every_outbound_waypoint_joins_the_way_home_in_a_clear_line() -> None:
@@ -161,7 +168,7 @@ def test_safety_rule_2_every_outbound_waypoint_joins_the_way_home_in_a_clear_lin
     plan = planned(where)
     assert len(plan.entry) == len(plan.outbound_ned_m)
     for point, entry in zip(plan.outbound_ned_m, plan.entry, strict=True):
-        assert where.obstacles.blocking(point, plan.return_ned_m[entry]) is None
+        assert where.obstacles.first_blocking_obstacle(point, plan.return_ned_m[entry]) is None
 
 
 def test_rally_points_are_offered_only_in_clear_sight() -> None:
@@ -170,7 +177,9 @@ def test_rally_points_are_offered_only_in_clear_sight() -> None:
     (quay,) = plan.rally
     over = (200.0, 500.0, -40.0)
     for i, point in enumerate(plan.outbound_ned_m):
-        assert (i in quay.from_outbound) == (where.obstacles.blocking(point, over) is None)
+        assert (i in quay.from_outbound) == (
+            where.obstacles.first_blocking_obstacle(point, over) is None
+        )
     assert len(plan.outbound_ned_m) - 1 not in quay.from_outbound  # behind the wall
 
 
@@ -189,7 +198,7 @@ def test_return_ok_refuses_what_the_battery_cannot_bring_back() -> None:
     plan = planned(site())
     answer = BerPlanner(ROUTE).plan(request(site(), left_wh=plan.energy_wh))
     assert isinstance(answer, NoRoute)
-    assert "beyond reach" in answer.reason
+    assert "out of range" in answer.reason
     # kappa = 1.15 on the way back: enough at about need + 15 % of half of it + the reserve.
     enough = 1.09 * plan.energy_wh + 0.15 * 118.0
     assert isinstance(BerPlanner(ROUTE).plan(request(site(), left_wh=enough)), Plan)
@@ -224,18 +233,20 @@ def test_the_home_speed_without_commands_rises_with_a_headwind_to_come_home_agai
 def test_what_is_ahead_ends_on_the_ground_by_every_way() -> None:
     plan = planned(site(WALL, SHED))
     cases = [
-        ahead_outbound(plan, (0.0, 0.0, 0.0), 0, 0.6, 6.0, 6.0, 10.0),
-        ahead_outbound(plan, plan.outbound_ned_m[2], 3, 0.6, 6.0, 6.0),
-        ahead_delivering(plan, plan.outbound_ned_m[-1], 0.6, 6.0, 6.0),
-        ahead_returning(plan, plan.outbound_ned_m[-1], 0, 0.0, True),
-        ahead_returning(plan, (1.0, 2.0, -20.0), None, 0.0, True),
-        ahead_returning(plan, plan.return_ned_m[-3], len(plan.return_ned_m) - 2, 0.0, True, "quay"),
+        remaining_outbound(plan, (0.0, 0.0, 0.0), 0, 0.6, 6.0, 6.0, 10.0),
+        remaining_outbound(plan, plan.outbound_ned_m[2], 3, 0.6, 6.0, 6.0),
+        remaining_delivery(plan, plan.outbound_ned_m[-1], 0.6, 6.0, 6.0),
+        remaining_return(plan, plan.outbound_ned_m[-1], 0, 0.0, True),
+        remaining_return(plan, (1.0, 2.0, -20.0), None, 0.0, True),
+        remaining_return(
+            plan, plan.return_ned_m[-3], len(plan.return_ned_m) - 2, 0.0, True, "quay"
+        ),
     ]
     for ahead in cases:
-        for ways in (ahead.ways_home_now, *(s.ways_home for s in ahead.stages)):
+        for ways in (ahead.current_return_routes, *(s.return_routes for s in ahead.stages)):
             for way in ways:
                 ground = {"depot": plan.depot_ned_m, "quay": (200.0, 500.0, -2.0)}[way.landing]
-                for legs in (way.legs, way.unattended_legs):
+                for legs in (way.leg_sequence, way.unattended_sequence):
                     assert legs[-1].kind is LegKind.LAND
                     assert legs[-1].to_ned_m == ground
                     joined = all(a.to_ned_m == b.from_ned_m for a, b in pairwise(legs))
@@ -248,30 +259,30 @@ def test_a_rally_point_out_of_sight_is_reached_along_the_way_home() -> None:
     quay = plan.rally[0]
     customer = len(plan.outbound_ned_m) - 1
     assert customer not in quay.from_outbound
-    ahead = ahead_delivering(plan, plan.outbound_ned_m[-1], 0.6, 6.0, 6.0)
-    depot, via = ahead.stages[-1].ways_home
+    ahead = remaining_delivery(plan, plan.outbound_ned_m[-1], 0.6, 6.0, 6.0)
+    depot, via = ahead.stages[-1].return_routes
     assert (depot.landing, via.landing) == ("depot", "quay")
-    turn = next(leg.to_ned_m for leg in via.legs[::-1] if leg.to_ned_m in plan.return_ned_m)
+    turn = next(leg.to_ned_m for leg in via.leg_sequence[::-1] if leg.to_ned_m in plan.return_ned_m)
     over = (200.0, 500.0, turn[2])
-    assert site(WALL).obstacles.blocking(turn, over) is None
-    flown = sum(horizontal_m(leg.from_ned_m, leg.to_ned_m) for leg in via.legs)
+    assert site(WALL).obstacles.first_blocking_obstacle(turn, over) is None
+    flown = sum(horizontal_distance_m(leg.from_ned_m, leg.to_ned_m) for leg in via.leg_sequence)
     # Round the wall's end at north 250, 560 m away over 265 m, and back to the quay.
     assert 560.0 < flown < 850.0
-    for leg in via.legs:
-        assert site(WALL).obstacles.blocking(leg.from_ned_m, leg.to_ned_m) is None
+    for leg in via.leg_sequence:
+        assert site(WALL).obstacles.first_blocking_obstacle(leg.from_ned_m, leg.to_ned_m) is None
 
 
 def test_stages_join_and_the_last_one_delivers_at_drop_height() -> None:
     plan = planned(site(WALL))
-    ahead = ahead_outbound(plan, (0.0, 0.0, 0.0), 0, 0.6, 6.0, 6.0, 10.0)
+    ahead = remaining_outbound(plan, (0.0, 0.0, 0.0), 0, 0.6, 6.0, 6.0, 10.0)
     assert [s.delivers for s in ahead.stages] == [False] * len(plan.outbound_ned_m) + [True]
-    legs = [leg for stage in ahead.stages for leg in stage.legs]
+    legs = [leg for stage in ahead.stages for leg in stage.leg_sequence]
     assert all(a.to_ned_m == b.from_ned_m for a, b in pairwise(legs))
     assert legs[0].kind is LegKind.CLIMB
     # Safety rule 8: 6 m above the CUSTOMER's ground, which is 5 m above the depot's.
     assert legs[-1].to_ned_m[2] == pytest.approx(-11.0)
     assert all(leg.payload_kg == 0.6 for leg in legs)
-    home = ahead.stages[-1].ways_home[0].legs
+    home = ahead.stages[-1].return_routes[0].leg_sequence
     assert home[0].kind is LegKind.CLIMB
     assert all(leg.payload_kg == 0.0 for leg in home)
     assert math.isclose(home[0].from_ned_m[2], -11.0)
@@ -294,8 +305,8 @@ def test_the_way_home_is_rounded_where_the_operator_allows_it_and_it_costs_less(
     assert smooth.outbound_ned_m == sharp.outbound_ned_m
     assert smooth.energy_wh < sharp.energy_wh
     over = sharp.outbound_ned_m[-1]
-    turns = [largest_turn_rad([over, *plan.return_ned_m]) for plan in (sharp, smooth)]
+    turns = [max_route_turn_rad([over, *plan.return_ned_m]) for plan in (sharp, smooth)]
     assert turns[1] < 0.7 * turns[0]
     for a, b in pairwise([over, *smooth.return_ned_m]):
-        assert where.obstacles.blocking(a, b) is None
+        assert where.obstacles.first_blocking_obstacle(a, b) is None
     assert len(smooth.entry) == len(smooth.outbound_ned_m)

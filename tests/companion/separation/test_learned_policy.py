@@ -7,7 +7,7 @@ import pytest
 
 from companion.adapters.files.policy_file import read_policy
 from companion.core.base.errors import LeewayError
-from companion.core.separation.learned_policy import SHAPES, AvoidancePolicy, pooled
+from companion.core.separation.learned_policy import SHAPES, AvoidancePolicy, max_pooled_view
 
 
 def random_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -45,7 +45,7 @@ def test_the_actor_computes_what_its_definition_says() -> None:
     weights, random = random_weights(), np.random.default_rng(1)
     view = (random.random((2, 3, 155, 155)) < 0.01).astype(np.uint8)
     vectors = random.uniform(-300.0, 300.0, (2, 4)).astype(np.float32)
-    found = AvoidancePolicy(weights).act(view, vectors)
+    found = AvoidancePolicy(weights).heading_and_speed_actions(view, vectors)
     for k in range(2):
         assert found[k] == pytest.approx(by_hand(weights, view[k], vectors[k]), abs=1e-4)
 
@@ -60,9 +60,11 @@ def test_torch_and_numpy_agree() -> None:
     view = (random.random((4, 3, 155, 155)) < 0.02).astype(np.uint8)
     vectors = random.uniform(-300.0, 300.0, (4, 4)).astype(np.float32)
     with torch.no_grad():
-        seen = torch.from_numpy(pooled(view).astype(np.float32))
+        seen = torch.from_numpy(max_pooled_view(view).astype(np.float32))
         expected = actor(seen, torch.from_numpy(vectors)).numpy()
-    assert AvoidancePolicy(weights).act(view, vectors) == pytest.approx(expected, abs=1e-5)
+    assert AvoidancePolicy(weights).heading_and_speed_actions(view, vectors) == pytest.approx(
+        expected, abs=1e-5
+    )
 
 
 def test_weights_of_another_shape_or_not_finite_are_refused_by_name() -> None:
@@ -76,7 +78,7 @@ def test_weights_of_another_shape_or_not_finite_are_refused_by_name() -> None:
 
 
 def shipped(folder: Path) -> Path:
-    """A card and weights in `folder`, as export-avoid writes them."""
+    """A card and weights in `folder`, as `train-avoid --export` writes them."""
     import hashlib
 
     np.savez(folder / "p.npz", **random_weights())  # pyright: ignore[reportArgumentType]
@@ -117,6 +119,8 @@ def test_the_shipped_policy_is_the_one_on_its_card_and_flies_on_when_nobody_is_n
     policy, card = read_policy("avoid")
     assert card.frame == "goal"
     view = np.zeros((1, 3, 155, 155), np.uint8)
-    heading, speed = policy.act(view, np.array([[300.0, 0.0, 0.0, 0.0]], np.float32))[0]
+    heading, speed = policy.heading_and_speed_actions(
+        view, np.array([[300.0, 0.0, 0.0, 0.0]], np.float32)
+    )[0]
     assert abs(heading) < 0.25
     assert speed > 0.3

@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from companion.core.base.errors import LeewayError
 from companion.core.separation.separation_filter import FilterAction, SeparationFilter
 from companion.core.separation.stopping_paths import Neighbours, SeparationParams
-from companion.core.separation.traffic_tracks import DOUBT_S, LOST_S, NeighbourTracks, Report
+from companion.core.separation.traffic_tracks import (
+    INCONSISTENCY_DECAY_S,
+    TRACK_LIFETIME_S,
+    NeighbourReport,
+    NeighbourTracks,
+)
 
 TICK_S, LATE_TICKS = 0.2, 1
 FASTEST_MPS, ACCEL_MPS2, CLIMB_ACCEL_MPS2 = 15.0, 3.0, 2.0
@@ -36,7 +41,7 @@ def neighbours_of(
 
 
 def limited(velocity: Arrays, wanted: Arrays) -> Arrays:
-    """What the vehicle itself can do in a tick, whatever it is told."""
+    """Return the velocity that the vehicle can reach in a tick for any command."""
     change = wanted - velocity
     flat = np.linalg.norm(change[:, :2], axis=1, keepdims=True)
     change[:, :2] *= np.minimum(1.0, ACCEL_MPS2 * TICK_S / np.maximum(flat, 1e-9))
@@ -52,7 +57,7 @@ def flown(
     ticks: int = 150,
     std_m: float = STD_M,
 ) -> float:
-    """Least separation, in cylinders, of vehicles that want this and are reported so wrongly."""
+    """Return the least separation, in cylinders, for these commands and report errors."""
     count, velocity = len(pos), np.zeros_like(pos)
     others = np.array([[j for j in range(count) if j != i] for i in range(count)])
     layers = 8.0 * (np.arange(count) % 3 - 1.0)
@@ -64,7 +69,11 @@ def flown(
             said_pos, said_vel = published[0]
             said = (said_pos + error(pos, tick))[others]
             heard = neighbours_of(said, said_vel[others], std_m=std_m)
-            told = SeparationFilter().safe(pos, velocity, told, heard, layers).vel_ned_mps
+            told = (
+                SeparationFilter()
+                .nearest_safe_velocities(pos, velocity, told, heard, layers)
+                .vel_ned_mps
+            )
         new = limited(velocity, told)
         for share in np.linspace(0.1, 1.0, 10):
             here = pos + TICK_S * (velocity * share + 0.5 * (new - velocity) * share**2)
@@ -89,7 +98,7 @@ def spread_out(count: int, seed: int) -> Arrays:
 
 
 def worst_error(pos: Arrays, random: np.random.Generator) -> Arrays:
-    """Three sigma, each tick anew: half of the time everybody seems farther from the middle."""
+    """Three sigma, drawn each tick: half of the time all vehicles seem farther from the middle."""
     if random.random() < 0.5:
         away = pos - pos.mean(axis=0)
     else:
@@ -123,7 +132,7 @@ def test_without_the_filter_the_same_wishes_collide(count: int) -> None:
 
 
 def test_a_filter_told_that_reports_are_exact_is_broken_by_their_errors() -> None:
-    """The canary of the margin: the same adversary, an error that nobody allows for."""
+    """The canary of the margin: the same adversary, an error that is not allowed for."""
     start = np.array([[-40.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
 
     def farther(pos: Arrays, _: int) -> Arrays:
@@ -137,7 +146,7 @@ def test_a_wish_that_disturbs_nobody_is_passed_unchanged() -> None:
     pos, vel = np.zeros((1, 3)), np.array([[10.0, 0.0, 0.0]])
     behind = neighbours_of(np.array([[[-60.0, 0.0, 0.0]]]), np.array([[[-5.0, 0.0, 0.0]]]))
     wanted = np.array([[10.5, 0.0, 0.0]])
-    found = SeparationFilter().safe(pos, vel, wanted, behind, np.array([8.0]))
+    found = SeparationFilter().nearest_safe_velocities(pos, vel, wanted, behind, np.array([8.0]))
     assert found.verdict[0] == FilterAction.PASSED
     assert found.vel_ned_mps == pytest.approx(wanted)
 
@@ -147,7 +156,7 @@ def test_two_that_meet_head_on_are_bent_before_their_braking_ways_meet() -> None
     pos, vel = np.zeros((1, 3)), np.array([[15.0, 0.0, 0.0]])
     verdicts = [
         SeparationFilter()
-        .safe(
+        .nearest_safe_velocities(
             pos,
             vel,
             vel,
@@ -169,11 +178,11 @@ def test_many_vehicles_at_once_are_filtered_as_each_alone() -> None:
     their_pos = random.normal(0.0, 60.0, (12, 6, 3))
     heard = neighbours_of(their_pos, random.normal(0.0, 6.0, (12, 6, 3)) * [1.0, 1.0, 0.0])
     layers = np.linspace(-8.0, 8.0, 12)
-    together = SeparationFilter().safe(pos, vel, wanted, heard, layers)
+    together = SeparationFilter().nearest_safe_velocities(pos, vel, wanted, heard, layers)
     for k in range(12):
         row = np.array([k])
-        alone = SeparationFilter().safe(
-            pos[row], vel[row], wanted[row], heard.picked(row), layers[row]
+        alone = SeparationFilter().nearest_safe_velocities(
+            pos[row], vel[row], wanted[row], heard.select_by_index(row), layers[row]
         )
         assert alone.vel_ned_mps[0] == pytest.approx(together.vel_ned_mps[k], abs=1e-6)
         assert alone.verdict[0] == together.verdict[k]
@@ -186,7 +195,7 @@ def test_no_one_flies_into_a_wall_that_stands_in_the_way() -> None:
     wanted = np.array([[FASTEST_MPS, 0.0, 0.0]])
     farthest = 0.0
     for _ in range(120):
-        found = SeparationFilter().safe(
+        found = SeparationFilter().nearest_safe_velocities(
             pos, vel, wanted, nobody, np.zeros(1), lambda points, _: 60.0 - points[..., 0]
         )
         new = limited(vel, found.vel_ned_mps)
@@ -198,7 +207,7 @@ def test_no_one_flies_into_a_wall_that_stands_in_the_way() -> None:
 def test_a_wish_that_is_no_number_brakes() -> None:
     vel = np.array([[6.0, 0.0, 0.0]])
     nobody = neighbours_of(np.zeros((1, 0, 3)), np.zeros((1, 0, 3)))
-    found = SeparationFilter().safe(
+    found = SeparationFilter().nearest_safe_velocities(
         np.zeros((1, 3)), vel, np.full((1, 3), np.nan), nobody, np.zeros(1)
     )
     assert found.vel_ned_mps[0] == pytest.approx([6.0 - ACCEL_MPS2 * TICK_S, 0.0, 0.0])
@@ -208,7 +217,9 @@ def test_a_silent_neighbour_is_given_more_room_the_longer_it_is_silent() -> None
     pos, vel = np.zeros((1, 3)), np.array([[5.0, 0.0, 0.0]])
     place, still = np.array([[[32.0, 0.0, 0.0]]]), np.zeros((1, 1, 3))
     fresh, old = (
-        SeparationFilter().safe(pos, vel, vel, neighbours_of(place, still, age), np.array([8.0]))
+        SeparationFilter().nearest_safe_velocities(
+            pos, vel, vel, neighbours_of(place, still, age), np.array([8.0])
+        )
         for age in (0.2, 2.0)
     )
     assert fresh.verdict[0] == FilterAction.PASSED
@@ -222,7 +233,9 @@ def test_one_that_does_not_give_way_is_dodged_though_nothing_is_promised() -> No
     least = np.inf
     for _ in range(75):
         heard = neighbours_of(theirs - TICK_S * speed, speed)
-        found = SeparationFilter().safe(pos, vel, np.zeros((1, 3)), heard, np.array([-8.0]))
+        found = SeparationFilter().nearest_safe_velocities(
+            pos, vel, np.zeros((1, 3)), heard, np.array([-8.0])
+        )
         new = limited(vel, found.vel_ned_mps)
         pos, vel, theirs = pos + 0.5 * TICK_S * (vel + new), new, theirs + TICK_S * speed
         away = pos - theirs[0]
@@ -238,10 +251,10 @@ def test_backing_out_from_one_neighbour_never_leads_towards_another(beside_m: fl
     two = np.array([[[8.0, 0.0, 0.0], [-beside_m, 0.0, 0.0]]])
     heard = neighbours_of(two, np.zeros_like(two))
     wish = np.array([[-15.0, 0.0, 0.0]])
-    both = SeparationFilter().safe(pos, still, wish, heard, np.array([0.0]))
+    both = SeparationFilter().nearest_safe_velocities(pos, still, wish, heard, np.array([0.0]))
     assert abs(float(both.vel_ned_mps[0, 0])) < 0.02
     alone = neighbours_of(two[:, :1], np.zeros((1, 1, 3)))
-    away = SeparationFilter().safe(pos, still, wish, alone, np.array([0.0]))
+    away = SeparationFilter().nearest_safe_velocities(pos, still, wish, alone, np.array([0.0]))
     assert float(away.vel_ned_mps[0, 0]) < -0.5
 
 
@@ -261,7 +274,11 @@ def test_who_stands_too_near_to_be_certain_comes_nearer_to_no_place_where_the_ot
     said = np.array([[[flat_m, 0.0, down_m]]])
     wish = FASTEST_MPS * np.array([[np.cos(towards_rad), np.sin(towards_rad), 0.0]])
     heard = neighbours_of(said, np.zeros_like(said))
-    vel = SeparationFilter().safe(pos, still, wish, heard, np.array([8.0])).vel_ned_mps[0]
+    vel = (
+        SeparationFilter()
+        .nearest_safe_velocities(pos, still, wish, heard, np.array([8.0]))
+        .vel_ned_mps[0]
+    )
     stop_s = np.linalg.norm(vel[:2]) / ACCEL_MPS2, abs(vel[2]) / CLIMB_ACCEL_MPS2
     moved = 0.5 * TICK_S * vel + 0.5 * vel * [stop_s[0], stop_s[0], stop_s[1]]
     angle, reach = random.uniform(0.0, 2.0 * np.pi, 400), 3.0 * STD_M * random.random(400) ** 0.5
@@ -282,33 +299,37 @@ def test_params_that_are_not_above_zero_are_refused_by_name() -> None:
         SeparationParams(accel_mps2=0.0)
 
 
-REPORT = Report("b", 10.0, (100.0, 0.0, 0.0), (5.0, 0.0, 0.0))
+REPORT = NeighbourReport("b", 10.0, (100.0, 0.0, 0.0), (5.0, 0.0, 0.0))
 
 
 def spread(tracks: NeighbourTracks, t_s: float) -> float:
-    return float(tracks.at(t_s).pos_std_m[0, 0])
+    return float(tracks.to_separation_filter_input(t_s).pos_std_m[0, 0])
 
 
 def test_a_neighbour_that_flies_as_it_says_is_taken_at_its_word() -> None:
-    tracks = NeighbourTracks().heard(REPORT, 10.2)
+    tracks = NeighbourTracks().copy_with_report_if_newer(REPORT, 10.2)
     later = replace(REPORT, t_s=12.0, pos_ned_m=(110.0, 1.0, 0.0))
-    tracks = tracks.heard(later, 12.2)
+    tracks = tracks.copy_with_report_if_newer(later, 12.2)
     assert spread(tracks, 12.2) == pytest.approx(2.0)
-    assert tracks.at(12.2).age_s[0, 0] == pytest.approx(0.2)
+    assert tracks.to_separation_filter_input(12.2).age_s[0, 0] == pytest.approx(0.2)
 
 
 def test_a_jump_is_believed_and_doubted_by_as_far_as_it_went_for_a_while() -> None:
     jumped = replace(REPORT, t_s=10.2, pos_ned_m=(300.0, 0.0, 0.0))
-    tracks = NeighbourTracks().heard(REPORT, 10.2).heard(jumped, 10.4)
+    tracks = (
+        NeighbourTracks()
+        .copy_with_report_if_newer(REPORT, 10.2)
+        .copy_with_report_if_newer(jumped, 10.4)
+    )
     k = SeparationParams().error_sigmas
     assert 2.0 + 150.0 / k < spread(tracks, 10.4) < 2.0 + 200.0 / k
-    assert spread(tracks, 10.2 + DOUBT_S) == pytest.approx(2.0)
+    assert spread(tracks, 10.2 + INCONSISTENCY_DECAY_S) == pytest.approx(2.0)
 
 
 def test_a_position_that_stands_while_its_velocity_does_not_is_doubted_ever_more() -> None:
-    tracks, before = NeighbourTracks().heard(REPORT, 10.2), 2.0
+    tracks, before = NeighbourTracks().copy_with_report_if_newer(REPORT, 10.2), 2.0
     for k in range(1, 6):
-        tracks = tracks.heard(replace(REPORT, t_s=10.0 + k), 10.2 + k)
+        tracks = tracks.copy_with_report_if_newer(replace(REPORT, t_s=10.0 + k), 10.2 + k)
         now = spread(tracks, 10.0 + k)
         assert now > before
         before = now
@@ -316,7 +337,7 @@ def test_a_position_that_stands_while_its_velocity_does_not_is_doubted_ever_more
 
 def test_a_speed_that_nobody_can_fly_is_cut_and_doubted() -> None:
     liar = replace(REPORT, vel_ned_mps=(60.0, 0.0, 0.0))
-    heard = NeighbourTracks().heard(liar, 10.2).at(10.2)
+    heard = NeighbourTracks().copy_with_report_if_newer(liar, 10.2).to_separation_filter_input(10.2)
     assert heard.vel_ned_mps[0, 0] == pytest.approx([15.0, 0.0, 0.0])
     assert heard.vel_std_mps[0, 0] == pytest.approx(0.1 + 45.0 / 3.0)
 
@@ -331,14 +352,14 @@ def test_a_speed_that_nobody_can_fly_is_cut_and_doubted() -> None:
         replace(REPORT, t_s=10.1, pos_std_m=-1.0),
     ],
 )
-def test_reports_that_are_old_early_or_mangled_change_nothing(bad: Report) -> None:
-    tracks = NeighbourTracks().heard(REPORT, 10.2)
-    assert tracks.heard(bad, 10.4) == tracks
+def test_reports_that_are_old_early_or_mangled_change_nothing(bad: NeighbourReport) -> None:
+    tracks = NeighbourTracks().copy_with_report_if_newer(REPORT, 10.2)
+    assert tracks.copy_with_report_if_newer(bad, 10.4) == tracks
 
 
 def test_a_neighbour_that_vanished_is_named_and_let_go() -> None:
-    tracks = NeighbourTracks().heard(REPORT, 10.2)
-    assert tracks.without_lost(10.0 + LOST_S)[1] == ()
-    kept, lost = tracks.without_lost(10.1 + LOST_S)
+    tracks = NeighbourTracks().copy_with_report_if_newer(REPORT, 10.2)
+    assert tracks.copy_without_silent_and_removed_names(10.0 + TRACK_LIFETIME_S)[1] == ()
+    kept, lost = tracks.copy_without_silent_and_removed_names(10.1 + TRACK_LIFETIME_S)
     assert lost == ("b",)
-    assert kept.at(50.0).present.shape == (1, 0)
+    assert kept.to_separation_filter_input(50.0).present.shape == (1, 0)

@@ -10,8 +10,8 @@ import pytest
 
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
-from companion.core.vehicle.energy_ledger import cutoff_charge_frac
-from companion.core.vehicle.power import max_airspeed_mps, multirotor_power_w
+from companion.core.vehicle.energy_ledger import charge_frac_at_loaded_cutoff_voltage
+from companion.core.vehicle.power import level_airspeed_at_max_tilt_mps, multirotor_power_w
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = sorted((ROOT / "params" / "airframes").glob("*.toml"))
@@ -97,7 +97,7 @@ def test_the_m100_fitted_out_is_a_little_slower_than_the_bare_types_published_to
     # DJI Matrice 100 specifications: 22 m/s, 35 degrees, bare. Companion, radio and gripper add
     # weight (tilt thrust) and area: between a tenth slower and just as fast.
     m100 = airframe("m100")
-    assert 0.9 * 22.0 <= max_airspeed_mps(m100, m100.mass_kg(0.0)) <= 22.0
+    assert 0.9 * 22.0 <= level_airspeed_at_max_tilt_mps(m100, m100.flying_mass_kg(0.0)) <= 22.0
 
 
 def test_the_m100_draws_what_the_field_logs_measured() -> None:
@@ -108,7 +108,7 @@ def test_the_m100_draws_what_the_field_logs_measured() -> None:
     speed = np.array([float(r["airspeed_mps"]) for r in rows])
     measured = np.array([float(r["power_w"]) for r in rows])
     m100 = airframe("m100")
-    power = multirotor_power_w(m100, m100.mass_kg(0.0), speed)
+    power = multirotor_power_w(m100, m100.flying_mass_kg(0.0), speed)
     assert power[0] == pytest.approx(473.0, rel=0.02)
     relative = power / measured - 1.0
     assert np.abs(relative).max() < 0.08
@@ -117,17 +117,17 @@ def test_the_m100_draws_what_the_field_logs_measured() -> None:
 
 def test_usable_energy_falls_with_draw_cold_and_age() -> None:
     battery = airframe("m100").battery
-    full = battery.usable_wh(400.0, 20.0, 1.0)
+    full = battery.usable_energy_of_full_pack_wh(400.0, 20.0, 1.0)
     assert full == pytest.approx(130.0 * battery.usable_frac)
-    assert battery.usable_wh(650.0, 20.0, 1.0) < full
-    assert battery.usable_wh(400.0, -5.0, 1.0) < 0.8 * full
-    assert battery.usable_wh(400.0, 20.0, 0.7) == pytest.approx(0.7 * full)
+    assert battery.usable_energy_of_full_pack_wh(650.0, 20.0, 1.0) < full
+    assert battery.usable_energy_of_full_pack_wh(400.0, -5.0, 1.0) < 0.8 * full
+    assert battery.usable_energy_of_full_pack_wh(400.0, 20.0, 0.7) == pytest.approx(0.7 * full)
 
 
 def test_charge_at_rest_follows_the_open_circuit_table() -> None:
     battery = airframe("m100").battery
-    assert battery.charge_frac_at_rest(6 * 4.35) == 1.0
-    assert battery.charge_frac_at_rest(6 * 3.87) == pytest.approx(0.5)
-    assert battery.charge_frac_at_rest(6 * 3.0) == 0.0
+    assert battery.charge_frac_from_resting_voltage(6 * 4.35) == 1.0
+    assert battery.charge_frac_from_resting_voltage(6 * 3.87) == pytest.approx(0.5)
+    assert battery.charge_frac_from_resting_voltage(6 * 3.0) == 0.0
     # 600 W at 19.8 V sag 45 mOhm by 1.36 V, 0.227 V a cell: 3.527 V at rest is 4 % of charge.
-    assert cutoff_charge_frac(battery, 600.0) == pytest.approx(0.0415, abs=0.002)
+    assert charge_frac_at_loaded_cutoff_voltage(battery, 600.0) == pytest.approx(0.0415, abs=0.002)

@@ -1,34 +1,24 @@
 """The paper's power model and the multirotor's, against closed forms."""
 
 import math
-import tomllib
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from companion.core.vehicle.airframe import Airframe, airframe_from_dict
+from companion.adapters.files.params import read_airframe
+from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.power import (
     GRAVITY_MPS2,
-    drag_n,
+    drag_with_nose_into_wind_n,
     induced_velocity_mps,
-    max_airspeed_mps,
+    level_airspeed_at_max_tilt_mps,
     multirotor_power_w,
     paper_power_w,
     paper_thrust_n,
 )
 
-ROOT = Path(__file__).parents[3]
-
-
-def airframe(name: str) -> Airframe:
-    return airframe_from_dict(
-        tomllib.loads((ROOT / "params" / "airframes" / f"{name}.toml").read_text())
-    )
-
-
-M100, OCTO8 = airframe("m100"), airframe("octo8")
+M100, OCTO8 = read_airframe("m100"), read_airframe("octo8")
 MASS = M100.mass.empty_kg
 
 
@@ -47,29 +37,30 @@ def test_the_papers_thrust_is_never_negative() -> None:
 
 
 def test_the_papers_level_power_hardly_feels_payload_and_the_multirotors_does() -> None:
-    paper = [float(paper_power_w(OCTO8, OCTO8.mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
-    rotor = [float(multirotor_power_w(OCTO8, OCTO8.mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
+    paper = [float(paper_power_w(OCTO8, OCTO8.flying_mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
+    rotor = [float(multirotor_power_w(OCTO8, OCTO8.flying_mass_kg(kg), 15.0)) for kg in (0.0, 8.0)]
     # The paper's feels no more than the parcel's own drag.
     assert paper[1] / paper[0] < 1.25
     assert rotor[1] / rotor[0] > 1.6
 
 
-def test_induced_velocity_in_hover_is_the_momentum_theorys() -> None:
-    assert induced_velocity_mps(5.3, 0.0, 0.0) == pytest.approx(5.3)
-
-
-def test_induced_velocity_in_climb_is_the_closed_form() -> None:
-    # Leishman 2.86: v / v_h = -V_c / 2 v_h + sqrt((V_c / 2 v_h)^2 + 1).
-    climb = np.array([1.0, 3.0, 8.0])
-    expected = -climb / 2.0 + np.sqrt((climb / 2.0) ** 2 + 5.0**2)
-    np.testing.assert_allclose(induced_velocity_mps(5.0, 0.0, climb), expected, rtol=1e-9)
-
-
-def test_induced_velocity_edgewise_is_the_closed_form() -> None:
-    # Leishman 2.131 for a level disc: v^2 = -V^2 / 2 + sqrt(V^4 / 4 + v_h^4).
-    speed = np.array([0.5, 5.0, 15.0, 40.0])
-    expected = np.sqrt(-(speed**2) / 2.0 + np.sqrt(speed**4 / 4.0 + 5.0**4))
-    np.testing.assert_allclose(induced_velocity_mps(5.0, speed, 0.0), expected, rtol=1e-7)
+@pytest.mark.parametrize(
+    ("edgewise", "climb", "expected"),
+    [
+        (0.0, 0.0, lambda u, c: 5.0),  # momentum theory's, in hover
+        # Leishman 2.86: v / v_h = -V_c / 2 v_h + sqrt((V_c / 2 v_h)^2 + 1).
+        (0.0, np.array([1.0, 3.0, 8.0]), lambda u, c: -c / 2.0 + np.sqrt((c / 2.0) ** 2 + 25.0)),
+        (  # Leishman 2.131 for a level disc: v^2 = -V^2 / 2 + sqrt(V^4 / 4 + v_h^4).
+            np.array([0.5, 5.0, 15.0, 40.0]),
+            0.0,
+            lambda u, c: np.sqrt(-(u**2) / 2.0 + np.sqrt(u**4 / 4.0 + 5.0**4)),
+        ),
+    ],
+    ids=["hover", "climb", "edgewise"],
+)
+def test_induced_velocity_is_the_closed_form(edgewise, climb, expected) -> None:
+    found = induced_velocity_mps(5.0, edgewise, climb)
+    np.testing.assert_allclose(found, expected(edgewise, climb), rtol=1e-7)
 
 
 def test_hover_power_is_ideal_power_over_its_losses() -> None:
@@ -95,7 +86,7 @@ def test_climbing_costs_at_least_the_potential_energy_less_the_inflow_it_saves()
 @pytest.mark.parametrize("payload_kg", [0.0, 8.0])
 def test_energy_per_km_of_the_octocopter_is_u_shaped(payload_kg: float) -> None:
     speed = np.arange(2.0, 30.0, 0.5)
-    per_km = multirotor_power_w(OCTO8, OCTO8.mass_kg(payload_kg), speed) / (3.6 * speed)
+    per_km = multirotor_power_w(OCTO8, OCTO8.flying_mass_kg(payload_kg), speed) / (3.6 * speed)
     best = int(np.argmin(per_km))
     assert 0 < best < speed.size - 1
     assert np.all(np.diff(per_km[: best + 1]) < 0.0)
@@ -108,7 +99,7 @@ def test_the_best_speed_rises_with_payload_and_in_headwind_falls_over_ground() -
     speed = np.arange(2.0, 30.0, 0.1)
 
     def best_airspeed(payload_kg: float, headwind: float) -> float:
-        power = multirotor_power_w(OCTO8, OCTO8.mass_kg(payload_kg), speed)
+        power = multirotor_power_w(OCTO8, OCTO8.flying_mass_kg(payload_kg), speed)
         ground = speed - headwind
         per_m = np.where(ground > 0.1, power / np.maximum(ground, 0.1), np.inf)
         return float(speed[np.argmin(per_m)])
@@ -136,7 +127,7 @@ def induced_w(airframe: Airframe, thrust_n: float, edgewise: float, through: flo
 
 
 def test_a_climb_against_drag_from_above_pays_it_in_thrust_and_in_work() -> None:
-    # Straight up at 5 m/s: T = m g + k V^2, and T V beside the induced power.
+    # Straight up at 5 m/s: T = m g + k V^2, plus T V on top of the induced power.
     vehicle = along_the_bodys_axes(0.2, quadratic_forward_n_per_mps2=0.1)
     thrust = 10.0 * GRAVITY_MPS2 + 0.2 * 25.0
     expected = induced_w(vehicle, thrust, 0.0, 5.0) + thrust * 5.0
@@ -184,28 +175,23 @@ def test_hover_in_still_air_does_not_feel_drag_from_above() -> None:
 
 def test_top_speed_balances_drag_and_tilt() -> None:
     for payload in (0.0, 1.0):
-        mass = M100.mass_kg(payload)
-        speed = max_airspeed_mps(M100, mass)
+        mass = M100.flying_mass_kg(payload)
+        speed = level_airspeed_at_max_tilt_mps(M100, mass)
         force = mass * GRAVITY_MPS2 * math.tan(math.radians(35.0))
-        assert float(drag_n(M100, mass, speed)) == pytest.approx(force)
+        assert float(drag_with_nose_into_wind_n(M100, mass, speed)) == pytest.approx(force)
 
 
 def test_a_hover_costs_the_inverse_root_of_density_more_in_thin_air() -> None:
     # Momentum theory and C_T, C_P of a rotor: induced and profile power both go with rho^-1/2.
     thick, thin = (float(multirotor_power_w(M100, MASS, 0.0, 0.0, rho)) for rho in (1.2, 0.8))
     avionics = M100.power_rotor.avionics_w
+    assert thin > thick
     assert (thin - avionics) / (thick - avionics) == pytest.approx(math.sqrt(1.2 / 0.8))
 
 
 def test_top_speed_grows_in_thin_air_and_drag_there_balances_the_same_tilt() -> None:
-    thick, thin = (max_airspeed_mps(M100, MASS, rho) for rho in (1.225, 0.8))
+    thick, thin = (level_airspeed_at_max_tilt_mps(M100, MASS, rho) for rho in (1.225, 0.8))
     # Drag all quadratic, or all linear, would make it (1.225 / 0.8)^1/2 = 1.24 times as fast.
     assert 1.2 < thin / thick < 1.24
     force = MASS * GRAVITY_MPS2 * math.tan(math.radians(35.0))
-    assert float(drag_n(M100, MASS, thin, 0.8)) == pytest.approx(force)
-
-
-def test_thin_air_costs_more() -> None:
-    assert float(multirotor_power_w(M100, MASS, 0.0, 0.0, 1.0)) > float(
-        multirotor_power_w(M100, MASS, 0.0, 0.0, 1.225)
-    )
+    assert float(drag_with_nose_into_wind_n(M100, MASS, thin, 0.8)) == pytest.approx(force)

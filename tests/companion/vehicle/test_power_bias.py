@@ -1,4 +1,4 @@
-"""How much more the vehicle draws than its model: learned slowly, and anew after a change."""
+"""Ratio of drawn to modelled power: learned slowly, and again after a change."""
 
 import math
 
@@ -13,10 +13,13 @@ PRIOR = 0.04
 
 
 def flown(scale: PowerScale, seconds: float, ratio: float, noise: list[float] | None = None) -> int:
-    """How often a change was told, with power at this ratio to the model's."""
+    """Return the number of reported changes, with power at this ratio to the model's."""
     steps = round(seconds / STEP_S)
     noise = noise or [0.0] * steps
-    return sum(scale.observe(STEP_S, MODEL_W * ratio * math.exp(e), MODEL_W) for e in noise[:steps])
+    return sum(
+        scale.update_and_report_draw_change(STEP_S, MODEL_W * ratio * math.exp(e), MODEL_W)
+        for e in noise[:steps]
+    )
 
 
 def gusts(seconds: float, std: float, seed: int) -> list[float]:
@@ -33,11 +36,11 @@ def gusts(seconds: float, std: float, seed: int) -> list[float]:
 def test_safety_rule_4_a_draw_that_stays_higher_is_told_within_ten_seconds(ratio: float) -> None:
     scale = PowerScale(PRIOR)
     assert flown(scale, 60.0, 1.0) == 0
-    before = scale.error()
+    before = scale.model_error()
     assert flown(scale, 10.0, ratio) == 1
-    after = scale.error()
+    after = scale.model_error()
     assert before.scale == pytest.approx(1.0, abs=0.001)
-    # A change of that size is taken for the most part, and it is said to be hardly known.
+    # Most of a change of that size is adopted, with a large stated uncertainty.
     assert 1.0 + 0.5 * (ratio - 1.0) < after.scale < ratio + 0.01
     assert after.std_frac > 4.0 * before.std_frac
 
@@ -53,10 +56,10 @@ def test_the_new_ratio_becomes_known_again() -> None:
     scale = PowerScale(PRIOR)
     flown(scale, 60.0, 1.0)
     flown(scale, 10.0, 2.0)
-    unsure = scale.error().std_frac
+    unsure = scale.model_error().std_frac
     assert flown(scale, 180.0, 2.0) == 0
-    assert scale.error().scale == pytest.approx(2.0, rel=0.05)
-    assert scale.error().std_frac < 0.4 * unsure
+    assert scale.model_error().scale == pytest.approx(2.0, rel=0.05)
+    assert scale.model_error().std_frac < 0.4 * unsure
 
 
 def test_an_isolated_outlier_costs_nothing() -> None:
@@ -64,15 +67,15 @@ def test_an_isolated_outlier_costs_nothing() -> None:
     for scale, times in ((plain, 1.0), (struck, 6.0)):
         flown(scale, 60.0, 1.0)
         for k in range(25):  # one reading, held for 5 s until the next comes
-            scale.observe(STEP_S, MODEL_W * times, MODEL_W, age_s=k * STEP_S)
+            scale.update_and_report_draw_change(STEP_S, MODEL_W * times, MODEL_W, age_s=k * STEP_S)
         flown(scale, 60.0, 1.0)
-    assert struck.error().scale == plain.error().scale
-    assert struck.error().std_frac == pytest.approx(plain.error().std_frac, rel=0.01)
+    assert struck.model_error().scale == plain.model_error().scale
+    assert struck.model_error().std_frac == pytest.approx(plain.model_error().std_frac, rel=0.01)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_rough_air_is_no_change(seed: int) -> None:
-    # 0.13 over 4 s: what the default flight's rough air makes of the ratio.
+    # 0.13 over 4 s: the variation of the ratio in the default flight's rough air.
     assert flown(PowerScale(PRIOR), 300.0, 1.05, gusts(300.0, 0.13, seed)) == 0
 
 
@@ -80,7 +83,7 @@ def test_braking_and_descending_never_make_the_model_hopeful() -> None:
     scale = PowerScale(PRIOR)
     flown(scale, 60.0, 1.0)
     assert flown(scale, 30.0, 0.55) == 0
-    assert scale.error().scale > 0.99
+    assert scale.model_error().scale > 0.99
 
 
 def test_a_rise_that_ends_is_told_and_never_taken_for_less_than_the_model() -> None:
@@ -88,4 +91,4 @@ def test_a_rise_that_ends_is_told_and_never_taken_for_less_than_the_model() -> N
     flown(scale, 60.0, 1.0)
     flown(scale, 60.0, 2.0)
     assert flown(scale, 20.0, 1.0) == 1
-    assert 1.0 <= scale.error().scale < 1.3
+    assert 1.0 <= scale.model_error().scale < 1.3

@@ -8,10 +8,10 @@ import pytest
 from companion.core.vehicle.wind_triangle import (
     Infeasible,
     WindTriangle,
-    airspeeds_needed_mps,
-    fly_course,
-    fly_path,
+    airspeeds_for_ground_speed_mps,
     ground_speeds_mps,
+    solve_level_wind_triangle,
+    solve_wind_triangle_3d,
 )
 
 
@@ -21,27 +21,27 @@ from companion.core.vehicle.wind_triangle import (
 )
 def test_ground_speed_north_at_10_mps_is_the_textbooks(wind_to_ne: tuple, ground: float) -> None:
     # Head- and tailwind add; 6 m/s across leaves sqrt(100 - 36) = 8.
-    track = fly_course(0.0, 10.0, wind_to_ne)
+    track = solve_level_wind_triangle(0.0, 10.0, wind_to_ne)
     assert isinstance(track, WindTriangle)
     assert track.ground_speed_mps == pytest.approx(ground)
 
 
 def test_the_nose_points_into_a_cross_wind() -> None:
     # Wind from the west pushes east: flying north it heads asin(6/10) west of north.
-    track = fly_course(0.0, 10.0, (0.0, 6.0))
+    track = solve_level_wind_triangle(0.0, 10.0, (0.0, 6.0))
     assert isinstance(track, WindTriangle)
     assert track.air_heading_rad == pytest.approx(2.0 * math.pi - math.asin(0.6))
 
 
 def test_a_cross_wind_over_the_airspeed_is_infeasible_and_says_so() -> None:
-    track = fly_course(0.0, 10.0, (3.0, 10.5))
+    track = solve_level_wind_triangle(0.0, 10.0, (3.0, 10.5))
     assert isinstance(track, Infeasible)
     assert "cross-wind 10.5" in track.reason
 
 
 @pytest.mark.parametrize("headwind", [10.0, 12.0])
 def test_no_ground_speed_is_infeasible_and_says_so(headwind: float) -> None:
-    track = fly_course(math.pi, 10.0, (headwind, 0.0))
+    track = solve_level_wind_triangle(math.pi, 10.0, (headwind, 0.0))
     assert isinstance(track, Infeasible)
     assert "headwind" in track.reason
 
@@ -49,7 +49,7 @@ def test_no_ground_speed_is_infeasible_and_says_so(headwind: float) -> None:
 def test_air_velocity_is_ground_velocity_less_wind_in_three_dimensions() -> None:
     direction = np.array([3.0, 1.0, -0.8])
     wind = np.array([-2.0, 3.0, 0.5])
-    track = fly_path(direction, 12.0, wind)
+    track = solve_wind_triangle_3d(direction, 12.0, wind)
     assert isinstance(track, WindTriangle)
     air = track.ground_speed_mps * direction / np.linalg.norm(direction) - wind
     assert np.linalg.norm(air) == pytest.approx(12.0)
@@ -61,8 +61,8 @@ def test_flight_path_limits_hold_in_the_air_frame_not_over_the_ground() -> None:
     # 10 degrees over ground with 8 m/s of tailwind: the air sees less distance, so it is steeper.
     direction = np.array([math.cos(0.1745), 0.0, -math.sin(0.1745)])
     limit = math.radians(12.0)
-    calm = fly_path(direction, 12.0, np.zeros(3), -limit, limit)
-    tail = fly_path(direction, 12.0, np.array([8.0, 0.0, 0.0]), -limit, limit)
+    calm = solve_wind_triangle_3d(direction, 12.0, np.zeros(3), -limit, limit)
+    tail = solve_wind_triangle_3d(direction, 12.0, np.array([8.0, 0.0, 0.0]), -limit, limit)
     assert isinstance(calm, WindTriangle)
     assert calm.air_path_angle_rad == pytest.approx(0.1745)
     assert isinstance(tail, Infeasible)
@@ -74,7 +74,7 @@ def test_the_array_form_agrees_with_the_scalar_one() -> None:
     along, across = rng.normal(0.0, 7.0, (2, 200))
     ground = ground_speeds_mps(10.0, along, across)
     for one, w_par, w_perp in zip(ground, along, across, strict=True):
-        track = fly_course(0.0, 10.0, (w_par, w_perp))
+        track = solve_level_wind_triangle(0.0, 10.0, (w_par, w_perp))
         if isinstance(track, Infeasible):
             assert np.isnan(one)
         else:
@@ -84,4 +84,4 @@ def test_the_array_form_agrees_with_the_scalar_one() -> None:
 def test_the_airspeed_needed_undoes_the_ground_speed() -> None:
     along, across = np.array([-5.0, 0.0, 6.0]), np.array([3.0, -8.0, 1.0])
     ground = ground_speeds_mps(11.0, along, across)
-    np.testing.assert_allclose(airspeeds_needed_mps(ground, along, across), 11.0)
+    np.testing.assert_allclose(airspeeds_for_ground_speed_mps(ground, along, across), 11.0)

@@ -1,4 +1,4 @@
-"""How the wind may move: against the process itself, and against a recording."""
+"""Wind forecast: against the process itself, and against a recording."""
 
 import csv
 import math
@@ -37,7 +37,7 @@ def belief(t_s: float, north: float, east: float, std: float = 0.5) -> WindBelie
 def followed(north: float, east: float, seconds: int = 300) -> WindOutlook:
     outlook = WindOutlook(PROCESS)
     for t in range(0, seconds + 1, 5):
-        outlook.observe(belief(float(t), north, east))
+        outlook.update_from_estimate(belief(float(t), north, east))
     return outlook
 
 
@@ -48,14 +48,14 @@ def test_steady_wind_is_expected_to_stay() -> None:
 
 def test_the_further_ahead_the_less_certain() -> None:
     forecast = followed(3.0, -8.0).forecast(belief(301.0, 3.0, -8.0), HORIZONS)
-    assert np.all(np.diff(np.diag(forecast.walk_cov_m2ps2)) > 0.0)
+    assert np.all(np.diff(np.diag(forecast.change_cov_m2ps2)) > 0.0)
 
 
 def test_a_gust_is_expected_to_pass_and_a_lasting_change_to_stay() -> None:
     outlook = followed(0.0, -6.0)
     gust = outlook.forecast(belief(305.0, 0.0, -9.0), HORIZONS).mean_to_ne_mps[:, 1]
     for t in range(305, 905, 5):
-        outlook.observe(belief(float(t), 0.0, -9.0))
+        outlook.update_from_estimate(belief(float(t), 0.0, -9.0))
     lasting = outlook.forecast(belief(906.0, 0.0, -9.0), HORIZONS).mean_to_ne_mps[:, 1]
     assert -7.5 < gust[3] < -6.0
     assert lasting[3] < -8.0
@@ -63,9 +63,9 @@ def test_a_gust_is_expected_to_pass_and_a_lasting_change_to_stay() -> None:
 
 def test_the_covariance_is_one_and_the_samples_have_it() -> None:
     forecast = followed(1.0, 7.0).forecast(belief(301.0, 1.0, 7.0, std=0.8), HORIZONS)
-    cov = forecast.cov_m2ps2
+    cov = forecast.total_cov_m2ps2
     assert np.linalg.eigvalsh(cov)[0] > -1e-9
-    paths = forecast.sample(40_000, np.random.default_rng(4))
+    paths = forecast.draw_wind_paths(40_000, np.random.default_rng(4))
     assert paths.shape == (40_000, 6, 2)
     np.testing.assert_allclose(paths.mean(axis=0), forecast.mean_to_ne_mps, atol=0.04)
     np.testing.assert_allclose(np.cov(paths.reshape(40_000, 12).T), cov, atol=0.09)
@@ -97,7 +97,7 @@ def test_the_weights_are_the_best_linear_predictor_of_the_process() -> None:
     outlook = WindOutlook(PROCESS)
     for t, speed in zip(times[:-1], speeds[:-1], strict=True):
         # The scale follows the speed seen, so hold it at 1: the other axis makes 8.6 of it.
-        outlook.observe(_scaled(float(t), float(speed)))
+        outlook.update_from_estimate(_scaled(float(t), float(speed)))
     forecast = outlook.forecast(_scaled(float(times[-1]), float(speeds[-1])), HORIZONS[1:])
     np.testing.assert_allclose(forecast.mean_to_ne_mps[:, 1], expected, atol=0.01)
 
@@ -109,9 +109,9 @@ def _scaled(t_s: float, east: float) -> WindBelief:
 def test_an_unknown_wind_is_ignored_and_forecast_as_unknown() -> None:
     outlook = WindOutlook(PROCESS)
     nothing = WindBelief(5.0, np.zeros(2), 64.0 * np.eye(2), (), False)
-    outlook.observe(nothing)
+    outlook.update_from_estimate(nothing)
     forecast = outlook.forecast(nothing, HORIZONS)
-    assert np.diag(forecast.walk_cov_m2ps2).min() > 50.0
+    assert np.diag(forecast.change_cov_m2ps2).min() > 50.0
 
 
 def test_a_restart_keeps_the_history() -> None:
@@ -121,7 +121,7 @@ def test_a_restart_keeps_the_history() -> None:
     now = belief(310.0, 1.0, -7.0)
     ours, theirs = outlook.forecast(now, HORIZONS), again.forecast(now, HORIZONS)
     np.testing.assert_array_equal(ours.mean_to_ne_mps, theirs.mean_to_ne_mps)
-    np.testing.assert_array_equal(ours.walk_cov_m2ps2, theirs.walk_cov_m2ps2)
+    np.testing.assert_array_equal(ours.change_cov_m2ps2, theirs.change_cov_m2ps2)
     with pytest.raises(LeewayError):
         again.restore({"format": "wind-outlook/1", "t_s": None, "parts": [[1.0]], "cov": []})
 
@@ -144,12 +144,12 @@ def test_the_stated_quantiles_cover_what_the_coast_recording_did() -> None:
                 low = max(t - 9, 0)
                 seen = (total[t + 1] - total[low]) / (t + 1 - low) + rng.normal(0.0, 0.3, 2)
                 now = belief(float(t), seen[0], seen[1])
-                outlook.observe(now)
+                outlook.update_from_estimate(now)
             middles = (np.arange(10) + 0.5) * ahead_s / 10.0
             forecast = outlook.forecast(now, middles)
             mean = (total[t + ahead_s] - total[t]) / ahead_s
             error = mean - forecast.mean_to_ne_mps.mean(axis=0)
-            variance = forecast.walk_cov_m2ps2.mean() + forecast.error_cov_m2ps2[0, 0]
+            variance = forecast.change_cov_m2ps2.mean() + forecast.error_cov_m2ps2[0, 0]
             errors.append(error)
             normalised.append(error / math.sqrt(variance))
         spread = np.sqrt(np.mean(np.square(errors), axis=0))

@@ -1,6 +1,6 @@
 """Steps of the reported heading that no vehicle turns; the wind's error is against a made world.
 
-The world is Newton's law with the airframe's published drag (`made_flight`), in 5 m/s of wind.
+The world is Newton's law with the airframe's published drag (`synthetic_flight`), in 5 m/s of wind.
 """
 
 import math
@@ -11,9 +11,9 @@ import pytest
 
 from companion.adapters.files.params import read_airframe
 from companion.core.wind.estimator import WindEstimator
-from companion.core.wind.heading_watch import HeadingWatch
+from companion.core.wind.heading_watch import HeadingStepDetector
 from companion.core.wind.observation import WindObservation
-from sim_bridge.app.trials.made_flight import MASS_KG, square_flight
+from sim_bridge.app.trials.synthetic_flight import MASS_KG, build_square_flight
 
 AIRFRAME = read_airframe("m100")
 MOST_TURN_RPS = math.radians(45.0)  # PX4's MPC_YAWRAUTO_MAX
@@ -39,12 +39,12 @@ def slowly_turned(world):
     return replace(world, roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw)
 
 
-WORLD = slowly_turned(square_flight())
+WORLD = slowly_turned(build_square_flight())
 RATES = np.gradient(WORLD.yaw_rad, WORLD.t_s)
 
 
 def observations(heading_off, *, rated=True, lost=lambda t_s: False):
-    """What is reported of the made flight, its heading off by `heading_off(t_s)`."""
+    """Return the observations of the simulated flight with heading error `heading_off(t_s)`."""
     for k, t_s in enumerate(WORLD.t_s.tolist()):
         known = not lost(t_s)
         yaw = math.remainder(WORLD.yaw_rad[k] + heading_off(t_s), math.tau)
@@ -79,6 +79,7 @@ def during(deg, begin_s, end_s):
     return lambda t_s: math.radians(deg) if begin_s <= t_s < end_s else 0.0
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("rated", [True, False])
 @pytest.mark.parametrize("deg", [160.0, -160.0, 180.0, 90.0, -45.0, 30.0])
 def test_a_heading_that_steps_and_steps_back_does_not_become_wind(deg, rated):
@@ -153,13 +154,13 @@ def test_an_unchanged_heading_is_no_step():
 
 def watched(yaw_deg, rate_hz, rate_dps=None):
     """Steps (degrees) that the watch finds in a heading given over time."""
-    watch, found = HeadingWatch(), []
+    watch, found = HeadingStepDetector(), []
     for k in range(round(60.0 * rate_hz)):
         t_s = k / rate_hz
         yaw = math.remainder(math.radians(yaw_deg(t_s)), math.tau)
         rate = None if rate_dps is None else math.radians(rate_dps)
         seen = WindObservation(t_s, True, MASS_KG, yaw_rad=yaw, yaw_rate_rps=rate)
-        step = watch.step(replace(seen, attitude_t_s=t_s))
+        step = watch.update_and_detect_step_rad(replace(seen, attitude_t_s=t_s))
         found += [math.degrees(step)] if step else []
     return found
 
@@ -181,11 +182,11 @@ def test_a_step_is_found_at_slow_rates_and_across_south(deg, rate_hz):
 
 
 def test_a_repeated_report_says_nothing_of_a_turn_at_the_next():
-    watch = HeadingWatch()
+    watch = HeadingStepDetector()
     for k in range(40):  # 10 Hz ticks on reports of 1 Hz that turn by 45 degrees each
         at_s = float(k // 10)
         seen = WindObservation(0.1 * k, True, MASS_KG, yaw_rad=math.radians(45.0 * at_s))
-        assert watch.step(replace(seen, attitude_t_s=at_s)) == 0.0
+        assert watch.update_and_detect_step_rad(replace(seen, attitude_t_s=at_s)) == 0.0
 
 
 def test_a_restart_while_the_heading_is_unknown_keeps_it_unknown():

@@ -11,17 +11,32 @@ from scipy.stats import multivariate_normal
 from scipy.stats import t as student_t
 
 from companion.adapters.files.params import read_wind_process
+from companion.analysis.wind_fit.fit import (
+    AveragedWind,
+    average_wind_over_10_s,
+    fit_wind_process_to_recordings,
+    process_log_likelihood,
+)
+from companion.analysis.wind_fit.holdout import (
+    FITTED,
+    LONG_MEAN,
+    PERSISTENCE,
+    cross_validate_wind_process,
+)
+from companion.analysis.wind_fit.score import (
+    ValidationInterval,
+    fit_student_t_dof,
+    outlook_forecasts_by_horizon,
+    score_forecasts,
+)
 from companion.core.base.errors import LeewayError
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast
 from companion.core.wind.process import (
     WindProcessParams,
-    averaged_share,
+    variance_share_after_averaging,
     wind_process_from_dict,
 )
-from companion.core.wind_fit.fit import WindMeans, fit_process, log_likelihood, ten_second_means
-from companion.core.wind_fit.holdout import FITTED, LONG_MEAN, PERSISTENCE, judge_held_out
-from companion.core.wind_fit.score import Judged, fitted_tail_dof, outlook_forecasts, score
 
 ROOT = Path(__file__).parents[3]
 COAST = read_wind_process("coast")
@@ -47,10 +62,10 @@ def simulated(process: WindProcessParams, count: int, seed: int, dof: float | No
                 push *= np.sqrt((dof - 2.0) / random.chisquare(dof))
             part = keep * part + np.sqrt(variance * (1.0 - keep**2)) * push
             wind[i] += part
-    return WindMeans(10.0 * np.arange(count), wind)
+    return AveragedWind(10.0 * np.arange(count), wind)
 
 
-def means_of_seconds(process: WindProcessParams, count: int, seed: int) -> WindMeans:
+def means_of_seconds(process: WindProcessParams, count: int, seed: int) -> AveragedWind:
     """10 s means of the process itself, made second by second: tenths of a second hardly matter."""
     random = np.random.default_rng(seed)
     wind = np.tile([0.0, 8.0], (10 * count, 1))
@@ -59,7 +74,7 @@ def means_of_seconds(process: WindProcessParams, count: int, seed: int) -> WindM
         pushes = np.sqrt(variance * (1.0 - keep**2)) * random.standard_normal((10 * count, 2))
         pushes[0] = np.sqrt(variance) * random.standard_normal(2)
         wind += lfilter([1.0], [1.0, -keep], pushes, axis=0)
-    return WindMeans(10.0 * np.arange(count) + 5.0, wind.reshape(count, 10, 2).mean(axis=1))
+    return AveragedWind(10.0 * np.arange(count) + 5.0, wind.reshape(count, 10, 2).mean(axis=1))
 
 
 # --- the file ------------------------------------------------------------------------------------
@@ -103,7 +118,9 @@ def test_a_mean_over_a_time_keeps_the_share_of_variance_that_brute_force_finds()
     at = (np.arange(2000) + 0.5) * 60.0 / 2000
     for memory in (5.0, 15.0, 300.0):
         expected = np.exp(-np.abs(np.subtract.outer(at, at)) / memory).mean()
-        assert averaged_share(np.array([memory]), 60.0)[0] == pytest.approx(expected, rel=1e-4)
+        assert variance_share_after_averaging(np.array([memory]), 60.0)[0] == pytest.approx(
+            expected, rel=1e-4
+        )
 
 
 # --- the fit -------------------------------------------------------------------------------------
@@ -113,7 +130,7 @@ def test_the_likelihood_is_that_of_the_joint_normal_law() -> None:
     """Oracle: scipy's multivariate normal, covariance written out here, a gap included."""
     whole = simulated(KNOWN, 60, seed=1)
     keep = np.r_[0:20, 35:60]
-    gappy = WindMeans(whole.t_s[keep], whole.wind_to_ne_mps[keep])
+    gappy = AveragedWind(whole.t_s[keep], whole.wind_to_ne_mps[keep])
     # Covariance of two means: that of their moments, averaged over both by the midpoint rule.
     inside = (np.arange(400) + 0.5) / 40.0
     apart = np.subtract.outer(inside, inside)
@@ -132,12 +149,13 @@ def test_the_likelihood_is_that_of_the_joint_normal_law() -> None:
     cov += 100.0 + 0.01 * np.eye(keep.size)
     law = multivariate_normal(np.zeros(keep.size), cov)
     expected = law.logpdf(moved[:, 0]) + law.logpdf(moved[:, 1])
-    assert log_likelihood(KNOWN, [gappy]) == pytest.approx(expected, rel=1e-5)
+    assert process_log_likelihood(KNOWN, [gappy]) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.sample
 def test_a_fit_recovers_the_process_that_made_the_wind() -> None:
     made = [means_of_seconds(KNOWN, 360, seed) for seed in (2, 3, 4)]
-    fit = fit_process(made, "made", parts=2)
+    fit = fit_wind_process_to_recordings(made, "made", process_part_count=2)
     found = np.log([*fit.process.memory_s, *fit.process.variance_m2ps2])
     true = np.log([*KNOWN.memory_s, *KNOWN.variance_m2ps2])
     assert np.all(np.abs(found - true) < 3.0 * fit.log_std)
@@ -147,13 +165,13 @@ def test_a_fit_recovers_the_process_that_made_the_wind() -> None:
 
 def test_too_little_wind_is_refused() -> None:
     with pytest.raises(LeewayError, match="600 s of usable wind: expected 1200"):
-        fit_process([simulated(KNOWN, 60, seed=4)], "short")
+        fit_wind_process_to_recordings([simulated(KNOWN, 60, seed=4)], "short")
 
 
 def test_ten_second_means_leave_out_what_is_half_empty() -> None:
     t_s = np.array([t for t in range(60) if not 23 <= t < 38], float)
     wind = np.stack([t_s, -t_s], axis=1)
-    runs = ten_second_means(t_s, wind)
+    runs = average_wind_over_10_s(t_s, wind)
     assert [r.t_s.tolist() for r in runs] == [[5.0, 15.0], [45.0, 55.0]]
     np.testing.assert_allclose(runs[0].wind_to_ne_mps[:, 0], [4.5, 14.5])
 
@@ -161,9 +179,10 @@ def test_ten_second_means_leave_out_what_is_half_empty() -> None:
 # --- tails and scores ----------------------------------------------------------------------------
 
 
+@pytest.mark.sample
 def test_samples_with_a_tail_have_the_stated_variance_and_students_quantiles() -> None:
     forecast = WindForecast(np.array([60.0]), np.zeros((1, 2)), np.eye(1), np.zeros((2, 2)), 6.0)
-    drawn = forecast.sample(200_000, np.random.default_rng(5))[:, 0, 0]
+    drawn = forecast.draw_wind_paths(200_000, np.random.default_rng(5))[:, 0, 0]
     assert drawn.var() == pytest.approx(1.0, abs=0.03)
     expected = student_t.ppf(0.995, 6.0) * np.sqrt(4.0 / 6.0)
     assert np.quantile(drawn, 0.995) == pytest.approx(expected, rel=0.03)
@@ -174,8 +193,8 @@ def test_the_tail_that_is_fitted_is_that_of_the_errors() -> None:
     heavy = random.standard_t(5.0, (6000, 4)) * np.sqrt(3.0 / 5.0)
     normal = random.standard_normal((6000, 4))
     ones, moments = np.ones((6000, 4)), np.zeros(6000)
-    assert fitted_tail_dof({60.0: (heavy, ones, moments)}) in (5.0, 6.0)
-    assert fitted_tail_dof({60.0: (normal, ones, moments)}) in (None, 30.0)
+    assert fit_student_t_dof({60.0: (heavy, ones, moments)}) in (5.0, 6.0)
+    assert fit_student_t_dof({60.0: (normal, ones, moments)}) in (None, 30.0)
 
 
 def test_what_the_process_says_of_its_own_wind_is_calibrated() -> None:
@@ -184,16 +203,19 @@ def test_what_the_process_says_of_its_own_wind_is_calibrated() -> None:
     for horizon_s in (60.0, 600.0):
         z, inside = [], []
         for means in judged:
-            said = outlook_forecasts(KNOWN, Judged(means, 800.0, 2600.0), 0.4, random)
+            said = outlook_forecasts_by_horizon(
+                KNOWN, ValidationInterval(means, 800.0, 2600.0), 0.4, random
+            )
             error, std = said[horizon_s]
             z.append(error / std)
-            inside.append(score("own", horizon_s, said[horizon_s]).coverage[0])
+            inside.append(score_forecasts("own", horizon_s, said[horizon_s]).coverage[0])
         assert np.sqrt(np.mean(np.concatenate(z) ** 2)) == pytest.approx(1.0, abs=0.15)
         assert np.mean(inside) == pytest.approx(0.90, abs=0.05)
 
 
+@pytest.mark.sample
 def test_held_out_the_fit_beats_running_means_where_wind_reverts() -> None:
-    found = judge_held_out([simulated(KNOWN, 480, seed=20)], parts=2)
+    found = cross_validate_wind_process([simulated(KNOWN, 480, seed=20)], process_part_count=2)
     assert found is not None
     assert len(found.folds) == 2
     by = {(s.method, s.horizon_s): s for s in found.scores}
@@ -205,7 +227,9 @@ def test_held_out_the_fit_beats_running_means_where_wind_reverts() -> None:
 
 
 def test_a_recording_that_cannot_be_divided_has_no_held_out_score() -> None:
-    assert judge_held_out([simulated(KNOWN, 150, seed=21)], parts=2) is None
+    assert (
+        cross_validate_wind_process([simulated(KNOWN, 150, seed=21)], process_part_count=2) is None
+    )
 
 
 # --- the planner's chains ------------------------------------------------------------------------

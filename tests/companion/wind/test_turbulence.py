@@ -1,22 +1,22 @@
-"""What corrections tell: gusts are not a front, and a front is not missed."""
+"""Corrections of the wind estimate: gusts are not a front, and a front is detected."""
 
 import math
 
 import numpy as np
 
-from companion.core.wind.turbulence import Front
+from companion.core.wind.turbulence import LastingChangeDetector
 
 STEP_S = 0.1
 VARIANCE_M2PS2 = 0.02  # of one correction, both axes together
 
 
 def fronts_seen(corrections: np.ndarray) -> list[int]:
-    """At which corrections a front is newly seen."""
-    front = Front()
+    """Return the indices of corrections at which a front is newly detected."""
+    front = LastingChangeDetector()
     return [
         k
         for k, (north, east) in enumerate(corrections.tolist())
-        if front.corrected((north, east), VARIANCE_M2PS2, STEP_S) > 0.0
+        if front.update_and_detect_front_m2ps2((north, east), VARIANCE_M2PS2, STEP_S) > 0.0
     ]
 
 
@@ -43,10 +43,10 @@ def test_corrections_that_go_on_in_one_direction_are_a_front() -> None:
 
 
 def test_after_a_front_the_wind_may_walk_for_some_seconds_and_no_longer() -> None:
-    front = Front()
-    while front.corrected((0.1, 0.0), VARIANCE_M2PS2, STEP_S) == 0.0:
+    front = LastingChangeDetector()
+    while front.update_and_detect_front_m2ps2((0.1, 0.0), VARIANCE_M2PS2, STEP_S) == 0.0:
         pass
-    assert front.walk_m2ps3 == Front.WALK_M2PS3
-    for _ in range(round(8.0 * Front.LASTS_S / STEP_S)):
-        front.corrected((0.0, 0.0), VARIANCE_M2PS2, STEP_S)
-    assert front.walk_m2ps3 < 0.01
+    assert front.process_noise_m2ps3 == LastingChangeDetector.PROCESS_NOISE_M2PS3
+    for _ in range(round(8.0 * LastingChangeDetector.DECAY_S / STEP_S)):
+        front.update_and_detect_front_m2ps2((0.0, 0.0), VARIANCE_M2PS2, STEP_S)
+    assert front.process_noise_m2ps3 < 0.01

@@ -1,4 +1,4 @@
-"""The odds of a front against densities of scipy's, and what must move them which way."""
+"""The odds of a front against scipy's densities, and the sign of each influence."""
 
 import math
 from dataclasses import replace
@@ -13,11 +13,11 @@ from companion.core.wind_field.front_odds import (
     CHANGE_MPS,
     CHANGE_STD_MPS,
     FrontOdds,
-    front_odds,
-    log_ratios,
+    change_log_likelihood_ratios,
+    compute_front_odds,
 )
-from companion.core.wind_field.fronts import LOG_ODDS, MOST_STANDING_SHARE
-from companion.core.wind_field.tellings import WindTelling
+from companion.core.wind_field.fronts import LOG_ODDS, MAX_TERRAIN_SHARE
+from companion.core.wind_field.wind_reports import MemberWindReport
 
 COAST = FieldProcess(read_wind_process("coast"))
 NOW_S = 400.0
@@ -27,12 +27,12 @@ SPEED_MPS, PASSING_S = 9.0, 40.0
 
 def told(
     jump_mps: float, reached_s_ago: float, gusts_before_mps: float = 0.3, seed: int = 1
-) -> list[list[WindTelling]]:
+) -> list[list[MemberWindReport]]:
     """Three members over 200 s; a front goes north, and has reached the first so long ago."""
     rng = np.random.default_rng(seed)
-    found: list[list[WindTelling]] = []
+    found: list[list[MemberWindReport]] = []
     for number, (north_m, east_m) in enumerate(PLACES):
-        rows: list[WindTelling] = []
+        rows: list[MemberWindReport] = []
         for t_s in np.arange(NOW_S - 200.0, NOW_S + 1.0, 10.0):
             reached_s = NOW_S - reached_s_ago + (north_m - PLACES[0][0]) / SPEED_MPS
             part = min(max((t_s - 5.0 - reached_s) / PASSING_S, 0.0), 1.0)
@@ -41,24 +41,24 @@ def told(
             share = part * part * (3.0 - 2.0 * part)
             wind = (4.0 + share * jump_mps + float(north), 3.0 + float(east))
             here = (north_m, east_m)
-            rows.append(WindTelling(f"d{number}", t_s, here, 40.0, wind, (0.25, 0.0, 0.25)))
+            rows.append(MemberWindReport(f"d{number}", t_s, here, 40.0, wind, (0.25, 0.0, 0.25)))
         found.append(rows)
     return found
 
 
 def odds(jump_mps: float, reached_s_ago: float, gusts_before_mps: float = 0.3) -> FrontOdds:
     members = told(jump_mps, reached_s_ago, gusts_before_mps)
-    found = front_odds(members, PLACES[0], NOW_S, COAST, 1.0)
+    found = compute_front_odds(members, PLACES[0], NOW_S, COAST, 1.0)
     assert found is not None
     return found
 
 
 def test_a_likelihood_ratio_is_that_of_two_normal_densities() -> None:
-    """The change integrated over its prior: what is told is normal with that much more spread."""
+    """The change integrated over its prior: the report is normal with that much more spread."""
     rng = np.random.default_rng(3)
     share, wind = rng.uniform(0.0, 1.0, (7, 1)), rng.standard_normal((7, 2))
     towards = np.array([[0.6], [0.8]])
-    logs, change = log_ratios(wind, share, towards)
+    logs, change = change_log_likelihood_ratios(wind, share, towards)
     wide = np.eye(7) + CHANGE_STD_MPS**2 * share @ share.T
     expected = 0.0
     for axis in (0, 1):
@@ -96,42 +96,42 @@ def test_the_gustier_it_was_before_the_more_is_asked() -> None:
 
 def test_of_half_a_minute_nobody_knows_the_wind_before() -> None:
     short = [[one for one in rows if one.t_s > NOW_S - 40.0] for rows in told(8.0, 30.0)]
-    assert front_odds(short, PLACES[0], NOW_S, COAST, 1.0) is None
-    assert front_odds([], PLACES[0], NOW_S, COAST, 1.0) is None
+    assert compute_front_odds(short, PLACES[0], NOW_S, COAST, 1.0) is None
+    assert compute_front_odds([], PLACES[0], NOW_S, COAST, 1.0) is None
 
 
-def into_a_lee(slower_mps: float) -> list[list[WindTelling]]:
-    """The same three; the first flies north at 12 m/s and into a lee 25 s ago, the rest stay."""
+def into_a_lee(slower_mps: float) -> list[list[MemberWindReport]]:
+    """The same three; the first flies north at 12 m/s and into a lee 25 s ago, the rest hover."""
     calm = told(0.0, 45.0)
-    flown: list[WindTelling] = []
+    flown: list[MemberWindReport] = []
     for one in calm[0]:
         ago_s = NOW_S - one.t_s
         north, east = one.mean_to_ne_mps
         share = min(max((25.0 - ago_s) / 20.0, 0.0), 1.0)
         place = (PLACES[0][0] - 12.0 * ago_s, PLACES[0][1])
         wind = (north - share * slower_mps, east)
-        flown.append(WindTelling("d0", one.t_s, place, 40.0, wind, (0.25, 0.0, 0.25)))
+        flown.append(MemberWindReport("d0", one.t_s, place, 40.0, wind, (0.25, 0.0, 0.25)))
     return [flown, *calm[1:]]
 
 
 def test_where_the_ground_slows_the_wind_who_flies_into_a_lee_is_no_front() -> None:
-    def log_odds(members: list[list[WindTelling]], share: float) -> float:
-        found = front_odds(members, PLACES[0], NOW_S, COAST, 1.0, share)
+    def log_odds(members: list[list[MemberWindReport]], share: float) -> float:
+        found = compute_front_odds(members, PLACES[0], NOW_S, COAST, 1.0, share)
         assert found is not None
         return found.log_odds
 
-    lee = into_a_lee(5.0)[:1]  # nobody else is near
+    lee = into_a_lee(5.0)[:1]  # no other member is near
     assert log_odds(lee, 0.0) > 5.0
     assert log_odds(lee, 0.15) < log_odds(lee, 0.0) - 2.0
-    # Who stays feels no change of the ground: a front is known as before.
+    # A hovering member sees no change of the ground: a front is detected as before.
     front = told(8.0, 45.0)
     assert log_odds(front, 0.15) > 0.9 * log_odds(front, 0.0) > 20.0
 
 
 def test_one_telling_that_stands_for_two_ages_is_no_trouble() -> None:
-    """At 9.7 s of age it is the newest for now and for ten seconds ago."""
+    """At 9.7 s of age it is the latest for now and for ten seconds ago."""
     late = told(8.0, 45.0)
-    found = front_odds(late, PLACES[0], NOW_S + 9.7, COAST, 1.0, 0.1)
+    found = compute_front_odds(late, PLACES[0], NOW_S + 9.7, COAST, 1.0, 0.1)
     assert found is not None
     assert math.isfinite(found.log_odds)
 
@@ -146,15 +146,15 @@ def test_drones_that_move_know_a_front_over_any_ground_that_the_watch_takes_into
         [
             replace(
                 one,
-                place_ne_m=(
-                    one.place_ne_m[0] + north_mps * (one.t_s - NOW_S),
-                    one.place_ne_m[1] + east_mps * (one.t_s - NOW_S),
+                position_ne_m=(
+                    one.position_ne_m[0] + north_mps * (one.t_s - NOW_S),
+                    one.position_ne_m[1] + east_mps * (one.t_s - NOW_S),
                 ),
             )
             for one in rows
         ]
         for rows in told(8.0, 60.0)
     ]
-    found = front_odds(moving, PLACES[0], NOW_S, COAST, 1.0, MOST_STANDING_SHARE)
+    found = compute_front_odds(moving, PLACES[0], NOW_S, COAST, 1.0, MAX_TERRAIN_SHARE)
     assert found is not None
     assert found.log_odds > LOG_ODDS

@@ -1,4 +1,4 @@
-"""Recordings as they come: what is wrong is named by file and line, the rest is used."""
+"""Wind recordings: faults are reported by file and line, the rest is used."""
 
 import math
 from pathlib import Path
@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.adapters.logs.wind_logs import read_wind_log
+from companion.analysis.wind_fit.log_checks import CheckedRecording
 from companion.app.cli.main import app
 from companion.core.base.errors import LeewayError
-from companion.core.wind_fit.log_checks import Checked
 
 ROOT = Path(__file__).parents[3]
 COAST = ROOT.parent / "shared" / "data" / "wind" / "coast_2023_1hz.csv"
@@ -32,8 +32,8 @@ def written(folder: Path, table: list[list[object]], header: str = HEADER) -> Pa
     return path
 
 
-def used(found: Checked) -> int:
-    return sum(run.t_s.size for run in found.runs)
+def used(found: CheckedRecording) -> int:
+    return sum(run.t_s.size for run in found.segments)
 
 
 def test_a_sound_log_is_used_whole_and_nothing_is_said(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_a_sound_log_is_used_whole_and_nothing_is_said(tmp_path: Path) -> None:
     assert used(found) == 300
     assert found.findings == ()
     np.testing.assert_allclose(
-        found.runs[0].wind_to_ne_mps.mean(axis=0),
+        found.segments[0].wind_to_ne_mps.mean(axis=0),
         [7.0 * -math.cos(math.radians(250.0)), 7.0 * -math.sin(math.radians(250.0))],
         atol=0.3,
     )
@@ -62,7 +62,7 @@ def test_a_station_that_flips_its_direction_is_found_and_left_out(
     (words,) = [w for w in found.findings if "half a circle" in w]
     first = int(words.split()[1])
     assert abs(first - 402) <= 1  # line 1 is the header
-    kept = np.concatenate([run.from_rad for run in found.runs])
+    kept = np.concatenate([run.from_rad for run in found.segments])
     assert np.all(np.abs(np.degrees(kept) - 250.0) < 91.0)
 
 
@@ -118,7 +118,7 @@ def test_gaps_and_clock_jumps_divide_a_log(tmp_path: Path) -> None:
         table[i][0] -= 400.0
     table[200][0] = table[199][0]
     found = read_wind_log(written(tmp_path, table))
-    assert [run.t_s.size for run in found.runs] == [100, 199, 100]
+    assert [run.t_s.size for run in found.segments] == [100, 199, 100]
     said = "\n".join(found.findings)
     assert "line 102: 51 s without a sample" in said
     assert "line 302: t_s goes back from 349 to -50" in said
@@ -166,6 +166,7 @@ def test_other_columns_are_refused_by_name(tmp_path: Path, header: str, words: s
 # --- the command ---------------------------------------------------------------------------------
 
 
+@pytest.mark.sample
 def test_fit_wind_writes_a_process_that_loads(tmp_path: Path) -> None:
     random = np.random.default_rng(8)
     drift = np.cumsum(random.normal(0.0, 0.12, (2600, 2)), axis=0)

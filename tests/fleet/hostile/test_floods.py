@@ -1,5 +1,5 @@
-"""Floods over real zenoh: by a member on its own keys and on another's, and by strangers at the
-door. Meanwhile the desk hears the rest and is answered. Judged by counts, never by speed.
+"""Floods over zenoh: by a member on its own keys and on another's, and by strangers at the port.
+The desk still receives all other messages and replies. Judged by counts, never by speed.
 """
 
 import json
@@ -16,13 +16,13 @@ import psutil
 import pytest
 import zenoh
 
-from companion.fleet.messages import Answered, Command
-from companion.fleet.zenoh_config import read_config
+from companion.fleet.messages import Command, CommandStatus
+from companion.fleet.zenoh_config import read_and_check_zenoh_config
 from ground_station.adapters.clock import monotonic_s
-from ground_station.adapters.fleet_inbox import STATES_A_TURN, FleetInbox, MemberBox
+from ground_station.adapters.fleet_inbox import STATES_PER_CYCLE, FleetInbox, MemberBox
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import (
-    CommandAnswered,
+    CommandResponse,
     FleetInput,
     MessageRejected,
     StateReceived,
@@ -42,27 +42,27 @@ from tests.fleet.zenoh_net import FLEET, Vehicle
 
 RATE_HZ = 10_000.0
 BEHIND_HZ = [2_000.0, pytest.param(RATE_HZ, marks=pytest.mark.night)]
-"""Behind one router flood and truth share a line, and here a core: at night the whole flood."""
+"""Flood and genuine messages share one connection and one core; the full rate runs at night."""
 
 BEGUN_S = 0.3
-"""So much of it before anything is asked; it goes on meanwhile."""
+"""Duration of the flood before the test sends a request; the flood continues meanwhile."""
 
 STRANGERS = pytest.mark.parametrize(
     "calls", [20, pytest.param(2_000, marks=pytest.mark.night)], ids=["few", "a million packets"]
 )
 PACKETS = 500
-"""Of one call: the first is refused, the rest run into a line that is shut."""
+"""Packets per connection: the first is refused, the others meet a closed connection."""
 
 REST_S = 0.1
-"""zenoh's, after each caller that fails, before it takes the next: so long a newcomer waits."""
+"""Pause of zenoh after each failed connection; a new member waits as long."""
 
 MOST_GROWN_KB = 100_000
-"""A process that kept a kilobyte of each of a million packets would grow by ten times this."""
+"""A tenth of the growth of a process that kept one kilobyte of each of a million packets."""
 
 
 @contextmanager
 def flood(put: Callable[[], None], rate_hz: float = RATE_HZ) -> Iterator[None]:
-    """`put` at the rate from a thread of its own, as far as this machine can."""
+    """Call `put` at this rate from a separate thread, as far as this machine can."""
     stop, begun = threading.Event(), threading.Event()
 
     def run() -> None:
@@ -86,22 +86,22 @@ def flood(put: Callable[[], None], rate_hz: float = RATE_HZ) -> Iterator[None]:
 
 
 def hears_on_and_is_answered(desk: ZenohFleet, vehicle: Vehicle) -> None:
-    """Two new states of a vehicle, and its answer to a command, come through."""
-    name, from_s = vehicle.port.vehicle, vehicle.port.uptime_s
+    """Assert that two new states of a vehicle and its reply to a command arrive."""
+    name, from_s = vehicle.port.member.vehicle, vehicle.port.member.uptime_s
     heard: set[float] = set()
-    answers: list[CommandAnswered] = []
+    answers: list[CommandResponse] = []
     desk.send(limits(vehicle), PATIENCE_S)
-    desk.ask_states(PATIENCE_S)
+    desk.request_states(PATIENCE_S)
 
     def done(one: FleetInput) -> bool:
         if isinstance(one, StateReceived) and one.state.vehicle == name:
             heard.add(one.state.uptime_s)
-        answers.extend([one] if isinstance(one, CommandAnswered) else [])
+        answers.extend([one] if isinstance(one, CommandResponse) else [])
         return bool(answers) and sum(uptime_s > from_s for uptime_s in heard) >= 2
 
     assert hears(desk, done, PATIENCE_S)
     assert answers[0].result is not None
-    assert answers[0].result.answer is Answered.DONE
+    assert answers[0].result.status is CommandStatus.DONE
     assert [type(command) for command in vehicle.done] == [Command]
 
 
@@ -111,10 +111,11 @@ def site(tmp_path: Path) -> SecureSite:
 
 
 def member_session(site: SecureSite, name: str) -> zenoh.Session:
-    """What a member's own program may be made to do: its certificate, and no rules of ours."""
-    return zenoh.open(read_config(site.home(name) / "zenoh.json5"))
+    """Open a session with the member's certificate, without this project's checks."""
+    return zenoh.open(read_and_check_zenoh_config(site.home(name) / "zenoh.json5"))
 
 
+@pytest.mark.sample
 @GUARD
 def test_a_member_that_floods_anothers_keys_is_stopped_at_the_desks_door(site, tmp_path, guarded):
     if not guarded:
@@ -123,7 +124,7 @@ def test_a_member_that_floods_anothers_keys_is_stopped_at_the_desks_door(site, t
         table["access_control"]["enabled"] = False
         path.write_text(json.dumps(table))
     desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
-    forged = trust_of(site, "d2").seal("state", forged_state())
+    forged = trust_of(site, "d2").sign_in_envelope("state", forged_state())
     key = f"leeway/{FLEET}/vehicle/d1/state"
     try:
         assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
@@ -139,10 +140,11 @@ def test_a_member_that_floods_anothers_keys_is_stopped_at_the_desks_door(site, t
         desk.close()
 
 
+@pytest.mark.sample
 def test_a_member_that_floods_its_own_keys_crowds_out_nobody(site, tmp_path):
     desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
     author, own = trust_of(site, "d2"), f"leeway/{FLEET}/vehicle/d2"
-    raw = author.seal("state", forged_state().replace(b'"d1"', b'"d2"'))
+    raw = author.sign_in_envelope("state", forged_state().replace(b'"d1"', b'"d2"'))
     try:
         assert hears(desk, lambda h: isinstance(h, StateReceived), PATIENCE_S)
         with member_session(site, "d2") as d2:
@@ -158,36 +160,37 @@ def test_a_member_that_floods_its_own_keys_crowds_out_nobody(site, tmp_path):
         desk.close()
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("rate_hz", BEHIND_HZ)
 def test_behind_a_router_of_the_attackers_a_flood_of_forged_states_does_not_hide_the_true_one(
     site, tmp_path, rate_hz
 ):
-    forged = trust_of(site, "d2").seal("state", forged_state())
+    forged = trust_of(site, "d2").sign_in_envelope("state", forged_state())
     with plain_network(site, tmp_path) as plain, flood(lambda: plain.put("state", forged), rate_hz):
         hears_on_and_is_answered(plain.desk, plain.d1)
 
 
-# --- where a flood came between the desk's turns -------------------------------------------------
+# --- flood between the desk's cycles -------------------------------------------------------------
 
 AROUND = 300
-"""Before the true state, and as many behind it: more than all boxes together hold."""
+"""Forged states before the genuine one, and as many after it: more than all inboxes hold."""
 
 
 class Heard:
-    """Counts what zenoh has brought to a desk, whatever becomes of it there."""
+    """Counts the states that zenoh delivers to a desk, accepted or not."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.count = 0
-        hear = FleetInbox.hear_state
+        hear = FleetInbox.add_state
 
         def counted(inbox: FleetInbox, key: str, raw: bytes, **how: bool) -> None:
             hear(inbox, key, raw, **how)
             self.count += 1
 
-        monkeypatch.setattr(FleetInbox, "hear_state", counted)
+        monkeypatch.setattr(FleetInbox, "add_state", counted)
 
     def wait_for(self, deed: Callable[[], object], count: int) -> None:
-        """Until so much more of it has come."""
+        """Call the function, then wait until this many more states have arrived."""
         until, limit_s = self.count + count, monotonic_s() + PATIENCE_S
         deed()
         while self.count < until:
@@ -196,17 +199,17 @@ class Heard:
 
 
 def one_box_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The guard taken out: the states of all members share the room of one."""
-    shared: deque[tuple[MemberBox, bytes]] = deque(maxlen=STATES_A_TURN)
+    """Remove the guard: the states of all members share the capacity of one inbox."""
+    shared: deque[tuple[MemberBox, bytes]] = deque(maxlen=STATES_PER_CYCLE)
 
-    def take(self: MemberBox, raw: bytes, *, asked: bool) -> None:
+    def take(self: MemberBox, raw: bytes, *, is_query_reply: bool) -> None:
         shared.append((self, raw))
 
     def taken(self: MemberBox) -> list[bytes]:
         return [raw for box, raw in shared if box is self]
 
-    monkeypatch.setattr(MemberBox, "take_state", take)
-    monkeypatch.setattr(MemberBox, "taken_states", taken)
+    monkeypatch.setattr(MemberBox, "add_state", take)
+    monkeypatch.setattr(MemberBox, "pop_states", taken)
 
 
 def many(session: zenoh.Session, key: str, raw: bytes) -> Callable[[], None]:
@@ -218,8 +221,10 @@ def many(session: zenoh.Session, key: str, raw: bytes) -> Callable[[], None]:
 
 
 def hears_once(desk: ZenohFleet, life: str) -> bool:
-    """Whether one turn of the desk finds a state of this life."""
-    return any(isinstance(h, StateReceived) and h.state.life == life for h in desk.receive(0.0))
+    """Return whether one cycle of the desk receives a state of this life."""
+    return any(
+        isinstance(h, StateReceived) and h.state.instance_id == life for h in desk.receive(0.0)
+    )
 
 
 @GUARD
@@ -230,7 +235,7 @@ def test_what_a_member_floods_its_own_keys_with_pushes_out_no_others_state(
         one_box_for_all(monkeypatch)
     heard = Heard(monkeypatch)
     desk, d1 = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
-    raw = trust_of(site, "d2").seal("state", forged_state().replace(b'"d1"', b'"d2"'))
+    raw = trust_of(site, "d2").sign_in_envelope("state", forged_state().replace(b'"d1"', b'"d2"'))
     try:
         assert hears(desk, state_of("d1"), PATIENCE_S)
         d1.stop()
@@ -238,9 +243,9 @@ def test_what_a_member_floods_its_own_keys_with_pushes_out_no_others_state(
             flood_once = many(d2, f"leeway/{FLEET}/vehicle/d2/state", raw)
             heard.wait_for(flood_once, AROUND)
             desk.receive(0.0)
-            heard.wait_for(lambda: d1.port.publish("true", d1.situation), 1)
+            heard.wait_for(lambda: d1.port.publish_state_if_due("true", d1.replan_key), 1)
             heard.wait_for(flood_once, AROUND)
-        assert hears_once(desk, d1.port.life) is guarded
+        assert hears_once(desk, d1.port.member.instance_id) is guarded
     finally:
         d1.close()
         desk.close()
@@ -251,29 +256,29 @@ def test_what_comes_in_a_members_name_behind_the_router_pushes_out_no_answer_of_
     site, tmp_path, monkeypatch, guarded
 ):
     if not guarded:
-        take = MemberBox.take_state
+        take = MemberBox.add_state
 
-        def unasked(self: MemberBox, raw: bytes, *, asked: bool) -> None:
-            take(self, raw, asked=False)
+        def unasked(self: MemberBox, raw: bytes, *, is_query_reply: bool) -> None:
+            take(self, raw, is_query_reply=False)
 
-        monkeypatch.setattr(MemberBox, "take_state", unasked)
+        monkeypatch.setattr(MemberBox, "add_state", unasked)
     heard = Heard(monkeypatch)
-    forged = trust_of(site, "d2").seal("state", forged_state())
+    forged = trust_of(site, "d2").sign_in_envelope("state", forged_state())
     with plain_network(site, tmp_path) as plain:
         plain.d1.stop()
         flood_once = many(plain.rogue, f"leeway/{FLEET}/vehicle/d1/state", forged)
         heard.wait_for(flood_once, AROUND)
         plain.desk.receive(0.0)
-        heard.wait_for(lambda: plain.desk.ask_states(PATIENCE_S), 1)
+        heard.wait_for(lambda: plain.desk.request_states(PATIENCE_S), 1)
         heard.wait_for(flood_once, AROUND)
-        assert hears_once(plain.desk, plain.d1.port.life) is guarded
+        assert hears_once(plain.desk, plain.d1.port.member.instance_id) is guarded
 
 
-# --- at the door -----------------------------------------------------------------------------
+# --- strangers at the TLS port ---------------------------------------------------------------
 
 
 def call(port: int, packets: Iterator[bytes]) -> None:
-    """A stranger's call: packets until the line is shut."""
+    """Connect as a stranger and send packets until the connection is closed."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=5.0) as line:
             line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -284,7 +289,7 @@ def call(port: int, packets: Iterator[bytes]) -> None:
 
 
 def garbage(rng: np.random.Generator) -> Iterator[bytes]:
-    """Half of the calls begin as TLS does."""
+    """Half of the connections begin with a TLS record header."""
     yield b"\x16\x03\x01" if rng.integers(2) else b""
     for _ in range(PACKETS):
         yield rng.bytes(int(rng.integers(1, 1400)))
@@ -294,8 +299,9 @@ def resident_kb() -> int:
     return psutil.Process().memory_info().rss // 1024
 
 
+@pytest.mark.sample
 @STRANGERS
-@pytest.mark.timeout(900)  # 2,000 calls that each wait for zenoh's rest, and the newcomer behind
+@pytest.mark.timeout(900)  # 2,000 connections with zenoh's pause after each, then the new member
 def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory(
     site, tmp_path, calls
 ):
@@ -321,7 +327,7 @@ def test_packets_of_strangers_at_the_desks_tls_port_cost_no_member_and_no_memory
 
 @pytest.mark.night
 def test_canary_a_program_that_keeps_a_kilobyte_of_each_packet_is_seen_to_grow():
-    # A third of a million: some of it goes where the tests before have left room.
+    # A third of a million: some of it fits in memory that earlier tests have freed.
     before_kb, kept = resident_kb(), [b"x" * 1024 + b"%d" % number for number in range(333_333)]
     assert resident_kb() - before_kb > MOST_GROWN_KB
     assert len(kept) == len(set(kept))

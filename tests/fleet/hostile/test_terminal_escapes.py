@@ -1,5 +1,5 @@
-"""A member whose signature is right sends a terminal's escape sequences: to a desk's log and to a
-`watch`, both as a person starts them, over TLS, each at a terminal of its own.
+"""A member with a valid signature sends terminal escape sequences to a desk's log and to `watch`.
+Both run as real processes over TLS, each on its own terminal.
 """
 
 from contextlib import closing
@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from companion.fleet.command_log import Verdict
-from companion.fleet.messages import Answered, EventKind
+from companion.fleet.command_log import CommandReply
+from companion.fleet.messages import CommandStatus, EventKind
 from tests.fleet.programs import program, short_day
 from tests.fleet.secure_site import SecureSite
 
 EVIL = "\x1b]0;owned\x07\x1b[31337mgone\x9b2J"
 RAW = (b"\x1b]0;owned", b"\x07", b"\x1b[31337m", "\x9b".encode())
-"""A window's title, a bell, a colour that no program of ours uses, a control of eight bits."""
+"""Window title, bell, a colour that this project does not use, and an 8-bit control character."""
 
 NO_SAFE_TEXT = """
 from companion.core.base import safe_text
@@ -32,9 +32,10 @@ DESKS = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.sample
 @DESKS
 def test_a_members_words_reach_no_terminal_raw(tmp_path: Path, guarded: bool):
-    """`watch` beside its canary; a desk takes longer to begin, and has its canary at night."""
+    """`watch` runs with its canary each time; the slower desk runs its canary at night only."""
     site = SecureSite(tmp_path / "pki")
     store = ("--store", f"sqlite:///{tmp_path}/desk.db")
     desk_options = (*store, "--identity", site.home("desk"), "--auto-launch")
@@ -45,9 +46,9 @@ def test_a_members_words_reach_no_terminal_raw(tmp_path: Path, guarded: bool):
         closing(site.vehicle("d1", tmp_path / "d1")) as d1,
     ):
         desk.said("dispatching")
-        d1.answer = Verdict(Answered.REFUSED, EVIL)
-        d1.port.member.remark = EVIL
-        d1.port.tell(EventKind.SAID, EVIL)
+        d1.answer = CommandReply(CommandStatus.REFUSED, EVIL)
+        d1.port.member.status_text = EVIL
+        d1.port.record_event(EventKind.TEXT, EVIL)
         desk.said("owned")
         with (
             program(*watch_options) as watch,

@@ -1,7 +1,7 @@
-"""Floods at a vehicle: what one speaker sends takes the room of none, and costs so much, no more.
+"""Floods at a vehicle: one sender cannot use the capacity of another, and its cost is bounded.
 
-The network is a plain one whose router is the attacker's, so that nothing but the vehicle itself is
-in his way. Judged by counts, never by speed.
+The network is unprotected and its router is the attacker's, so the vehicle itself is the only
+protection. Judged by counts, never by speed.
 """
 
 import threading
@@ -13,12 +13,12 @@ import zenoh
 
 from companion.core.base.rate_limit import RateLimit
 from companion.fleet import signed_link
-from companion.fleet.messages import Command, Recall, encode
-from companion.fleet.network import Ask, Asked, Told
-from companion.fleet.signed_link import FAILED_BURST, FAILED_HZ, SignedLink
+from companion.fleet.messages import Command, Recall, encode_message
+from companion.fleet.network import MemberRequest, ReceivedTrack, RequestKind
+from companion.fleet.request_queue import MAX_REQUESTS, RequestQueues
+from companion.fleet.signed_link import REJECTED_BURST, REJECTED_HZ, SignedLink
 from companion.fleet.topics import VehicleKeys, roster_key
-from companion.fleet.waiting_room import WaitingRoom
-from companion.fleet.zenoh_link import ASKS_BURST, ASKS_HZ, COMMANDS_WAIT
+from companion.fleet.zenoh_link import EVENT_REQUESTS_BURST, EVENT_REQUESTS_HZ
 from ground_station.adapters.clock import monotonic_s
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.strangers import (
@@ -34,7 +34,7 @@ from tests.fleet.strangers import (
 from tests.fleet.zenoh_net import FLEET
 
 HALF = 300
-"""Before the desk's command, and as many behind it: more than all boxes together hold."""
+"""Requests before the desk's command, and as many after it: more than all inboxes hold."""
 
 
 @pytest.fixture
@@ -44,32 +44,32 @@ def plain(tmp_path) -> Iterator[Plain]:
 
 
 def one_box_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The guard taken out: as large as the largest box, and anybody's."""
-    put = WaitingRoom.put
+    """Remove the guard: all senders share one inbox with the capacity of the largest."""
+    put = RequestQueues.add_to_queue_and_call_back
 
-    def mixed(self: WaitingRoom, box: str, asked: Asked, most: int, **how: bool) -> None:
-        put(self, "all", asked, COMMANDS_WAIT)
+    def mixed(self: RequestQueues, box: str, asked: MemberRequest, most: int, **how: bool) -> None:
+        put(self, "all", asked, MAX_REQUESTS[RequestKind.COMMAND])
 
-    monkeypatch.setattr(WaitingRoom, "put", mixed)
+    monkeypatch.setattr(RequestQueues, "add_to_queue_and_call_back", mixed)
 
 
 def commands(plain: Plain, count: int) -> None:
-    """As a viewer, who may command nobody, with another id each time."""
-    otto, key = trust_of(plain.site, "otto"), VehicleKeys(FLEET, "d1").command
+    """Send commands as a viewer, which has no right to command, each with a new identifier."""
+    otto, key = trust_of(plain.site, "otto"), VehicleKeys(FLEET, "d1").command_key
     for number in range(count):
-        raw = otto.seal("command", encode(limits(plain.d1, f"x{number}")))
+        raw = otto.sign_in_envelope("command", encode_message(limits(plain.d1, f"x{number}")))
         plain.rogue.get(key, lambda reply: None, payload=raw, timeout=PATIENCE_S)
 
 
 def asks(plain: Plain, count: int) -> None:
-    key = f"{VehicleKeys(FLEET, 'd1').event}?after=0"
+    key = f"{VehicleKeys(FLEET, 'd1').event_key}?after=0"
     for _ in range(count):
         plain.rogue.get(key, lambda reply: None, timeout=PATIENCE_S)
 
 
 def rosters(plain: Plain, count: int) -> None:
     for number in range(count):
-        raw = b"%d" % number + plain.site.identity("d1").roster_file()
+        raw = b"%d" % number + plain.site.identity("d1").read_roster_file()
         block = zenoh.CongestionControl.BLOCK
         plain.rogue.put(roster_key(FLEET), raw, congestion_control=block)
 
@@ -77,6 +77,7 @@ def rosters(plain: Plain, count: int) -> None:
 FLOODS = pytest.mark.parametrize("flood", [commands, rosters], ids=lambda flood: flood.__name__)
 
 
+@pytest.mark.sample
 @GUARD
 @FLOODS
 def test_a_flood_behind_the_router_does_not_push_out_the_desks_command(
@@ -84,16 +85,16 @@ def test_a_flood_behind_the_router_does_not_push_out_the_desks_command(
 ):
     if not guarded:
         one_box_for_all(monkeypatch)
-    d1, room = plain.d1, plain.d1.port.link.link.waiting
-    d1.stop()  # one turn, later: all of it has come by then
-    came = room.came
+    d1, room = plain.d1, plain.d1.port.member.link.link.request_queues
+    d1.stop()  # one cycle runs later, when all of it has arrived
+    came = room.put_count
     flood(plain, HALF)
-    wait_until(lambda: room.came >= came + HALF)
+    wait_until(lambda: room.put_count >= came + HALF)
     plain.desk.send(limits(d1, "true"), PATIENCE_S)
-    wait_until(lambda: room.came > came + HALF)
+    wait_until(lambda: room.put_count > came + HALF)
     flood(plain, HALF)
-    wait_until(lambda: room.came > came + 2 * HALF)
-    d1.port.turn(d1.carry_out)
+    wait_until(lambda: room.put_count > came + 2 * HALF)
+    d1.port.process_commands(d1.carry_out)
     assert [command.id for command in d1.done] == (["true"] if guarded else [])
     told = hears(plain.desk, answered, PATIENCE_S) if guarded else None
     assert (told is not None and told.result is not None) is guarded
@@ -104,24 +105,26 @@ def test_asks_for_events_are_taken_at_a_rate_and_the_desks_command_among_them(
     plain, monkeypatch, guarded
 ):
     if not guarded:
-        monkeypatch.setattr(RateLimit, "take", lambda *_: True)
-    d1, room = plain.d1, plain.d1.port.link.link.waiting
+        monkeypatch.setattr(RateLimit, "try_consume_tokens", lambda *_: True)
+    d1, room = plain.d1, plain.d1.port.member.link.link.request_queues
     d1.stop()
-    began_s, came = monotonic_s(), room.came
+    began_s, came = monotonic_s(), room.put_count
     asks(plain, HALF)
     plain.desk.send(limits(d1, "true"), PATIENCE_S)
-    wait_until(lambda: any(one.ask is Ask.COMMAND for one in boxed(room)))
-    d1.port.turn(d1.carry_out)
+    wait_until(lambda: any(one.kind is RequestKind.COMMAND for one in boxed(room)))
+    d1.port.process_commands(d1.carry_out)
     assert [command.id for command in d1.done] == ["true"]
-    most = ASKS_BURST + ASKS_HZ * (monotonic_s() - began_s) + 2  # the command, and a roster
+    most = (
+        EVENT_REQUESTS_BURST + EVENT_REQUESTS_HZ * (monotonic_s() - began_s) + 2
+    )  # the command and a roster
     if not guarded:
-        wait_until(lambda: room.came - came > HALF)
-        most = ASKS_BURST + ASKS_HZ * (monotonic_s() - began_s) + 2
-    assert (room.came - came <= most) is guarded
+        wait_until(lambda: room.put_count - came > HALF)
+        most = EVENT_REQUESTS_BURST + EVENT_REQUESTS_HZ * (monotonic_s() - began_s) + 2
+    assert (room.put_count - came <= most) is guarded
 
 
-def boxed(room: WaitingRoom) -> list[Asked]:
-    return [asked for box in list(room.boxes.values()) for _, asked in tuple(box)]
+def boxed(room: RequestQueues) -> list[MemberRequest]:
+    return [asked for box in list(room.queues.values()) for _, asked in tuple(box)]
 
 
 def wait_until(true: Callable[[], bool]) -> None:
@@ -131,21 +134,21 @@ def wait_until(true: Callable[[], bool]) -> None:
         rest.wait(0.01)
 
 
-# --- what a flood in somebody's name costs -------------------------------------------------------
+# --- cost of a flood in a member's name ----------------------------------------------------------
 
 
 @dataclass
 class ByHand:
-    """A link whose requests a test puts there; time by hand."""
+    """A link whose requests and time are set by the test."""
 
-    waiting: list[Asked] = field(default_factory=list)
+    waiting: list[MemberRequest] = field(default_factory=list)
     t_s: float = 0.0
 
-    def asked(self) -> list[Asked]:
+    def drain_requests(self) -> list[MemberRequest]:
         waiting, self.waiting = self.waiting, []
         return waiting
 
-    def tracks(self) -> list[Told]:
+    def tracks(self) -> list[ReceivedTrack]:
         return []
 
     def clock_s(self) -> float:
@@ -157,31 +160,37 @@ def test_of_ten_thousand_forged_commands_a_second_so_many_are_looked_at_and_anna
     tmp_path, monkeypatch, guarded
 ):
     if not guarded:
-        monkeypatch.setattr(signed_link, "FAILED_HZ", 1e9)
-        monkeypatch.setattr(signed_link, "FAILED_BURST", 1e9)
+        monkeypatch.setattr(signed_link, "REJECTED_HZ", 1e9)
+        monkeypatch.setattr(signed_link, "REJECTED_BURST", 1e9)
     site, net = SecureSite(tmp_path / "pki"), ByHand()
     link = SignedLink(net, trust_of(site, "d1"), "life", net.clock_s)  # type: ignore[arg-type]
     forger = trust_of(site, "d2")
     forger.name = "desk"
-    forged, answers = forger.seal("command", b"{}"), []
+    forged, answers = forger.sign_in_envelope("command", b"{}"), []
     for turn in range(20):
         net.t_s = turn / 100.0
-        net.waiting = [Asked(Ask.COMMAND, answers.extend, forged)] * 100
-        link.asked()
+        net.waiting = [MemberRequest(RequestKind.COMMAND, answers.extend, forged)] * 100
+        link.drain_requests()
     looked_at = len(answers)
-    assert (looked_at <= FAILED_BURST + 0.2 * FAILED_HZ) is guarded
-    true = trust_of(site, "anna").seal("command", ordered())
-    net.waiting = [Asked(Ask.COMMAND, answers.extend, true)]
-    assert [asked.signer for asked in link.asked() if asked.ask is Ask.COMMAND] == ["anna"]
-    net.t_s += 1.0 + 1.0 / FAILED_HZ
-    true = trust_of(site, "desk").seal("command", ordered())
-    net.waiting = [Asked(Ask.COMMAND, answers.extend, true)]
-    assert [asked.signer for asked in link.asked() if asked.ask is Ask.COMMAND] == ["desk"]
-    assert link.refusals.total == 2_000
+    assert (looked_at <= REJECTED_BURST + 0.2 * REJECTED_HZ) is guarded
+    true = trust_of(site, "anna").sign_in_envelope("command", ordered())
+    net.waiting = [MemberRequest(RequestKind.COMMAND, answers.extend, true)]
+    assert [
+        asked.signer for asked in link.drain_requests() if asked.kind is RequestKind.COMMAND
+    ] == ["anna"]
+    net.t_s += 1.0 + 1.0 / REJECTED_HZ
+    true = trust_of(site, "desk").sign_in_envelope("command", ordered())
+    net.waiting = [MemberRequest(RequestKind.COMMAND, answers.extend, true)]
+    assert [
+        asked.signer for asked in link.drain_requests() if asked.kind is RequestKind.COMMAND
+    ] == ["desk"]
+    assert link.rejections.total == 2_000
 
 
 def ordered() -> bytes:
-    return encode(Command(id="r", vehicle="d1", life="l", as_of_s=0.0, by="x", deed=Recall()))
+    return encode_message(
+        Command(id="r", vehicle="d1", instance_id="l", as_of_s=0.0, by="x", action=Recall())
+    )
 
 
 def test_events_that_are_asked_for_again_and_again_are_signed_at_a_rate(tmp_path):
@@ -190,14 +199,14 @@ def test_events_that_are_asked_for_again_and_again_are_signed_at_a_rate(tmp_path
     told: list[bytes] = []
 
     def ask() -> None:
-        net.waiting = [Asked(Ask.EVENTS, told.extend)]
-        for asked in link.asked():
-            if asked.ask is Ask.EVENTS:
-                asked.answer([b"event"] * 200)
+        net.waiting = [MemberRequest(RequestKind.EVENTS, told.extend)]
+        for asked in link.drain_requests():
+            if asked.kind is RequestKind.EVENTS:
+                asked.reply([b"event"] * 200)
 
     for _ in range(50):
         ask()
-    assert len(told) == signed_link.TOLD_BURST
+    assert len(told) == signed_link.EVENT_REPLY_BURST
     net.t_s = 1.0
     ask()
-    assert len(told) == signed_link.TOLD_BURST + 200
+    assert len(told) == signed_link.EVENT_REPLY_BURST + 200

@@ -1,4 +1,4 @@
-"""`ground-station divide`: the same regions and plans whoever plans, a killed planner named."""
+"""`ground-station plan --trucks`: regions and plans independent of --jobs."""
 
 from collections import Counter
 from pathlib import Path
@@ -7,24 +7,27 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.plan_files import read_day_plan
-from ground_station.adapters.workers.side_by_side import PieceDone, PieceLost
+from ground_station.adapters.files.day_files import read_day_plan
+from ground_station.adapters.workers.side_by_side import ItemDone, ItemLost
 from ground_station.app.cli.main import app
 from ground_station.app.planning import region_days
 
+pytestmark = pytest.mark.usefixtures("compiled_planner")
+
 
 def divide(out: Path, *words: str) -> Result:
-    command = ["divide", "town", "--trucks", "2", "--out", str(out), "--trials", "40", *words]
+    command = ["plan", "town", "--trucks", "2", "--out", str(out), "--trials", "40", *words]
     return CliRunner().invoke(app, command)
 
 
+@pytest.mark.sample
 def test_plans_are_the_same_on_one_process_and_on_two_and_bring_every_order_once(
     tmp_path: Path,
 ) -> None:
     alone, paired = tmp_path / "alone", tmp_path / "paired"
     done = divide(alone, "--jobs", "1")
     assert done.exit_code == 0, done.output
-    assert "kept apart by each other, not by plan" in " ".join(done.output.split())
+    assert "separated by their companions, not by the plan" in " ".join(done.output.split())
     assert divide(paired, "--jobs", "2").exit_code == 0
     files = sorted(path.name for path in alone.iterdir())
     assert files == sorted(path.name for path in paired.iterdir())
@@ -44,20 +47,20 @@ def test_plans_are_the_same_on_one_process_and_on_two_and_bring_every_order_once
 def test_a_planner_that_is_killed_costs_its_region_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(region_days, "side_by_side", one_is_lost)
+    monkeypatch.setattr(region_days, "run_parallel", one_is_lost)
     done = divide(tmp_path, "--jobs", "2")
     assert done.exit_code == 1
-    assert "lost: town-2: SIGKILL" in done.output
+    assert "not planned: town-2: SIGKILL" in done.output
     assert sorted(path.name for path in tmp_path.glob("*_plan.json")) == ["town-1_plan.json"]
 
 
 def one_is_lost(work, do, workers, say):
-    """Stands for workers of which one was killed twice, by the second region."""
+    """Replaces the workers: the worker of the second region is killed twice."""
     for index, piece in enumerate(work):
         if index == 1:
-            yield PieceLost(index, piece, "SIGKILL")
+            yield ItemLost(index, piece, "SIGKILL")
         else:
-            yield PieceDone(index, do(piece))
+            yield ItemDone(index, do(piece))
 
 
 def test_trucks_are_stated_for_each_day(tmp_path: Path) -> None:
@@ -65,3 +68,18 @@ def test_trucks_are_stated_for_each_day(tmp_path: Path) -> None:
     assert isinstance(done.exception, LeewayError)
     assert "2 for 1 days" in str(done.exception)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "refusal"),
+    [
+        ("town --trucks 2", "--trucks: expected --out FOLDER"),
+        ("town --trucks 2 --out x --at 2026-07-01T15:10Z", "--at: not with --trucks"),
+        ("town --jobs 2", "--jobs: expected with --trucks"),
+        ("town harbour", "expected one DAY, or --trucks for each"),
+    ],
+)
+def test_an_option_without_effect_is_refused(words: str, refusal: str) -> None:
+    done = CliRunner().invoke(app, ["plan", *words.split()])
+    assert isinstance(done.exception, LeewayError)
+    assert refusal in str(done.exception)

@@ -1,4 +1,4 @@
-"""Commands on a fleet or vehicle that is not there say so within a second of joining."""
+"""Commands for an absent fleet or vehicle report it within a second of joining the network."""
 
 import subprocess
 import sys
@@ -12,7 +12,7 @@ from tests.fleet.zenoh_net import FLEET, Vehicle, config_file, free_port
 
 SAID_S = 1.0
 TRIES = 3
-"""The machine that runs the tests may be busy: the best of these counts."""
+"""Number of attempts, of which the best counts: the test machine may be busy."""
 
 JOINED = "joined the network"
 CODE = f"""
@@ -30,7 +30,7 @@ main()
 
 
 class Nobody:
-    """A store, and a network on which nobody is, or one vehicle."""
+    """A store, and a network that is empty or has one vehicle."""
 
     def __init__(self, folder: Path) -> None:
         port = free_port()
@@ -42,7 +42,7 @@ class Nobody:
     def is_said(
         self, expected: str, *words: str, within_s: float = SAID_S, tries: int = TRIES
     ) -> bool:
-        """Whether the words come so soon after the command has joined the network."""
+        """Return whether the command prints this text soon enough after it joins the network."""
         return any(self._once_s(expected, *words) < within_s for _ in range(tries))
 
     def _once_s(self, expected: str, *words: str) -> float:
@@ -67,12 +67,13 @@ def nobody(tmp_path: Path) -> Nobody:
     return Nobody(tmp_path)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("expected", "words"),
     [
-        ("nobody is heard in fleet nowhere", ["watch"]),
-        ("d9: not heard yet; heard: no vehicle", ["recall", "d9"]),
-        ("nobody: not heard yet; heard: no vehicle", ["recall", "--all"]),
+        ("no member connected in fleet nowhere", ["watch"]),
+        ("d9: not connected yet; connected: none", ["recall", "d9"]),
+        ("no vehicle connected yet", ["recall", "--all"]),
     ],
     ids=["watch", "recall d9", "recall --all"],
 )
@@ -80,14 +81,16 @@ def test_a_fleet_that_is_not_there_is_said_within_a_second(nobody, expected, wor
     assert nobody.is_said(expected, *words, "--fleet", "nowhere")
 
 
+@pytest.mark.sample
 def test_a_vehicle_that_is_not_there_is_said_within_a_second_beside_one_that_is(nobody, tmp_path):
     d1 = Vehicle("d1", tmp_path / "d1", nobody.theirs)
     try:
-        assert nobody.is_said("d9: not heard yet", "recall", "d9", "--fleet", FLEET)
+        assert nobody.is_said("d9: not connected", "recall", "d9", "--fleet", FLEET)
     finally:
         d1.close()
 
 
+@pytest.mark.sample
 def test_what_watch_says_comes_through_a_pipe_while_it_runs(nobody, tmp_path):
     d1 = Vehicle("d1", tmp_path / "d1", nobody.theirs)
     try:
@@ -96,7 +99,8 @@ def test_what_watch_says_comes_through_a_pipe_while_it_runs(nobody, tmp_path):
         d1.close()
 
 
+@pytest.mark.sample
 def test_canary_a_command_that_waits_before_it_says_a_word_is_noticed(nobody):
-    """How a recall ends: when its wait is over."""
+    """The final message of a recall appears at the end of its wait."""
     words = ("recall", "--all", "--wait", "2", "--fleet", "nowhere")
     assert not nobody.is_said("none recalled", *words, tries=1)

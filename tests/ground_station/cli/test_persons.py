@@ -1,4 +1,4 @@
-"""Who did it: with an identity the audit names the member that signed, with its role's rights."""
+"""Author of a change: with an identity the audit names the signing member and its role applies."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -9,11 +9,11 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.fleet.identity import SIGNING_KEY
 from companion.fleet.roles import Role
-from companion.fleet.trust import Trust
-from ground_station.adapters.store.audit_store import read_audit
+from companion.fleet.trust import MemberTrust
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.app.cli.main import app
-from ground_station.app.cli.options import who
-from ground_station.core.people.person import desk_of, person_behind
+from ground_station.app.options.desk_options import resolve_operator
+from ground_station.core.people.person import desk_signing_name, member_operator
 from tests.fleet.secure_site import SecureSite
 from tests.ground_station.store.test_holds import aboard
 from tests.ground_station.store.test_order_store import an_order, opened
@@ -25,8 +25,7 @@ WRITING = {
     "order add": ("order", "add", "o9", *PLACE),
     "order import": ("order", "import", "harbour"),
     "order cancel": ("order", "cancel", "o2"),
-    "order reopen": ("order", "reopen", "o3"),
-    "order brought": ("order", "brought", "o2"),
+    "order settle, cancelled": ("order", "settle", "o3", "--back", "--reason", "found"),
     "order launch": ("order", "launch", "o1"),
     "order settle": ("order", "settle", "o1", "--back", "--reason", "it stands here"),
     "store restore": ("store", "restore", "copy.db", "--replace", "before.db"),
@@ -34,7 +33,7 @@ WRITING = {
     "dispatch": ("dispatch", "harbour", "--until-done"),
     "recall": ("recall", "--all", "--fleet", "harbour"),
 }
-"""Every command that writes into the store."""
+"""Every command that writes to the store."""
 
 
 @pytest.fixture(scope="module")
@@ -44,11 +43,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> SecureSite:
 
 @pytest.fixture
 def url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A store with an order aboard d1, an open one, a cancelled one, and a hold of d2."""
+    """A store with an order assigned to d1, an open one, a cancelled one, and a hold of d2."""
     monkeypatch.chdir(tmp_path)
     url = f"sqlite:///{tmp_path}/d.db"
     with opened(url) as store:
-        store.add_orders([an_order("o1"), an_order("o2"), an_order("o3")])
+        store.add_orders_unless_conflict([an_order("o1"), an_order("o2"), an_order("o3")])
         aboard(store)
     run(url, "order", "cancel", "o3")
     run(url, "hold", "d2", "--reason", "propeller")
@@ -62,7 +61,7 @@ def run(url: str, *words: str) -> None:
 
 def audited(url: str) -> list[tuple[str, str]]:
     with opened(url) as store:
-        rows, _ = read_audit(store.database)
+        rows, _ = read_audit_rows_and_head(store.database)
     return [(row.entry.who, row.entry.deed) for row in rows]
 
 
@@ -88,47 +87,47 @@ def test_a_viewer_changes_nothing_in_the_store_by_any_command(site, url, command
 
 
 def test_canary_without_the_look_at_the_role_a_viewer_would_hold_a_drone(site, url, monkeypatch):
-    monkeypatch.setattr(Trust, "command_trouble", lambda self: "")
+    monkeypatch.setattr(MemberTrust, "command_permission_error_or_empty", lambda self: "")
     run(url, *WRITING["hold"], "--identity", str(site.home("otto")))
     assert audited(url)[-1] == ("otto", "hold")
 
 
 def test_who_is_revoked_or_expired_or_has_another_members_name_does_nothing(tmp_path):
     site = SecureSite(tmp_path / "pki")
-    site.pki.revoke("d2")
+    site.pki.revoke_members("d2")
     site.keep_rosters_of("anna")
     theirs = site.home("anna") / SIGNING_KEY
     key = theirs.read_bytes()
     theirs.write_bytes((site.home("otto") / SIGNING_KEY).read_bytes())
     with pytest.raises(LeewayError, match="the signing key is not the one of anna on the roster"):
-        who(None, site.home("anna"))
+        resolve_operator(None, site.home("anna"))
     theirs.write_bytes(key)
-    assert who(None, site.home("anna")).name == "anna"
+    assert resolve_operator(None, site.home("anna")).name == "anna"
     site.pki.now -= timedelta(days=400)
-    site.pki.renew("anna", 365)
+    site.pki.renew_member_certificate("anna", 365)
     with pytest.raises(LeewayError, match="the certificate of anna has expired"):
-        who(None, site.home("anna"))
-    site.pki.revoke("anna")
+        resolve_operator(None, site.home("anna"))
+    site.pki.revoke_members("anna")
     (site.home("anna") / "roster.json").write_bytes((site.pki.folder / "roster.json").read_bytes())
     with pytest.raises(LeewayError, match="anna is revoked"):
-        who(None, site.home("anna"))
+        resolve_operator(None, site.home("anna"))
 
 
 def test_an_identity_of_another_fleet_does_nothing(site):
     with pytest.raises(LeewayError, match="of fleet harbour, expected elsewhere"):
-        who(None, site.home("anna"), "elsewhere")
+        resolve_operator(None, site.home("anna"), "elsewhere")
 
 
 def test_a_desk_signs_its_own_decisions_by_its_own_name_and_says_who_started_it(site):
     desk = site.home("desk")
-    assert desk_of(who(None, desk)) == "desk"
-    assert who("anna", desk).name == "anna by way of desk"
-    assert desk_of(who(None, site.home("anna"))) == "desk/anna"
+    assert desk_signing_name(resolve_operator(None, desk)) == "desk"
+    assert resolve_operator("anna", desk).name == "anna by way of desk"
+    assert desk_signing_name(resolve_operator(None, site.home("anna"))) == "desk/anna"
 
 
 def test_the_name_said_and_the_member_fit_into_a_command_or_are_refused():
     member = "a" * 32
-    person = person_behind(member, Role.DISPATCHER, "b" * 16)
-    assert len(desk_of(person)) == 64
-    with pytest.raises(LeewayError, match=f"expected at most 16 characters beside {member}"):
-        person_behind(member, Role.DISPATCHER, "b" * 17)
+    person = member_operator(member, Role.DISPATCHER, "b" * 16)
+    assert len(desk_signing_name(person)) == 64
+    with pytest.raises(LeewayError, match=f"expected at most 16 characters with {member}"):
+        member_operator(member, Role.DISPATCHER, "b" * 17)

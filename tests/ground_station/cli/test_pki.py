@@ -1,4 +1,4 @@
-"""`ground-station pki`: the commands of docs/how-to/secure-a-fleet.md as they stand there."""
+"""`ground-station pki`: the commands of docs/how-to/secure-a-fleet.md exactly as documented."""
 
 import re
 import shlex
@@ -9,16 +9,16 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.identity import read_identity
-from companion.fleet.messages import Answered, Command, Recall
+from companion.fleet.identity import read_and_verify_identity
+from companion.fleet.messages import Command, CommandStatus, Recall
 from companion.fleet.roles import Role
 from companion.fleet.roster import Roster
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.pki.pki_folder import PkiFolder, utc_at
+from ground_station.adapters.pki.pki_folder import PkiFolder, utc_datetime
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.app.cli.main import app
-from ground_station.core.fleet.fleet_link import CommandAnswered, StateReceived
+from ground_station.core.fleet.fleet_link import CommandResponse, StateReceived
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.strangers import hears
 from tests.fleet.zenoh_net import FLEET, free_port
@@ -29,14 +29,14 @@ PATIENCE_S = 20.0
 
 
 def pki(*words: str) -> str:
-    """Run one command; what it printed."""
+    """Run one command and return its output."""
     result = CliRunner().invoke(app, ["pki", *words], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.output
 
 
 def commands_of_the_page() -> list[list[str]]:
-    block = re.search(r"## Five commands.*?```\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    block = re.search(r"## A desk and two drones.*?```\n(.*?)```", PAGE.read_text(), re.DOTALL)
     assert block
     return [shlex.split(line) for line in block.group(1).splitlines()]
 
@@ -62,11 +62,11 @@ def test_the_five_commands_of_the_page_secure_a_desk_and_two_drones(tmp_path, mo
     drones = [site.vehicle(name, tmp_path / name) for name in ("d1", "d2")]
     try:
         for drone in drones:
-            assert state_of(drone.port.vehicle, desk)
-        told = {"id": "r", "vehicle": "d2", "life": "x", "as_of_s": 0.0, "by": "anna"}
-        desk.send(Command(**told, deed=Recall()), PATIENCE_S)
-        answer = hears(desk, lambda h: h if isinstance(h, CommandAnswered) else None, PATIENCE_S)
-        assert answer.result.answer is Answered.DONE
+            assert state_of(drone.port.member.vehicle, desk)
+        told = {"id": "r", "vehicle": "d2", "instance_id": "x", "as_of_s": 0.0, "by": "anna"}
+        desk.send(Command(**told, action=Recall()), PATIENCE_S)
+        answer = hears(desk, lambda h: h if isinstance(h, CommandResponse) else None, PATIENCE_S)
+        assert answer.result.status is CommandStatus.DONE
         assert [command.by for command in drones[1].done] == ["anna by way of desk"]
         assert drones[0].done == []
     finally:
@@ -81,7 +81,7 @@ def test_watch_says_whose_certificate_ends_within_a_month(tmp_path, monkeypatch)
     words = ["watch", "--fleet", FLEET, "--identity", str(site.home("otto")), "--seconds", "0.1"]
     with closing(site.person("desk")):
         shown = CliRunner().invoke(app, [*words, "--store", "sqlite:///desk.db"]).output
-    assert "LOOK: certificates: d2 ends in 20 days (ground-station pki renew)" in shown
+    assert "WARNING: certificates: d2 ends in 20 days (ground-station pki renew)" in shown
 
 
 @pytest.fixture
@@ -105,43 +105,43 @@ def test_status_ends_with_a_code_of_its_own_a_month_before_an_end(fleet, days, c
     pki("add", "d2", "--role", "vehicle", "--days", days)
     result = CliRunner().invoke(app, ["pki", "status"])
     assert result.exit_code == code
-    assert ("renew: d2" in result.output) is (code == 3)
+    assert ("pki renew d2" in result.output) is (code == 3)
     pki("renew", "d2")
     assert CliRunner().invoke(app, ["pki", "status"]).exit_code == 0
 
 
 def test_who_is_revoked_is_not_asked_to_be_renewed_and_may_come_again_with_new_keys(fleet):
     pki("add", "d2", "--role", "vehicle", "--days", "1")
-    before = PkiFolder.read(fleet, utc_at(epoch_us())).roster.by_name["d2"]
-    assert "roster 4: d2 is revoked" in pki("revoke", "d2")
+    before = PkiFolder.read(fleet, utc_datetime(epoch_us())).roster.member_by_name["d2"]
+    assert "roster 4 revokes d2" in pki("revoke", "d2")
     assert "revoked" in pki("status")
     pki("add", "d2", "--role", "vehicle")
-    after = PkiFolder.read(fleet, utc_at(epoch_us())).roster.by_name["d2"]
+    after = PkiFolder.read(fleet, utc_datetime(epoch_us())).roster.member_by_name["d2"]
     assert after.key != before.key
     assert not after.revoked
 
 
 def test_several_are_added_renewed_and_revoked_by_one_roster_each(fleet):
     def roster() -> Roster:
-        return PkiFolder.read(fleet, utc_at(epoch_us())).roster
+        return PkiFolder.read(fleet, utc_datetime(epoch_us())).roster
 
     number = roster().number
     pki("add", "d2", "d3", "d4", "--role", "vehicle", "--days", "20")
     assert roster().number == number + 1
-    keys = {name: roster().by_name[name].key for name in ("d2", "d3", "d4")}
+    keys = {name: roster().member_by_name[name].key for name in ("d2", "d3", "d4")}
     assert len(set(keys.values())) == 3
-    assert "nobody's certificate ends within 10 days" in pki("renew", "--ending", "10")
+    assert "no certificate expires within 10 days" in pki("renew", "--ending", "10")
     said = pki("renew", "--ending", "30")
-    assert [f"carry tls.pem to {name};" in said for name in ("d1", "d2", "d3", "d4")] == [
+    assert [f"copy tls.pem to {name} " in said for name in ("d1", "d2", "d3", "d4")] == [
         *(False, True, True, True)
     ]
     assert roster().number == number + 2
-    left = {m.name: (m.not_after - utc_at(epoch_us())).days for m in roster().members}
+    left = {m.name: (m.not_after - utc_datetime(epoch_us())).days for m in roster().members}
     assert min(left.values()) >= 363
     for name, key in keys.items():
-        assert roster().by_name[name].key == key
-        assert read_identity(fleet / "members" / name).trust.roster.number == number + 2
-    assert "d3, d4 are revoked" in pki("revoke", "d3", "d4")
+        assert roster().member_by_name[name].key == key
+        assert read_and_verify_identity(fleet / "members" / name).trust.roster.number == number + 2
+    assert "revokes d3, d4" in pki("revoke", "d3", "d4")
     assert [m.name for m in roster().members if m.revoked] == ["d3", "d4"]
 
 
@@ -155,35 +155,40 @@ def two_fleets(*more: str) -> None:
 def test_fleets_of_one_operator_become_neighbours_by_one_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     two_fleets()
-    shown = pki("neighbours", "a", "b")
+    shown = pki("add", "b", "--role", "neighbour", "--pki", "a")
     given = Path("a") / "members" / "desk" / "neighbours" / "south"
     assert str(given) in shown
     assert given.stat().st_mode & 0o777 == 0o700
     assert (given / "signing.key").stat().st_mode & 0o777 == 0o600
-    theirs = read_identity(given).trust
-    assert (theirs.fleet, theirs.name, theirs.me.role) == ("south", "north", Role.NEIGHBOUR)
-    assert set(theirs.roster.by_name) == {"desk", "d1", "north"}
-    roster = PkiFolder.read(Path("a"), utc_at(epoch_us())).roster
-    assert roster.neighbours == ["south"]
-    number, key = roster.number, theirs.private
-    pki("neighbours", "a", "b")
-    again = PkiFolder.read(Path("a"), utc_at(epoch_us())).roster
-    assert (again.number, read_identity(given).trust.private) == (number, key), "nothing is new"
+    theirs = read_and_verify_identity(given).trust
+    assert (theirs.fleet, theirs.name, theirs.own_roster_entry.role) == (
+        "south",
+        "north",
+        Role.NEIGHBOUR,
+    )
+    assert set(theirs.roster.member_by_name) == {"desk", "d1", "north"}
+    roster = PkiFolder.read(Path("a"), utc_datetime(epoch_us())).roster
+    assert roster.neighbour_fleet_names == ["south"]
+    number, key = roster.number, theirs.private_key
+    pki("add", "b", "--role", "neighbour", "--pki", "a")
+    again = PkiFolder.read(Path("a"), utc_datetime(epoch_us())).roster
+    assert (again.number, read_and_verify_identity(given).trust.private_key) == (number, key), (
+        "nothing is new"
+    )
     pki("revoke", "south", "--pki", "a")
-    pki("neighbours", "a", "b")
-    assert read_identity(given).trust.private == key, "south's word for north stands"
+    pki("add", "b", "--role", "neighbour", "--pki", "a")
+    assert read_and_verify_identity(given).trust.private_key == key, "south's word for north stands"
     anew = Path("b") / "members" / "desk" / "neighbours" / "north"
-    revived = PkiFolder.read(Path("a"), utc_at(epoch_us())).roster.by_name["south"]
-    assert read_identity(anew).trust.me == revived
+    revived = PkiFolder.read(Path("a"), utc_datetime(epoch_us())).roster.member_by_name["south"]
+    assert read_and_verify_identity(anew).trust.own_roster_entry == revived
 
 
 @pytest.mark.parametrize(
     ("folders", "more", "why"),
     [
-        (["a"], (), "expected two folders"),
-        (["a", "a"], (), "expected fleets of different names"),
-        (["a", "b"], ("south",), "south is a vehicle"),
-        (["a", "c"], (), "no desk on the roster"),
+        (["a"], (), "expected fleets of different names"),
+        (["b"], ("south",), "south is a vehicle"),
+        (["c"], (), "no desk on the roster"),
     ],
 )
 def test_who_cannot_be_neighbours_is_told_why_and_nothing_is_made(
@@ -192,10 +197,10 @@ def test_who_cannot_be_neighbours_is_told_why_and_nothing_is_made(
     monkeypatch.chdir(tmp_path)
     two_fleets(*more)
     pki("init", "east", "--pki", "c")
-    result = CliRunner().invoke(app, ["pki", "neighbours", *folders])
+    result = CliRunner().invoke(app, ["pki", "add", *folders, "--role", "neighbour", "--pki", "a"])
     assert isinstance(result.exception, LeewayError)
     assert why in str(result.exception)
-    assert PkiFolder.read(Path("a"), utc_at(epoch_us())).roster.neighbours == []
+    assert PkiFolder.read(Path("a"), utc_datetime(epoch_us())).roster.neighbour_fleet_names == []
 
 
 @pytest.mark.parametrize(
@@ -203,7 +208,7 @@ def test_who_cannot_be_neighbours_is_told_why_and_nothing_is_made(
     [
         ("init harbour", "holds a fleet already"),
         ("add d1 --role vehicle", "on the roster already, as vehicle"),
-        ("add d2 --role vehicle --address a:1", "a vehicle is called by nobody"),
+        ("add d2 --role vehicle --address a:1", "a vehicle has no address"),
         ("add r1 --role router", "expected HOST:PORT"),
         ("add desk --role desk --address nowhere", "desk: "),
         ("add D2 --role vehicle", "expected 1 to 32 small letters"),

@@ -1,4 +1,4 @@
-"""Desk and driver's terminal as the processes that people start, over real zenoh; desk killed."""
+"""Desk and driver's terminal as separate processes over zenoh; the desk is killed."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from ground_station.adapters.files.plan_files import write_day_plan
+from ground_station.adapters.files.day_files import write_day_plan
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
@@ -41,6 +41,7 @@ def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
         )
 
 
+@pytest.mark.sample
 def test_a_driver_with_the_enter_key_and_a_desk_that_is_killed_bring_the_day_home(tmp_path):
     text = HARBOUR.read_text().replace('no_fly = "../sites/harbour.geojson"\n', "")
     (tmp_path / "day.toml").write_text(text)
@@ -74,7 +75,7 @@ def test_a_driver_with_the_enter_key_and_a_desk_that_is_killed_bring_the_day_hom
             truck.stdin.write("\n")
             truck.stdin.flush()
             time.sleep(0.3)
-            if not killed and day.told() == "stop-1":
+            if not killed and day.last_ordered_truck_stop() == "stop-1":
                 desk.kill()
                 desk.wait()
                 killed = True
@@ -82,7 +83,7 @@ def test_a_driver_with_the_enter_key_and_a_desk_that_is_killed_bring_the_day_hom
         assert killed
         assert desk.returncode == 0, (tmp_path / "dispatch.out").read_text()[-3000:]
         assert {row.state for row in store.orders()} == {OrderState.DELIVERED}
-        assert [visit.stop for visit in day.visits()] == ["depot", "stop-1", "depot-end"]
+        assert [visit.stop for visit in day.truck_stop_visits()] == ["depot", "stop-1", "depot-end"]
     finally:
         for process in (truck, desk):
             process.kill()

@@ -1,7 +1,7 @@
-"""A desk whose day names wind stations: what their files and words do to its launches."""
+"""A desk whose day has wind stations: effect of their files and messages on launches."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,23 +13,16 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_link import StationWindReceived
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.day import DayFilesError, WindStation
-from ground_station.core.schema.holds import ALL
+from ground_station.core.schema.holds import ALL_DRONES
 from tests.ground_station.desk.test_forecast_watch import DAYS, NEAR, Depot
-from tests.ground_station.store.test_order_store import opened
 from tests.ground_station.weather.open_meteo import START_S
 
 HEADER = "time_utc,wind_speed_mps,wind_from_deg\n"
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    with opened(f"sqlite:///{tmp_path}/desk.db") as store:
-        yield store
-
-
-@pytest.fixture
 def depot(tmp_path: Path, store: Store) -> Callable[[], Depot]:
-    """The harbour in its constant forecast of 4 m/s from 80, with two stations."""
+    """The harbour with a constant forecast of 4 m/s from 80 degrees, and two stations."""
 
     def made() -> Depot:
         data = read_day(DAYS / "harbour.toml")
@@ -41,14 +34,14 @@ def depot(tmp_path: Path, store: Store) -> Callable[[], Depot]:
         day = msgspec.structs.replace(data.day, stations=stations, wind_limit_mps=12.0)
         data = replace(data, day=day, folder=tmp_path)
         (tmp_path / "mast.csv").write_text(HEADER)
-        store.add_orders(data.orders)
+        store.add_orders_unless_conflict(data.orders)
         return Depot(store, data)
 
     return made
 
 
 def wind(site: Depot, tmp_path: Path, for_s: float, mast: float | None, pier: float | None) -> None:
-    """Both tell each five seconds; None: it is mute."""
+    """Both stations report every five seconds; None: the station is silent."""
     for _ in range(round(for_s / 5.0)):
         t_s = START_S + site.clock.t_s - 1000.0
         gust = 0.1 * ((t_s % 35.0) / 5.0 - 3.0)
@@ -71,10 +64,10 @@ def test_two_stations_over_the_limit_stop_launches_within_ten_seconds(depot, tmp
     began_s = site.clock.t_s
     for _ in range(12):
         wind(site, tmp_path, 5.0, 13.0, 13.0)
-        if ALL in site.holds():
+        if ALL_DRONES in site.holds():
             break
     assert site.clock.t_s - began_s <= 10.0
-    assert "wind aloft 1" in site.holds()[ALL]
+    assert "wind aloft 1" in site.holds()[ALL_DRONES]
     site.phase = "ready"
     wind(site, tmp_path, 30.0, 13.0, 13.0)
     assert site.wire.launches() == []
@@ -91,7 +84,7 @@ def test_one_that_lies_changes_no_launch_and_is_said(depot, tmp_path, lie):
     assert site.holds() == {}
     assert site.wire.launches() == [f"{NEAR}.1:launch1"]
     if lie:
-        assert "LOOK: station mast is not used: the forecast alone says 4.0 m/s" in site.words()
+        assert "WARNING: station mast is not used: differs from the forecast: 4.0" in site.words()
 
 
 def test_one_that_is_mute_or_writes_nonsense_is_said_and_changes_no_launch(depot, tmp_path):
@@ -102,8 +95,8 @@ def test_one_that_is_mute_or_writes_nonsense_is_said_and_changes_no_launch(depot
     wind(site, tmp_path, 180.0, None, None)
     words = site.words()
     assert words.count("time_utc = 'now'") == 1
-    assert "LOOK: station mast is not used: mute for 2 min" in words
-    assert "LOOK: station pier is not used: mute for 2 min" in words
+    assert "WARNING: station mast is not used: silent for 2 min" in words
+    assert "WARNING: station pier is not used: silent for 2 min" in words
     site.aboard(NEAR)
     site.phase = "ready"
     site.run(30.0)

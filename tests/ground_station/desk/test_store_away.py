@@ -1,4 +1,4 @@
-"""A store that is away stops nobody who flies, loses nothing, and does not end the desk."""
+"""An unreachable store stops no flight, loses no data, and does not end the desk."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from ground_station.adapters.store.database import Database, StoreError
-from ground_station.adapters.store.outage import FIRST_S, MOST_S, Outage
-from ground_station.app.desk.exchange import Exchange
+from ground_station.adapters.store.outage import FIRST_RETRY_S, MAX_RETRY_S, Outage
+from ground_station.app.desk.exchange import FleetExchange
 from ground_station.core.schema.orders import OrderState
 from tests.ground_station.desk import test_truck_dispatcher
 from tests.ground_station.desk.test_truck_dispatcher import DayTold
 
 AWAY_S = 40.0
-ENDED = Outage.ended
-IMPATIENT = partial(test_truck_dispatcher.MortalDatabase, busy_ms=1)
+ENDED = Outage.record_success_and_end_outage
+IMPATIENT = partial(test_truck_dispatcher.MortalDatabase, lock_timeout_ms=1)
 
 
 @dataclass(slots=True)
 class Gone(Outage):
-    """A store that goes away between any two of its transactions, drawn, for `AWAY_S`."""
+    """A store that becomes unreachable between transactions, at random, for `OUTAGE_S`."""
 
     rng: np.random.Generator | None = None
     share: float = 0.01
@@ -32,7 +32,7 @@ class Gone(Outage):
     times: int = 0
 
     @property
-    def is_waiting(self) -> bool:
+    def is_before_next_retry(self) -> bool:
         now_s = self.clock_s()
         if self.rng is not None and now_s > self.until_s and self.rng.random() < self.share:
             self.times, self.until_s = self.times + 1, now_s + AWAY_S
@@ -56,32 +56,35 @@ def test_a_day_whose_store_is_away_now_and_then_is_brought_home_each_order_once(
     assert set(day.states().values()) == {OrderState.DELIVERED}
     assert sorted(day.world.delivered) == sorted(day.states())
     assert day.world.on_truck == {"d1", "d2"}
-    assert sum(words.startswith("STORE AWAY") for words in day.said) > 3
-    assert "store back" in day.said
+    assert sum(words.startswith("store unreachable") for words in day.said) > 3
+    assert "store reachable again" in day.said
 
 
 def test_a_desk_that_minds_a_store_that_is_away_would_end(told, monkeypatch):
     day, _ = told
-    monkeypatch.setattr(Exchange, "store_may_be_away", lambda self: nullcontext())
+    monkeypatch.setattr(
+        FleetExchange, "suppress_and_record_store_outage", lambda self: nullcontext()
+    )
     with pytest.raises(StoreError):
         day.run()
 
 
+@pytest.mark.sample
 def test_nothing_is_sent_that_could_not_be_written(told):
     day, gone = told
     gone.rng, gone.until_s = None, float("inf")
     for _ in range(200):
         day.world.step()
-        day.desk.turn(0.0)
-    assert day.desk.exchange.away is not None
+        day.desk.run_cycle(0.0)
+    assert day.desk.exchange.store_error is not None
     assert day.world.flown == []
     gone.until_s = 0.0
     day.run()
-    assert day.desk.exchange.away is None
+    assert day.desk.exchange.store_error is None
 
 
 def test_a_store_that_can_be_read_and_not_written_is_away_until_it_can(tmp_path, monkeypatch):
-    """Another process holds the lock for ten minutes."""
+    """Another process holds the write lock for ten minutes."""
     monkeypatch.setattr(test_truck_dispatcher, "MortalDatabase", IMPATIENT)
     day = DayTold(f"sqlite:///{tmp_path}/desk.db", 3)
     day.database.outage = Outage(day.world.clock.monotonic_s)
@@ -90,26 +93,32 @@ def test_a_store_that_can_be_read_and_not_written_is_away_until_it_can(tmp_path,
         other.execute(word)
         for _ in range(seconds):
             day.world.step()
-            day.desk.turn(0.0)
+            day.desk.run_cycle(0.0)
     other.close()
     day.store.close()
-    assert sum(words.startswith("STORE AWAY") for words in day.said) == 1
-    assert day.said.count("store back") == 1
+    assert sum(words.startswith("store unreachable") for words in day.said) == 1
+    assert day.said.count("store reachable again") == 1
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["guarded", "canary"])
 def test_a_read_that_works_does_not_end_an_outage_of_writing(tmp_path, monkeypatch, guarded):
-    """The canary: it does, and the tries never grow apart."""
+    """Canary: it does end it, and the retry interval never increases."""
     if not guarded:
-        monkeypatch.setattr(Outage, "ended", lambda self, writing: ENDED(self, writing=True))
+        monkeypatch.setattr(
+            Outage,
+            "record_success_and_end_outage",
+            lambda self, is_write: ENDED(self, is_write=True),
+        )
     now_s, failures = 0.0, 0
-    database = Database(f"sqlite:///{tmp_path}/d.db", busy_ms=1, outage=Outage(lambda: now_s))
+    database = Database(
+        f"sqlite:///{tmp_path}/d.db", lock_timeout_ms=1, outage=Outage(lambda: now_s)
+    )
     other = sqlite3.connect(tmp_path / "d.db", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     assert database.outage is not None
     for _ in range(100):
         now_s += 1.0
-        if database.outage.is_waiting:
+        if database.outage.is_before_next_retry:
             continue
         with database.read() as db:
             db.exec_driver_sql("SELECT * FROM about")
@@ -118,9 +127,9 @@ def test_a_read_that_works_does_not_end_an_outage_of_writing(tmp_path, monkeypat
         failures += 1
     assert (failures < 10) is guarded
     other.execute("ROLLBACK")
-    now_s += MOST_S
-    database.try_again()
-    assert database.outage.why is None
+    now_s += MAX_RETRY_S
+    database.probe_write_after_failure()
+    assert database.outage.reason is None
     other.close()
     database.close()
 
@@ -129,21 +138,21 @@ def test_a_store_that_is_away_is_tried_again_ever_more_seldom(tmp_path: Path):
     now_s = 0.0
     outage, tried_s = Outage(lambda: now_s), []
     while now_s < 200.0:
-        if not outage.is_waiting:
+        if not outage.is_before_next_retry:
             tried_s.append(now_s)
-            outage.failed("gone")
+            outage.record_failure_and_schedule_retry("gone")
         now_s += 0.5
     waits_s = list(np.diff(tried_s))
-    assert waits_s[:5] == [FIRST_S, 2.0, 4.0, 8.0, 16.0]
-    assert set(waits_s[5:]) == {MOST_S}
-    outage.ended()
-    assert not outage.is_waiting
+    assert waits_s[:5] == [FIRST_RETRY_S, 2.0, 4.0, 8.0, 16.0]
+    assert set(waits_s[5:]) == {MAX_RETRY_S}
+    outage.record_success_and_end_outage()
+    assert not outage.is_before_next_retry
 
 
 def test_a_store_that_another_process_locks_is_away_and_nobody_waits_for_it_twice(tmp_path: Path):
     now_s = 0.0
     url = f"sqlite:///{tmp_path}/d.db"
-    database = Database(url, busy_ms=1, outage=Outage(lambda: now_s))
+    database = Database(url, lock_timeout_ms=1, outage=Outage(lambda: now_s))
     other = sqlite3.connect(tmp_path / "d.db", isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
 
@@ -155,10 +164,10 @@ def test_a_store_that_another_process_locks_is_away_and_nobody_waits_for_it_twic
         write()
     other.execute("ROLLBACK")
     with pytest.raises(StoreError, match="database is locked"):
-        write()  # it was not asked: too soon
-    now_s = FIRST_S
+        write()  # no attempt: too early
+    now_s = FIRST_RETRY_S
     write()
     assert database.outage is not None
-    assert database.outage.why is None
+    assert database.outage.reason is None
     other.close()
     database.close()

@@ -1,4 +1,4 @@
-"""A day with a truck: the real desk, killed now and then, over a world that keeps the rules."""
+"""A day with a truck: the real desk, killed at times, over a world that enforces the rules."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,10 +19,10 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.open_desk import open_truck_desk
-from ground_station.app.desk.replanner import InlineReplanner, NoPlan
+from ground_station.app.desk.replanner import NoPlan, Replanner, create_inline_planner
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
-from ground_station.core.fleet.fleet_link import CommandAnswered
+from ground_station.core.fleet.fleet_link import CommandResponse
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.day_state import DayState
@@ -43,11 +43,11 @@ def fails(data: DayData, start: DayState, seed: int, trials: int | None) -> DayP
 
 
 def ignores(*told: object) -> None:
-    """A step of the desk that is left out."""
+    """Replaces a step of the desk that is omitted."""
 
 
 class Killed(BaseException):
-    """The desk is no more, at this very moment."""
+    """The desk process dies at this point."""
 
 
 class MortalDatabase(Database):
@@ -56,16 +56,16 @@ class MortalDatabase(Database):
     def __init__(self, url: str, **more: Any) -> None:
         self.dies_in: int | None = None
         self.after = False
-        super().__init__(url, durable=False, **more)  # only this process is killed, not the machine
+        super().__init__(url, durable=False, **more)  # only this process is killed
 
     @contextmanager
-    def write(self, *, settle: bool = True) -> Iterator[sa.Connection]:
+    def write(self, *, durable: bool = True) -> Iterator[sa.Connection]:
         if self.dies_in is not None:
             self.dies_in -= 1
-        dies = self.dies_in is not None and self.dies_in <= 0  # one that undid itself: at the next
+        dies = self.dies_in is not None and self.dies_in <= 0  # after a rollback: at the next one
         if dies and not self.after:
             raise Killed
-        with super().write(settle=settle) as db:
+        with super().write(durable=durable) as db:
             yield db
         if dies:
             raise Killed
@@ -79,19 +79,19 @@ class DayTold:
         self.world = World(["d1", "d2"], self.rng, loss)
         self.database = MortalDatabase(url)
         self.store = Store(self.database, self.world.clock.epoch_us)
-        self.store.add_orders(HARBOUR.orders)
+        self.store.add_orders_unless_conflict(HARBOUR.orders)
         self.said: list[str] = []
         self.desk = self.start()
         self.deaths = 0
 
     def start(self) -> Desk:
-        """The same command again."""
+        """Start the desk again with the same command."""
         self.world.join()
-        replanner = InlineReplanner(plan=by_truck)
+        replanner = Replanner(create_inline_planner(by_truck))
         desk = open_truck_desk(
             HARBOUR, PLAN, self.store, self.world, self.said.append, self.world.clock, replanner
         )
-        desk.begin()
+        desk.start_dispatching()
         return desk
 
     @property
@@ -100,7 +100,7 @@ class DayTold:
         return self.desk.dispatcher
 
     def run(self, kill_every: int | None = None) -> None:
-        """Until the desk is done; killed about every so many transactions."""
+        """Run until the desk is done, killing it about once per `kill_every` transactions."""
         while self.world.clock.t_s < LIMIT_S:
             if kill_every is not None and self.database.dies_in is None:
                 self.database.dies_in = int(self.rng.integers(1, 2 * kill_every))
@@ -108,7 +108,7 @@ class DayTold:
             for _ in range(TURN_S):
                 self.world.step()
             try:
-                self.desk.turn(0.0)
+                self.desk.run_cycle(0.0)
             except Killed:
                 self.deaths += 1
                 self.database.dies_in = None
@@ -118,7 +118,7 @@ class DayTold:
             assert not self.world.wrong, (self.world.wrong, self.said[-15:])
             if self.desk.is_done:
                 return
-        raise AssertionError((self.dispatcher.holds, self.said[-15:]))
+        raise AssertionError((self.dispatcher.departure_blockers, self.said[-15:]))
 
     def states(self) -> dict[str, OrderState]:
         return {row.order.id: row.state for row in self.store.orders()}
@@ -137,6 +137,7 @@ def day(tmp_path: Path) -> Iterator[type[DayTold]]:
         one.store.close()
 
 
+@pytest.mark.sample
 def test_a_planned_day_is_carried_out_and_ends_with_everybody_aboard(day):
     told = day(1)
     told.run()
@@ -145,9 +146,12 @@ def test_a_planned_day_is_carried_out_and_ends_with_everybody_aboard(day):
     assert told.world.on_truck == {"d1", "d2"}
     assert told.world.driver.truck.stop == "depot-end"
     assert len(told.world.flown) == len(PLAN.sorties)
-    assert [plan.revision for plan, _ in DayStore(told.database, lambda: 1).plans()] == [0]
+    assert [
+        plan.revision for plan, _ in DayStore(told.database, lambda: 1).plans_with_reasons()
+    ] == [0]
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=1, of="seed")
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("store_url", ["sqlite", "postgresql"], indirect=True)
@@ -169,19 +173,20 @@ def test_what_comes_back_or_is_refused_goes_by_the_truck(day):
     told.world.drones["d2"].mood = "refuses"
     told.run(kill_every=40)
     assert set(told.states().values()) == {OrderState.DELIVERED}
-    assert len(DayStore(told.database, lambda: 1).plans()) > 1
+    assert len(DayStore(told.database, lambda: 1).plans_with_reasons()) > 1
 
 
+@pytest.mark.sample
 def test_a_drone_that_is_lost_costs_its_own_order_and_nothing_else(day):
     told = day(6)
     told.world.drones["d1"].mood = "lost"
-    told.dispatcher.active.params = DispatchParams(lapse_s=900.0)
+    told.dispatcher.active.params = DispatchParams(overdue_after_s=900.0)
     told.run()
-    plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
+    plans = [why for _, why in DayStore(told.database, lambda: 1).plans_with_reasons()]
     late = [why for why in plans if "s late" in why]
-    assert len(late) == 3, plans  # held up; d2 aboard; d1 given up: not while nothing is new
+    assert len(late) == 3, plans  # held up; d2 loaded; d1 given up: none without news
     states = told.states()
-    assert states.pop("H-101") is OrderState.ASSIGNED  # nobody knows what became of it
+    assert states.pop("H-101") is OrderState.ASSIGNED  # its outcome is unknown
     assert set(states.values()) == {OrderState.DELIVERED}
     assert told.world.on_truck == {"d2"}
 
@@ -198,21 +203,22 @@ def test_a_drone_that_a_pilot_lands_elsewhere_holds_the_truck_up_nowhere(day):
     assert ends == {"H-101.1": AssignmentState.RETURNED}
 
 
+@pytest.mark.sample
 def test_a_drone_that_dies_as_its_launch_is_ordered_holds_the_truck_up_until_it_cannot_fly(day):
     told = day(6)
     told.world.drones["d1"].mood = "dies at its launch"
-    told.dispatcher.active.params = DispatchParams(lapse_s=900.0)
+    told.dispatcher.active.params = DispatchParams(overdue_after_s=900.0)
     told.run()
     assert any("H-101.1: overdue" in words for words in told.said), told.said
     states = told.states()
-    assert states.pop("H-101") is OrderState.ASSIGNED  # nobody knows whether it flew
+    assert states.pop("H-101") is OrderState.ASSIGNED  # unknown whether it flew
     assert set(states.values()) == {OrderState.DELIVERED}
     assert told.world.on_truck == {"d2"}
     assert told.world.left_s[0] > 900.0, "the truck had promised it this stop"
 
 
 def by_d1_again(data: DayData, start: DayState, seed: int, trials: int | None) -> DayPlan:
-    """A planner that has d1 fly H-101 where the truck brings all else."""
+    """A planner that assigns H-101 to d1 again and all other orders to the truck."""
     plan = by_truck(data, start, seed, trials)
     here = next((stop for stop in plan.stops if "H-101" in stop.serves), None)
     if here is None:
@@ -223,9 +229,9 @@ def by_d1_again(data: DayData, start: DayState, seed: int, trials: int | None) -
 
 
 def test_a_drone_that_the_driver_takes_in_before_it_answers_its_withdrawal_is_used_again(day):
-    """It was cut off on its pad, withdrawn, switched off, and holds its mission to this moment."""
+    """It lost its link on its pad, was withdrawn and switched off, and still holds its mission."""
     told = day(6)
-    told.dispatcher.active.replanner = InlineReplanner(plan=by_d1_again)
+    told.dispatcher.active.replanner = Replanner(create_inline_planner(by_d1_again))
     told.world.drones["d1"].mood = "cut off"
     told.run()
     assert any("H-101.1: withdrawn: not ready" in words for words in told.said), told.said
@@ -233,13 +239,14 @@ def test_a_drone_that_the_driver_takes_in_before_it_answers_its_withdrawal_is_us
     assert told.world.on_truck == {"d1", "d2"}
     rows = {row.id: row for row in told.desk.store.assignments()}
     assert rows["H-101.1"].state is AssignmentState.WITHDRAWN
-    assert "the driver has it aboard" in rows["H-101.1"].why
+    assert "the driver has loaded it" in rows["H-101.1"].reason
     assert rows["H-101.2"].vehicle == "d1"
     assert "H-101.2" in told.world.flown, "it has forgotten the first one"
 
 
+@pytest.mark.sample
 def test_the_canary_a_desk_that_waits_for_its_answer_never_ends(day, monkeypatch):
-    monkeypatch.setattr("ground_station.adapters.store.order_steps._withdrawn_by_hand", ignores)
+    monkeypatch.setattr("ground_station.adapters.store.order_steps._complete_withdrawal", ignores)
     told = day(6)
     told.world.drones["d1"].mood = "cut off"
     with pytest.raises(AssertionError):
@@ -247,70 +254,76 @@ def test_the_canary_a_desk_that_waits_for_its_answer_never_ends(day, monkeypatch
     assert told.states()["H-101"] is OrderState.ASSIGNED
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("mood", ["drops unseen", "holds on"])
 def test_a_parcel_that_was_perhaps_dropped_is_looked_for_before_anybody_brings_it_again(day, mood):
     told = day(6)
     told.world.drones["d1"].mood = mood
-    told.run()  # the world minds what is brought twice
+    told.run()  # the world detects a second delivery
     assert set(told.states().values()) == {OrderState.DELIVERED}
     assert sorted(told.world.delivered) == sorted(told.states())
     again = [row for row in told.desk.store.assignments() if row.id.endswith(".2")]
     assert len(again) == (mood == "holds on")
 
 
+@pytest.mark.sample
 def test_a_truck_that_stays_too_long_has_the_homes_moved_to_it(day):
     told = day(8)
-    told.world.slow_s = {"d2": 400.0}  # to take it aboard
+    told.world.slow_s = {"d2": 400.0}  # to recover it
     told.run()
-    assert any("H-103.1: asked to land at stop-1" in words for words in told.said), told.said
-    assert any("H-103.1: its home is now stop-1" in words for words in told.said)
+    assert any("H-103.1: landing at stop-1 requested" in words for words in told.said), told.said
+    assert any("H-103.1: landing at stop-1 confirmed" in words for words in told.said)
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+@pytest.mark.sample
 def test_a_truck_does_not_wait_where_a_drone_was_asked_to_land_and_did_not(day):
-    """The flight was over before it had answered: the truck stayed bound to the stop that it had
-    asked for, and the drone stood at the other one for the rest of the day."""
+    """The flight ended before the drone accepted: the truck must not stay bound to the new stop."""
     told = day(8)
     told.world.slow_s = {"d2": 400.0}
     told.world.drones["d1"].mood = "too busy to move"
     told.run()
-    assert any("H-103.1: is down, not at stop-1" in words for words in told.said), told.said
+    assert any("H-103.1: landed, but not at stop-1" in words for words in told.said), told.said
     assert set(told.states().values()) == {OrderState.DELIVERED}
     assert told.world.on_truck == {"d1", "d2"}
 
 
+@pytest.mark.sample
 def test_who_refuses_another_home_is_not_asked_again_every_second(day):
     told = day(8)
     told.world.slow_s = {"d2": 400.0}
     told.world.drones["d1"].mood = "refuses to move"
     told.run()
-    asked = [words for words in told.said if "H-103.1: asked to land at stop-1" in words]
-    assert 1 <= len(asked) <= 1 + 200.0 / DispatchParams().ask_home_s
+    asked = [words for words in told.said if "H-103.1: landing at stop-1 requested" in words]
+    assert 1 <= len(asked) <= 1 + 200.0 / DispatchParams().home_request_interval_s
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
 @dataclass
-class SlowReplanner(InlineReplanner):
-    """On a small computer that has other things to do."""
+class SlowReplanner(Replanner):
+    """A planner on a slow, busy computer."""
 
     clock: WorldClock = field(default_factory=WorldClock)
     asked_s: float = 0.0
 
-    def ask(self, data: DayData, start: DayState) -> None:
+    def start_planning(self, data: DayData, start: DayState) -> None:
         self.asked_s = self.clock.t_s
-        InlineReplanner.ask(self, data, start)
+        Replanner.start_planning(self, data, start)
 
-    def made(self) -> DayPlan | NoPlan | None:
+    def take_finished_plan(self) -> DayPlan | NoPlan | None:
         slow = self.clock.t_s - self.asked_s < 500.0
-        return None if slow else InlineReplanner.made(self)
+        return None if slow else Replanner.take_finished_plan(self)
 
 
+@pytest.mark.sample
 def test_a_late_truck_is_planned_anew_once_however_long_it_takes_and_keeps_its_promises(day):
     told = day(9)
     told.world.driver.late_s = 400.0
-    told.dispatcher.active.replanner = SlowReplanner(plan=by_truck, clock=told.world.clock)
+    told.dispatcher.active.replanner = SlowReplanner(
+        create_inline_planner(by_truck), clock=told.world.clock
+    )
     told.run()
-    plans = [why for _, why in DayStore(told.database, lambda: 1).plans()]
+    plans = [why for _, why in DayStore(told.database, lambda: 1).plans_with_reasons()]
     assert sum("s late" in why for why in plans) == 1, plans
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
@@ -321,13 +334,15 @@ def test_wind_that_departs_from_the_forecast_is_planned_with_and_kept_through_a_
         drone.wind_ne_mps = (0.0, -14.0)
     told.run()
     kept = DayStore(told.database, lambda: 1)
-    assert any("standard deviations from the forecast" in why for _, why in kept.plans())
-    wind = kept.wind()
+    assert any(
+        "standard deviations from the forecast" in why for _, why in kept.plans_with_reasons()
+    )
+    wind = kept.measured_wind_of_last_plan()
     assert wind is not None
-    # From the east. A minute or two do not outweigh all of a forecast that was 10 m/s off.
+    # From the east. One or two minutes do not outweigh a forecast with a 10 m/s error.
     assert wind.speed_mps == pytest.approx(14.0, abs=1.5)
     assert wind.from_deg == pytest.approx(90.0, abs=3.0)
-    assert 1.0 < wind.std_mps < 4.0  # of half an hour ahead, not the forecast's own 2
+    assert 1.0 < wind.std_mps < 4.0  # half an hour later; the forecast's own is 2
     told.desk = told.start()
     assert told.dispatcher.active.data.day.forecast == wind
     assert set(told.states().values()) == {OrderState.DELIVERED}
@@ -337,46 +352,51 @@ def test_an_order_named_after_the_wind_leaves_the_forecast_alone(day):
     told = day(12)
     forecast = told.dispatcher.active.data.day.forecast
     late = msgspec.structs.replace(HARBOUR.orders[0], id="wind-1")
-    told.desk.store.add_orders([late])
+    told.desk.store.add_orders_unless_conflict([late])
     told.run()
-    assert any("wind-1 is open" in why for _, why in DayStore(told.database, lambda: 1).plans())
-    assert DayStore(told.database, lambda: 1).wind() is None
+    assert any(
+        "wind-1 is open" in why
+        for _, why in DayStore(told.database, lambda: 1).plans_with_reasons()
+    )
+    assert DayStore(told.database, lambda: 1).measured_wind_of_last_plan() is None
     assert told.dispatcher.active.data.day.forecast == forecast
 
 
+@pytest.mark.sample
 def test_a_planner_that_fails_leaves_the_old_plan_in_force_and_the_day_ends(day):
     told = day(13)
     told.world.driver.late_s = 400.0
-    told.dispatcher.active.replanner = InlineReplanner(plan=fails)
+    told.dispatcher.active.replanner = Replanner(create_inline_planner(fails))
     told.run()
-    assert any("the old one goes on" in words for words in told.said)
-    assert len(DayStore(told.database, lambda: 1).plans()) == 1
+    assert any("continuing with plan" in words for words in told.said)
+    assert len(DayStore(told.database, lambda: 1).plans_with_reasons()) == 1
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+@pytest.mark.sample
 def test_a_truck_that_has_not_heard_where_to_drive_gets_no_plan_without_that_stop(day, monkeypatch):
-    """A desk that begins just then finds it late at its old stop. Its plan began there, and the
-    truck, once it had heard, drove to a stop that no plan had: the day never ended.
+    """A desk that restarts at this moment finds the truck late at its old stop. A plan from there
+    without the ordered stop would send the truck to a stop that no plan has.
     """
     told = day(1)
     send, deaf = told.world.send, True
 
     def lose(command: Command, wait_s: float) -> None:
-        if deaf and isinstance(command.deed, Drive) and command.deed.stop == "depot-end":
-            told.world.waiting.append(CommandAnswered(command.id, None))
+        if deaf and isinstance(command.action, Drive) and command.action.stop == "depot-end":
+            told.world.waiting.append(CommandResponse(command.id, None))
         else:
             send(command, wait_s)
 
     monkeypatch.setattr(told.world, "send", lose)
-    while told.dispatcher.day.told() != "depot-end":
+    while told.dispatcher.day.last_ordered_truck_stop() != "depot-end":
         told.world.step()
-        told.desk.turn(0.0)
+        told.desk.run_cycle(0.0)
     for _ in range(400):
         told.world.step()
     told.desk = told.start()
     for _ in range(20):
         told.world.step()
-        told.desk.turn(0.0)
+        told.desk.run_cycle(0.0)
     assert told.world.driver.truck.stop == "stop-2"
     deaf = False
     told.run()
@@ -389,21 +409,24 @@ def test_a_plan_without_a_stop_that_another_desk_has_promised_meanwhile_is_not_t
     told = day(1)
     while not told.dispatcher.day.sorties():
         told.world.step()
-        told.desk.turn(0.0)
+        told.desk.run_cycle(0.0)
     for row in told.dispatcher.day.sorties():
-        left = [stop for stop in PLAN.stops if stop.id != row.promised]
+        left = [stop for stop in PLAN.stops if stop.id != row.promised_stop]
         without = msgspec.structs.replace(PLAN, revision=1, stops=left)
-        assert not told.dispatcher.day.take_plan(without, "late")
-    assert told.dispatcher.day.take_plan(msgspec.structs.replace(PLAN, revision=1), "late")
+        assert not told.dispatcher.day.try_store_active_plan(without, "late")
+    assert told.dispatcher.day.try_store_active_plan(
+        msgspec.structs.replace(PLAN, revision=1), "late"
+    )
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("off_s", [7200.0, -7200.0])
 def test_safety_rule_3_a_desk_started_again_with_a_clock_that_is_off_keeps_its_promises(day, off_s):
     told = day(14)
     drone = told.world.drones["d2"]
     while not drone.in_air or told.desk.store.outbox():
         told.world.step()
-        told.desk.turn(0.0)
+        told.desk.run_cycle(0.0)
     drone.mood, drone.flies_s = "unheard", 500.0
     told.world.clock.off_s = off_s
     told.desk = told.start()
@@ -414,23 +437,24 @@ def test_safety_rule_3_a_desk_started_again_with_a_clock_that_is_off_keeps_its_p
 
 
 @dataclass(slots=True)
-class DyingReplanner(InlineReplanner):
-    """Its process ends without an answer so many times."""
+class DyingReplanner(Replanner):
+    """A planner process that dies without a response this many times."""
 
     clock: WorldClock = field(default_factory=WorldClock)
     deaths: int = 0
     asked_s: list[float] = field(default_factory=list)
 
-    def ask(self, data: DayData, start: DayState) -> None:
+    def start_planning(self, data: DayData, start: DayState) -> None:
         self.asked_s.append(self.clock.t_s)
-        InlineReplanner.ask(self, data, start)
+        Replanner.start_planning(self, data, start)
 
-    def made(self) -> DayPlan | NoPlan | None:
-        made = InlineReplanner.made(self)
+    def take_finished_plan(self) -> DayPlan | NoPlan | None:
+        made = Replanner.take_finished_plan(self)
         dead = len(self.asked_s) <= self.deaths
-        return NoPlan("the planner's process died", again=True) if dead else made
+        return NoPlan("the planner's process died", can_retry=True) if dead else made
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("wrong", ["late", "wind"])
 def test_a_planner_that_died_is_asked_again_a_minute_later_about_the_same(day, wrong):
     told = day(13)
@@ -438,42 +462,46 @@ def test_a_planner_that_died_is_asked_again_a_minute_later_about_the_same(day, w
         told.world.driver.late_s = 400.0
     for drone in told.world.drones.values():
         drone.wind_ne_mps = (0.0, -14.0 if wrong == "wind" else 0.0)
-    dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=2)
+    dying = DyingReplanner(create_inline_planner(by_truck), clock=told.world.clock, deaths=2)
     told.dispatcher.active.replanner = dying
     told.run()
-    why = [why for _, why in DayStore(told.database, lambda: 1).plans()][1]
+    why = [why for _, why in DayStore(told.database, lambda: 1).plans_with_reasons()][1]
     assert wrong in why
     first_s, second_s, third_s = dying.asked_s[:3]
-    again_s = DispatchParams().replan_again_s
+    again_s = DispatchParams().replan_interval_s
     for between_s in (second_s - first_s, third_s - second_s):
         assert again_s <= between_s <= again_s + 4 * TURN_S
-    asked = [words for words in told.said if words == f"a new plan: {why}"]
+    asked = [words for words in told.said if words == f"replanning: {why}"]
     assert len(asked) == 3
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
+@pytest.mark.sample
 def test_a_planner_that_always_dies_is_asked_three_times_and_the_old_plan_ends_the_day(day):
     told = day(13)
     told.world.driver.late_s = 400.0
-    dying = DyingReplanner(plan=by_truck, clock=told.world.clock, deaths=1000)
+    dying = DyingReplanner(create_inline_planner(by_truck), clock=told.world.clock, deaths=1000)
     told.dispatcher.active.replanner = dying
     told.run()
-    assert len(dying.asked_s) == DispatchParams().replan_tries
-    assert sum("the old one goes on" in words for words in told.said) == 1
-    assert len(DayStore(told.database, lambda: 1).plans()) == 1
+    assert len(dying.asked_s) == DispatchParams().max_replan_attempts
+    assert sum("continuing with plan" in words for words in told.said) == 1
+    assert len(DayStore(told.database, lambda: 1).plans_with_reasons()) == 1
     assert set(told.states().values()) == {OrderState.DELIVERED}
 
 
 def test_the_canary_a_truck_that_ignores_promises_is_caught(day, monkeypatch):
     told = day(1)
-    monkeypatch.setattr(f"{CORE}.schema.sortie_rows.SortieRow.binds", lambda self, stop: None)
     monkeypatch.setattr(
-        f"{CORE}.dispatch.dispatch_rules.DispatchRules.holds", lambda self, view: []
+        f"{CORE}.schema.sortie_rows.SortieRow.binding_reason", lambda self, stop: None
+    )
+    monkeypatch.setattr(
+        f"{CORE}.dispatch.dispatch_rules.DispatchRules.departure_blockers", lambda self, view: []
     )
     with pytest.raises(AssertionError, match="the truck leaves"):
         told.run()
 
 
+@pytest.mark.sample
 def test_where_nobody_is_at_home_a_person_decides_and_a_reopened_order_is_brought(day):
     told = day(10)
     told.world.quits = {"H-108"}
@@ -482,7 +510,7 @@ def test_where_nobody_is_at_home_a_person_decides_and_a_reopened_order_is_brough
     assert states.pop("H-108") is OrderState.STUCK
     assert set(states.values()) == {OrderState.DELIVERED}
     told.world.quits = set()
-    assert told.store.move_order("H-108", (OrderState.STUCK,), OrderState.OPEN, "anna")
+    assert told.store.change_order_state("H-108", (OrderState.STUCK,), OrderState.OPEN, "anna")
     told.run()
     assert told.states()["H-108"] is OrderState.DELIVERED
 
@@ -498,11 +526,13 @@ def test_a_desk_goes_on_with_the_plan_that_another_desk_of_its_store_has_made(da
     told = day(1)
     for _ in range(20):
         told.world.step()
-        told.desk.turn(0.0)
+        told.desk.run_cycle(0.0)
     another = DayStore(told.database, told.world.clock.epoch_us)
-    assert another.take_plan(msgspec.structs.replace(PLAN, revision=1), "the other desk's")
+    assert another.try_store_active_plan(
+        msgspec.structs.replace(PLAN, revision=1), "the other desk's"
+    )
     for _ in range(10):
         told.world.step()
-        told.desk.turn(0.0)
+        told.desk.run_cycle(0.0)
     assert told.dispatcher.active.plan.revision == 1
     assert "plan 1 in force, made by another desk" in told.said

@@ -1,30 +1,28 @@
-"""Geo-zones' hours at the desk's launches, on a day that states its own hours."""
+"""Hours of geo-zones applied to the desk's launches, on a day with its own hours."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from companion.core.base.zone_times import utc_s
+from companion.core.base.zone_times import parse_utc_s
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.order_store import Store
-from ground_station.core.dispatch.zone_holds import ZoneHolds
+from ground_station.core.dispatch.zone_holds import ZoneHoldRules
 from ground_station.core.schema.day_data import DayData
 from tests.ground_station.desk.test_forecast_watch import DAYS, FAR, NEAR, Depot
-from tests.ground_station.store.test_order_store import opened
 from tests.ground_station.weather.open_meteo import START_S
 
 HERE = ("2026-07-01T12:00:00Z", "2026-07-01T13:00:00Z")
-"""The day's hours; the desk's clock begins at noon of it."""
+"""The day's hours; the desk's clock starts at noon."""
 
 
 def zone_about(
     data: DayData, order: str, low_m: float | None = None, **more: Any
 ) -> dict[str, Any]:
-    """ED-269: a circle about an order's customer."""
+    """Return an ED-269 zone: a circle around an order's customer."""
     the = next(one for one in data.orders if one.id == order)
     volume: dict[str, Any] = {
         "uomDimensions": "M",
@@ -54,15 +52,9 @@ def day_of(zones: Callable[[DayData], dict[str, Any]], **mission: Any) -> DayDat
     return replace(data, day=day, no_fly=zones(data))
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    with opened(f"sqlite:///{tmp_path}/desk.db") as store:
-        yield store
-
-
 def waiting(store: Store, data: DayData, order: str, minutes: float = 0.0) -> Depot:
-    """The desk so long after noon; d1 is ready with this order."""
-    store.add_orders(data.orders)
+    """Build the desk this many minutes after noon, with d1 ready with this order."""
+    store.add_orders_unless_conflict(data.orders)
     site = Depot(store, data)
     site.clock.t_s += 60.0 * minutes
     site.aboard(order)
@@ -71,7 +63,7 @@ def waiting(store: Store, data: DayData, order: str, minutes: float = 0.0) -> De
 
 
 def late(data: DayData) -> dict[str, Any]:
-    """In force from 13:10 to 14:00: after the day's hours."""
+    """Return a zone in force from 13:10 to 14:00, after the day's hours."""
     return zone_about(data, FAR, applicability=hours("13:10:00", "14:00:00"))
 
 
@@ -80,13 +72,13 @@ def test_a_flight_that_would_still_be_out_when_a_zone_begins_is_held_with_its_na
     site.run(30.0)
     assert site.wire.launches() == []
     why = site.holds()["d1"]
-    assert why.startswith("zone XXX0009 Fair is or comes in force while it would be out")
+    assert why.startswith("zone XXX0009 Fair is or will be in force during its flight")
     assert "until 2026-07-01 14:0" in why
-    assert f"d1: held: {why}" in site.words()
+    assert f"d1: launch hold: {why}" in site.words()
     site.clock.t_s = 1000.0 + 7200.0 + 60.0
     site.run(20.0)
     assert site.holds() == {}
-    assert f"d1: no longer held ({why})" in site.words()
+    assert f"d1: launch hold ended ({why})" in site.words()
     assert site.wire.launches() == [f"{FAR}.1:launch1"]
 
 
@@ -108,12 +100,12 @@ def held(data: DayData, highest_m: float = 40.0, clock: str = "13:09:00") -> boo
     north = (the.lat_deg - depot.lat_deg) * 111_320.0
     east = (the.lon_deg - depot.lon_deg) * 63_100.0
     way = ((0.0, 0.0), (north, east), (0.0, 0.0))
-    now_s = utc_s("", f"2026-07-01T{clock}Z")
-    return ZoneHolds(data).held(way, highest_m, 600.0, now_s) is not None
+    now_s = parse_utc_s("", f"2026-07-01T{clock}Z")
+    return ZoneHoldRules(data).find_zone_hold(way, highest_m, 600.0, now_s) is not None
 
 
 def test_floors_count_as_they_do_for_a_flight():
-    """Flown under: 8 m and 24 m for dodging over the highest flight (docs/how-to/geo-zones.md)."""
+    """Vertical margin: 8 m, and 24 m of avoidance above the flight (docs/how-to/geo-zones.md)."""
 
     def above(floor_m: float) -> Callable[[DayData], dict[str, Any]]:
         late_hours = hours("13:10:00", "14:00:00")
@@ -129,7 +121,7 @@ def test_floors_count_as_they_do_for_a_flight():
     [
         ({"restriction": "NO_RESTRICTION"}, {}),
         ({"restriction": "REQ_AUTHORISATION"}, {"authorised_zones": ["XXX0009"]}),
-        ({}, {"from_utc": None, "until_utc": None}),  # the vehicle leads its way round it
+        ({}, {"from_utc": None, "until_utc": None}),  # the vehicle plans around it
         ({"applicability": []}, {}),
         ({"applicability": hours("12:30:00", "14:00:00")}, {}),
     ],
@@ -150,7 +142,7 @@ def test_the_end_is_looked_for_through_the_week_and_a_zone_without_an_end_says_s
     endless = [{"startDateTime": "2026-07-01T13:10:00Z"}]
     data = day_of(lambda d: zone_about(d, FAR, applicability=endless))
     way = ((0.0, 0.0),)
-    found = ZoneHolds(data)
+    found = ZoneHoldRules(data)
     assert found
-    assert found.held(way, 40.0, 600.0, START_S + 4200.0) is None  # stays at the depot
+    assert found.find_zone_hold(way, 40.0, 600.0, START_S + 4200.0) is None  # stays at the depot
     assert held(data)

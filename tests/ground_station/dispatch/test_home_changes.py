@@ -1,4 +1,4 @@
-"""When a flight is asked to end where the truck stands: `DispatchRules` on hand-made days."""
+"""Requests to land where the truck waits: `DispatchRules` on hand-made days."""
 
 from dataclasses import replace
 
@@ -22,9 +22,9 @@ from tests.ground_station.hand_made_day import TWO_STOPS, flight
 
 
 def on_its_pad(row: SortieRow) -> SortieRow:
-    """The same flight, ready and not launched."""
-    ready = replace(row.row, state=AssignmentState.ABOARD)
-    return replace(row, row=ready, launched_us=None)
+    """Return the same flight, ready and not launched."""
+    ready = replace(row.assignment, state=AssignmentState.UPLOADED)
+    return replace(row, assignment=ready, launched_us=None)
 
 
 def actions(
@@ -38,20 +38,20 @@ def actions(
         makespan_s=540.0, stops=TWO_STOPS, sorties=[*(row.sortie for row in rows), *planned],
     )  # fmt: skip
     snapshot = DaySnapshot(
-        now_s=now_s, began_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
+        now_s=now_s, start_us=0, plan=plan, truck=TruckStatus(True, False, "depot"),
         drones={
             row.vehicle: DroneStatus(
                 row.vehicle, present=row.vehicle not in unheard, assignment=row.id,
-                off_ground=row.in_air, ready=not row.in_air,
+                off_ground=row.may_be_airborne, ready=not row.may_be_airborne,
             )
             for row in rows
         },
-        open=frozenset(s.order for s in planned), sorties=rows, serves=(),
+        open_orders=frozenset(s.order for s in planned), sorties=rows, truck_assignments=(),
     )  # fmt: skip
     rules = DispatchRules(
         DispatchParams(), lambda sortie, others: None, lambda sortie, charge: True
     )
-    return rules.decide(snapshot)
+    return rules.due_actions(snapshot)
 
 
 def asked(*rows: SortieRow, now_s: float, unheard: tuple[str, ...] = ()) -> list[str]:
@@ -65,14 +65,13 @@ def launched(*rows: SortieRow, now_s: float, planned: tuple[PlannedSortie, ...] 
 
 
 def test_who_would_wait_alone_is_asked_as_soon_as_it_is_known_that_the_truck_waits_for_another():
-    """d1 left at 320 s instead of 60: down here at 520, so the truck is at stop-1 not before 610;
-    d2 would stand there from 460 on."""
+    """d1 left at 320 s, not 60 s, and lands here at 520 s: the truck is at stop-1 after 610 s."""
     here, next_stop = flight("d1", "depot", 320.0, 60.0), flight("d2", "stop-1", 260.0, 260.0)
     assert asked(here, next_stop, now_s=325.0) == ["O-d2.1"]
 
 
 def test_who_is_not_heard_is_not_asked():
-    """It cannot answer, and comes down where it was promised: the truck would wait here for it."""
+    """It cannot reply and lands at its promised stop: the truck would wait here in vain."""
     here, next_stop = flight("d1", "depot", 320.0, 60.0), flight("d2", "stop-1", 260.0, 260.0)
     assert asked(here, next_stop, now_s=325.0, unheard=("d2",)) == []
 
@@ -83,14 +82,14 @@ def test_nobody_is_asked_while_all_come_as_planned():
 
 
 def test_a_truck_that_is_only_a_little_later_is_waited_for():
-    """Down at 360 s, 30 s after the planned departure: stop-1 at 450, before d2 is there."""
+    """Down at 360 s, 30 s after the planned departure: truck at stop-1 at 450 s, before d2."""
     here, next_stop = flight("d1", "depot", 160.0, 60.0), flight("d2", "stop-1", 260.0, 260.0)
     assert asked(here, next_stop, now_s=265.0) == []
 
 
 def test_nobody_is_launched_to_the_next_stop_while_the_truck_will_wait_here_for_another():
-    """d1 is only now to be launched: down at 510 s, 180 s after the planned departure; d2 would be
-    at stop-1 at 510, the truck at 600. In a town's day two had so waited alone for 80 and 130 s.
+    """d1 launches now: down at 510 s, 180 s after the planned departure. d2 would reach stop-1 at
+    510 s, the truck at 600 s, so d2 would wait there alone.
     """
     here, next_stop = flight("d1", "depot", 0.0, 60.0), flight("d2", "stop-1", 0.0, 260.0)
     both = (on_its_pad(here), on_its_pad(next_stop))
@@ -101,9 +100,9 @@ def test_nobody_is_launched_to_the_next_stop_while_the_truck_will_wait_here_for_
 
 
 def test_a_launch_waits_for_one_planned_here_but_not_where_its_drone_ends_elsewhere():
-    """d1 is to fly once more from the depot and back, down at 500 s at the soonest: it can where it
-    is promised the depot, and cannot where its home was moved to the next stop. Waited for there,
-    nothing would ever be launched any more."""
+    """d1 has another depot flight, landing after 500 s: possible if its promised stop is the depot,
+    but not if its home was moved to the next stop. Waiting then would block all launches.
+    """
     again = msgspec.structs.replace(flight("d1", "depot", 0.0, 60.0).sortie, order="O-more")
     waits = on_its_pad(flight("d2", "stop-1", 0.0, 260.0))
     comes_back, ends_elsewhere = (

@@ -1,17 +1,17 @@
-"""Where a drone is that has told of its landing: `DispatchRules` on hand-made days."""
+"""Location of a drone that has reported its landing: `DispatchRules` on hand-made days."""
 
 from dataclasses import replace
 
 import msgspec
 import pytest
 
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from ground_station.core.dispatch.day_snapshot import DaySnapshot, DroneStatus, TruckStatus
 from ground_station.core.dispatch.dispatch_actions import (
+    CancelHomeChange,
     ConfirmHomeChange,
     DeclareOffSite,
     DispatchAction,
-    ForgetHomeChange,
     RecoverDrone,
 )
 from ground_station.core.dispatch.dispatch_rules import DispatchParams, DispatchRules
@@ -35,10 +35,14 @@ def actions(
     lon_deg: float | None = None,
     landed: SortieRow = LANDED,
     truck_at: str = "depot",
-    next_pad: Place = NEXT,
+    next_pad: Location = NEXT,
 ) -> list[DispatchAction]:
-    """What is due when d1 has told of its outcome, and was last seen there."""
-    row = replace(landed, row=replace(landed.row, state=AssignmentState.DELIVERED), asked=asked)
+    """Return the actions after d1 reported its outcome and was last located there."""
+    row = replace(
+        landed,
+        assignment=replace(landed.assignment, state=AssignmentState.DELIVERED),
+        requested_stop=asked,
+    )
     row = replace(row, pads=row.pads | {"stop-1": next_pad})
     seen = DroneStatus(
         "d1",
@@ -52,13 +56,13 @@ def actions(
         makespan_s=540.0, stops=TWO_STOPS, sorties=[row.sortie],
     )  # fmt: skip
     day = DaySnapshot(
-        now_s=270.0, began_us=0, plan=plan, truck=TruckStatus(True, False, truck_at),
-        drones={"d1": seen}, open=frozenset(), sorties=(row,), serves=(),
+        now_s=270.0, start_us=0, plan=plan, truck=TruckStatus(True, False, truck_at),
+        drones={"d1": seen}, open_orders=frozenset(), sorties=(row,), truck_assignments=(),
     )  # fmt: skip
     rules = DispatchRules(
         DispatchParams(), lambda sortie, others: None, lambda sortie, charge: True
     )
-    return rules.decide(day)
+    return rules.due_actions(day)
 
 
 def test_who_is_down_at_a_stop_is_taken_in_and_who_is_down_elsewhere_is_to_be_fetched():
@@ -71,8 +75,8 @@ def test_who_is_down_at_a_stop_is_taken_in_and_who_is_down_elsewhere_is_to_be_fe
 def test_of_two_stops_with_pads_at_one_place_it_is_down_where_the_truck_stands(
     truck_at, metres_apart
 ):
-    """The day ends where it began. No receiver tells which of the two a drone came down at: a truck
-    that had gone on from the one to the other waited there for ever.
+    """The day ends at its start position. A GNSS position cannot distinguish the two stops: the
+    truck must not wait at the second for a drone that is at the first.
     """
     landed = flight("d1", "stop-1", 60.0, 60.0)
     other = msgspec.structs.replace(PAD, lat_deg=PAD.lat_deg + metres_apart / 111_195.0)
@@ -82,11 +86,11 @@ def test_of_two_stops_with_pads_at_one_place_it_is_down_where_the_truck_stands(
 
 @pytest.mark.parametrize("lat_deg", [PAD.lat_deg, FAR_LAT_DEG])
 def test_a_state_of_before_the_landing_is_no_place_to_judge_by(lat_deg):
-    """The outcome was heard, the next state was lost: the truck waits for the one after it. A truck
-    that took the last place in the air for the end drove off without its drone.
+    """The outcome was received but the next state was lost: the truck waits for the following
+    state. The last airborne position is not the landing position.
     """
     due = actions(lat_deg, assignment=LANDED.id)
-    assert due == []  # nor does the truck drive
+    assert due == []  # the truck does not drive either
 
 
 def test_who_is_not_heard_any_more_is_looked_for_where_it_was_promised():
@@ -96,10 +100,10 @@ def test_who_is_not_heard_any_more_is_looked_for_where_it_was_promised():
 
 
 def test_where_a_flight_ended_tells_whether_it_had_taken_the_home_that_it_was_asked_for():
-    """It is at one, at the other, or not heard."""
+    """It is at the requested stop, at its former home, or not received."""
     at_asked = actions(NEXT.lat_deg, lon_deg=NEXT.lon_deg, assignment=None, asked="stop-1")
     assert at_asked == [ConfirmHomeChange(LANDED.id, "stop-1")]
     at_home = actions(PAD.lat_deg, assignment=None, asked="stop-1")
-    assert at_home == [ForgetHomeChange(LANDED.id, "stop-1")]
+    assert at_home == [CancelHomeChange(LANDED.id, "stop-1")]
     unheard = actions(FAR_LAT_DEG, assignment=LANDED.id, present=False, asked="stop-1")
-    assert unheard == [ForgetHomeChange(LANDED.id, "stop-1")]
+    assert unheard == [CancelHomeChange(LANDED.id, "stop-1")]

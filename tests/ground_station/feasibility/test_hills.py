@@ -1,4 +1,4 @@
-"""Sorties over hills: heights against made ground, energies against the companion's plan."""
+"""Sorties over hills: heights against analytic terrain, energies against the companion's plan."""
 
 import math
 from itertools import product
@@ -8,35 +8,40 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.core.base.geo import ObstacleMap, place_ned
-from companion.core.base.place import Place
-from companion.core.mission.flight_plan import frame_at
+from companion.core.base.geo import ObstacleMap, location_to_ground_ned_m
+from companion.core.base.location import Location
+from companion.core.mission.flight_plan import depot_frame
 from ground_station.adapters.files.day_files import read_day
-from ground_station.app.planning.flight_estimate import StatedWind, estimate_flight
-from ground_station.core.dispatch.flight_tables import delivery_table
+from ground_station.app.planning.flight_estimate import CruiseWind, estimate_flight
+from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from ground_station.core.feasibility.hills import Hills, hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
-from ground_station.core.feasibility.reach import Feasible, Infeasible, Reach, day_energy
-from ground_station.core.feasibility.sortie_model import WindSorties
+from ground_station.core.feasibility.reach import (
+    Feasible,
+    Infeasible,
+    SortieFeasibility,
+    route_energy_model_for_day,
+)
+from ground_station.core.feasibility.sortie_model import WindSortieModel
 from ground_station.core.schema.day import Day, Forecast
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.orders import Order, place_of
+from ground_station.core.schema.orders import Order, order_location
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
-DEPOT = Place(lat_deg=47.2, lon_deg=9.3, alt_amsl_m=400.0)
+DEPOT = Location(lat_deg=47.2, lon_deg=9.3, alt_amsl_m=400.0)
 CLEARANCE_M, SPARE_M = 20.0, 8.0
-"""The mission's default, and what plans keep beside it (docs/how-to/fly-over-ground.md)."""
+"""The mission's default, and the planner's margin (docs/how-to/fly-over-ground.md)."""
 RIDGE_M = 150.0
 CALM = Forecast()
 
 
 def ground_m(north_m, east_m):
-    """A ridge 600 m east of the depot that runs north, above the depot's ground."""
+    """Height above the depot: a ridge 600 m east of it that runs north."""
     return RIDGE_M * np.exp(-(((east_m - 600.0) / 120.0) ** 2)) * np.exp(-((north_m / 1500.0) ** 2))
 
 
-def made(depot: Place = DEPOT, hole: bool = False) -> SiteElevation:
-    """That ground on a lattice of one second of arc, 2 km about the depot."""
+def made(depot: Location = DEPOT, hole: bool = False) -> SiteElevation:
+    """Sample that terrain on a grid of one arc second, 2 km around the depot."""
     lat = depot.lat_deg + np.arange(-65, 66) / 3600.0
     lon = depot.lon_deg + np.arange(-95, 96) / 3600.0
     north = (lat - depot.lat_deg) * 111_200.0
@@ -49,7 +54,7 @@ def made(depot: Place = DEPOT, hole: bool = False) -> SiteElevation:
 
 def least(a, b, hole: bool = False) -> float:
     hills = Hills(made(hole=hole), DEPOT, CLEARANCE_M)
-    (found,) = hills.least_height_m(np.array([a]), np.array([b]))
+    (found,) = hills.min_flight_height_above_depot_m(np.array([a]), np.array([b]))
     return float(found)
 
 
@@ -69,14 +74,14 @@ def test_a_line_is_flown_at_the_clearance_over_the_highest_ground_beside_it(a, b
     under = float(ground_m(north, east).max())
     about = max(float(ground_m(north + n, east + e).max()) for n, e in around)
     found = least(a, b) - CLEARANCE_M - SPARE_M
-    assert under - 1.0 <= found <= about + 0.1  # a lattice of 21 to 31 m misses the ridge by 0.9 m
+    assert under - 1.0 <= found <= about + 0.1  # a 21 to 31 m grid misses the ridge by 0.9 m
 
 
 def test_lines_are_judged_each_by_itself_and_both_ways_alike():
     hills = Hills(made(), DEPOT, CLEARANCE_M)
     a = np.array([(0.0, 0.0), (0.0, 0.0), (0.0, 1200.0)])
     b = np.array([(0.0, 1200.0), (200.0, -900.0), (0.0, 0.0)])
-    over, away, back = hills.least_height_m(a, b)
+    over, away, back = hills.min_flight_height_above_depot_m(a, b)
     assert over == back == pytest.approx(RIDGE_M + CLEARANCE_M + SPARE_M, abs=1.0)
     assert away < 0.2 * over
 
@@ -102,22 +107,24 @@ def order_at(north_m: float, east_m: float, kg: float = 0.3) -> Order:
 
 
 def planned_wh(tmp_path: Path, elevation: SiteElevation | None, order: Order) -> float:
-    """Energy of the delivery by the companion's own planner, in calm air."""
+    """Return the delivery's energy by the companion's own planner, in calm air."""
     day = hilly_day()
-    table = delivery_table(day, day.drones[0], order, elevation)
+    table = depot_delivery_flight_table(day, day.drones[0], order, elevation)
     file = tmp_path / "flight.toml"
     file.write_bytes(msgspec.toml.encode(table))
-    return estimate_flight(file, StatedWind(0.0, 0.0, 1.0), 1.0).planned.plan.energy_wh
+    return estimate_flight(file, CruiseWind(0.0, 0.0, 1.0), 1.0).planned.plan.energy_wh
 
 
 def priced_wh(elevation: SiteElevation | None, order: Order) -> float:
     day = hilly_day()
     drone = day.drones[0]
     airframe = DAY.airframes[drone.airframe]
-    energy = day_energy(day, airframe)
-    reach = Reach(drone, airframe, day.mission, day.forecast, energy, hills_of(day, elevation))
-    customer = place_ned(frame_at(day.depot.place), place_of(order))
-    return reach.need(order.mass_kg, (0.0, 0.0, 0.0), customer, (0.0, 0.0, 0.0)).mean_wh
+    energy = route_energy_model_for_day(day, airframe)
+    reach = SortieFeasibility(
+        drone, airframe, day.mission, day.forecast, energy, hills_of(day, elevation)
+    )
+    customer = location_to_ground_ned_m(depot_frame(day.depot.location), order_location(order))
+    return reach.sortie_need(order.mass_kg, (0.0, 0.0, 0.0), customer, (0.0, 0.0, 0.0)).mean_wh
 
 
 def test_climbs_cost_at_the_desk_what_the_companions_plan_says(tmp_path):
@@ -131,6 +138,7 @@ def test_climbs_cost_at_the_desk_what_the_companions_plan_says(tmp_path):
     assert hilly - flat == pytest.approx(own_hilly - own_flat, rel=0.12)
 
 
+@pytest.mark.sample
 def test_what_the_tables_allow_over_hills_reach_allows():
     day = hilly_day(Forecast(speed_mps=6.0, from_deg=215.0, std_mps=2.0))
     drone, elevation = day.drones[0], made()
@@ -142,11 +150,16 @@ def test_what_the_tables_allow_over_hills_reach_allows():
     ned_m = np.column_stack([ne, -ground_m(ne[:, 0], ne[:, 1])])
     payload_kg = rng.uniform(0.0, 1.0, count)
     height_m = np.full(count, day.mission.cruise_height_m + 24.0)
-    reach = Reach(drone, airframe, day.mission, day.forecast, day_energy(day, airframe), hills)
+    reach = SortieFeasibility(
+        drone, airframe, day.mission, day.forecast, route_energy_model_for_day(day, airframe), hills
+    )
     ways = ObstacleRoutes(ObstacleMap((), 15.0, 8.0), ned_m[:, :2], 40.0)
-    flat = Reach(drone, airframe, day.mission, day.forecast, day_energy(day, airframe))
+    flat = SortieFeasibility(
+        drone, airframe, day.mission, day.forecast, route_energy_model_for_day(day, airframe)
+    )
     legs, level = (
-        WindSorties(ned_m, payload_kg, height_m, [one], ways).legs(0) for one in (reach, flat)
+        WindSortieModel(ned_m, payload_kg, height_m, [one], ways).leg_tables(0)
+        for one in (reach, flat)
     )
     assert (legs.out_s >= level.out_s).all()
     assert (legs.out_s > level.out_s + 10.0).any()
@@ -156,8 +169,8 @@ def test_what_the_tables_allow_over_hills_reach_allows():
             continue
         asked = (float(payload_kg[j]), places[i], places[j], places[k], float(height_m[j]))
         table = legs.out_hover_s[i, j] + legs.back_hover_s[j, k] <= legs.endurance_hover_s
-        assert reach.affordable(*asked) is not None or not table, (i, j, k)
-        need = reach.need(*asked)
+        assert reach.sortie_need_if_feasible(*asked) is not None or not table, (i, j, k)
+        need = reach.sortie_need(*asked)
         if need.flyable:
             assert legs.out_s[i, j] + legs.back_s[j, k] == pytest.approx(need.time_s, rel=0.02)
 
@@ -166,22 +179,22 @@ def test_an_order_behind_the_ridge_is_refused_with_a_charge_that_does_on_level_g
     day, order = hilly_day(), order_at(0.0, 1500.0, 0.5)
     drone = day.drones[0]
     airframe = DAY.airframes[drone.airframe]
-    customer = place_ned(frame_at(day.depot.place), place_of(order))
+    customer = location_to_ground_ned_m(depot_frame(day.depot.location), order_location(order))
     level, ridge = (
-        Reach(
+        SortieFeasibility(
             drone,
             airframe,
             day.mission,
             day.forecast,
-            day_energy(day, airframe),
+            route_energy_model_for_day(day, airframe),
             hills_of(day, elevation),
         )
         for elevation in (None, made())
     )
     told = [
         (
-            level.can_bring(0.5, customer, charge_frac=c),
-            ridge.can_bring(0.5, customer, charge_frac=c),
+            level.check_delivery(0.5, customer, charge_frac=c),
+            ridge.check_delivery(0.5, customer, charge_frac=c),
         )
         for c in np.linspace(0.2, 1.0, 33)
     ]

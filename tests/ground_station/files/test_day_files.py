@@ -1,4 +1,4 @@
-"""The day's data: read whole, or refused with everything that is wrong at once."""
+"""The day's data: read completely, or rejected with all errors at once."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.day_files import DayData, read_day, read_orders
-from ground_station.app.cli.order import app as order_app
+from ground_station.app.cli.main import app
 from ground_station.core.schema.day import DayFilesError
 from ground_station.core.schema.orders import Service
 
@@ -39,7 +39,7 @@ def test_the_shipped_day_is_read_and_its_empty_heights_follow_the_terrain(harbou
     assert first.alt_amsl_m == pytest.approx(12.0 + 0.005 * 632.0, abs=0.02)
     assert (second.alt_amsl_m, second.service) == (11.0, Service.DRONE)
     assert harbour.no_fly is not None
-    assert harbour.roads_s is None
+    assert harbour.road_times_s is None
 
 
 def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
@@ -60,8 +60,8 @@ def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
         "orders.csv, row 3, column lon_deg: 'eight': expected a number from -180 to 180",
         "orders.csv, row 3, column service: 'ship': expected any, drone or truck",
         "orders.csv, row 5, column mass_kg: 'nan': expected a number from 0 to 500",
-        "orders.csv, row 7, column alt_amsl_m: empty, and the day's depot states no terrain,"
-        " nor the day elevation",
+        "orders.csv, row 7, column alt_amsl_m: empty, expected the ground's height above sea level,"
+        " m (only a day can supply it)",
         "orders.csv, row 9, column mass_kg: '-1': expected a number from 0 to 500",
         "orders.csv, row 9, column id: 'f g': expected 1 to 40 letters, digits, '.', '_' or '-'",
     ]
@@ -282,18 +282,24 @@ def test_taking_a_days_orders_lists_what_no_drone_can_bring_and_what_would_help(
     (tmp_path / "orders.csv").write_text(orders + "H-900,55.60,8.45,12,0.5,drone,\n")
     text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
     (tmp_path / "day.toml").write_text(text.replace("no_fly =", "# no_fly ="))
-    taking = ["import", str(tmp_path / "day.toml"), "--store", f"sqlite:///{tmp_path}/d.db"]
+    taking = [
+        "order",
+        "import",
+        str(tmp_path / "day.toml"),
+        "--store",
+        f"sqlite:///{tmp_path}/d.db",
+    ]
     runner = CliRunner(env={"COLUMNS": "160"})
-    done = runner.invoke(order_app, taking)
+    done = runner.invoke(app, taking)
     assert done.exit_code == 0, done.output
-    assert "9 orders taken" in done.output
+    assert "9 orders imported" in done.output
     far, heavy = (next(x for x in done.output.splitlines() if n in x) for n in ("H-900", "H-105"))
     assert "Wh short" in far
     assert "within" in far
     assert "the truck" in heavy
     assert "H-101" not in done.output
-    again = runner.invoke(order_app, taking)
-    assert "0 orders taken, 9 known before" in again.output
+    again = runner.invoke(app, taking)
+    assert "0 orders imported, 9 imported before" in again.output
 
 
 def test_a_road_matrix_gives_seconds_each_way(tmp_path):
@@ -302,6 +308,6 @@ def test_a_road_matrix_gives_seconds_each_way(tmp_path):
     text = HARBOUR.read_text().replace("harbour_orders.csv", "orders.csv")
     text = text.replace("no_fly =", "roads = 'roads.csv' #")
     (tmp_path / "day.toml").write_text(text)
-    roads = read_day(tmp_path / "day.toml").roads_s
+    roads = read_day(tmp_path / "day.toml").road_times_s
     assert roads is not None
     assert (roads["depot", "a"], roads["a", "depot"]) == (60.0, 75.0)

@@ -1,4 +1,4 @@
-"""Elevation tiles as Copernicus and SRTM publish them, made with rasterio itself."""
+"""Elevation tiles in the formats of Copernicus and SRTM, written with rasterio."""
 
 import math
 from pathlib import Path
@@ -9,31 +9,31 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import moved_deg
-from companion.core.base.place import Place
+from companion.core.base.geo import offset_position_deg
+from companion.core.base.location import Location
 from companion.core.ground.ground_strip import GroundStrip
 from companion.core.mission.flight_file import Flight
-from companion.fleet.messages import LARGEST_BYTES, Assign
+from companion.fleet.messages import MAX_MESSAGE_BYTES, Assign
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.elevation import read_elevation
-from ground_station.adapters.files.params import read_flight
+from ground_station.adapters.files.params import read_flight_with_terrain_heights
 from ground_station.app.cli.main import app
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.dispatch.flight_tables import delivery_table
+from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from ground_station.core.schema.day import DayFilesError
 from ground_station.core.schema.elevation import SiteElevation
 
 rasterio = pytest.importorskip("rasterio")
-# Of rasterio 1.4 with affine 3.
+# Deprecation in rasterio 1.4 with affine 3.
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 
-LAT_DEG, LON_DEG = 55.999, 8.4  # beside the edge of two tiles of one degree
+LAT_DEG, LON_DEG = 55.999, 8.4  # near the edge of two tiles of one degree
 SECONDS = 1.0 / 3600.0
 ROOT = Path(__file__).parents[3]
 
 
 def plane_m(lat_deg: np.ndarray, lon_deg: np.ndarray) -> np.ndarray:
-    """Bilinear interpolation gives a plane back exactly."""
+    """Return a plane, which bilinear interpolation reproduces exactly."""
     return 50.0 + 4000.0 * (lat_deg - 56.0) + 2000.0 * (lon_deg - 8.4)
 
 
@@ -49,8 +49,8 @@ def write_tile(
     driver: str = "GTiff",
     height: float | None = None,
 ) -> Path:
-    """A part of a GLO-30 tile: points on whole seconds of latitude, the southern edge left to the
-    tile below, 1.5 seconds of longitude beyond 50 degrees north.
+    """Write part of a GLO-30 tile: points on whole seconds of latitude, the southern edge in the
+    tile below, and 1.5 seconds of longitude beyond 50 degrees north.
     """
     columns = 400
     top, left = south_deg + rows * SECONDS, 8.3
@@ -90,27 +90,29 @@ def test_heights_are_the_planes_on_both_sides_of_a_tiles_edge_and_on_it(tiles):
     elevation = read_elevation(tiles, LAT_DEG, LON_DEG, 3000.0)
     lat, lon = near(elevation)
     assert (lat > 56.0).sum() > 50 < (lat < 56.0).sum()
-    np.testing.assert_allclose(elevation.at(lat, lon), plane_m(lat, lon), atol=0.01)
+    np.testing.assert_allclose(elevation.heights_amsl_at(lat, lon), plane_m(lat, lon), atol=0.01)
     edge = np.full(5, 56.0) + SECONDS * np.linspace(0.0, 1.0, 5)
     there = np.full(5, LON_DEG)
-    np.testing.assert_allclose(elevation.at(edge, there), plane_m(edge, there), atol=0.01)
-    assert elevation.datum == "EGM2008, as Copernicus GLO-30 states; the tile does not"
+    np.testing.assert_allclose(
+        elevation.heights_amsl_at(edge, there), plane_m(edge, there), atol=0.01
+    )
+    assert elevation.datum == "EGM2008, documented by Copernicus GLO-30, not in the tile"
 
 
 def test_a_strip_is_the_same_ground_about_the_depot_and_fits_a_command(tiles):
     elevation = read_elevation(tiles, LAT_DEG, LON_DEG, 6000.0)
-    depot = Place(lat_deg=LAT_DEG, lon_deg=LON_DEG, alt_amsl_m=46.0)
-    customer = Place(name="c", north_m=900.0, east_m=1300.0)
-    table = elevation.strip(depot, [customer])
+    depot = Location(lat_deg=LAT_DEG, lon_deg=LON_DEG, alt_amsl_m=46.0)
+    customer = Location(name="c", north_m=900.0, east_m=1300.0)
+    table = elevation.ground_table_along_route(depot, [customer])
     strip = GroundStrip(table)
     rng = np.random.default_rng(2)
     places = rng.uniform(0.0, 1.0, (100, 1)) * (900.0, 1300.0) + rng.uniform(-200, 200, (100, 2))
-    lat, lon = moved_deg(LAT_DEG, LON_DEG, places[:, 0], places[:, 1])
-    np.testing.assert_allclose(strip.up_m(places), plane_m(lat, lon) - 46.0, atol=0.06)
-    assert len(msgspec.json.encode(table)) < 20_000 < LARGEST_BYTES["command"]
-    far = [customer, Place(name="far", north_m=-40000.0, east_m=9000.0)]
+    lat, lon = offset_position_deg(LAT_DEG, LON_DEG, places[:, 0], places[:, 1])
+    np.testing.assert_allclose(strip.ground_heights_m(places), plane_m(lat, lon) - 46.0, atol=0.06)
+    assert len(msgspec.json.encode(table)) < 20_000 < MAX_MESSAGE_BYTES["command"]
+    far = [customer, Location(name="far", north_m=-40000.0, east_m=9000.0)]
     with pytest.raises(LeewayError, match="at most 60000 in all"):
-        elevation.strip(depot, far)
+        elevation.ground_table_along_route(depot, far)
 
 
 def test_the_vertical_datum_is_the_crss_where_that_names_one(tmp_path):
@@ -126,9 +128,9 @@ def test_srtms_own_format_is_read_and_its_voids_are_unknown(tmp_path):
     path = tmp_path / "N55E008.hgt"
     path.write_bytes(heights.tobytes())
     elevation = read_elevation([path], 55.5, 8.5, 3000.0)
-    assert elevation.datum == "EGM96, as SRTM states; the tile does not"
-    assert elevation.at_place(55.5, 8.5) is None
-    assert elevation.at_place(55.51, 8.5) == pytest.approx(300.0)
+    assert elevation.datum == "EGM96, documented by SRTM, not in the tile"
+    assert elevation.height_amsl_at(55.5, 8.5) is None
+    assert elevation.height_amsl_at(55.51, 8.5) == pytest.approx(300.0)
 
 
 def test_nodata_is_unknown_and_a_sea_of_zero_is_ground(tmp_path):
@@ -137,9 +139,9 @@ def test_nodata_is_unknown_and_a_sea_of_zero_is_ground(tmp_path):
     known = np.isfinite(elevation.amsl_m).sum(), np.isnan(elevation.amsl_m).sum()
     assert known[1] > 0 < known[0]
     at = (55.98 + 90 * SECONDS, 8.3 + 240 * 1.5 * SECONDS)
-    assert elevation.at_place(*at) is None
+    assert elevation.height_amsl_at(*at) is None
     sea = write_tile(tmp_path / "s.tif", 55.98, height=0.0)
-    assert read_elevation([sea], LAT_DEG, LON_DEG, 500.0).at_place(LAT_DEG, LON_DEG) == 0.0
+    assert read_elevation([sea], LAT_DEG, LON_DEG, 500.0).height_amsl_at(LAT_DEG, LON_DEG) == 0.0
 
 
 def torn(path: Path) -> Path:
@@ -159,7 +161,7 @@ def no_raster(path: Path) -> Path:
         (lambda p: write_tile(p, 55.98, crs=None), "no CRS, expected EPSG:4326"),
         (lambda p: write_tile(p, 55.98, crs="EPSG:32632"), "CRS EPSG:32632, expected EPSG:4326"),
         (lambda p: write_tile(p, 54.0), "55.99900, 8.40000 is outside all tiles (t.tif)"),
-        (torn, "torn or unreadable"),
+        (torn, "damaged or unreadable"),
         (no_raster, "not a raster"),
         (lambda p: p, "no such file"),
     ],
@@ -194,18 +196,20 @@ def test_an_order_without_a_height_gets_the_tiles_and_each_flight_its_strip(tmp_
     heights = [order.alt_amsl_m for order in data.orders]
     assert heights == [pytest.approx(50.0 + 20.0 + 20.0, abs=0.06), 61.0]
     assigner = DepotAssigner(data.day, data.airframes, data.elevation)
-    table = assigner.flight_of(data.orders[0], "d1", layer=2)
+    table = assigner.flight_table(data.orders[0], "d1", layer=2)
     command = msgspec.json.encode(Assign(assignment="a", order="o1", flight=table))
-    assert len(command) < LARGEST_BYTES["command"]
+    assert len(command) < MAX_MESSAGE_BYTES["command"]
     flight = msgspec.convert(msgspec.json.decode(command)["flight"], Flight)
     assert flight.site.terrain.heights is not None
     customer = GroundStrip(flight.site.terrain.heights)
     lat, lon = math.radians(56.005 - 55.999), math.radians(0.01)
     north, east = 6_367_000.0 * lat, 6_390_000.0 * lon * math.cos(math.radians(56.0))
-    assert customer.up_at_m((north, east, 0.0)) == pytest.approx(heights[0] - 46.0, abs=0.3)
-    # A higher layer keeps as much more over the ground.
+    assert customer.ground_height_below_m((north, east, 0.0)) == pytest.approx(
+        heights[0] - 46.0, abs=0.3
+    )
+    # A higher layer adds its height to the ground clearance.
     assert flight.mission.clearance_m == 20.0 + 2 * 12.0
-    level = delivery_table(data.day, data.day.drones[0], data.orders[0])
+    level = depot_delivery_flight_table(data.day, data.day.drones[0], data.orders[0])
     assert "terrain" not in level["site"]
     assert "clearance_m" not in level["mission"]
 
@@ -232,8 +236,10 @@ customer = { name = "c", north_m = 300.0, east_m = 300.0, up_m = 20.0 }
     assert done.exit_code == 0, done.output
     assert "EGM2008" in done.output
     # 300 m north and 300 m east of the plane: 10.8 m and 9.6 m higher.
-    assert "c: ground 20.4 m above the depot's as stated, the file has 20" in done.output
+    assert "c: above the depot's ground: tiles 20.4 m, flight file 20 m" in done.output
     flight.write_text(site + 'terrain = { kind = "grid", grid = "g.csv" }\n')
-    heights = read_flight(flight).site.terrain.heights
+    heights = read_flight_with_terrain_heights(flight).site.terrain.heights
     assert heights is not None
-    assert GroundStrip(heights).up_at_m((300.0, 300.0, 0.0)) == pytest.approx(20.4, abs=0.1)
+    assert GroundStrip(heights).ground_height_below_m((300.0, 300.0, 0.0)) == pytest.approx(
+        20.4, abs=0.1
+    )

@@ -1,4 +1,4 @@
-"""A day among geo-zones: the planner's obstacles, the flights' terms, and mistakes by row."""
+"""A day among geo-zones: planner obstacles, flight settings, and errors by row."""
 
 import json
 import shutil
@@ -9,7 +9,7 @@ import pytest
 
 from ground_station.adapters.files.day_files import read_day
 from ground_station.app.map.site_shown import site_shown
-from ground_station.core.dispatch.flight_tables import delivery_table
+from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day import DayFilesError
 from ground_station.core.schema.day_data import DayData
@@ -19,7 +19,7 @@ HOURS = 'from_utc = "2026-05-01T{}:00:00Z"\nuntil_utc = "2026-05-01T{}:00:00Z"\n
 
 
 def day(folder: Path, zones: str | dict[str, Any], mission: str = "") -> DayData:
-    """A small day that names a zone file."""
+    """Read a small day with a zone file."""
     text = zones if isinstance(zones, str) else json.dumps(zones)
     (folder / "zones.json").write_text(text)
     (folder / "day.toml").write_text(
@@ -47,7 +47,7 @@ def test_a_day_keeps_out_of_zones_of_its_hours(tmp_path: Path) -> None:
 
 def test_a_zone_in_the_air_counts_from_the_ground_and_leave_opens_it(tmp_path: Path) -> None:
     closed = day(tmp_path, example("ed318.json"))
-    assert len(obstacle_map(closed).grown_at(0.0)) == 1
+    assert len(obstacle_map(closed).buffered_outlines_at(0.0)) == 1
     opened = day(tmp_path, example("ed318.json"), 'authorised_zones = ["XXX0002"]\n')
     assert not obstacle_map(opened).obstacles
 
@@ -56,7 +56,7 @@ def test_every_flight_carries_the_days_terms_and_none_where_none_are_stated(tmp_
     mission = HOURS.format("12", "13") + 'authorised_zones = ["XXX0002"]\n'
     for words, keys in ((mission, {"authorised_zones", "from_utc", "until_utc"}), ("", set())):
         data = day(tmp_path, example("ed318.json"), words)
-        table = delivery_table(data.day, data.day.drones[0], data.orders[0])["mission"]
+        table = depot_delivery_flight_table(data.day, data.day.drones[0], data.orders[0])["mission"]
         assert {"authorised_zones", "from_utc", "until_utc"} & table.keys() == keys
 
 
@@ -66,7 +66,7 @@ def test_wrong_zones_are_named_by_file_and_row_all_at_once(tmp_path: Path) -> No
     document["features"] += [good | {"restriction": "MAYBE"}, good | {"identifier": ""}]
     with pytest.raises(DayFilesError) as caught:
         day(tmp_path, document)
-    assert [(p.row, p.words.split(":")[0]) for p in caught.value.problems] == [
+    assert [(p.row, p.text.split(":")[0]) for p in caught.value.problems] == [
         (2, "zone XXX0001"),
         (3, "identifier = ''"),
     ]

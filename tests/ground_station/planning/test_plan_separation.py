@@ -1,4 +1,4 @@
-"""Safety rule 7, checked by geometry of our own: sampled flights with delays and turn-backs."""
+"""Safety rule 7, checked by separate geometry: sampled flights with delays and turn-backs."""
 
 import itertools
 import math
@@ -8,16 +8,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.core.base.place import Place
+from companion.core.base.location import Location
 from ground_station.adapters.files.day_files import read_day
-from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict
+from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict_reason
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
-from ground_station.core.schema.day_state import first_state
+from ground_station.core.schema.day_state import initial_state
 
-pytestmark = pytest.mark.usefixtures("compiled_planner")
+pytestmark = [pytest.mark.sample, pytest.mark.usefixtures("compiled_planner")]
 
 TOWN = Path(__file__).parents[3] / "params" / "days" / "town.toml"
 LATE_S = 30.0
@@ -31,11 +31,11 @@ def town() -> DayData:
 
 @pytest.fixture(scope="module")
 def plan(town) -> DayPlan:
-    return plan_day(town, first_state(town), PlanParams(trials=4_000))
+    return plan_day(town, initial_state(town), PlanParams(trials=4_000))
 
 
 class OwnGeometry:
-    """Metres about the depot on a sphere, heights above the depot; flights as polylines in time."""
+    """Metres around the depot on a sphere, heights above it; flights as polylines over time."""
 
     def __init__(self, data: DayData, plan: DayPlan) -> None:
         self.data, self.plan = data, plan
@@ -49,16 +49,16 @@ class OwnGeometry:
         return np.array([METRES_PER_DEGREE * east, METRES_PER_DEGREE * north, up_m])
 
     def pad(self, sortie: PlannedSortie, stop: str) -> np.ndarray:
-        return self.place(self.plan.stop(stop).pads[sortie.vehicle])
+        return self.place(self.plan.get_stop(stop).pads[sortie.vehicle])
 
-    def place(self, place: Place) -> np.ndarray:
+    def place(self, place: Location) -> np.ndarray:
         assert place.lat_deg is not None
         assert place.lon_deg is not None
         assert place.alt_amsl_m is not None
         return self.enu(place.lat_deg, place.lon_deg, place.alt_amsl_m)
 
     def flight(self, sortie: PlannedSortie, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-        """Times and places of the corners: on time or late, to the customer or turned back."""
+        """Return times and positions of the corners: on time or late, complete or turned back."""
         order = self.orders[sortie.order]
         start, home = self.pad(sortie, sortie.launch), self.pad(sortie, sortie.home)
         customer = self.enu(order.lat_deg, order.lon_deg, order.alt_amsl_m)
@@ -82,7 +82,7 @@ def at(point: np.ndarray, up_m: float) -> np.ndarray:
 
 
 def nearest_m(geometry: OwnGeometry, rng: np.random.Generator) -> float:
-    """The least distance between two that are in the air, sampled each half second."""
+    """Return the least distance between two airborne drones, sampled every half second."""
     flights = [geometry.flight(sortie, rng) for sortie in geometry.plan.sorties]
     least_m = math.inf
     for (a_s, a), (b_s, b) in itertools.combinations(flights, 2):
@@ -178,5 +178,5 @@ def volume(
     ],
 )
 def test_who_may_be_in_the_air_with_a_drone_that_flies_north_at_40_metres(other, reason):
-    said = launch_conflict(volume("d1", ((0.0, 0.0), (400.0, 0.0)), 40.0), [other])
+    said = launch_conflict_reason(volume("d1", ((0.0, 0.0), (400.0, 0.0)), 40.0), [other])
     assert said is None if reason is None else reason in (said or "")

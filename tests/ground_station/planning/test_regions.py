@@ -1,4 +1,4 @@
-"""A large day in regions: everything once, as much work for each, near together; days that hold."""
+"""A large day in regions: each order once, balanced work, short distances; feasible days."""
 
 import itertools
 import math
@@ -13,12 +13,15 @@ from scipy.optimize import linear_sum_assignment
 from companion.adapters.files.params import params_dir
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.day_files import read_day
-from ground_station.app.planning.region_days import divided, write_region
+from ground_station.app.planning.region_days import (
+    divide_days_among_trucks,
+    write_region_day_and_orders,
+)
 from ground_station.core.planning.regions import (
     RegionProblem,
-    meeting,
-    order_work_s,
-    regions_of,
+    adjacent_area_indices_by_area,
+    driver_work_by_order_s,
+    truck_by_order_with_equal_work,
 )
 
 TOWN = params_dir() / "days" / "town.toml"
@@ -34,7 +37,7 @@ def problem(count: int, trucks: tuple[int, ...], seed: int = 3) -> RegionProblem
 @pytest.mark.parametrize(("count", "trucks"), [(40, (2,)), (300, (2, 3)), (900, (4, 3, 3))])
 def test_every_region_holds_the_same_work(count: int, trucks: tuple[int, ...]) -> None:
     asked = problem(count, trucks)
-    region = regions_of(asked)
+    region = truck_by_order_with_equal_work(asked)
     work_s = np.bincount(region, weights=asked.work_s, minlength=sum(trucks))
     assert len(work_s) == sum(trucks)
     due_s = asked.work_s.sum() / sum(trucks)
@@ -42,9 +45,9 @@ def test_every_region_holds_the_same_work(count: int, trucks: tuple[int, ...]) -
 
 
 def test_orders_lie_together() -> None:
-    """Mean distance to the region's middle, beside regions of a random division."""
+    """Mean distance to the region's centre, against regions of a random division."""
     asked = problem(600, (3, 3))
-    region = regions_of(asked)
+    region = truck_by_order_with_equal_work(asked)
 
     def spread_m(of: np.ndarray) -> float:
         middles = np.array([asked.orders_ne_m[of == k].mean(axis=0) for k in range(6)])
@@ -55,12 +58,12 @@ def test_orders_lie_together() -> None:
 
 
 def test_two_depots_share_orders_as_the_cheapest_fair_assignment_does() -> None:
-    """One truck each, equal orders: held against an assignment over all pairs (scipy)."""
+    """One truck each, equal orders: compared with an assignment over all pairs (scipy)."""
     rng = np.random.default_rng(5)
     depots = np.array([[-3000.0, 0.0], [3000.0, 0.0]])
     orders = rng.uniform(-4000.0, 4000.0, (60, 2)) + np.array([1500.0, 0.0])
     asked = RegionProblem(depots, (1, 1), orders, np.full(60, 30.0), 6.0)
-    region = regions_of(asked)
+    region = truck_by_order_with_equal_work(asked)
     middles = np.array([orders[region == k].mean(axis=0) for k in (0, 1)])
     cost = np.linalg.norm(orders[:, None] - middles, axis=2)
     cost += 2.0 * np.linalg.norm(orders[:, None] - depots, axis=2) / 30.0
@@ -74,7 +77,7 @@ def test_two_depots_share_orders_as_the_cheapest_fair_assignment_does() -> None:
 def test_an_order_for_the_door_alone_is_more_work_than_one_that_may_fly() -> None:
     orders = np.random.default_rng(2).uniform(0.0, 2000.0, (50, 2))
     flies = np.arange(50) >= 10
-    work_s = order_work_s(40.0, 27.0, flies, orders, 6.0, 8.0)
+    work_s = driver_work_by_order_s(40.0, 27.0, flies, orders, 6.0, 8.0)
     assert (work_s[flies] > 27.0).all()
     assert work_s[~flies].min() > 40.0 > 27.0
     assert work_s[~flies].min() > work_s[flies].max()
@@ -88,8 +91,8 @@ def test_what_cannot_be_divided_is_refused(count: int, trucks: tuple[int, ...]) 
 
 def test_a_day_is_written_in_regions_and_read_back_whole(tmp_path: Path) -> None:
     data = read_day(TOWN)
-    regions = divided([data], [3])
-    back = [read_day(write_region(tmp_path, region, TOWN)) for region in regions]
+    regions = divide_days_among_trucks([data], [3])
+    back = [read_day(write_region_day_and_orders(tmp_path, region, TOWN)) for region in regions]
     ids = [order.id for one in back for order in one.orders]
     assert sorted(ids) == sorted(order.id for order in data.orders)
     drones = [drone.id for one in back for drone in one.day.drones]
@@ -111,19 +114,19 @@ def test_days_that_cannot_be_divided_together_are_refused() -> None:
     heavier = [msgspec.structs.replace(data.orders[0], mass_kg=9.0), *data.orders[1:]]
     for days, trucks, words in (
         ([data], [9], "8 drones for 9 trucks"),
-        ([data, data], [1, 1], "name: expected another"),
-        ([data, replace(other, orders=heavier)], [1, 1], "T-101 is another"),
-        ([replace(data, roads_s={})], [1], "road matrix"),
+        ([data, data], [1, 1], "name: expected a different one"),
+        ([data, replace(other, orders=heavier)], [1, 1], "T-101 differs from"),
+        ([replace(data, road_times_s={})], [1], "road matrix"),
     ):
         with pytest.raises(LeewayError, match=words):
-            divided(days, trucks)
-    pooled = divided([data, other], [1, 2])
+            divide_days_among_trucks(days, trucks)
+    pooled = divide_days_among_trucks([data, other], [1, 2])
     ids = list(itertools.chain.from_iterable([o.id for o in one.data.orders] for one in pooled))
     assert sorted(ids) == sorted(order.id for order in data.orders), "the same orders, once"
 
 
 def test_regions_that_may_meet_in_the_air_are_neighbours_from_both_sides(tmp_path: Path) -> None:
-    """Two trucks of each of two depots, 40 km apart; one day names a fleet of its own accord."""
+    """Two trucks at each of two depots, 40 km between them; one day already names a neighbour."""
     data = read_day(TOWN)
     depot = data.day.depot
     there = msgspec.structs.replace(depot, lat_deg=depot.lat_deg + 0.36)
@@ -135,7 +138,7 @@ def test_regions_that_may_meet_in_the_air_are_neighbours_from_both_sides(tmp_pat
         data.day, name="far", fleet="far", depot=there, neighbours=["other-operator", "town"]
     )
     far = replace(data, day=far_day, orders=far_orders)
-    regions = divided([data, far], [2, 2])
+    regions = divide_days_among_trucks([data, far], [2, 2])
     named = {region.data.day.fleet: region.data.day.neighbours for region in regions}
     assert named == {
         "town-1": ["town-2"],
@@ -143,7 +146,7 @@ def test_regions_that_may_meet_in_the_air_are_neighbours_from_both_sides(tmp_pat
         "far-1": ["other-operator", "far-2"],
         "far-2": ["other-operator", "far-1"],
     }
-    back = [read_day(write_region(tmp_path, region, TOWN)) for region in regions]
+    back = [read_day(write_region_day_and_orders(tmp_path, region, TOWN)) for region in regions]
     assert [one.day.neighbours for one in back] == list(named.values())
 
 
@@ -152,4 +155,9 @@ def test_areas_meet_where_their_hulls_come_near_to_each_other() -> None:
     right = square + np.array([0.0, 2900.0])  # 1.9 km from edge to edge
     inside = square * 0.1 + 400.0
     away = np.array([[9000.0, 9000.0]])
-    assert meeting([square, right, inside, away], 2000.0) == [[1, 2], [0], [0], []]
+    assert adjacent_area_indices_by_area([square, right, inside, away], 2000.0) == [
+        [1, 2],
+        [0],
+        [0],
+        [],
+    ]

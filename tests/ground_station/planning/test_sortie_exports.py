@@ -1,5 +1,5 @@
-"""A day's sorties as files, each opened by a reader of the tool that it is for: pads and customer
-are those of plan and orders.
+"""A day's sorties as files, each read by a library for its format: pads and customer match the plan
+and the orders.
 """
 
 import json
@@ -22,13 +22,13 @@ from ground_station.app.planning.sortie_missions import write_missions
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.day_state import first_state
+from ground_station.core.schema.day_state import initial_state
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
 VILLAGES = Path(__file__).parents[3] / "params" / "days" / "villages.toml"
 EXACT_DEG = 2e-6
-"""A fifth of a metre: what coordinates of seven digits and a pad's survey come to."""
+"""A fifth of a metre: the rounding of seven-digit coordinates and of a pad's survey."""
 
 LatLon = tuple[float, float]
 READ_WPL = """
@@ -44,7 +44,7 @@ WAYPOINT, LAND = 16, 21
 
 @dataclass(frozen=True)
 class Read:
-    """What a reader finds: where the mission starts, whom it passes, and where it may land."""
+    """Content of a file: start of the mission, customers passed, and landing positions."""
 
     start: LatLon
     passed: list[LatLon]
@@ -54,7 +54,7 @@ class Read:
 @pytest.fixture(scope="module")
 def planned() -> tuple[DayData, DayPlan]:
     data = read_day(VILLAGES)
-    plan = plan_day(data, first_state(data), PlanParams(trials=30_000))
+    plan = plan_day(data, initial_state(data), PlanParams(trials=30_000))
     elsewhere_first = sorted(plan.sorties, key=lambda sortie: sortie.launch == sortie.home)
     assert elsewhere_first[0].launch != elsewhere_first[0].home
     return data, msgspec.structs.replace(plan, sorties=elsewhere_first[:3])
@@ -109,6 +109,7 @@ READERS = {
 }
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("file_format", READERS)
 def test_each_sorties_file_begins_at_its_pad_and_ends_at_the_pad_of_its_home(
     planned: tuple[DayData, DayPlan], tmp_path: Path, file_format: ExportFormat
@@ -120,7 +121,9 @@ def test_each_sorties_file_begins_at_its_pad_and_ends_at_the_pad_of_its_home(
         found = READERS[file_format](tmp_path / f"{sortie.order}{file_format.suffix}")
         pad, home = (
             pytest.approx((at.lat_deg, at.lon_deg), abs=EXACT_DEG)
-            for at in (plan.stop(id_).pads[sortie.vehicle] for id_ in (sortie.launch, sortie.home))
+            for at in (
+                plan.get_stop(id_).pads[sortie.vehicle] for id_ in (sortie.launch, sortie.home)
+            )
         )
         assert found.start == pad, sortie.order
         assert home in found.landings, sortie.order

@@ -1,4 +1,4 @@
-"""An air over a site that four drones fly in, told as states once a second."""
+"""Air over a site in which four drones fly, reported as states once a second."""
 
 import math
 
@@ -11,7 +11,7 @@ from ground_station.core.site_wind.site_wind import SiteWind
 
 DEPOT = (55.47, 8.45)
 M_PER_DEG = 111_320.0
-"""Of latitude, within half a percent."""
+"""Metres per degree of latitude, within half a percent."""
 COV = (0.3, 0.02, 0.35)
 PLACES = {"d1": (0.0, -400.0), "d2": (0.0, 500.0), "d3": (700.0, 300.0), "d4": (-600.0, 100.0)}
 FORECAST = Forecast(speed_mps=6.0, from_deg=270.0, std_mps=2.0)
@@ -20,7 +20,7 @@ FORECAST = Forecast(speed_mps=6.0, from_deg=270.0, std_mps=2.0)
 def a_state(name: str, t_s: float, wind: tuple[float, float], **more: object) -> State:
     north, east = PLACES[name]
     fields: dict[str, object] = {
-        "vehicle": name, "life": "a", "uptime_s": t_s, "epoch_us": 0, "airframe": "m100",
+        "vehicle": name, "instance_id": "a", "uptime_s": t_s, "epoch_us": 0, "airframe": "m100",
         "max_payload_kg": 1.0, "phase": "outbound", "log": "l", "last_seq": 0, "armed": True,
         "lat_deg": DEPOT[0] + north / M_PER_DEG, "height_rel_m": 40.0,
         "lon_deg": DEPOT[1] + east / M_PER_DEG / math.cos(math.radians(DEPOT[0])),
@@ -30,7 +30,7 @@ def a_state(name: str, t_s: float, wind: tuple[float, float], **more: object) ->
 
 
 class Air:
-    """A wind to the east with gusts of its own at each drone; told once a second."""
+    """An eastward wind with separate gusts at each drone, reported once a second."""
 
     def __init__(self, seed: int = 1, **more: object) -> None:
         self.wind = SiteWind(read_wind_process("coast"), DEPOT, FORECAST)
@@ -50,13 +50,13 @@ class Air:
     def tell(self, name: str, **more: object) -> None:
         north, east = (round(float(x), 3) for x in self.mean[name] + self.gusts[name])
         told = a_state(name, self.t_s, (north, east), **(self.more | more))
-        self.wind.on_state(told, self.t_s)
+        self.wind.update_from_state(told, self.t_s)
 
 
 def front_comes(
     air: Air, change: tuple[float, float], speed_mps: float, for_s: float
 ) -> dict[str, float]:
-    """A front towards the east that is at d1 now; when it is at each."""
+    """Move a front eastward that is at d1 now; return its arrival time at each drone."""
     at = {n: air.t_s + (p[1] - PLACES["d1"][1]) / speed_mps for n, p in PLACES.items()}
     for _ in range(round(for_s)):
         for name, due_s in at.items():

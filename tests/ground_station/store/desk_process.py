@@ -1,7 +1,7 @@
-"""A desk in a process of its own, for tests that kill it: URL, number of orders, vehicles.
+"""A desk in a separate process, for tests that kill it: URL, number of orders, vehicles.
 
-Takes orders and says so, assigns, launches; commands go out as lines on stdout, answers and the
-vehicle's events come back on stdin.
+Accepts orders and acknowledges them, assigns, launches. Commands are lines on stdout; replies and
+the vehicles' events arrive on stdin.
 """
 
 import json
@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from companion.fleet.messages import Answered, FleetEvent
+from companion.fleet.messages import CommandStatus, FleetEvent
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.orders import AssignmentState, Order, OrderState
@@ -25,7 +25,7 @@ def main(url: str, count: int, vehicles: int) -> None:
     store = Store(Database(url), lambda: 1)
     for n in range(count):
         order = Order(id=f"o{n}", lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0, mass_kg=0.1)
-        if store.add_orders([order]).added:
+        if store.add_orders_unless_conflict([order]).added:
             ask(acknowledged=order.id)
         work(store, vehicles)
     while any(row.state is not OrderState.DELIVERED for row in store.orders()):
@@ -37,16 +37,18 @@ def work(store: Store, vehicles: int) -> None:
     for row in store.orders():
         if row.state is OrderState.OPEN:
             for k in range(vehicles):
-                if store.assign(row.order.id, f"d{k}", {"format": "flight/1"}, None, "desk"):
+                if store.assign_order(row.order.id, f"d{k}", {"format": "flight/1"}, None, "desk"):
                     break
     for row in store.assignments(in_force=True):
-        if row.state is AssignmentState.ABOARD:
+        if row.state is AssignmentState.UPLOADED:
             store.launch(row.id, "desk")
     for command in store.outbox():
-        said = ask(send=command.id, vehicle=command.vehicle, deed=msgspec.to_builtins(command.deed))
-        store.answered(command.id, Answered(said["answer"]), "", said["life"])
+        said = ask(
+            send=command.id, vehicle=command.vehicle, deed=msgspec.to_builtins(command.command)
+        )
+        store.record_and_apply_response(command.id, CommandStatus(said["answer"]), "", said["life"])
     said = ask(events=True)
-    store.take_events(msgspec.convert(said["events"], list[FleetEvent]))
+    store.record_and_apply_events(msgspec.convert(said["events"], list[FleetEvent]))
 
 
 if __name__ == "__main__":

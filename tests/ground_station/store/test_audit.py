@@ -1,4 +1,4 @@
-"""The audit: everything that was done is in it, once, and what is altered is named."""
+"""The audit contains every action once and names altered entries."""
 
 import sqlite3
 import threading
@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from companion.fleet.messages import Answered
-from ground_station.adapters.login import login_name
+from companion.fleet.messages import CommandStatus
+from ground_station.adapters.login import operating_system_account_name
 from ground_station.adapters.store import audit_steps
-from ground_station.adapters.store.audit_store import read_audit
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.database import Database, StoreError
 from ground_station.app.cli.main import app
 from ground_station.core.people import audit_chain
@@ -24,14 +24,14 @@ def ground_station(*arguments: str) -> tuple[int, str]:
 
 def deeds(url: str) -> list[tuple[str, str, str]]:
     database = Database(url)
-    rows, _ = read_audit(database)
+    rows, _ = read_audit_rows_and_head(database)
     database.close()
     return [(row.entry.who, row.entry.deed, row.entry.subject) for row in rows]
 
 
 def a_day(url: str) -> None:
     with opened(url) as store:
-        store.add_orders([an_order("o1"), an_order("o2")], "anna")
+        store.add_orders_unless_conflict([an_order("o1"), an_order("o2")], "anna")
         flown(store)
 
 
@@ -50,7 +50,8 @@ def test_every_writing_command_of_a_person_is_in_it_with_the_name(tmp_path: Path
     url = f"sqlite:///{tmp_path}/d.db"
     place = ["--lat=55", "--lon=8", "--alt=3", "--mass=0.4"]
     for command in (
-        ["order", "add", "H-1", *place], ["order", "cancel", "H-1"], ["order", "reopen", "H-1"],
+        ["order", "add", "H-1", *place], ["order", "cancel", "H-1"],
+        ["order", "settle", "H-1", "--back", "--reason", "found"],
         ["hold", "d1", "--reason=propeller"], ["release", "d1"],
     ):  # fmt: skip
         code, said = ground_station(*command, "--store", url, "--user", "anna")
@@ -58,12 +59,12 @@ def test_every_writing_command_of_a_person_is_in_it_with_the_name(tmp_path: Path
     assert deeds(url) == [
         ("anna", "take_orders", "H-1"),
         ("anna", "order", "H-1"),
-        ("anna", "order", "H-1"),
+        ("anna", "settle", "H-1"),
         ("anna", "hold", "d1"),
         ("anna", "release", "d1"),
     ]
     assert ground_station("order", "cancel", "H-1", "--store", url)[0] == 0
-    assert deeds(url)[-1][0] == login_name()
+    assert deeds(url)[-1][0] == operating_system_account_name()
 
 
 def test_what_was_undone_is_not_in_it(tmp_path: Path):
@@ -73,7 +74,7 @@ def test_what_was_undone_is_not_in_it(tmp_path: Path):
 
     def fail() -> None:
         with opened(url) as store, store.database.write() as db:
-            audit_steps.note(db, 1, "anna", "hold", "d1", "")
+            audit_steps.add_entry(db, 1, "anna", "hold", "d1", "")
             db.exec_driver_sql("INSERT INTO nowhere VALUES (1)")
 
     with pytest.raises(StoreError):
@@ -88,7 +89,7 @@ ALTERED = {
     "a row gone": ("DELETE FROM audit WHERE n = 2", "row 3: follows row 1, expected row 2"),
     "the newest gone": (
         "DELETE FROM audit WHERE n = 5",
-        "row 4: is the newest there, row 5 was written last",
+        "row 4: last row found, expected row 5",
     ),
     "two exchanged": (
         "UPDATE audit SET n = CASE n WHEN 2 THEN -3 WHEN 3 THEN -2 END WHERE n IN (2, 3);"
@@ -105,7 +106,7 @@ def test_a_row_that_was_altered_is_named_by_verify(what: str, tmp_path: Path):
     a_day(url)
     code, said = ground_station("audit", "--verify", "--store", url)
     assert code == 0
-    assert said.startswith("5 rows, whole; the newest is ")
+    assert said.startswith("audit intact: 5 rows; the newest is ")
     raw = sqlite3.connect(path)
     raw.executescript(statement)
     raw.close()
@@ -118,26 +119,26 @@ def test_a_row_whose_digest_was_made_anew_does_not_fit_the_next_one(tmp_path: Pa
     path = tmp_path / "d.db"
     a_day(f"sqlite:///{path}")
     database = Database(f"sqlite:///{path}")
-    rows, _ = read_audit(database)
+    rows, _ = read_audit_rows_and_head(database)
     entry = audit_chain.AuditEntry(1, "ben", "x", "hold", "d1", "")
     with database.write() as db:
-        digest = audit_chain.digest_of(2, rows[0].digest, entry)
+        digest = audit_chain.row_digest(2, rows[0].digest, entry)
         db.exec_driver_sql(
             f"UPDATE audit SET at_us=1, who='ben', login='x', deed='hold', subject='d1',"
             f" answer='', digest='{digest}' WHERE n = 2"
         )
-    found = list(audit_chain.faults(*read_audit(database)))
+    found = list(audit_chain.find_chain_faults(*read_audit_rows_and_head(database)))
     database.close()
-    assert found == ["row 3: does not fit what is now row 2"]
+    assert found == ["row 3: does not match the present row 2"]
 
 
 def test_without_the_chain_an_altered_row_would_not_be_noticed(tmp_path: Path, monkeypatch):
     path = tmp_path / "d.db"
-    monkeypatch.setattr(audit_chain, "digest_of", lambda n, before, entry: "same")
+    monkeypatch.setattr(audit_chain, "row_digest", lambda n, before, entry: "same")
     a_day(f"sqlite:///{path}")
     raw = sqlite3.connect(path)
     raw.executescript("UPDATE audit SET who = 'ben' WHERE n = 2; UPDATE audit SET before = 'same'")
-    raw.executescript(f"UPDATE audit SET before = '{audit_chain.FIRST}' WHERE n = 1")
+    raw.executescript(f"UPDATE audit SET before = '{audit_chain.INITIAL_DIGEST}' WHERE n = 1")
     raw.close()
     code, _ = ground_station("audit", "--verify", "--store", f"sqlite:///{path}")
     assert code == 0
@@ -149,7 +150,7 @@ def test_two_desks_append_to_one_chain(store_url: str):
     def desk(name: str) -> None:
         with opened(store_url) as mine:
             for k in range(count):
-                mine.add_orders([an_order(f"{name}-{k}")], name)
+                mine.add_orders_unless_conflict([an_order(f"{name}-{k}")], name)
 
     with opened(store_url):
         threads = [threading.Thread(target=desk, args=(name,)) for name in ("anna", "ben")]
@@ -158,19 +159,19 @@ def test_two_desks_append_to_one_chain(store_url: str):
         for thread in threads:
             thread.join()
     database = Database(store_url)
-    rows, head = read_audit(database)
+    rows, head = read_audit_rows_and_head(database)
     database.close()
     assert [row.n for row in rows] == list(range(1, 2 * count + 1))
-    assert list(audit_chain.faults(rows, head)) == []
+    assert list(audit_chain.find_chain_faults(rows, head)) == []
 
 
 def test_a_command_that_nobody_answered_is_in_it_too(tmp_path: Path):
     url = f"sqlite:///{tmp_path}/d.db"
     with opened(url) as store:
-        store.add_orders([an_order("o1")])
-        assert store.assign("o1", "d1", FLIGHT, None, "desk")
-        assert store.give_up("o1.1:assign", "not answered in time")
-        assert not store.answered("o1.1:assign", Answered.DONE, "", "life")
+        store.add_orders_unless_conflict([an_order("o1")])
+        assert store.assign_order("o1", "d1", FLIGHT, None, "desk")
+        assert store.cancel_command("o1.1:assign", "not answered in time")
+        assert not store.record_and_apply_response("o1.1:assign", CommandStatus.DONE, "", "life")
     assert deeds(url)[-1] == ("desk", "give_up", "o1.1:assign")
 
 

@@ -12,8 +12,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.fleet.command_log import CommandBook, Verdict
-from companion.fleet.messages import Answered, Command, Deed, EventKind, FleetEvent, Launch
+from companion.fleet.command_log import CommandLog, CommandReply
+from companion.fleet.messages import (
+    Command,
+    CommandAction,
+    CommandStatus,
+    EventKind,
+    FleetEvent,
+    Launch,
+)
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.orders import OrderState
@@ -24,10 +31,10 @@ KILLS = {"sqlite": 4, "postgresql": 2}
 
 
 class World:
-    """Vehicles that keep a command book each, outlive every desk, and tell all events again."""
+    """Vehicles with a command book each that outlive every desk and repeat all events."""
 
     def __init__(self) -> None:
-        self.books = [CommandBook() for _ in range(VEHICLES)]
+        self.database = [CommandLog() for _ in range(VEHICLES)]
         self.flights: Counter[str] = Counter()
         self.told: list[FleetEvent] = []
         self.acknowledged: set[str] = set()
@@ -40,24 +47,24 @@ class World:
             return {"events": msgspec.to_builtins(self.told)}
         return {"answer": self._take(line).value, "life": "x"}
 
-    def _take(self, line: dict[str, Any]) -> Answered:
-        book = self.books[int(line["vehicle"][1:])]
+    def _take(self, line: dict[str, Any]) -> CommandStatus:
+        book = self.database[int(line["vehicle"][1:])]
         command = Command(
             id=line["send"],
             vehicle=line["vehicle"],
-            life="x",
+            instance_id="x",
             as_of_s=1.0,
             by="desk",
-            deed=msgspec.convert(line["deed"], Deed),
+            action=msgspec.convert(line["deed"], CommandAction),
         )
-        verdict = book.look(command, "x", 1.0)
+        verdict = book.reply_without_execution_or_none(command, "x", 1.0)
         if verdict is None:
-            book.begin(command)
-            if isinstance(command.deed, Launch):
-                self._fly(command.vehicle, command.deed.assignment)
-            verdict = Verdict(Answered.DONE)
-            book.end(command, verdict)
-        return verdict.answer
+            book.record_start(command)
+            if isinstance(command.action, Launch):
+                self._fly(command.vehicle, command.action.assignment)
+            verdict = CommandReply(CommandStatus.DONE)
+            book.record_final_reply_or_remove_command(command, verdict)
+        return verdict.status
 
     def _fly(self, vehicle: str, assignment: str) -> None:
         self.flights[assignment.partition(".")[0]] += 1
@@ -78,7 +85,7 @@ class World:
 
 
 def run_desk(url: str, world: World, lines: int | None, wait_s: float) -> bool:
-    """Serve a desk until it is through, or kill it after so many lines and so long."""
+    """Serve a desk until it is done, or kill it after this many lines and this delay."""
     command = [sys.executable, str(DESK), url, str(ORDERS), str(VEHICLES)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -91,7 +98,7 @@ def run_desk(url: str, world: World, lines: int | None, wait_s: float) -> bool:
                 return True
             answer = world.answer(line)
             if heard == lines:
-                if wait_s > 0.0:  # else the answer is never heard
+                if wait_s > 0.0:  # otherwise the reply is never received
                     desk.stdin.write(json.dumps(answer) + "\n")
                     desk.stdin.flush()
                     time.sleep(wait_s)
@@ -103,6 +110,7 @@ def run_desk(url: str, world: World, lines: int | None, wait_s: float) -> bool:
     raise AssertionError(f"the desk broke: exit code {desk.returncode}")
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("seed", [1])
 def test_killed_at_random_moments_the_desk_flies_every_acknowledged_order_once(
     store_url: str, seed: int

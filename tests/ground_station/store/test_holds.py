@@ -1,16 +1,15 @@
-"""Holds: a held vehicle gets no work and is not launched, whoever else writes at that moment."""
+"""Holds: a held vehicle is neither assigned nor launched, whatever other programs write."""
 
 import threading
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from companion.fleet.messages import Answered, Launch
+from companion.fleet.messages import CommandStatus, Launch
 from ground_station.adapters.store import hold_steps, hold_store
-from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.core.schema.holds import ALL
+from ground_station.core.schema.holds import ALL_DRONES
 from ground_station.core.schema.orders import AssignmentState
 from tests.ground_station.store.test_order_store import FLIGHT, an_order, opened
 
@@ -20,64 +19,67 @@ def holds_of(store: Store) -> HoldStore:
 
 
 def aboard(store: Store, order: str = "o1", vehicle: str = "d1") -> str:
-    """An assignment that its vehicle has taken."""
-    id_ = store.assign(order, vehicle, FLIGHT, None, "desk")
+    """Create an assignment that its vehicle has accepted."""
+    id_ = store.assign_order(order, vehicle, FLIGHT, None, "desk")
     assert id_ is not None
-    assert store.answered(f"{id_}:assign", Answered.DONE, "", "life")
+    assert store.record_and_apply_response(f"{id_}:assign", CommandStatus.DONE, "", "life")
     return id_
 
 
-@pytest.mark.parametrize("scope", ["d1", ALL])
+@pytest.mark.parametrize("scope", ["d1", ALL_DRONES])
 def test_a_held_vehicle_is_neither_assigned_nor_launched_until_a_person_releases_it(
     store_url: str, scope: str
 ):
     with opened(store_url) as store:
-        store.add_orders([an_order("o1"), an_order("o2")])
+        store.add_orders_unless_conflict([an_order("o1"), an_order("o2")])
         id_ = aboard(store)
-        holds_of(store).set([scope], "gusts", "anna")
+        holds_of(store).place_holds([scope], "gusts", "anna")
         assert not store.launch(id_, "desk")
-        store.withdraw(id_, "desk")
-        store.answered(f"{id_}:withdraw", Answered.DONE, "", "life")
-        assert store.assign("o2", "d1", FLIGHT, None, "desk") is None
-        assert (store.assign("o2", "d2", FLIGHT, None, "desk") is None) == (scope == ALL)
-        (lifted,) = holds_of(store).release([scope], "ben")
+        store.withdraw_assignment(id_, "desk")
+        store.record_and_apply_response(f"{id_}:withdraw", CommandStatus.DONE, "", "life")
+        assert store.assign_order("o2", "d1", FLIGHT, None, "desk") is None
+        assert (store.assign_order("o2", "d2", FLIGHT, None, "desk") is None) == (
+            scope == ALL_DRONES
+        )
+        (lifted,) = holds_of(store).clear_holds([scope], "ben")
         assert (lifted.by, lifted.reason) == ("anna", "gusts")
         assert store.launch(aboard(store), "desk")
 
 
-def test_without_the_look_for_holds_a_held_vehicle_would_be_launched(monkeypatch, tmp_path):
-    monkeypatch.setattr(hold_steps, "hold_of", lambda db, vehicle: None)
-    with opened(f"sqlite:///{tmp_path}/d.db") as store:
-        store.add_orders([an_order("o1")])
-        holds_of(store).set(["d1"], "gusts", "anna")
-        assert store.launch(aboard(store), "desk")
+def test_without_the_look_for_holds_a_held_vehicle_would_be_launched(monkeypatch, store):
+    monkeypatch.setattr(hold_steps, "hold_on", lambda db, vehicle: None)
+    store.add_orders_unless_conflict([an_order("o1")])
+    holds_of(store).place_holds(["d1"], "gusts", "anna")
+    assert store.launch(aboard(store), "desk")
 
 
 def test_a_hold_makes_a_launch_void_that_has_not_left_the_desk_and_names_one_that_has(store_url):
     with opened(store_url) as store:
-        store.add_orders([an_order("o1"), an_order("o2")])
+        store.add_orders_unless_conflict([an_order("o1"), an_order("o2")])
         waiting, gone = aboard(store, "o1", "d1"), aboard(store, "o2", "d2")
         assert store.launch(waiting, "desk")
         assert store.launch(gone, "desk")
         (left,) = (row for row in store.outbox() if row.vehicle == "d2")
-        assert store.may_send_launch(left)
-        assert holds_of(store).set([ALL], "gusts", "anna") == [gone]
+        assert store.mark_launch_sent(left)
+        assert holds_of(store).place_holds([ALL_DRONES], "gusts", "anna") == [gone]
         assert [row.id for row in store.outbox()] == [left.id]
-        assert not store.may_send_launch(left)  # nor is it sent again
-        assert store.refused_launches(waiting) == 0
-        assert store.answered(left.id, Answered.DONE, "", "life")  # it had taken off
+        assert not store.mark_launch_sent(left)  # it is not resent either
+        assert store.count_refused_launches(waiting) == 0
+        assert store.record_and_apply_response(
+            left.id, CommandStatus.DONE, "", "life"
+        )  # it had taken off
         rows = {row.id: row.state for row in store.assignments()}
-        assert rows == {waiting: AssignmentState.ABOARD, gone: AssignmentState.FLYING}
+        assert rows == {waiting: AssignmentState.UPLOADED, gone: AssignmentState.IN_FLIGHT}
 
 
 def held_behind_its_launch(store: Store) -> tuple[str, str]:
-    """A launch that was sent and has no answer when a hold comes: assignment, command."""
-    store.add_orders([an_order("o1")])
+    """Place a hold after a launch was sent, before its reply; return assignment and command."""
+    store.add_orders_unless_conflict([an_order("o1")])
     id_ = aboard(store)
     assert store.launch(id_, "desk")
     (row,) = store.outbox()
-    assert store.may_send_launch(row)
-    assert holds_of(store).set(["d1"], "gusts", "anna") == [id_]
+    assert store.mark_launch_sent(row)
+    assert holds_of(store).place_holds(["d1"], "gusts", "anna") == [id_]
     return id_, row.id
 
 
@@ -88,30 +90,29 @@ def state_of(store: Store) -> AssignmentState:
 def test_safety_rule_1_a_release_sends_no_launch_again_that_a_hold_came_behind(store_url: str):
     with opened(store_url) as store:
         id_, first = held_behind_its_launch(store)
-        holds_of(store).release(["d1"], "anna")
+        holds_of(store).clear_holds(["d1"], "anna")
         assert store.outbox() == []
-        assert store.refused_launches(id_) == 0
-        assert not store.launch(id_, "desk", confirmed=True)
-        assert store.confirm_launch("o1", "ben") == id_
-        assert store.launch(id_, "desk", confirmed=True)
+        assert store.count_refused_launches(id_) == 0
+        assert not store.launch(id_, "desk", requires_confirmation=True)
+        assert store.record_launch_confirmation("o1", "ben") == id_
+        assert store.launch(id_, "desk", requires_confirmation=True)
         (again,) = store.outbox()
         assert again.id != first
-        assert store.may_send_launch(again)
+        assert store.mark_launch_sent(again)
 
 
-def test_canary_without_the_end_at_the_release_the_launch_would_go_out_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(hold_store, "_void", lambda db, which, why: None)
-    with opened(f"sqlite:///{tmp_path}/d.db") as store:
-        held_behind_its_launch(store)
-        holds_of(store).release(["d1"], "anna")
-        (row,) = store.outbox()
-        assert store.may_send_launch(row)
+def test_canary_without_the_end_at_the_release_the_launch_would_go_out_again(store, monkeypatch):
+    monkeypatch.setattr(hold_store, "_void_launches", lambda db, which, why: None)
+    held_behind_its_launch(store)
+    holds_of(store).clear_holds(["d1"], "anna")
+    (row,) = store.outbox()
+    assert store.mark_launch_sent(row)
 
 
 def test_a_release_of_another_hold_ends_no_launch(store_url: str):
     with opened(store_url) as store:
         _, first = held_behind_its_launch(store)
-        assert holds_of(store).release([ALL], "anna") == []
+        assert holds_of(store).clear_holds([ALL_DRONES], "anna") == []
         assert [row.id for row in store.outbox()] == [first]
 
 
@@ -120,15 +121,17 @@ def test_the_vehicles_own_answer_still_counts_after_a(store_url: str, after: str
     with opened(store_url) as store:
         id_, first = held_behind_its_launch(store)
         if after != "hold":
-            holds_of(store).release(["d1"], "anna")
+            holds_of(store).clear_holds(["d1"], "anna")
         if after == "next launch":
             assert store.launch(id_, "desk")
-        assert store.answered(first, Answered.DONE, "", "life")
-        assert not store.answered(first, Answered.DONE, "", "life")
-        assert state_of(store) is AssignmentState.FLYING
-        if after == "next launch":  # it has taken off by the first: the second is refused
-            assert store.answered(f"{id_}:launch2", Answered.REFUSED, "in flight", "life")
-            assert state_of(store) is AssignmentState.FLYING
+        assert store.record_and_apply_response(first, CommandStatus.DONE, "", "life")
+        assert not store.record_and_apply_response(first, CommandStatus.DONE, "", "life")
+        assert state_of(store) is AssignmentState.IN_FLIGHT
+        if after == "next launch":  # the first launch took off: the second is refused
+            assert store.record_and_apply_response(
+                f"{id_}:launch2", CommandStatus.REFUSED, "in flight", "life"
+            )
+            assert state_of(store) is AssignmentState.IN_FLIGHT
 
 
 @pytest.mark.parametrize("released", [True, False])
@@ -138,27 +141,27 @@ def test_a_drone_that_is_seen_in_flight_was_launched_though_nobody_heard_its_ans
     with opened(store_url) as store:
         id_, _ = held_behind_its_launch(store)
         if released:
-            holds_of(store).release(["d1"], "anna")
-        assert store.seen_flying(id_, "life")
-        assert state_of(store) is AssignmentState.FLYING
-        assert not store.seen_flying(id_, "life")
+            holds_of(store).clear_holds(["d1"], "anna")
+        assert store.record_unanswered_launch_as_executed(id_, "life")
+        assert state_of(store) is AssignmentState.IN_FLIGHT
+        assert not store.record_unanswered_launch_as_executed(id_, "life")
 
 
 def test_a_launch_that_is_still_asked_about_is_answered_by_its_vehicle_only(store_url: str):
     with opened(store_url) as store:
-        store.add_orders([an_order("o1")])
+        store.add_orders_unless_conflict([an_order("o1")])
         id_ = aboard(store)
         assert store.launch(id_, "desk")
-        assert store.may_send_launch(store.outbox()[0])
-        assert not store.seen_flying(id_, "life")
-        assert state_of(store) is AssignmentState.ABOARD
+        assert store.mark_launch_sent(store.outbox()[0])
+        assert not store.record_unanswered_launch_as_executed(id_, "life")
+        assert state_of(store) is AssignmentState.UPLOADED
 
 
 def test_no_race_of_two_desks_launches_a_vehicle_that_was_held_before(store_url: str):
-    """Whichever is first: a launch that left the desk is named by the hold, no other leaves."""
+    """In either order: the hold names a launch that left the desk, and no other launch leaves."""
     rounds = 12
     with opened(store_url) as store:
-        store.add_orders([an_order(f"o{k}") for k in range(rounds)])
+        store.add_orders_unless_conflict([an_order(f"o{k}") for k in range(rounds)])
         ids = [aboard(store, f"o{k}", f"d{k}") for k in range(rounds)]
         named: list[str] = []
         left: list[str] = []
@@ -168,68 +171,60 @@ def test_no_race_of_two_desks_launches_a_vehicle_that_was_held_before(store_url:
             with opened(store_url) as mine:
                 for k in range(rounds):
                     ready.wait()
-                    named.extend(holds_of(mine).set([f"d{k}"], "gusts", "anna"))
+                    named.extend(holds_of(mine).place_holds([f"d{k}"], "gusts", "anna"))
 
         def launch() -> None:
             with opened(store_url) as mine:
                 for id_ in ids:
                     ready.wait()
                     mine.launch(id_, "desk")
-                    rows = (row for row in mine.outbox() if isinstance(row.deed, Launch))
-                    left.extend(row.id for row in rows if mine.may_send_launch(row))
+                    rows = (row for row in mine.outbox() if isinstance(row.command, Launch))
+                    left.extend(row.id for row in rows if mine.mark_launch_sent(row))
 
-        _together(hold, launch)
+        with ThreadPoolExecutor() as pool:
+            _ = [done.result() for done in [pool.submit(hold), pool.submit(launch)]]
         assert {id_.partition(":")[0] for id_ in left} == set(named)
-
-
-def _together(*jobs: Callable[[], None]) -> None:
-    threads = [threading.Thread(target=job) for job in jobs]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
 
 
 def test_a_hold_outlives_the_desk_and_a_second_one_stays_until_both_are_lifted(tmp_path):
     url = f"sqlite:///{tmp_path}/d.db"
     with opened(url) as store:
-        holds_of(store).set(["d1"], "propeller", "anna")
-        holds_of(store).set([ALL], "storm", "ben")
+        holds_of(store).place_holds(["d1"], "propeller", "anna")
+        holds_of(store).place_holds([ALL_DRONES], "storm", "ben")
     with opened(url) as store:
-        assert [hold.words for hold in store.holds()] == [
+        assert [hold.text for hold in store.holds_in_force()] == [
             "d1 is held by anna: propeller",
             "every drone is held by ben: storm",
         ]
-        assert holds_of(store).release(["d2"], "ben") == []
-        holds_of(store).release([ALL], "ben")
-        assert [hold.scope for hold in store.holds()] == ["d1"]
+        assert holds_of(store).clear_holds(["d2"], "ben") == []
+        holds_of(store).clear_holds([ALL_DRONES], "ben")
+        assert [hold.scope for hold in store.holds_in_force()] == ["d1"]
 
 
-def test_a_held_drone_is_not_put_out_by_the_truck_either(tmp_path):
-    """A day with a truck asks the same holds (`DayStore.assign`)."""
+def test_a_held_drone_is_not_put_out_by_the_truck_either(store):
+    """A day with a truck checks the same holds (`DayStore.assign`)."""
     from ground_station.adapters.store.day_store import DayStore
     from tests.ground_station.hand_made_day import TWO_STOPS, flight
 
     sortie = flight("d1", "stop-1", 0.0, 700.0).sortie
-    pads = {sortie.launch: TWO_STOPS[0].place, sortie.home: TWO_STOPS[1].place}
-    with opened(f"sqlite:///{tmp_path}/d.db") as store:
-        day = DayStore(Database(f"sqlite:///{tmp_path}/d.db"), lambda: 1)
-        store.add_orders([an_order(sortie.order)])
-        holds_of(store).set(["d1"], "gusts", "anna")
-        assert day.assign(sortie, pads, lambda id_: FLIGHT, None, "desk") is None
-        holds_of(store).release(["d1"], "anna")
-        assert day.assign(sortie, pads, lambda id_: FLIGHT, None, "desk") is not None
+    pads = {sortie.launch: TWO_STOPS[0].location, sortie.home: TWO_STOPS[1].location}
+    day = DayStore(store.database, lambda: 1)
+    store.add_orders_unless_conflict([an_order(sortie.order)])
+    holds_of(store).place_holds(["d1"], "gusts", "anna")
+    assert day.assign(sortie, pads, lambda id_: FLIGHT, None, "desk") is None
+    holds_of(store).clear_holds(["d1"], "anna")
+    assert day.assign(sortie, pads, lambda id_: FLIGHT, None, "desk") is not None
 
 
 def test_who_lifts_only_its_own_holds_leaves_a_persons_in_force(store_url: str):
     with opened(store_url) as store:
         holds = holds_of(store)
-        holds.set(["d1", ALL], "a front", "desk-wind")
-        holds.set(["d1"], "propeller", "anna")
-        lifted = holds.release(["d1"], "desk-wind", only_own=True)
+        holds.place_holds(["d1", ALL_DRONES], "a front", "desk-wind")
+        holds.place_holds(["d1"], "propeller", "anna")
+        lifted = holds.clear_holds(["d1"], "desk-wind", only_placed_by_actor=True)
         assert [(hold.scope, hold.reason) for hold in lifted] == [("d1", "a front")]
-        assert {(hold.scope, hold.by) for hold in store.holds()} == {
-            ("d1", "anna"), (ALL, "desk-wind"),
+        assert {(hold.scope, hold.by) for hold in store.holds_in_force()} == {
+            ("d1", "anna"), (ALL_DRONES, "desk-wind"),
         }  # fmt: skip
-        assert holds.release(["d1"], "desk-wind", only_own=True) == []
-        assert [hold.by for hold in holds.release(["d1"], "ben")] == ["anna"]
+        assert holds.clear_holds(["d1"], "desk-wind", only_placed_by_actor=True) == []
+        assert [hold.by for hold in holds.clear_holds(["d1"], "ben")] == ["anna"]

@@ -1,4 +1,4 @@
-"""A store of an older schema is brought to today's: same tables as a new one, nothing lost."""
+"""A store of an older schema is upgraded: same tables as a new one, no data lost."""
 
 import shutil
 import sqlite3
@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from ground_station.adapters.store import audit_steps, tables
 from ground_station.adapters.store.database import Database, StoreError
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.upgrade import upgrade
+from ground_station.adapters.store.upgrade import upgrade_schema
 from ground_station.app.cli.main import app
-from ground_station.core.schema.holds import ALL
+from ground_station.core.schema.holds import ALL_DRONES
 from ground_station.core.schema.orders import AssignmentState, OrderState
 from tests.ground_station.store.test_order_store import FLIGHT, opened, states
 
@@ -23,7 +23,7 @@ SCHEMAS = Path(__file__).with_name("schemas")
 
 
 def of_schema_2(url: str) -> str:
-    """A store as the desk of schema 2 left it, in the middle of a day."""
+    """Create a store as left by the desk of schema 2 in the middle of a day."""
     kind = url.partition(":")[0]
     script = (SCHEMAS / f"schema_2_{kind}.sql").read_text()
     if kind == "sqlite":
@@ -41,21 +41,23 @@ def of_schema_2(url: str) -> str:
 
 def upgraded(url: str) -> str:
     database = Database(of_schema_2(url), create=False, any_schema=True)
-    upgrade(database, 1, "anna")
+    upgrade_schema(database, 1, "anna")
     database.close()
     return url
 
 
 def test_a_desk_leaves_an_older_store_alone_and_says_what_to_do(store_url: str):
     url = of_schema_2(store_url)
-    with pytest.raises(StoreError, match="schema 2, expected 3: `ground-station store upgrade`"):
+    with pytest.raises(
+        StoreError, match="schema 2, expected 3: run `ground-station store upgrade`"
+    ):
         Database(url)
 
 
 def test_an_upgraded_store_has_the_tables_of_a_new_one_and_all_its_rows(store_url: str):
     database = Database(of_schema_2(store_url), create=False, any_schema=True)
-    assert upgrade(database, 1, "anna") == (2, tables.SCHEMA)
-    assert upgrade(database, 1, "anna") == (tables.SCHEMA, tables.SCHEMA)
+    assert upgrade_schema(database, 1, "anna") == (2, tables.SCHEMA)
+    assert upgrade_schema(database, 1, "anna") == (tables.SCHEMA, tables.SCHEMA)
     with database.read() as db:
         assert compare_metadata(MigrationContext.configure(db), tables.metadata) == []
     database.close()
@@ -66,10 +68,10 @@ def test_an_upgraded_store_has_the_tables_of_a_new_one_and_all_its_rows(store_ur
             "o3": OrderState.OPEN,
         }
         assert [row.state for row in store.assignments()] == [
-            AssignmentState.FLYING,
+            AssignmentState.IN_FLIGHT,
             AssignmentState.ORDERED,
         ]
-        assert store.assign("o3", "d3", FLIGHT, None, "desk") == "o3.1"
+        assert store.assign_order("o3", "d3", FLIGHT, None, "desk") == "o3.1"
 
 
 def fail_at_the_end(*_: object) -> None:
@@ -78,11 +80,11 @@ def fail_at_the_end(*_: object) -> None:
 
 def test_an_upgrade_that_fails_half_way_leaves_the_store_as_it_was(store_url, monkeypatch):
     database = Database(of_schema_2(store_url), create=False, any_schema=True)
-    monkeypatch.setattr(audit_steps, "note", fail_at_the_end)
+    monkeypatch.setattr(audit_steps, "add_entry", fail_at_the_end)
     with pytest.raises(ZeroDivisionError):
-        upgrade(database, 1, "anna")
+        upgrade_schema(database, 1, "anna")
     monkeypatch.undo()
-    assert upgrade(database, 1, "anna")[0] == 2
+    assert upgrade_schema(database, 1, "anna")[0] == 2
     database.close()
 
 
@@ -96,7 +98,7 @@ def test_the_command_keeps_a_copy_of_the_store_as_it_was(tmp_path: Path):
     code, said = ground_station(
         "store", "upgrade", "--store", url, "--backup", str(tmp_path / "old.db"), "--user", "anna"
     )
-    assert (code, said.startswith("schema 2, now 3")) == (0, True)
+    assert (code, said.startswith("upgraded from schema 2 to 3")) == (0, True)
     with pytest.raises(StoreError, match="schema 2"):
         Database(f"sqlite:///{tmp_path}/old.db", create=False)
     assert ground_station("audit", "--verify", "--store", url)[0] == 0
@@ -117,25 +119,25 @@ def test_a_copy_that_is_put_back_is_the_store_as_it_was_and_nobody_is_launched_b
     assert ground_station("store", "backup", copy, "--store", store_url)[0] == 0
     assert Path(copy).stat().st_mode & 0o777 == 0o600
     with opened(store_url) as store:
-        assert store.assign("o3", "d3", FLIGHT, None, "desk")
+        assert store.assign_order("o3", "d3", FLIGHT, None, "desk")
     code, said = ground_station("store", "restore", copy, "--store", store_url)
-    assert (code, "expected --replace FILE" in said) == (1, True)
+    assert (code, "add --replace FILE" in said) == (1, True)
     restore = ("store", "restore", copy, "--store", store_url, "--user", "anna")
     code, said = ground_station(*restore, "--replace", str(before))
     assert code == 0, said
     assert before.exists()
     with opened(store_url) as store:
         assert states(store)["o3"] is OrderState.OPEN
-        assert [(hold.scope, hold.by) for hold in store.holds()] == [(ALL, "anna")]
-        assert store.assign("o3", "d3", FLIGHT, None, "desk") is None
+        assert [(hold.scope, hold.by) for hold in store.holds_in_force()] == [(ALL_DRONES, "anna")]
+        assert store.assign_order("o3", "d3", FLIGHT, None, "desk") is None
     assert ground_station("store", "check", "--store", store_url)[0] == 0
 
 
 def test_a_backup_of_a_store_that_is_being_written_has_what_only_the_log_holds(tmp_path: Path):
-    """A plain copy of SQLite's file would lack what is in its write-ahead log."""
+    """A plain copy of SQLite's file would lack the content of its write-ahead log."""
     url = upgraded(f"sqlite:///{tmp_path}/d.db")
     with opened(url) as store:
-        assert store.assign("o3", "d3", FLIGHT, None, "desk")
+        assert store.assign_order("o3", "d3", FLIGHT, None, "desk")
         shutil.copy(tmp_path / "d.db", tmp_path / "plain.db")
         code, said = ground_station("store", "backup", f"{tmp_path}/copy.db", "--store", url)
         assert code == 0, said
@@ -145,7 +147,7 @@ def test_a_backup_of_a_store_that_is_being_written_has_what_only_the_log_holds(t
 
 
 def _rows_of(path: Path) -> int | None:
-    """Assignments in a file; None where it is no store."""
+    """Count the assignments in a file; None if it is no store."""
     try:
         store = Store(Database(f"sqlite:///{path}", create=False), lambda: 1)
     except StoreError:

@@ -1,4 +1,4 @@
-"""The truck as a member of the fleet: what it is told, what its driver says, what it keeps."""
+"""The truck as a fleet member: commands, driver reports, and stored state."""
 
 import io
 from collections.abc import Callable, Iterator, Sequence
@@ -11,9 +11,9 @@ from rich.console import Console
 from companion.core.base.errors import LeewayError
 from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet.messages import (
-    Answered,
     Command,
-    Deed,
+    CommandAction,
+    CommandStatus,
     Drive,
     EventKind,
     FleetEvent,
@@ -24,13 +24,11 @@ from companion.fleet.messages import (
     Serve,
     State,
     Withdraw,
-    decode_event,
-    decode_result,
-    decode_state,
-    encode,
+    decode_message,
+    encode_message,
 )
-from companion.fleet.network import Ask, Asked, Told
-from ground_station.app.truck.driver_console import obey
+from companion.fleet.network import MemberRequest, ReceivedTrack, RequestKind
+from ground_station.app.truck.driver_console import execute_driver_input
 from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import TaskKind
 
@@ -41,46 +39,46 @@ BACK = Recover(assignment="o2.1", vehicle="d1", lat_deg=55.0, lon_deg=8.0)
 
 
 class Wire:
-    """A link in memory: what was asked waits, what was told is kept."""
+    """A link in memory: requests wait, published messages are kept."""
 
     def __init__(self) -> None:
-        self.waiting: list[Asked] = []
+        self.waiting: list[MemberRequest] = []
         self.states: list[State] = []
         self.events: list[FleetEvent] = []
 
-    def asked(self) -> list[Asked]:
+    def drain_requests(self) -> list[MemberRequest]:
         waiting, self.waiting = self.waiting, []
         return waiting
 
-    def be_woken(self, wake: Callable[[], None]) -> None:
+    def set_request_callback(self, wake: Callable[[], None]) -> None:
         del wake
 
     def publish_state(self, raw: bytes) -> None:
-        state = decode_state(raw)
+        state = decode_message(State, raw)
         assert isinstance(state, State)
         self.states.append(state)
 
     def publish_event(self, raw: bytes) -> None:
-        event = decode_event(raw)
+        event = decode_message(FleetEvent, raw)
         assert isinstance(event, FleetEvent)
         self.events.append(event)
 
     def publish_track(self, raw: bytes, cell: str) -> None:
         del raw, cell
 
-    def hear_near(self, lat_deg: float, lon_deg: float) -> None:
+    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
         del lat_deg, lon_deg
 
-    def hear_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
         del neighbours
 
-    def tracks(self) -> list[Told]:
+    def drain_tracks(self) -> list[ReceivedTrack]:
         return []
 
-    def winds(self) -> list[bytes]:
+    def drain_wind_messages(self) -> list[bytes]:
         return []
 
-    def wind_cov_is_read(self) -> bool:
+    def do_all_clients_read_wind_cov(self) -> bool:
         return True
 
     def close(self) -> None:
@@ -88,27 +86,32 @@ class Wire:
 
 
 class Terminal:
-    """A truck's port and its wire, with a clock that stands."""
+    """A truck's port and its wire, with a constant clock."""
 
     def __init__(self, folder: Path) -> None:
         self.wire = Wire()
-        self.port = TruckMember.open(
+        self.port = TruckMember.load_or_create(
             "truck", folder, lambda life: self.wire,
-            stop="depot", lat_deg=55.0, lon_deg=8.0, clock_s=lambda: 0.0, epoch_us=lambda: 0,
+            initial_stop="depot", lat_deg=55.0, lon_deg=8.0, clock_s=lambda: 0.0,
+            epoch_us=lambda: 0,
         )  # fmt: skip
 
-    def ask(self, deed: Deed, id_: str) -> Result:
-        life = self.port.member.life
-        command = Command(id=id_, vehicle="truck", life=life, as_of_s=0.0, by="desk", deed=deed)
+    def ask(self, deed: CommandAction, id_: str) -> Result:
+        life = self.port.member.instance_id
+        command = Command(
+            id=id_, vehicle="truck", instance_id=life, as_of_s=0.0, by="desk", action=deed
+        )
         replies: list[bytes] = []
-        self.wire.waiting.append(Asked(Ask.COMMAND, replies.extend, encode(command)))
-        self.port.turn()
-        result = decode_result(replies[0])
+        self.wire.waiting.append(
+            MemberRequest(RequestKind.COMMAND, replies.extend, encode_message(command))
+        )
+        self.port.process_commands()
+        result = decode_message(Result, replies[0])
         assert isinstance(result, Result)
         return result
 
     def state(self) -> State:
-        self.port.publish()
+        self.port.publish_state_if_due()
         return self.wire.states[-1]
 
     def outcomes(self) -> list[tuple[str | None, str | None, bool | None]]:
@@ -118,7 +121,7 @@ class Terminal:
 
 @pytest.fixture
 def terminal(tmp_path: Path) -> Iterator[Callable[[], Terminal]]:
-    """Starts the terminal, and again: over the same folder, as after a kill."""
+    """Start the terminal; repeated calls use the same folder, as after a kill."""
     made: list[Terminal] = []
 
     def start() -> Terminal:
@@ -133,57 +136,57 @@ def terminal(tmp_path: Path) -> Iterator[Callable[[], Terminal]]:
 def test_a_truck_drives_where_it_is_told_and_arrives_when_its_driver_says_so(terminal):
     truck = terminal()
     assert (truck.state().phase, truck.state().stop) == ("at_stop", "depot")
-    assert truck.ask(TO_1, "c1").answer is Answered.DONE
+    assert truck.ask(TO_1, "c1").status is CommandStatus.DONE
     state = truck.state()
     assert (state.phase, state.stop, state.lat_deg) == ("driving", "stop-1", None)
-    truck.port.confirm(truck.port.todo[0])
+    truck.port.report_task_done(truck.port.tasks[0])
     state = truck.state()
     assert (state.phase, state.stop, state.lat_deg) == ("at_stop", "stop-1", 55.1)
-    assert truck.ask(TO_1, "c2").answer is Answered.DONE  # it stands there
-    assert truck.port.todo == []
+    assert truck.ask(TO_1, "c2").status is CommandStatus.DONE  # it is already there
+    assert truck.port.tasks == []
 
 
 def test_a_truck_with_something_to_do_here_does_not_leave(terminal):
     truck = terminal()
     for number, deed in enumerate((SERVE, OUT, BACK)):
-        assert truck.ask(deed, f"c{number}").answer is Answered.DONE
+        assert truck.ask(deed, f"c{number}").status is CommandStatus.DONE
         refused = truck.ask(TO_1, f"d{number}")
-        assert refused.answer is Answered.REFUSED
-        assert "still to do" in refused.reason
-        truck.port.confirm(truck.port.todo[0])
-    assert truck.ask(TO_1, "c9").answer is Answered.DONE
+        assert refused.status is CommandStatus.REFUSED
+        assert "unfinished task" in refused.reason
+        truck.port.report_task_done(truck.port.tasks[0])
+    assert truck.ask(TO_1, "c9").status is CommandStatus.DONE
 
 
 def test_what_the_driver_confirms_or_cannot_do_is_told_for_its_assignment(terminal):
     truck = terminal()
     for number, deed in enumerate((SERVE, OUT, BACK, Serve(assignment="o3.1", order="o3"))):
         truck.ask(deed, f"c{number}")
-    serve, out, back, closed = truck.port.todo
+    serve, out, back, closed = truck.port.tasks
     assert [t.kind for t in (serve, out, back)] == [
         TaskKind.SERVE, TaskKind.PUT_OUT, TaskKind.RECOVER,
     ]  # fmt: skip
-    truck.port.confirm(serve)
-    truck.port.confirm(back)
-    truck.port.cannot(out, "a rotor is broken")
-    truck.port.cannot(closed, "nobody at home")
+    truck.port.report_task_done(serve)
+    truck.port.report_task_done(back)
+    truck.port.report_task_not_possible(out, "a rotor is broken")
+    truck.port.report_task_not_possible(closed, "nobody at home")
     assert truck.outcomes() == [("o1.1", "SUC", True), ("o3.1", "ABRT", False)]
     told = [(e.kind, e.assignment) for e in truck.wire.events if e.kind in (
-        EventKind.RECOVERED, EventKind.CANNOT, EventKind.PLACED)]  # fmt: skip
-    assert told == [(EventKind.RECOVERED, "o2.1"), (EventKind.CANNOT, "o2.1")]
-    with pytest.raises(LeewayError, match="not to be done"):
-        truck.port.confirm(serve)
+        EventKind.RECOVERED, EventKind.TASK_FAILED, EventKind.DRONE_ON_PAD)]  # fmt: skip
+    assert told == [(EventKind.RECOVERED, "o2.1"), (EventKind.TASK_FAILED, "o2.1")]
+    with pytest.raises(LeewayError, match="no such task"):
+        truck.port.report_task_done(serve)
 
 
 @pytest.mark.parametrize("gone", [True, False])
 def test_a_drone_is_not_aboard_before_its_parcel_has_been_looked_for(terminal, gone):
     truck = terminal()
     truck.ask(msgspec.structs.replace(BACK, parcel="o2"), "c1")
-    (back,) = truck.port.todo
-    assert "is the parcel o2 still on it?" in back.words
+    (back,) = truck.port.tasks
+    assert "is the parcel o2 still on it?" in back.driver_instruction
     with pytest.raises(LeewayError, match="gone or still on it"):
-        truck.port.confirm(back)
-    assert truck.port.todo == [back]
-    truck.port.confirm(back, gone=gone)
+        truck.port.report_task_done(back)
+    assert truck.port.tasks == [back]
+    truck.port.report_task_done(back, parcel_is_missing=gone)
     told = [(e.order, e.delivered) for e in truck.wire.events if e.kind is EventKind.RECOVERED]
     assert told == [("o2", gone)]
 
@@ -193,9 +196,9 @@ def test_what_the_driver_types_tells_where_the_parcel_is(terminal, typed, gone):
     truck, console = terminal(), Console(file=io.StringIO())
     truck.ask(msgspec.structs.replace(BACK, parcel="o2"), "c1")
     for line in ("", "1 maybe", "2 gone", "gone"):
-        obey(truck.port, line, console)
-        assert len(truck.port.todo) == 1, line
-    obey(truck.port, typed, console)
+        execute_driver_input(truck.port, line, console)
+        assert len(truck.port.tasks) == 1, line
+    execute_driver_input(truck.port, typed, console)
     told = [e.delivered for e in truck.wire.events if e.kind is EventKind.RECOVERED]
     assert told == [gone]
 
@@ -204,26 +207,26 @@ def test_a_terminal_that_is_killed_knows_what_was_to_be_done_and_what_was(termin
     first = terminal()
     first.ask(SERVE, "c1")
     first.ask(OUT, "c2")
-    first.port.confirm(first.port.todo[0])
-    second = terminal()  # nobody closed the first
-    assert [t.kind for t in second.port.todo] == [TaskKind.PUT_OUT]
-    assert second.ask(SERVE, "c9").answer is Answered.DONE  # in other words: done before
-    assert len(second.port.todo) == 1
-    assert second.ask(Withdraw(assignment="o2.1"), "c10").answer is Answered.DONE
-    assert second.port.todo == []
+    first.port.report_task_done(first.port.tasks[0])
+    second = terminal()  # the first was not closed
+    assert [t.kind for t in second.port.tasks] == [TaskKind.PUT_OUT]
+    assert second.ask(SERVE, "c9").status is CommandStatus.DONE  # new identifier: already done
+    assert len(second.port.tasks) == 1
+    assert second.ask(Withdraw(assignment="o2.1"), "c10").status is CommandStatus.DONE
+    assert second.port.tasks == []
 
 
 def test_a_withdrawal_that_comes_late_leaves_the_recovery_to_be_done(terminal):
     truck = terminal()
-    assert truck.ask(BACK, "c1").answer is Answered.DONE
-    assert truck.ask(Withdraw(assignment="o2.1"), "c2").answer is Answered.DONE
-    assert [task.kind for task in truck.port.todo] == [TaskKind.RECOVER]
+    assert truck.ask(BACK, "c1").status is CommandStatus.DONE
+    assert truck.ask(Withdraw(assignment="o2.1"), "c2").status is CommandStatus.DONE
+    assert [task.kind for task in truck.port.tasks] == [TaskKind.RECOVER]
 
 
 def test_a_truck_refuses_what_only_a_drone_can_do_and_is_told_nothing_on_its_way(terminal):
     truck = terminal()
-    assert truck.ask(Launch(assignment="o1.1"), "c1").answer is Answered.REFUSED
+    assert truck.ask(Launch(assignment="o1.1"), "c1").status is CommandStatus.REFUSED
     truck.ask(TO_1, "c2")
-    assert truck.ask(SERVE, "c3").answer is Answered.LATER
+    assert truck.ask(SERVE, "c3").status is CommandStatus.LATER
     with pytest.raises(LeewayError, match="call the dispatcher"):
-        truck.port.cannot(truck.port.todo[0], "a flat tyre")
+        truck.port.report_task_not_possible(truck.port.tasks[0], "a flat tyre")

@@ -1,4 +1,4 @@
-"""Starts of the search and its larger changes: tours at a price of a flight, insertion, rebuild."""
+"""Initial plans of the search and its larger changes: priced tours, insertion, rebuild."""
 
 from dataclasses import replace
 from itertools import combinations, pairwise, permutations
@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
-from ground_station.core.truck_drones.schedule import schedule_of
+from ground_station.core.truck_drones.problem import DroneKind, LegTables, TruckAndDrones
+from ground_station.core.truck_drones.schedule import simulate_schedule
+from tests.ground_station.truck_drones.compiled_calls import callable_from_python
 from tests.ground_station.truck_drones.test_changed_plan import scarce, with_pads
 from tests.ground_station.truck_drones.test_search import (
     assert_everyone_is_served_once,
@@ -33,7 +34,7 @@ def small_town(seed: int, customers: int) -> TruckAndDrones:
     is_customer[[0, -1]] = False
     flies = is_customer.copy()
     flies[2] = False
-    legs = Legs(far_m / 15.0, far_m / 15.0, far_m / 15.0, far_m / 15.0, 1800.0)
+    legs = LegTables(far_m / 15.0, far_m / 15.0, far_m / 15.0, far_m / 15.0, 1800.0)
     return TruckAndDrones(
         travel_s, np.where(is_customer, 30.0, 0.0), (DroneKind(2, 60.0, 30.0, flies),), (legs,),
         is_customer,
@@ -41,8 +42,8 @@ def small_town(seed: int, customers: int) -> TruckAndDrones:
 
 
 def cheapest_s(problem: TruckAndDrones, flight_s: np.ndarray) -> float:
-    """By trying every choice of stops in every order."""
-    customers, end = range(1, problem.end), problem.end
+    """Return the cheapest cost over every choice of stops in every order."""
+    customers, end = range(1, problem.end_node), problem.end_node
     return min(
         sum(problem.travel_s[a, b] for a, b in pairwise((0, *order, end)))
         + sum(flight_s[j] for j in customers if j not in order)
@@ -58,32 +59,35 @@ def cheapest_s(problem: TruckAndDrones, flight_s: np.ndarray) -> float:
 def test_a_priced_tour_of_six_customers_costs_one_per_cent_more_than_the_cheapest_at_most(
     seed: int, price_s: float
 ):
-    from ground_station.core.truck_drones.building.priced_tour import priced_tour
-    from ground_station.core.truck_drones.random_stream import random_stream
+    from ground_station.core.truck_drones.building.priced_tour import anneal_priced_tour
+    from ground_station.core.truck_drones.random_stream import seeded_stream_from_generator
     from ground_station.core.truck_drones.tables import tables_of
 
     problem = small_town(seed, 6)
     flight_s = np.full(problem.nodes, price_s)
     flight_s[2] = np.inf
-    stream = random_stream(np.random.default_rng(seed))
+    stream = seeded_stream_from_generator(np.random.default_rng(seed))
     found_s = []
     for _ in range(5):
-        tour = priced_tour(tables_of(problem), flight_s, stream).tolist()
-        assert (tour[0], tour[-1]) == (0, problem.end)
+        tour = anneal_priced_tour(tables_of(problem), flight_s, stream).tolist()
+        assert (tour[0], tour[-1]) == (0, problem.end_node)
         assert 2 in tour
         assert len(set(tour)) == len(tour)
         driven_s = sum(problem.travel_s[a, b] for a, b in pairwise(tour))
-        found_s.append(driven_s + sum(flight_s[j] for j in range(1, problem.end) if j not in tour))
+        found_s.append(
+            driven_s + sum(flight_s[j] for j in range(1, problem.end_node) if j not in tour)
+        )
     least_s = cheapest_s(problem, flight_s)
     assert least_s - 1e-6 <= min(found_s) <= 1.01 * least_s
 
 
+@pytest.mark.sample
 @PROBLEMS
 def test_built_plans_serve_everyone_once_and_the_best_comes_first(problem: TruckAndDrones):
-    from ground_station.core.truck_drones.search import Search, SearchParams
+    from ground_station.core.truck_drones.search import PlanSearch, SearchParams
 
-    plans = Search(problem, np.random.default_rng(0), SearchParams()).built()
-    schedules = [schedule_of(problem, plan) for plan in plans]
+    plans = PlanSearch(problem, np.random.default_rng(0), SearchParams()).construct_plans()
+    schedules = [simulate_schedule(problem, plan) for plan in plans]
     assert len(plans) >= 2
     for schedule in schedules:
         assert_everyone_is_served_once(problem, schedule)
@@ -91,27 +95,38 @@ def test_built_plans_serve_everyone_once_and_the_best_comes_first(problem: Truck
     assert ends_s == sorted(ends_s)
 
 
+@pytest.mark.sample
 @PROBLEMS
 def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_simulation(
     problem: TruckAndDrones,
 ):
     from ground_station.core.truck_drones import changed_plan
-    from ground_station.core.truck_drones.building.rebuild import rebuild
-    from ground_station.core.truck_drones.edits import index_route
-    from ground_station.core.truck_drones.first_plan import first_plan
-    from ground_station.core.truck_drones.moves import any_move
-    from ground_station.core.truck_drones.random_stream import random_stream
+    from ground_station.core.truck_drones.building.rebuild import try_random_removal_and_reinsertion
+    from ground_station.core.truck_drones.edits import store_route_index_by_node
+    from ground_station.core.truck_drones.first_plan import build_first_plan
+    from ground_station.core.truck_drones.moves import try_random_move
+    from ground_station.core.truck_drones.random_stream import seeded_stream_from_generator
     from ground_station.core.truck_drones.search import INSERTION
-    from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
-    from ground_station.core.truck_drones.tables import tables_of, work_for
+    from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+    from ground_station.core.truck_drones.tables import allocate_work_arrays, tables_of
 
     tables = tables_of(problem)
-    kept, work, whole = work_for(tables), work_for(tables), work_for(tables)
-    stream = random_stream(np.random.default_rng(4))
-    plan = first_plan(problem, tables, whole)
-    place = np.zeros(problem.nodes, dtype=np.int32)
-    index_route(plan, place)
-    now_s = changed_plan.note_simulation(tables, plan, kept)
+    kept, work, whole = (
+        allocate_work_arrays(tables),
+        allocate_work_arrays(tables),
+        allocate_work_arrays(tables),
+    )
+    stream = seeded_stream_from_generator(np.random.default_rng(4))
+    plan = build_first_plan(problem, tables, whole)
+    place = np.zeros(problem.nodes, dtype=np.int64)
+    store_route_index_by_node(plan, place)
+    move = callable_from_python(try_random_move)
+    rebuild = callable_from_python(try_random_removal_and_reinsertion)
+    incremental_s = callable_from_python(changed_plan.incremental_makespan_s)
+    changed_away_s = callable_from_python(changed_plan.changed_drone_time_away_s)
+    total_away_s = callable_from_python(changed_plan.total_drone_time_away_s)
+    commit = callable_from_python(changed_plan.commit_changed_simulation)
+    now_s = callable_from_python(changed_plan.simulate_and_store)(tables, plan, kept)
     counts = {"rebuilt": 0, "moved": 0}
     for number in range(1200):
         changed, its_place = plan.copy(), place.copy()
@@ -122,25 +137,27 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
             )
             assert not done or timed > 0
         else:
-            done = any_move(tables, changed, its_place, stream)
+            done = move(tables, changed, its_place, stream)
         if not done:
             continue
         if large:
             noted = np.zeros_like(its_place)
-            index_route(changed, noted)
+            store_route_index_by_node(changed, noted)
             assert (noted == its_place).all()
-        makespan_s, begin, at, shift_s = changed_plan.changed_makespan_s(
+        makespan_s, begin, at, shift_s = incremental_s(
             tables, plan, kept, now_s, changed, work, now_s + 60.0
         )
         if at == 0:
             continue
-        assert makespan_s == pytest.approx(simulate(tables, changed, whole, IMPOSSIBLE), abs=1e-6)
-        away_s = changed_plan.changed_away_s(changed, kept, work, begin, at, shift_s)
-        assert away_s == pytest.approx(changed_plan.away_s(changed, whole), abs=1e-6)
-        assert_everyone_is_served_once(problem, schedule_of(problem, changed))
+        assert makespan_s == pytest.approx(
+            simulate_makespan_s(tables, changed, whole, INFEASIBLE_S), abs=1e-6
+        )
+        away_s = changed_away_s(changed, kept, work, begin, at, shift_s)
+        assert away_s == pytest.approx(total_away_s(changed, whole), abs=1e-6)
+        assert_everyone_is_served_once(problem, simulate_schedule(problem, changed))
         counts["rebuilt" if large else "moved"] += 1
         plan, place, now_s = changed, its_place, makespan_s
-        changed_plan.adopt(tables, plan, kept, work, begin, at, shift_s)
+        commit(tables, plan, kept, work, begin, at, shift_s)
     assert min(counts.values()) >= 50, counts
 
 
@@ -149,16 +166,17 @@ def grown(problem: TruckAndDrones, drones: int) -> TruckAndDrones:
     return replace(problem, kinds=kinds)
 
 
+@pytest.mark.sample
 def test_where_drones_are_plenty_a_built_plan_comes_near_the_truck_and_drivers_own_work():
     """With drones that are never short, no day ends before the cheapest priced tour: driving, and
     the driver's time for each stop and flight.
     """
-    from ground_station.core.truck_drones.search import Search, SearchParams
+    from ground_station.core.truck_drones.search import PlanSearch, SearchParams
 
     problem = grown(small_town(3, 7), 7)
     driver_s = 90.0 - problem.deliver_s
     driver_s[2] = np.inf
     least_s = cheapest_s(problem, driver_s) + 7 * 30.0
-    plan = Search(problem, np.random.default_rng(0), SearchParams()).built()[0]
-    ends_s = schedule_of(problem, plan).makespan_s
+    plan = PlanSearch(problem, np.random.default_rng(0), SearchParams()).construct_plans()[0]
+    ends_s = simulate_schedule(problem, plan).makespan_s
     assert least_s - 1e-6 <= ends_s <= 1.05 * least_s

@@ -1,4 +1,4 @@
-"""The makespan of a changed plan, timed in part, against the same plan timed whole."""
+"""Makespan of a changed plan, timed in part, against the same plan timed completely."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground_station.core.truck_drones.problem import Air, TruckAndDrones
-from ground_station.core.truck_drones.schedule import schedule_of
-from ground_station.core.truck_drones.search import SearchPolicy, with_more_drones
+from ground_station.core.truck_drones.problem import LayeredAirspace, TruckAndDrones
+from ground_station.core.truck_drones.schedule import simulate_schedule
+from ground_station.core.truck_drones.search import SearchPolicy, plan_for_larger_fleet
+from tests.ground_station.truck_drones.compiled_calls import callable_from_python
 from tests.ground_station.truck_drones.test_search import mixed_problem
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
@@ -18,14 +19,14 @@ TEMPERATURE_S = 40.0
 
 
 def scarce(seed: int) -> TruckAndDrones:
-    """Batteries that leave little for hovering: launches are put off."""
+    """Batteries with little hover reserve: launches are delayed."""
     problem = mixed_problem(seed)
-    legs = tuple(replace(of, endurance_hover_s=620.0) for of in problem.legs)
-    return replace(problem, legs=legs)
+    legs = tuple(replace(of, endurance_hover_s=620.0) for of in problem.leg_tables)
+    return replace(problem, leg_tables=legs)
 
 
 def with_pads(seed: int) -> TruckAndDrones:
-    """Drones land by themselves, never before the truck; some are free or allowed later."""
+    """Drones land autonomously, never before the truck; some are available or allowed later."""
     problem = mixed_problem(seed)
     late = replace(problem.kinds[1], from_s=700.0)
     release_s = np.zeros(problem.nodes)
@@ -35,36 +36,37 @@ def with_pads(seed: int) -> TruckAndDrones:
         kinds=(problem.kinds[0], late),
         pads=True,
         lead_s=30.0,
-        stay_s=20.0,
+        takeoff_wait_s=20.0,
         hold_s=100.0,
         release_s=release_s,
     )
 
 
 def with_layers(seed: int, layers: int) -> TruckAndDrones:
-    """Drones are separated, among places so near one another that many launches wait."""
+    """Separated drones at positions so close that many launches wait."""
     problem = with_pads(seed)
     rng = np.random.default_rng(seed)
     kinds = len(problem.kinds)
-    air = Air(
+    air = LayeredAirspace(
         ne_m=rng.uniform(-400.0, 400.0, (problem.nodes, 2)),
-        lowest=np.zeros(problem.nodes, np.int32),
-        layers=np.full(problem.nodes, layers, np.int32),
+        lowest=np.zeros(problem.nodes, np.int64),
+        layers=np.full(problem.nodes, layers, np.int64),
         pads=8,
         pads_m=27.0,
         rings_m=21.0,
         ready_s=20.0,
-        apart_m=16.0,
+        separation_m=16.0,
         slack_s=30.0,
         priced=1,
         layer_s=(15.0, 20.0)[:kinds],
         layer_hover_s=(20.0, 25.0)[:kinds],
-        bends=np.where(rng.random((problem.nodes, problem.nodes, 2)) < 0.2, 1, -1).astype(np.int32),
+        bends=np.where(rng.random((problem.nodes, problem.nodes, 2)) < 0.2, 1, -1).astype(np.int64),
         corners_ne_m=np.array([[50.0, -100.0], [-80.0, 60.0]]),
     )
     return replace(problem, air=air)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     "problem",
     [mixed_problem(0), scarce(1), with_pads(2), with_layers(2, 2), with_layers(3, 4)],
@@ -72,42 +74,49 @@ def with_layers(seed: int, layers: int) -> TruckAndDrones:
 )
 def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckAndDrones):
     from ground_station.core.truck_drones.changed_plan import (
-        adopt,
-        changed_makespan_s,
-        note_simulation,
+        commit_changed_simulation,
+        incremental_makespan_s,
+        simulate_and_store,
     )
-    from ground_station.core.truck_drones.edits import index_route
-    from ground_station.core.truck_drones.first_plan import first_plan
-    from ground_station.core.truck_drones.moves import any_move
-    from ground_station.core.truck_drones.random_stream import random_stream
-    from ground_station.core.truck_drones.simulate import IMPOSSIBLE, simulate
-    from ground_station.core.truck_drones.tables import tables_of, work_for
+    from ground_station.core.truck_drones.edits import store_route_index_by_node
+    from ground_station.core.truck_drones.first_plan import build_first_plan
+    from ground_station.core.truck_drones.moves import try_random_move
+    from ground_station.core.truck_drones.random_stream import seeded_stream_from_generator
+    from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
+    from ground_station.core.truck_drones.tables import allocate_work_arrays, tables_of
 
     tables = tables_of(problem)
-    kept, work, whole = work_for(tables), work_for(tables), work_for(tables)
+    kept, work, whole = (
+        allocate_work_arrays(tables),
+        allocate_work_arrays(tables),
+        allocate_work_arrays(tables),
+    )
     rng = np.random.default_rng(4)
-    stream = random_stream(rng)
-    plan = first_plan(problem, tables, whole)
-    place = np.zeros(problem.nodes, dtype=np.int32)
-    index_route(plan, place)
-    now_s = note_simulation(tables, plan, kept)
+    stream = seeded_stream_from_generator(rng)
+    plan = build_first_plan(problem, tables, whole)
+    place = np.zeros(problem.nodes, dtype=np.int64)
+    store_route_index_by_node(plan, place)
+    move = callable_from_python(try_random_move)
+    incremental_s = callable_from_python(incremental_makespan_s)
+    commit = callable_from_python(commit_changed_simulation)
+    now_s = callable_from_python(simulate_and_store)(tables, plan, kept)
     counts = {"impossible": 0, "in part": 0, "adopted": 0}
     for _ in range(CHANGES):
         changed, its_place = plan.copy(), place.copy()
-        if not any_move(tables, changed, its_place, stream):
+        if not move(tables, changed, its_place, stream):
             continue
-        makespan_s, begin, at, shift_s = changed_makespan_s(
-            tables, plan, kept, now_s, changed, work, IMPOSSIBLE
+        makespan_s, begin, at, shift_s = incremental_s(
+            tables, plan, kept, now_s, changed, work, INFEASIBLE_S
         )
-        expected_s = simulate(tables, changed, whole, IMPOSSIBLE)
+        expected_s = simulate_makespan_s(tables, changed, whole, INFEASIBLE_S)
         assert makespan_s == pytest.approx(expected_s, abs=1e-6)
-        counts["impossible"] += expected_s == IMPOSSIBLE
+        counts["impossible"] += expected_s == INFEASIBLE_S
         if at == 0 or makespan_s > now_s + rng.exponential(TEMPERATURE_S):
             continue
-        counts["in part"] += begin > 0 or at <= its_place[problem.end]
+        counts["in part"] += begin > 0 or at <= its_place[problem.end_node]
         counts["adopted"] += 1
         plan, place, now_s = changed, its_place, makespan_s
-        adopt(tables, plan, kept, work, begin, at, shift_s)
+        commit(tables, plan, kept, work, begin, at, shift_s)
     assert min(counts.values()) >= 50, counts
 
 
@@ -121,7 +130,7 @@ def test_with_more_drones_no_day_ends_later(seed: int):
     fleets = [of_some_kind(scarce(seed), (quick, 1)) for quick in (1, 2, 3, 4)]
     policy = SearchPolicy(trials=4_000)
     ends_s = [
-        schedule_of(fleet, policy.plan(fleet, np.random.default_rng(seed))).makespan_s
+        simulate_schedule(fleet, policy.plan(fleet, np.random.default_rng(seed))).makespan_s
         for fleet in fleets
     ]
     assert ends_s == sorted(ends_s, reverse=True)
@@ -131,8 +140,8 @@ def test_a_plan_of_fewer_drones_is_the_same_plan_with_the_others_left_aboard():
     problem = mixed_problem(0)
     fewer = of_some_kind(problem, (1, 1))
     plan = SearchPolicy(trials=4_000).plan(fewer, np.random.default_rng(0))
-    before = schedule_of(fewer, plan)
-    after = schedule_of(problem, with_more_drones(plan, fewer, problem))
+    before = simulate_schedule(fewer, plan)
+    after = simulate_schedule(problem, plan_for_larger_fleet(plan, fewer, problem))
     assert after.makespan_s == pytest.approx(before.makespan_s, abs=1e-9)
     assert {sortie.drone for sortie in before.sorties} == {0, 1}
     assert {sortie.drone for sortie in after.sorties} == {0, 2}  # 1 is of the first kind

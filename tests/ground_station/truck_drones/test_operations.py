@@ -1,4 +1,4 @@
-"""One truck and one drone: the search against optima from outside, and the checker's canaries."""
+"""One truck and one drone: the search against external optima, and the checker's canaries."""
 
 import json
 import math
@@ -11,21 +11,23 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import keep_compiled_code
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from ground_station.adapters.files.tspd_files import (
     TspdInstance,
     read_instance,
-    read_means,
-    read_optimum,
+    read_optimum_cost_or_none,
+    read_reference_costs,
 )
 from ground_station.app.cli.benchmark import benchmark
-from ground_station.core.benchmark.operations_check import operation_violations
+from ground_station.core.benchmark.operations_check import plan_violations
+
+pytestmark = pytest.mark.sample
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_code_is_kept() -> None:
-    """Before the first import of the search."""
-    keep_compiled_code()
+    """Enable the compile cache before the first import of the search."""
+    enable_compile_cache_and_check_if_known()
 
 
 SMALL = Path("../shared/data/tspd/uniform_small")
@@ -35,17 +37,17 @@ STREET_PLAN = [(0, 0, 4, [3, 2, 1])]
 
 
 def drawn_instance(seed: int, nodes: int, drone_cost: float) -> TspdInstance:
-    """Uniform places."""
+    """Instance with uniformly distributed locations."""
     rng = np.random.default_rng(seed)
     places = tuple((float(x), float(y)) for x, y in rng.uniform(0.0, 100.0, (nodes, 2)))
     return TspdInstance(f"drawn-{seed}", "drawn", 1.0, drone_cost, places)
 
 
 def optimum_of(instance: TspdInstance) -> float:
-    """The least cost of all: by number of served nodes, over sets and the node where both are; no
-    node is visited twice but the one where an operation starts.
+    """Return the minimum cost by dynamic programming over served sets and the meeting node. No node
+    is visited twice except the start of an operation.
     """
-    places = instance.places
+    places = instance.points
 
     def apart(one: int, other: int) -> float:
         return math.dist(places[one], places[other])
@@ -74,8 +76,8 @@ def optimum_of(instance: TspdInstance) -> float:
 def _operations(
     route: Sequence[int], start: int
 ) -> Iterator[tuple[frozenset[int], int, list[int], int | None]]:
-    """What the nodes of a route may be: all of the truck, or the first one of the drone; ending at
-    the last one, at the start, or at the depot.
+    """Yield the operations of a route: all nodes by truck, or the first by drone; ending at the
+    last node, at the start, or at the depot.
     """
     new = frozenset(route)
     if len(route) == 1:
@@ -85,52 +87,55 @@ def _operations(
         yield new, stop, [start, *by_truck, stop], route[0]
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=2)
 @pytest.mark.parametrize("seed", range(4))
 def test_small_instances_are_solved_to_the_optimum_of_an_exhaustive_program(seed: int) -> None:
-    from ground_station.app.benchmarks.tspd_bench import solve_instance
+    from ground_station.app.benchmarks.tspd_bench import plan_and_check_instance
 
     instance = drawn_instance(seed, 6, (1.0, 0.5, 1.0 / 3.0, 0.7)[seed])
-    row = solve_instance(instance, None, 0)
+    row = plan_and_check_instance(instance, None, 0)
     assert row["cost"] == pytest.approx(optimum_of(instance), rel=1e-9)
 
 
+@pytest.mark.sample
 def test_truck_and_drone_share_a_street() -> None:
-    from ground_station.app.benchmarks.tspd_bench import solve_instance
+    from ground_station.app.benchmarks.tspd_bench import plan_and_check_instance
 
-    row = solve_instance(TspdInstance("street", "made", 1.0, 1.0, STREET), None, 0)
+    row = plan_and_check_instance(TspdInstance("street", "made", 1.0, 1.0, STREET), None, 0)
     assert row["cost"] == pytest.approx(8.0)
 
 
 def test_the_same_seed_makes_the_same_plan_and_no_search_beats_what_the_checker_sums() -> None:
-    from ground_station.app.benchmarks.tspd_bench import solve_instance
+    from ground_station.app.benchmarks.tspd_bench import plan_and_check_instance
 
     instance = drawn_instance(7, 30, 0.5)
-    one, other = (solve_instance(instance, None, 3) for _ in range(2))
+    one, other = (plan_and_check_instance(instance, None, 3) for _ in range(2))
     assert one["operations"] == other["operations"]
-    truck_alone = operation_violations(
-        instance.places, 1.0, 0.5, [(0, 0, -1, list(range(1, 30)))], one["cost"]
+    truck_alone = plan_violations(
+        instance.points, 1.0, 0.5, [(0, 0, -1, list(range(1, 30)))], one["cost"]
     )
     assert "is reported" in truck_alone[0]
     assert len(truck_alone) == 1
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=2)
 @pytest.mark.parametrize("name", ["1-n11", "7-n13", "9-n11", "4-n15", "3-n17"])
 def test_proven_optima_are_reached_to_a_thousandth(name: str) -> None:
     path = SMALL / f"uniform-{name}.txt"
     if not path.exists():
         pytest.skip("the published instances are not here")
-    from ground_station.app.benchmarks.tspd_bench import solve_instance
+    from ground_station.app.benchmarks.tspd_bench import plan_and_check_instance
 
-    optimum = read_optimum(path)
+    optimum = read_optimum_cost_or_none(path)
     assert optimum is not None
-    cost = solve_instance(read_instance(path), None, 0)["cost"]
+    cost = plan_and_check_instance(read_instance(path), None, 0)["cost"]
     assert optimum * (1.0 - 1e-9) <= cost <= optimum * 1.001
 
 
 def test_the_checker_accepts_a_right_plan() -> None:
-    assert operation_violations(STREET, 1.0, 1.0, STREET_PLAN, 8.0) == []
+    assert plan_violations(STREET, 1.0, 1.0, STREET_PLAN, 8.0) == []
 
 
 @pytest.mark.parametrize(
@@ -140,13 +145,13 @@ def test_the_checker_accepts_a_right_plan() -> None:
         ([(0, 0, 4, [1, 2])], 8.0, "not served: 1, the first is node 3"),
         ([(0, 3, -1, []), (0, 0, 1, [2, 4])], 9.0, "begins at 0, the last one ended at 3"),
         ([(0, 3, 1, [2, 4])], 9.0, "the plan ends at 3"),
-        ([*STREET_PLAN, (0, 0, 2, [2])], 10.0, "the drone serves 2, where the truck comes by"),
+        ([*STREET_PLAN, (0, 0, 2, [2])], 10.0, "the drone serves 2, a node of the truck"),
         ([(0, 0, 9, [1, 2, 3, 4])], 9.0, "there is no node 9"),
         (STREET_PLAN, math.nan, "is reported"),
     ],
 )
 def test_the_checker_says_what_is_wrong(operations, cost: float, said: str) -> None:
-    assert any(said in fault for fault in operation_violations(STREET, 1.0, 1.0, operations, cost))
+    assert any(said in fault for fault in plan_violations(STREET, 1.0, 1.0, operations, cost))
 
 
 def write_instance(folder: Path, name: str, places=STREET, drone: str = "1.0") -> Path:
@@ -171,7 +176,7 @@ def test_wrong_files_are_named_with_their_line(tmp_path: Path) -> None:
     means = tmp_path / "means.csv"
     means.write_text("set,alpha,n\nuniform,1,many\n")
     with pytest.raises(LeewayError, match=r"means.csv:2: not a row of means"):
-        read_means(means)
+        read_reference_costs(means)
 
 
 def test_the_command_plans_a_folder_and_compares_with_what_is_known(tmp_path: Path) -> None:
@@ -185,6 +190,6 @@ def test_the_command_plans_a_folder_and_compares_with_what_is_known(tmp_path: Pa
     assert "proven optima: 1; above by more than 0.1 %: 0" in done.output
     (row,) = json.loads(out.read_text())["rows"]
     assert row["cost"] == pytest.approx(8.0)
-    assert operation_violations(STREET, 1.0, 1.0, row["operations"], row["cost"]) == []
+    assert plan_violations(STREET, 1.0, 1.0, row["operations"], row["cost"]) == []
     assert {"instance", "n", "alpha", "cost", "seconds", "operations"} <= set(row)
     assert not (tmp_path / "rows.json.journal").exists()

@@ -12,22 +12,22 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
-from ground_station.core.truck_drones.schedule import schedule_of
+from ground_station.core.truck_drones.problem import DroneKind, LegTables, TruckAndDrones
+from ground_station.core.truck_drones.schedule import simulate_schedule
 from ground_station.core.truck_drones.search import SearchPolicy
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
 
 class Task(NamedTuple):
-    """Of the driver: "deliver", "launch" or "recover"; the customer concerned."""
+    """A driver's task: "deliver", "launch" or "recover", and its customer."""
 
     what: str
     customer: int
 
 
 class Flight(NamedTuple):
-    """A sortie, and how long it may take from launched to met."""
+    """A sortie and its permitted duration from launch to recovery."""
 
     launch: int
     customer: int
@@ -46,25 +46,25 @@ def tiny_problem(seed: int, customers: int, drones: int, endurance_s: float) -> 
     is_customer[[0, -1]] = False
     can_fly = is_customer.copy()
     can_fly[1] = False
-    legs = Legs(200.0 * far + 40.0, 260.0 * far, 210.0 * far, 240.0 * far, endurance_s)
+    legs = LegTables(200.0 * far + 40.0, 260.0 * far, 210.0 * far, 240.0 * far, endurance_s)
     return TruckAndDrones(
         travel_s=travel_s,
         deliver_s=np.where(is_customer, 30.0, 0.0),
         kinds=(DroneKind(drones, 60.0, 30.0, can_fly),),
-        legs=(legs,),
+        leg_tables=(legs,),
         truck_can_serve=is_customer,
     )
 
 
 def best_makespan_s(problem: TruckAndDrones) -> float:
-    """The least makespan of all plans (one kind of drone)."""
+    """Return the minimum makespan of all plans (one kind of drone)."""
     best_s = math.inf
-    flyable = [j for j in range(1, problem.end) if problem.kinds[0].can_serve[j]]
+    flyable = [j for j in range(1, problem.end_node) if problem.kinds[0].can_serve[j]]
     for count in range(len(flyable) + 1):
         for flown in combinations(flyable, count):
-            driven = [j for j in range(1, problem.end) if j not in flown]
+            driven = [j for j in range(1, problem.end_node) if j not in flown]
             for order in permutations(driven):
-                route = [0, *order, problem.end]
+                route = [0, *order, problem.end_node]
                 best_s = min(best_s, _best_on_route_s(problem, route, flown, best_s))
     return best_s
 
@@ -85,7 +85,7 @@ def _best_on_route_s(
 
 
 def _flights(problem: TruckAndDrones, route: list[int], customer: int) -> Iterator[Flight]:
-    legs = problem.legs[0]
+    legs = problem.leg_tables[0]
     for launch, meet in combinations(route, 2):
         least_s = legs.out_s[launch, customer] + legs.back_s[customer, meet]
         spent_s = legs.out_hover_s[launch, customer] + legs.back_hover_s[customer, meet]
@@ -150,6 +150,7 @@ def _earliest_end_s(
     return math.inf
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("seed", "drones", "endurance_s"),
     [(0, 1, 600.0), (1, 2, 450.0), (2, 2, 450.0), (2, 3, 500.0), (3, 1, 600.0), (4, 2, 520.0)],
@@ -159,6 +160,6 @@ def test_on_five_customers_the_search_finds_what_trying_everything_finds(
 ):
     problem = tiny_problem(seed, 5, drones, endurance_s)
     plan = SearchPolicy(trials=90_000).plan(problem, np.random.default_rng(seed))
-    assert schedule_of(problem, plan).makespan_s == pytest.approx(
+    assert simulate_schedule(problem, plan).makespan_s == pytest.approx(
         best_makespan_s(problem), abs=1e-6
     )

@@ -8,13 +8,15 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from ground_station.adapters.files.compiled_code import keep_compiled_code
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
+
+pytestmark = pytest.mark.sample
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_code_is_kept() -> None:
-    """Before the first import of the search."""
-    keep_compiled_code()
+    """Enable the compile cache before the first import of the search."""
+    enable_compile_cache_and_check_if_known()
 
 
 def drawn_costs(seed: int, nodes: int, alpha: float) -> tuple[np.ndarray, np.ndarray]:
@@ -25,7 +27,7 @@ def drawn_costs(seed: int, nodes: int, alpha: float) -> tuple[np.ndarray, np.nda
 
 
 def splits_of(order: tuple[int, ...]) -> Iterator[list[tuple[tuple[int, ...], int | None]]]:
-    """All ways to cut an order into operations: the truck's nodes, and whom the drone serves."""
+    """Yield all partitions of an order into operations: truck nodes and the drone's customer."""
     if len(order) == 1:
         yield []
     for stop in range(1, len(order)):
@@ -37,7 +39,7 @@ def splits_of(order: tuple[int, ...]) -> Iterator[list[tuple[tuple[int, ...], in
 
 
 def cost_of(operations, drive: np.ndarray, fly: np.ndarray) -> float:
-    """Of operations by `splits_of`."""
+    """Return the cost of operations from `splits_of`."""
     total = 0.0
     for truck, flown in operations:
         by_truck = sum(drive[a, b] for a, b in pairwise(truck))
@@ -48,7 +50,7 @@ def cost_of(operations, drive: np.ndarray, fly: np.ndarray) -> float:
 
 @cache
 def best_of_all_orders(seed: int, nodes: int, alpha: float) -> float:
-    """The least cost of all orders, each cut in all ways."""
+    """Return the minimum cost of all orders with all partitions."""
     drive, fly = drawn_costs(seed, nodes, alpha)
     cuts = list(splits_of((*range(nodes), 0)))
     middles = permutations(range(1, nodes))
@@ -63,41 +65,48 @@ def best_of_all_orders(seed: int, nodes: int, alpha: float) -> float:
 @pytest.mark.parametrize("alpha", [0.7, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_split_costs_the_least_of_all_splits_of_its_order(seed: int, alpha: float) -> None:
-    from ground_station.core.truck_drones.operation_plan import plan_cost, with_copy
+    from ground_station.core.truck_drones.operation_plan import (
+        total_cost_of_operations,
+        with_depot_copy,
+    )
     from ground_station.core.truck_drones.order_search import (
-        new_split,
-        operations_of,
-        split_order,
+        create_uncomputed_split,
+        operations_of_split,
+        update_best_split_cost,
     )
 
     nodes = 8
     drive, fly = drawn_costs(seed, nodes, alpha)
     rng = np.random.default_rng(seed)
-    order = np.array([0, *(1 + rng.permutation(nodes - 1)), nodes], dtype=np.int32)
-    split = new_split(order)
-    cost = split_order(with_copy(drive), with_copy(fly), split, 0, 25)
+    order = np.array([0, *(1 + rng.permutation(nodes - 1)), nodes], dtype=np.int64)
+    split = create_uncomputed_split(order)
+    cost = update_best_split_cost(with_depot_copy(drive), with_depot_copy(fly), split, 0, 25)
     walked = (*(int(node) for node in order[:-1]), 0)
     least = min(cost_of(cut, drive, fly) for cut in splits_of(walked))
     assert cost == pytest.approx(least, rel=1e-12)
-    operations = operations_of(split)
-    assert plan_cost(drive, fly, operations) == pytest.approx(least, rel=1e-12)
+    operations = operations_of_split(split)
+    assert total_cost_of_operations(drive, fly, operations) == pytest.approx(least, rel=1e-12)
     served = [node for one in operations for node in (*one.between, one.fly, one.stop)]
     assert sorted(node for node in served if node is not None) == list(range(nodes))
 
 
 def test_a_split_that_goes_on_from_the_first_changed_place_costs_as_one_from_the_start() -> None:
-    """So annealing's running cost is that of its order, after thousands of accepted changes."""
-    from ground_station.core.truck_drones.operation_plan import with_copy
-    from ground_station.core.truck_drones.order_search import OrderSearch, new_split, split_order
+    """Annealing's running cost equals its order's cost after thousands of accepted changes."""
+    from ground_station.core.truck_drones.operation_plan import with_depot_copy
+    from ground_station.core.truck_drones.order_search import (
+        OrderSearch,
+        create_uncomputed_split,
+        update_best_split_cost,
+    )
 
     drive, fly = drawn_costs(11, 30, 2.0)
     search = OrderSearch(drive, fly, np.random.default_rng(0))
-    search.step(5_000, 0.0, 0.3)
-    anew = new_split(search.now.order)
-    whole = split_order(with_copy(drive), with_copy(fly), anew, 0, 25)
-    assert search.now.cost == pytest.approx(anew.cost, rel=1e-9)
-    assert search.now.cost[-1] == pytest.approx(whole, rel=1e-9)
-    assert sorted(search.now.order) == list(range(31))
+    search.run_trials(5_000, 0.0, 0.3)
+    anew = create_uncomputed_split(search.current.order)
+    whole = update_best_split_cost(with_depot_copy(drive), with_depot_copy(fly), anew, 0, 25)
+    assert search.current.cost == pytest.approx(anew.cost, rel=1e-9)
+    assert search.current.cost[-1] == pytest.approx(whole, rel=1e-9)
+    assert sorted(search.current.order) == list(range(31))
 
 
 @pytest.mark.parametrize("alpha", [1.0, 2.0, 3.0])
@@ -107,8 +116,8 @@ def test_orders_are_annealed_to_the_optimum_of_brute_force(seed: int, alpha: flo
 
     drive, fly = drawn_costs(50, 6, alpha)
     search = OrderSearch(drive, fly, np.random.default_rng(seed))
-    search.begin_anew()
-    search.round(3_000)
+    search.begin_from_random_order()
+    search.run_cooling(3_000)
     assert search.best_cost == pytest.approx(best_of_all_orders(50, 6, alpha), rel=1e-9)
 
 
@@ -118,24 +127,25 @@ def test_the_smallest_problems_are_searched(nodes: int) -> None:
 
     drive, fly = drawn_costs(3, nodes, 2.0)
     search = OrderSearch(drive, fly, np.random.default_rng(0))
-    search.begin_anew()
-    search.round(1_000)
+    search.begin_from_random_order()
+    search.run_cooling(1_000)
     assert search.best_cost == pytest.approx(best_of_all_orders(3, nodes, 2.0), rel=1e-9)
 
 
+@pytest.mark.sample
 def test_the_chain_takes_over_the_orders_plan_as_its_best() -> None:
     from ground_station.core.truck_drones.operation_search import OperationSearch
     from ground_station.core.truck_drones.order_search import OrderSearch
 
     drive, fly = drawn_costs(5, 40, 2.0)
     orders = OrderSearch(drive, fly, np.random.default_rng(1))
-    orders.round(40_000)
+    orders.run_cooling(40_000)
     chain = OperationSearch(drive, fly, np.random.default_rng(1))
     assert chain.best_cost > orders.best_cost * 1.05
-    chain.begin_with(orders.best())
-    assert chain.best() == orders.best()
+    chain.begin_from_plan(orders.best_operations())
+    assert chain.best_operations() == orders.best_operations()
     assert chain.best_cost == orders.best_cost
-    chain.step(100_000, 0.0, 0.0)  # hot: what is found there is worse, and the best is kept
+    chain.run_trials(100_000, 0.0, 0.0)  # high temperature: results are worse, the best is kept
     assert chain.best_cost <= orders.best_cost
 
 
@@ -150,16 +160,16 @@ def test_every_plan_of_coolings_spends_all_its_seconds() -> None:
 @pytest.mark.parametrize("nodes", [12, 40])
 def test_a_search_by_seconds_ends_in_time_and_is_as_good_as_its_orders(nodes: int) -> None:
     from ground_station.adapters.files.tspd_files import TspdInstance
-    from ground_station.app.benchmarks.tspd_bench import solve_instance
+    from ground_station.app.benchmarks.tspd_bench import plan_and_check_instance
 
     places = np.random.default_rng(9).uniform(0.0, 100.0, (nodes, 2))
     both = tuple((float(x), float(y)) for x, y in places)
     instance = TspdInstance("drawn", "drawn", 1.0, 0.5, both)
-    row = solve_instance(instance, 0.5, 0)
+    row = plan_and_check_instance(instance, 0.5, 0)
     assert 0.4 < row["seconds"] < 1.0
     drive, fly = drawn_costs(9, nodes, 2.0)
     from ground_station.core.truck_drones.order_search import OrderSearch
 
     orders = OrderSearch(drive, fly, np.random.default_rng(0))
-    orders.round(5_000)
+    orders.run_cooling(5_000)
     assert row["cost"] < orders.best_cost * 1.01

@@ -1,4 +1,4 @@
-"""The truck-and-drone planner against published optima and a checker of its own."""
+"""The truck-and-drone planner against published optima and an independent checker."""
 
 import copy
 import json
@@ -13,25 +13,32 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.mfstsp_files import read_problem, read_published, read_vehicles
+from ground_station.adapters.files.mfstsp_files import (
+    read_problem,
+    read_reference_results,
+    read_vehicles,
+)
 from ground_station.app.benchmarks.mfstsp_bench import (
     BenchParams,
     BenchRow,
-    RowJournal,
-    checked_problem,
+    inputs_and_planner_source_digest,
+    problem_for_checker,
+    row_progress_log,
     rows_to_plan,
-    settings_of,
     solve_row,
 )
 from ground_station.app.cli.benchmark import benchmark
-from ground_station.core.benchmark.mfstsp import mfstsp_problem
-from ground_station.core.benchmark.schedule_check import sortie_window_s, violations_of
+from ground_station.core.benchmark.mfstsp import truck_and_drones_problem
+from ground_station.core.benchmark.schedule_check import (
+    schedule_violations,
+    sortie_duration_limits_s,
+)
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
-from ground_station.core.truck_drones.problem import DroneKind, Legs, TruckAndDrones
-from ground_station.core.truck_drones.schedule import Schedule, schedule_of
+from ground_station.core.truck_drones.problem import DroneKind, LegTables, TruckAndDrones
+from ground_station.core.truck_drones.schedule import Schedule, simulate_schedule
 from ground_station.core.truck_drones.search import SearchPolicy
 from ground_station.core.truck_drones.tables import tables_of
-from ground_station.core.truck_drones.tour import first_tour
+from ground_station.core.truck_drones.tour import short_tour_over_customers
 
 pytestmark = pytest.mark.usefixtures("compiled_planner")
 
@@ -69,7 +76,7 @@ def problem_folder(root: Path, customers: int = 8) -> Path:
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, dict[str, Any]]:
-    """A problem as the checker sees it, and a row that it finds right."""
+    """A problem for the checker, and a row that it accepts."""
     folder = problem_folder(tmp_path_factory.mktemp("solved"))
     row = solve_row(BenchRow(folder, "101", 2), BenchParams(0.2, 0))
     return checked(folder, "101", 2), row
@@ -77,30 +84,31 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, dict[str, Any
 
 def checked(folder: Path, vehicles: str, drones: int) -> Any:
     fleet = read_vehicles(folder.parent / f"tbl_vehicles_{vehicles}.csv")
-    return checked_problem(read_problem(folder), fleet.drones[0], fleet.deliver_s, drones)
+    return problem_for_checker(read_problem(folder), fleet.drones[0], fleet.deliver_s, drones)
 
 
 def test_takeoff_and_landing_take_what_the_published_rules_say(tmp_path: Path):
     """The benchmark's rules: 3.6956 s and 6.3913 s for vehicle file 101."""
     folder = problem_folder(tmp_path)
     drone = read_vehicles(folder.parent / "tbl_vehicles_101.csv").drones[0]
-    assert drone.takeoff_s == pytest.approx(3.6956, abs=5e-5)
+    assert drone.climb_and_turn_s == pytest.approx(3.6956, abs=5e-5)
     assert drone.landing_s == pytest.approx(6.3913, abs=1e-4)  # 50 m / 7.8232 m/s is 6.39125 s
 
 
 def test_sortie_times_and_endurance_agree_with_the_checkers_own_sums(tmp_path: Path):
     folder = problem_folder(tmp_path)
     fleet = read_vehicles(folder.parent / "tbl_vehicles_101.csv")
-    problem = mfstsp_problem(read_problem(folder), fleet.drones[0], 2, fleet.deliver_s)
-    legs, judge = problem.legs[0], checked(folder, "101", 2)
+    problem = truck_and_drones_problem(read_problem(folder), fleet.drones[0], 2, fleet.deliver_s)
+    legs, judge = problem.leg_tables[0], checked(folder, "101", 2)
     for launch, customer, meet in ((0, 1, 3), (4, 5, 9), (6, 7, 1)):
-        least_s, most_s = sortie_window_s(judge, launch, customer, meet)
+        least_s, most_s = sortie_duration_limits_s(judge, launch, customer, meet)
         fly_s = legs.out_s[launch, customer] + legs.back_s[customer, meet]
         spent_s = legs.out_hover_s[launch, customer] + legs.back_hover_s[customer, meet]
         assert fly_s == pytest.approx(least_s, abs=1e-6)
         assert fly_s + legs.endurance_hover_s - spent_s == pytest.approx(most_s, abs=1e-6)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("problem", "vehicles", "drones"),
     [
@@ -114,7 +122,7 @@ def test_proven_optima_of_the_published_problems_are_met_and_not_beaten(
 ):
     if not (DATA / problem).is_dir():
         pytest.skip(f"{DATA} is not here")
-    _, program = read_published(DATA / "reference_results.csv")
+    _, program = read_reference_results(DATA / "reference_results.csv")
     proven = program[problem, vehicles, drones]
     assert proven.is_optimal
     row = solve_row(BenchRow(DATA / problem, vehicles, drones), BenchParams(None, 0))
@@ -153,7 +161,7 @@ def _one_drone_for_all(row: dict[str, Any]) -> None:
 
 
 def _met_before_it_can_be_back(row: dict[str, Any]) -> None:
-    """The drone's recovery is said to start 30 s before its landing, all else as it was."""
+    """Set the drone's recovery to start 30 s before its landing, with all else unchanged."""
     task = max((t for t in row["driver"] if t["what"] == "recover"), key=lambda t: t["end_s"])
     task["start_s"] -= 30.0
 
@@ -174,10 +182,10 @@ def test_the_checker_finds_what_is_wrong_with_a_spoilt_row(
     solved: tuple[Any, dict[str, Any]], spoil: Any, said: str
 ):
     problem, row = solved
-    assert violations_of(problem, row) == []
+    assert schedule_violations(problem, row) == []
     spoilt = copy.deepcopy(row)
     spoil(spoilt)
-    assert said in "; ".join(violations_of(problem, spoilt))
+    assert said in "; ".join(schedule_violations(problem, spoilt))
 
 
 def test_the_checker_refuses_a_parcel_too_heavy_and_a_battery_too_small(
@@ -186,13 +194,13 @@ def test_the_checker_refuses_a_parcel_too_heavy_and_a_battery_too_small(
     problem, row = solved
     flown = row["sorties"][0]["customer"]
     heavy = [100.0 if node == flown else lb for node, lb in enumerate(problem.parcels_lb)]
-    assert "carries 5" in "; ".join(violations_of(replace(problem, parcels_lb=heavy), row))
+    assert "carries 5" in "; ".join(schedule_violations(replace(problem, parcels_lb=heavy), row))
     weak = replace(problem, drone=replace(problem.drone, battery_j=100_000.0))
-    assert "after its launch" in "; ".join(violations_of(weak, row))
+    assert "after its launch" in "; ".join(schedule_violations(weak, row))
 
 
 def mixed_problem(seed: int) -> TruckAndDrones:
-    """Two kinds of drones, a place without a road, customers only for the truck or one kind."""
+    """Two kinds of drones, a location without a road, customers only for the truck or one kind."""
     rng = np.random.default_rng(seed)
     nodes = 22
     place = rng.uniform(-3000.0, 3000.0, (nodes, 2))
@@ -205,14 +213,14 @@ def mixed_problem(seed: int) -> TruckAndDrones:
     quick, slow = is_customer.copy(), is_customer.copy()
     quick[[3, 4]], slow[[3, 5]] = False, False
     legs = tuple(
-        Legs(far_m / mps + 90.0, far_m / mps + 30.0, far_m / 10.0 + 60.0, far_m / 11.0, 900.0)
+        LegTables(far_m / mps + 90.0, far_m / mps + 30.0, far_m / 10.0 + 60.0, far_m / 11.0, 900.0)
         for mps in (15.0, 9.0)
     )
     return TruckAndDrones(
         travel_s=1.3 * far_m / 9.0,
         deliver_s=np.where(is_customer, 60.0, 0.0),
         kinds=(DroneKind(2, 60.0, 30.0, quick), DroneKind(1, 20.0, 10.0, slow)),
-        legs=legs,
+        leg_tables=legs,
         truck_can_serve=by_road,
     )
 
@@ -220,7 +228,7 @@ def mixed_problem(seed: int) -> TruckAndDrones:
 def assert_everyone_is_served_once(problem: TruckAndDrones, schedule: Schedule) -> None:
     flown = [sortie.customer for sortie in schedule.sorties]
     driven = list(schedule.truck_route[1:-1])
-    assert sorted(driven + flown) == list(range(1, problem.end))
+    assert sorted(driven + flown) == list(range(1, problem.end_node))
     assert all(problem.truck_can_serve[node] for node in driven)
     for sortie in schedule.sorties:
         kind = 0 if sortie.drone < problem.kinds[0].count else 1
@@ -235,14 +243,14 @@ def test_every_policy_serves_each_customer_once_by_whom_can(seed: int):
     problem = mixed_problem(seed)
     for policy in (DynamicAssignment(), SearchPolicy(trials=50_000)):
         plan = policy.plan(problem, np.random.default_rng(seed))
-        assert_everyone_is_served_once(problem, schedule_of(problem, plan))
+        assert_everyone_is_served_once(problem, simulate_schedule(problem, plan))
 
 
 def test_the_search_ends_the_day_sooner_than_the_papers_assignment():
     problem = mixed_problem(0)
     rng = np.random.default_rng(0)
-    ours_s = schedule_of(problem, SearchPolicy(trials=100_000).plan(problem, rng)).makespan_s
-    theirs_s = schedule_of(problem, DynamicAssignment().plan(problem, rng)).makespan_s
+    ours_s = simulate_schedule(problem, SearchPolicy(trials=100_000).plan(problem, rng)).makespan_s
+    theirs_s = simulate_schedule(problem, DynamicAssignment().plan(problem, rng)).makespan_s
     assert ours_s < 0.9 * theirs_s
 
 
@@ -258,8 +266,10 @@ def test_the_same_seed_and_trials_give_the_same_plan_and_another_seed_another():
 def test_customers_whom_nobody_can_serve_are_named():
     problem = mixed_problem(0)
     nobody = problem.truck_can_serve.copy()
-    nobody[[3, 9]] = False  # 3 is no drone's either; 9 is
-    lost = TruckAndDrones(problem.travel_s, problem.deliver_s, problem.kinds, problem.legs, nobody)
+    nobody[[3, 9]] = False  # no drone serves 3; one serves 9
+    lost = TruckAndDrones(
+        problem.travel_s, problem.deliver_s, problem.kinds, problem.leg_tables, nobody
+    )
     with pytest.raises(LeewayError, match=r"customers \[3\]"):
         SearchPolicy(trials=10).plan(lost, np.random.default_rng(0))
 
@@ -271,40 +281,32 @@ def test_a_tour_along_a_circle_is_the_circle():
     place = np.column_stack([np.cos(angle), np.sin(angle)])
     place = np.vstack([place, place[:1]])
     far = np.linalg.norm(place[:, None] - place[None, :], axis=2)
-    no_legs = Legs(far, far, far, far, 0.0)
+    no_legs = LegTables(far, far, far, far, 0.0)
     nobody = np.zeros(count + 1, dtype=np.bool_)
     problem = TruckAndDrones(
         far, np.zeros(count + 1), (DroneKind(1, 0.0, 0.0, nobody),), (no_legs,), ~nobody
     )
-    tour = first_tour(tables_of(problem), list(range(1, count)))
+    tour = short_tour_over_customers(tables_of(problem), list(range(1, count)))
     driven = sum(far[a, b] for a, b in pairwise(tour))
     assert driven == pytest.approx(2.0 * count * math.sin(math.pi / count))
 
 
-def test_a_journal_gives_back_whole_rows_of_the_same_settings_only(tmp_path: Path):
-    out = tmp_path / "out.json"
-    journal = RowJournal(out, "these")
-    journal.start({0: {"makespan_s": 1.5}})
-    journal.add(2, {"makespan_s": 2.5})
-    with (tmp_path / "out.json.journal").open("ab") as file:
-        file.write(b'[3,{"makespan_s":')  # the power failed here
-    assert RowJournal(out, "these").read() == {0: {"makespan_s": 1.5}, 2: {"makespan_s": 2.5}}
-    assert RowJournal(out, "others").read() == {}
-
-
 def test_the_command_writes_the_rows_of_the_contract_and_takes_up_what_was_done(tmp_path: Path):
-    """The drivers rules of the published problems (docs/reference/benchmarks.md)."""
+    """The driver rules of the published problems (docs/reference/benchmarks.md)."""
     problem_folder(tmp_path)
     out = tmp_path / "out.json"
     asked = ["mfstsp", str(tmp_path), "--vehicles", "101", "--drones", "1,2", "--seconds", "0.1"]
     rows = rows_to_plan([tmp_path / "p1"], ["101"], [1, 2])
     done = solve_row(rows[0], BenchParams(0.1, 0)) | {"seconds": 77.0}
-    RowJournal(out, settings_of(rows, BenchParams(0.1, 0))).start({0: done})
+    journal = row_progress_log(out, inputs_and_planner_source_digest(rows, BenchParams(0.1, 0)))
+    assert journal is not None
+    with journal.rewrite_and_open_writer({0: done}):
+        pass
     result = CliRunner().invoke(benchmark, [*asked, "--json", str(out)])
     assert result.exit_code == 0, result.output
     written = json.loads(out.read_text())["rows"]
     assert [row["drones"] for row in written] == [1, 2]
-    assert written[0]["seconds"] == 77.0  # taken from the journal, not planned again
+    assert written[0]["seconds"] == 77.0  # read from the journal, not planned again
     assert not (tmp_path / "out.json.journal").exists()
     keys = "problem vehicles drones makespan_s seconds truck_route sorties driver truck"
     assert set(written[1]) == set(keys.split())

@@ -1,53 +1,48 @@
-"""Certificates that end: what a running desk, `watch` and the map say of them, and when."""
+"""Expiring certificates: texts of a running desk, `watch` and the map, and their times."""
 
-import re
-from pathlib import Path
-
-from companion.fleet.roster import WARN_DAYS
-from ground_station.app.views.attention import ending_certificates
 from ground_station.app.views.certificate_reminder import CertificateReminder
-from ground_station.core.fleet.desk_figures import DAY_US, CertificateFigures
+from ground_station.app.views.operator_alerts import expiring_certificates_text
+from ground_station.core.fleet.certificate_ends import DAY_US, CertificateExpiry
 
-PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "watch-the-desk.md"
 RENEW = "(ground-station pki renew)"
 
 
-def ends(own: float | None, **members: float) -> CertificateFigures:
-    """Days from 1970."""
+def ends(own: float | None, **members: float) -> CertificateExpiry:
+    """Build expiry times from days since 1970."""
     own_us = None if own is None else round(own * DAY_US)
     listed = sorted((round(days * DAY_US), name) for name, days in members.items())
-    return CertificateFigures(own_us, tuple((name, end_us) for end_us, name in listed))
+    return CertificateExpiry(own_us, tuple((name, end_us) for end_us, name in listed))
 
 
 def test_whose_certificate_ends_within_a_month_is_named_soonest_first():
-    assert ending_certificates(ends(400.0, d1=12.2, d2=-3.0, d3=30.5), 0) == (
+    assert expiring_certificates_text(ends(400.0, d1=12.2, d2=-3.0, d3=30.5), 0) == (
         f"d2 has ended, d1 ends in 12 days {RENEW}"
     )
-    assert ending_certificates(ends(20.0, d1=40.0), 0) == f"your own ends in 20 days {RENEW}"
-    assert ending_certificates(ends(400.0, d1=31.0), 0) == ""
-    assert ending_certificates(None, 0) == ""
+    assert expiring_certificates_text(ends(20.0, d1=40.0), 0) == f"your own ends in 20 days {RENEW}"
+    assert expiring_certificates_text(ends(400.0, d1=31.0), 0) == ""
+    assert expiring_certificates_text(None, 0) == ""
 
 
 def test_a_fleet_that_ends_on_one_day_takes_one_line():
-    words = ending_certificates(ends(None, **{f"d{n}": 7.0 for n in range(900)}), 0)
+    words = expiring_certificates_text(ends(None, **{f"d{n}": 7.0 for n in range(900)}), 0)
     assert words.endswith(f" and 895 others {RENEW}")
     assert len(words) < 160
 
 
 class Network:
-    """A desk's network whose roster is put in by hand."""
+    """A desk's network whose roster is set by the test."""
 
-    def __init__(self, found: CertificateFigures | None) -> None:
-        self.found, self.warning = found, "certificate of desk: 20 days left"
+    def __init__(self, found: CertificateExpiry | None) -> None:
+        self.found, self.own_certificate_warning = found, "certificate of desk: 20 days left"
 
-    def certificates(self) -> CertificateFigures | None:
+    def certificate_expiry_dates(self) -> CertificateExpiry | None:
         return self.found
 
 
 class Day:
-    """Words of a reminder, and the day on which it said them."""
+    """Messages of a reminder, each with its day."""
 
-    def __init__(self, found: CertificateFigures | None) -> None:
+    def __init__(self, found: CertificateExpiry | None) -> None:
         self.said: list[tuple[float, str]] = []
         self.day = 0.0
         self.network = Network(found)
@@ -59,13 +54,13 @@ class Day:
 
     def run(self, until: float) -> None:
         while self.day < until:
-            self.reminder.turn(self.day * 86_400.0)
+            self.reminder.log_expiring_certificates_if_due(self.day * 86_400.0)
             self.day += 0.25
 
 
 def test_a_desk_that_runs_across_the_day_says_it_once_a_day():
     desk = Day(ends(400.0, d1=31.5))
-    desk.network.warning = ""
+    desk.network.own_certificate_warning = ""
     desk.run(until=3.0)
     words = f"certificates: d1 ends in {{}} days {RENEW}"
     assert desk.said == [(2.0, words.format(30))]
@@ -74,7 +69,7 @@ def test_a_desk_that_runs_across_the_day_says_it_once_a_day():
 
 
 def test_a_new_roster_is_looked_at_at_once_and_the_own_standing_with_it():
-    """At the start the network's opener has said the own one already."""
+    """The network's opener has already reported its own certificate at the start."""
     desk = Day(ends(20.0, d1=12.0))
     desk.run(until=0.25)
     assert desk.said == [
@@ -93,15 +88,3 @@ def test_without_identities_nothing_is_said():
     desk = Day(None)
     desk.run(until=3.0)
     assert desk.said == []
-
-
-def rule_days(text: str) -> list[tuple[str, int]]:
-    found = re.findall(r"(leeway_desk_\w*certificate_days_left) (<=?) (\d+)", text)
-    return [(f"{name} {sign}", int(days)) for name, sign, days in found]
-
-
-def test_the_rule_that_the_page_gives_to_prometheus_calls_on_the_same_day():
-    assert rule_days(PAGE.read_text()) == [
-        ("leeway_desk_own_certificate_days_left <=", WARN_DAYS),
-        ("leeway_desk_certificate_days_left <=", WARN_DAYS),
-    ]

@@ -1,4 +1,4 @@
-"""Lists on a terminal of 80 columns: an id of any length is read in full."""
+"""Lists on a terminal of 80 columns: identifiers of any length are shown in full."""
 
 import re
 from dataclasses import replace
@@ -8,14 +8,14 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from companion.fleet.messages import State
-from ground_station.adapters.store.audit_store import read_audit
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.database import Database
 from ground_station.app.cli.main import app
-from ground_station.app.views.terminal import listing, terminal
+from ground_station.app.views.day_content import DayShown, DisplayRows
+from ground_station.app.views.terminal import plain_console, plain_table
 from ground_station.app.views.watch_view import watch_view
-from ground_station.app.views.watched_rows import DayShown, WatchRows
 from ground_station.core.fleet.fleet_status import FleetStatus
+from tests.ground_station.desk_parts import a_state
 from tests.ground_station.hand_made_day import flight
 from tests.ground_station.store.test_order_store import an_order, opened
 from tests.ground_station.views.test_plan_view import plan_with, shown
@@ -33,7 +33,7 @@ def on_80_columns(*arguments: str) -> list[str]:
 
 
 def column(lines: list[str], name: str) -> str:
-    """What stands below a heading, its lines joined without spaces."""
+    """Return the text below a heading, its lines joined without spaces."""
     head = next(line for line in lines if re.search(rf"(^|  ){name}(  |$)", line))
     begin = head.index(name)
     after = re.search(r"  \S", head[begin:])
@@ -43,10 +43,10 @@ def column(lines: list[str], name: str) -> str:
 
 @pytest.fixture
 def long_ids(tmp_path: Path) -> str:
-    """A store whose orders have ids of 40 characters, the longest that there are."""
+    """A store whose orders have identifiers of 40 characters, the maximum."""
     url = f"sqlite:///{tmp_path}/d.db"
     with opened(url) as store:
-        store.add_orders([an_order(id_) for id_ in IDS], "anna")
+        store.add_orders_unless_conflict([an_order(id_) for id_ in IDS], "anna")
     for id_ in IDS:
         on_80_columns("order", "cancel", id_, "--store", url, "--user", "anna")
     return url
@@ -61,7 +61,7 @@ def test_the_list_of_orders_has_each_id_in_full(long_ids: str):
 def test_the_audit_has_each_id_in_full(long_ids: str):
     lines = on_80_columns("audit", "--store", long_ids)
     database = Database(long_ids)
-    rows, _ = read_audit(database)
+    rows, _ = read_audit_rows_and_head(database)
     database.close()
     subjects = "".join(row.entry.subject for row in rows)
     assert column(lines, "to what") == subjects.replace(" ", "")
@@ -69,8 +69,8 @@ def test_the_audit_has_each_id_in_full(long_ids: str):
 
 
 def test_a_long_reason_leaves_the_ids_whole():
-    console = terminal(width=80)
-    table = listing("order", "state", "why")
+    console = plain_console(width=80)
+    table = plain_table("order", "state", "why")
     for id_ in IDS:
         table.add_row(id_, "cancelled", WHY)
     with console.capture() as captured:
@@ -88,22 +88,20 @@ def test_a_plan_of_long_names_folds_them():
 
 def test_a_watched_drone_of_a_long_name_is_read_in_full_beside_its_figures():
     name, stop = "drone-hexacopter-of-south-depot-000000017", "south-stop-000000000000000000000"
-    state = State(
-        vehicle=name, life="a", uptime_s=1.0, epoch_us=0, log="l", last_seq=0, airframe="m100",
-        max_payload_kg=1.0, phase="outbound", armed=True, margin_wh=69.3, p_home=0.9987, text=WHY,
-    )  # fmt: skip
+    told = {"margin_wh": 69.3, "p_home": 0.9987, "text": WHY}
+    state = a_state(name, phase="outbound", armed=True, **told)
     status = FleetStatus()
-    status.on_state(state, 100.0, 0)
+    status.record_state_and_new_doubts(state, 100.0, 0)
     base = flight("d1", "stop-1", 60.0, 60.0)
-    held = replace(base.row, vehicle=name, order_id=IDS[0])
+    held = replace(base.assignment, vehicle=name, order_id=IDS[0])
     sortie = msgspec.structs.replace(base.sortie, vehicle=name, order=IDS[0], home=stop)
-    row = replace(base, row=held, sortie=sortie, promised=stop)
+    row = replace(base, assignment=held, sortie=sortie, promised_stop=stop)
     day = DayShown(plan_with(["depot", stop]), [row], 0, 100_000_000)
-    console = terminal(width=80)
+    console = plain_console(width=80)
     with console.capture() as captured:
-        console.print(watch_view(status, WatchRows([row.row], [], day, []), 100.0))
+        console.print(watch_view(status, DisplayRows([row.assignment], [], day, []), 100.0))
     lines = captured.get().splitlines()
-    table = lines[1 : 3 + next(k for k, line in enumerate(lines[3:]) if "LOOK" in line)]
+    table = lines[1 : 3 + next(k for k, line in enumerate(lines[3:]) if "WARNING" in line)]
     assert max(map(len, table)) <= 80
     top = next(k for k, line in enumerate(table) if line.startswith("drone-"))
     assert re.search(r"outbound .* 69.3  0.9987 +- +0  no drone", table[top])

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from ground_station.adapters.files.day_files import read_day
-from ground_station.app.views.plan_view import show_plan
+from ground_station.app.views.plan_view import print_plan_tables
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
 
 HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
@@ -16,16 +16,16 @@ HARBOUR = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
 def plan_with(names: list[str]) -> DayPlan:
     """A plan whose sorties launch and land at every pair of stops of these names."""
     data = read_day(HARBOUR)
-    place = data.day.depot.place
+    place = data.day.depot.location
     stops = [
-        PlannedStop(id=name, place=place, arrive_s=60.0 * k, depart_s=60.0 * k + 30.0, serves=[],
+        PlannedStop(id=name, location=place, arrive_s=60.0 * k, depart_s=60.0 * k + 30.0, serves=[],
                     pads={}) for k, name in enumerate(names)
     ]  # fmt: skip
     sorties = [
         PlannedSortie(
             order=f"T-10{k}", vehicle="d12", launch=launch, home=home, launch_s=4210.0,
             land_s=5475.0, outbound_height_m=143.0, return_height_m=143.0, energy_wh=101.0,
-            sure_wh=112.0, usable_wh=118.0, others=[],
+            required_wh=112.0, usable_wh=118.0, alternative_stops=[],
         )
         for k, (launch, home) in enumerate(pairwise(names))
     ]  # fmt: skip
@@ -45,7 +45,7 @@ def plan_with(names: list[str]) -> DayPlan:
 
 def shown(plan: DayPlan, columns: int) -> list[str]:
     out = io.StringIO()
-    show_plan(Console(file=out, width=columns), read_day(HARBOUR), plan)
+    print_plan_tables(Console(file=out, width=columns), read_day(HARBOUR), plan)
     return out.getvalue().splitlines()
 
 

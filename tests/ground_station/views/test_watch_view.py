@@ -1,20 +1,19 @@
-"""What a dispatcher sees of a day with a truck, on a terminal of 80 columns."""
+"""The dispatcher's view of a day with a truck, on a terminal of 80 columns."""
 
 import io
 from dataclasses import replace
-from typing import Any
 
 import msgspec
 from rich.console import Console
 
-from companion.fleet.messages import State
+from ground_station.app.views.day_content import DayShown, DisplayRows
 from ground_station.app.views.watch_view import watch_view
-from ground_station.app.views.watched_rows import DayShown, WatchRows
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentState, Order, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
+from tests.ground_station.desk_parts import a_state
 from tests.ground_station.hand_made_day import TWO_STOPS, flight
 
 NOW_S = 100.0
@@ -26,15 +25,13 @@ def seen() -> FleetStatus:
     for name, heard_s, more in (
         ("truck", NOW_S, {"airframe": "truck", "phase": "at_stop", "stop": "depot"}),
         ("d1", NOW_S, {"phase": "outbound", "armed": True, "assignment": "O-d1.1",
-                       "margin_wh": 69.3, "p_home": 0.9987, "text": "gate open: going"}),
+                       "margin_wh": 69.3, "p_home": 0.9987,
+                       "text": "departing: flying to the customer"}),
         ("d3", NOW_S - 40.0, {"phase": "return", "armed": True, "assignment": "O-d3.1"}),
     ):  # fmt: skip
-        fields: dict[str, Any] = {"airframe": "m100", "max_payload_kg": 1.0} | more
-        state = State(
-            vehicle=name, life=name, uptime_s=1.0, epoch_us=0, log=name, last_seq=0, **fields
-        )
-        status.on_liveliness(name, name, up=True)
-        status.on_state(state, heard_s, 0)
+        state = a_state(name, instance_id=name, log=name, **more)
+        status.record_liveliness_change(name, name, has_joined=True)
+        status.record_state_and_new_doubts(state, heard_s, 0)
     return status
 
 
@@ -49,8 +46,10 @@ def shown(rows: list[SortieRow]) -> list[str]:
     out = io.StringIO()
     console = Console(width=80, file=out, color_system=None)
     orders = [OrderRow(order, OrderState.OPEN, 0, "")]
-    told = WatchRows([row.row for row in rows], orders, day, [Hold("d3", "propeller", "anna", 0)])
-    console.print(watch_view(seen(), told, NOW_S, ["STORE AWAY"]))
+    told = DisplayRows(
+        [row.assignment for row in rows], orders, day, [Hold("d3", "propeller", "anna", 0)]
+    )
+    console.print(watch_view(seen(), told, NOW_S, ["store unreachable"]))
     return out.getvalue().splitlines()
 
 
@@ -68,13 +67,13 @@ def test_a_drone_that_is_rightly_silent_is_no_alarm_and_one_in_the_air_is():
     put_out = flight("d2", "depot", 0.0, 60.0)
     waiting = replace(
         put_out,
-        row=replace(put_out.row, state=AssignmentState.ORDERED),
-        placed=False,
+        assignment=replace(put_out.assignment, state=AssignmentState.ORDERED),
+        put_on_pad=False,
         launched_us=None,
     )
     lines = shown([flight("d3", "depot", 0.0, 0.0), waiting])
     assert "to be put out" in line_of(lines, "d2")
-    assert [line for line in lines if line.startswith("LOOK")] == ["LOOK: d3: not heard for 40 s"]
+    assert [line for line in lines if "WARN" in line] == ["WARNING: d3: silent for 40 s"]
 
 
 def test_it_says_why_the_truck_waits_and_what_comes_next():
@@ -86,17 +85,17 @@ def test_it_says_why_the_truck_waits_and_what_comes_next():
 
 def test_holds_and_a_store_that_is_away_are_said_below_the_vehicles():
     lines = shown([flight("d1", "depot", 60.0, 60.0)])
-    away = lines.index("STORE AWAY")
+    away = lines.index("store unreachable")
     assert lines[away + 1] == "d3 is held by anna: propeller"
 
 
 def test_what_a_vehicles_monitor_holds_in_doubt_is_to_be_looked_at():
     status = seen()
     words = "monitor: pack A7 has 78 % of its stated capacity"
-    state = status.of("d1").state
+    state = status.status_of("d1").state
     assert state is not None
-    status.of("d1").state = msgspec.structs.replace(state, doubt=words)
+    status.status_of("d1").state = msgspec.structs.replace(state, monitor_text=words)
     out = io.StringIO()
     console = Console(width=120, file=out, color_system=None)
-    console.print(watch_view(status, WatchRows(), NOW_S))
-    assert f"LOOK: d1: {words}" in out.getvalue()
+    console.print(watch_view(status, DisplayRows(), NOW_S))
+    assert f"WARNING: d1: {words}" in out.getvalue()

@@ -7,7 +7,11 @@ import pytest
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.forecast_files import read_forecast
-from ground_station.core.weather.forecast_field import OutsideForecast, WindAt, spread_of
+from ground_station.core.weather.forecast_field import (
+    OutsideForecast,
+    WindAt,
+    ensemble_mean_and_std,
+)
 
 eccodes = pytest.importorskip("eccodes")
 
@@ -67,7 +71,7 @@ def winds(hours=(0, 3), heights=(10, 100)) -> list[bytes]:
 
 
 def at(field, hours: float, height_m: float, lat=LAT, lon=LON) -> WindAt:
-    found = field.at(START_S + 3600.0 * hours, height_m, lat, lon)
+    found = field.wind_at_unix_time(START_S + 3600.0 * hours, height_m, lat, lon)
     assert isinstance(found, WindAt), found
     return found
 
@@ -105,7 +109,7 @@ def test_members_give_mean_and_spread(tmp_path):
         for axis, quantity in enumerate((V, U))
     ]
     field = read_forecast(file_of(tmp_path / "w.grib2", made), LAT, LON)
-    mean, std = spread_of(speeds[:, None, :])
+    mean, std = ensemble_mean_and_std(speeds[:, None, :])
     wind = at(field, 2.0, 30.0)
     assert field.spread == "10 members"
     assert wind.to_ne_mps == pytest.approx(tuple(mean[0]), abs=1e-4)
@@ -126,19 +130,19 @@ def test_pressure_levels_lie_over_the_models_ground_and_gusts_widen(tmp_path):
     field = read_forecast(file_of(tmp_path / "w.grib2", made), LAT, LON)
     assert at(field, 0.0, 100.0).to_ne_mps == pytest.approx((9.0, 0.0), abs=1e-3)
     assert at(field, 0.0, 100.0).std_mps == pytest.approx(3.0, abs=1e-3)
-    outside = field.at(START_S, 101.0, LAT, LON)
+    outside = field.wind_at_unix_time(START_S, 101.0, LAT, LON)
     assert isinstance(outside, OutsideForecast)
-    assert "10 to 100 m above ground" in outside.why
+    assert "10 to 100 m above ground" in outside.reason
 
 
 MISTAKES = {
-    "torn, expected whole GRIB2": lambda: [b"".join(winds())[:-40]],
+    "damaged, expected complete GRIB2": lambda: [b"".join(winds())[:-40]],
     "no GRIB message, expected GRIB2": lambda: [b"hello" * 50],
     "no wind at any height": lambda: [message((0, 0), 2, hour, 280.0) for hour in (0, 3)],
     "u at 100 m, 2026-07-01 15:00 UTC: missing, expected u and v": lambda: [
         *winds(hours=(0,)), *winds(hours=(3,), heights=(10,)), message(V, 100, 3, 0.0),
     ],
-    "u at 10 m, 2026-07-01 12:00 UTC: twice": lambda: [*winds(), winds()[0]],
+    "u at 10 m, 2026-07-01 12:00 UTC: duplicate": lambda: [*winds(), winds()[0]],
     "wind at 1000 hPa without the height of the surface": lambda: [
         *winds(hours=(0, 3)),
         *(message(q, 1000, h, 9.0, kind="isobaricInhPa") for q in (U, V, HEIGHT) for h in (0, 3)),

@@ -1,4 +1,4 @@
-"""Open-Meteo's JSON: what the wind is at a time, a height and a place, and what is wrong."""
+"""Open-Meteo's JSON: wind at a time, height and position, and errors."""
 
 import math
 
@@ -18,7 +18,7 @@ def read(tmp_path, document):
 
 
 def at(field, hours: float, height_m: float) -> WindAt:
-    found = field.at(START_S + 3600.0 * hours, height_m, LAT, LON)
+    found = field.wind_at_unix_time(START_S + 3600.0 * hours, height_m, LAT, LON)
     assert isinstance(found, WindAt), found
     return found
 
@@ -38,7 +38,7 @@ def test_local_times_and_unix_times_are_the_same_moments(tmp_path):
     local["utc_offset_seconds"] = 7200
     local["hourly"]["time"] = [f"2026-07-01T{14 + h}:00" for h in range(HOURS)]
     unix = answer()
-    unix["utc_offset_seconds"] = 7200  # no part of unixtime: it is UTC
+    unix["utc_offset_seconds"] = 7200  # not applied to unixtime, which is UTC
     unix["hourly_units"]["time"] = "unixtime"
     unix["hourly"]["time"] = [int(START_S) + 3600 * h for h in range(HOURS)]
     for document in (answer(), local, unix):
@@ -70,7 +70,7 @@ def test_members_give_mean_and_spread(tmp_path):
     wind = at(field, 1.0, 80.0)
     east = np.append(speeds[:, 1], 10.0)
     assert wind.speed_mps == pytest.approx(east.mean())
-    # Nothing across the wind: the variance of a component is half of that along it.
+    # No crosswind: the variance of a component is half of that along the wind.
     assert wind.std_mps == pytest.approx(np.sqrt(0.5 * east.var(ddof=1)))
 
 
@@ -94,9 +94,9 @@ def test_pressure_levels_lie_at_their_height_above_the_ground(tmp_path):
     }  # fmt: skip
     field = read(tmp_path, document)
     assert at(field, 0.0, 100.0).to_ne_mps == pytest.approx((9.0, 0.0), abs=1e-9)  # to the north
-    outside = field.at(START_S, 101.0, LAT, LON)
+    outside = field.wind_at_unix_time(START_S, 101.0, LAT, LON)
     assert isinstance(outside, OutsideForecast)
-    assert "10 to 100 m above ground" in outside.why
+    assert "10 to 100 m above ground" in outside.reason
     assert at(field, 1.0, 101.0)
 
 
@@ -105,16 +105,16 @@ def test_unknown_is_none_and_outside_says_so(tmp_path):
     for height in (10, 80, 120, 180):
         document["hourly"][f"wind_speed_{height}m"][3] = None
     field = read(tmp_path, document)
-    assert field.at(START_S + 3 * 3600.0, 40.0, LAT, LON) is None
+    assert field.wind_at_unix_time(START_S + 3 * 3600.0, 40.0, LAT, LON) is None
     assert at(field, 2.0, 40.0)
     for t_s, height_m, lat, words in (
         (START_S - 1.0, 40.0, LAT, "outside the forecast's 2026-07-01 12:00 UTC to"),
         (START_S, 9.0, LAT, "9 m is outside the forecast's heights, 10 to 180 m"),
         (START_S, 40.0, LAT + 1.0, "km from the forecast's point 55.480, 8.440"),
     ):
-        found = field.at(t_s, height_m, lat, LON)
+        found = field.wind_at_unix_time(t_s, height_m, lat, LON)
         assert isinstance(found, OutsideForecast)
-        assert words in found.why
+        assert words in found.reason
 
 
 def test_of_several_places_the_nearest_is_taken(tmp_path):
@@ -136,7 +136,7 @@ MISTAKES = {
         "hourly_units"
     ].update(wind_speed_80m="furlongs"),
     "hourly.wind_direction_80m: missing": lambda d: d["hourly"].pop("wind_direction_80m"),
-    "expected 6 numbers, one a time": lambda d: d["hourly"]["wind_speed_10m"].pop(),
+    "expected 6 numbers, one per time": lambda d: d["hourly"]["wind_speed_10m"].pop(),
     "hourly.wind_speed_10m at 2026-07-01 14:00 UTC: 'calm', expected a number": lambda d: d[
         "hourly"
     ]["wind_speed_10m"].__setitem__(2, "calm"),
@@ -144,7 +144,7 @@ MISTAKES = {
     "1 times, expected 2": lambda d: [
         column.__delitem__(slice(1, None)) for column in d["hourly"].values()
     ],
-    "no hourly, expected Open-Meteo's answer": lambda d: d.pop("hourly"),
+    "no hourly, expected Open-Meteo's response": lambda d: d.pop("hourly"),
 }
 
 
@@ -161,5 +161,5 @@ def test_a_mistake_is_one_line_with_the_file(tmp_path, words):
 def test_a_torn_file_is_one_line(tmp_path):
     path = written(tmp_path / "wind.json", answer())
     path.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(LeewayError, match=r"wind\.json: torn, or not JSON"):
+    with pytest.raises(LeewayError, match=r"wind\.json: damaged, or not JSON"):
         read_forecast(path, LAT, LON)

@@ -1,4 +1,4 @@
-"""Debian's Chromium by Playwright, without a network but this machine's; tests skip without it."""
+"""Debian's Chromium with Playwright and local network only; tests skip without it."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -22,7 +22,7 @@ GONE = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_INCOMPLETE_CHUNKE
 
 
 def needs_chromium() -> str:
-    """The browser's program; skips the test where it or its driver is not installed."""
+    """Return the browser's program; skip the test if it or its driver is not installed."""
     pytest.importorskip("playwright.sync_api", reason="playwright: the page was not looked at")
     found = chromium()
     if found is None:
@@ -43,9 +43,9 @@ def running(program: str, *options: str) -> "Iterator[Browser]":
 
 @contextmanager
 def browsing(browser: "str | Browser", **context: Any) -> "Iterator[Page]":
-    """A window that fails its test where it errs, or asks any other machine for anything.
+    """Open a window that fails its test on an error or a request to another machine.
 
-    `browser`: one that runs, or the program of one that is started for this window.
+    `browser`: a running one, or a program to start for this window.
     """
     wrong: list[str] = []
     own = running(browser) if isinstance(browser, str) else nullcontext(browser)
@@ -60,7 +60,7 @@ def browsing(browser: "str | Browser", **context: Any) -> "Iterator[Page]":
 
 
 def wait_until(page: "Page", words: str) -> None:
-    """Until the page says that this is so; its policy forbids the driver's own way (`eval`)."""
+    """Wait for a condition on the page; its policy forbids Playwright's own method (`eval`)."""
     for _ in range(round(PATIENCE_MS / POLL_MS)):
         if page.evaluate(words):
             return
@@ -69,7 +69,7 @@ def wait_until(page: "Page", words: str) -> None:
 
 
 def _note(wrong: list[str], said: Any) -> None:
-    """Errors and refusals of the content security policy; a server that is gone is no error."""
+    """Record errors and content security policy violations, except a missing server."""
     if said.type == "error" and not any(gone in said.text for gone in GONE):
         wrong.append(said.text)
 

@@ -1,6 +1,6 @@
-"""A day with a truck, its real desk and a map over the same store, on one clock of the test's own.
+"""A day with a truck, its real desk and a map over the same store, on one test clock.
 
-The map hears the world by a line of its own, as a second member of the network would.
+The map has its own connection to the world, as a second network member.
 """
 
 import json
@@ -13,17 +13,17 @@ import numpy as np
 
 from companion.fleet.messages import Command, State
 from ground_station.adapters.files.day_files import read_day
-from ground_station.adapters.files.day_wind import site_wind_of
+from ground_station.adapters.files.day_wind import create_site_wind
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.web.map_server import MapAnswers, MapServer
+from ground_station.adapters.web.map_server import MapDataSources, MapServer
 from ground_station.app.desk.open_desk import open_truck_desk
-from ground_station.app.desk.replanner import InlineReplanner
-from ground_station.app.map.fleet_ear import FleetEar
-from ground_station.app.map.map_feed import MapFeed
+from ground_station.app.desk.replanner import Replanner, create_inline_planner
+from ground_station.app.map.fleet_receiver import FleetListener
+from ground_station.app.map.map_feed import MapPublisher
 from ground_station.app.map.map_view import MapView
-from ground_station.core.fleet.desk_figures import CertificateFigures
+from ground_station.core.fleet.certificate_ends import CertificateExpiry
 from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, StateReceived
 from ground_station.core.fleet.fleet_status import FleetStatus
 from tests.ground_station.hand_made_day import PLAN, by_truck
@@ -33,7 +33,7 @@ HARBOUR = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml
 
 
 class MapEars:
-    """The map's end of the world's network; `more`: what a member's state has besides."""
+    """The map's end of the world's network; `more`: extra fields of a member's state."""
 
     def __init__(self, world: World) -> None:
         self.world, self.known = world, set[str]()
@@ -54,28 +54,28 @@ class MapEars:
         return found + [StateReceived(self.state(name)) for name in sorted(there)]
 
     def state(self, name: str) -> State:
-        """What this member says now."""
+        """Return the member's current state."""
         (member,) = (member for member in self.world.everybody() if member.name == name)
         return msgspec.structs.replace(member.state(), **self.more.get(name, {}))
 
-    def ask_states(self, wait_s: float) -> None:
-        """They come anyhow."""
+    def request_states(self, wait_s: float) -> None:
+        """Does nothing: states always arrive."""
 
-    def ask_events(self, vehicle: str, after: int, wait_s: float) -> None:
+    def request_events(self, vehicle: str, after: int, wait_s: float) -> None:
         self.events_asked.append(vehicle)
 
     def neighbour_keys(self, fleet: str) -> dict[str, str]:
         del fleet
         return {}
 
-    def tell_winds(self, winds: object) -> None:
+    def send_winds(self, winds: object) -> None:
         del winds
 
     def send(self, command: Command, wait_s: float) -> None:
         self.sent.append(command)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to release."""
 
 
 class MapSite:
@@ -87,16 +87,16 @@ class MapSite:
         self.url = f"sqlite:///{folder}/desk.db"
         self.store = Store(Database(self.url, durable=False), clock.epoch_us)
         self.day = DayStore(self.store.database, clock.epoch_us)
-        self.store.add_orders(HARBOUR.orders)
+        self.store.add_orders_unless_conflict(HARBOUR.orders)
         self.world.join()
         self.said: list[str] = []
-        replanner = InlineReplanner(plan=by_truck)
+        replanner = Replanner(create_inline_planner(by_truck))
         self.desk = open_truck_desk(
             HARBOUR, PLAN, self.store, self.world, self.said.append, clock, replanner
         )
-        self.desk.begin()
-        self.ears = MapEars(self.world)
-        self.ends: CertificateFigures | None = None
+        self.desk.start_dispatching()
+        self.fleet_link = MapEars(self.world)
+        self.ends: CertificateExpiry | None = None
         self.reader = Store(Database(self.url, create=False), clock.epoch_us)
         self.held = ExitStack()
         for end in (self.store.close, self.reader.close):
@@ -106,16 +106,21 @@ class MapSite:
     def start_map(
         self, port: int = 0, basemap: Path | None = None, *, outline: bool = False
     ) -> None:
-        """A map that knows nothing of before, as the command that is started again."""
+        """Start a map without earlier data, as after a restart of the command."""
         clock = self.world.clock
-        self.ears.known = set()
-        wind = site_wind_of(HARBOUR)
-        ear = FleetEar(self.ears, clock, FleetStatus(HARBOUR.airframes), wind)
+        self.fleet_link.known = set()
+        wind = create_site_wind(HARBOUR)
+        ear = FleetListener(self.fleet_link, clock, FleetStatus(HARBOUR.airframes), wind)
         view = MapView("harbour", HARBOUR, basemap=basemap is not None, outline=outline)
-        self.feed = MapFeed(view, ear, self.reader, clock, lambda: self.ends)
+        self.decode_bytes = MapPublisher(view, ear, self.reader, clock, lambda: self.ends)
         self.server = MapServer("127.0.0.1", port)
-        answers = MapAnswers(self.feed.stream, self.feed.history, self.feed.reach, basemap)
-        self.server.serve(answers)
+        answers = MapDataSources(
+            self.decode_bytes.stream,
+            self.decode_bytes.margin_history_of,
+            self.decode_bytes.reachable_area_boundary,
+            basemap,
+        )
+        self.server.start_serving(answers)
         self.held.callback(self.server.close)
 
     @property
@@ -124,18 +129,18 @@ class MapSite:
 
     @property
     def picture(self) -> dict[str, Any]:
-        """What was published last, as JSON has it."""
-        frame = self.feed.stream.frame
+        """Return the last published picture as JSON data."""
+        frame = self.decode_bytes.stream.latest_frame
         assert frame is not None
         return json.loads(json.dumps(frame.picture))
 
     def step(self, seconds: int = 1, *, desk: bool = True) -> None:
-        """The day goes on; `desk` False: nobody minds it."""
+        """Advance the day; `desk` False: without the desk."""
         for _ in range(seconds):
             self.world.step()
             if desk:
-                self.desk.turn(0.0)
-            self.feed.turn()
+                self.desk.run_cycle(0.0)
+            self.decode_bytes.listen_and_publish_due_picture()
 
     def until_flying(self, vehicle: str) -> None:
         """Go on until this drone is in the air."""

@@ -27,14 +27,14 @@ class SseClient:
     """Follows the stream; `picture` is what a page would show, `kinds` the events so far."""
 
     def __init__(self, lines: Iterator[str]) -> None:
-        self._lines = lines
+        self._numbered_lines_without_comments = lines
         self.picture: Any = None
         self.kinds: list[str] = []
 
     def take(self) -> str:
         """The next event's kind."""
         fields: dict[str, str] = {}
-        for line in self._lines:
+        for line in self._numbered_lines_without_comments:
             if not line and "data" in fields:
                 break
             name, _, value = line.partition(": ")

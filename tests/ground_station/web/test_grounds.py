@@ -1,4 +1,4 @@
-"""What lies under the day: the user's base map in either schema, or the outline of the world."""
+"""Background of the map: the user's base map in either schema, or the outline of the world."""
 
 import io
 import math
@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from ground_station.adapters.web.npm_assets import OUTLINE, PACKAGES, NpmPackage, missing_assets
+from ground_station.adapters.web.npm_assets import (
+    OUTLINE,
+    PACKAGES,
+    NpmPackage,
+    packages_with_missing_files,
+)
 from tests.ground_station.web.browser import (
     OPENMAPTILES,
     PROTOMAPS,
@@ -28,7 +33,7 @@ WATER = (185, 211, 230)
 
 WORLD_PX = 512 * 2**1.5
 LEAST_NAME_PX = 40
-"""Of twelve letters."""
+"""Minimum width of twelve letters."""
 
 
 def colour_at(page, x: int, y: int) -> tuple[int, ...]:
@@ -66,7 +71,7 @@ def chromium() -> Iterator:
 
 
 def needs(packages: tuple[NpmPackage, ...]) -> None:
-    if missing := missing_assets(packages):
+    if missing := packages_with_missing_files(packages):
         pytest.skip(f"`make map-assets` was not run ({', '.join(missing)}): nothing was drawn")
 
 

@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.web.live_stream import MOST_CLIENTS
-from ground_station.adapters.web.map_server import PAGE, MapAnswers, MapServer
+from ground_station.adapters.web.live_stream import MAX_CLIENTS
+from ground_station.adapters.web.map_server import PAGE_FOLDER, MapDataSources, MapServer
 from ground_station.app.cli.main import app
 from tests.ground_station.web.map_site import MapSite
 from tests.ground_station.web.sse_client import following
@@ -49,6 +49,7 @@ def test_every_answer_forbids_scripts_and_frames_of_others(site: MapSite, path: 
         assert answer.headers["cross-origin-resource-policy"] == "same-origin"
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("path", PATHS)
 def test_another_name_than_its_own_is_refused(site: MapSite, path: str):
     """DNS rebinding: a page of evil.example whose name now points at this machine."""
@@ -60,6 +61,7 @@ def test_another_name_than_its_own_is_refused(site: MapSite, path: str):
         assert status_of(site.address + path, host=host) in (200, 204, 404)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("path", PATHS)
 def test_another_page_of_this_browser_is_refused(site: MapSite, path: str):
     site.step()
@@ -70,6 +72,7 @@ def test_another_page_of_this_browser_is_refused(site: MapSite, path: str):
     assert status_of(site.address + path, origin=site.address) in (200, 204, 404)
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
 def test_it_takes_nothing(site: MapSite, method: str):
     for path in PATHS:
@@ -86,13 +89,13 @@ def test_nothing_beside_the_page_is_served(site: MapSite, path: str):
 
 
 def test_the_page_has_no_script_style_or_address_of_others():
-    for path in PAGE.iterdir():
+    for path in PAGE_FOLDER.iterdir():
         text = path.read_text()
         foreign = [word for word in text.split() if "://" in word and "www.w3.org/2000" not in word]
         allowed = [word for word in foreign if "${location.origin}" in word]
         assert foreign == allowed, path.name
         assert "innerHTML" not in text
-    index = (PAGE / "index.html").read_text()
+    index = (PAGE_FOLDER / "index.html").read_text()
     assert "style=" not in index
     assert " on" not in index.replace(" one", "").replace(" on or", "")
 
@@ -100,7 +103,7 @@ def test_the_page_has_no_script_style_or_address_of_others():
 def test_words_from_outside_are_data_and_stay_what_they_are(site: MapSite):
     words = "<img src=x onerror=alert(1)>\"'\u2028</script>\ndata: {}\n\n"
     site.until_flying("d1")
-    site.ears.more["d1"] = {"text": words}
+    site.fleet_link.more["d1"] = {"text": words}
     site.step()
     with following(site.address) as client:
         client.take()
@@ -111,7 +114,7 @@ def test_words_from_outside_are_data_and_stay_what_they_are(site: MapSite):
 def test_a_drones_history_and_reach_are_answered_and_an_unknown_ones_are_not(site: MapSite):
     site.until_flying("d1")
     for k in range(3):
-        site.ears.more["d1"] = {"p_home": 0.9 + 0.01 * k, "margin_wh": 10.0 + k,
+        site.fleet_link.more["d1"] = {"p_home": 0.9 + 0.01 * k, "margin_wh": 10.0 + k,
                                 "energy_left_wh": 60.0}  # fmt: skip
         site.step()
     history = httpx.get(f"{site.address}/history.json?vehicle=d1").json()
@@ -124,7 +127,7 @@ def test_a_drones_history_and_reach_are_answered_and_an_unknown_ones_are_not(sit
 
 
 def read_all(line: socket.socket) -> int:
-    """How many bytes wait on a line that then falls silent."""
+    """Count the bytes waiting on a connection until it is silent."""
     line.settimeout(2.0)
     got = 0
     with suppress(TimeoutError):
@@ -133,15 +136,16 @@ def read_all(line: socket.socket) -> int:
     return got
 
 
+@pytest.mark.sample
 def test_a_client_that_hangs_slows_nobody_and_gets_the_newest_when_it_wakes(site: MapSite):
-    """60 MB are said, in frames of 1 MB: the buffers of its socket are full after some."""
+    """60 MB are sent in frames of 1 MB: the socket buffers fill after a few."""
     site.until_flying("d1")
     host = f"127.0.0.1:{site.server.port}"
     with socket.create_connection(("127.0.0.1", site.server.port), timeout=PATIENCE_S) as hung:
         hung.sendall(f"GET /events HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
         with following(site.address) as client:
             for k in range(60):
-                site.ears.more["d1"] = {"text": f"{k:03d} " * 250_000}
+                site.fleet_link.more["d1"] = {"text": f"{k:03d} " * 250_000}
                 site.step()
                 client.until(site.picture)
         got = read_all(hung)
@@ -151,14 +155,14 @@ def test_a_client_that_hangs_slows_nobody_and_gets_the_newest_when_it_wakes(site
 def test_more_windows_than_a_desk_has_are_refused_and_those_that_close_make_room(site: MapSite):
     site.step()
     with ExitStack() as held:
-        clients = [held.enter_context(following(site.address)) for _ in range(MOST_CLIENTS)]
+        clients = [held.enter_context(following(site.address)) for _ in range(MAX_CLIENTS)]
         assert {client.take() for client in clients} == {"picture"}
         assert status_of(f"{site.address}/events") == 503
         assert status_of(site.address) == 200
     until_s = time.monotonic() + PATIENCE_S
-    while site.feed.stream.clients:
+    while site.decode_bytes.stream.clients:
         assert time.monotonic() < until_s
-        site.step()  # who has gone is noticed when it is sent something
+        site.step()  # a closed client is noticed at the next send
     with following(site.address) as client:
         assert client.take() == "picture"
 
@@ -181,9 +185,9 @@ def test_a_port_that_is_taken_is_said_with_what_to_do(site: MapSite):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--fleet", "harbour", "--host", "0.0.0.0"], "expected --tls CERT KEY and --tokens FILE"),
-        (["--fleet", "harbour", "--host", "10.0.0.5", "--tokens", "t"], "other machines reach it"),
-        (["--fleet", "harbour", "--host", "example.org"], "other machines reach it"),
+        (["--fleet", "harbour", "--host", "0.0.0.0"], "add --tls CERT KEY and --tokens FILE"),
+        (["--fleet", "harbour", "--host", "10.0.0.5", "--tokens", "t"], "by other machines"),
+        (["--fleet", "harbour", "--host", "example.org"], "can be reached by other machines"),
         ([], "expected --day, or --fleet"),
         (["--fleet", "harbour", "--basemap", "nothing.pmtiles"], "No such file"),
     ],
@@ -201,8 +205,13 @@ def test_a_base_map_is_served_by_ranges(tmp_path: Path, site: MapSite):
     town = tmp_path / "town.pmtiles"
     town.write_bytes(bytes(range(256)) * 100)
     server = MapServer("127.0.0.1", 0)
-    answers = MapAnswers(site.feed.stream, site.feed.history, site.feed.reach, town)
-    server.serve(answers)
+    answers = MapDataSources(
+        site.decode_bytes.stream,
+        site.decode_bytes.margin_history_of,
+        site.decode_bytes.reachable_area_boundary,
+        town,
+    )
+    server.start_serving(answers)
     try:
         address = f"http://127.0.0.1:{server.port}/basemap.pmtiles"
         part = httpx.get(address, headers={"Range": "bytes=300-309"})

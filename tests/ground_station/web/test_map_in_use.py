@@ -9,11 +9,14 @@ import pytest
 from companion.fleet.messages import Recall
 from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.files.token_file import new_token, write_tokens
-from ground_station.adapters.store.audit_store import read_audit
+from ground_station.adapters.files.token_file import (
+    generate_random_token,
+    write_owner_only_tokens_atomically,
+)
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.core.people.web_tokens import TokenBook
+from ground_station.core.people.web_tokens import TokenRegistry
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.zenoh_net import free_port
 from tests.ground_station.desk.test_desk_processes import start
@@ -24,19 +27,21 @@ pytestmark = pytest.mark.timeout(240)
 
 
 def tokens(file: Path, **people: Role) -> dict[str, str]:
-    """A token for each."""
-    made = {name: new_token() for name in people}
-    book = TokenBook()
+    """Write a token for each person."""
+    made = {name: generate_random_token() for name in people}
+    book = TokenRegistry()
     for name, role in people.items():
-        book = book.added(name, role, made[name], "2026-01-01")
-    write_tokens(file, book)
+        book = book.with_holder(name, role, made[name], "2026-01-01")
+    write_owner_only_tokens_atomically(file, book)
     return made
 
 
 def audit(url: str) -> list[tuple[str, str]]:
     store = Store(Database(url, create=False), epoch_us)
     try:
-        return [(row.entry.who, row.entry.deed) for row in read_audit(store.database)[0]]
+        return [
+            (row.entry.who, row.entry.deed) for row in read_audit_rows_and_head(store.database)[0]
+        ]
     finally:
         store.close()
 
@@ -57,7 +62,7 @@ def test_the_page_outlives_the_desk_and_a_recall_from_it_is_reported_done(tmp_pa
         dispatching.kill()
         dispatching.wait()
         drone.phase = "return"
-        desk.desk()  # it is the network's meeting point, too
+        desk.desk()  # it is also the network's router
         row.locator("td", has_text="return").wait_for()
         page.locator("#attention.calm").wait_for()
         assert page.locator("#link").inner_text() == "live"
@@ -74,15 +79,16 @@ def test_the_page_outlives_the_desk_and_a_recall_from_it_is_reported_done(tmp_pa
         page.locator("#deed-answer", has_text="done").wait_for()
         page.locator("#notes", has_text="d1 is held by anna: recalled").wait_for()
         row.locator("td", has_text="standby").wait_for()
-    (deed,) = [command for command in drone.done if isinstance(command.deed, Recall)]
+    (deed,) = [command for command in drone.done if isinstance(command.action, Recall)]
     assert deed.by == "anna"
     assert ("anna", "hold") in audit(desk.url)
 
 
+@pytest.mark.sample
 def test_with_an_identity_an_order_is_the_members_who_signs_it_and_a_viewers_signs_none(
     tmp_path: Path,
 ):
-    """The token says who orders; the identity's member is who the fleet believes."""
+    """The token names the author; the fleet accepts the identity's member."""
     site, url = SecureSite(tmp_path / "pki"), f"sqlite:///{tmp_path}/d.db"
     Database(url).close()
     token = tokens(tmp_path / "tokens.json", bert=Role.SUPERVISOR)["bert"]
@@ -114,5 +120,5 @@ def test_with_an_identity_an_order_is_the_members_who_signs_it_and_a_viewers_sig
         assert (done.status_code, done.json()["look"]) == (200, []), done.json()
         assert any("done" in words for words in done.json()["words"])
     (command,) = vehicle.done
-    assert isinstance(command.deed, Recall)
+    assert isinstance(command.action, Recall)
     assert ("bert by way of anna", "hold") in audit(url)

@@ -1,7 +1,7 @@
-"""The page against the truth of a simulated day with faults in it, in lockstep.
+"""The page against the ground truth of a simulated day with faults, in lockstep.
 
-Vehicles, companions, truck, desk and store are those of `sim-bridge day`; the map hears their
-network as a second desk would. While the page is looked at, the day stands still.
+Vehicles, companions, truck, desk and store are those of `sim-bridge day`; the map receives their
+network as a second desk would. While the page is read, the day pauses.
 """
 
 import math
@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from ground_station.adapters.files.compiled_code import keep_compiled_code
+from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.web.map_server import MapAnswers, MapServer
-from ground_station.app.map.fleet_ear import FleetEar
-from ground_station.app.map.map_feed import MapFeed
+from ground_station.adapters.web.map_server import MapDataSources, MapServer
+from ground_station.app.map.fleet_receiver import FleetListener
+from ground_station.app.map.map_feed import MapPublisher
 from ground_station.app.map.map_view import MapView
 from ground_station.core.fleet.fleet_status import FleetStatus
 from tests.ground_station.web.browser import browsing, needs_chromium
@@ -40,7 +40,7 @@ DESK_AWAY_S, RESTART_S = 20.0, 6.0
 """Of a killed desk and a killed companion (`sim-bridge day`)."""
 
 BACK_S = 5.0
-"""Until a member that is back has been heard again."""
+"""Time until a returned member is received again."""
 
 READ = """() => {
   const groups = (selector) => Object.fromEntries([...document.querySelectorAll(selector)]
@@ -69,41 +69,47 @@ def pixels(transform: str) -> tuple[float, float]:
 
 @dataclass
 class Watched:
-    """The page beside a day that goes on; `checked`: how often each thing was found true."""
+    """The page next to a running day; `checked`: number of passed checks of each kind."""
 
     page: Any
     held: ExitStack
     checked: dict[str, int] = field(default_factory=dict)
-    feed: MapFeed | None = None
+    decode_bytes: MapPublisher | None = None
     built: Any = None
     cut_at_s: float | None = None
     killed_at_s: float | None = None
     desk_killed_at_s: float | None = None
 
     def take_seat(self, built: Any, folder: Path) -> Any:
-        """The day's desk, and the map beside it."""
-        from sim_bridge.app.day.desk import DeskHere, store_url
-        from sim_bridge.app.fleet_faults.small_day import plan_of
+        """Start the day's desk and the map next to it."""
+        from sim_bridge.app.day.desk import SteppedDesk, store_url
+        from sim_bridge.app.faults.small_day import build_fixed_plan
 
-        seat = DeskHere.open(built, plan_of(built.data), folder, SEED, 50)
+        seat = SteppedDesk.start_truck_desk(built, build_fixed_plan(built.data), folder, SEED, 50)
         self.built = built
         store = Store(Database(store_url(folder), create=False), built.clock.epoch_us)
         self.held.callback(store.close)
-        ear = FleetEar(built.plumbing.bus.desk(), built.clock, FleetStatus(built.data.airframes))
+        ear = FleetListener(built.bus.add_desk(), built.clock, FleetStatus(built.data.airframes))
         view = MapView(built.data.day.fleet, built.data)
-        self.feed = MapFeed(view, ear, store, built.clock)
+        self.decode_bytes = MapPublisher(view, ear, store, built.clock)
         server = MapServer("127.0.0.1", 0)
         self.held.callback(server.close)
-        server.serve(MapAnswers(self.feed.stream, self.feed.history, self.feed.reach))
-        self.feed.turn()
+        server.start_serving(
+            MapDataSources(
+                self.decode_bytes.stream,
+                self.decode_bytes.margin_history_of,
+                self.decode_bytes.reachable_area_boundary,
+            )
+        )
+        self.decode_bytes.listen_and_publish_due_picture()
         self.page.goto(server.address)
         self.page.wait_for_selector("#link.live")
         return seat
 
     def goes_on(self, world: Any) -> bool:
-        """A second of the day: the faults, and every few seconds a look."""
-        assert self.feed is not None
-        self.feed.turn()
+        """Advance the checks by a second: faults, and a check every few seconds."""
+        assert self.decode_bytes is not None
+        self.decode_bytes.listen_and_publish_due_picture()
         t_s = world.clock.t_s
         self._do_faults(world, t_s)
         if round(t_s) % 8 == 0 or self._is_special(t_s):
@@ -112,17 +118,17 @@ class Watched:
 
     def _do_faults(self, world: Any, t_s: float) -> None:
         d1, d2 = world.drones
-        if self.cut_at_s is None and d1.is_airborne and d1.airborne_s(t_s) > 20.0:
+        if self.cut_at_s is None and d1.is_airborne and d1.time_since_takeoff_s(t_s) > 20.0:
             self.cut_at_s = t_s
-            world.plumbing.bus.cut_off("d1", CUT_S)
-        if self.killed_at_s is None and d2.is_airborne and d2.airborne_s(t_s) > 30.0:
+            world.bus.cut_member("d1", CUT_S)
+        if self.killed_at_s is None and d2.is_airborne and d2.time_since_takeoff_s(t_s) > 30.0:
             self.killed_at_s = t_s
-            d2.kill_companion(t_s)
+            d2.kill_companion_and_schedule_restart(t_s)
             self.desk_killed_at_s = t_s
-            world.faults.ground_kills_s.append(t_s)
+            world.faults.due["desk_kills"].append((t_s, 0.0))
 
     def _is_special(self, t_s: float) -> bool:
-        """Where the faults are in force."""
+        """Return whether a fault is in force at this time."""
         silent = self._is_at(self.cut_at_s, SILENT_S, t_s)
         return silent or self._is_at(self.desk_killed_at_s, DESK_AWAY_S - 4.0, t_s)
 
@@ -132,17 +138,17 @@ class Watched:
     def _look(self, world: Any, t_s: float) -> None:
         wrong: list[str] = []
         for _ in range(100):
-            wrong = list(self._wrong(world, t_s, self.page.evaluate(READ)))
+            wrong = list(self._find_violations(world, t_s, self.page.evaluate(READ)))
             if not wrong:
                 return
             self.page.wait_for_timeout(50)
         raise AssertionError(f"at {t_s:.0f} s: {'; '.join(wrong)}")
 
-    def _wrong(self, world: Any, t_s: float, shown: dict[str, Any]) -> Iterator[str]:
+    def _find_violations(self, world: Any, t_s: float, shown: dict[str, Any]) -> Iterator[str]:
         place = self._places(shown)
         rows = {row[0].removeprefix("! "): row for row in shown["drone_rows"]}
         for drone in world.drones:
-            if drone.up is None or not drone.is_airborne or drone.airborne_s(t_s) < OLD_S:
+            if not drone.is_airborne or drone.time_since_takeoff_s(t_s) < OLD_S:
                 continue
             if drone.name not in place:
                 yield f"{drone.name} flies and is not on the map"
@@ -170,8 +176,10 @@ class Watched:
             yield f"the table does not mark {name}"
 
     def _wrong_orders(self, world: Any, shown: dict[str, Any]) -> Iterator[str]:
-        """Nothing is shown as delivered that lies not with its customer."""
-        gone = {up.order for d in world.drones for up in d.power_ups if up.released_s is not None}
+        """Report orders shown as delivered whose parcel is not with the customer."""
+        gone = {
+            up.order for d in world.drones for up in d.all_power_cycles if up.released_s is not None
+        }
         for order, state, *_ in shown["order_rows"]:
             if state == "delivered" and order not in gone:
                 yield f"{order} is shown as delivered, and is aboard"
@@ -180,8 +188,8 @@ class Watched:
         self._note("orders")
 
     def _heard_within(self, name: str, t_s: float) -> tuple[float, float]:
-        """Between which times it was where the map may show it now: the last second or two, when it
-        was heard last, or either just after it is heard again.
+        """Return the time range of positions that the map may show: the last second or two, the
+        last reception, or either just after reception resumes.
         """
         at_s = {"d1": self.cut_at_s, "d2": self.killed_at_s}[name]
         for_s = {"d1": CUT_S, "d2": RESTART_S}[name]
@@ -210,28 +218,27 @@ class Watched:
     def _off_m(
         self, drone: Any, lat_lon_deg: tuple[float, float], from_s: float, to_s: float
     ) -> float:
-        """Least distance from where it truly was in this time."""
+        """Least distance from the true positions in this time range."""
         north, east, _ = self.built.frame.to_ned(*map(math.radians, lat_lon_deg), 0.0)
-        return min(
-            math.dist((north, east), row[1:3]) for row in drone.up.rows if from_s <= row[0] <= to_s
-        )
+        rows = [row for row in drone.power_cycle.rows if from_s <= row[0] <= to_s]
+        return min(math.dist((north, east), row[1:3]) for row in rows)
 
     def _note(self, what: str) -> None:
         self.checked[what] = self.checked.get(what, 0) + 1
 
 
 def flown(folder: Path, watched: Watched) -> dict[str, Any]:
-    keep_compiled_code()
-    from sim_bridge.app.day.build import here
-    from sim_bridge.app.day.faults import DayWish
-    from sim_bridge.app.day.run import DayOptions, fly_day
-    from sim_bridge.app.fleet_faults.small_day import day_data
+    enable_compile_cache_and_check_if_known()
+    from sim_bridge.app.day.faults import DayWorldOptions
+    from sim_bridge.app.day.run import DayOptions, fly_day_and_write_result
+    from sim_bridge.app.faults.small_day import read_bundled_day
 
     options = DayOptions(
-        name="faults", data=day_data(), wish=DayWish(), seed=SEED, folder=folder, limit_s=600.0,
-        settings="", picture=False,
+        name="faults", data=read_bundled_day(), world_options=DayWorldOptions(), seed=SEED,
+        folder=folder,
+        limit_s=600.0,
     )  # fmt: skip
-    return fly_day(options, here(0.0, folder), watched.take_seat, watched.goes_on)
+    return fly_day_and_write_result(options, watched.take_seat, watched.goes_on)
 
 
 @pytest.fixture
@@ -252,7 +259,7 @@ def test_what_is_shown_is_what_is_so_through_a_cut_a_dead_companion_and_a_dead_d
     assert (row["vehicles_lost"], row["delivered"]) == (0, 2)
     assert watched.checked["place"] > 20
     assert watched.checked["silent"] >= 1
-    assert watched.feed is not None
+    assert watched.decode_bytes is not None
     states: Callable[[], Any] = lambda: {  # noqa: E731
         order: state for order, state, *_ in watched.page.evaluate(READ)["order_rows"]
     }
@@ -265,14 +272,14 @@ def test_what_is_shown_is_what_is_so_through_a_cut_a_dead_companion_and_a_dead_d
 
 @pytest.mark.night
 def test_canary_a_map_that_stands_still_is_found_out(watched: Watched, tmp_path: Path):
-    """The picture of 30 s into the flights stays: a drone is then not where it is shown."""
+    """The picture stays frozen 30 s into the flights: the shown position is then wrong."""
 
     class Frozen(Watched):
         def goes_on(self, world: Any) -> bool:
-            real = self.feed
-            flying = [d for d in world.drones if d.airborne_s(world.clock.t_s) > 30.0]
+            real = self.decode_bytes
+            flying = [d for d in world.drones if d.time_since_takeoff_s(world.clock.t_s) > 30.0]
             if flying and real is not None:
-                real.turn = lambda: None  # type: ignore[method-assign]
+                real.listen_and_publish_due_picture = lambda: None  # type: ignore[method-assign]
             return super().goes_on(world)
 
         def _do_faults(self, world: Any, t_s: float) -> None:

@@ -1,4 +1,4 @@
-"""The page in a browser, by the words that it shows."""
+"""The page in a browser, checked by its texts."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ def shown(page, words: str) -> None:
 
 
 def test_the_tables_say_what_the_store_says(site, page):
-    site.ears.more["d1"] = {"margin_wh": 12.34, "p_home": 0.99871}
+    site.fleet_link.more["d1"] = {"margin_wh": 12.34, "p_home": 0.99871}
     site.step(2)
     shown(page, "0.9987")
     assert cells(page, "d1") == ["d1", "outbound", "H-101", "depot", "12.3", "0.9987"]
@@ -53,7 +53,7 @@ def test_the_tables_say_what_the_store_says(site, page):
     rows = page.locator("#orders tbody tr").all()
     assert {r.locator("td").all_inner_texts()[0]: r.locator("td").all_inner_texts()[1]
             for r in rows} == orders  # fmt: skip
-    assert page.locator("#attention").inner_text() == "nothing wants your eye"
+    assert page.locator("#attention").inner_text() == "no alarms"
     assert page.locator("#truck").inner_text().startswith("truck: at depot, leaves in ")
     assert "waits for d1" in page.locator("#truck").inner_text()
 
@@ -63,7 +63,7 @@ def test_a_click_on_what_wants_an_eye_says_why_in_the_gates_words(site, page):
     assert drone.flight is not None
     why = "turn_back: P(home) 0.962 is below the accepted 0.99"
     drone.tell(EventKind.DECISION, why, assignment=drone.flight.assignment)
-    site.ears.more["d1"] = {"margin_wh": -2.04, "p_home": 0.962, "phase": "return"}
+    site.fleet_link.more["d1"] = {"margin_wh": -2.04, "p_home": 0.962, "phase": "return"}
     site.step(2)
     page.locator("#attention button").click()
     assert page.locator("#attention").inner_text() == "! d1: 2.0 Wh short of its promise"
@@ -72,7 +72,7 @@ def test_a_click_on_what_wants_an_eye_says_why_in_the_gates_words(site, page):
         zip(*(page.locator(f"#detail {tag}").all_inner_texts() for tag in ("dt", "dd")),
             strict=True)
     )  # fmt: skip
-    assert told["wrong"] == "2.0 Wh short of its promise"
+    assert told["alarm"] == "2.0 Wh short of its promise"
     assert told["P(home)"] == "0.96200"
     assert told["margin"] == "-2.0 Wh"
     page.locator("#detail svg polyline.loss").wait_for(state="attached")
@@ -84,7 +84,7 @@ def test_the_keyboard_selects_and_closes_and_goes_to_what_wants_an_eye(site, pag
     assert page.locator("#detail h2").inner_text() == "d1"
     page.keyboard.press("Escape")
     page.locator("#detail").wait_for(state="hidden")
-    site.ears.more["d2"] = {"margin_wh": -1.0, "armed": True, "assignment": "H-102.1"}
+    site.fleet_link.more["d2"] = {"margin_wh": -1.0, "armed": True, "assignment": "H-102.1"}
     site.step(2)
     shown(page, "! d2")
     page.keyboard.press("a")
@@ -96,36 +96,40 @@ def test_the_keyboard_selects_and_closes_and_goes_to_what_wants_an_eye(site, pag
 
 def test_a_drone_on_the_map_turns_and_moves(site, page):
     drone = page.locator('#map .drone[data-key="d1"]')
-    site.ears.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45}
+    site.fleet_link.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45}
     site.step(2)
     before = drone.get_attribute("transform")
-    site.ears.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45 + 40.0 / 63_100}
+    site.fleet_link.more["d1"] = {"lat_deg": 55.47, "lon_deg": 8.45 + 40.0 / 63_100}
     site.step(2)
     drone.locator("path[transform='rotate(90)']").wait_for(state="attached")
     assert drone.get_attribute("transform") != before
 
 
 def test_a_truck_between_stops_is_drawn_hollow_and_said_to_be_by_plan(site, page):
-    while not site.world.driver.truck.driving:
+    while not site.world.driver.truck.is_en_route:
         site.step()
     site.step(30)
     truck = page.locator("#map .truck .by-plan")
     truck.wait_for(state="attached")
-    assert "drives to stop-1, by plan there in " in (truck.locator("text").text_content() or "")
+    assert "drives to stop-1, planned arrival in " in (truck.locator("text").text_content() or "")
     assert page.locator("#map .drive polyline").count() == 1
     before = truck.get_attribute("transform")
     page.wait_for_timeout(2500)
     assert truck.get_attribute("transform") != before, "it moves by the clock"
-    while site.world.driver.truck.driving:
+    while site.world.driver.truck.is_en_route:
         site.step()
     site.step(2)
     truck.wait_for(state="detached")
 
 
 def test_ways_of_many_drones_are_one_path_and_of_the_selected_one_another(site, page):
-    ways = {"way_out": "_p~iF~ps|U_ulLnnqC", "way_home": "_p~iF~ps|U_ulLnnqC_mqNvxq`@"}
+    ways = {"outbound_route": "_p~iF~ps|U_ulLnnqC", "return_route": "_p~iF~ps|U_ulLnnqC_mqNvxq`@"}
     for name in ("d1", "d2"):
-        site.ears.more[name] = ways | {"armed": True, "assignment": "a.1", "phase": "outbound"}
+        site.fleet_link.more[name] = ways | {
+            "armed": True,
+            "assignment": "a.1",
+            "phase": "outbound",
+        }
     site.step(2)
     path = page.locator("#map .ways .way-home:not(.straight)")
     path.wait_for(state="attached")
@@ -134,7 +138,7 @@ def test_ways_of_many_drones_are_one_path_and_of_the_selected_one_another(site, 
     assert corners == [3] * len(corners)
     page.keyboard.press("j")
     page.locator("#map .ways .way-home.chosen").wait_for(state="attached")
-    shown(page, "the route aboard")
+    shown(page, "onboard route")
 
 
 CHANGED = """() => {
@@ -146,7 +150,7 @@ CHANGED = """() => {
 
 
 def changed(page) -> int:
-    """How many elements of the map have changed since `CHANGED`, once that has come to rest."""
+    """Count the map elements changed since `CHANGED`, after changes stop."""
     wait_until(page, "window.changed.size > 0")
     page.wait_for_timeout(300)
     return page.evaluate("window.changed.size")
@@ -162,7 +166,7 @@ def test_to_move_the_map_moves_one_element_and_to_zoom_draws_all_anew(page):
 
 
 def test_what_has_not_changed_is_not_drawn_again(page):
-    """`keyed` on a list of the test's own: one item of three is another object."""
+    """`keyed` on a test list: one item of three is a different object."""
     run = """async () => {
       const { keyed } = await import('/page/dom.js');
       const list = document.createElement('ul');
@@ -182,7 +186,7 @@ def test_what_has_not_changed_is_not_drawn_again(page):
 
 def test_words_from_outside_are_shown_and_do_nothing(site, page):
     words = '<img src=x onerror="window.hit=1"><b>bold</b>'
-    site.ears.more["d1"] = {"text": words}
+    site.fleet_link.more["d1"] = {"text": words}
     site.step(2)
     page.keyboard.press("j")
     shown(page, words)
@@ -196,7 +200,7 @@ def test_it_says_that_what_it_shows_is_old_and_goes_on_when_the_server_is_back(s
     page.locator("#link.lost").wait_for()
     assert "NO CONNECTION" in page.locator("#link").inner_text()
     assert cells(page, "d1")[1] == "outbound"
-    site.ears.more["d1"] = {"phase": "return"}
+    site.fleet_link.more["d1"] = {"phase": "return"}
     site.start_map(port)
     site.step(2)
     page.locator("#link.live").wait_for()
@@ -245,7 +249,7 @@ WHY = "no vehicle comes home from there with the accepted P(home) before its win
 @pytest.mark.parametrize("width", [390, 1280])
 def test_long_reasons_break_no_word_of_the_lists(site, chromium, width):
     site.until_flying("d1")
-    site.ears.more["d1"] = {"margin_wh": -3.25, "p_home": 0.99871}
+    site.fleet_link.more["d1"] = {"margin_wh": -3.25, "p_home": 0.99871}
     with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
         db.execute("UPDATE orders SET why = ? WHERE state != 'open'", (WHY,))
         db.execute("UPDATE orders SET state = 'cancelled', why = ? WHERE id = 'H-108'", (WHY,))

@@ -1,24 +1,21 @@
-"""What the map's events say is what the store holds and what is true, all through a day."""
+"""The map's events match the store and the ground truth throughout a day."""
 
 import math
 import sqlite3
 from contextlib import ExitStack, closing
 
 import pytest
-from msgspec.structs import replace
 
-from companion.core.base.geo import offset_m
+from companion.core.base.geo import ne_offset_m
 from companion.fleet.messages import EventKind
-from companion.fleet.polyline import encoded
-from ground_station.app.map.fleet_ear import VehicleTrack
-from ground_station.app.map.wind_shown import fleet_wind
-from ground_station.core.fleet.desk_figures import DAY_US, CertificateFigures
+from companion.fleet.polyline import encode_polyline
+from ground_station.core.fleet.certificate_ends import DAY_US, CertificateExpiry
 from ground_station.core.schema.orders import OrderState
 from tests.ground_station.hand_made_day import PLAN
 from tests.ground_station.web.map_site import HARBOUR, MapSite
 from tests.ground_station.web.sse_client import SseClient, following, merged
 
-FLIGHT_S = 480  # the first drone is out, back and aboard; the truck has served a door
+FLIGHT_S = 480  # the first drone is recovered; the truck has served a customer
 RFC_7396 = [
     ({"a": "b"}, {"a": "c"}, {"a": "c"}),
     ({"a": "b"}, {"b": "c"}, {"a": "b", "b": "c"}),
@@ -53,11 +50,16 @@ def assert_is_true(site: MapSite, picture: dict) -> None:
         if drone.in_air:
             assert picture["drones"][name]["at"] == list(drone.place)
             assert picture["drones"][name]["phase"] == "outbound"
-    out = {r.vehicle: r for r in site.day.sorties() if not (r.aboard or r.gone)}
+    out = {
+        r.vehicle: r
+        for r in site.day.sorties()
+        if not (r.is_drone_on_truck or r.is_drone_lost_off_site_or_overdue)
+    }
     homes = {k: v["home"] for k, v in picture["drones"].items() if "home" in v}
-    assert homes == {name: row.promised for name, row in out.items()}
+    assert homes == {name: row.promised_stop for name, row in out.items()}
 
 
+@pytest.mark.sample
 def test_what_a_client_makes_of_the_events_is_the_stores_truth_until_the_first_is_home(site):
     joined_late = 60
     with Clients(site) as clients:
@@ -97,8 +99,8 @@ def test_the_truck_says_when_it_leaves_and_for_whom_it_waits(site):
     truck = site.picture["truck"]
     depot = PLAN.stops[0]
     assert truck["stop"] == "depot"
-    assert truck["leaves_us"] == site.day.began_us() + round(1e6 * depot.depart_s)
-    binding = [why for row in site.day.sorties() if (why := row.binds("depot"))]
+    assert truck["leaves_us"] == site.day.day_start_us() + round(1e6 * depot.depart_s)
+    binding = [why for row in site.day.sorties() if (why := row.binding_reason("depot"))]
     assert truck["waits_for"] == binding
     assert binding
 
@@ -109,7 +111,7 @@ def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site
     assert drone.flight is not None
     figures = {"margin_wh": 12.5, "p_home": 0.9987, "p_home_now": 0.9999, "p_success": 0.95,
                "energy_left_wh": 61.0, "ground_speed_mps": 9.5, "text": "going"}  # fmt: skip
-    site.ears.more["d1"] = figures
+    site.fleet_link.more["d1"] = figures
     drone.tell(
         EventKind.DECISION, "go: 12.5 Wh above the reserve", assignment=drone.flight.assignment
     )
@@ -120,11 +122,11 @@ def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site
     assert shown["why"] == "go: 12.5 Wh above the reserve"
     order = next(o for o in HARBOUR.orders if o.id == drone.flight.order)
     row = next(r for r in site.day.sorties() if r.vehicle == "d1")
-    pad, home = row.pads[row.sortie.launch], row.pads[row.promised]
+    pad, home = row.pads[row.sortie.launch], row.pads[row.promised_stop]
     customer = [order.lat_deg, order.lon_deg]
     assert shown["way"]["out"] == [[pad.lat_deg, pad.lon_deg], customer]
     assert shown["way"]["home"] == [customer, [home.lat_deg, home.lon_deg]]
-    site.ears.more["d1"] = figures | {"delivered": True}
+    site.fleet_link.more["d1"] = figures | {"delivered": True}
     site.step()
     assert "out" not in site.picture["drones"]["d1"]["way"]
 
@@ -135,7 +137,7 @@ def test_a_drone_turns_to_where_it_moves(site):
     turned = []
     for north_m, east_m in ((0, 0), (0, 30), (1, 30), (-30, 30)):
         at = {"lat_deg": 55.47 + north_m / 111_320, "lon_deg": 8.45 + east_m / 63_100}
-        site.ears.more["d1"] = at
+        site.fleet_link.more["d1"] = at
         site.step()
         turned.append(site.picture["drones"]["d1"].get("course_deg"))
     assert turned[1] == pytest.approx(90.0, abs=1.0)
@@ -151,7 +153,7 @@ def test_a_diversion_in_force_is_drawn_to_where_the_decision_says(site):
     (stop, pad) = next(iter(row.pads.items()))
     told = f"divert: to {stop}: the depot is out of reach"
     drone.tell(EventKind.DECISION, told, assignment=drone.flight.assignment)
-    site.ears.more["d1"] = {"phase": "divert", "lat_deg": 55.48, "lon_deg": 8.46}
+    site.fleet_link.more["d1"] = {"phase": "divert", "lat_deg": 55.48, "lon_deg": 8.46}
     site.step(2)
     shown = site.picture["drones"]["d1"]
     assert shown["way"]["now"] == [[55.48, 8.46], [pad.lat_deg, pad.lon_deg]]
@@ -159,7 +161,7 @@ def test_a_diversion_in_force_is_drawn_to_where_the_decision_says(site):
 
 
 def test_a_diversion_stays_on_the_map_while_it_is_in_force(site):
-    """Later decisions that choose no other place, and the landing, leave it; what does ends it."""
+    """Later decisions without another site and the landing keep it; other decisions end it."""
     site.until_flying("d1")
     drone = site.world.drones["d1"]
     assert drone.flight is not None
@@ -168,18 +170,18 @@ def test_a_diversion_stays_on_the_map_while_it_is_in_force(site):
 
     def line(phase: str, words: str) -> list | None:
         drone.tell(EventKind.DECISION, words, assignment=drone.flight.assignment)
-        site.ears.more["d1"] = {"phase": phase, "lat_deg": 55.48, "lon_deg": 8.46}
+        site.fleet_link.more["d1"] = {"phase": phase, "lat_deg": 55.48, "lon_deg": 8.46}
         site.step(2)
         return site.picture["drones"]["d1"]["way"].get("now")
 
     there = [[55.48, 8.46], [pad.lat_deg, pad.lon_deg]]
     assert line("divert", f"divert: to {stop}: the depot is out of reach") == there
     assert line("divert", "looked_again: margin moved by -4.0 Wh: 3.1 Wh above") == there
-    assert line("link lost", "link_back: nothing heard for 4 s") == there
+    assert line("link lost", "link_back: nothing received for 4 s") == there
     assert line("land", "looked_again: wind moved by 2.1 m/s: 3.0 Wh above") == there
     assert line("suspended", "suspended: mode not ours") is None
     assert line("divert", "position_back: after 3 s") == there
-    assert line("return", "turn_back: the mission aboard went home by itself") is None
+    assert line("return", "turn_back: onboard mission returned on its own") is None
     assert line("divert", "looked_again: 4.0 Wh above") is None
 
 
@@ -197,13 +199,13 @@ def attention(site: MapSite) -> list[str]:
 def test_what_wants_a_persons_eye_is_listed_with_who_and_why(site):
     site.until_flying("d1")
     assert attention(site) == []
-    site.ears.more["d1"] = {"margin_wh": -3.25}
+    site.fleet_link.more["d1"] = {"margin_wh": -3.25}
     site.step()
     assert attention(site) == ["d1: 3.2 Wh short of its promise"]
-    site.ears.deaf = True
+    site.fleet_link.deaf = True
     site.step(8)
-    assert "d1: not heard for 8 s" in attention(site)
-    site.ears.deaf = False
+    assert "d1: silent for 8 s" in attention(site)
+    site.fleet_link.deaf = False
     with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
         db.execute("UPDATE orders SET state = 'stuck', why = 'three attempts' WHERE id = 'H-108'")
         db.commit()
@@ -213,10 +215,10 @@ def test_what_wants_a_persons_eye_is_listed_with_who_and_why(site):
 
 def test_a_certificate_that_ends_within_a_month_wants_a_persons_eye(site):
     now_us = site.world.clock.epoch_us()
-    site.ends = CertificateFigures(now_us + 90 * DAY_US, (("d1", now_us + 12 * DAY_US),))
+    site.ends = CertificateExpiry(now_us + 90 * DAY_US, (("d1", now_us + 12 * DAY_US),))
     site.step()
     assert attention(site) == ["certificates: d1 ends in 12 days (ground-station pki renew)"]
-    site.ends = CertificateFigures(now_us + 90 * DAY_US, (("d1", now_us + 90 * DAY_US),))
+    site.ends = CertificateExpiry(now_us + 90 * DAY_US, (("d1", now_us + 90 * DAY_US),))
     site.step()
     assert attention(site) == []
 
@@ -225,7 +227,7 @@ def test_a_store_that_is_away_is_said_and_drones_are_still_shown(site):
     site.until_flying("d1")
     with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
         db.execute("ALTER TABLE orders RENAME TO elsewhere")
-        site.ears.more["d1"] = {"lat_deg": 55.5, "lon_deg": 8.5}
+        site.fleet_link.more["d1"] = {"lat_deg": 55.5, "lon_deg": 8.5}
         site.step(2, desk=False)
         assert attention(site)[0].startswith("store: away, rows are old: ")
         assert site.picture["drones"]["d1"]["at"] == [55.5, 8.5]
@@ -238,7 +240,7 @@ def test_a_store_that_is_away_is_said_and_drones_are_still_shown(site):
 def test_a_desk_that_is_gone_takes_nothing_from_the_map(site):
     site.until_flying("d1")
     before = site.picture["orders"]
-    site.ears.more["d1"] = {"lat_deg": 55.6, "lon_deg": 8.6}
+    site.fleet_link.more["d1"] = {"lat_deg": 55.6, "lon_deg": 8.6}
     site.step(5, desk=False)
     assert site.picture["orders"] == before
     assert site.picture["drones"]["d1"]["at"] == [55.6, 8.6]
@@ -255,7 +257,7 @@ def test_the_map_writes_nothing_and_asks_nobody_for_anything_but_states(site):
     site.world.drones["d1"].tell(EventKind.DECISION, "go: open", assignment="H-101.1")
     site.step(20, desk=False)
     assert dump() == before
-    assert (site.ears.sent, site.ears.events_asked) == ([], [])
+    assert (site.fleet_link.sent, site.fleet_link.events_asked) == ([], [])
 
 
 def test_the_place_is_the_days_own(site):
@@ -269,33 +271,22 @@ def test_the_place_is_the_days_own(site):
         assert area["height_m"] == feature["properties"]["height_m"]
         corners = [(lat, lon) for lon, lat in feature["geometry"]["coordinates"][0]]
         for there, shown in zip(corners, area["ring"], strict=False):
-            assert offset_m(*there, *shown) == pytest.approx((0.0, 0.0), abs=0.02)
+            assert ne_offset_m(*there, *shown) == pytest.approx((0.0, 0.0), abs=0.02)
 
 
-def test_the_wind_that_three_drones_report_is_shown_with_its_spread(site):
-    """numpy's mean and sample covariance of (-1, 2), (1, 4), (0, 6) by hand: (0, 4); 1, 1, 4."""
+def test_the_forecast_is_shown_while_nobody_tells_a_wind(site):
     site.until_flying("d1")
     site.step()
     forecast = HARBOUR.day.forecast
     (planned,) = site.picture["winds"]
     assert planned["to_ne_mps"] == list(forecast.to_ne_mps)
     assert planned["cov_m2ps2"] == [forecast.std_mps**2, 0.0, forecast.std_mps**2]
-    state = site.ears.state("d1")
-    states = [
-        replace(state, armed=True, wind_to_n_mps=n, wind_to_e_mps=e)
-        for n, e in ((-1.0, 2.0), (1.0, 4.0), (0.0, 6.0))
-    ]
-    found = fleet_wind(states)
-    assert found is not None
-    assert found.to_ne_mps == pytest.approx((0.0, 4.0))
-    assert found.cov_m2ps2 == pytest.approx((1.0, 1.0, 4.0))
-    assert fleet_wind(states[:2]) is None
 
 
 def test_the_field_is_shown_as_it_is_believed_by_one_drone_or_more(site):
     site.world.drones["d1"].wind_ne_mps = (2.0, 7.0)
     site.until_flying("d1")
-    site.step(60)  # this world's drones jump aloft, which is not believed at once
+    site.step(60)  # this world's drones jump in position, which is not accepted at once
     _, field = site.picture["winds"]
     assert math.dist(field["to_ne_mps"], (2.0, 7.0)) < 1.5
     nn, _, ee = field["cov_m2ps2"]
@@ -304,33 +295,18 @@ def test_the_field_is_shown_as_it_is_believed_by_one_drone_or_more(site):
     assert field["source"].endswith("at 40 m, by 1 drone")
 
 
-def test_where_drones_tell_their_own_error_it_is_added_to_the_spread_between_them(site):
-    """Law of total covariance by hand: spread of the means 1, 1, 1; mean of the errors 2, 0, 3."""
-    site.until_flying("d1")
-    state = site.ears.state("d1")
-    told = {"d1": ((-1.0, 2.0), (1.0, 0.5, 2.0)), "d2": ((1.0, 4.0), (3.0, -0.5, 4.0))}
-    states = [
-        replace(state, vehicle=name, armed=True, wind_to_n_mps=n, wind_to_e_mps=e)
-        for name, ((n, e), _) in told.items()
-    ]
-    tracks = {name: VehicleTrack(wind_cov_m2ps2=cov) for name, (_, cov) in told.items()}
-    found = fleet_wind(states, tracks)
-    assert found is not None
-    assert found.to_ne_mps == pytest.approx((0.0, 3.0))
-    assert found.cov_m2ps2 == pytest.approx((3.0, 1.0, 4.0))
-    tracks["d2"].wind_cov_m2ps2 = None
-    assert fleet_wind(states, tracks) is None, "two, one of which does not tell its error"
-
-
 def test_a_drone_that_tells_its_route_is_shown_on_it_and_one_that_does_not_on_straight_lines(site):
     site.until_flying("d1")
     site.step()
     assert site.picture["drones"]["d1"]["way"]["straight"] is True
     out, home = [(55.47, 8.45), (55.48, 8.46), (55.49, 8.44)], [(55.49, 8.44), (55.471, 8.451)]
-    site.ears.more["d1"] = {"way_out": encoded(out), "way_home": encoded(home)}
+    site.fleet_link.more["d1"] = {
+        "outbound_route": encode_polyline(out),
+        "return_route": encode_polyline(home),
+    }
     site.step()
     told = {"out": [list(one) for one in out], "home": [list(one) for one in home]}
     assert site.picture["drones"]["d1"]["way"] == told
-    site.ears.more["d1"] = {"way_out": "_", "way_home": encoded(home)}
+    site.fleet_link.more["d1"] = {"outbound_route": "_", "return_route": encode_polyline(home)}
     site.step()
     assert site.picture["drones"]["d1"]["way"]["straight"] is True, "words that are no way"

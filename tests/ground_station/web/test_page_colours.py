@@ -1,4 +1,4 @@
-"""The page's colours, read from its style sheet: legible, and apart for colour-blind readers."""
+"""The page's colours, read from its style sheet: legible and distinct for colour-blind readers."""
 
 import itertools
 import re
@@ -68,7 +68,7 @@ def lab(rgb: np.ndarray) -> np.ndarray:
 
 
 def apart(one: str, other: str, seen_as: str) -> float:
-    """Distance of two colours for such a reader."""
+    """Colour difference for this kind of vision."""
     matrix = SEEN_AS[seen_as]
     return float(np.linalg.norm(lab(matrix @ linear(one)) - lab(matrix @ linear(other))))
 

@@ -1,4 +1,4 @@
-"""Orders from the map: who may give them, what they do, and what the audit says of them."""
+"""Orders from the map: permissions, effects, and audit entries."""
 
 import json
 import stat
@@ -15,20 +15,20 @@ from companion.fleet.messages import Recall
 from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.files.token_file import (
-    WatchedTokens,
-    new_token,
-    read_tokens,
-    write_tokens,
+    TokenFileMonitor,
+    generate_random_token,
+    read_owner_only_tokens,
+    write_owner_only_tokens_atomically,
 )
-from ground_station.adapters.store.audit_store import read_audit
+from ground_station.adapters.store.audit_store import read_audit_rows_and_head
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.web.map_server import MapAnswers, MapServer
-from ground_station.adapters.web.people import WebPeople
+from ground_station.adapters.web.map_server import MapDataSources, MapServer
+from ground_station.adapters.web.people import MapAccess
 from ground_station.app.cli.main import app
-from ground_station.app.map.map_people import MapPeople
-from ground_station.core.people.audit_chain import faults
-from ground_station.core.people.web_tokens import ROLES, TokenBook
+from ground_station.app.map.map_commands import OperatorCommands
+from ground_station.core.people.audit_chain import find_chain_faults
+from ground_station.core.people.web_tokens import USER_ROLES, TokenRegistry
 from ground_station.core.schema.order_states import OrderState
 from tests.ground_station.web.browser import browsing, needs_chromium
 from tests.ground_station.web.map_site import MapEars, MapSite
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.timeout(180)
 
 
 class Line(MapEars):
-    """A person's own end of the world's network, which sends."""
+    """A person's own connection to the world's network, which sends."""
 
     def send(self, command, wait_s: float) -> None:
         super().send(command, wait_s)
@@ -49,7 +49,7 @@ class Line(MapEars):
 
 @dataclass
 class Desk:
-    """A map with people: anna commands, vera looks."""
+    """A map with people: anna may command, vera may view."""
 
     site: MapSite
     file: Path
@@ -74,27 +74,31 @@ class Desk:
         return httpx.post(where, json=content, headers=names, timeout=60.0)
 
     def audit(self) -> list[tuple[str, str, str]]:
-        """Who, deed, subject."""
-        rows, head = read_audit(self.site.reader.database)
-        assert list(faults(rows, head)) == []
+        """Return author, command and subject of each entry."""
+        rows, head = read_audit_rows_and_head(self.site.reader.database)
+        assert list(find_chain_faults(rows, head)) == []
         return [(row.entry.who, row.entry.deed, row.entry.subject) for row in rows]
 
 
-def serve(site: MapSite, people: WebPeople) -> MapServer:
+def serve(site: MapSite, people: MapAccess) -> MapServer:
     server = MapServer("127.0.0.1", 0)
-    feed = site.feed
-    server.serve(MapAnswers(feed.stream, feed.history, feed.reach, people=people))
+    feed = site.decode_bytes
+    server.start_serving(
+        MapDataSources(
+            feed.stream, feed.margin_history_of, feed.reachable_area_boundary, access=people
+        )
+    )
     site.held.callback(server.close)
     return server
 
 
 @pytest.fixture
 def desk(site: MapSite, tmp_path: Path) -> Iterator[Desk]:
-    file, book, tokens = tmp_path / "tokens.json", TokenBook(), {}
+    file, book, tokens = tmp_path / "tokens.json", TokenRegistry(), {}
     for name, role in (("anna", Role.DISPATCHER), ("vera", Role.VIEWER)):
-        tokens[name] = new_token()
-        book = book.added(name, role, tokens[name], "2026-01-01")
-    write_tokens(file, book)
+        tokens[name] = generate_random_token()
+        book = book.with_holder(name, role, tokens[name], "2026-01-01")
+    write_owner_only_tokens_atomically(file, book)
     lines: list[Line] = []
 
     def open_fleet() -> Line:
@@ -104,8 +108,8 @@ def desk(site: MapSite, tmp_path: Path) -> Iterator[Desk]:
     def open_store() -> Store:
         return Store(Database(site.url, create=False), epoch_us)
 
-    deeds = MapPeople(lambda person: person, open_store, open_store, open_fleet)
-    server = serve(site, WebPeople(WatchedTokens(file).book, deeds.do))
+    deeds = OperatorCommands(lambda person: person, open_store, open_store, open_fleet)
+    server = serve(site, MapAccess(TokenFileMonitor(file).current_tokens, deeds.execute_command))
     return Desk(site, file, tokens, lines, server)
 
 
@@ -122,13 +126,13 @@ def test_without_people_there_is_no_way_to_send(site: MapSite):
 def test_a_hold_and_its_release_are_those_of_the_terminal(desk: Desk):
     done = desk.post({"do": "hold", "vehicle": "d2", "reason": "propeller"})
     assert (done.status_code, done.json()["words"]) == (200, ["d2 is held by anna: propeller"])
-    (hold,) = desk.site.store.holds()
+    (hold,) = desk.site.store.holds_in_force()
     assert (hold.scope, hold.by, hold.reason) == ("d2", "anna", "propeller")
     done = desk.post({"do": "release", "vehicle": "d2"})
-    assert done.json()["words"] == ["released: d2 is held by anna: propeller"]
-    assert desk.site.store.holds() == []
+    assert done.json()["words"] == ["released: d2 (was held by anna: propeller)"]
+    assert desk.site.store.holds_in_force() == []
     assert desk.post({"do": "release", "vehicle": "d2"}).json()["look"] == [
-        "release d2: not held by that name"
+        "d2: no launch hold of its own"
     ]
     assert desk.audit()[-2:] == [("anna", "hold", "d2"), ("anna", "release", "d2")]
 
@@ -138,7 +142,7 @@ def test_a_settled_order_is_closed_with_who_said_it(desk: Desk):
     deed = {"do": "settle", "order": "H-101", "settled": "delivered", "reason": "customer rang"}
     assert desk.post(deed).status_code == 200
     row = next(row for row in desk.site.store.orders() if row.order.id == "H-101")
-    assert (row.state, row.why) == (
+    assert (row.state, row.reason) == (
         OrderState.DELIVERED,
         "delivered, says anna: customer rang",
     )
@@ -146,7 +150,7 @@ def test_a_settled_order_is_closed_with_who_said_it(desk: Desk):
     again = desk.post(deed)
     assert (again.status_code, again.json()["trouble"]) == (
         409,
-        "order H-101: delivered, expected assigned or stuck",
+        "order H-101: delivered, expected assigned or stuck or cancelled",
     )
 
 
@@ -157,30 +161,31 @@ def test_a_recall_goes_out_under_the_persons_name_and_holds(desk: Desk):
     (line,) = desk.lines
     assert {command.vehicle for command in line.sent} == {"d1"}
     assert {command.by for command in line.sent} == {"anna"}
-    assert all(isinstance(command.deed, Recall) for command in line.sent)
-    assert [hold.scope for hold in desk.site.store.holds()] == ["d1"]
+    assert all(isinstance(command.action, Recall) for command in line.sent)
+    assert [hold.scope for hold in desk.site.store.holds_in_force()] == ["d1"]
     assert ("anna", "hold", "d1") in desk.audit()
-    assert done.json()["look"] == ["not recalled: d1"], "this world's drones refuse it"
+    (check,) = done.json()["look"]
+    assert check.startswith("d1 did not accept the recall: "), "this world's drones refuse it"
     assert any("refused not now" in words for words in done.json()["words"])
 
 
 def test_a_launch_that_cannot_be_confirmed_says_why(desk: Desk):
     done = desk.post({"do": "confirm", "order": "H-108"})
-    assert (done.status_code, done.json()["trouble"]) == (409, "order H-108: no drone has it")
+    assert (done.status_code, done.json()["trouble"]) == (409, "order H-108: no drone is assigned")
 
 
 def test_who_has_no_token_or_only_looks_orders_nothing(desk: Desk):
     deed = {"do": "hold", "vehicle": "d2", "reason": "x"}
     before = desk.audit()
     assert desk.post(deed, None).status_code == 401
-    for wrong in ("x", new_token(), "x" * 1000):
+    for wrong in ("x", generate_random_token(), "x" * 1000):
         assert desk.post_with(wrong, deed).status_code == 401
     refused = desk.post(deed, "vera")
     assert (refused.status_code, refused.json()["trouble"]) == (
         409,
         "vera is a viewer: may not command",
     )
-    assert (desk.audit(), desk.site.store.holds(), desk.lines) == (before, [], [])
+    assert (desk.audit(), desk.site.store.holds_in_force(), desk.lines) == (before, [], [])
 
 
 def test_another_page_of_the_browser_orders_nothing_even_with_a_token(desk: Desk):
@@ -189,10 +194,11 @@ def test_another_page_of_the_browser_orders_nothing_even_with_a_token(desk: Desk
     assert desk.post(deed, sec_fetch_site="cross-site").status_code == 403
     assert desk.post(deed, host="evil.example").status_code == 421
     assert desk.post(json.dumps(deed), content_type="text/plain").status_code == 415
-    assert desk.site.store.holds() == []
+    assert desk.site.store.holds_in_force() == []
     assert desk.post(deed, origin=desk.address).status_code == 200
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     "content",
     [
@@ -211,13 +217,15 @@ def test_what_is_no_order_is_refused_in_words(desk: Desk, content):
     answer = desk.post(content, content_type="application/json")
     assert answer.status_code in (400, 409, 413)
     assert answer.json()["trouble"]
-    assert desk.site.store.holds() == []
+    assert desk.site.store.holds_in_force() == []
     assert [command for line in desk.lines for command in line.sent] == []
 
 
 def test_a_revoked_token_is_out_at_once_and_a_broken_file_lets_nobody_in(desk: Desk):
     deed = {"do": "hold", "vehicle": "d2", "reason": "x"}
-    write_tokens(desk.file, read_tokens(desk.file).without("anna"))
+    write_owner_only_tokens_atomically(
+        desk.file, read_owner_only_tokens(desk.file).without_holder("anna")
+    )
     assert desk.post(deed).status_code == 401
     assert desk.post(deed, "vera").status_code == 409
     desk.file.chmod(0o644)
@@ -230,7 +238,7 @@ def test_a_revoked_token_is_out_at_once_and_a_broken_file_lets_nobody_in(desk: D
 
 def test_where_a_token_is_needed_to_read_nothing_of_the_fleet_is_told_without(desk: Desk):
     desk.site.step()
-    people = WebPeople(WatchedTokens(desk.file).book, None, to_read=True)
+    people = MapAccess(TokenFileMonitor(desk.file).current_tokens, None, requires_token=True)
     address = f"http://127.0.0.1:{serve(desk.site, people).port}"
     mine = {"authorization": f"Bearer {desk.tokens['vera']}"}
     told = ("/picture.json", "/events", "/span.json", "/history.json?vehicle=d1", "/nothing")
@@ -244,7 +252,7 @@ def test_where_a_token_is_needed_to_read_nothing_of_the_fleet_is_told_without(de
     with httpx.stream("GET", f"{address}/events", headers=mine, timeout=30.0) as answer:
         events = answer.iter_raw()
         next(events)
-        write_tokens(desk.file, TokenBook())
+        write_owner_only_tokens_atomically(desk.file, TokenRegistry())
         for _ in range(5):
             desk.site.step()
         assert len(list(events)) < 5, "the stream has ended"
@@ -258,27 +266,27 @@ def test_the_file_has_digests_only_and_is_its_owners(tmp_path: Path):
     assert len(token) >= 43, "256 bits in base64 (RFC 4648, 5)"
     assert token not in Path(file).read_text()
     assert stat.S_IMODE(Path(file).stat().st_mode) == 0o600
-    person = read_tokens(Path(file)).person(token)
+    person = read_owner_only_tokens(Path(file)).find_operator(token)
     assert person is not None
     assert (person.name, person.role) == ("anna", Role.SUPERVISOR)
     assert "anna" in run(app, ["token", "list", "--tokens", file]).stdout
     for options, words in (
         (["add", "anna"], "revoke it first"),
         (["add", "b o b"], "expected 1 to 40 letters"),
-        (["revoke", "bob"], "bob has no token; these have: anna"),
+        (["revoke", "bob"], "bob has no token; token holders: anna"),
     ):
         assert words in str(run(app, ["token", *options, "--tokens", file]).exception)
     refused = run(app, ["token", "add", "bob", "--role", "vehicle", "--tokens", file])
     assert refused.exit_code == 2
-    assert all(role.value in refused.output for role in ROLES)
-    assert "router" not in run(app, ["token", "add", "--help"]).output
+    assert all(role.value in refused.output for role in USER_ROLES)
+    assert "router" not in run(app, ["token", "--help"]).output
     with pytest.raises(LeewayError, match="expected supervisor or dispatcher or viewer"):
-        TokenBook().added("bob", Role.VEHICLE, new_token(), "2026-01-01")
+        TokenRegistry().with_holder("bob", Role.VEHICLE, generate_random_token(), "2026-01-01")
     assert run(app, ["token", "revoke", "anna", "--tokens", file]).exit_code == 0
-    assert read_tokens(Path(file)).person(token) is None
+    assert read_owner_only_tokens(Path(file)).find_operator(token) is None
     Path(file).chmod(0o640)
     with pytest.raises(LeewayError, match="mode 0640, expected 0600"):
-        read_tokens(Path(file))
+        read_owner_only_tokens(Path(file))
     missing = run(app, ["token", "list", "--tokens", str(tmp_path / "none")])
     assert "token add NAME" in str(missing.exception)
 
@@ -302,14 +310,16 @@ def test_in_the_page_an_order_takes_two_clicks_and_a_revoked_token_is_said(desk:
         hold = page.locator('#deed-buttons [data-key="hold d1"]')
         hold.click()
         assert hold.inner_text() == "hold d1? click again"
-        assert desk.site.store.holds() == []
+        assert desk.site.store.holds_in_force() == []
         page.wait_for_timeout(400)
         hold.click()
         page.locator("#deed-answer", has_text="d1 is held by anna: jam of j and k").wait_for()
-        assert [one.scope for one in desk.site.store.holds()] == ["d1"]
+        assert [one.scope for one in desk.site.store.holds_in_force()] == ["d1"]
         assert page.locator("#detail h2").inner_text() == "d1", "typing is no key of the map"
-        write_tokens(desk.file, read_tokens(desk.file).without("anna"))
-        page.locator("#person", has_text="the token of anna is not valid any more").wait_for()
+        write_owner_only_tokens_atomically(
+            desk.file, read_owner_only_tokens(desk.file).without_holder("anna")
+        )
+        page.locator("#person", has_text="the token of anna is no longer valid").wait_for()
         assert not page.locator("#deeds").is_visible()
-        desk.site.step(5)  # the day stood still so long: on a busy machine it counts as lost
+        desk.site.step(5)  # the day paused for long: a busy machine counts it as lost
         page.wait_for_selector("#link.live")

@@ -1,4 +1,4 @@
-"""How far the map says that a drone can still go, against the energy model priced leg by leg."""
+"""Remaining range of a drone on the map, against the energy model priced for each leg."""
 
 import math
 from typing import Any
@@ -8,11 +8,12 @@ import pytest
 from msgspec.structs import replace
 from scipy.special import ndtri
 
-from companion.core.base.geo import offset_m
+from companion.core.base.geo import ne_offset_m
 from companion.core.routing.leg_energy import Leg, LegKind
 from companion.fleet.messages import State
-from ground_station.app.map.reach_ring import BEARINGS, ReachRings
-from ground_station.core.feasibility.reach import day_energy
+from ground_station.app.map.reach_ring import BEARING_COUNT, ReachableAreas
+from ground_station.core.feasibility.reach import route_energy_model_for_day
+from tests.ground_station.desk_parts import a_state
 from tests.ground_station.web.map_site import HARBOUR
 
 HERE = (55.475, 8.46)
@@ -23,27 +24,24 @@ def state(**more: Any) -> State:
     fields: dict[str, Any] = {"energy_left_wh": 60.0, "height_rel_m": 40.0, "lat_deg": HERE[0],
                               "lon_deg": HERE[1], "wind_to_n_mps": WIND[0],
                               "wind_to_e_mps": WIND[1]}  # fmt: skip
-    return State(
-        vehicle="d1", life="l", uptime_s=1.0, epoch_us=0, airframe="m100", max_payload_kg=1.0,
-        phase="outbound", log="l", last_seq=0, **(fields | more),
-    )  # fmt: skip
+    return a_state(phase="outbound", **(fields | more))
 
 
 def radii(**more: Any) -> np.ndarray:
-    ring = ReachRings(HARBOUR).ring(state(**more), 0.4)
+    ring = ReachableAreas(HARBOUR).reachable_boundary_points(state(**more), 0.4)
     assert ring is not None
-    return np.array([math.hypot(*offset_m(*HERE, *point)) for point in ring])
+    return np.array([math.hypot(*ne_offset_m(*HERE, *point)) for point in ring])
 
 
 def test_at_its_edge_the_whole_leg_costs_what_is_left_above_the_reserve():
     """The leg at its full length by the model, all errors by central differences of that."""
     day = HARBOUR.day
     airframe = HARBOUR.airframes["m100"]
-    energy, battery = day_energy(day, airframe), airframe.battery
-    full_wh = battery.usable_wh(energy.hover_power_w(0.4), 20.0, 1.0)
+    energy, battery = route_energy_model_for_day(day, airframe), airframe.battery
+    full_wh = battery.usable_energy_of_full_pack_wh(energy.hover_power_w(0.4), 20.0, 1.0)
     for bearing in (0, 12, 24, 36):
         far_m = radii()[bearing]
-        angle = 2.0 * math.pi * bearing / BEARINGS
+        angle = 2.0 * math.pi * bearing / BEARING_COUNT
         end = (far_m * math.cos(angle), far_m * math.sin(angle))
         legs = (
             Leg(LegKind.CRUISE, (0.0, 0.0, -40.0), (*end, -40.0), 0.4),
@@ -51,7 +49,7 @@ def test_at_its_edge_the_whole_leg_costs_what_is_left_above_the_reserve():
         )
 
         def price_wh(wind: tuple[float, float], legs: tuple[Leg, ...] = legs) -> float:
-            return float(energy.costs(legs, np.array([wind])).energy_wh.sum())
+            return float(energy.leg_costs_wind_major(legs, np.array([wind])).energy_wh.sum())
 
         mean_wh, step = price_wh(WIND), 0.1
         slopes = [
@@ -80,7 +78,7 @@ def test_more_energy_is_farther_and_none_above_the_reserve_is_nowhere():
 
 
 def test_what_the_state_lacks_makes_no_ring():
-    rings = ReachRings(HARBOUR)
-    assert rings.ring(state(energy_left_wh=None), 0.0) is None
-    assert rings.ring(state(lat_deg=None), 0.0) is None
-    assert rings.ring(replace(state(), vehicle="d9"), 0.0) is None
+    rings = ReachableAreas(HARBOUR)
+    assert rings.reachable_boundary_points(state(energy_left_wh=None), 0.0) is None
+    assert rings.reachable_boundary_points(state(lat_deg=None), 0.0) is None
+    assert rings.reachable_boundary_points(replace(state(), vehicle="d9"), 0.0) is None

@@ -1,4 +1,4 @@
-"""The map beyond this machine: served with TLS, under the names of its certificate."""
+"""The map for other machines: served with TLS, under the names of its certificate."""
 
 import base64
 import hashlib
@@ -17,12 +17,12 @@ from typer.testing import CliRunner
 from companion.core.base.errors import LeewayError
 from companion.fleet.roles import Role
 from ground_station.adapters.clock import epoch_us
-from ground_station.adapters.files.token_file import new_token
-from ground_station.adapters.web.map_server import MapAnswers, MapServer
-from ground_station.adapters.web.people import WebPeople
-from ground_station.adapters.web.tls_files import tls_files
+from ground_station.adapters.files.token_file import generate_random_token
+from ground_station.adapters.web.map_server import MapDataSources, MapServer
+from ground_station.adapters.web.people import MapAccess
+from ground_station.adapters.web.tls_files import load_checked_tls_files
 from ground_station.app.cli.main import app
-from ground_station.core.people.web_tokens import TokenBook
+from ground_station.core.people.web_tokens import TokenRegistry
 from tests.ground_station.web.browser import browsing, needs_chromium, running
 from tests.ground_station.web.map_site import MapSite
 
@@ -64,12 +64,14 @@ LOCAL = [x509.DNSName("localhost"), x509.IPAddress(ipaddress.ip_address("127.0.0
 
 def test_it_is_served_with_tls_under_the_certificates_names_only(site: MapSite, tmp_path: Path):
     files = certificate(tmp_path, LOCAL)
-    tls = tls_files(*files, epoch_us())
+    tls = load_checked_tls_files(*files, epoch_us())
     assert tls.names == ("localhost", "127.0.0.1")
     server = MapServer("127.0.0.1", 0, tls)
     site.held.callback(server.close)
-    feed = site.feed
-    server.serve(MapAnswers(feed.stream, feed.history, feed.reach))
+    feed = site.decode_bytes
+    server.start_serving(
+        MapDataSources(feed.stream, feed.margin_history_of, feed.reachable_area_boundary)
+    )
     site.step()
     assert server.address == f"https://localhost:{server.port}"
     trusted = ssl.create_default_context(cafile=files[0])
@@ -84,27 +86,27 @@ def test_it_is_served_with_tls_under_the_certificates_names_only(site: MapSite, 
     with pytest.raises(httpx.HTTPError):
         httpx.get(server.address.replace("https", "http"))
     with pytest.raises(httpx.ConnectError):
-        httpx.get(server.address)  # nobody vouches for this certificate
+        httpx.get(server.address)  # the certificate is not trusted
 
 
 def test_files_that_would_not_serve_are_refused_in_words(tmp_path: Path):
     cert, key = certificate(tmp_path, LOCAL)
     with pytest.raises(LeewayError, match="is in force from"):
-        tls_files(cert, key, epoch_us() + 40 * DAY_US)
+        load_checked_tls_files(cert, key, epoch_us() + 40 * DAY_US)
     with pytest.raises(LeewayError, match="is in force from"):
-        tls_files(cert, key, epoch_us() - 40 * DAY_US)
+        load_checked_tls_files(cert, key, epoch_us() - 40 * DAY_US)
     key.chmod(0o644)
     with pytest.raises(LeewayError, match="mode 0644, expected 0600"):
-        tls_files(cert, key, epoch_us())
+        load_checked_tls_files(cert, key, epoch_us())
     other = tmp_path / "other"
     other.mkdir()
     _, other_key = certificate(other, LOCAL)
     for wrong in (other_key, tmp_path / "none"):
         with pytest.raises(LeewayError, match=r"^--tls "):
-            tls_files(cert, wrong, epoch_us())
+            load_checked_tls_files(cert, wrong, epoch_us())
     nameless = certificate(other, [])
     with pytest.raises(LeewayError, match="expected a subjectAltName"):
-        tls_files(*nameless, epoch_us())
+        load_checked_tls_files(*nameless, epoch_us())
 
 
 @pytest.mark.parametrize("given", [[], ["--tls"], ["--tokens"]])
@@ -114,7 +116,7 @@ def test_beyond_this_machine_both_tls_and_tokens_are_asked_for(tmp_path: Path, g
     words = [word for name in given for word in (name, *options[name])]
     done = CliRunner().invoke(app, ["map", "--fleet", "harbour", "--host", "0.0.0.0", *words])
     assert isinstance(done.exception, LeewayError)
-    assert "expected --tls CERT KEY and --tokens FILE" in str(done.exception)
+    assert "add --tls CERT KEY and --tokens FILE" in str(done.exception)
 
 
 def key_pin(certificate_file: Path) -> str:
@@ -130,12 +132,16 @@ def test_in_a_browser_it_is_seen_over_tls_by_who_signs_in_and_under_this_key_onl
 ):
     program = needs_chromium()
     files = certificate(tmp_path, LOCAL)
-    token = new_token()
-    book = TokenBook().added("vera", Role.VIEWER, token, "2026-01-01")
-    server = MapServer("127.0.0.1", 0, tls_files(*files, epoch_us()))
+    token = generate_random_token()
+    book = TokenRegistry().with_holder("vera", Role.VIEWER, token, "2026-01-01")
+    server = MapServer("127.0.0.1", 0, load_checked_tls_files(*files, epoch_us()))
     site.held.callback(server.close)
-    feed, people = site.feed, WebPeople(lambda: book, None, to_read=True)
-    server.serve(MapAnswers(feed.stream, feed.history, feed.reach, people=people))
+    feed, people = site.decode_bytes, MapAccess(lambda: book, None, requires_token=True)
+    server.start_serving(
+        MapDataSources(
+            feed.stream, feed.margin_history_of, feed.reachable_area_boundary, access=people
+        )
+    )
     site.until_flying("d1")
     pin = f"--ignore-certificate-errors-spki-list={key_pin(files[0])}"
     with running(program, pin) as browser, browsing(browser) as page:
@@ -148,7 +154,7 @@ def test_in_a_browser_it_is_seen_over_tls_by_who_signs_in_and_under_this_key_onl
         page.keyboard.press("Enter")
         page.wait_for_selector("#link.live")
         page.locator('#map .drone[data-key="d1"]').wait_for(state="attached")
-        site.ears.more["d1"] = {"phase": "return"}
+        site.fleet_link.more["d1"] = {"phase": "return"}
         site.step(2)
         page.locator("#drones td", has_text="return").wait_for()
     with running(program) as browser:

@@ -1,15 +1,15 @@
 """Write the fixtures of test_compatibility.py with the code of commit 3d417155.
 
-A development tool, not a test. The fixtures are files of an earlier version: they are never
-written again by a later one. A later version that adds a format adds a folder of its own. To
-repeat this one, check out the commit that added this script beside commit 3d417155:
+A development tool, not a test. The fixtures are files of an earlier version: later versions never
+regenerate them. A later version that adds a format adds a separate folder. To repeat the run,
+check out commit 3d417155 next to the commit that added this script:
 
     git worktree add ../base 3d417155
     cd ../base && PYTHONPATH=$PWD python ../leeway/tests/reference/compatibility/generate.py
 
-It flies one short flight and one day (about five minutes; `DAY_RUNS` names the runs folder of a
-`sim-bridge day harbour --seed 1` that was flown before). Simulated vehicles send in real
-threads, so the recordings differ a little from run to run; their keys do not.
+It flies one short flight and one day (about five minutes; `DAY_RUNS` names the runs folder of an
+earlier `sim-bridge day harbour --seed 1`). Simulated vehicles send in real threads, so the
+recordings differ slightly between runs; their keys do not.
 """
 
 import gzip
@@ -66,10 +66,10 @@ OUT = HERE / "3d417155"
 RUNS = OUT / "runs"
 PARAMS = ("airframes", "autopilots", "days", "fields", "flights", "policies", "sites", "truth")
 AUTHORITY, MEMBER = bytes(range(32)), bytes(range(32, 64))
-"""Private keys of the fixtures' fleet: known to everybody, of no use outside the test."""
+"""Public test keys of the fixtures' fleet, of no use outside the test."""
 KEPT_PHASES = ("ready", "outbound", "return", "land", "done")
 MOST_BYTES = {"stream.tlog": 150_000}
-"""A recording may be cut anywhere: readers take what is whole."""
+"""A recording may end anywhere: readers use the complete records."""
 AT_M = {"lat_deg": 55.47, "lon_deg": 8.45}
 
 FULL_FLIGHT = """\
@@ -199,7 +199,7 @@ battery_health_frac = 0.95
 
 
 def put(name: str, content: str | bytes) -> None:
-    """Write one fixture; what ends in .gz is packed."""
+    """Write one fixture; a name ending in .gz is compressed."""
     path = OUT / name
     path.parent.mkdir(parents=True, exist_ok=True)
     raw = content.encode() if isinstance(content, str) else content
@@ -213,7 +213,7 @@ def params() -> None:
     for path in OUT.rglob("avoid_curve.csv"):
         path.unlink()
     key = public_key_of(MEMBER)
-    for path in (OUT / "params").rglob("*.toml"):  # comments cite pages that may go
+    for path in (OUT / "params").rglob("*.toml"):  # comments cite pages that may be removed
         text = path.read_text()
         bare = re.sub(r'(^|\s+)#[^"\n]*$', "", re.sub(r"^#.*\n", "", text, flags=re.M), flags=re.M)
         assert tomllib.loads(bare) == tomllib.loads(text), path
@@ -222,14 +222,14 @@ def params() -> None:
     (flights / "full.toml").write_text(FULL_FLIGHT.replace("KEY", key))
     (flights / "short.toml").write_text(SHORT_FLIGHT)
     (OUT / "params" / "days" / "full.toml").write_text(FULL_DAY)
-    for folder in ("days", "sites"):  # only what the kept days and flights name
+    for folder in ("days", "sites"):  # only those that the kept days and flights name
         for path in (OUT / "params" / folder).iterdir():
             if "harbour" not in path.name and path.name not in ("full.toml", "hills.csv"):
                 path.unlink()
 
 
 def vehicle() -> None:
-    """Files that the companion writes of a vehicle."""
+    """Write the companion's files about a vehicle."""
     airframe = read_airframe("m100", BASE / "params")
     (OUT / "vehicle").mkdir()
     write_airframe(OUT / "vehicle/fitted.toml", airframe, ["Fitted."], {("mass", "empty_kg"): "x"})
@@ -253,7 +253,7 @@ def vehicle() -> None:
 
 
 def identities() -> None:
-    """A roster of two fleets' members, signed; the identity of one of them."""
+    """Write a signed roster with members of two fleets, and the identity of one of them."""
     until = datetime(2099, 1, 1, tzinfo=UTC)
     key = public_key_of(MEMBER)
     members = [
@@ -279,7 +279,7 @@ def identities() -> None:
 
 
 def wire_messages() -> None:
-    """Every message of the fleet's network, with every key and with as few as may be."""
+    """Write every message of the fleet network, once with all keys and once with the fewest."""
     told = ToldWind("d2", 3, 120, -80, 40, 350, -120, 25, 30)
     front = ToldFront(
         arrives_in_s=90.0, slow_n_spm=0.1, slow_e_spm=-0.05, std_s=12.0, slow_std_spm=0.02,
@@ -360,7 +360,7 @@ def wire_messages() -> None:
 
 
 def flight() -> None:
-    """Fly once with a monitor, and take the checkpoint in the phases it goes through."""
+    """Fly once with a monitor, and keep a checkpoint of each phase."""
     RUNS.mkdir()
     env = os.environ | {"STATE_DIRECTORY": str(RUNS / "state"), "PYTHONPATH": str(BASE)}
     code = "from sim_bridge.main import main; main()"
@@ -387,8 +387,8 @@ def flight() -> None:
 
 
 def day() -> None:
-    """Fly a day: the desk's store, and what a drone and the truck keep of it."""
-    runs = Path(os.environ.get("DAY_RUNS", RUNS))  # of a day that was flown before
+    """Fly a day; keep the desk's store and the files of a drone and of the truck."""
+    runs = Path(os.environ.get("DAY_RUNS", RUNS))  # of a day that was flown earlier
     if runs == RUNS:
         code = "from sim_bridge.main import main; main()"
         asked = ["day", "harbour", "--seed", "1", "--no-picture", "--runs", str(RUNS)]
@@ -439,7 +439,7 @@ def day() -> None:
 
 
 def exports() -> None:
-    """A mission in every format."""
+    """Write a mission in every format."""
     for file_format in ExportFormat:
         wanted = ExportRequest(BASE / "params/flights/default.toml", file_format)
         done = export(wanted)
@@ -449,7 +449,7 @@ def exports() -> None:
 
 
 def scenarios() -> None:
-    """Scenarios of the planners' experiments, with both kinds of wind."""
+    """Write scenarios of the planners' experiments, with both kinds of wind."""
     chain = {
         "kind": "chain", "states_en_mps": [[1, 2], [0, 1]], "rate_per_s": [[-1, 1], [1, -1]],
         "initial": [0.5, 0.5],
@@ -466,8 +466,8 @@ def scenarios() -> None:
 
 
 def readings() -> None:
-    """What this version reads in the files, key for key: with the readers of `kept_formats`."""
-    sys.path.append(str(HERE.parents[2]))  # after the base's: only `tests` is found there
+    """Write the values that this version reads in the files, with the readers of `kept_formats`."""
+    sys.path.append(str(HERE.parents[2]))  # after the base's, so that only `tests` is found there
     from tests.house import kept_formats as kept
 
     found: dict[str, Any] = {}

@@ -6,7 +6,7 @@ from sim_bridge.adapters.realtime import Pacer
 
 
 class WaitingEndpoints:
-    """Stands for an EndpointSet on which something arrives now and then."""
+    """Replaces an EndpointSet on which data arrives occasionally."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -25,7 +25,7 @@ def test_simulated_time_passes_at_the_chosen_multiple() -> None:
     endpoints = WaitingEndpoints()
     pacer = Pacer(10.0, clock_s=lambda: endpoints.now_s)
     for step in range(101):
-        pacer.wait_until(7.0 + step * 0.1, endpoints)  # type: ignore[arg-type]
+        pacer.receive_until_due(7.0 + step * 0.1, endpoints)  # type: ignore[arg-type]
     assert endpoints.now_s == pytest.approx(101.0)
     assert pacer.slipped_s == 0.0
 
@@ -34,29 +34,29 @@ def test_what_arrives_meanwhile_is_kept_and_does_not_hurry_time() -> None:
     endpoints = WaitingEndpoints()
     endpoints.arrivals_s = [100.0, 100.2, 100.4, 101.5]
     pacer = Pacer(1.0, clock_s=lambda: endpoints.now_s)
-    assert len(pacer.wait_until(0.0, endpoints)) == 1  # type: ignore[arg-type]
-    assert len(pacer.wait_until(1.0, endpoints)) == 2  # type: ignore[arg-type]
+    assert len(pacer.receive_until_due(0.0, endpoints)) == 1  # type: ignore[arg-type]
+    assert len(pacer.receive_until_due(1.0, endpoints)) == 2  # type: ignore[arg-type]
     assert endpoints.now_s == pytest.approx(101.0)
 
 
 def test_a_host_that_fell_far_behind_does_not_race_to_catch_up() -> None:
     endpoints = WaitingEndpoints()
     pacer = Pacer(1.0, clock_s=lambda: endpoints.now_s)
-    pacer.wait_until(0.0, endpoints)  # type: ignore[arg-type]
+    pacer.receive_until_due(0.0, endpoints)  # type: ignore[arg-type]
     endpoints.now_s += 10.0
-    pacer.wait_until(1.0, endpoints)  # type: ignore[arg-type]
+    pacer.receive_until_due(1.0, endpoints)  # type: ignore[arg-type]
     assert pacer.slipped_s == pytest.approx(9.0)
-    pacer.wait_until(2.0, endpoints)  # type: ignore[arg-type]
+    pacer.receive_until_due(2.0, endpoints)  # type: ignore[arg-type]
     assert endpoints.now_s == pytest.approx(111.0)
 
 
 def test_a_small_delay_is_made_good() -> None:
     endpoints = WaitingEndpoints()
     pacer = Pacer(1.0, clock_s=lambda: endpoints.now_s)
-    pacer.wait_until(0.0, endpoints)  # type: ignore[arg-type]
+    pacer.receive_until_due(0.0, endpoints)  # type: ignore[arg-type]
     endpoints.now_s += 1.3
-    pacer.wait_until(1.0, endpoints)  # type: ignore[arg-type]
-    pacer.wait_until(2.0, endpoints)  # type: ignore[arg-type]
+    pacer.receive_until_due(1.0, endpoints)  # type: ignore[arg-type]
+    pacer.receive_until_due(2.0, endpoints)  # type: ignore[arg-type]
     assert endpoints.now_s == pytest.approx(102.0)
 
 

@@ -1,27 +1,18 @@
-"""The host of served vehicles, over real sockets, without anybody's ground station."""
+"""The host of served vehicles, over real sockets, without a ground station."""
 
 import socket
 import time
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
-from sim_bridge.app.serve.server import Host, ServedVehicle, stand_up
+from sim_bridge.app.serve.server import Host
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
+from tests.sitl.served import on_the_ground
 
-PARAMS = Path(__file__).parents[3] / "params"
 WAIT_S = 5.0
 SPEEDUP = 20.0
-
-
-def stood(autopilot: AutopilotKind, system_id: int = 1) -> ServedVehicle:
-    parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot.value}.toml")
-    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    return stand_up(autopilot, airframe, parameters, system_id=system_id)
 
 
 def address(url: str) -> tuple[str, int]:
@@ -41,12 +32,12 @@ class Client:
         self.send("HEARTBEAT", type=18, autopilot=8, base_mode=0, custom_mode=0, system_status=4)
 
     def send(self, name: str, **fields: object) -> None:
-        self._socket.send(self._encoder.encode(Message(name, **fields)))
+        self._socket.send(self._encoder.encode_next_frame(Message(name, **fields)))
 
     def hear(self, name: str, component: int = 1) -> Message:
         deadline_s = time.monotonic() + WAIT_S
         while time.monotonic() < deadline_s:
-            for message in self._decoder.feed(self._socket.recv(65536)):
+            for message in self._decoder.decode_bytes(self._socket.recv(65536)):
                 if message.msg_name == name and message.src_component == component:
                     return message
         raise AssertionError(f"no {name} from component {component}")
@@ -63,9 +54,11 @@ def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
     autopilot: AutopilotKind,
 ) -> None:
     with Host(SPEEDUP) as host:
-        onboard, gcs = host.add(stood(autopilot), onboard=["udpin::0"], gcs=["tcpin::0"])
+        onboard, gcs = host.add_vehicle(
+            on_the_ground(autopilot), onboard_urls=["udpin::0"], gcs_urls=["tcpin::0"]
+        )
         with (
-            host.running(),
+            host.serve_in_thread(),
             closing(udp(onboard)) as udp_socket,
             closing(socket.create_connection(address(gcs), timeout=WAIT_S)) as tcp_socket,
         ):
@@ -81,10 +74,12 @@ def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
 def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
     with Host(SPEEDUP) as host:
         urls = [
-            host.add(stood(autopilot, system), onboard=["udpin::0"])[0]
+            host.add_vehicle(on_the_ground(autopilot, system_id=system), onboard_urls=["udpin::0"])[
+                0
+            ]
             for system, autopilot in ((1, AutopilotKind.PX4), (2, AutopilotKind.ARDUPILOT))
         ]
-        with host.running():
+        with host.serve_in_thread():
             for system, url in enumerate(urls, 1):
                 with closing(udp(url)) as client_socket:
                     client = Client(client_socket, 191)
@@ -94,21 +89,21 @@ def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
 
 def test_simulated_time_runs_no_faster_than_the_speed_up() -> None:
     with Host(SPEEDUP) as host:
-        host.add(stood(AutopilotKind.PX4), onboard=["udpin::0"])
+        host.add_vehicle(on_the_ground(AutopilotKind.PX4), onboard_urls=["udpin::0"])
         start_s = time.monotonic()
         while host.t_s < 10.0:
-            host.turn()
+            host.run_cycle()
         assert time.monotonic() - start_s >= 0.99 * 10.0 / SPEEDUP - 0.01  # the first turn is free
 
 
 def test_what_goes_wrong_in_the_serving_thread_is_not_lost() -> None:
-    served = stood(AutopilotKind.PX4)
+    served = on_the_ground(AutopilotKind.PX4)
 
     def broken(*_: object) -> None:
         raise RuntimeError("out of cheese")
 
-    served.autopilot.step = broken  # type: ignore[method-assign]
+    served.autopilot.process_readings = broken  # type: ignore[method-assign]
     with Host(SPEEDUP) as host:
-        host.add(served)
-        with pytest.raises(RuntimeError, match="out of cheese"), host.running():
+        host.add_vehicle(served)
+        with pytest.raises(RuntimeError, match="out of cheese"), host.serve_in_thread():
             time.sleep(0.1)

@@ -6,7 +6,7 @@ from contextlib import closing
 
 import pytest
 
-from sim_bridge.adapters.endpoint import EndpointSet, bundled, open_endpoint
+from sim_bridge.adapters.endpoint import EndpointSet, bundle_frames, open_endpoint
 from sim_bridge.adapters.errors import EndpointError
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
@@ -14,7 +14,7 @@ WAIT_S = 2.0
 
 
 def frame(words: str = "hello") -> bytes:
-    return Encoder(1, 1).encode(Message("STATUSTEXT", severity=6, text=words))
+    return Encoder(1, 1).encode_next_frame(Message("STATUSTEXT", severity=6, text=words))
 
 
 def port_of(url: str) -> int:
@@ -115,7 +115,7 @@ def test_a_tcp_client_that_vanishes_makes_room_for_the_next() -> None:
                 assert received == [(0, frame(words))]
                 endpoints.send(0, b"telemetry")
                 assert client.recv(100) == b"telemetry"
-                client.setsockopt(  # vanish without a goodbye: reset
+                client.setsockopt(  # close the connection by a reset
                     socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0"
                 )
             for _ in range(4):
@@ -188,8 +188,8 @@ def test_a_port_that_is_taken_is_refused_by_name(kind: str) -> None:
 
 def test_a_bundle_holds_whole_frames_in_order_and_no_more_than_an_ethernet_carries() -> None:
     words = [f"text {number} {'x' * (number % 40)}" for number in range(100)]
-    datagrams = bundled(frame(text) for text in words)
+    datagrams = bundle_frames(frame(text) for text in words)
     assert all(len(data) <= 1400 for data in datagrams)
     assert len(datagrams) <= 6  # 100 frames of 41 bytes and less on average
-    assert [m.text for data in datagrams for m in Decoder().feed(data)] == words
-    assert bundled([]) == []
+    assert [m.text for data in datagrams for m in Decoder().decode_bytes(data)] == words
+    assert bundle_frames([]) == []

@@ -1,4 +1,4 @@
-"""Forked processes are as those that are started anew: streams, session, exit codes, ends."""
+"""Forked processes behave as newly started ones: streams, session, exit codes, termination."""
 
 import json
 import os
@@ -81,7 +81,7 @@ def test_a_signal_that_ended_it_is_its_exit_code(
     process.send_signal(number)
     assert process.wait(LIMIT_S) == -number
     assert beside.poll() is None
-    process.kill()  # nothing any more
+    process.kill()  # no effect any more
 
 
 def test_what_still_runs_ends_with_the_server(server: ForkServer, tmp_path: Path) -> None:
@@ -89,4 +89,4 @@ def test_what_still_runs_ends_with_the_server(server: ForkServer, tmp_path: Path
     watch = os.pidfd_open(process.pid)
     server.close()
     with os.fdopen(watch):
-        assert select.select([watch], [], [], LIMIT_S)[0]  # readable once it has ended
+        assert select.select([watch], [], [], LIMIT_S)[0]  # readable once the process has ended

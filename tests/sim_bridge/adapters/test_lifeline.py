@@ -1,4 +1,4 @@
-"""Children that end with a parent that was killed and could put nothing in order."""
+"""Child processes end with a parent that was killed without cleanup."""
 
 import os
 import subprocess
@@ -11,10 +11,11 @@ PATIENCE_S = 20.0
 
 PARENT = """
 import subprocess, sys
-from sim_bridge.adapters.lifeline import entry
+from sim_bridge.adapters.lifeline import code_tied_to_parent_process
 child = "import time; print('up', flush=True); time.sleep(600)"
+code = code_tied_to_parent_process(child)
 held = subprocess.Popen(
-    [sys.executable, "-c", entry(child)], stdout=subprocess.PIPE, start_new_session=True
+    [sys.executable, "-c", code], stdout=subprocess.PIPE, start_new_session=True
 )
 held.stdout.readline()
 print(held.pid, flush=True)

@@ -27,7 +27,7 @@ M100 = load_airframe(PARAMS / "truth" / "m100.toml")
 
 
 def steady_wind(to_north_mps: float, to_east_mps: float) -> SteadyWind:
-    """Wind by where it blows to; the world's own class takes where it comes from."""
+    """Return a wind by its direction of flow; the world's class takes the direction of origin."""
     from_deg = math.degrees(math.atan2(-to_east_mps, -to_north_mps)) % 360.0
     return SteadyWind(math.hypot(to_north_mps, to_east_mps), from_deg)
 
@@ -46,7 +46,6 @@ class Rig:
         payload_kg: float = 0.0,
         pitot: bool = False,
         link: LinkKind = LinkKind.ONBOARD,
-        names: str = "4.6",
         **options: Any,
     ) -> None:
         self.vehicle = Vehicle(
@@ -59,7 +58,7 @@ class Rig:
         )
         path = PARAMS / "autopilots" / f"{autopilot.value}.toml"
         options.setdefault("boot_age_s", 60.0)
-        parameters = read_parameters(path, settings, names=names)
+        parameters = read_parameters(path, settings)
         self.ap = Autopilot(autopilot, HOME, parameters, **options)
         self.ap.add_link(0, link)
         self.autopilot = autopilot
@@ -75,43 +74,43 @@ class Rig:
             if key not in fields and key in _fields_of(name):
                 fields[key] = value
         encoder = Encoder(*sender) if sender != GCS else self._encoder
-        self.ap.receive(0, encoder.encode(Message(name, **fields)))
+        self.ap.process_received_datagram(0, encoder.encode_next_frame(Message(name, **fields)))
 
     def hear(self) -> list[Message]:
-        """Take what it has sent since; all of it stays in `heard`."""
+        """Return the messages sent since the last call; all of them are kept."""
         new = []
-        for link_id, datagram in self.ap.take_outbox():
+        for link_id, datagram in self.ap.take_frames_to_send():
             if link_id == 0:
-                new += self._decoder.feed(datagram)
+                new += self._decoder.decode_bytes(datagram)
         self.heard += new
         return new
 
     def all(self, name: str) -> list[Message]:
-        """Everything heard of one type."""
+        """Return all received messages of one type."""
         self.hear()
         return [message for message in self.heard if message.msg_name == name]
 
     def last(self, name: str) -> Message:
-        """The latest of one type."""
+        """Return the latest message of one type."""
         return self.all(name)[-1]
 
     def forget(self) -> None:
-        """Start listening afresh."""
+        """Discard the received messages."""
         self.hear()
         self.heard.clear()
 
     def command(self, number: int, *params: float) -> int:
-        """COMMAND_LONG; returns the result of its acknowledgement, -1 if there is none."""
+        """Send COMMAND_LONG; return the result of its acknowledgement, -1 if there is none."""
         padded = (*params, *(0.0,) * (7 - len(params)))
         fields = {f"param{i + 1}": float(value) for i, value in enumerate(padded)}
         self.forget()
         self.send("COMMAND_LONG", command=number, confirmation=0, **fields)
         return self._result(number)
 
-    def command_int(
+    def send_command_int_and_wait_ack(
         self, number: int, frame: int, north_m: float, east_m: float, z: float, *params: float
     ) -> int:
-        """COMMAND_INT at a place; returns the result."""
+        """Send COMMAND_INT with a position; return the result."""
         padded = (*params, *(0.0,) * (4 - len(params)))
         self.forget()
         self.send(
@@ -131,33 +130,38 @@ class Rig:
         return acks[-1].result if acks else -1
 
     def set_mode(self, mode: Mode) -> int:
-        """DO_SET_MODE in the autopilot's own numbers."""
+        """Send DO_SET_MODE with the autopilot's own mode numbers."""
         if self.autopilot is AutopilotKind.PX4:
             main, sub = _PX4[mode]
             return self.command(176, 1, main, sub)
         return self.command(176, 1, _ARDUPILOT[mode])
 
     def gcs_heartbeat(self) -> None:
-        """A ground station says that it is there."""
+        """Send the heartbeat of a ground station."""
         self.send("HEARTBEAT", type=6, autopilot=8, base_mode=0, custom_mode=0, system_status=4)
 
+    def companion_heartbeat(self) -> None:
+        """Send the heartbeat of a companion computer."""
+        fields = {"type": 18, "autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 4}
+        self.send("HEARTBEAT", sender=COMPANION, **fields)
+
     def texts(self) -> list[str]:
-        """All STATUSTEXTs."""
+        """Return all STATUSTEXTs."""
         return [message.text for message in self.all("STATUSTEXT")]
 
     # --- missions -----------------------------------------------------------------------------
 
     def at(self, north_m: float, east_m: float) -> dict[str, int]:
-        """x and y of a place."""
+        """Return x and y of a position."""
         lat, lon = self.ap.state.frame.to_lat_lon_deg(north_m, east_m)
         return {"x": round(lat * 1e7), "y": round(lon * 1e7)}
 
     def place(self, command: int, n: float, e: float, up: float, **more: Any) -> dict[str, Any]:
-        """An item with a place, relative to home."""
+        """Return an item with a position, relative to home."""
         return {"command": command, "frame": 6, **self.at(n, e), "z": float(up), **more}
 
     def upload(self, items: list[dict[str, Any]], mission_type: int = 0) -> int:
-        """Upload by the protocol, item by item as asked; returns the MISSION_ACK's type.
+        """Upload by the protocol, item by item as requested; return the MISSION_ACK's type.
 
         For ArduPilot a home item is put in front of a mission: number n becomes n + 1.
         """
@@ -174,7 +178,7 @@ class Rig:
         raise AssertionError("the upload came to no end")
 
     def send_item(self, seq: int, item: dict[str, Any], mission_type: int = 0) -> None:
-        """One MISSION_ITEM_INT."""
+        """Send one MISSION_ITEM_INT."""
         fields = {
             "seq": seq,
             "frame": 6,
@@ -189,7 +193,7 @@ class Rig:
         self.send("MISSION_ITEM_INT", **{**fields, **item})
 
     def download(self, mission_type: int = 0) -> list[Message]:
-        """Read everything back."""
+        """Download all items."""
         self.forget()
         self.send("MISSION_REQUEST_LIST", mission_type=mission_type)
         count = self.last("MISSION_COUNT").count
@@ -204,13 +208,13 @@ class Rig:
     # --- flying -------------------------------------------------------------------------------
 
     def step(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the simulation."""
         for _ in range(round(seconds / self.DT_S)):
-            readings = self.vehicle.step(self.ap.actuation, self.DT_S)
-            self.ap.step(readings, self.DT_S)
+            readings = self.vehicle.advance_and_read_sensors(self.ap.actuation, self.DT_S)
+            self.ap.process_readings(readings, self.DT_S)
 
     def until(self, condition: Callable[[], bool], limit_s: float) -> bool:
-        """Let time pass until a condition holds; whether it came to hold."""
+        """Advance until a condition holds; return False if it does not hold within the limit."""
         for _ in range(round(limit_s / 0.2)):
             if condition():
                 return True
@@ -219,22 +223,22 @@ class Rig:
 
     @property
     def ne_m(self) -> tuple[float, float]:
-        """True position, north and east."""
+        """Return the true position, north and east."""
         return self.vehicle.truth.pos_ned_m[:2]
 
     @property
     def height_m(self) -> float:
-        """True height above the depot."""
+        """Return the true height above the depot."""
         return -self.vehicle.truth.pos_ned_m[2]
 
     @property
     def speed_mps(self) -> float:
-        """True horizontal speed."""
+        """Return the true horizontal speed."""
         north, east, _ = self.vehicle.truth.vel_ned_mps
         return float(np.hypot(north, east))
 
     def take_off(self, height_m: float = 20.0) -> None:
-        """Into a hover: GUIDED for ArduPilot, HOLD for PX4."""
+        """Take off into a hover: GUIDED for ArduPilot, HOLD for PX4."""
         self.step(0.2)
         if self.autopilot is AutopilotKind.PX4:
             assert self.command(22, 0, 0, 0, 0, 0, 0, HOME[2] + height_m) == 0
@@ -277,13 +281,13 @@ def _fields_of(name: str) -> set[str]:
 
 @pytest.fixture
 def make_rig() -> type[Rig]:
-    """The rig's class: `make_rig(autopilot, settings, ...)`."""
+    """Return the rig's class: `make_rig(autopilot, settings, ...)`."""
     return Rig
 
 
 @pytest.fixture(scope="module")
 def make_rig_class() -> type[Rig]:
-    """The same for property tests, which want a fixture that outlives an example."""
+    """Return the rig's class for property tests, whose fixtures have to outlive an example."""
     return Rig
 
 
@@ -292,7 +296,7 @@ _AIRBORNE: dict[tuple[AutopilotKind, float], Rig] = {}
 
 @pytest.fixture
 def airborne() -> Callable[..., Rig]:
-    """`airborne(autopilot)`: a rig hovering 20 m over home, a copy of one flown once."""
+    """Return `airborne(autopilot)`: a rig hovering 20 m over home, a copy of one flown once."""
 
     def give(
         autopilot: AutopilotKind,

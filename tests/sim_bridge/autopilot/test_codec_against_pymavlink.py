@@ -13,7 +13,7 @@ from sim_bridge.autopilot.mavlink.message_table import SPECS, Field
 
 NOT_IN_PYMAVLINK = {"PROTOCOL_VERSION": (300, 217)}  # id and CRC_EXTRA of mavlink's C headers
 YOUNGER = {"MISSION_CURRENT": ("mission_id", "fence_id", "rally_points_id")}
-"""Extensions of common.xml that are younger than pymavlink's dialect; 0 there is not sent."""
+"""Extensions of common.xml that are newer than pymavlink's dialect; 0 there is not sent."""
 
 REFERENCES = {c.msgname: c for c in reference.mavlink_map.values() if c.msgname in SPECS}
 TYPE_NAMES = {"i8": "int8_t", "u8": "uint8_t", "i16": "int16_t", "u16": "uint16_t"}
@@ -48,7 +48,7 @@ def _value(item: Field) -> st.SearchStrategy[Any]:
 
 
 def _known(name: str) -> list[Field]:
-    """The fields that pymavlink knows."""
+    """Return the fields that pymavlink knows."""
     return [f for f in SPECS[name].fields if f.name not in YOUNGER.get(name, ())]
 
 
@@ -102,11 +102,11 @@ def test_the_definition_is_the_published_one(name: str) -> None:
 def test_both_codecs_write_the_same_bytes_and_read_each_other(name: str, data: Any) -> None:
     fields = data.draw(_fields(name))
     peer = reference.MAVLink(None, srcSystem=7, srcComponent=9)
-    our_frame = Encoder(7, 9).encode(Message(name, **fields))
+    our_frame = Encoder(7, 9).encode_next_frame(Message(name, **fields))
     their_frame = _theirs(name, fields).pack(peer)
     assert our_frame == bytes(their_frame)
 
-    (ours,) = Decoder().feed(bytes(their_frame))
+    (ours,) = Decoder().decode_bytes(bytes(their_frame))
     assert (ours.msg_name, ours.src_system, ours.src_component) == (name, 7, 9)
     (theirs,) = peer.parse_buffer(our_frame)
     for item in _known(name):
@@ -118,10 +118,10 @@ def test_both_codecs_write_the_same_bytes_and_read_each_other(name: str, data: A
 @given(data=st.data())
 def test_both_codecs_agree_on_mavlink_1(name: str, data: Any) -> None:
     fields = data.draw(_fields(name))
-    our_frame = Encoder(0, 0, version=1).encode(Message(name, **fields))
-    (ours,) = Decoder().feed(our_frame)
+    our_frame = Encoder(0, 0, version=1).encode_next_frame(Message(name, **fields))
+    (ours,) = Decoder().decode_bytes(our_frame)
     (theirs,) = reference.MAVLink(None).parse_buffer(our_frame)
     for item in SPECS[name].fields:
-        if not item.extension:  # MAVLink 1 has none
+        if not item.extension:  # MAVLink 1 has no extensions
             assert _agree(getattr(ours, item.name), getattr(theirs, item.name))
             assert _agree(getattr(ours, item.name), fields[item.name])

@@ -72,7 +72,7 @@ def test_px4_acts_on_its_battery_levels_as_told(airborne, act, at_critical, at_e
     left = rig.ap.battery.remaining_frac
     rig.ap.params.set("BAT_CRIT_THR", left + 0.05)
     rig.step(0.4)
-    assert rig.ap.mode is Mode.HOLD  # it holds first, so that a pilot can step in
+    assert rig.ap.mode is Mode.HOLD  # it holds first, so that a pilot can intervene
     rig.step(2.0)
     assert rig.ap.mode is at_critical
     rig.ap.params.set("BAT_EMERGEN_THR", left + 0.05)
@@ -85,10 +85,10 @@ def test_px4_acts_on_its_battery_levels_as_told(airborne, act, at_critical, at_e
 
 def test_a_pilots_mode_switch_takes_ardupilot_over(airborne):
     rig = out_on_a_mission(airborne(AP, {"FLTMODE1": 3, "FLTMODE6": 5}))
-    rig.ap.set_rc(channels(switch=1100))
+    rig.ap.set_receiver_channels(channels(switch=1100))
     rig.step(1.0)
     assert rig.ap.mode is Mode.AUTO
-    rig.ap.set_rc(channels(switch=1900))
+    rig.ap.set_receiver_channels(channels(switch=1900))
     rig.step(1.0)
     assert rig.ap.mode is Mode.LOITER
     rig.step(12.0)
@@ -102,31 +102,31 @@ def test_a_mode_is_a_persons_by_radio_or_by_another_systems_order_and_no_failsaf
     for kind in (AP, PX4):
         rig = airborne(kind)
         assert rig.set_mode(Mode.HOLD if kind is PX4 else Mode.LOITER) == ACCEPTED
-        assert rig.ap.is_flown_by_person
+        assert rig.ap.is_under_external_control
         rig.ap.behaviour.commander.set_mode(Mode.LAND)  # as its failsafes do
-        assert not rig.ap.is_flown_by_person
+        assert not rig.ap.is_under_external_control
         rig.send("SET_MODE", sender=COMPANION, target_system=1, base_mode=1, custom_mode=RTL[kind])
         assert rig.ap.mode is Mode.RTL
-        assert not rig.ap.is_flown_by_person
+        assert not rig.ap.is_under_external_control
 
 
 def test_a_mode_is_a_persons_by_the_switch_and_by_the_sticks(airborne):
     switched = out_on_a_mission(airborne(AP, {"FLTMODE1": 3, "FLTMODE6": 5}))
     moved = out_on_a_mission(airborne(PX4))
     for rig, taken in ((switched, channels(switch=1900)), (moved, channels(roll=1750))):
-        rig.ap.set_rc(channels())
+        rig.ap.set_receiver_channels(channels())
         rig.step(1.0)
         rig.ap.behaviour.commander.set_mode(Mode.RTL)
-        assert not rig.ap.is_flown_by_person
-        rig.ap.set_rc(taken)
+        assert not rig.ap.is_under_external_control
+        rig.ap.set_receiver_channels(taken)
         rig.step(1.0)
         assert rig.ap.mode is Mode.LOITER
-        assert rig.ap.is_flown_by_person
+        assert rig.ap.is_under_external_control
 
 
 def test_a_mode_switch_that_does_not_move_changes_nothing(airborne):
     rig = airborne(AP, {"FLTMODE1": 4, "FLTMODE6": 5})
-    rig.ap.set_rc(channels(switch=1100))
+    rig.ap.set_receiver_channels(channels(switch=1100))
     rig.step(1.0)
     rig.set_mode(Mode.LAND)
     rig.step(1.0)
@@ -135,10 +135,10 @@ def test_a_mode_switch_that_does_not_move_changes_nothing(airborne):
 
 def test_moved_sticks_take_px4_over_from_a_mission(airborne):
     rig = out_on_a_mission(airborne(PX4))
-    rig.ap.set_rc(channels())
+    rig.ap.set_receiver_channels(channels())
     rig.step(1.0)
     assert rig.ap.mode is Mode.AUTO
-    rig.ap.set_rc(channels(roll=1750))
+    rig.ap.set_receiver_channels(channels(roll=1750))
     rig.step(0.5)
     assert rig.ap.mode is Mode.LOITER
     east = rig.ne_m[1]
@@ -149,7 +149,7 @@ def test_moved_sticks_take_px4_over_from_a_mission(airborne):
 def test_slow_movements_of_sticks_take_nothing_over(airborne):
     rig = out_on_a_mission(airborne(PX4))
     for pulse_us in range(1500, 1801, 10):  # 0.8 of the travel in 3 s; MAN_OVERRIDE_SPD is 1 a s
-        rig.ap.set_rc(channels(roll=pulse_us))
+        rig.ap.set_receiver_channels(channels(roll=pulse_us))
         rig.step(0.1)
     assert rig.ap.mode is Mode.AUTO
 
@@ -157,7 +157,7 @@ def test_slow_movements_of_sticks_take_nothing_over(airborne):
 def test_px4_has_a_mode_switch_only_where_one_is_mapped(airborne):
     for mapped, mode in ((0, Mode.AUTO), (5, Mode.LOITER)):
         rig = out_on_a_mission(airborne(PX4, {"RC_MAP_FLTMODE": mapped, "COM_FLTMODE6": 2}))
-        rig.ap.set_rc(channels(switch=1900))
+        rig.ap.set_receiver_channels(channels(switch=1900))
         rig.step(1.0)
         assert rig.ap.mode is mode
 
@@ -178,9 +178,9 @@ def test_overrides_by_mavlink_count_only_from_ardupilots_own_ground_station(airb
 @BOTH
 def test_losing_the_radio_brings_it_home(airborne, autopilot):
     rig = airborne(autopilot, {"FLTMODE1": 4} if autopilot is AP else {"COM_FAIL_ACT_T": 2.0})
-    rig.ap.set_rc(channels())
+    rig.ap.set_receiver_channels(channels())
     rig.step(1.0)
-    rig.ap.set_rc(None)
+    rig.ap.set_receiver_channels(None)
     rig.step(0.9 if autopilot is AP else 1.0)
     assert rig.ap.mode is (Mode.GUIDED if autopilot is AP else Mode.HOLD)
     rig.step(3.0)
@@ -196,9 +196,9 @@ def test_never_having_had_a_radio_is_not_losing_it(airborne):
 
 def test_ardupilot_may_go_on_with_a_mission_without_radio(airborne):
     rig = out_on_a_mission(airborne(AP, {"FS_OPTIONS": 1, "FLTMODE1": 3}))
-    rig.ap.set_rc(channels())
+    rig.ap.set_receiver_channels(channels())
     rig.step(1.0)
-    rig.ap.set_rc(None)
+    rig.ap.set_receiver_channels(None)
     rig.step(3.0)
     assert rig.ap.mode is Mode.AUTO
 
@@ -232,9 +232,8 @@ def test_a_companions_heartbeat_is_no_ground_station(airborne):
     rig.ap.params.set("NAV_DLL_ACT", 2)
     rig.step(5.0)
     assert rig.ap.mode is Mode.HOLD
-    fields = {"type": 18, "autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 4}
     for _ in range(12):
-        rig.send("HEARTBEAT", sender=(1, 191), **fields)
+        rig.companion_heartbeat()
         rig.step(1.0)
     assert rig.ap.mode is Mode.RTL
 

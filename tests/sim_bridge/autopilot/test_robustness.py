@@ -1,4 +1,4 @@
-"""Garbage, strangers and wild numbers: the autopilot answers as it should, or not at all."""
+"""Garbage, foreign senders and wild numbers: the autopilot responds correctly, or not at all."""
 
 import math
 import random
@@ -25,7 +25,7 @@ def test_random_bytes_do_nothing(make_rig, autopilot):
     rig.step(0.2)
     noise = random.Random(7)
     for _ in range(200):
-        rig.ap.receive(0, noise.randbytes(noise.randrange(1, 300)))
+        rig.ap.process_received_datagram(0, noise.randbytes(noise.randrange(1, 300)))
     rig.step(0.2)
     assert not rig.ap.is_armed
 
@@ -36,7 +36,7 @@ def test_truncated_and_damaged_frames_do_nothing(make_rig, autopilot):
     rig.step(0.2)
     rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     fields = {f"param{i}": 0.0 for i in range(2, 8)}
-    frame = Encoder(255, 190).encode(
+    frame = Encoder(255, 190).encode_next_frame(
         Message(
             "COMMAND_LONG",
             target_system=1,
@@ -48,10 +48,12 @@ def test_truncated_and_damaged_frames_do_nothing(make_rig, autopilot):
         )
     )
     for at in range(len(frame)):
-        rig.ap.receive(0, frame[:at])
-        rig.ap.receive(0, frame[:at] + bytes([frame[at] ^ 0x10]) + frame[at + 1 :])
+        rig.ap.process_received_datagram(0, frame[:at])
+        rig.ap.process_received_datagram(
+            0, frame[:at] + bytes([frame[at] ^ 0x10]) + frame[at + 1 :]
+        )
     assert not rig.ap.is_armed
-    rig.ap.receive(0, frame)
+    rig.ap.process_received_datagram(0, frame)
     assert rig.ap.is_armed
 
 
@@ -60,15 +62,7 @@ def test_truncated_and_damaged_frames_do_nothing(make_rig, autopilot):
 def test_what_is_meant_for_others_is_left_alone(make_rig, autopilot, system, component):
     rig = make_rig(autopilot)
     rig.step(0.2)
-    rig.send(
-        "HEARTBEAT",
-        sender=(1, 191),
-        type=18,
-        autopilot=8,
-        base_mode=0,
-        custom_mode=0,
-        system_status=4,
-    )
+    rig.companion_heartbeat()
     rig.set_mode(Mode.GUIDED if autopilot is AP else Mode.HOLD)
     rig.forget()
     params = {f"param{i}": 0.0 for i in range(2, 8)}
@@ -93,9 +87,11 @@ def test_messages_between_others_are_passed_on_between_links(make_rig, autopilot
     rig.step(0.1)
     heartbeat = {"type": 18, "autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 4}
     companion = Encoder(1, 191)
-    rig.ap.receive(1, companion.encode(Message("HEARTBEAT", **heartbeat)))
+    rig.ap.process_received_datagram(
+        1, companion.encode_next_frame(Message("HEARTBEAT", **heartbeat))
+    )
     rig.gcs_heartbeat()
-    rig.ap.take_outbox()
+    rig.ap.take_frames_to_send()
     params = {f"param{i}": 0.0 for i in range(1, 8)}
     rig.send(
         "COMMAND_LONG",
@@ -105,7 +101,7 @@ def test_messages_between_others_are_passed_on_between_links(make_rig, autopilot
         confirmation=0,
         **params,
     )
-    assert any(link == 1 for link, _ in rig.ap.take_outbox())
+    assert any(link == 1 for link, _ in rig.ap.take_frames_to_send())
 
 
 @BOTH
@@ -114,9 +110,9 @@ def test_a_dead_link_that_nobody_reads_only_loses_messages(make_rig, autopilot):
     rig.ap.add_link(7)
     rig.step(1.0)
     rig.ap.drop_link(7)
-    rig.ap.take_outbox()
+    rig.ap.take_frames_to_send()
     rig.step(1.0)
-    assert all(link == 0 for link, _ in rig.ap.take_outbox())
+    assert all(link == 0 for link, _ in rig.ap.take_frames_to_send())
 
 
 WILD = st.one_of(
@@ -131,7 +127,7 @@ _RIGS = {}
 
 
 def shared_rig(make_rig, autopilot):
-    """One flying rig for all examples: whatever was sent before has not broken it."""
+    """Return one flying rig for all examples: none of them may break it."""
     if autopilot not in _RIGS:
         _RIGS[autopilot] = make_rig(autopilot)
         _RIGS[autopilot].take_off(10.0)
@@ -215,11 +211,11 @@ def test_timesync_is_answered_and_lockstep_answers_are_noted(make_rig, autopilot
     answer = rig.last("TIMESYNC")
     assert answer.ts1 == 123456789
     assert answer.tc1 == pytest.approx(rig.ap.state.time_boot_ns, abs=1_000_000)
-    rig.ap.request_timesync(0, 700_000_000)
+    rig.ap.send_timesync_request(0, 700_000_000)
     request = rig.last("TIMESYNC")
     assert (request.tc1, request.ts1) == (0, 700_000_000)
     rig.send("TIMESYNC", sender=(1, 191), tc1=5, ts1=700_000_000)
-    assert rig.ap.timesync_echoes[0, 1, 191] == 700_000_000
+    assert rig.ap.last_timesync_echo_by_sender[0, 1, 191] == 700_000_000
 
 
 @pytest.mark.parametrize("place", [(55.47, 8.45, 12.0), (-33.9, 151.2, 40.0), (0.0, 0.0, 0.0)])

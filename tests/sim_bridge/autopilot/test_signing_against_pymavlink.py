@@ -19,7 +19,7 @@ def heartbeat(custom_mode: int) -> Message:
 
 
 def sender(key: bytes = KEY, timestamp_10us: int = NOW_10US, link_id: int = 3) -> Encoder:
-    return Encoder(255, 190, signing=Signing(key, timestamp_10us).on_link(link_id))
+    return Encoder(255, 190, signing=Signing(key, timestamp_10us).link_signer(link_id))
 
 
 def pymavlink_peer(key: bytes = KEY, timestamp_10us: int = NOW_10US) -> reference.MAVLink:
@@ -41,7 +41,7 @@ def test_pymavlink_accepts_what_we_sign() -> None:
     encoder = sender()
     peer = pymavlink_peer()
     for mode in range(3):
-        (received,) = peer.parse_buffer(encoder.encode(heartbeat(mode)))
+        (received,) = peer.parse_buffer(encoder.encode_next_frame(heartbeat(mode)))
         assert received.get_type() == "HEARTBEAT"
         assert received.get_signed()
         assert received.custom_mode == mode
@@ -49,38 +49,42 @@ def test_pymavlink_accepts_what_we_sign() -> None:
 
 def test_we_accept_what_pymavlink_signs() -> None:
     peer = pymavlink_peer()
-    link = Signing(KEY, NOW_10US).on_link(0)
+    link = Signing(KEY, NOW_10US).link_signer(0)
     decoder = Decoder(signing=link)
     for mode in range(3):
         frame = bytes(peer.heartbeat_encode(2, 3, 81, mode, 3).pack(peer))
-        assert decoder.feed(frame) == [heartbeat(mode)]
+        assert decoder.decode_bytes(frame) == [heartbeat(mode)]
     assert link.verdicts[SignatureCheck.ACCEPTED] == 3
 
 
 def test_the_same_frame_gets_the_same_signature_from_both() -> None:
     peer = pymavlink_peer()
     theirs = bytes(peer.heartbeat_encode(2, 3, 81, 7, 3).pack(peer))
-    assert sender().encode(heartbeat(7)) == theirs
+    assert sender().encode_next_frame(heartbeat(7)) == theirs
 
 
 @pytest.mark.parametrize("signed", [False, True])
 def test_pymavlink_and_we_refuse_the_same(signed: bool) -> None:
-    frame = sender(OTHER_KEY).encode(heartbeat(1)) if signed else Encoder(1, 1).encode(heartbeat(1))
+    frame = (
+        sender(OTHER_KEY).encode_next_frame(heartbeat(1))
+        if signed
+        else Encoder(1, 1).encode_next_frame(heartbeat(1))
+    )
     (theirs,) = pymavlink_peer().parse_buffer(frame)
     assert theirs.get_type() == "BAD_DATA"
-    decoder = Decoder(signing=Signing(KEY, NOW_10US).on_link(0))
-    assert decoder.feed(frame) == []
+    decoder = Decoder(signing=Signing(KEY, NOW_10US).link_signer(0))
+    assert decoder.decode_bytes(frame) == []
     assert decoder.counts.rejected == 1
 
 
 def test_mavlink_1_cannot_be_signed_and_is_refused() -> None:
-    frame = Encoder(1, 1, version=1).encode(heartbeat(1))
+    frame = Encoder(1, 1, version=1).encode_next_frame(heartbeat(1))
     assert verdicts_on([frame]) == [SignatureCheck.UNSIGNED]
 
 
 def test_a_replayed_or_reordered_frame_is_refused() -> None:
     encoder = sender()
-    first, second, third = (encoder.encode(heartbeat(mode)) for mode in range(3))
+    first, second, third = (encoder.encode_next_frame(heartbeat(mode)) for mode in range(3))
     assert verdicts_on([first, third, third, second, first]) == [
         SignatureCheck.ACCEPTED,
         SignatureCheck.ACCEPTED,
@@ -91,23 +95,25 @@ def test_a_replayed_or_reordered_frame_is_refused() -> None:
 
 
 def test_a_replay_over_another_of_our_links_is_refused_too() -> None:
-    frame = sender().encode(heartbeat(1))
+    frame = sender().encode_next_frame(heartbeat(1))
     signing = Signing(KEY, NOW_10US)
-    one, other = Decoder(signing=signing.on_link(0)), Decoder(signing=signing.on_link(1))
-    assert one.feed(frame) == [heartbeat(1)]
-    assert other.feed(frame) == []
+    one, other = Decoder(signing=signing.link_signer(0)), Decoder(signing=signing.link_signer(1))
+    assert one.decode_bytes(frame) == [heartbeat(1)]
+    assert other.decode_bytes(frame) == []
 
 
 def test_a_new_stream_may_begin_at_most_a_minute_in_the_past() -> None:
     just_in, too_old = (
-        sender(timestamp_10us=NOW_10US - ONE_MINUTE - late, link_id=late).encode(heartbeat(1))
+        sender(timestamp_10us=NOW_10US - ONE_MINUTE - late, link_id=late).encode_next_frame(
+            heartbeat(1)
+        )
         for late in (0, 1)
     )
     assert verdicts_on([just_in, too_old]) == [SignatureCheck.ACCEPTED, SignatureCheck.OLD_STREAM]
 
 
 def test_a_flipped_bit_anywhere_is_refused() -> None:
-    frame = sender().encode(heartbeat(1))
+    frame = sender().encode_next_frame(heartbeat(1))
     for at in (1, 4, 9, len(frame) - 13, len(frame) - 10, len(frame) - 1):
         broken = bytearray(frame)
         broken[at] ^= 1
@@ -116,9 +122,9 @@ def test_a_flipped_bit_anywhere_is_refused() -> None:
 
 def test_the_clock_follows_the_newest_peer_and_never_goes_back() -> None:
     signing = Signing(KEY, NOW_10US)
-    signing.check(sender(timestamp_10us=NOW_10US + 1000).encode(heartbeat(1)))
+    signing.check(sender(timestamp_10us=NOW_10US + 1000).encode_next_frame(heartbeat(1)))
     assert signing.timestamp_10us == NOW_10US + 1000
-    signing.advance_to(NOW_10US)
+    signing.advance_clock_to(NOW_10US)
     assert signing.timestamp_10us == NOW_10US + 1000
 
 
@@ -126,11 +132,11 @@ def test_a_telemetry_radio_may_report_unsigned() -> None:
     report = Message(
         "RADIO_STATUS", rssi=1, remrssi=1, txbuf=90, noise=1, remnoise=1, rxerrors=0, fixed=0
     )
-    assert verdicts_on([Encoder(51, 68).encode(report)]) == [SignatureCheck.ACCEPTED]
+    assert verdicts_on([Encoder(51, 68).encode_next_frame(report)]) == [SignatureCheck.ACCEPTED]
 
 
 def test_without_signing_a_signed_frame_is_read_like_any_other() -> None:
-    assert Decoder().feed(sender().encode(heartbeat(5))) == [heartbeat(5)]
+    assert Decoder().decode_bytes(sender().encode_next_frame(heartbeat(5))) == [heartbeat(5)]
 
 
 def test_a_key_has_32_bytes() -> None:

@@ -11,7 +11,7 @@ SOURCE = (ROOM / "state.py").read_text()
 
 
 def owners() -> dict[str, str]:
-    """The writer of each field of `VehicleState`, by the comments between them."""
+    """Return the writer of each field of `VehicleState`, by the comments between them."""
     owner, found = "", {}
     for line in SOURCE[SOURCE.index("class VehicleState") :].splitlines():
         if line.startswith("    # "):
@@ -24,7 +24,7 @@ def owners() -> dict[str, str]:
 
 
 def writes(tree: ast.AST) -> set[str]:
-    """Attributes that a module assigns on the shared state, under any of its names."""
+    """Return the attributes that a module assigns on the shared state, under any of its names."""
     return {
         node.attr
         for node in ast.walk(tree)

@@ -1,6 +1,6 @@
 """Commands on a Ray cluster of two processors: the rows and verdicts of processes.
 
-Skipped where the extra `ray` is not installed (200 MB): `make night` brings it.
+Skipped where the extra `ray` is not installed (200 MB): `make night` installs it.
 """
 
 import json
@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sim_bridge.main import app
-from sim_bridge.research.campaign.scenario_generator import GeneratorParams, scenario_set
+from sim_bridge.research.campaign.scenario_generator import GeneratorParams, draw_scenario_set
 from sim_bridge.research.planners.scenario import scenario_json
 
 ray: Any = pytest.importorskip("ray", reason="the extra ray is not installed (make night has it)")
@@ -44,15 +44,15 @@ def json_of(out: Path, *words: str) -> Any:
 
 
 def both(tmp_path: Path, address: str, *words: str) -> tuple[Any, Any]:
-    """What the command writes on one process, and on the cluster."""
+    """Return the command's results on one process, and on the cluster."""
     here = json_of(tmp_path / "here.json", *words, "--jobs", "1")
     return here, json_of(tmp_path / "there.json", *words, "--cluster", address)
 
 
 def test_a_campaigns_rows_are_equal(tmp_path: Path, address: str) -> None:
-    small = GeneratorParams(vertices=12, sides_m=((500.0, 1.0),), budget_wh=35.0)
+    small = GeneratorParams(vertices=12, square_sizes_m=((500.0, 1.0),), budget_wh=35.0)
     files = []
-    for scenario in scenario_set(2, small, 21):
+    for scenario in draw_scenario_set(2, small, 21):
         files.append(str(tmp_path / f"{scenario.name}.json"))
         Path(files[-1]).write_bytes(scenario_json(scenario))
     words = ("research", "campaign", *files, "--planner", "rer", "--planner", "ser")

@@ -19,6 +19,7 @@ M100 = load_airframe(FOLDER / "m100.toml")
 STILL = (0.0, 0.0, 0.0)
 
 
+@pytest.mark.sample
 def test_rotor_work_is_kinetic_plus_potential_energy_plus_parasite_loss() -> None:
     """Conservation of energy over 20 s of wild flight in still air, to 0.5 %."""
     body, mass_kg, dt_s = Airframe(M100), 3.65, 0.0005
@@ -29,9 +30,9 @@ def test_rotor_work_is_kinetic_plus_potential_energy_plus_parasite_loss() -> Non
         if step % 2000 == 0:
             roll, pitch = rng.uniform(-0.3, 0.3), rng.uniform(-0.5, 0.0)
             thrust_n = mass_kg * G * rng.uniform(0.7, 1.5)
-        body.lean(roll, pitch, 0.3, dt_s)
-        body.move(thrust_n, mass_kg, STILL, 1.225, 0.0, dt_s)
-        work_j += body.useful_w * dt_s
+        body.advance_attitude_towards_setpoint(roll, pitch, 0.3, dt_s)
+        body.integrate_motion(thrust_n, mass_kg, STILL, 1.225, 0.0, dt_s)
+        work_j += body.propulsive_w * dt_s
         velocity = np.array([body.north_mps, body.east_mps, body.down_mps])
         u, v, w = _body_axes(body) @ velocity
         speed = np.linalg.norm(velocity)
@@ -62,7 +63,7 @@ def test_a_fall_without_motors_ends_at_terminal_velocity() -> None:
     """Closed form: v = sqrt(2 m g / (rho A)), no rotor drag without thrust."""
     body = Airframe(M100)
     for _ in range(3000):
-        body.move(0.0, 3.65, STILL, 1.225, 0.0, 0.01)
+        body.integrate_motion(0.0, 3.65, STILL, 1.225, 0.0, 0.01)
     expected = math.sqrt(2 * 3.65 * G / (1.225 * M100.drag.parasite_vertical_m2))
     assert body.down_mps == pytest.approx(expected, rel=1e-4)
 
@@ -72,7 +73,7 @@ def test_thrust_follows_its_command_as_a_first_order_lag() -> None:
     body = Airframe(M100)
     lag_s = M100.rotors.motor_lag_s
     for _ in range(round(lag_s / 0.001)):
-        body.move(40.0, 3.65, STILL, 1.225, 0.0, 0.001)
+        body.integrate_motion(40.0, 3.65, STILL, 1.225, 0.0, 0.001)
     assert body.thrust_n == pytest.approx(40.0 * (1 - math.exp(-1)), rel=0.02)
 
 
@@ -80,7 +81,7 @@ def test_tilt_and_rates_stay_within_their_limits() -> None:
     body = Airframe(M100)
     worst_rate = 0.0
     for _ in range(300):
-        body.lean(1.5, -1.5, 3.0, 0.01)
+        body.advance_attitude_towards_setpoint(1.5, -1.5, 3.0, 0.01)
         worst_rate = max(worst_rate, abs(body.rollspeed_rps), abs(body.pitchspeed_rps))
     tilt = math.hypot(body.roll_rad, body.pitch_rad)
     assert tilt == pytest.approx(math.radians(M100.attitude.max_tilt_deg), rel=0.01)
@@ -99,17 +100,17 @@ def test_the_dynamic_model_rests_where_the_steady_solver_says(
     """Put into the solver's state, the body does not accelerate, and power is the same."""
     params = load_airframe(FOLDER / f"{name}.toml")
     payload_kg = payload_share * params.max_payload_kg
-    state = SteadyFlight(params).state(airspeed, climb_mps=climb, payload_kg=payload_kg)
+    state = SteadyFlight(params).steady_state(airspeed, climb_mps=climb, payload_kg=payload_kg)
     body = Airframe(params)
     body.north_mps, body.down_mps = airspeed, -climb
     body.pitch_rad, body.thrust_n = -state.tilt_rad, state.thrust_n
     parcel_m2 = params.drag.parcel_area_m2 if payload_kg else 0.0
     mass_kg = params.empty_mass_kg + payload_kg
-    body.move(state.thrust_n, mass_kg, STILL, 1.225, parcel_m2, 0.01)
+    body.integrate_motion(state.thrust_n, mass_kg, STILL, 1.225, parcel_m2, 0.01)
     assert (body.north_mps - airspeed) / 0.01 == pytest.approx(0.0, abs=1e-6)
     assert (body.down_mps + climb) / 0.01 == pytest.approx(0.0, abs=1e-6)
-    power_w = RotorSet(params.rotors, 1.225).electric_w(
-        body.thrust_n, body.airspeed_mps, body.useful_w
+    power_w = RotorSet(params.rotors, 1.225).electrical_power_w(
+        body.thrust_n, body.airspeed_mps, body.propulsive_w
     )
     assert power_w == pytest.approx(state.power_w, rel=1e-9)
 
@@ -120,16 +121,16 @@ def test_only_relative_wind_matters() -> None:
     flying.north_mps = 10.0
     for body in (hovering, flying):
         body.pitch_rad, body.thrust_n = -0.2, 36.0
-    hovering.move(36.0, 3.65, (-10.0, 0.0, 0.0), 1.225, 0.0, 0.01)
-    flying.move(36.0, 3.65, STILL, 1.225, 0.0, 0.01)
-    assert hovering.useful_w == pytest.approx(flying.useful_w)
+    hovering.integrate_motion(36.0, 3.65, (-10.0, 0.0, 0.0), 1.225, 0.0, 0.01)
+    flying.integrate_motion(36.0, 3.65, STILL, 1.225, 0.0, 0.01)
+    assert hovering.propulsive_w == pytest.approx(flying.propulsive_w)
     assert hovering.north_mps + 10.0 == pytest.approx(flying.north_mps)
 
 
 def test_strong_headwind_saturates_tilt() -> None:
     """The M100 reaches 18 to 22 m/s at its 35 deg (DJI data sheet: 22 m/s without load)."""
     flight = SteadyFlight(M100)
-    assert 18.0 < flight.max_level_airspeed_mps(math.radians(35.0)) < 22.0
+    assert 18.0 < flight.level_airspeed_at_tilt_mps(math.radians(35.0)) < 22.0
 
 
 def test_air_is_the_standard_atmospheres() -> None:
@@ -144,7 +145,7 @@ def test_rotor_drag_goes_with_the_root_of_density_and_that_of_the_body_with_dens
     def lost_mps(density, drag):
         body = Airframe(msgspec.structs.replace(M100, drag=drag))
         body.thrust_n, body.north_mps = 3.65 * G, 10.0
-        body.move(3.65 * G, 3.65, STILL, density, 0.0, 0.001)
+        body.integrate_motion(3.65 * G, 3.65, STILL, density, 0.0, 0.001)
         return 10.0 - body.north_mps
 
     none = dict.fromkeys(("parasite_forward_m2", "parasite_vertical_m2"), 0.0)

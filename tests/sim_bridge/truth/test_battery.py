@@ -43,7 +43,7 @@ def test_a_full_pack_rests_at_its_data_sheets_voltage() -> None:
 def test_terminal_voltage_is_ohms_law() -> None:
     """V = E - I R with V I = P, at the first instant (no polarisation yet)."""
     battery = Battery(PACK)
-    battery.step(500.0, 1e-6)
+    battery.discharge_at_power(500.0, 1e-6)
     source_v = 26.1  # DJI TB48D, fully charged
     ohm = PACK.resistance_ohm * (1 + 0.1562 / 0.07446 * math.exp(-24.37))
     assert battery.voltage_v * battery.current_a == pytest.approx(500.0, rel=1e-9)
@@ -54,8 +54,8 @@ def test_chemical_energy_is_delivered_lost_or_stored() -> None:
     """Conservation through a varying draw, to 0.01 % of what flowed."""
     battery = Battery(PACK, temperature_c=5.0, health_frac=0.9)
     for step in range(40_000):
-        battery.step(450.0 + 400.0 * math.sin(step * 0.003), 0.01)
-    parts_j = battery.delivered_j + battery.lost_j + battery.stored_j
+        battery.discharge_at_power(450.0 + 400.0 * math.sin(step * 0.003), 0.01)
+    parts_j = battery.delivered_j + battery.lost_j + battery.polarisation_energy_j
     assert battery.chemical_j == pytest.approx(parts_j, rel=1e-4)
     assert battery.lost_j > 0.01 * battery.delivered_j
 
@@ -65,7 +65,7 @@ def test_charge_falls_by_what_flows() -> None:
     battery = Battery(IDEAL)
     used_c = 0.0
     for _ in range(36_000):
-        battery.step(10.0 * battery.voltage_v, 0.01)
+        battery.discharge_at_power(10.0 * battery.voltage_v, 0.01)
         used_c += battery.current_a * 0.01
     assert 1.0 - battery.charge_frac == pytest.approx(used_c / (5.7 * 3600), rel=1e-6)
     assert 1.0 - battery.charge_frac == pytest.approx(1.0 / 5.7, rel=0.01)
@@ -81,17 +81,17 @@ def test_usable_energy_is_what_a_constant_draw_then_delivers(
     battery = Battery(PACK, temperature_c=temperature_c, health_frac=health_frac)
     promised_wh = battery.usable_wh(draw_w)
     while not battery.cut_off:
-        battery.step(draw_w, 0.1)
+        battery.discharge_at_power(draw_w, 0.1)
     assert battery.delivered_j / 3600 == pytest.approx(promised_wh, rel=0.015)
     assert battery.usable_wh(draw_w) == 0.0
 
 
 def test_usable_energy_falls_by_what_is_used() -> None:
-    """Half-way down at the same draw, used plus left is the promise of the start, to 1 %."""
+    """Half-way down at the same draw, used plus remaining equals the initial energy, to 1 %."""
     battery = Battery(PACK)
     promised_wh = battery.usable_wh(480.0)
     for _ in range(4000):
-        battery.step(480.0, 0.1)
+        battery.discharge_at_power(480.0, 0.1)
     left_wh = battery.usable_wh(480.0)
     assert battery.delivered_j / 3600 + left_wh == pytest.approx(promised_wh, rel=0.01)
 
@@ -102,7 +102,7 @@ def test_cold_and_age_take_resistance_as_stated() -> None:
     for key, temperature_c, health in (("new", 25, 1.0), ("cold", 0, 1.0), ("old", 25, 0.8)):
         battery = Battery(PACK, temperature_c=temperature_c, health_frac=health)
         rest_v = battery.voltage_v
-        battery.step(100.0, 1e-6)
+        battery.discharge_at_power(100.0, 1e-6)
         sag_v[key] = (rest_v - battery.voltage_v) / battery.current_a
     assert sag_v["cold"] / sag_v["new"] == pytest.approx(2.0, rel=0.02)
     assert sag_v["old"] / sag_v["new"] == pytest.approx(2.0, rel=0.02)
@@ -111,10 +111,10 @@ def test_cold_and_age_take_resistance_as_stated() -> None:
 def test_after_cut_off_nothing_flows_though_voltage_recovers() -> None:
     battery = Battery(PACK, charge_frac=0.03)
     for _ in range(10_000):
-        battery.step(700.0, 0.01)
+        battery.discharge_at_power(700.0, 0.01)
     assert battery.cut_off
     before_j = battery.delivered_j
-    battery.step(700.0, 0.01)
+    battery.discharge_at_power(700.0, 0.01)
     assert battery.current_a == 0.0
     assert battery.delivered_j == before_j
     assert battery.voltage_v > 6 * 2.5
@@ -122,27 +122,29 @@ def test_after_cut_off_nothing_flows_though_voltage_recovers() -> None:
 
 def test_a_short_dip_does_not_trip_the_protection() -> None:
     battery = Battery(PACK, charge_frac=0.06)
-    battery.step(1500.0, 0.5)
-    battery.step(100.0, 0.5)
-    battery.step(1500.0, 0.5)
+    battery.discharge_at_power(1500.0, 0.5)
+    battery.discharge_at_power(100.0, 0.5)
+    battery.discharge_at_power(1500.0, 0.5)
     assert not battery.cut_off
 
 
 def test_a_draw_beyond_the_packs_power_collapses_it() -> None:
     """P_max = E^2 / 4 R (maximum power transfer)."""
     battery = Battery(PACK)
-    battery.step(1e5, 0.01)
+    battery.discharge_at_power(1e5, 0.01)
     assert battery.voltage_v == pytest.approx(26.1 / 2, rel=1e-6)
     for _ in range(120):
-        battery.step(1e5, 0.01)
+        battery.discharge_at_power(1e5, 0.01)
     assert battery.cut_off
 
 
 def test_a_shorted_cell_takes_its_share_of_voltage_and_energy_and_no_more() -> None:
     whole, hurt = Battery(PACK), Battery(PACK)
-    hurt.lose_cell()
+    hurt.short_one_cell()
     left = (PACK.cells - 1) / PACK.cells
-    assert hurt.loaded_v(0.8, 0.0) == pytest.approx(left * whole.loaded_v(0.8, 0.0))
-    hurt.step(100.0, 1.0)
+    assert hurt.settled_loaded_voltage_v(0.8, 0.0) == pytest.approx(
+        left * whole.settled_loaded_voltage_v(0.8, 0.0)
+    )
+    hurt.discharge_at_power(100.0, 1.0)
     assert not hurt.cut_off
     assert 0.75 * left < hurt.usable_wh(300.0) / whole.usable_wh(300.0) < left

@@ -29,9 +29,10 @@ def test_heights_outside_the_standard_are_held_at_its_ends() -> None:
 def _gusts(seed: int, count: int, dt_s: float, speed: float = 12.0) -> np.ndarray:
     """Gusts at 60 m height in 10 m/s of wind; shape (count, 3)."""
     field = DrydenTurbulence(np.random.default_rng(seed))
-    return np.array([field.step(dt_s, 60.0, 10.0, speed) for _ in range(count)])
+    return np.array([field.advance_and_get_gust_mps(dt_s, 60.0, 10.0, speed) for _ in range(count)])
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize("dt_s", [0.01, 1.0])
 def test_variance_does_not_depend_on_the_step(dt_s: float) -> None:
     """sigma^2 over an ensemble of independent starts and after some steps, to 3 standard errors."""
@@ -51,6 +52,7 @@ def _published(axis: int, wave: np.ndarray) -> np.ndarray:
     return sigma**2 * scale / math.pi * (1 + 3 * square) / (1 + square) ** 2
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("axis", [0, 1, 2], ids=["along", "across", "vertical"])
 def test_spectrum_is_the_published_one(axis: int) -> None:
     """Welch's estimate over two decades, octave by octave, to 15 %."""
@@ -72,6 +74,7 @@ def test_a_faster_vehicle_meets_the_same_field_faster() -> None:
     assert slow == pytest.approx(fast)
 
 
+@pytest.mark.sample
 def test_axes_are_independent() -> None:
     gusts = _gusts(11, 60_000, 0.5)
     correlation = np.corrcoef(gusts.T)

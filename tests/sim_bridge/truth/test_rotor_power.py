@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sim_bridge.truth.params import load_airframe
-from sim_bridge.truth.rotor_power import RotorSet, inflow_ratio
-from sim_bridge.truth.steady_flight import SEA_LEVEL_DENSITY_KGPM3, SteadyFlight
+from sim_bridge.truth.rotor_power import RotorSet, induced_velocity_ratio
+from sim_bridge.truth.steady_flight import STANDARD_DENSITY_KGPM3, SteadyFlight
 
 ROOT = Path(__file__).parents[3]
 M100 = load_airframe(ROOT / "params" / "truth" / "m100.toml")
@@ -20,18 +20,20 @@ MEASURED = ROOT.parent / "shared" / "data" / "energy" / "measured_power.csv"
 def test_hover_induced_power_is_momentum_theorys() -> None:
     """Closed form: P = kappa T^(3/2) / sqrt(2 rho A) (Leishman 2006, eq. 2.17)."""
     thrust_n = 36.0
-    rotors = RotorSet(M100.rotors, SEA_LEVEL_DENSITY_KGPM3)
+    rotors = RotorSet(M100.rotors, STANDARD_DENSITY_KGPM3)
     area_m2 = 4 * math.pi * 0.1651**2
     ideal_w = thrust_n**1.5 / math.sqrt(2 * 1.225 * area_m2)
-    assert rotors.parts(thrust_n, 0.0, 0.0).induced_w == pytest.approx(1.15 * ideal_w, rel=1e-9)
+    assert rotors.shaft_power_parts(thrust_n, 0.0, 0.0).induced_w == pytest.approx(
+        1.15 * ideal_w, rel=1e-9
+    )
 
 
 def test_hover_figure_of_merit_is_a_small_propellers() -> None:
     """0.5 to 0.75 is what static propeller tests give (UIUC data base, 13 to 18 inch)."""
     for params in (M100, OCTO8):
-        rotors = RotorSet(params.rotors, SEA_LEVEL_DENSITY_KGPM3)
+        rotors = RotorSet(params.rotors, STANDARD_DENSITY_KGPM3)
         thrust_n = params.empty_mass_kg * 9.81
-        parts = rotors.parts(thrust_n, 0.0, 0.0)
+        parts = rotors.shaft_power_parts(thrust_n, 0.0, 0.0)
         ideal_w = parts.induced_w / params.rotors.induced_factor
         assert 0.5 < ideal_w / parts.shaft_w < 0.75
 
@@ -40,21 +42,21 @@ def test_hover_figure_of_merit_is_a_small_propellers() -> None:
 def test_climb_inflow_is_the_closed_form(climb: float) -> None:
     """v_i / v_h = -c/2 + sqrt((c/2)^2 + 1) (Leishman 2006, eq. 2.81)."""
     expected = -climb / 2 + math.sqrt(climb**2 / 4 + 1)
-    assert inflow_ratio(-climb, 0.0) == pytest.approx(expected, rel=1e-9)
+    assert induced_velocity_ratio(-climb, 0.0) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("descent", [2.01, 2.5, 4.0])
 def test_windmill_brake_inflow_is_the_closed_form(descent: float) -> None:
     """v_i / v_h = d/2 - sqrt((d/2)^2 - 1) (Leishman 2006, eq. 2.93)."""
     expected = descent / 2 - math.sqrt(descent**2 / 4 - 1)
-    assert inflow_ratio(descent, 0.0) == pytest.approx(expected, rel=1e-6)
+    assert induced_velocity_ratio(descent, 0.0) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("inplane", [0.3, 1.0, 2.0, 5.0])
 def test_level_inflow_is_the_closed_form(inplane: float) -> None:
     """With no flow along the axis x^2 = (-mu^2 + sqrt(mu^4 + 4)) / 2 (Glauert)."""
     expected = math.sqrt((-(inplane**2) + math.sqrt(inplane**4 + 4)) / 2)
-    assert inflow_ratio(0.0, inplane) == pytest.approx(expected, rel=1e-9)
+    assert induced_velocity_ratio(0.0, inplane) == pytest.approx(expected, rel=1e-9)
 
 
 def test_vortex_ring_fit_meets_momentum_theory_at_its_edge() -> None:
@@ -62,7 +64,7 @@ def test_vortex_ring_fit_meets_momentum_theory_at_its_edge() -> None:
     for angle in np.linspace(0.0, math.pi, 30):
         descent = 1.5 + 0.5 * math.cos(angle)
         inplane = math.sqrt(2 / 3) * math.sin(angle)
-        inside = inflow_ratio(1.5 + 0.499 * math.cos(angle), 0.998 * inplane)
+        inside = induced_velocity_ratio(1.5 + 0.499 * math.cos(angle), 0.998 * inplane)
         flow = math.hypot(inplane, descent - inside)
         assert inside * flow == pytest.approx(1.0, abs=0.06)
 
@@ -70,7 +72,7 @@ def test_vortex_ring_fit_meets_momentum_theory_at_its_edge() -> None:
 def test_vertical_descent_in_the_ring_needs_more_inflow_than_hover() -> None:
     """Castles and Gray (NACA TN 2474, 1951) measured 1.4 to 2.2 v_h at 1.2 to 1.7 v_h down."""
     for descent in (1.2, 1.5, 1.7):
-        assert 1.4 < inflow_ratio(descent, 0.0) < 2.2
+        assert 1.4 < induced_velocity_ratio(descent, 0.0) < 2.2
 
 
 def test_profile_power_grows_by_the_published_factor() -> None:
@@ -78,7 +80,7 @@ def test_profile_power_grows_by_the_published_factor() -> None:
     rotors = RotorSet(M100.rotors, 1.225)
     thrust_n, speed = 36.0, 15.0
     tip_mps = math.sqrt(thrust_n / (1.225 * rotors.disk_area_m2 * 0.0129))
-    still, moving = (rotors.parts(thrust_n, v, 0.0).profile_w for v in (0.0, speed))
+    still, moving = (rotors.shaft_power_parts(thrust_n, v, 0.0).profile_w for v in (0.0, speed))
     assert moving / still == pytest.approx(1 + 4.65 * (speed / tip_mps) ** 2, rel=1e-9)
 
 
@@ -86,8 +88,8 @@ def test_slow_climb_costs_half_the_weight_times_the_rate() -> None:
     """Momentum theory: dP/dV_c = T (1 - kappa/2) at hover, as inflow falls by V_c / 2."""
     rotors = RotorSet(M100.rotors, 1.225)
     thrust_n, climb = 36.0, 0.01
-    rise_w = rotors.parts(thrust_n, climb, thrust_n * climb).shaft_w
-    rise_w -= rotors.parts(thrust_n, 0.0, 0.0).shaft_w
+    rise_w = rotors.shaft_power_parts(thrust_n, climb, thrust_n * climb).shaft_w
+    rise_w -= rotors.shaft_power_parts(thrust_n, 0.0, 0.0).shaft_w
     assert rise_w == pytest.approx(thrust_n * climb * (1 - 1.15 / 2), rel=0.01)
 
 

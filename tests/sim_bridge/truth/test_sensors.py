@@ -1,4 +1,4 @@
-"""Sensors: spreads as stated, delays, rates, and what faults do."""
+"""Sensors: spreads as stated, delays, rates, and effects of faults."""
 
 import math
 from pathlib import Path
@@ -24,7 +24,7 @@ PERFECT = msgspec.structs.replace(
 
 
 class Bench:
-    """A body that we move by hand, and the sensors on it."""
+    """A body moved by the test, with its sensors."""
 
     def __init__(self, params: SensorParams = PERFECT, seed: int = 1, **switches) -> None:
         self.body = Airframe(M100)
@@ -35,7 +35,7 @@ class Bench:
     def step(self, dt_s: float = 0.01) -> SensorReadings:
         self.t_s += dt_s
         self.body.north_m += self.body.north_mps * dt_s
-        return self.sensors.read(
+        return self.sensors.update_and_read_sensors(
             self.t_s,
             self.body,
             (0.0, 0.0, -9.8),
@@ -60,7 +60,7 @@ def test_perfect_sensors_tell_the_truth() -> None:
 
 
 def test_gnss_is_late_by_its_latency_and_comes_ten_times_a_second() -> None:
-    """At 10 m/s a fix shows where the vehicle was 0.12 to 0.22 s ago."""
+    """At 10 m/s a fix shows the vehicle's position 0.12 to 0.22 s ago."""
     bench = Bench()
     bench.body.north_mps = 10.0
     lags, fixes = [], set()
@@ -117,6 +117,7 @@ def test_errors_have_the_spread_that_is_stated() -> None:
     assert spreads == pytest.approx(expected, rel=0.15)
 
 
+@pytest.mark.sample
 def test_biases_wander_with_their_correlation_time() -> None:
     """Ornstein-Uhlenbeck: after one correlation time exp(-1) of the bias is left, on average."""
     first, later = [], []
@@ -125,7 +126,7 @@ def test_biases_wander_with_their_correlation_time() -> None:
         bias = WanderingBias(std_rad, time_s, GaussianStream(np.random.default_rng(seed)))
         first.append(bias.value)
         for _ in range(int(time_s / 0.1)):
-            bias.step(0.1)
+            bias.advance_and_get_value(0.1)
         later.append(bias.value)
     assert np.corrcoef(first, later)[0, 1] == pytest.approx(math.exp(-1), abs=0.15)
 

@@ -7,13 +7,12 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from sim_bridge.truth.errors import TruthError
-from sim_bridge.truth.terrain import GridTerrain, PlaneTerrain
-from sim_bridge.truth.terrain_file import load_grid_terrain
+from sim_bridge.truth.terrain import GridTerrain, PlaneTerrain, load_grid_terrain
 
 
 def test_a_plane_rises_by_its_slopes() -> None:
-    assert PlaneTerrain(0.1, -0.02).up_m(50.0, 100.0) == pytest.approx(3.0)
-    assert PlaneTerrain().up_m(1e4, -1e4) == 0.0
+    assert PlaneTerrain(0.1, -0.02).height_above_depot_m(50.0, 100.0) == pytest.approx(3.0)
+    assert PlaneTerrain().height_above_depot_m(1e4, -1e4) == 0.0
 
 
 def test_a_grid_is_bilinear() -> None:
@@ -25,13 +24,13 @@ def test_a_grid_is_bilinear() -> None:
     other = RegularGridInterpolator((norths, easts), ups)
     for _ in range(100):
         north, east = rng.uniform(norths[0], norths[-1]), rng.uniform(easts[0], easts[-1])
-        assert grid.up_m(north, east) == pytest.approx(other([[north, east]])[0])
+        assert grid.height_above_depot_m(north, east) == pytest.approx(other([[north, east]])[0])
 
 
 def test_outside_a_grid_its_edge_goes_on() -> None:
     grid = GridTerrain([0.0, 10.0], [0.0, 10.0], [[1.0, 2.0], [3.0, 4.0]])
-    assert grid.up_m(-50.0, 5.0) == pytest.approx(1.5)
-    assert grid.up_m(50.0, 50.0) == pytest.approx(4.0)
+    assert grid.height_above_depot_m(-50.0, 5.0) == pytest.approx(1.5)
+    assert grid.height_above_depot_m(50.0, 50.0) == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize(
@@ -52,10 +51,10 @@ def test_a_grid_file_may_have_its_rows_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "grid.csv"
     path.write_text("east_m,north_m,up_m\n10,10,4\n0,0,1\n10,0,2\n0,10,3\n")
     grid = load_grid_terrain(path)
-    assert grid.up_m(0.0, 0.0) == 1.0
-    assert grid.up_m(0.0, 10.0) == 2.0
-    assert grid.up_m(10.0, 0.0) == 3.0
-    assert grid.up_m(5.0, 5.0) == pytest.approx(2.5)
+    assert grid.height_above_depot_m(0.0, 0.0) == 1.0
+    assert grid.height_above_depot_m(0.0, 10.0) == 2.0
+    assert grid.height_above_depot_m(10.0, 0.0) == 3.0
+    assert grid.height_above_depot_m(5.0, 5.0) == pytest.approx(2.5)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from sim_bridge.truth.signals import Actuation
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
-from sim_bridge.truth.wind_params import build_wind_field, mean_wind, parse_wind
+from sim_bridge.truth.wind_params import build_mean_wind, build_wind_field, parse_wind
 
 G = 9.80665
 M100 = load_airframe(Path(__file__).parents[3] / "params" / "truth" / "m100.toml")
@@ -45,13 +45,13 @@ def _fly(vehicle: Vehicle, seconds: float, factor: float) -> None:
     """Level, at a multiple of hover thrust."""
     for _ in range(round(seconds / 0.01)):
         frac = factor * _hover_frac(vehicle)
-        vehicle.step(Actuation(thrust_frac=frac, motors_on=True), 0.01)
+        vehicle.advance_and_read_sensors(Actuation(thrust_frac=frac, motors_on=True), 0.01)
 
 
 def test_it_stands_where_it_is_put_even_in_wind() -> None:
     vehicle = _vehicle(12.0, start_ne_m=(5.0, -3.0), terrain=PlaneTerrain(0.1))
     for _ in range(300):
-        readings = vehicle.step(OFF, 0.01)
+        readings = vehicle.advance_and_read_sensors(OFF, 0.01)
     truth = vehicle.truth
     assert truth.pos_ned_m == pytest.approx((5.0, -3.0, -0.5))
     assert readings.touching_ground
@@ -67,6 +67,7 @@ def test_it_leaves_the_ground_only_when_thrust_beats_weight() -> None:
     assert vehicle.truth.airborne
 
 
+@pytest.mark.sample
 def test_a_soft_landing_is_no_crash_and_a_fall_is() -> None:
     soft, hard = _vehicle(), _vehicle()
     for vehicle, sink_factor in ((soft, 0.985), (hard, 0.0)):
@@ -85,7 +86,7 @@ def test_touching_down_at_speed_is_a_crash() -> None:
     _fly(vehicle, 2.0, 1.1)
     for _ in range(800):
         command = Actuation(pitch_rad=-0.3, thrust_frac=0.98 * _hover_frac(vehicle), motors_on=True)
-        vehicle.step(command, 0.01)
+        vehicle.advance_and_read_sensors(command, 0.01)
     assert vehicle.truth.crashed
 
 
@@ -94,8 +95,10 @@ def test_a_released_parcel_takes_its_weight_along() -> None:
     _fly(vehicle, 2.0, 1.05)
     assert vehicle.mass_kg == pytest.approx(4.45)
     frac = _hover_frac(vehicle)
-    vehicle.step(Actuation(thrust_frac=frac, motors_on=True, release=True), 0.01)
-    readings = vehicle.step(Actuation(thrust_frac=frac, motors_on=True), 0.01)
+    vehicle.advance_and_read_sensors(
+        Actuation(thrust_frac=frac, motors_on=True, release=True), 0.01
+    )
+    readings = vehicle.advance_and_read_sensors(Actuation(thrust_frac=frac, motors_on=True), 0.01)
     assert not readings.parcel_aboard
     assert not vehicle.truth.parcel_aboard
     # Newton: the same thrust on 3.65 of 4.45 kg
@@ -105,7 +108,7 @@ def test_a_released_parcel_takes_its_weight_along() -> None:
 def test_a_stuck_gripper_keeps_the_parcel() -> None:
     vehicle = _vehicle(payload_kg=0.8)
     vehicle.release_fails = True
-    readings = vehicle.step(Actuation(release=True), 0.01)
+    readings = vehicle.advance_and_read_sensors(Actuation(release=True), 0.01)
     assert readings.parcel_aboard
     assert vehicle.mass_kg == pytest.approx(4.45)
 
@@ -148,10 +151,12 @@ def test_same_seed_same_flight() -> None:
             {"kind": "steady", "speed_mps": 7.0, "from_deg": 200.0, "turbulence": "dryden"}
         )
         gusts, noise = np.random.default_rng(seed).spawn(2)
-        field = build_wind_field(params, mean_wind(params, Path()), gusts)
+        field = build_wind_field(params, build_mean_wind(params, Path()), gusts)
         vehicle = Vehicle(M100, field, noise, payload_kg=0.5, pitot=True)
         command = Actuation(thrust_frac=0.6, pitch_rad=-0.1, motors_on=True)
-        return [vehicle.step(command, 0.01) for _ in range(300)] + [vehicle.truth]
+        return [vehicle.advance_and_read_sensors(command, 0.01) for _ in range(300)] + [
+            vehicle.truth
+        ]
 
     assert fly(4) == fly(4)
     assert fly(4)[-1] != fly(5)[-1]
@@ -160,7 +165,7 @@ def test_same_seed_same_flight() -> None:
 def test_hot_and_high_takes_more_power() -> None:
     """Momentum theory: induced power goes with density to the -1/2."""
     low, high = _vehicle(), _vehicle(depot_alt_amsl_m=3000.0, temperature_c=20.0)
-    assert high.reference_draw_w > 1.1 * low.reference_draw_w
+    assert high.hover_power_without_parcel_w > 1.1 * low.hover_power_without_parcel_w
 
 
 def test_a_spin_turns_it_whatever_the_autopilot_asks() -> None:
@@ -189,13 +194,13 @@ def test_ice_lets_the_same_wind_push_twice_as_hard() -> None:
 def test_a_parcel_is_put_on_and_taken_off_on_the_ground_only() -> None:
     vehicle = _vehicle()
     bare_kg = vehicle.mass_kg
-    vehicle.load(0.5)
+    vehicle.load_parcel(0.5)
     assert vehicle.mass_kg == pytest.approx(bare_kg + 0.5)
-    vehicle.load(0.0)
+    vehicle.load_parcel(0.0)
     assert (vehicle.mass_kg, vehicle.parcel_aboard) == (bare_kg, False)
     with pytest.raises(TruthError, match="payload_kg = 99"):
-        vehicle.load(99.0)
+        vehicle.load_parcel(99.0)
     _fly(vehicle, 1.0, 1.3)
     assert vehicle.is_airborne
     with pytest.raises(TruthError, match="in the air, expected on the ground"):
-        vehicle.load(0.5)
+        vehicle.load_parcel(0.5)

@@ -10,7 +10,12 @@ from sim_bridge.truth.dryden import DrydenTurbulence
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.wind_field import RampedWind, RecordedWind, SteadyWind, WindField
 from sim_bridge.truth.wind_log import WindLog, wind_to_ne_mps
-from sim_bridge.truth.wind_params import LogWindParams, build_wind_field, mean_wind, parse_wind
+from sim_bridge.truth.wind_params import (
+    LogWindParams,
+    build_mean_wind,
+    build_wind_field,
+    parse_wind,
+)
 
 
 @pytest.mark.parametrize(
@@ -81,17 +86,20 @@ def test_points_out_of_order_are_refused() -> None:
 def test_the_profile_is_a_power_law() -> None:
     """V(80)/V(10) = 8^(1/7) = 1.346."""
     field = WindField(SteadyWind(5.0, 180.0), profile_exponent=1 / 7)
-    assert field.mean_to_ne_mps(0.0, 10.0) == pytest.approx((5.0, 0.0))
-    assert field.mean_to_ne_mps(0.0, 80.0) == pytest.approx((5.0 * 1.34590, 0.0), rel=1e-4)
-    assert field.mean_to_ne_mps(0.0, 0.0) == field.mean_to_ne_mps(0.0, 1.0)
+    assert field.mean_wind_to_ne_mps(0.0, 10.0) == pytest.approx((5.0, 0.0))
+    assert field.mean_wind_to_ne_mps(0.0, 80.0) == pytest.approx((5.0 * 1.34590, 0.0), rel=1e-4)
+    assert field.mean_wind_to_ne_mps(0.0, 0.0) == field.mean_wind_to_ne_mps(0.0, 1.0)
 
 
+@pytest.mark.sample
 def test_gust_axes_follow_the_mean_wind() -> None:
     """Along-wind gusts have the longer memory, L_u against L_w: here wind towards the east."""
     field = WindField(
         SteadyWind(10.0, 270.0), turbulence=DrydenTurbulence(np.random.default_rng(4))
     )
-    samples = np.array([field.step(t, 1.0, 50.0, 10.0) for t in range(40_000)])
+    samples = np.array(
+        [field.advance_and_get_wind_ned_mps(t, 1.0, 50.0, 10.0) for t in range(40_000)]
+    )
     north, east, down = samples.T
     assert east.mean() == pytest.approx(10.0, abs=0.2)
     # MIL-F-8785C autocorrelation of u over 10 m: exp(-x / L_u), L_u = 202.3 m at 164 ft
@@ -105,9 +113,9 @@ def test_same_generator_same_gusts_and_other_vehicles_other_gusts() -> None:
         params = parse_wind(
             {"kind": "steady", "speed_mps": 8.0, "from_deg": 0.0, "turbulence": "dryden"}
         )
-        mean = mean_wind(params, Path())
+        mean = build_mean_wind(params, Path())
         field = build_wind_field(params, mean, np.random.default_rng(seed))
-        return [field.step(0.01 * k, 0.01, 30.0, 8.0) for k in range(50)]
+        return [field.advance_and_get_wind_ned_mps(0.01 * k, 0.01, 30.0, 8.0) for k in range(50)]
 
     assert gusts(1) == gusts(1)
     assert gusts(1) != gusts(2)
@@ -115,15 +123,17 @@ def test_same_generator_same_gusts_and_other_vehicles_other_gusts() -> None:
 
 def test_an_empty_table_is_still_air() -> None:
     params = parse_wind({})
-    assert mean_wind(params, Path()).to_ne_mps(5.0) == pytest.approx((0.0, 0.0))
+    assert build_mean_wind(params, Path()).to_ne_mps(5.0) == pytest.approx((0.0, 0.0))
 
 
 def test_a_log_is_found_beside_its_flight_file_and_brings_no_profile(tmp_path: Path) -> None:
     (tmp_path / "w.csv").write_text("t_s,wind_speed_mps,wind_from_deg\n0,5,180\n9,5,180\n")
     params = parse_wind({"kind": "log", "log": "w.csv", "start_s": 1.0})
     assert isinstance(params, LogWindParams)
-    field = build_wind_field(params, mean_wind(params, tmp_path), np.random.default_rng(0))
-    assert field.step(0.0, 0.01, 90.0, 5.0) == pytest.approx((5.0, 0.0, 0.0))
+    field = build_wind_field(params, build_mean_wind(params, tmp_path), np.random.default_rng(0))
+    assert field.advance_and_get_wind_ned_mps(0.0, 0.01, 90.0, 5.0) == pytest.approx(
+        (5.0, 0.0, 0.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -145,8 +155,8 @@ def test_a_mistake_in_the_wind_table_is_named(table: dict, named: str) -> None:
 
 def test_a_front_adds_to_the_mean_and_grows_with_height_as_it_does() -> None:
     field = WindField(SteadyWind(5.0, from_deg=180.0), profile_exponent=1.0 / 7.0)
-    calm = field.step(0.0, 0.1, 40.0, 0.0)
+    calm = field.advance_and_get_wind_ned_mps(0.0, 0.1, 40.0, 0.0)
     field.front_to_ne_mps = (0.0, 12.0)
-    north, east, down = field.step(0.1, 0.1, 40.0, 0.0)
+    north, east, down = field.advance_and_get_wind_ned_mps(0.1, 0.1, 40.0, 0.0)
     assert (north, down) == (calm[0], 0.0)
     assert east == pytest.approx(12.0 * 4.0 ** (1.0 / 7.0))

@@ -1,4 +1,4 @@
-"""The reader of recordings: what it takes, and what it refuses by file, line and column."""
+"""The reader of recordings: accepted input, and errors by file, line and column."""
 
 import csv
 import math

@@ -1,12 +1,13 @@
-"""`fly --link`: our companion on vehicles that are served by somebody else, as over any link.
+"""`fly --link`: the companion on vehicles served by another process, as over any link.
 
-The served vehicle is our own simulated one, so that truth is there to hold the companion's own
-record against; `fly_foreign` knows nothing of it but the link.
+The served vehicle is the simulated one, so that truth is available to check the companion's own
+record; `fly_external_vehicles` knows only the link.
 """
 
 import io
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,21 @@ from rich.console import Console
 
 from companion.core.base.errors import LeewayError
 from sim_bridge import main as cli
-from sim_bridge.app.flight.foreign_flight import ForeignOptions, fly_foreign
-from sim_bridge.app.flight.report import ending_words, grounded_words, results_table
-from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
+from sim_bridge.app.flight.foreign_flight import ExternalFlightOptions, fly_external_vehicles
+from sim_bridge.app.flight.report import (
+    VehicleStatus,
+    end_reason_and_settings_messages,
+    grounding_findings_or_kill_messages,
+    results_table,
+)
+from sim_bridge.app.serve.server import Host
+from sim_bridge.app.world.vehicle_host import Home, VehicleHost
 from sim_bridge.autopilot.kinds import AutopilotKind
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.wind_field import SteadyWind, WindField
+from tests.sitl.served import on_the_ground
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(240)]
 
-PARAMS = Path(__file__).parents[3] / "params"
 ROUTE = {"customer": {"name": "customer", "east_m": -110.0, "north_m": -20.0}}
 DEPOT = {"lat_deg": 55.47, "lon_deg": 8.45, "alt_amsl_m": 12.0}
 ELSEWHERE = Home(lat_deg=47.397742, lon_deg=8.545594, alt_amsl_m=489.4)
@@ -48,55 +53,52 @@ def flight_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def stood(autopilot_kind: AutopilotKind, home: Home | None = None) -> ServedVehicle:
+def stood(autopilot_kind: AutopilotKind, home: Home | None = None) -> VehicleHost:
     wind = WindField(SteadyWind(4.0, 70.0))
-    return stand_up(
-        autopilot_kind,
-        load_airframe(PARAMS / "truth" / "m100.toml"),
-        read_parameters(PARAMS / "autopilots" / f"{autopilot_kind.value}.toml"),
-        home=home or Home(),
-        wind=wind,
-        payload_kg=PAYLOAD_KG,
+    return on_the_ground(
+        autopilot_kind, home=home or Home(), wind_field=wind, payload_kg=PAYLOAD_KG
     )
 
 
 def fly(
-    served: ServedVehicle,
-    endpoint: str,
-    link: str,
+    served: VehicleHost,
     folder: Path,
-    file: Path,
+    *,
+    endpoint: str = "udpin::0",
+    link: str = "udpout:127.0.0.1:PORT",
+    watch: Callable[[list[VehicleStatus], float], None] = lambda vehicles, t_s: None,
     told: list[str] | None = None,
     **options: Any,
 ) -> dict[str, Any]:
     """Serve the vehicle on `endpoint`, fly it over `link` (with PORT for the port taken).
 
-    `told` takes the lines that the terminal shows as they fall.
+    `told` receives the lines as the terminal shows them.
     """
-    lines = [] if told is None else told
+    lines, file = [] if told is None else told, flight_file(folder)
     with Host(SPEEDUP) as host:
-        (url,) = host.add(served, onboard=[endpoint])
+        (url,) = host.add_vehicle(served, onboard_urls=[endpoint])
         links = (link.replace("PORT", url.rsplit(":", 1)[1]),)
-        with host.running():
-            result = fly_foreign(
-                ForeignOptions(file, links, run_root=folder / "runs", **options),
-                lambda vehicles, t_s: None,
+        with host.serve_in_thread():
+            result = fly_external_vehicles(
+                ExternalFlightOptions(file, links, run_root=folder / "runs", **options),
+                watch,
                 lines.append,
             )
     (row,) = result["flights"]
     return row
 
 
-def settings(served: ServedVehicle) -> dict[str, float]:
+def settings(served: VehicleHost) -> dict[str, float]:
     params = served.autopilot.params
     return {name: params[name] for i in range(len(params)) if (name := params.name_at(i))}
 
 
-def away_m(served: ServedVehicle) -> float:
+def away_m(served: VehicleHost) -> float:
     north, east, _ = served.truth.pos_ned_m
     return math.hypot(north, east)
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize(
     ("autopilot_kind", "endpoint", "link"),
@@ -111,7 +113,7 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
     served = stood(autopilot_kind)
     before = settings(served)
     told: list[str] = []
-    row = fly(served, endpoint, link, tmp_path, flight_file(tmp_path), told, configure=True)
+    row = fly(served, tmp_path, endpoint=endpoint, link=link, told=told, configure=True)
     assert row["outcome"] == "SUC", row
     assert row["judged_by"] == "companion"
     assert row["autopilot"] == autopilot_kind.value
@@ -128,68 +130,60 @@ def test_it_delivers_with_somebody_elses_vehicle_and_leaves_its_settings_as_they
     for decision in row["decisions"]:
         said = f"{decision['kind']}: {decision['reason']}"
         assert sum(said in line for line in told) >= 1, said
-    assert ending_words(row)[0] == f"1 ended: SUC: {row['reason']}"
-    # The companion's count ends as it sees the landing; battery sensors are good to a few per cent.
+    assert end_reason_and_settings_messages(row)[0] == f"1 ended: SUC: {row['reason']}"
+    # The companion's count ends at the landing; battery sensors are good to a few per cent.
     assert row["energy_used_wh"] == pytest.approx(truth.energy_used_wh, rel=0.1)
     assert row["energy_predicted_wh"] == pytest.approx(row["energy_used_wh"], rel=0.3)
     assert row["wind_rmse_mps"] is None
     assert row["clairvoyant"] is None
-    assert (Path(row["run"]) / "flight.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.night
 def test_without_being_asked_it_changes_no_setting_and_says_what_is_missing(tmp_path):
     served = stood(AutopilotKind.ARDUPILOT)
     before = settings(served)
-    link = "udpout:127.0.0.1:PORT"
-    row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path))
+    row = fly(served, tmp_path)
     assert settings(served) == before
     assert row["flight_time_s"] == 0.0
     assert away_m(served) < 1.0
     assert {f["name"] for f in row["findings"] if f["blocks"]} >= {"AUTO_OPTIONS", "GRIP_ENABLE"}
-    said = "\n".join(grounded_words(row))
+    said = "\n".join(grounding_findings_or_kill_messages(row))
     assert "MISSING  arming in AUTO" in said
     assert "--configure" in said
 
 
+@pytest.mark.night
 def test_a_companion_that_is_killed_in_flight_is_told_with_what_it_leaves(tmp_path):
-    others = psutil.Process().children()  # the fork server of flights before this one
+    others = psutil.Process().children()  # the fork server of earlier flights
 
     def kill_when_high(vehicles, t_s):
         if any(vehicle.up_m > 10.0 for vehicle in vehicles):
-            for child in psutil.Process().children():  # dead, it stays dead
+            for child in psutil.Process().children():  # no restart
                 if child not in others:
                     child.kill()
 
     served = stood(AutopilotKind.ARDUPILOT)
-    with Host(SPEEDUP) as host:
-        (url,) = host.add(served, onboard=["udpin::0"])
-        link = "udpout:127.0.0.1:" + url.rsplit(":", 1)[1]
-        options = ForeignOptions(
-            flight_file(tmp_path), (link,), configure=True, run_root=tmp_path / "runs"
-        )
-        with host.running():
-            (row,) = fly_foreign(options, kill_when_high)["flights"]
-    (words,) = grounded_words(row)
-    assert words.startswith("the companion died (SIGKILL) with the vehicle ")
-    assert "the mission aboard brings it home" in words
-    assert "settings not put back, they were: " in words
+    row = fly(served, tmp_path, watch=kill_when_high, configure=True)
+    (words,) = grounding_findings_or_kill_messages(row)
+    assert words.startswith("the companion was killed (SIGKILL) with the vehicle ")
+    assert "the onboard mission flies it home" in words
+    assert "settings not restored, previous values: " in words
 
 
+@pytest.mark.sample
 def test_a_site_elsewhere_is_refused(tmp_path):
     served = stood(AutopilotKind.PX4, ELSEWHERE)
-    link = "udpout:127.0.0.1:PORT"
-    row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path), configure=True)
+    row = fly(served, tmp_path, configure=True)
     assert row["outcome"] == "ABRT"
-    assert ending_words(row)[0] == f"1 no take-off: {row['reason']}"
-    assert "the vehicle stands" in row["reason"]
+    assert end_reason_and_settings_messages(row)[0] == f"1 no take-off: {row['reason']}"
+    assert "the vehicle is" in row["reason"]
     assert "--here" in row["reason"]
 
 
+@pytest.mark.night
 def test_with_here_the_site_lies_about_the_vehicle(tmp_path):
     served = stood(AutopilotKind.PX4, ELSEWHERE)
-    link = "udpout:127.0.0.1:PORT"
-    file = flight_file(tmp_path)
-    row = fly(served, "udpin::0", link, tmp_path, file, configure=True, here=True)
+    row = fly(served, tmp_path, configure=True, here=True)
     assert row["outcome"] == "SUC", row
     assert not served.truth.parcel_aboard
     assert away_m(served) < 12.0
@@ -197,18 +191,19 @@ def test_with_here_the_site_lies_about_the_vehicle(tmp_path):
     assert len(ends) == 1
 
 
+@pytest.mark.sample
 def test_the_table_shows_what_only_the_truth_could_tell_as_a_dash(tmp_path):
     served = stood(AutopilotKind.PX4)
-    link = "udpout:127.0.0.1:PORT"
-    row = fly(served, "udpin::0", link, tmp_path, flight_file(tmp_path))
+    row = fly(served, tmp_path)
     told = io.StringIO()
-    Console(file=told, width=100).print(results_table({"flights": [row]}, gate=True))
-    assert "companion's own record" in told.getvalue()
+    Console(file=told, width=100).print(results_table({"flights": [row]}, gate_enabled=True))
+    assert "companion's record" in told.getvalue()
     line = next(line for line in told.getvalue().splitlines() if line.startswith("1 px4"))
     # vehicle, end, used, margin, time, wind RMSE, NEES, least P(home), clairvoyant: it never left
     assert line.split() == ["1", "px4", "ABRT", "-", "-", "0", "-", "-", "-", "-"]
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -217,10 +212,10 @@ def test_the_table_shows_what_only_the_truth_could_tell_as_a_dash(tmp_path):
         (["--link", "udpin:127.0.0.1:14599", "--speedup", "4"], "--speedup"),
         (["--link", "udpin:127.0.0.1:14599", "--vehicles", "2"], "--vehicles"),
         (["--link", "udpin:127.0.0.1:14599", "--autopilot", "px4"], "--autopilot"),
-        (["--configure"], "--configure: for vehicles of somebody else's"),
-        (["--steady-wind", "5,80"], "--steady-wind: for vehicles of somebody else's"),
+        (["--configure"], "--configure: expected --link"),
+        (["--steady-wind", "5,80"], "--steady-wind: expected --link"),
         (["--link", "udpin:127.0.0.1:14599", "--steady-wind", "5"], "expected SPEED,FROM"),
-        (["--here"], "--here: for vehicles of somebody else's"),
+        (["--here"], "--here: expected --link"),
         (["--link", "carrier-pigeon"], "carrier-pigeon"),
         (["--link", "tcp:127.0.0.1:5760", "--link", "tcp:127.0.0.1:5760"], "named twice"),
         (["--link", "tcp:127.0.0.1:5760", "--link", "tcp:127.0.0.1:5761"], "several --link"),
@@ -249,11 +244,13 @@ def test_a_vehicle_that_only_somebody_else_simulates_is_refused_without_a_link(
         cli.main()
     assert ended.value.code == 2
     said = capsys.readouterr().err
-    assert f"vehicle.airframe {name}: expected one that is simulated here (m100, octo8)" in said
+    assert f"vehicle.airframe {name}: expected a simulated airframe (m100, octo8)" in said
     assert "--link" in said
 
 
 def test_faults_of_the_simulated_world_are_refused(tmp_path):
     file = flight_file(tmp_path, faults=[{"kind": "gnss_lost", "at_s": 10.0}])
     with pytest.raises(LeewayError, match=r"guest.toml: \[\[faults\]\]"):
-        fly_foreign(ForeignOptions(file, ("tcp:127.0.0.1:5760",)), lambda vehicles, t_s: None)
+        fly_external_vehicles(
+            ExternalFlightOptions(file, ("tcp:127.0.0.1:5760",)), lambda vehicles, t_s: None
+        )

@@ -16,10 +16,10 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.app.cli.main import app
-from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
+from sim_bridge.app.serve.server import Host
+from sim_bridge.app.world.vehicle_host import Home, VehicleHost
 from sim_bridge.autopilot.kinds import AutopilotKind
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
+from tests.sitl.served import on_the_ground
 
 MAVPROXY = Path(sys.executable).with_name("mavproxy.py")
 pytestmark = [
@@ -28,7 +28,6 @@ pytestmark = [
     pytest.mark.skipif(not MAVPROXY.exists(), reason="MAVProxy is not installed (see Makefile)"),
 ]
 
-PARAMS = Path(__file__).parents[3] / "params"
 HOME = Home()
 SPEEDUP = 8.0
 CRUISE_M = 15.0
@@ -36,12 +35,6 @@ LEG_M = 60.0
 METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
 TAKEOFF, WAYPOINT, LAND = 22, 16, 21
 ABOUT_M = 3.0
-
-
-def on_the_ground(autopilot_kind: AutopilotKind) -> ServedVehicle:
-    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind.value}.toml")
-    return stand_up(autopilot_kind, airframe, parameters, home=HOME)
 
 
 class MavProxy:
@@ -63,7 +56,7 @@ class MavProxy:
         )
         os.close(inside)
         self.said = ""
-        self._read_to = 0
+        self._last_row = 0
 
     def say(self, line: str) -> None:
         os.write(self._terminal, f"{line}\n".encode())
@@ -73,16 +66,16 @@ class MavProxy:
             self.said += os.read(self._terminal, 65536).decode(errors="replace")
 
     def expect(self, pattern: str, within_s: float = 20.0) -> None:
-        """Read on until `pattern` appears after what was matched before."""
+        """Read until `pattern` appears after the previous match."""
         deadline_s = time.monotonic() + within_s
-        while not (found := re.compile(pattern).search(self.said, self._read_to)):
+        while not (found := re.compile(pattern).search(self.said, self._last_row)):
             left_s = deadline_s - time.monotonic()
             assert left_s > 0.0, f"MAVProxy never said {pattern!r}:\n{self.said}"
             self.listen(left_s)
-        self._read_to = found.end()
+        self._last_row = found.end()
 
     def wait_for(self, truth: Callable[[], bool], within_s: float, again: str = "") -> None:
-        """Listen until `truth()`; `again` is a line said every 2 s until then."""
+        """Read until `truth()` holds; `again` is a line sent every 2 s until then."""
         deadline_s = time.monotonic() + within_s
         next_s = 0.0
         while not truth():
@@ -113,7 +106,7 @@ def mavproxy(master: str, folder: Path) -> Iterator[MavProxy]:
 
 
 def waypoints_file(folder: Path, *, with_home: bool) -> Path:
-    """Take-off, 60 m north, 60 m east of that, land there: as a ground station would save it."""
+    """Write a file as a ground station does: take-off, 60 m north, 60 m east of that, land."""
     north = LEG_M / METRES_PER_DEG
     east = north / math.cos(math.radians(HOME.lat_deg))
     places = [
@@ -133,15 +126,15 @@ def waypoints_file(folder: Path, *, with_home: bool) -> Path:
     return path
 
 
-def flew_the_mission(served: ServedVehicle, highest_m: float) -> None:
+def flew_the_mission(served: VehicleHost, highest_m: float) -> None:
     north, east, _ = served.truth.pos_ned_m
     assert math.hypot(north - LEG_M, east - LEG_M) < ABOUT_M
     assert abs(highest_m - CRUISE_M) < ABOUT_M
     assert not served.truth.crashed
 
 
-def fly(client: MavProxy, served: ServedVehicle) -> None:
-    """Watch a mission that was started to its end on the ground, disarmed."""
+def fly(client: MavProxy, served: VehicleHost) -> None:
+    """Follow a started mission to its end on the ground, disarmed."""
     highest_m = 0.0
 
     def down_again() -> bool:
@@ -153,40 +146,36 @@ def fly(client: MavProxy, served: ServedVehicle) -> None:
     flew_the_mission(served, highest_m)
 
 
-def on_ardupilot_over_tcp(tmp_path: Path) -> None:
-    served = on_the_ground(AutopilotKind.ARDUPILOT)
-    mission = waypoints_file(tmp_path, with_home=True)
+@contextmanager
+def served_to_mavproxy(
+    kind: AutopilotKind, listens: str, calls: str, folder: Path
+) -> Iterator[tuple[MavProxy, VehicleHost]]:
+    """Serve a vehicle and run MAVProxy, which is connected to it."""
+    served = on_the_ground(kind)
     with Host(SPEEDUP) as host:
-        (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
-        with host.running(), mavproxy(url.replace("tcpin", "tcp"), tmp_path) as client:
+        (url,) = host.add_vehicle(served, gcs_urls=[f"{listens}:127.0.0.1:0"])
+        with host.serve_in_thread(), mavproxy(url.replace(listens, calls), folder) as client:
             client.expect("online system 1")
-            client.say(f"wp load {mission.name}")
-            client.expect("Loaded 5 waypoints in")
-            client.say("mode guided")
-            client.expect("Mode GUIDED")
-            client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
-            client.say(f"takeoff {CRUISE_M}")
-            client.wait_for(lambda: served.truth.pos_ned_m[2] < -10.0, 20.0)
-            client.say("mode auto")
-            client.expect("Mode AUTO")
-            fly(client, served)
+            yield client, served
 
 
-def on_px4_over_udp(tmp_path: Path) -> None:
-    served = on_the_ground(AutopilotKind.PX4)
-    mission = waypoints_file(tmp_path, with_home=False)
-    with Host(SPEEDUP) as host:
-        (url,) = host.add(served, gcs=["udpin:127.0.0.1:0"])
-        with host.running(), mavproxy(url.replace("udpin", "udpout"), tmp_path) as client:
-            client.expect("online system 1")
-            client.say(f"wp load {mission.name}")
-            client.expect("Loaded 4 waypoints in")
-            client.say("long DO_SET_MODE 1 4 4")  # its `mode` command cannot set PX4's
-            client.expect("Mode MISSION")
-            client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
-            fly(client, served)
+def start_on_ardupilot(client: MavProxy, served: VehicleHost) -> None:
+    client.say("mode guided")
+    client.expect("Mode GUIDED")
+    client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
+    client.say(f"takeoff {CRUISE_M}")
+    client.wait_for(lambda: served.truth.pos_ned_m[2] < -10.0, 20.0)
+    client.say("mode auto")
+    client.expect("Mode AUTO")
 
 
+def start_on_px4(client: MavProxy, served: VehicleHost) -> None:
+    client.say("long DO_SET_MODE 1 4 4")  # its `mode` command cannot set PX4's
+    client.expect("Mode MISSION")
+    client.wait_for(lambda: served.autopilot.is_armed, 20.0, again="arm throttle")
+
+
+@pytest.mark.sample
 def test_mavproxy_puts_an_exported_mission_with_fence_and_rally_aboard(
     tmp_path: Path,
 ) -> None:
@@ -198,25 +187,35 @@ def test_mavproxy_puts_an_exported_mission_with_fence_and_rally_aboard(
     assert done.exit_code == 0, done.output
     rows = [len((tmp_path / f"harbour.{ending}").read_text().splitlines())
             for ending in ("waypoints", "fence.waypoints", "rally.waypoints")]  # fmt: skip
-    served = on_the_ground(AutopilotKind.ARDUPILOT)
-    with Host(SPEEDUP) as host:
-        (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
-        with host.running(), mavproxy(url.replace("tcpin", "tcp"), tmp_path) as client:
-            client.expect("online system 1")
-            store = served.autopilot.store
-            client.say("module load fence")
-            client.say("module load rally")
-            for command, name, aboard, count in (
-                ("wp", "harbour.waypoints", store.mission, rows[0] - 1),
-                ("fence", "harbour.fence.waypoints", store.fence, rows[1] - 1),
-                ("rally", "harbour.rally.waypoints", store.rally, rows[2] - 1),
-            ):
-                client.say(f"{command} load {name}")
-                client.expect(f"Loaded {count} .* from {name}")
-                client.wait_for(lambda to=aboard, n=count: len(to) == n, 20.0)
+    kind = AutopilotKind.ARDUPILOT
+    with served_to_mavproxy(kind, "tcpin", "tcp", tmp_path) as (client, served):
+        store = served.autopilot.store
+        client.say("module load fence")
+        client.say("module load rally")
+        for command, name, aboard, count in (
+            ("wp", "harbour.waypoints", store.mission, rows[0] - 1),
+            ("fence", "harbour.fence.waypoints", store.fence, rows[1] - 1),
+            ("rally", "harbour.rally.waypoints", store.rally, rows[2] - 1),
+        ):
+            client.say(f"{command} load {name}")
+            client.expect(f"Loaded {count} .* from {name}")
+            client.wait_for(lambda to=aboard, n=count: len(to) == n, 20.0)
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=1)
-@pytest.mark.parametrize("fly_it", [on_ardupilot_over_tcp, on_px4_over_udp])
-def test_mavproxy_flies_a_mission(fly_it: Callable[[Path], None], tmp_path: Path) -> None:
-    fly_it(tmp_path)
+@pytest.mark.parametrize(
+    ("kind", "listens", "calls", "start"),
+    [
+        (AutopilotKind.ARDUPILOT, "tcpin", "tcp", start_on_ardupilot),
+        (AutopilotKind.PX4, "udpin", "udpout", start_on_px4),
+    ],
+)
+def test_mavproxy_flies_a_mission(kind, listens, calls, start, tmp_path: Path) -> None:
+    with_home = kind is AutopilotKind.ARDUPILOT
+    mission = waypoints_file(tmp_path, with_home=with_home)
+    with served_to_mavproxy(kind, listens, calls, tmp_path) as (client, served):
+        client.say(f"wp load {mission.name}")
+        client.expect(f"Loaded {4 + with_home} waypoints in")
+        start(client, served)
+        fly(client, served)

@@ -1,12 +1,11 @@
-"""MAVSDK flies our simulated vehicles, and sees what is so."""
+"""MAVSDK flies the simulated vehicles, and its telemetry agrees with truth."""
 
 import asyncio
 import json
 import math
-import socket
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
-from contextlib import aclosing, asynccontextmanager, closing
+from contextlib import aclosing, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,34 +19,21 @@ from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
-from companion.app.tools.export import ExportRequest, export
+from companion.app.tools.export import ExportRequest, export_mission_or_track
 from companion.core.exports.export_format import ExportFormat
-from sim_bridge.app.serve.server import Home, Host, ServedVehicle, stand_up
+from sim_bridge.app.serve.server import Host
+from sim_bridge.app.world.vehicle_host import Home, VehicleHost
 from sim_bridge.autopilot.kinds import AutopilotKind
-from sim_bridge.autopilot.mavlink.parameters import read_parameters
-from sim_bridge.truth.params import load_airframe
+from tests.sitl.served import free_udp_port, on_the_ground
 
 pytestmark = [pytest.mark.third_party, pytest.mark.timeout(120)]
 
-PARAMS = Path(__file__).parents[3] / "params"
 HOME = Home()
 SPEEDUP = 8.0
 CRUISE_M = 15.0
 LEG_M = 60.0
 METRES_PER_DEG = 111_195.0  # mean Earth radius (IUGG) times one degree
 ABOUT_M = 3.0
-
-
-def on_the_ground(autopilot_kind: AutopilotKind, home: Home = HOME) -> ServedVehicle:
-    airframe = load_airframe(PARAMS / "truth" / "m100.toml")
-    parameters = read_parameters(PARAMS / "autopilots" / f"{autopilot_kind.value}.toml")
-    return stand_up(autopilot_kind, airframe, parameters, home=home)
-
-
-def free_udp_port() -> int:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @asynccontextmanager
@@ -68,7 +54,7 @@ async def until(truth: Callable[[], bool], within_s: float) -> None:
 
 
 async def told(stream: AsyncGenerator[Any, None], wanted: Callable[[Any], bool]) -> Any:
-    """The first value of a subscription that is `wanted`."""
+    """Return the first value of a subscription that is `wanted`."""
     async with asyncio.timeout(30.0), aclosing(stream):
         async for value in stream:
             if wanted(value):
@@ -89,13 +75,13 @@ async def persistently(deed: Callable[[], Awaitable[None]], within_s: float = 20
 
 
 def corners_deg() -> tuple[float, float]:
-    """The steps in latitude and longitude of the mission: 60 m north, 60 m east."""
+    """Return the steps in latitude and longitude of the mission: 60 m north, 60 m east."""
     north = LEG_M / METRES_PER_DEG
     return north, north / math.cos(math.radians(HOME.lat_deg))
 
 
 def plan() -> MissionPlan:
-    """Take-off, 60 m north, 60 m east of that, land there."""
+    """Return the mission: take-off, 60 m north, 60 m east of that, land."""
     north, east = corners_deg()
     action = MissionItem.VehicleAction
     places = [
@@ -119,7 +105,7 @@ def plan() -> MissionPlan:
 
 
 def raw_plan() -> list[RawItem]:
-    """The same for ArduPilot: item 0 is home, and it takes no NaN where MAVSDK puts some."""
+    """Return the mission for ArduPilot: item 0 is home; it rejects NaN that MAVSDK would send."""
     north, east = corners_deg()
     places = [
         (16, 0, 0.0, 0.0, HOME.alt_amsl_m),
@@ -149,7 +135,7 @@ def raw_plan() -> list[RawItem]:
 
 
 async def ask_for_telemetry(telemetry: TelemetryAsync) -> None:
-    """ArduPilot sends a HEARTBEAT, and nothing else until it is asked."""
+    """ArduPilot sends only HEARTBEAT until telemetry is requested."""
     for set_rate in (
         telemetry.set_rate_position,
         telemetry.set_rate_landed_state,
@@ -168,7 +154,7 @@ async def keeps_a_parameter(system: System, name: str, value: int) -> None:
 
 
 async def set_mode_guided(system: System) -> None:
-    """ArduPilot arms without a pilot's receiver in GUIDED only."""
+    """Without an RC receiver ArduPilot arms in GUIDED only."""
     fields = {"target_system": 1, "target_component": 1, "command": 176, "param1": 1, "param2": 4}
     ack = await MavlinkDirectAsync(system).send_command(
         MavlinkMessage(message_name="COMMAND_LONG", fields_json=json.dumps(fields))
@@ -176,8 +162,8 @@ async def set_mode_guided(system: System) -> None:
     assert json.loads(ack.fields_json)["result"] == 0
 
 
-async def see_it_fly(system: System, served: ServedVehicle) -> None:
-    """Climb, fly and land where it should, by MAVSDK's telemetry and by truth."""
+async def see_it_fly(system: System, served: VehicleHost) -> None:
+    """Check climb, flight and landing position, by MAVSDK's telemetry and by truth."""
     telemetry = TelemetryAsync(system)
     assert await told(telemetry.subscribe_in_air(), bool)
     high = await told(telemetry.subscribe_position(), lambda p: p.relative_altitude_m > 10.0)
@@ -192,7 +178,7 @@ async def see_it_fly(system: System, served: ServedVehicle) -> None:
     assert off_m < ABOUT_M, f"it landed {off_m:.1f} m off"
 
 
-def fly_on_px4(served: ServedVehicle) -> None:
+def fly_on_px4(served: VehicleHost) -> None:
     port = free_udp_port()
 
     async def body() -> None:
@@ -208,8 +194,8 @@ def fly_on_px4(served: ServedVehicle) -> None:
             assert await mission.is_mission_finished()
 
     with Host(SPEEDUP) as host:
-        host.add(served, onboard=[f"udpout:127.0.0.1:{port}"])
-        with host.running():
+        host.add_vehicle(served, onboard_urls=[f"udpout:127.0.0.1:{port}"])
+        with host.serve_in_thread():
             asyncio.run(body())
 
 
@@ -217,10 +203,11 @@ def on_px4_over_udp() -> None:
     fly_on_px4(on_the_ground(AutopilotKind.PX4))
 
 
+@pytest.mark.sample
 def test_the_check_fails_in_a_world_that_lies_30_m_off_the_map() -> None:
     off = Home(HOME.lat_deg + 30.0 / METRES_PER_DEG, HOME.lon_deg, HOME.alt_amsl_m)
     with pytest.raises(AssertionError, match="it landed"):
-        fly_on_px4(on_the_ground(AutopilotKind.PX4, off))
+        fly_on_px4(on_the_ground(AutopilotKind.PX4, home=off))
 
 
 def on_ardupilot_over_tcp() -> None:
@@ -246,16 +233,16 @@ def on_ardupilot_over_tcp() -> None:
             assert served.autopilot.mode.name == "AUTO"
 
     with Host(SPEEDUP) as host:
-        (url,) = host.add(served, gcs=["tcpin:127.0.0.1:0"])
-        with host.running():
+        (url,) = host.add_vehicle(served, gcs_urls=["tcpin:127.0.0.1:0"])
+        with host.serve_in_thread():
             asyncio.run(body(url.rsplit(":", 1)[1]))
 
 
 def test_mavsdk_opens_an_exported_mission_with_its_fence_and_rally_points() -> None:
-    """Both of its readers, a QGroundControl plan's and Mission Planner's, find the same items."""
+    """MAVSDK's readers of QGroundControl plans and Mission Planner files find the same items."""
     default = Path("default")
-    plan_text = export(ExportRequest(default, ExportFormat.PLAN, "px4")).text
-    wpl_text = export(ExportRequest(default, ExportFormat.WPL, "ardupilot")).text
+    plan_text = export_mission_or_track(ExportRequest(default, ExportFormat.PLAN, "px4")).text
+    wpl_text = export_mission_or_track(ExportRequest(default, ExportFormat.WPL, "ardupilot")).text
     port = free_udp_port()
 
     async def body() -> None:
@@ -273,11 +260,14 @@ def test_mavsdk_opens_an_exported_mission_with_its_fence_and_rally_points() -> N
             assert len(corners) == len(of_plan.geofence_items) == 8  # MAV_CMD 5002: keep out
 
     with Host(SPEEDUP) as host:
-        host.add(on_the_ground(AutopilotKind.PX4), onboard=[f"udpout:127.0.0.1:{port}"])
-        with host.running():
+        host.add_vehicle(
+            on_the_ground(AutopilotKind.PX4), onboard_urls=[f"udpout:127.0.0.1:{port}"]
+        )
+        with host.serve_in_thread():
             asyncio.run(body())
 
 
+@pytest.mark.sample
 @pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize("fly_it", [on_ardupilot_over_tcp, on_px4_over_udp])
 def test_mavsdk_flies_a_mission(fly_it: Callable[[], None]) -> None:

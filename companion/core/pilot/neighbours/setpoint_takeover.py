@@ -1,431 +1,323 @@
 """Set-points near neighbours: taking over from the mission, and handing back.
 
-At common ticks of satellite time everybody reports where it is, takes the others' reports, and asks
-the separation filter. Set-points are only ever sent where the autopilot goes on by itself without
-them: ArduCopter at items of the mission that time out, PX4 in OFFBOARD, which ends in a return to
-launch.
+At common ticks of satellite time each vehicle reports its position, processes the reports of
+others, and runs the separation filter. Set-points are sent only where the autopilot continues
+without them: ArduCopter at items of the mission that time out, PX4 in OFFBOARD, which ends in a
+return to launch.
 """
 
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
 from companion.core.base.geo import Ned
-from companion.core.mission.actions import Action, FlyVelocity, JumpTo, SetMode, Severity
+from companion.core.mission.actions import Action, FlyVelocity, JumpTo
+from companion.core.mission.alerts import Alert
 from companion.core.mission.events import AutopilotKind, MissionProgress, Mode
-from companion.core.mission.flight_plan import DODGE_M, DODGES
-from companion.core.pilot.context import FlightContext, ItemProgress, ModeOrders
+from companion.core.pilot.authority import OrderedMode
+from companion.core.pilot.context import FlightContext
+from companion.core.pilot.flight_state import CurrentItem
+from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.neighbours.desired_velocity import (
-    ASK_AGAIN_S,
     LEG_PHASES,
-    LOWEST_M,
+    ORDER_RETRY_S,
     DesiredVelocity,
-    TrafficView,
 )
+from companion.core.pilot.neighbours.setpoint_reference import FLEET_FILTER, SetpointReference
+from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
+from companion.core.pilot.return_course import ReturnCourseMonitor
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
-from companion.core.separation.separation_filter import Clearance, SeparationFilter
 from companion.core.separation.setpoint_motion import (
-    FLEET,
-    SKEW_S,
+    FLEET_SEPARATION,
+    MAX_TICK_OFFSET_S,
     Floats,
-    Motion,
-    backing_off,
-    climb_to,
-    stays_free,
-    three,
-    wish_to,
+    are_velocities_safe_throughout,
+    braking_velocity_to_point_ned_mps,
+    vector_to_tuple,
 )
-from companion.core.separation.stopping_paths import Neighbours
 
-AHEAD_S = 4.0
-"""The mission's way must be free for so long, or we take over: four times what a change of mode
-takes, since a neighbour may turn meanwhile."""
+CONFLICT_HORIZON_S = 4.0
+"""The mission's route must be free for this long, else set-points take over: four times the
+duration of a mode change, since a neighbour may turn meanwhile."""
 
-HURRIED_S = 2.0
-"""And for so long if everybody were at its cruising speed on its way already: who has just left a
-hover reaches that in a few seconds, and brakes from it for seven."""
+CRUISE_CONFLICT_HORIZON_S = 2.0
+"""It must also be free for this long with all vehicles at cruising speed: a vehicle that has just
+left a hover reaches it in a few seconds, and brakes from it for seven."""
 
-FREE_S = 6.0
-"""It must be free for so long before we hand back, at `FREE_TICKS` ticks in a row."""
+RELEASE_HORIZON_S = 6.0
+"""The route must be free for this long before the hand-back, at `MIN_FREE_TICKS` ticks in a row."""
 
-FREE_TICKS = 5
-STREAM_S = 0.3
-"""PX4 wants set-points before OFFBOARD (and at more than 2 Hz)."""
+MIN_FREE_TICKS = 5
+STREAM_LEAD_S = 0.3
+"""PX4 requires set-points before OFFBOARD (and at more than 2 Hz)."""
 
-RENEW_S = 5.0
-"""How often ArduCopter is ordered on with set-points: half of `ASIDE_S`."""
+SETPOINT_RENEW_S = 5.0
+"""Interval at which ArduCopter's set-point items are renewed: half of `SETPOINT_TIMEOUT_S`."""
 
-STUCK_TICKS, STUCK_MPS = 20, 0.5
-"""Who has not moved for so many ticks, and wants to, dodges to the next height."""
-
-BACK_S, BACK_MPS = 4.0, 2.0
-"""First it backs off: two that face each other at the least distance can neither pass nor climb."""
-
-LAYER_S = 20.0
-"""From then on, so long, it goes on in that height."""
-
-DODGE_WITHIN_M = 200.0
-"""Known ground so near is under all layers: who dodges for 20 s goes no further aside."""
-
-STRAY_M = 2.0
-"""Farther from its reference than this, the vehicle is taken where it is."""
-
-CORRECT_PS = 1.0
-PHASES = (*LEG_PHASES, Phase.DELIVER, Phase.LAND)
-"""Where set-points may take over. Climbing, measuring and the release are not broken off."""
-
-
-class Traffic(TrafficView, Protocol):
-    """The neighbours, and our own reports to them."""
-
-    @property
-    def on_setpoints(self) -> Collection[str]:
-        """Neighbours who fly set-points."""
-        ...
-
-    def satellite_s(self, context: FlightContext) -> float | None:
-        """Satellite time now."""
-        ...
-
-    def neighbours_at(self, satellite_s: float) -> Neighbours:
-        """Where they are at this time."""
-        ...
-
-    def drop_lost(self, context: FlightContext, satellite_s: float) -> None:
-        """Drop those who have been silent for too long."""
-        ...
-
-    def report(
-        self,
-        context: FlightContext,
-        satellite_s: float,
-        pos_ned_m: Floats,
-        vel_ned_mps: Floats,
-        *,
-        on_setpoints: bool,
-    ) -> None:
-        """Our place, for the neighbours."""
-        ...
-
-
-class WatchedCourse(ItemProgress, Protocol):
-    """The item that is flown, and the watch whether the vehicle flies where it was sent."""
-
-    def restart_course(self, t_s: float) -> None:
-        """A detour is no disobedience."""
-        ...
+SETPOINT_PHASES = (*LEG_PHASES, Phase.DELIVER, Phase.LAND)
+"""Phases for set-points. Climb, wind measurement and release are not interrupted."""
 
 
 @dataclass(slots=True)
 class SetpointState:
-    """Whether set-points are wanted and flown, and the reference that they follow."""
+    """Whether set-points are requested and flown."""
 
-    separation: SeparationFilter = field(default_factory=lambda: SeparationFilter(FLEET))
     tick: int = -1
     item: int | None = None
-    """The item that the autopilot truly flies; the others see the one that it leads to."""
+    """The autopilot's true current item; other parts see the item that it leads to."""
     active: bool = False
     since_s: float | None = None
-    asked_s: float | None = None
-    motion: Motion | None = None
+    ordered_s: float | None = None
     free_ticks: int = 0
-    rank: int = 0
-    """Which height it dodges to."""
-    stuck_ticks: int = 0
-    stuck_s: float | None = None
-    """When it was stuck last."""
-
-    def stop(self) -> None:
-        """No more set-points."""
-        self.active, self.motion = False, None
-        self.free_ticks, self.stuck_ticks, self.stuck_s = 0, 0, None
 
 
-class SetpointTakeover:
+@dataclass(slots=True, eq=False)
+class SetpointController:
     """Flies set-points while a neighbour is near."""
 
-    def __init__(
-        self,
-        progress: WatchedCourse,
-        traffic: Traffic,
-        velocity: DesiredVelocity,
-        modes: ModeOrders,
-    ) -> None:
-        self._state = SetpointState()
-        self._progress = progress
-        self._traffic = traffic
-        self._velocity = velocity
-        self._modes = modes
+    _item: CurrentItem
+    _progress: MissionProgressMonitor
+    _course: ReturnCourseMonitor
+    _traffic: TrafficExchange
+    _velocity: DesiredVelocity
+    _modes: OrderedMode
+    _state: SetpointState = field(default_factory=SetpointState)
+    _reference: SetpointReference = field(default_factory=SetpointReference)
 
     @property
-    def active(self) -> bool:
-        """Set-points are wanted; the autopilot may not obey them yet."""
+    def is_requesting_setpoints(self) -> bool:
+        """Whether set-points are requested; the autopilot may not follow them yet."""
         return self._state.active
 
-    # --- what the pilot lets through -------------------------------------------------------------
+    # --- translation of items -------------------------------------------------------------------
 
-    def leads_to(self, context: FlightContext, event: MissionProgress) -> MissionProgress:
-        """The same, of the item that set-points lead to; in OFFBOARD the mission is not left."""
+    def store_item_and_map_to_target(
+        self, context: FlightContext, event: MissionProgress
+    ) -> MissionProgress:
+        """Return the event for the item that set-points lead to; OFFBOARD is in the mission."""
         self._state.item = event.index
         if event.index is not None and context.flight_plan is not None:
-            event = replace(event, index=context.flight_plan.mission.stands_for(event.index))
+            event = replace(
+                event, index=context.flight_plan.mission.resolve_setpoint_item_target(event.index)
+            )
         return replace(event, in_mission=None) if self._state.active else event
 
-    def routed(self, context: FlightContext, action: Action) -> Action:
-        """A jump while set-points are flown: set-points go on, on the way to that item."""
+    def map_jump_to_setpoint_item(self, context: FlightContext, action: Action) -> Action:
+        """Return a jump during set-points as a jump to the set-point items of its target."""
         flown = context.flight_plan
         if not isinstance(action, JumpTo) or flown is None or not self._state.active:
             return action
-        aside = flown.mission.aside_of(action.index)
-        return action if aside is None else JumpTo(aside)
+        setpoint_item = flown.mission.first_setpoint_item_of_target(action.index)
+        return action if setpoint_item is None else JumpTo(setpoint_item)
 
     # --- a tick ----------------------------------------------------------------------------------
 
     def tick(self, context: FlightContext) -> None:
         """Report, decide at common ticks, and stream set-points between them."""
-        state, now_s = self._state, self._traffic.satellite_s(context)
-        if not context.options.keep_apart or now_s is None:
+        state, now_s = self._state, self._traffic.satellite_time_s(context)
+        if not context.options.separation_enabled or now_s is None:
             return
         if context.phase not in FLIGHT_PHASES:
-            state.stop()
-        number = math.floor(now_s / FLEET.tick_s + 1e-3)
+            self._end_setpoints()
+        number = math.floor(now_s / FLEET_SEPARATION.tick_s + 1e-3)
         common = number != state.tick
         state.tick = number
-        here, velocity = _here(context)
+        here, velocity = _extrapolated_position_velocity_ned(context)
         if here is None or velocity is None:
             return
         if common:
-            self._traffic.drop_lost(context, now_s)
-            if context.phase in PHASES:
-                self._decide(context, np.array(here), velocity, now_s)
+            self._traffic.drop_and_report_lost_neighbours(context, now_s)
+            if context.phase in SETPOINT_PHASES:
+                self._take_over_or_hand_back(context, np.array(here), velocity, now_s)
             elif state.active:
-                self._hand_back(context, f"phase {context.phase.value}")
-            self._report(context, np.array(here), velocity, now_s)
-        self._end_left_over(context)
+                self._hand_back_control(context, f"phase {context.phase.value}")
+            pos, vel = self._reference.position_velocity_ned(context.t_s, np.array(here), velocity)
+            active = state.active
+            self._traffic.publish_own_track(context, now_s, pos, vel, on_setpoints=active)
+        self._end_stale_setpoints(context)
         if state.active:
-            self._stream(context, np.array(here), velocity)
+            self._send_setpoint_and_due_mode_order(context, np.array(here), velocity)
 
-    def is_flown(self, context: FlightContext) -> bool:
-        """Whether the autopilot obeys our set-points, by its own telemetry."""
+    def is_following_setpoints(self, context: FlightContext) -> bool:
+        """Return whether telemetry shows that the autopilot follows the set-points."""
         flown, vehicle, state = context.flight_plan, context.telemetry.state, self._state
         if flown is None or vehicle is None:
             return False
-        if context.autopilot is AutopilotKind.PX4:
+        if context.telemetry.autopilot_kind is AutopilotKind.PX4:
             return state.active and vehicle.mode is Mode.GUIDED
-        return state.item is not None and flown.mission.is_aside(state.item)
+        return state.item is not None and flown.mission.is_setpoint_item(state.item)
 
-    def _report(self, context: FlightContext, here: Floats, velocity: Floats, now_s: float) -> None:
-        motion, active = self._state.motion, self._state.active
-        pos, vel = here, velocity
-        if motion is not None:
-            pos, vel, _ = motion.at(context.t_s, FLEET)
-        self._traffic.report(context, now_s, pos, vel, on_setpoints=active)
-
-    def _may_take_over(self, context: FlightContext) -> bool:
-        """Only where the autopilot goes on by itself when set-points stop (safety rule 2)."""
-        flown, index = context.flight_plan, self._progress.index
+    def _can_take_over(self, context: FlightContext) -> bool:
+        """Return whether the autopilot continues after set-points stop (safety rule 2)."""
+        flown, index = context.flight_plan, self._item.index
         if flown is None or index is None:
             return False
-        if context.autopilot is AutopilotKind.PX4:  # RTL goes to the pad, which must still be home
-            return not flown.plan.away_ned_m
-        return flown.mission.aside_of(index) is not None
+        if context.telemetry.autopilot_kind is AutopilotKind.PX4:
+            return not flown.plan.away_ned_m  # RTL goes to the pad, which must still be home
+        return flown.mission.first_setpoint_item_of_target(index) is not None
 
-    def _decide(self, context: FlightContext, here: Floats, velocity: Floats, now_s: float) -> None:
-        """Take over, move the reference on, or hand back."""
-        state, goal = self._state, self._velocity.goal(context, here)
-        if goal is None:
-            return
-        neighbours = self._traffic.neighbours_at(now_s + SKEW_S)
-        straight = self._velocity.straight(here, goal)
-        if not state.active:
-            on_leg = context.phase in LEG_PHASES
-            ways = [velocity, straight] if on_leg else [velocity]
-            free = stays_free(state.separation, here, ways, neighbours, AHEAD_S)
-            if free and on_leg:
-                hurried, others = self._hurried(here, goal, velocity, neighbours)
-                free = stays_free(state.separation, here, [hurried], others, HURRIED_S)
-            if not free:
-                self._take_over(context, here)
-            return
-        if not self.is_flown(context):
-            state.motion = None
-            return
-        passing = self._velocity.pass_by(context, here)
-        wish = self._velocity.desired(context, here, goal, straight)
-        self._move_on(context, here, velocity, wish, neighbours)
-        self._progress.restart_course(context.t_s)
-        free = stays_free(state.separation, here, [velocity, straight], neighbours, FREE_S)
-        state.free_ticks = state.free_ticks + 1 if free else 0
-        waited = state.free_ticks >= FREE_TICKS
-        if waited and not passing and self._velocity.sees_goal(context, here):
-            self._hand_back(context, "the way is free")
-
-    def _hurried(
-        self, here: Floats, goal: Ned, velocity: Floats, neighbours: Neighbours
-    ) -> tuple[Floats, Neighbours]:
-        """Ourselves and those who follow missions, each at our cruising speed towards its goal."""
-        vel = neighbours.vel_ned_mps.copy()
-        fast = self._velocity.fastest_mps(velocity)
-        for column, (name, report) in enumerate(self._traffic.reports.items()):
-            there, to = report.pos_ned_m, self._traffic.goals.get(name)
-            if to is not None and name not in self._traffic.on_setpoints:
-                vel[0, column] = wish_to(there, (*to, there[2]), fast, FLEET)
-        return wish_to(three(here), goal, fast, FLEET), replace(neighbours, vel_ned_mps=vel)
-
-    def _move_on(
+    def _take_over_or_hand_back(
         self,
         context: FlightContext,
-        here: Floats,
-        velocity: Floats,
-        wish: Floats,
-        neighbours: Neighbours,
+        position_ned_m: Floats,
+        velocity_ned_mps: Floats,
+        satellite_s: float,
     ) -> None:
-        """One tick of the reference, as the filter lets it."""
-        state, t_s = self._state, context.t_s
-        pos, vel = here, velocity
-        if state.motion is not None:
-            told_pos, told_vel, _ = state.motion.at(t_s, FLEET)
-            if float(np.linalg.norm(told_pos - here)) <= STRAY_M:
-                pos, vel = told_pos, told_vel
-        since_s, layer_down_m = context.since_s(state.stuck_s), self._layer_down_m(context)
-        if since_s < BACK_S:
-            wish = backing_off(here, wish, neighbours, BACK_MPS)
-        if since_s < LAYER_S:
-            wish = np.array([*wish[:2], climb_to(float(here[2]), layer_down_m, FLEET)])
-        then = wish
-        if context.options.separation_filter:
-            layer = np.array([layer_down_m])
-            found = state.separation.safe(
-                pos[None], vel[None], wish[None], neighbours, layer, _clearance(context)
-            )
-            then = found.vel_ned_mps[0]
-        state.motion = Motion.of(t_s, pos, vel, then, FLEET)
-        held = float(np.linalg.norm(then)) < STUCK_MPS < float(np.linalg.norm(wish[:2]))
-        state.stuck_ticks = state.stuck_ticks + 1 if held else 0
-        if state.stuck_ticks >= STUCK_TICKS:
-            state.rank, state.stuck_ticks, state.stuck_s = state.rank + 1, 0, t_s
-
-    def _layer_down_m(self, context: FlightContext) -> float:
-        """Where we dodge to: by our place among the names of those who were near at the
-        beginning.
-        """
-        assert context.flight_plan is not None
-        flown, here = context.flight_plan, context.here_ned()
-        level = flown.plan.outbound_ned_m[-1][2]
-        ground = flown.site.ground
-        if ground is not None and here is not None:
-            # The lowest layer clears all known ground that is near.
-            least_m = ground.least_about_m(here, DODGE_WITHIN_M)
-            level = min(level, -least_m + min(DODGES) * DODGE_M)
-        return min(level - DODGES[self._state.rank % len(DODGES)] * DODGE_M, -LOWEST_M)
-
-    def _take_over(self, context: FlightContext, here: Floats) -> None:
-        state = self._state
-        if not self._may_take_over(context):
-            words = "a neighbour is near; no set-points: no way back from them"
-            context.say_once(Severity.WARNING, words)
+        """Take over, advance the reference, or hand back."""
+        state, goal = self._state, self._velocity.mission_goal_ned_m(context, position_ned_m)
+        if goal is None:
             return
-        reports = self._traffic.reports
-        nearest = min(
-            reports, key=lambda name: math.dist(reports[name].pos_ned_m, tuple(here)), default=""
+        neighbours = self._traffic.neighbours_at(satellite_s + MAX_TICK_OFFSET_S)
+        straight = self._velocity.straight_velocity_ned_mps(position_ned_m, goal)
+        if not state.active:
+            on_leg = context.phase in LEG_PHASES
+            velocities = [velocity_ned_mps, straight] if on_leg else [velocity_ned_mps]
+            free = are_velocities_safe_throughout(
+                FLEET_FILTER, position_ned_m, velocities, neighbours, CONFLICT_HORIZON_S
+            )
+            if free and on_leg:
+                fast = self._velocity.expected_max_speed_mps(velocity_ned_mps)
+                cruise_velocity = braking_velocity_to_point_ned_mps(
+                    vector_to_tuple(position_ned_m), goal, fast, FLEET_SEPARATION
+                )
+                free = are_velocities_safe_throughout(
+                    FLEET_FILTER,
+                    position_ned_m,
+                    [cruise_velocity],
+                    self._traffic.neighbours_at_cruise_speed(neighbours, fast),
+                    CRUISE_CONFLICT_HORIZON_S,
+                )
+            if not free:
+                self._take_over_if_possible(context, position_ned_m)
+            return
+        if not self.is_following_setpoints(context):
+            self._reference.clear_motion()
+            return
+        is_advancing = self._velocity.order_advance_past_waypoint(context, position_ned_m)
+        desired_velocity = self._velocity.policy_or_straight_velocity_ned_mps(
+            context, position_ned_m, goal, straight
         )
-        state.rank = dodge_rank(context.options.fleet, context.options.name, reports)
-        state.active, state.since_s, state.asked_s = True, context.t_s, None
-        state.motion, state.free_ticks = None, 0
-        context.decide("aside", f"near {nearest}: set-points")
+        self._reference.advance(
+            context, position_ned_m, velocity_ned_mps, desired_velocity, neighbours
+        )
+        self._course.restart_checks_after_detour(context.t_s)
+        free = are_velocities_safe_throughout(
+            FLEET_FILTER,
+            position_ned_m,
+            [velocity_ned_mps, straight],
+            neighbours,
+            RELEASE_HORIZON_S,
+        )
+        state.free_ticks = state.free_ticks + 1 if free else 0
+        waited = state.free_ticks >= MIN_FREE_TICKS
+        if (
+            waited
+            and not is_advancing
+            and self._velocity.has_clear_line_to_goal(context, position_ned_m)
+        ):
+            self._hand_back_control(context, "the route is free")
 
-    def _hand_back(self, context: FlightContext, why: str) -> None:
-        """To the item that the mission flies; from PX4 by its mode."""
-        self._state.stop()
-        context.decide("back", why)
-        self._leave(context)
+    def _take_over_if_possible(self, context: FlightContext, position_ned_m: Floats) -> None:
+        state = self._state
+        if not self._can_take_over(context):
+            context.report_alert_once(Alert.NEIGHBOUR_NO_SETPOINTS)
+            return
+        reports = self._traffic.latest_report_by_name
+        nearest = min(
+            reports,
+            key=lambda name: math.dist(reports[name].pos_ned_m, tuple(position_ned_m)),
+            default="",
+        )
+        self._reference.set_avoidance_rank(
+            avoidance_rank_by_name(context.options.fleet, context.options.name, reports)
+        )
+        state.active, state.since_s, state.ordered_s = True, context.t_s, None
+        context.record_decision("aside", f"near {nearest}: set-points")
 
-    def _leave(self, context: FlightContext) -> None:
-        self._state.asked_s = context.t_s
-        # A jump that was ordered in this very tick, perhaps, is not to be undone.
-        jump_index, index = self._progress.jump_index, self._progress.index
-        if context.autopilot is AutopilotKind.PX4:
-            self._modes.expect(Mode.MISSION, context.telemetry.state)
-            context.do(SetMode(Mode.MISSION))
-        elif jump_index is not None:
-            context.do(JumpTo(jump_index))
+    def _hand_back_control(self, context: FlightContext, reason: str) -> None:
+        """Hand back to the current item of the mission; on PX4 by its mode."""
+        self._end_setpoints()
+        context.record_decision("back", reason)
+        self._order_mission_continuation(context)
+
+    def _end_setpoints(self) -> None:
+        self._state.active, self._state.free_ticks = False, 0
+        self._reference.end()
+
+    def _order_mission_continuation(self, context: FlightContext) -> None:
+        self._state.ordered_s = context.t_s
+        index = self._progress.destination_item_index
+        if context.telemetry.autopilot_kind is AutopilotKind.PX4:
+            self._modes.order_mode(context, Mode.MISSION)
         elif index is not None:
-            context.do(JumpTo(index))
+            context.queue_actions(JumpTo(index))
 
-    def _end_left_over(self, context: FlightContext) -> None:
-        """The autopilot still takes set-points and we send none: on with the mission.
+    def _end_stale_setpoints(self, context: FlightContext) -> None:
+        """Continue the mission if the autopilot still accepts set-points but none are sent.
 
-        After a restart, or where the order to go on was lost.
+        This occurs after a restart, or if the hand-back order was lost.
         """
         vehicle = context.telemetry.state
         if self._state.active or context.phase not in FLIGHT_PHASES or vehicle is None:
             return
-        if context.autopilot is AutopilotKind.PX4:
-            ours = self._modes.ordered is Mode.MISSION and vehicle.mode is Mode.GUIDED
+        if context.telemetry.autopilot_kind is AutopilotKind.PX4:
+            is_stale = self._modes.ordered is Mode.MISSION and vehicle.mode is Mode.GUIDED
         else:
-            ours = self.is_flown(context) and self._progress.index is not None
-        if ours and context.since_s(self._state.asked_s) >= ASK_AGAIN_S:
-            self._leave(context)
+            is_stale = self.is_following_setpoints(context) and self._item.index is not None
+        if is_stale and context.seconds_since(self._state.ordered_s) >= ORDER_RETRY_S:
+            self._order_mission_continuation(context)
 
     # --- set-points ------------------------------------------------------------------------------
 
-    def _stream(self, context: FlightContext, here: Floats, velocity: Floats) -> None:
-        """The next set-point, and the order to obey them, until telemetry shows that."""
-        state, index = self._state, self._progress.index
-        vel, accel = velocity, np.zeros(3)
-        if state.motion is not None:
-            pos, vel, accel = state.motion.at(context.t_s, FLEET)
-            vel = vel + CORRECT_PS * (pos - here)
-        context.do(FlyVelocity(three(vel), three(accel)))
-        flown = self.is_flown(context)
-        every_s = RENEW_S if flown else ASK_AGAIN_S
-        if context.since_s(state.asked_s) < every_s or context.since_s(state.since_s) < STREAM_S:
+    def _send_setpoint_and_due_mode_order(
+        self, context: FlightContext, position_ned_m: Floats, velocity_ned_mps: Floats
+    ) -> None:
+        """Send the next set-point, and the order to follow them until telemetry confirms it."""
+        state, index = self._state, self._item.index
+        vel, accel = self._reference.setpoint_velocity_accel_ned(
+            context.t_s, position_ned_m, velocity_ned_mps
+        )
+        context.queue_actions(FlyVelocity(vector_to_tuple(vel), vector_to_tuple(accel)))
+        flown = self.is_following_setpoints(context)
+        interval_s = SETPOINT_RENEW_S if flown else ORDER_RETRY_S
+        if (
+            context.seconds_since(state.ordered_s) < interval_s
+            or context.seconds_since(state.since_s) < STREAM_LEAD_S
+        ):
             return
-        if context.autopilot is AutopilotKind.PX4:
+        if context.telemetry.autopilot_kind is AutopilotKind.PX4:
             if flown:
                 return
-            state.asked_s = context.t_s
-            self._modes.expect(Mode.GUIDED, context.telemetry.state)
-            context.do(SetMode(Mode.GUIDED))
-        elif self._progress.jump_index is None and index is not None:
-            state.asked_s = context.t_s
-            context.do(JumpTo(index))  # routed to where set-points are obeyed
+            state.ordered_s = context.t_s
+            self._modes.order_mode(context, Mode.GUIDED)
+        elif self._progress.pending_jump_item_index is None and index is not None:
+            state.ordered_s = context.t_s
+            context.queue_actions(JumpTo(index))  # routed to the set-point items
 
 
-def dodge_rank(fleet: str, name: str, near: Collection[str]) -> int:
-    """Our place among the names of those who are near, each with its fleet's before it: so the
-    vehicles of two fleets, who call each other otherwise, find one order.
+def avoidance_rank_by_name(
+    fleet_name: str, vehicle_name: str, near_vehicle_names: Collection[str]
+) -> int:
+    """Return the rank of this vehicle among the near ones by full name (fleet/vehicle), so that the
+    vehicles of two fleets, which use different short names, agree on one order.
     """
     return sum(
-        (other if "/" in other else f"{fleet}/{other}") < f"{fleet}/{name}" for other in near
+        (other if "/" in other else f"{fleet_name}/{other}") < f"{fleet_name}/{vehicle_name}"
+        for other in near_vehicle_names
     )
 
 
-def _here(context: FlightContext) -> tuple[Ned | None, Floats | None]:
-    """Where it is now and how fast it flies, by the newest position."""
+def _extrapolated_position_velocity_ned(context: FlightContext) -> tuple[Ned | None, Floats | None]:
+    """Return the present position and velocity, extrapolated from the latest position."""
     position, flown = context.telemetry.position, context.flight_plan
     if position is None or flown is None or not context.telemetry.airborne:
         return None, None
-    if context.telemetry.position_troubles():
+    if context.telemetry.position_faults():
         return None, None
     velocity = np.array([position.vel_n_mps, position.vel_e_mps, position.vel_d_mps])
-    north, east, down = flown.ned_of(position)
+    north, east, down = flown.position_to_ned_m(position)
     age_s = context.t_s - position.t_s
     moved = velocity * age_s
     return (north + moved[0], east + moved[1], down + moved[2]), velocity
-
-
-def _clearance(context: FlightContext) -> Clearance | None:
-    """How far points are from what stands on the site, at their heights."""
-    assert context.flight_plan is not None
-    site, here = context.flight_plan.site, context.here_ned()
-    obstacles, ground = site.obstacles, site.ground
-    # Low over a customer or a landing site it is nearer to the ground than on any way.
-    if ground is not None and here is not None and ground.spare_at_m(np.array([here]))[0] > 0.0:
-        return lambda points, _: np.minimum(
-            obstacles.clearance_at(points), ground.spare_at_m(points)
-        )
-    return (lambda points, _: obstacles.clearance_at(points)) if obstacles.obstacles else None

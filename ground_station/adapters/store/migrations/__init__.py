@@ -1,1 +1,1 @@
-"""Steps from one schema of the store to the next (Alembic); a revision is a schema's number."""
+"""Migrations of the store between schemas (Alembic); a revision is a schema's number."""

@@ -1,4 +1,4 @@
-"""Alembic runs this for each command; the connection is the caller's, and so is its transaction."""
+"""Alembic runs this module for each command; connection and transaction are the caller's."""
 
 from alembic import context
 

@@ -1,7 +1,7 @@
-// The user's PMTiles extract below our own drawing, by MapLibre GL; only where one was given.
-// Layers are those of the Protomaps basemap schema (version 4) and of OpenMapTiles (version 3), which
-// tilemaker writes. Names are drawn by the browser, as images of their own: MapLibre asks a server for
-// glyphs, and there is none.
+// Optional base map below the drawing: the user's PMTiles extract, drawn by MapLibre GL.
+// Supports the Protomaps basemap schema (version 4) and OpenMapTiles (version 3), which tilemaker
+// writes. The browser draws names as images, because MapLibre would request glyphs from a server,
+// and there is none.
 
 import { $, html, say, script } from "./dom.js";
 
@@ -11,7 +11,7 @@ const PAINTS = {
 };
 
 const NAME = "name ";
-const WORDS = ["coalesce", ["get", "name"], ["get", "name:latin"]]; // the second: tilemaker's
+const WORDS = ["coalesce", ["get", "name"], ["get", "name:latin"]]; // the second is tilemaker's
 const [FONT, HEIGHT_PX, RIM_PX, RATIO] = ["12px system-ui, sans-serif", 18, 2, 2];
 
 export async function openBasemap(view, dark) {
@@ -42,12 +42,12 @@ export async function openBasemap(view, dark) {
     follow: () => map.jumpTo(camera(view)),
     paint: (isDark) => {
       paint = isDark ? PAINTS.dark : PAINTS.light;
-      map.setStyle(styleOf(paint, header), { diff: false }); // a new style: its names are drawn anew
+      map.setStyle(styleOf(paint, header), { diff: false }); // a new style: redraws names
     },
   };
 }
 
-// A name in the page's own font, with a rim of the ground's colour.
+// Draws a name in the page's font, with an outline in the background colour.
 function nameImage(words, paint) {
   const pen = new OffscreenCanvas(1, 1).getContext("2d");
   pen.font = FONT;
@@ -63,7 +63,7 @@ function nameImage(words, paint) {
 
 const camera = (view) => ({ center: [view.longitude, view.latitude], zoom: view.zoom });
 
-// The extract's own words, as text: markup in them is shown, not obeyed.
+// The extract's attribution as text: markup in it is shown, not interpreted.
 async function attribute(archive) {
   const { attribution } = await archive.getMetadata();
   const words = new DOMParser().parseFromString(String(attribution ?? ""), "text/html").body.textContent;
@@ -71,7 +71,7 @@ async function attribute(archive) {
 }
 
 function styleOf(paint, header) {
-  // `sources`: the layer's name in each of the two schemas.
+  // `sources`: name of the layer in each schema.
   const layers = (sources, type, colours, more = {}) => sources.map((source) =>
     ({ id: `${source}-${type}`, type, source: "town", "source-layer": source, paint: colours, ...more }));
   const names = (sources, layout, minzoom) => sources.map((source) => ({
@@ -91,7 +91,7 @@ function styleOf(paint, header) {
     sources: { town: { type: "vector", url: `pmtiles://${location.origin}/basemap.pmtiles`, maxzoom: header.maxZoom } },
     layers: [
       { id: "ground", type: "background", paint: { "background-color": paint.ground } },
-      // In OpenMapTiles `landuse` is where people live and work, which is no green.
+      // In OpenMapTiles `landuse` is built-up area, not green space.
       ...layers(["landuse"], "fill", { "fill-color": paint.green }, { filter: ["!", ["has", "class"]] }),
       ...layers(["landcover", "park"], "fill", { "fill-color": paint.green }),
       ...layers(["water"], "fill", { "fill-color": paint.water }, only("Polygon", "MultiPolygon")),

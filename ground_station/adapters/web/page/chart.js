@@ -1,4 +1,4 @@
-// A drone's promise over time: the loss, 1 - P(home), on a log axis, and the margin below it.
+// A drone's loss probability, 1 - P(home), over time on a log axis, with the energy margin below.
 
 import { set, svg } from "./dom.js";
 import { clock } from "./words.js";

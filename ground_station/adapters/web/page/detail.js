@@ -1,4 +1,4 @@
-// One drone or order, with the reasons; of a drone also its promise over time.
+// Details of one drone or order; for a drone also its loss probability over time.
 
 import { $, html, keyed, say } from "./dom.js";
 import { drawChart } from "./chart.js";
@@ -21,37 +21,37 @@ export function drawDetail(picture, { selected, history, nowUs }) {
 }
 
 function droneRows(drone, nowUs) {
-  const alarms = (drone.alarms ?? []).map((words, k) => [k ? `wrong (${k + 1})` : "wrong", words]);
+  const alarms = (drone.alarms ?? []).map((words, k) => [k ? `alarm (${k + 1})` : "alarm", words]);
   return [
     ...alarms,
     ["phase", drone.phase],
-    ["why", drone.why ? `${drone.why} (${clock(drone.why_us)})` : "no decision on this flight yet"],
-    ["says", drone.says ?? ""],
+    ["reason", drone.why ? `${drone.why} (${clock(drone.why_us)})` : "no decision on this flight yet"],
+    ["status", drone.says ?? ""],
     ["P(home)", figure(drone.p_home, 5)],
     ["P(home), turning back", figure(drone.p_home_now, 5)],
     ["P(delivered, home)", figure(drone.p_success, 4)],
     ["margin", measure(drone.margin_wh, 1, "Wh")],
     ["energy left", measure(drone.energy_left_wh, 1, "Wh")],
     ["order", drone.order ? `${drone.order}${drone.delivered ? ", delivered" : ""}` : "-"],
-    ["ends at", drone.asked ? `${drone.home ?? "-"}, asked to ${drone.asked}` : drone.home ?? "-"],
-    ["way", wayWords(drone.way)],
+    ["ends at", drone.asked ? `${drone.home ?? "-"}, requested: ${drone.asked}` : drone.home ?? "-"],
+    ["route", wayWords(drone.way)],
     ["height, speed", `${measure(drone.height_rel_m, 0, "m")}, ${measure(drone.ground_speed_mps, 1, "m/s")}`],
-    ["heard", ago(drone.heard_us, nowUs)],
+    ["last message", ago(drone.heard_us, nowUs)],
   ];
 }
 
 function wayWords(way) {
   if (!way?.out && !way?.home) return "-";
-  return way.straight ? "straight lines: it does not tell its route" : "the route aboard";
+  return way.straight ? "straight lines: route not reported" : "onboard route";
 }
 
 function orderRows(order) {
   return [
     ["state", order.state],
-    ["why", order.why ?? ""],
+    ["reason", order.why ?? ""],
     ["by", order.vehicle ?? "-"],
     ["mass", measure(order.mass_kg, 2, "kg")],
     ["note", order.note ?? ""],
-    ["place", order.at.map((degrees) => degrees.toFixed(5)).join(", ")],
+    ["position", order.at.map((degrees) => degrees.toFixed(5)).join(", ")],
   ];
 }

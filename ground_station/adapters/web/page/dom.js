@@ -1,4 +1,4 @@
-// Elements. Words become text nodes only: nothing that comes from outside is parsed as markup.
+// DOM helpers. Texts become text nodes only: external data is never parsed as markup.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -29,7 +29,7 @@ export function say(element, words) {
   if (element.textContent !== words) element.textContent = words;
 }
 
-// Does a deed only if one of the things that it depends on is another one than the last time.
+// Calls a function only if one of its dependencies has changed since the last call.
 export function remembering() {
   const last = new Map();
   return (name, depends, deed) => {
@@ -40,8 +40,8 @@ export function remembering() {
   };
 }
 
-// One child of `parent` for each [key, item]: made once, told of every change, taken away at the end.
-// With `look(item, key)` a child is left alone while its item is the same object and looks the same.
+// Keeps one child of `parent` per [key, item]: created once, updated on change, removed at the end.
+// With `look(item, key)` a child is not updated while item and result of `look` are unchanged.
 export function keyed(parent, entries, make, update, look) {
   const there = new Map([...parent.children].map((child) => [child.dataset.key, child]));
   let before = null;
@@ -64,7 +64,7 @@ export function keyed(parent, entries, make, update, look) {
   for (const child of there.values()) child.remove();
 }
 
-// A script of our own server, once it has run.
+// Resolves after a script from this server has run.
 export function script(address) {
   return new Promise((done, failed) => {
     const element = html("script", { src: address });

@@ -1,4 +1,4 @@
-// Everything that lies on the ground or flies over it, as SVG in the view's pixels.
+// Draws everything with a position (ground, routes, drones) as SVG in the view's pixels.
 
 import { $, keyed, remembering, say, set, svg } from "./dom.js";
 import { truckWords, windWords } from "./words.js";
@@ -15,7 +15,7 @@ const ORDER_SHAPES = {
   cancelled: "M-4,0h8",
 };
 const ARROW = "M0,-13L8,9L0,4L-8,9Z";
-const WAITING = "M0,-7L7,0L0,7L-7,0Z"; // a drone whose course is not known: a diamond
+const WAITING = "M0,-7L7,0L0,7L-7,0Z"; // a drone with unknown course: a diamond
 
 export class Drawing {
   constructor(view, select) {
@@ -31,7 +31,7 @@ export class Drawing {
     const { site = NONE, plan, drones = NONE, orders = NONE, truck, winds = NO_WINDS } = picture;
     const drawing = this.view.settle();
     const second = Math.floor(nowUs / 1e6);
-    const { placed } = this.view; // of that drawing
+    const { placed } = this.view; // positions in this drawing
     this.if("ground", [placed], () => { this.map.style.transform = placed; });
     this.if("areas", [site, drawing], () => this.#areas(site.areas ?? []));
     this.if("plan", [plan, drawing], () => this.#plan(plan));
@@ -66,12 +66,12 @@ export class Drawing {
     const make = () => svg("g", {}, svg("rect", { x: -4, y: -4, width: 8, height: 8 }), svg("text", { x: 7, y: 12 }));
     keyed(this.groups.stops, Object.entries(stops), make, (group, stop, id) => {
       this.#move(group, stop.at);
-      const ends = id === plan.route[0] || id === plan.route.at(-1); // where the depot's own name stands
+      const ends = id === plan.route[0] || id === plan.route.at(-1); // the depot's label is there
       say(group.children[1], this.view.zoom > 12 && !ends ? id : "");
     });
   }
 
-  // All ways of a kind are one path: a line of its own for each would be drawn for hundreds of drones.
+  // All routes of a kind are one path: separate elements are too slow for hundreds of drones.
   #ways(drones, selected) {
     const kinds = new Map();
     for (const [name, { way = NONE }] of Object.entries(drones))
@@ -116,7 +116,7 @@ export class Drawing {
     });
   }
 
-  // Where it reports no position it is put on the straight line between its stops, by the plan's times.
+  // Without a reported position it is interpolated between its stops by the plan's times.
   #truck(truck, nowUs) {
     const drive = truck?.drive;
     const at = truck?.at ?? (drive && alongDrive(drive, nowUs));
@@ -160,7 +160,7 @@ export class Drawing {
     say(bar, metres >= 1000 ? `${metres / 1000} km` : `${metres} m`);
   }
 
-  // What the looks of a thing depend on beside itself.
+  // Further inputs on which an element's appearance depends.
   #look(name, selected) {
     return this.view.drawn.number * (name === selected ? -1 : 1);
   }
@@ -190,12 +190,12 @@ export function alongDrive({ start, end, left_us: left, arrive_us: arrive }, now
 
 const PX_PER_MPS = 5; // 10 m/s reach the ring
 
-// An arrow to where the air moves, and the ellipse of one sigma about its tip.
+// An arrow in the direction that the wind blows to, with the 1-sigma ellipse at its tip.
 function drawWind(group, { to_ne_mps: [north, east], cov_m2ps2: [nn, ne, ee] }) {
   const [x, y] = [east * PX_PER_MPS, -north * PX_PER_MPS];
   const middle = (nn + ee) / 2;
   const apart = Math.hypot((nn - ee) / 2, ne);
-  const turned = (Math.atan2(2 * ne, ee - nn) / 2) * (180 / Math.PI); // of the long axis, from east to north
+  const turned = (Math.atan2(2 * ne, ee - nn) / 2) * (180 / Math.PI); // angle of the major axis, from east to north
   const [ellipse, line] = group.children;
   set(line, { x2: x.toFixed(1), y2: y.toFixed(1) });
   set(ellipse, {

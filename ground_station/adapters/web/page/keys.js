@@ -1,4 +1,4 @@
-// The keyboard does all that the mouse does.
+// Keyboard shortcuts for all mouse actions.
 
 const STEP_PX = 80;
 

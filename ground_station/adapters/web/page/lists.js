@@ -1,9 +1,9 @@
-// What is not a place: what wants a person's eye, drones, truck, what comes next, orders.
+// The lists: alarms, drones, truck, upcoming sorties, orders.
 
 import { $, html, keyed, remembering, say, set } from "./dom.js";
 import { clock, figure, truckWords } from "./words.js";
 
-const CALM = "nothing wants your eye";
+const CALM = "no alarms";
 const ORDER_RANK = { stuck: 0, assigned: 1, open: 2, delivered: 3, cancelled: 4 };
 
 const NONE = [];

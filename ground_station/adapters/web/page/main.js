@@ -1,4 +1,4 @@
-// The page: what the server says, drawn; what the person does, heard.
+// Main module of the page: draws the server's data and handles user input.
 
 import { $, remembering, say, set } from "./dom.js";
 import { Past } from "./past.js";
@@ -12,9 +12,9 @@ import { drawLists } from "./lists.js";
 import { drawDetail } from "./detail.js";
 import { bindKeys } from "./keys.js";
 
-const ASK_MS = 2000; // the selected drone's history and reach
+const ASK_MS = 2000; // interval for the selected drone's history and reachable area
 const SIGN_IN = "sign in to see the fleet";
-const QUIET_MS = 4000; // the server speaks at least once a second
+const QUIET_MS = 4000; // the server sends at least once per second
 
 const seen = { picture: {}, aheadUs: 0, heardMs: null, selected: decodeURIComponent(location.hash.slice(1)) || null };
 const when = remembering();
@@ -40,7 +40,7 @@ function redraw() {
   });
 }
 
-// Header and bar: the time of what is shown.
+// Shows the displayed time in header and time bar.
 function sayTime() {
   if (seen.heardMs === null) return;
   say($("#clock"), clock(nowUs()));
@@ -58,7 +58,7 @@ function select(name) {
 async function answer(question) {
   const when = past ? `&t_us=${past.tUs}` : "";
   const found = await askServer(`/${question}.json?vehicle=${encodeURIComponent(seen.selected)}${when}`);
-  return found?.status === 200 ? found.json() : null; // 204: not known
+  return found?.status === 200 ? found.json() : null; // 204: unknown
 }
 
 async function ask() {
@@ -134,7 +134,7 @@ function show(picture, serverUs) {
 function showPast(picture, tUs) {
   seen.pastUs = tUs;
   show(picture, tUs);
-  tell("past", "the past");
+  tell("past", "past");
 }
 
 function tell(kind, words) {
@@ -144,7 +144,7 @@ function tell(kind, words) {
 
 function everySecond() {
   const quietMs = seen.heardMs === null ? 0 : performance.now() - seen.heardMs;
-  if (!past && me.mayRead && quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: what you see is old`);
+  if (!past && me.mayRead && quietMs > QUIET_MS) tell("lost", `NO CONNECTION for ${Math.round(quietMs / 1000)} s: displayed data is outdated`);
   redraw();
 }
 
@@ -169,7 +169,7 @@ bindKeys({
 
 let [following, span] = [false, null];
 
-// Begins to show the fleet, once who sits here may see it.
+// Starts to show the fleet as soon as the user has read access.
 async function follow() {
   redraw();
   if (following) return;
@@ -178,7 +178,7 @@ async function follow() {
     return;
   }
   following = true;
-  const lost = () => tell("lost", me.mayRead ? "NO CONNECTION: trying again" : SIGN_IN);
+  const lost = () => tell("lost", me.mayRead ? "NO CONNECTION: retrying" : SIGN_IN);
   span ??= await askServer("/span.json");
   if (span?.status === 200) past ??= new Past(await span.json(), showPast, lost);
   else await listen(show, lost, () => tell("lost", SIGN_IN));

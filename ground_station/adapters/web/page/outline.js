@@ -1,11 +1,11 @@
-// Coasts and borders of the world below a day that has no base map: Natural Earth, 1 to 50 million.
+// Coasts and borders of the world if there is no base map: Natural Earth, scale 1:50 million.
 
 import { $, say, script, set, svg } from "./dom.js";
 
 const ADDRESS = "/assets/countries-50m.json";
-const SCRIPTS = ["topojson-client", "d3-array", "d3-geo"]; // in this order: each needs the one before
-const NEAREST_ZOOM = 8; // nearer than a region its lines are kilometres off
-const PATH_PX = 512 * 2 ** 6; // the world's width in the path's own pixels
+const SCRIPTS = ["topojson-client", "d3-array", "d3-geo"]; // in this order: each depends on the previous one
+const NEAREST_ZOOM = 8; // at higher zoom its lines are kilometres off
+const PATH_PX = 512 * 2 ** 6; // width of the world in path coordinates
 
 export async function openOutline(view) {
   const found = await fetch(ADDRESS);
@@ -21,7 +21,7 @@ export async function openOutline(view) {
     const [x, y] = [view.width / 2 - view.x * view.scale, view.height / 2 - view.y * view.scale];
     set(drawing, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)}) scale(${view.scale / PATH_PX})` });
   };
-  return { follow, paint: () => {} }; // its colours are the page's
+  return { follow, paint: () => {} }; // uses the page's colours
 }
 
 function drawn(topology) {

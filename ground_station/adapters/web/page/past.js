@@ -1,14 +1,14 @@
-// The scrubber: a past time is chosen, or played, and its picture asked for.
+// The time bar: requests the picture of a selected or replayed past time.
 
 import { $, html, say, set, svg } from "./dom.js";
 import { ask } from "./server.js";
 import { moment } from "./words.js";
 
 const STEP_US = 10e6;
-const TICK_MS = 200; // as often as the live map is told
+const TICK_MS = 200; // equal to the update interval of the live map
 const SPEEDS = [1, 5, 20, 60];
 
-// `show(picture, time in us)` for each picture; `lost()` where the server does not answer.
+// `show(picture, time in us)` for each picture; `lost()` if the server does not respond.
 export class Past {
   constructor(span, show, lost) {
     Object.assign(this, { span, show, lost, tUs: span.from_us, playing: false, speed: 20, asking: false });
@@ -60,7 +60,7 @@ export class Past {
     if (this.tUs >= this.span.to_us) this.toggle();
   }
 
-  // One question at a time; the newest time is asked for when the answer before has come.
+  // One request at a time; afterwards the latest selected time is requested.
   async #ask() {
     if (this.asking) return;
     this.asking = true;

@@ -1,15 +1,15 @@
-// Who sits here, and what they order. Each order takes two clicks: the first says what will be done.
+// Sign-in and commands. Each command needs two clicks: the first asks for confirmation.
 
 import { $, html, keyed, say, set } from "./dom.js";
 import { ask, post, token } from "./server.js";
 
 const ASK_MS = 3000;
 const ARMED_MS = 5000;
-const APART_MS = 300; // a double click is one
+const APART_MS = 300; // a double click counts as one click
 
 export const me = { mayOrder: false, mayRead: true, isThere: false };
 
-// `changed()` whenever who sits here, or what they may, has changed.
+// Calls `changed()` when the user or the access rights have changed.
 export async function startPeople(changed) {
   $("#sign-in").addEventListener("click", () => $("#who").showModal());
   $("#sign-out").addEventListener("click", () => signIn(null, changed));
@@ -32,11 +32,11 @@ async function signIn(value, changed) {
 
 async function look(changed) {
   const answer = await ask("/me.json");
-  if (!answer?.ok) return; // away: the stream says so
+  if (!answer?.ok) return; // no connection: the stream reports it
   const told = await answer.json();
   const before = JSON.stringify(me);
   const revoked = me.name && !told.name && token.get();
-  if (revoked) say($("#person"), `the token of ${me.name} is not valid any more: sign in again`);
+  if (revoked) say($("#person"), `the token of ${me.name} is no longer valid: sign in again`);
   else say($("#person"), told.name ? `${told.name}, ${told.role}` : revokedWords());
   Object.assign(me, {
     name: told.name,
@@ -50,7 +50,7 @@ async function look(changed) {
   if (before !== JSON.stringify(me)) changed();
 }
 
-// What stands there stays until somebody signs in.
+// The message remains until a user signs in.
 const revokedWords = () => (token.get() ? $("#person").textContent : "");
 
 const ALL = [
@@ -59,7 +59,7 @@ const ALL = [
   ["release all", { do: "release" }],
 ];
 
-// The orders that can be given about what is selected.
+// Commands available for the selection.
 export function drawDeeds(picture, selected) {
   const panel = $("#deeds");
   panel.hidden = !me.mayOrder;
@@ -105,11 +105,11 @@ function button(words, deed) {
 async function order(words, deed) {
   const reason = $("#reason").value.trim();
   const needs = ["hold", "settle"].includes(deed.do);
-  if (needs && !reason) return told(words, ["say the reason first"], "lost");
+  if (needs && !reason) return told(words, ["enter a reason first"], "lost");
   told(words, ["..."], "");
   const answer = await post("/deeds", needs ? { ...deed, reason } : deed);
-  if (answer === null) return told(words, ["NO CONNECTION: not known whether it was done"], "lost");
-  if (answer.status === 401) return told(words, ["refused: the token is not valid any more"], "lost");
+  if (answer === null) return told(words, ["NO CONNECTION: result unknown"], "lost");
+  if (answer.status === 401) return told(words, ["refused: the token is no longer valid"], "lost");
   const found = await answer.json().catch(() => ({ trouble: `error ${answer.status}` }));
   if (!answer.ok) return told(words, [`refused: ${found.trouble}`], "lost");
   if (needs) $("#reason").value = "";

@@ -1,4 +1,4 @@
-// Asks the server, with the person's token where there is one. The token lives in this tab only.
+// Requests to the server, with the user's token if there is one. The token is stored per tab.
 
 const KEPT = "leeway token";
 
@@ -11,7 +11,7 @@ export function headers() {
   return token.get() ? { authorization: `Bearer ${token.get()}` } : {};
 }
 
-// The answer, or null where the server is not there.
+// Returns the response, or null if the server is unreachable.
 export function ask(address, options = {}) {
   return fetch(address, { ...options, headers: { ...options.headers, ...headers() } }).catch(() => null);
 }

@@ -1,4 +1,4 @@
-// The server's events: a whole picture first, then what changed (RFC 7396).
+// The server's event stream: a whole picture first, then merge patches (RFC 7396).
 
 import { ask } from "./server.js";
 
@@ -16,7 +16,7 @@ export function merged(before, patch) {
 }
 
 // `show(picture, server time in us)` for each picture, `lost()` when the connection breaks;
-// `refused()`: who asks may not see it, and nothing more comes.
+// `refused()` if the user has no read access; the stream then ends.
 export async function listen(show, lost, refused) {
   for (;;) {
     const answer = await ask("/events");
@@ -44,7 +44,7 @@ async function follow(body, show) {
   }
 }
 
-// The fields of one server-sent event; ours have one line of data each.
+// Parses one server-sent event; this server sends one data line per event.
 function event(block) {
   return Object.fromEntries(block.split("\n").map((line) => {
     const at = line.indexOf(": ");

@@ -1,19 +1,19 @@
-// Where the map looks: Web Mercator (EPSG:3857), the world 512 px wide at zoom 0, as MapLibre has it.
+// Viewport of the map: Web Mercator (EPSG:3857), the world 512 px wide at zoom 0, as in MapLibre.
 
 const TILE = 512;
 const MOST_ZOOM = 20;
 const FAR_PX = 20000; // SVG coordinates are single precision: 0.002 px there
-const MOST_STRETCH = 1; // levels that a drawing is stretched by before it is drawn anew
-const REST_MS = 120; // after the last step of a zoom all is drawn anew
-const EARTH_M = 40075016.7; // round the equator of EPSG:3857
+const MOST_STRETCH = 1; // zoom levels by which a drawing is scaled before it is redrawn
+const REST_MS = 120; // delay after the last zoom step until everything is redrawn
+const EARTH_M = 40075016.7; // equator length of EPSG:3857
 
 export function unit([lat, lon]) {
   const sine = Math.sin((lat * Math.PI) / 180);
   return [0.5 + lon / 360, 0.5 - Math.log((1 + sine) / (1 - sine)) / (4 * Math.PI)];
 }
 
-// Things are drawn about an anchor, and the drawing as a whole is moved: to pan moves one element. While
-// it is zoomed the drawing is stretched, too; it is drawn anew when the zoom has come to rest.
+// Elements are drawn relative to an anchor, and panning moves the drawing as one element. While zooming,
+// the drawing is also scaled; it is redrawn when the zoom has ended.
 export class View {
   constructor(element, moved) {
     this.element = element;
@@ -48,8 +48,8 @@ export class View {
     return (EARTH_M * Math.cos((this.latitude * Math.PI) / 180)) / this.scale;
   }
 
-  // Begins another drawing where this one does not serve any more. Its number is answered: where it is
-  // another one, all is drawn anew, for `at` holds for it.
+  // Starts a new drawing when the current one is no longer usable. Returns the drawing's number: if it
+  // changes, everything is redrawn, because `at` refers to it.
   settle() {
     const far = Math.max(Math.abs(this.x - this.drawn.x), Math.abs(this.y - this.drawn.y)) * this.scale;
     if (far > FAR_PX || this.#outgrown())
@@ -64,7 +64,7 @@ export class View {
     return zoom === null || rests || Math.abs(this.zoom - zoom) > MOST_STRETCH;
   }
 
-  // How the drawing lies in the window: where its anchor is, in pixels, and how much it is stretched.
+  // CSS transform of the drawing: position of its anchor in pixels, and its scale.
   get placed() {
     const [x, y] = [
       (this.drawn.x - this.x) * this.scale + this.width / 2,
@@ -73,7 +73,7 @@ export class View {
     return `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) scale(${(2 ** (this.zoom - this.drawn.zoom)).toFixed(5)})`;
   }
 
-  // A place in pixels of the drawing, from the anchor.
+  // Converts a position to pixels of the drawing, relative to the anchor.
   at(point) {
     const [x, y] = unit(point);
     const scale = TILE * 2 ** this.drawn.zoom;

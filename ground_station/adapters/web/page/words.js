@@ -1,4 +1,4 @@
-// Times and figures for people. Times of the server are microseconds since 1970, by its clock.
+// Formatting of times and numbers. Server times are microseconds since 1970, by its clock.
 
 export const clock = (us) => new Date(us / 1000).toLocaleTimeString();
 
@@ -11,7 +11,7 @@ export function minutes(seconds) {
 
 export const figure = (value, digits) => (value === undefined ? "-" : value.toFixed(digits));
 
-// A number with its unit, or nothing known.
+// Formats a number with its unit, or "-" if unknown.
 export const measure = (value, digits, unit) => (value === undefined ? "-" : `${value.toFixed(digits)} ${unit}`);
 
 export function ago(us, nowUs) {
@@ -30,7 +30,7 @@ export function truckWords(truck, nowUs) {
 function byPlan(drive, nowUs) {
   if (!drive) return "";
   const left = (drive.arrive_us - nowUs) / 1e6;
-  return left >= 0 ? `, by plan there in ${minutes(left)}` : `, by plan there ${minutes(-left)} ago`;
+  return left >= 0 ? `, planned arrival in ${minutes(left)}` : `, planned arrival ${minutes(-left)} ago`;
 }
 
 export function windWords({ to_ne_mps: [north, east], source }) {

@@ -1,4 +1,4 @@
-"""One past flight: its decision record on the desk's clock, as the states that it would tell."""
+"""One past flight: its decision record on the desk's clock, converted to reported states."""
 
 import math
 from collections.abc import Iterable
@@ -6,27 +6,33 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from companion.core.base.geo import offset_m
+from companion.core.base.geo import ne_offset_m
+from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import EventKind, FleetEvent, State
 from ground_station.adapters.files.flight_record import (
-    ROUTE,
+    ROUTE_TOPIC,
     FlightRecord,
     Row,
     read_flight_record,
 )
 from ground_station.adapters.store.past_store import PastEvent
-from ground_station.app.map.fleet_ear import MOVED_M, PromiseSample, VehicleTrack, WindCov
+from ground_station.app.map.fleet_receiver import (
+    MIN_COURSE_DISTANCE_M,
+    ReturnMarginSample,
+    VehicleTrack,
+)
+from ground_station.core.fleet.fleet_status import STANDBY
 
-PAYLOAD_KG = 0.0
-"""Heaviest parcel of a state that is rebuilt: no record tells it, and no map shows it."""
+UNKNOWN_PAYLOAD_KG = 0.0
+"""Maximum payload in a rebuilt state: it is not recorded, and no map shows it."""
 
-COURSE_BACK_S = 20.0
-"""So far back a drone that hardly moves is looked for its course."""
+COURSE_WINDOW_S = 20.0
+"""Maximum time before the requested moment in which the course of a slow drone is determined."""
 
 
 @dataclass(frozen=True, slots=True)
-class RecordFiles:
-    """Where a flight's record lies: one file for each life of its companion."""
+class FlightRecordFiles:
+    """Paths of a flight's record: one file for each start of its companion."""
 
     vehicle: str
     assignment: str | None
@@ -34,130 +40,146 @@ class RecordFiles:
 
 
 class PastFlight:
-    """A flight and its record, which is read when it is first asked for."""
+    """A flight and its record, which is read on first access."""
 
-    def __init__(self, files: RecordFiles, events: Iterable[PastEvent]) -> None:
-        """`events`: those of its assignment, as a desk heard them."""
+    def __init__(self, files: FlightRecordFiles, events: Iterable[PastEvent]) -> None:
+        """`events`: those of its assignment, as a desk received them."""
         self.vehicle, self.assignment = files.vehicle, files.assignment
         self._paths, self._events = files.paths, list(events)
 
     @cached_property
-    def record(self) -> FlightRecord:
-        """The record of all lives of its companion."""
+    def combined_record(self) -> FlightRecord:
+        """The combined record of all starts of its companion."""
         first, *more = (read_flight_record(path) for path in self._paths)
         for other in more:
             for topic, rows in other.rows.items():
                 first.rows[topic] = sorted(first.rows[topic] + rows, key=lambda row: row["t_s"])
-            first.damage = first.damage or other.damage
+            first.read_error = first.read_error or other.read_error
         return first
 
     @property
-    def trouble(self) -> str | None:
-        """What is wrong with its record, for people; None: nothing."""
-        where = f"{self.vehicle}{f' ({self.assignment})' if self.assignment else ''}"
-        if self.record.damage is not None:
-            return f"{where}: its record {self._paths[0].name}: {self.record.damage}"
-        return f"{where}: its record is empty" if self.record.span_s is None else None
+    def record_fault_text(self) -> str | None:
+        """Fault of its record, as text; None: no fault."""
+        flight_label = f"{self.vehicle}{f' ({self.assignment})' if self.assignment else ''}"
+        if self.combined_record.read_error is not None:
+            return (
+                f"{flight_label}: its record {self._paths[0].name}:"
+                f" {self.combined_record.read_error}"
+            )
+        return (
+            f"{flight_label}: its record is empty"
+            if self.combined_record.first_and_last_time_s is None
+            else None
+        )
 
     @cached_property
-    def offset_us(self) -> int:
-        """What is added to the autopilot's time for the desk's: by the decisions that both have,
-        else by the record's own stamps, else by when its file was written last.
+    def autopilot_to_desk_offset_us(self) -> int:
+        """Offset from the autopilot's time to the desk's: from decisions that both have recorded,
+        else from the record's own stamps, else from the modification time of its file.
         """
-        heard = {one.event.text: one.heard_us for one in reversed(self._events)}
-        apart = [
-            heard[words] - round(1e6 * row["t_s"])
-            for row in self.record.rows["decision"]
-            if (words := f"{row.get('kind')}: {row.get('reason')}") in heard
+        received_us_by_text = {one.event.text: one.received_us for one in reversed(self._events)}
+        offsets_us = [
+            received_us_by_text[decision_text] - round(1e6 * row["t_s"])
+            for row in self.combined_record.rows["decision"]
+            if (decision_text := _decision_text(row)) in received_us_by_text
         ]
-        if apart:
-            return min(apart)  # the least delay on the way to the desk
-        if self.record.wall_offset_s is not None:
-            return round(1e6 * self.record.wall_offset_s)
-        _, last_s = self.record.span_s or (0.0, 0.0)
-        return round(1e6 * (_written_s(self._paths) - last_s))
+        if offsets_us:
+            return min(offsets_us)  # the smallest transmission delay
+        if self.combined_record.wall_offset_s is not None:
+            return round(1e6 * self.combined_record.wall_offset_s)
+        _, last_s = self.combined_record.first_and_last_time_s or (0.0, 0.0)
+        return round(1e6 * (_latest_modification_s(self._paths) - last_s))
 
     @property
-    def span_us(self) -> tuple[int, int] | None:
-        """First and last time of its record; None: it is empty."""
-        span = self.record.span_s
+    def record_time_span_us(self) -> tuple[int, int] | None:
+        """First and last time of its record; None: empty."""
+        span = self.combined_record.first_and_last_time_s
         if span is None:
             return None
-        return self.offset_us + round(1e6 * span[0]), self.offset_us + round(1e6 * span[1])
+        return self.autopilot_to_desk_offset_us + round(
+            1e6 * span[0]
+        ), self.autopilot_to_desk_offset_us + round(1e6 * span[1])
 
-    def covers(self, t_us: int) -> bool:
-        """Whether its record tells of this time."""
-        span = self.span_us
+    def covers_time(self, t_us: int) -> bool:
+        """Whether its record covers this time."""
+        span = self.record_time_span_us
         return span is not None and span[0] <= t_us <= span[1]
 
-    def state(self, t_us: int, order: str | None) -> State | None:
-        """What it would have told; None: nothing is recorded yet."""
-        t_s, record = (t_us - self.offset_us) / 1e6, self.record
-        place, assessed = record.at("heard_position", t_s), record.at("assessment", t_s) or {}
-        wind, phase = record.at("wind", t_s) or {}, record.at("phase", t_s)
-        if place is None and phase is None:
+    def state_at(self, t_us: int, order: str | None) -> State | None:
+        """Return the state as the vehicle would report it; None: before the first record."""
+        t_s, record = (t_us - self.autopilot_to_desk_offset_us) / 1e6, self.combined_record
+        position_row = record.latest_row_at("heard_position", t_s)
+        assessed = record.latest_row_at("assessment", t_s) or {}
+        wind, phase = record.latest_row_at("wind", t_s) or {}, record.latest_row_at("phase", t_s)
+        if position_row is None and phase is None:
             return None
-        place = place or {}
+        position_row = position_row or {}
         return State(
             vehicle=self.vehicle,
-            life="record",
+            instance_id="record",
             uptime_s=max(t_s, 0.0),
             epoch_us=t_us,
             airframe="recorded",
-            max_payload_kg=PAYLOAD_KG,
-            phase=str((phase or {}).get("now", "standby")),
+            max_payload_kg=UNKNOWN_PAYLOAD_KG,
+            phase=str((phase or {}).get("now", STANDBY)),
             log="record",
             last_seq=0,
             assignment=self.assignment or "flight",
             order=order,
-            armed=bool((record.at("heard_state", t_s) or {}).get("armed", False)),
-            delivered=any(row.get("kind") == "delivered" for row in record.until("decision", t_s)),
-            lat_deg=place.get("lat_deg"),
-            lon_deg=place.get("lon_deg"),
-            height_rel_m=place.get("height_rel_m"),
-            ground_speed_mps=_speed_mps(place),
-            energy_left_wh=(record.at("energy", t_s) or {}).get("left_wh"),
+            armed=bool((record.latest_row_at("heard_state", t_s) or {}).get("armed", False)),
+            delivered=any(
+                row.get("kind") == "delivered" for row in record.rows_up_to("decision", t_s)
+            ),
+            lat_deg=position_row.get("lat_deg"),
+            lon_deg=position_row.get("lon_deg"),
+            height_rel_m=position_row.get("height_rel_m"),
+            ground_speed_mps=_speed_mps(position_row),
+            energy_left_wh=(record.latest_row_at("energy", t_s) or {}).get("left_wh"),
             wind_to_n_mps=wind.get("to_n_mps"),
             wind_to_e_mps=wind.get("to_e_mps"),
-            text=str((record.at("said", t_s) or {}).get("text", "")),
+            text=str((record.latest_row_at("said", t_s) or {}).get("text", "")),
             p_home=assessed.get("p_home"),
             p_home_now=assessed.get("p_home_now"),
             p_success=assessed.get("p_success"),
             margin_wh=assessed.get("margin_wh"),
         )
 
-    def track(self, t_us: int) -> VehicleTrack:
-        """Where it moved to, its promise so far, its route, how sure it was of the wind."""
-        t_s = (t_us - self.offset_us) / 1e6
-        found = VehicleTrack(heard_us=t_us)
-        for row in self.record.until("heard_position", t_s)[::-1]:
-            here = row["lat_deg"], row["lon_deg"]
-            found.from_ = found.from_ or here
-            if t_s - row["t_s"] > COURSE_BACK_S:
+    def track_at(self, t_us: int) -> VehicleTrack:
+        """Return its course, margins and probabilities until this time, and route."""
+        t_s = (t_us - self.autopilot_to_desk_offset_us) / 1e6
+        found = VehicleTrack(received_us=t_us)
+        for row in self.combined_record.rows_up_to("heard_position", t_s)[::-1]:
+            position = row["lat_deg"], row["lon_deg"]
+            found.course_origin = found.course_origin or position
+            if t_s - row["t_s"] > COURSE_WINDOW_S:
                 break
-            if (course_deg := _course_deg(here, found.from_)) is not None:
+            if (course_deg := _course_deg(position, found.course_origin)) is not None:
                 found.course_deg = course_deg
                 break
-        for row in self.record.until("assessment", t_s):
-            at_us = self.offset_us + round(1e6 * row["t_s"])
-            found.promises.append(PromiseSample(at_us, row.get("margin_wh"), row.get("p_home")))
-        found.route = (self.record.at(ROUTE, t_s) or {}).get("route")
-        found.wind_cov_m2ps2 = _cov(self.record.at("wind", t_s) or {})
+        for row in self.combined_record.rows_up_to("assessment", t_s):
+            at_us = self.autopilot_to_desk_offset_us + round(1e6 * row["t_s"])
+            found.margin_samples.append(
+                ReturnMarginSample(at_us, row.get("margin_wh"), row.get("p_home"))
+            )
+        found.route = (self.combined_record.latest_row_at(ROUTE_TOPIC, t_s) or {}).get("route")
         return found
 
-    def decisions(self) -> list[PastEvent]:
-        """Its decisions, as a desk would have heard them."""
-        return [self._event(n, row) for n, row in enumerate(self.record.rows["decision"], 1)]
+    def rebuilt_decision_events(self) -> list[PastEvent]:
+        """Return its decisions as a desk would receive them."""
+        return [
+            self._decision_event(n, row)
+            for n, row in enumerate(self.combined_record.rows["decision"], 1)
+        ]
 
-    def _event(self, n: int, row: Row) -> PastEvent:
-        at_us = self.offset_us + round(1e6 * row["t_s"])
+    def _decision_event(self, n: int, row: Row) -> PastEvent:
+        at_us = self.autopilot_to_desk_offset_us + round(1e6 * row["t_s"])
         event = FleetEvent(
             vehicle=self.vehicle,
             log="record",
             seq=n,
             epoch_us=at_us,
             kind=EventKind.DECISION,
-            text=f"{row.get('kind')}: {row.get('reason')}",
+            text=_decision_text(row),
             assignment=self.assignment or "flight",
             p_home=row.get("p_home"),
             margin_wh=row.get("margin_wh"),
@@ -165,25 +187,26 @@ class PastFlight:
         return PastEvent(at_us, event)
 
 
-def _written_s(paths: tuple[Path, ...]) -> float:
+def _decision_text(row: Row) -> str:
+    return DecisionEvent(str(row.get("kind")), str(row.get("reason"))).text
+
+
+def _latest_modification_s(paths: tuple[Path, ...]) -> float:
     try:
         return max(path.stat().st_mtime for path in paths)
     except OSError:
         return 0.0
 
 
-def _speed_mps(place: Row) -> float | None:
-    north, east = place.get("vel_n_mps"), place.get("vel_e_mps")
+def _speed_mps(position_row: Row) -> float | None:
+    north, east = position_row.get("vel_n_mps"), position_row.get("vel_e_mps")
     return None if north is None or east is None else math.hypot(north, east)
 
 
-def _cov(wind: Row) -> WindCov | None:
-    nn, ne, ee = (wind.get(name) for name in ("nn_m2ps2", "ne_m2ps2", "ee_m2ps2"))
-    return None if nn is None or ne is None or ee is None else (nn, ne, ee)
-
-
-def _course_deg(before: tuple[float, float], here: tuple[float, float]) -> float | None:
-    north_m, east_m = offset_m(*before, *here)
-    if math.hypot(north_m, east_m) < MOVED_M:
+def _course_deg(
+    previous_position: tuple[float, float], position: tuple[float, float]
+) -> float | None:
+    north_m, east_m = ne_offset_m(*previous_position, *position)
+    if math.hypot(north_m, east_m) < MIN_COURSE_DISTANCE_M:
         return None
     return math.degrees(math.atan2(east_m, north_m)) % 360.0

@@ -1,1 +1,1 @@
-"""Plans to begin a search with, and changes at large: priced tours, insertion, rebuilds."""
+"""Initial plans of a search, and large changes: priced tours, insertion, rebuilds."""

@@ -1,175 +1,232 @@
-"""A customer who is not served yet, served at the best place that is found: by truck or by drone.
+"""Inserts an unserved customer at the best position found, by truck or by drone.
 
-Each place is priced by the makespan of the plan that it gives, and a drone's seconds away from the
-truck by a small share of them: a drone that is home soon can fly once more.
+The price of a position is the resulting makespan plus a small share of the drone's time away from
+the truck: a drone that returns early can fly again.
 """
 
 from typing import NamedTuple
 
-from ground_station.core.truck_drones.changed_plan import changed_makespan_s
-from ground_station.core.truck_drones.compiled import compiled
+from ground_station.core.truck_drones.changed_plan import incremental_makespan_s
+from ground_station.core.truck_drones.compiled import compiled_inner
 from ground_station.core.truck_drones.edits import insert_stop
-from ground_station.core.truck_drones.random_stream import uniform
-from ground_station.core.truck_drones.simulate import IMPOSSIBLE
+from ground_station.core.truck_drones.random_stream import draw_uniform
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S
 from ground_station.core.truck_drones.tables import (
+    AWAY,
     IDLE,
     KIND,
     LAUNCH,
     LAUNCHED,
-    MEET,
-    MET,
     NOWHERE,
     ORDER,
+    RECOVERED,
+    RENDEZVOUS,
     ROUTE,
-    WAYS,
 )
 
 
-class Insertion(NamedTuple):
-    """Which places are looked at."""
+class InsertionParams(NamedTuple):
+    """Candidate positions of an insertion."""
 
-    stops: int
-    """Near stops, before and behind which the truck may go."""
-    reach: int
-    """A drone is launched at most so many places from the nearest stop,"""
-    ahead: int
-    """and met at most so many places later."""
+    near_stops: int
+    """Number of near stops before and after which the truck may be routed."""
+    launch_range: int
+    """Maximum number of route positions from the nearest stop to the launch."""
+    rendezvous_range: int
+    """Maximum number of route positions from launch to rendezvous."""
     skip_frac: float
-    """Share of the places that is left out by chance, so that two tries differ."""
+    """Share of candidates skipped at random, so that two attempts differ."""
     air_price: float
-    """Seconds of makespan that a drone's second away from the truck counts for."""
+    """Price of a drone's second away from the truck, in seconds of makespan."""
 
 
-@compiled
-def count_away(plan, place, taken):
-    """By kind and place: drones away from the truck on its way to the next place."""
-    last = place[plan.shape[1] - 1]
-    for row in range(WAYS, taken.shape[0]):
+@compiled_inner
+def store_drones_away_by_route_index(plan, route_index_by_node, scratch):
+    """Count by kind and position: drones away from the truck up to the next position."""
+    last = route_index_by_node[plan.shape[1] - 1]
+    for row in range(AWAY, scratch.shape[0]):
         for at in range(last + 1):
-            taken[row, at] = 0
+            scratch[row, at] = 0
     for customer in range(1, plan.shape[1] - 1):
         if plan[LAUNCH, customer] != NOWHERE:
-            row = WAYS + plan[KIND, customer]
-            for at in range(place[plan[LAUNCH, customer]], place[plan[MEET, customer]]):
-                taken[row, at] += 1
+            row = AWAY + plan[KIND, customer]
+            for at in range(
+                route_index_by_node[plan[LAUNCH, customer]],
+                route_index_by_node[plan[RENDEZVOUS, customer]],
+            ):
+                scratch[row, at] += 1
 
 
-@compiled
-def nearest_place(t, plan, place, customer):
-    """The place of the stop from which the road to this customer is shortest."""
-    near = t.near
+@compiled_inner
+def nearest_stop_route_index(tables, plan, route_index_by_node, customer):
+    """Return the route position of the stop with the shortest road to this customer."""
+    near = tables.near
     for number in range(near.shape[1]):
-        if place[near[customer, number]] >= 0:
-            return place[near[customer, number]]
+        if route_index_by_node[near[customer, number]] >= 0:
+            return route_index_by_node[near[customer, number]]
     at = 0
-    for other in range(1, place[plan.shape[1] - 1] + 1):
-        if t.travel_s[plan[ROUTE, other], customer] < t.travel_s[plan[ROUTE, at], customer]:
+    for other in range(1, route_index_by_node[plan.shape[1] - 1] + 1):
+        if (
+            tables.travel_s[plan[ROUTE, other], customer]
+            < tables.travel_s[plan[ROUTE, at], customer]
+        ):
             at = other
     return at
 
 
-@compiled
-def take_off_route(plan, place, at):
-    """The undoing of `insert_stop`: nothing hangs on that stop."""
-    last = place[plan.shape[1] - 1]
-    place[plan[ROUTE, at]] = NOWHERE
-    for to in range(at, last):
+@compiled_inner
+def undo_insert_stop(plan, route_index_by_node, route_index):
+    """Undo `insert_stop` for a stop without launches and recoveries."""
+    last = route_index_by_node[plan.shape[1] - 1]
+    route_index_by_node[plan[ROUTE, route_index]] = NOWHERE
+    for to in range(route_index, last):
         plan[ROUTE, to] = plan[ROUTE, to + 1]
-        place[plan[ROUTE, to]] = to
+        route_index_by_node[plan[ROUTE, to]] = to
 
 
-@compiled
-def _best_gap(t, old, kept, old_s, plan, place, w, customer, give_up_s, how, stream):
-    """The place on the route at which the truck serves this customer soonest (NOWHERE: none by
-    `give_up_s`), the makespan, and how many were tried.
+@compiled_inner
+def _best_truck_route_index(
+    tables,
+    base_plan,
+    base_work_arrays,
+    base_makespan_s,
+    plan,
+    route_index_by_node,
+    work_arrays,
+    customer,
+    makespan_limit_s,
+    params,
+    stream,
+):
+    """Return the best route position to serve this customer by truck (NOWHERE: none below
+    `makespan_limit_s`), the makespan, and the number of positions tried.
     """
-    near = t.near
-    last = place[plan.shape[1] - 1]
-    best_at, best_s, tried, stops = NOWHERE, give_up_s, 0, 0
-    nearest = nearest_place(t, plan, place, customer)
+    near = tables.near
+    last = route_index_by_node[plan.shape[1] - 1]
+    best_at, best_s, evaluated, stops = NOWHERE, makespan_limit_s, 0, 0
+    nearest = nearest_stop_route_index(tables, plan, route_index_by_node, customer)
     for number in range(near.shape[1] + 1):
         if number < near.shape[1]:
-            at = place[near[customer, number]]
+            at = route_index_by_node[near[customer, number]]
         else:
-            at = nearest if stops == 0 else NOWHERE  # none of those near is on the route
+            at = nearest if stops == 0 else NOWHERE  # no near node is on the route
         if at < 0:
             continue
         stops += 1
         for to in range(max(1, at), min(last, at + 1) + 1):
             other = plan[ROUTE, to] if to > at else plan[ROUTE, to - 1]
-            known = False  # from the other side
+            known = False  # tried from the other side
             for before in range(min(number, near.shape[1])):
                 known = known or near[customer, before] == other
-            if known or uniform(stream) < how.skip_frac:
+            if known or draw_uniform(stream) < params.skip_frac:
                 continue
-            insert_stop(plan, place, customer, to)
-            tried += 1
-            makespan_s, _, passed, _ = changed_makespan_s(t, old, kept, old_s, plan, w, best_s)
-            take_off_route(plan, place, to)
+            insert_stop(plan, route_index_by_node, customer, to)
+            evaluated += 1
+            makespan_s, _, passed, _ = incremental_makespan_s(
+                tables, base_plan, base_work_arrays, base_makespan_s, plan, work_arrays, best_s
+            )
+            undo_insert_stop(plan, route_index_by_node, to)
             if passed > 0 and makespan_s < best_s:
                 best_at, best_s = to, makespan_s
-        if stops >= how.stops:
+        if stops >= params.near_stops:
             break
-    return best_at, best_s, tried
+    return best_at, best_s, evaluated
 
 
-@compiled
-def insert_customer(t, old, kept, old_s, plan, place, w, customer, give_up_s, how, stream):
-    """Serve this customer; the makespan (inf, and nothing is changed: no place by `give_up_s`) and
-    how many places were tried.
+@compiled_inner
+def insert_customer_at_best_position(
+    tables,
+    base_plan,
+    base_work_arrays,
+    base_makespan_s,
+    plan,
+    route_index_by_node,
+    work_arrays,
+    customer,
+    makespan_limit_s,
+    params,
+    stream,
+):
+    """Insert this customer; return the makespan (inf, without a change, if no candidate is below
+    `makespan_limit_s`) and the number of candidates tried.
 
-    `old`, `kept`, `old_s`: a plan near this one, as `changed_makespan_s` wants it.
+    `base_plan`, `base_work_arrays`, `base_makespan_s`: a plan near this one, as for
+    `incremental_makespan_s`.
     """
-    best_s, tried, best_at = give_up_s, 0, NOWHERE
-    if t.truck_can[customer]:
-        best_at, best_s, tried = _best_gap(
-            t, old, kept, old_s, plan, place, w, customer, give_up_s, how, stream
+    best_s, evaluated, best_at = makespan_limit_s, 0, NOWHERE
+    if tables.truck_can[customer]:
+        best_at, best_s, evaluated = _best_truck_route_index(
+            tables,
+            base_plan,
+            base_work_arrays,
+            base_makespan_s,
+            plan,
+            route_index_by_node,
+            work_arrays,
+            customer,
+            makespan_limit_s,
+            params,
+            stream,
         )
-    # What a place costs: makespan and the drone's time.
-    best_cost_s = best_s if best_at >= 0 else IMPOSSIBLE
-    best_kind, best_launch, best_meet = NOWHERE, NOWHERE, NOWHERE
+    # Cost of a candidate: makespan plus share of drone time.
+    best_cost_s = best_s if best_at >= 0 else INFEASIBLE_S
+    best_kind, best_launch, best_rendezvous = NOWHERE, NOWHERE, NOWHERE
     end = plan.shape[1] - 1
-    last = place[end]
-    count_away(plan, place, w.taken)
-    nearest = nearest_place(t, plan, place, customer)
+    last = route_index_by_node[end]
+    store_drones_away_by_route_index(plan, route_index_by_node, work_arrays.scratch)
+    nearest = nearest_stop_route_index(tables, plan, route_index_by_node, customer)
     plan[ORDER, customer] = 0
-    for kind in range(t.drone_can.shape[0]):
-        if not t.drone_can[kind, customer]:
+    for kind in range(tables.drone_can.shape[0]):
+        if not tables.drone_can[kind, customer]:
             continue
-        drones = t.fleet[kind] - (plan[IDLE, kind] if kind <= end else 0)
+        drones = tables.fleet[kind] - (plan[IDLE, kind] if kind <= end else 0)
         plan[KIND, customer] = kind
-        for launch in range(max(0, nearest - how.reach), min(last, nearest + how.reach) + 1):
+        for launch in range(
+            max(0, nearest - params.launch_range), min(last, nearest + params.launch_range) + 1
+        ):
             start = plan[ROUTE, launch]
-            left_s = t.endurance_hover_s[kind] - t.out_hover_s[kind, start, customer]
+            left_s = tables.endurance_hover_s[kind] - tables.out_hover_s[kind, start, customer]
             if not left_s >= 0.0:
                 continue
-            furthest = launch if t.loops_only else min(last, launch + how.ahead)
-            for meet in range(launch, furthest + 1):
-                if meet > launch and w.taken[WAYS + kind, meet - 1] >= drones:
+            furthest = launch if tables.loops_only else min(last, launch + params.rendezvous_range)
+            for rendezvous in range(launch, furthest + 1):
+                if (
+                    rendezvous > launch
+                    and work_arrays.scratch[AWAY + kind, rendezvous - 1] >= drones
+                ):
                     break
-                if meet == launch and not t.pads:
+                if rendezvous == launch and not tables.pads:
                     continue
-                stop = plan[ROUTE, meet]
-                if not left_s - t.back_hover_s[kind, customer, stop] >= 0.0:
+                stop = plan[ROUTE, rendezvous]
+                if not left_s - tables.back_hover_s[kind, customer, stop] >= 0.0:
                     continue
-                if uniform(stream) < how.skip_frac:
+                if draw_uniform(stream) < params.skip_frac:
                     continue
-                plan[LAUNCH, customer], plan[MEET, customer] = start, stop
-                tried += 1
-                makespan_s, _, passed, _ = changed_makespan_s(
-                    t, old, kept, old_s, plan, w, min(give_up_s, best_cost_s)
+                plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = start, stop
+                evaluated += 1
+                makespan_s, _, passed, _ = incremental_makespan_s(
+                    tables,
+                    base_plan,
+                    base_work_arrays,
+                    base_makespan_s,
+                    plan,
+                    work_arrays,
+                    min(makespan_limit_s, best_cost_s),
                 )
                 if passed == 0:
                     continue
-                away_s = w.times_s[MET, customer] - w.times_s[LAUNCHED, customer]
-                if makespan_s + how.air_price * away_s < best_cost_s:
-                    best_cost_s = makespan_s + how.air_price * away_s
+                away_s = (
+                    work_arrays.times_s[RECOVERED, customer]
+                    - work_arrays.times_s[LAUNCHED, customer]
+                )
+                if makespan_s + params.air_price * away_s < best_cost_s:
+                    best_cost_s = makespan_s + params.air_price * away_s
                     best_s = makespan_s
-                    best_kind, best_launch, best_meet = kind, start, stop
-    plan[LAUNCH, customer], plan[MEET, customer] = best_launch, best_meet
+                    best_kind, best_launch, best_rendezvous = kind, start, stop
+    plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = best_launch, best_rendezvous
     plan[KIND, customer] = best_kind
     if best_launch == NOWHERE:
         if best_at == NOWHERE:
-            return IMPOSSIBLE, tried
-        insert_stop(plan, place, customer, best_at)
-    return best_s, tried
+            return INFEASIBLE_S, evaluated
+        insert_stop(plan, route_index_by_node, customer, best_at)
+    return best_s, evaluated

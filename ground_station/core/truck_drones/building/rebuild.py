@@ -1,70 +1,101 @@
-"""A larger change of a plan: some customers near one another are taken out and served anew.
+"""A large change of a plan: some customers near each other are removed and reinserted.
 
-In a full day most small changes are impossible, since no drone is free where one more would have
-to fly. Taking out several customers frees drones and stops at once (Shaw, "Using constraint
-programming and local search methods to solve vehicle routing problems", CP 1998); each is then
-served at its best place, in random order, some places left out by chance (Christiaens and Vanden
+On a full day most small changes are infeasible, since no drone is free for another sortie. The
+removal of several customers frees drones and stops at once (Shaw, "Using constraint programming and
+local search methods to solve vehicle routing problems", CP 1998); each is then reinserted at its
+best position, in random order, with some positions skipped at random (Christiaens and Vanden
 Berghe, "Slack induction by string removals", Transportation Science 54, 2020).
 """
 
-from ground_station.core.truck_drones.building.insertion import insert_customer, take_off_route
-from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.random_stream import below, uniform
-from ground_station.core.truck_drones.simulate import IMPOSSIBLE
-from ground_station.core.truck_drones.tables import LAUNCH, MEET, NOWHERE, TAKEN
+from ground_station.core.truck_drones.building.insertion import (
+    insert_customer_at_best_position,
+    undo_insert_stop,
+)
+from ground_station.core.truck_drones.compiled import compiled_inner
+from ground_station.core.truck_drones.random_stream import draw_integer_below, draw_uniform
+from ground_station.core.truck_drones.simulate import INFEASIBLE_S
+from ground_station.core.truck_drones.tables import LAUNCH, NOWHERE, REMOVED, RENDEZVOUS
 
-MOST_TAKEN = 8
-PASSED_OVER_FRAC = 0.3
-"""Share of the near customers that stay as they are."""
+MAX_REMOVED = 8
+KEEP_FRAC = 0.3
+"""Share of the near customers that are not removed."""
 
 
-@compiled
-def take_out_all(plan, place, customer, taken, count):
-    """Leave this customer unserved, and those whose sorties begin or end there; note all of them
-    in `taken` and return their number.
+@compiled_inner
+def remove_customer_and_dependent_sorties(
+    plan, route_index_by_node, customer, scratch, removed_count
+):
+    """Remove this customer, and those whose sorties start or end there; append them to `scratch`
+    and return the new count.
     """
-    at = place[customer]
+    at = route_index_by_node[customer]
     if at < 0 and plan[LAUNCH, customer] == NOWHERE:
-        return count
-    taken[TAKEN, count] = customer
-    count += 1
+        return removed_count
+    scratch[REMOVED, removed_count] = customer
+    removed_count += 1
     if at < 0:
-        plan[LAUNCH, customer], plan[MEET, customer] = NOWHERE, NOWHERE
-        return count
+        plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = NOWHERE, NOWHERE
+        return removed_count
     for other in range(1, plan.shape[1] - 1):
-        if plan[LAUNCH, other] == customer or plan[MEET, other] == customer:
-            plan[LAUNCH, other], plan[MEET, other] = NOWHERE, NOWHERE
-            taken[TAKEN, count] = other
-            count += 1
-    take_off_route(plan, place, at)
-    return count
+        if plan[LAUNCH, other] == customer or plan[RENDEZVOUS, other] == customer:
+            plan[LAUNCH, other], plan[RENDEZVOUS, other] = NOWHERE, NOWHERE
+            scratch[REMOVED, removed_count] = other
+            removed_count += 1
+    undo_insert_stop(plan, route_index_by_node, at)
+    return removed_count
 
 
-@compiled
-def rebuild(t, old, kept, old_s, plan, place, w, give_up_s, how, stream):
-    """Change `plan`, a copy of `old`; whether all are served by `give_up_s` again, and how many
-    plans were timed for it.
+@compiled_inner
+def try_random_removal_and_reinsertion(
+    tables,
+    base_plan,
+    base_work_arrays,
+    base_makespan_s,
+    plan,
+    route_index_by_node,
+    work_arrays,
+    makespan_limit_s,
+    params,
+    stream,
+):
+    """Change `plan`, a copy of `base_plan`; return whether all customers are reinserted with a
+    makespan below `makespan_limit_s`, and the number of simulated plans.
     """
     end = plan.shape[1] - 1
-    taken, near = w.taken, t.near
-    wanted = 1 + below(stream, MOST_TAKEN)
-    first = 1 + below(stream, end - 1)
-    count = take_out_all(plan, place, first, taken, 0)
+    scratch, near = work_arrays.scratch, tables.near
+    target_count = 1 + draw_integer_below(stream, MAX_REMOVED)
+    first = 1 + draw_integer_below(stream, end - 1)
+    count = remove_customer_and_dependent_sorties(plan, route_index_by_node, first, scratch, 0)
     for number in range(near.shape[1]):
-        if count >= wanted:
+        if count >= target_count:
             break
         customer = near[first, number]
-        if customer != 0 and customer != end and uniform(stream) >= PASSED_OVER_FRAC:
-            count = take_out_all(plan, place, customer, taken, count)
+        if customer != 0 and customer != end and draw_uniform(stream) >= KEEP_FRAC:
+            count = remove_customer_and_dependent_sorties(
+                plan, route_index_by_node, customer, scratch, count
+            )
     for last in range(count - 1, 0, -1):
-        other = below(stream, last + 1)
-        taken[TAKEN, last], taken[TAKEN, other] = taken[TAKEN, other], taken[TAKEN, last]
-    timed = 0
-    for number in range(count):
-        makespan_s, tried = insert_customer(
-            t, old, kept, old_s, plan, place, w, taken[TAKEN, number], give_up_s, how, stream
+        other = draw_integer_below(stream, last + 1)
+        scratch[REMOVED, last], scratch[REMOVED, other] = (
+            scratch[REMOVED, other],
+            scratch[REMOVED, last],
         )
-        timed += tried
-        if makespan_s == IMPOSSIBLE:
-            return False, timed
-    return True, timed
+    evaluated_sum = 0
+    for number in range(count):
+        makespan_s, evaluated = insert_customer_at_best_position(
+            tables,
+            base_plan,
+            base_work_arrays,
+            base_makespan_s,
+            plan,
+            route_index_by_node,
+            work_arrays,
+            scratch[REMOVED, number],
+            makespan_limit_s,
+            params,
+            stream,
+        )
+        evaluated_sum += evaluated
+        if makespan_s == INFEASIBLE_S:
+            return False, evaluated_sum
+    return True, evaluated_sum

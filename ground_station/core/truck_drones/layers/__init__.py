@@ -1,1 +1,1 @@
-"""The separation rule inside the search: pads, layers, and who is in the air in a changed plan."""
+"""The separation rule in the search: pads, layers, and airborne sorties in a changed plan."""

@@ -1,9 +1,9 @@
-"""Who is in the air, in a plan that differs little from another one: the launches before a place of
-the route, and whether the same drones fly there alike.
+"""Airborne sorties in a plan that differs little from another one: the launches before a route
+position, and whether the same sorties are airborne there.
 """
 
-from ground_station.core.truck_drones.compiled import compiled
-from ground_station.core.truck_drones.layers.layer_pricing import FLEETS_BACK
+from ground_station.core.truck_drones.compiled import compiled_inner
+from ground_station.core.truck_drones.layers.layer_pricing import LOG_DEPTH_FLEETS
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     CORNERS,
@@ -15,114 +15,139 @@ from ground_station.core.truck_drones.tables import (
     LAYER,
     LOG,
     LOGGED,
-    MEET,
     NOWHERE,
     ORDER,
     PAD,
     PAD_N,
-    PLACE,
+    POSITION,
+    RENDEZVOUS,
 )
 
 SAME_SHIFT_S = 1e-8
-"""Shifts of time that differ by less are the same: rounding is a thousandth of it."""
+"""Tolerance of equal time shifts: a thousand times the rounding error."""
 
 
-@compiled
-def _copy_flight(whole, times_s, to, to_s, customer):
-    """Layer, pads and corners of a sortie."""
+@compiled_inner
+def _copy_sortie_geometry(int_rows, times_s, target_int_rows, target_times_s, customer):
+    """Copy layer, pads and corners of a sortie."""
     for row in (LAYER, PAD, HOME, CORNERS):
-        to[row, customer] = whole[row, customer]
-    for row in range(PAD_N, PAD_N + 2 * whole[CORNERS, customer]):
-        to_s[row, customer] = times_s[row, customer]
+        target_int_rows[row, customer] = int_rows[row, customer]
+    for row in range(PAD_N, PAD_N + 2 * int_rows[CORNERS, customer]):
+        target_times_s[row, customer] = times_s[row, customer]
 
 
-@compiled
-def adopt_log(plan, kept, w, begin, at, places):
-    """The launches that came before, those of the places passed, and those that follow."""
-    whole, times_s, was, was_s = w.whole, w.times_s, kept.whole, kept.times_s
+@compiled_inner
+def merge_launch_log_into_base(
+    plan, base_work_arrays, work_arrays, first_simulated_index, end_simulated_index, position_count
+):
+    """Combine the log of earlier launches, of the simulated positions, and of later launches."""
+    whole, times_s, old_whole, old_times_s = (
+        work_arrays.whole,
+        work_arrays.times_s,
+        base_work_arrays.whole,
+        base_work_arrays.times_s,
+    )
     end = plan.shape[1] - 1
-    before = at - (places - 1 - was[PLACE, end])
-    if at < places:
-        later, total = whole[LOGGED, at] - was[LOGGED, before], 0
+    before = end_simulated_index - (position_count - 1 - old_whole[POSITION, end])
+    if end_simulated_index < position_count:
+        later, total = whole[LOGGED, end_simulated_index] - old_whole[LOGGED, before], 0
         for customer in range(1, end):
             total += 1 if plan[LAUNCH, customer] != NOWHERE else 0
-        for number in range(whole[LOGGED, at], total):
-            whole[LOG, number] = was[LOG, number - later]
-        for to in range(at, places):
-            whole[LOGGED, to] = was[LOGGED, to - (at - before)] + later
-    for to in range(begin):
-        whole[LOGGED, to] = was[LOGGED, to]
-    for number in range(whole[LOGGED, begin]):
-        whole[LOG, number] = was[LOG, number]
+        for number in range(whole[LOGGED, end_simulated_index], total):
+            whole[LOG, number] = old_whole[LOG, number - later]
+        for to in range(end_simulated_index, position_count):
+            whole[LOGGED, to] = old_whole[LOGGED, to - (end_simulated_index - before)] + later
+    for to in range(first_simulated_index):
+        whole[LOGGED, to] = old_whole[LOGGED, to]
+    for number in range(whole[LOGGED, first_simulated_index]):
+        whole[LOG, number] = old_whole[LOG, number]
     for node in range(end + 1):
-        was[LOGGED, node], was[LOG, node] = whole[LOGGED, node], whole[LOG, node]
+        old_whole[LOGGED, node], old_whole[LOG, node] = whole[LOGGED, node], whole[LOG, node]
     for customer in range(1, end):
         launch = plan[LAUNCH, customer]
         if launch == NOWHERE:
             continue
-        if begin <= whole[PLACE, launch] < at:
-            _copy_flight(whole, times_s, was, was_s, customer)
+        if first_simulated_index <= whole[POSITION, launch] < end_simulated_index:
+            _copy_sortie_geometry(whole, times_s, old_whole, old_times_s, customer)
         else:
-            times_s[FLY, customer] = was_s[FLY, customer]
+            times_s[FLY, customer] = old_times_s[FLY, customer]
 
 
-@compiled
-def differs(old, plan, customer):
+@compiled_inner
+def sortie_differs(base_plan, plan, customer):
     return (
-        old[LAUNCH, customer] != plan[LAUNCH, customer]
-        or old[MEET, customer] != plan[MEET, customer]
-        or old[KIND, customer] != plan[KIND, customer]
-        or old[ORDER, customer] != plan[ORDER, customer]
+        base_plan[LAUNCH, customer] != plan[LAUNCH, customer]
+        or base_plan[RENDEZVOUS, customer] != plan[RENDEZVOUS, customer]
+        or base_plan[KIND, customer] != plan[KIND, customer]
+        or base_plan[ORDER, customer] != plan[ORDER, customer]
     )
 
 
-@compiled
-def take_log(air, kept, w, begin):
-    """The launches before this place, and where those fly that may be in the air there."""
-    whole, times_s, was, was_s = w.whole, w.times_s, kept.whole, kept.times_s
-    logged = was[LOGGED, begin]
-    whole[LOGGED, begin] = logged
-    for number in range(max(0, logged - FLEETS_BACK * air.fleet), logged):
-        customer = was[LOG, number]
+@compiled_inner
+def copy_earlier_launch_log(air, base_work_arrays, work_arrays, route_index):
+    """Copy the launches before this position, and the routes of those possibly airborne there."""
+    whole, times_s, old_whole, old_times_s = (
+        work_arrays.whole,
+        work_arrays.times_s,
+        base_work_arrays.whole,
+        base_work_arrays.times_s,
+    )
+    logged = old_whole[LOGGED, route_index]
+    whole[LOGGED, route_index] = logged
+    for number in range(max(0, logged - LOG_DEPTH_FLEETS * air.fleet), logged):
+        customer = old_whole[LOG, number]
         whole[LOG, number] = customer
-        _copy_flight(was, was_s, whole, times_s, customer)
-        times_s[FLY, customer] = was_s[FLY, customer]
-        times_s[LAUNCHED, customer] = was_s[LAUNCHED, customer]
+        _copy_sortie_geometry(old_whole, old_times_s, whole, times_s, customer)
+        times_s[FLY, customer] = old_times_s[FLY, customer]
+        times_s[LAUNCHED, customer] = old_times_s[LAUNCHED, customer]
 
 
-@compiled
-def _in_air(slack_s, whole, times_s, number, least, now_s):
-    """The number, in the log, of the last launch before this one that may be in the air; -1: none
-    from the number `least` on.
+@compiled_inner
+def _last_possibly_airborne_log_index(
+    slack_s, int_rows, times_s, log_index, least_log_index, now_s
+):
+    """Return the log index of the last launch before `log_index` that may be airborne; -1: none
+    from index `least_log_index` on.
     """
-    for before in range(number - 1, least - 1, -1):
-        customer = whole[LOG, before]
+    for before in range(log_index - 1, least_log_index - 1, -1):
+        customer = int_rows[LOG, before]
         if times_s[LAUNCHED, customer] + times_s[FLY, customer] + slack_s > now_s:
             return before
     return -1
 
 
-@compiled
-def air_alike(air, old, kept, plan, w, at, before):
-    """Whether the same sorties are in the air at this place as there in the old plan, alike but for
-    a shift of time.
+@compiled_inner
+def has_same_airborne_sorties(
+    air, base_plan, base_work_arrays, plan, work_arrays, route_index, base_route_index
+):
+    """Return whether the same sorties are airborne at this position as in the old plan, equal
+    except for a time shift.
     """
-    whole, times_s, was, was_s = w.whole, w.times_s, kept.whole, kept.times_s
-    now_s, then_s = times_s[ARRIVE, at], was_s[ARRIVE, before]
-    one, other = whole[LOGGED, at], was[LOGGED, before]
-    back, slack_s = FLEETS_BACK * air.fleet, air.slack_s
-    least, their_least = max(0, one - back), max(0, other - back)
+    whole, times_s, old_whole, old_times_s = (
+        work_arrays.whole,
+        work_arrays.times_s,
+        base_work_arrays.whole,
+        base_work_arrays.times_s,
+    )
+    now_s, then_s = times_s[ARRIVE, route_index], old_times_s[ARRIVE, base_route_index]
+    one, other = whole[LOGGED, route_index], old_whole[LOGGED, base_route_index]
+    back, slack_s = LOG_DEPTH_FLEETS * air.fleet, air.slack_s
+    least, other_least = max(0, one - back), max(0, other - back)
     while True:
-        one = _in_air(slack_s, whole, times_s, one, least, now_s)
-        other = _in_air(slack_s, was, was_s, other, their_least, then_s)
+        one = _last_possibly_airborne_log_index(slack_s, whole, times_s, one, least, now_s)
+        other = _last_possibly_airborne_log_index(
+            slack_s, old_whole, old_times_s, other, other_least, then_s
+        )
         if one < 0 and other < 0:
             return True
-        if one < 0 or other < 0 or whole[LOG, one] != was[LOG, other]:
+        if one < 0 or other < 0 or whole[LOG, one] != old_whole[LOG, other]:
             return False
         customer = whole[LOG, one]
         for row in (LAYER, PAD, HOME):
-            if whole[row, customer] != was[row, customer]:
+            if whole[row, customer] != old_whole[row, customer]:
                 return False
-        late_s = times_s[LAUNCHED, customer] - was_s[LAUNCHED, customer]
-        if abs(late_s - (now_s - then_s)) > SAME_SHIFT_S or differs(old, plan, customer):
+        late_s = times_s[LAUNCHED, customer] - old_times_s[LAUNCHED, customer]
+        if abs(late_s - (now_s - then_s)) > SAME_SHIFT_S or sortie_differs(
+            base_plan, plan, customer
+        ):
             return False

@@ -1,1 +1,1 @@
-"""Desks with many vehicles that fly orders, for some minutes; all of them share this machine."""
+"""Fleet benchmark: desks with many vehicles that fly orders, all on one machine."""

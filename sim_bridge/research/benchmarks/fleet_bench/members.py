@@ -1,10 +1,10 @@
-"""Members: the companion's own fleet ports and zenoh links around a small state machine.
+"""Members: the companion's fleet ports and zenoh links around a small state machine.
 
-No physics; a process for many.
+Without physics; one process runs many members.
 """
 
-import heapq
 import json
+import math
 import os
 import queue
 import sys
@@ -17,30 +17,16 @@ import numpy as np
 
 from companion.adapters.clock import wall_s
 from companion.adapters.files.params import read_airframe
-from companion.app.flight.fleet_port import STANDBY, Assigned, FleetPort
-from companion.core.mission.events import Position
+from companion.app.flight.fleet_port import STANDBY, FleetPort, StoredAssignment
 from companion.core.pilot.telemetry_state import TelemetryState
-from companion.fleet.command_log import Verdict
-from companion.fleet.membership import JoinOptions, Membership, join
-from companion.fleet.messages import Answered, Assign, Command, EventKind, Launch
+from companion.fleet.command_log import CommandReply
+from companion.fleet.membership import JoinOptions, Membership, read_membership
+from companion.fleet.messages import Assign, Command, CommandStatus, EventKind, Launch
 from companion.fleet.topics import VehicleKeys
 
-STOP_LOOK_S = 0.5
-SLACK_S = 0.005
-"""The port tells nothing sooner than a second after it told last."""
-
-
-@dataclass(frozen=True, slots=True)
-class AirTimes:
-    """How long each is in the air: drawn between these."""
-
-    seed: int
-    least_s: float
-    most_s: float
-
-    def drawn_s(self, rng: np.random.Generator) -> float:
-        """One flight's."""
-        return float(rng.uniform(self.least_s, self.most_s))
+STOP_POLL_S = 0.5
+PUBLICATION_MARGIN_S = 0.005
+"""Margin over the port's minimum publication interval of one second."""
 
 
 @dataclass(slots=True)
@@ -48,78 +34,75 @@ class Member:
     """One vehicle: standby, ready, outbound for some seconds, and an outcome."""
 
     port: FleetPort
-    flights: AirTimes
+    flight_s: tuple[float, float]
+    """Shortest and longest time in the air."""
     rng: np.random.Generator
     telemetry: TelemetryState
-    tells_every_s: float
+    state_interval_s: float
     phase: str = STANDBY
-    lands_s: float = 0.0
-    told_phase: str = ""
-    tells_s: float = 0.0
+    landing_s: float = 0.0
+    sent_phase: str = ""
+    next_publication_s: float = 0.0
     flown: list[str] = field(default_factory=list)
 
-    def turn(self) -> float:
-        """Answer, land when it is time, tell the state; when to look again at the latest."""
-        self.port.turn(self._carry_out)
-        if self.phase == "outbound" and wall_s() >= self.lands_s:
-            self._land()
-        if self.phase != self.told_phase or wall_s() >= self.tells_s:
-            self.told_phase, self.tells_s = self.phase, wall_s() + self.tells_every_s + SLACK_S
-            self.port.publish(self.phase, self.telemetry)
-        return min(self.tells_s, self.lands_s) if self.phase == "outbound" else self.tells_s
+    def update_and_return_next_call_time_s(self) -> float:
+        """Process commands, land if due, publish the state; return the time of the next call."""
+        self.port.process_commands(self._execute_command)
+        if self.phase == "outbound" and wall_s() >= self.landing_s:
+            self._record_landing()
+        if self.phase != self.sent_phase or wall_s() >= self.next_publication_s:
+            self.sent_phase = self.phase
+            self.next_publication_s = wall_s() + self.state_interval_s + PUBLICATION_MARGIN_S
+            self.port.publish_state_if_due(self.phase, self.telemetry)
+        landing_s = self.landing_s if self.phase == "outbound" else math.inf
+        return min(self.next_publication_s, landing_s)
 
-    def _carry_out(self, command: Command) -> Verdict:
-        deed = command.deed
+    def _execute_command(self, command: Command) -> CommandReply:
+        deed = command.action
         match deed:
             case Assign() if self.phase == STANDBY:
-                self.port.take_aboard(Assigned(assignment=deed.assignment, order=deed.order))
+                self.port.store_assignment(
+                    StoredAssignment(assignment=deed.assignment, order=deed.order)
+                )
                 self.phase = "ready"
             case Launch() if self.phase == "ready":
                 self.flown.append(deed.assignment)
-                self.phase, self.lands_s = "outbound", wall_s() + self.flights.drawn_s(self.rng)
+                self.phase = "outbound"
+                self.landing_s = wall_s() + float(self.rng.uniform(*self.flight_s))
             case _:
-                return Verdict(Answered.REFUSED, f"in phase {self.phase}")
-        return Verdict(Answered.DONE, self.phase)
+                return CommandReply(CommandStatus.REFUSED, f"in phase {self.phase}")
+        return CommandReply(CommandStatus.DONE, self.phase)
 
-    def _land(self) -> None:
-        self.port.tell(EventKind.OUTCOME, "landed", outcome="SUC", delivered=True, home=True)
-        self.port.put_ashore()
+    def _record_landing(self) -> None:
+        self.port.record_event(
+            EventKind.OUTCOME, "landed", outcome="SUC", delivered=True, home=True
+        )
+        self.port.unload_assignment()
         self.phase = STANDBY
 
 
-def _membership(keys: VehicleKeys, config: Path) -> Membership:
-    if config.is_dir():
-        return join(keys, None, JoinOptions(config / keys.vehicle))
-    return join(keys, config)
-
-
-def read_stands(file: str | None) -> list[tuple[float, float]]:
-    """Where each member stands, by its number, degrees; none are told without a file."""
-    return [] if file is None else json.loads(Path(file).read_text())
-
-
-def _telemetry(stands: list[tuple[float, float]], number: int) -> TelemetryState:
-    """What it tells of its place."""
-    if not stands:
-        return TelemetryState()
-    lat_deg, lon_deg = stands[number]
-    return TelemetryState(position=Position(0.0, lat_deg, lon_deg, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def serve(
+def run_members(
     fleet: str,
-    numbers: range,
-    config_file: Path,
-    folder: Path,
-    flights: AirTimes,
-    states_every_s: float,
-    stands: list[tuple[float, float]],
+    first: int,
+    count: int,
+    config: str,
+    folder: str,
+    seed: int,
+    flight_s: tuple[float, float],
+    state_interval_s: float,
 ) -> None:
-    """Say that all is loaded; join at a word; fly until standard input ends, then tell what was
-    flown. `config_file`: a network file, or a folder with the identities of all. As in a companion,
-    what comes for a member wakes it.
+    """Print "loaded"; join after one input line; fly until end of input; print flown assignments.
+
+    `config`: a network file, or a folder of identities. Messages wake their member.
     """
-    joins = [_membership(VehicleKeys(fleet, f"v{number}"), config_file) for number in numbers]
+    numbers = range(first, first + count)
+    joins: list[Membership] = []
+    for number in numbers:
+        keys, path = VehicleKeys(fleet, f"v{number}"), Path(config)
+        identity = JoinOptions(path / keys.vehicle)
+        joins.append(
+            read_membership(keys, None, identity) if path.is_dir() else read_membership(keys, path)
+        )
     print("loaded", flush=True)
     sys.stdin.readline()
     airframe = read_airframe("m100")
@@ -129,39 +112,26 @@ def serve(
     woken: queue.SimpleQueue[int] = queue.SimpleQueue()
     for number, membership in zip(numbers, joins, strict=True):
         name = f"v{number}"
-        port = FleetPort.open(name, "m100", airframe, folder / name, membership.open_link)
-        port.link.be_woken(partial(woken.put, len(members)))
-        rng = np.random.default_rng([flights.seed, number])
-        members.append(Member(port, flights, rng, _telemetry(stands, number), states_every_s))
-    turn_until(stop, members, woken)
+        port = FleetPort.open(name, "m100", airframe, Path(folder) / name, membership.open_link)
+        port.member.link.set_request_callback(partial(woken.put, len(members)))
+        rng = np.random.default_rng([seed, number])
+        members.append(Member(port, flight_s, rng, TelemetryState(), state_interval_s))
+    update_members_until_stopped(stop, members, woken)
     print(json.dumps([x for member in members for x in member.flown]), flush=True)
     os._exit(0)
 
 
-def turn_until(stop: threading.Event, members: list[Member], woken: queue.SimpleQueue[int]) -> None:
-    """Each when it is woken, and when it has to tell or to land."""
-    at_s = [0.0] * len(members)
-    waiting = [(0.0, number) for number in range(len(members))]
+def update_members_until_stopped(
+    stop: threading.Event, members: list[Member], woken_member_indices: queue.SimpleQueue[int]
+) -> None:
+    """Update each member when a message wakes it, and when it must publish or land."""
+    next_call_s = [0.0] * len(members)
     while not stop.is_set():
-        number = _next(waiting, at_s, woken)
-        if number is None:
-            continue
-        at_s[number] = members[number].turn()
-        heapq.heappush(waiting, (at_s[number], number))
-
-
-def _next(
-    waiting: list[tuple[float, int]], at_s: list[float], woken: queue.SimpleQueue[int]
-) -> int | None:
-    """Who is due, or is woken before anybody is; None: nobody for some time. `waiting`: a heap with
-    each of them, in which only the newest time of each counts, which is in `at_s`.
-    """
-    while waiting[0][0] != at_s[waiting[0][1]]:
-        heapq.heappop(waiting)
-    rests_s = waiting[0][0] - wall_s()
-    if rests_s <= 0.0:
-        return heapq.heappop(waiting)[1]
-    try:
-        return woken.get(timeout=min(rests_s, STOP_LOOK_S))
-    except queue.Empty:
-        return None
+        number = min(range(len(members)), key=next_call_s.__getitem__)
+        rests_s = next_call_s[number] - wall_s()
+        if rests_s > 0.0:
+            try:
+                number = woken_member_indices.get(timeout=min(rests_s, STOP_POLL_S))
+            except queue.Empty:
+                continue
+        next_call_s[number] = members[number].update_and_return_next_call_time_s()

@@ -1,4 +1,4 @@
-"""`sim-bridge examples`: what is copied is used as it lies, and nothing of a user's is lost."""
+"""`sim-bridge examples`: copied files work unchanged, and no file of the user is lost."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The rows of the suite: named once, placed in known phases, found by name and by number."""
+"""The rows of the suite: unique names, known phases, found by name and by number."""
 
 from collections import Counter
 
@@ -6,9 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
-from sim_bridge.app.fault_suite.catalogue import CATALOGUE, chosen, tight_enough
-from sim_bridge.app.fault_suite.suite import tasks
-from sim_bridge.app.faults.case import BOTH, PHASES
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE, select_cases, select_tight_cases
+from sim_bridge.app.fault_suite.suite import list_tasks
+from sim_bridge.app.faults.fault import PHASES
+from sim_bridge.autopilot.kinds import AUTOPILOTS
 from sim_bridge.main import app
 
 
@@ -20,24 +21,24 @@ def test_every_name_is_one_row_and_every_row_has_a_number_of_the_suite():
 def test_every_row_begins_in_known_phases_and_asks_something():
     for case in CATALOGUE:
         assert set(case.phases) <= set(PHASES), case.name
-        assert set(case.autopilots) <= set(BOTH), case.name
+        assert set(case.autopilots) <= set(AUTOPILOTS), case.name
         assert case.phases, case.name
-        assert case.asks, case.name
+        assert case.rules, case.name
 
 
 def test_rows_are_chosen_by_name_and_by_number():
-    assert [case.name for case in chosen(["arm-ack-lost"])] == ["arm-ack-lost"]
-    assert {case.number for case in chosen(["25", "arm-ack-lost"])} == {1, 25}
-    assert chosen([]) == list(CATALOGUE)
+    assert [case.name for case in select_cases(["arm-ack-lost"])] == ["arm-ack-lost"]
+    assert {case.number for case in select_cases(["25", "arm-ack-lost"])} == {1, 25}
+    assert select_cases([]) == list(CATALOGUE)
 
 
 def test_a_name_that_no_row_has_is_refused_with_where_to_look():
     with pytest.raises(LeewayError, match=r"no-such-fault.*--list"):
-        chosen(["no-such-fault"])
+        select_cases(["no-such-fault"])
 
 
 def test_a_row_is_flown_only_in_phases_where_it_makes_sense(tmp_path):
-    made = tasks(chosen(["1", "7"]), BOTH, PHASES, range(1, 3), tmp_path)
+    made = list_tasks(select_cases(["1", "7"]), AUTOPILOTS, PHASES, range(1, 3), tmp_path)
     assert {task.phase for task in made if task.fault == "arm-ack-lost"} == {"ready"}
     of_seven = {task.phase for task in made if task.fault == "false-disarmed"}
     assert of_seven == {"climb", "outbound", "drop", "return", "land"}
@@ -53,8 +54,8 @@ def test_the_list_names_every_row_and_flies_nothing(tmp_path, monkeypatch):
 
 
 def test_tight_flights_are_of_rows_that_the_model_does_not_know():
-    fit = tight_enough(chosen([]), named=False)
+    fit = select_tight_cases(select_cases([]), named_explicitly=False)
     assert {case.number for case in fit} == set(range(21, 40))
     assert {case.group for case in fit} == {"energy", "air and sensors"}
     with pytest.raises(LeewayError, match=r"kill-switch: row 9, expected one of 21 to 39"):
-        tight_enough(chosen(["icing", "kill-switch"]), named=True)
+        select_tight_cases(select_cases(["icing", "kill-switch"]), named_explicitly=True)

@@ -1,4 +1,4 @@
-"""What the suite prints and writes of its rows."""
+"""The suite's printed and written reports of its rows."""
 
 import json
 
@@ -6,29 +6,20 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from sim_bridge.app.fault_suite.promises import by_group
-from sim_bridge.app.fault_suite.report import promises, result, spent, write
-from sim_bridge.app.faults.fault_row import FaultRow
+from sim_bridge.app.fault_suite.promises import p_home_calibration
+from sim_bridge.app.fault_suite.report import (
+    build_suite_result,
+    cpu_time_summary_line,
+    p_home_calibration_tables,
+    write_suite_result,
+)
+from sim_bridge.app.faults.fault import FaultRow
+from tests.sim_bridge.app.fault_suite.made_rows import made_row
 
 
 def row(group: str = "energy", *, promised: float | None = 0.999, home: bool = True) -> FaultRow:
-    return FaultRow(
-        fault="draw-2",
-        group=group,
-        autopilot="px4",
-        phase="drop",
-        seed=1,
-        outcome="SUC" if home else "DEL",
-        home=home,
-        delivered=True,
-        margin_wh=1.0,
-        p_home_last_go=promised,
-        commands_after_takeover=0,
-        exceptions=0,
-        said=["gate open: going"],
-        held=home,
-        why="" if home else "not home",
-    )
+    why = "" if home else "not home"
+    return made_row(group=group, p_home_last_go=promised, home=home, passed=home, failure_text=why)
 
 
 def printed(table) -> list[list[str]]:
@@ -40,7 +31,7 @@ def printed(table) -> list[list[str]]:
 
 def test_promises_are_held_against_what_came_home_group_by_group():
     rows = [row(), row(promised=0.9), row(home=False), row("link"), row("host", promised=None)]
-    (table,) = promises(rows)
+    (table,) = p_home_calibration_tables(rows)
     lines = printed(table)
     assert ["energy", "3", "0.966", "0.667", "0.3360", "1", "of", "2"] in lines
     assert ["link", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
@@ -49,34 +40,37 @@ def test_promises_are_held_against_what_came_home_group_by_group():
 
 def test_the_file_holds_every_row_and_the_count(tmp_path):
     path = tmp_path / "faults.json"
-    write(path, [row(), row(home=False)])
+    write_suite_result(path, [row(), row(home=False)])
     read = json.loads(path.read_text())
     assert (read["held"], read["of"]) == (1, 2)
     assert read["rows"][1]["why"] == "not home"
     nothing = {"rows": [], "held": 0, "of": 0, "left": 0, "lost": [], "groups": [], "cpu_s": None}
-    assert result([]) == nothing
+    assert build_suite_result([]) == nothing
 
 
 def test_the_file_says_how_reliable_what_was_said_is_group_by_group():
     said = [(0.999, True), (0.995, False), (0.98, True), (0.5, False), (None, True)]
-    (energy,) = result([row(promised=p, home=home) for p, home in said])["groups"]
+    (energy,) = build_suite_result([row(promised=p, home=home) for p, home in said])["groups"]
     assert (energy.group, energy.flights) == ("energy", 4)
     # By hand: (0.001**2 + 0.995**2 + 0.02**2 + 0.5**2) / 4.
     assert energy.brier == pytest.approx(0.31010, abs=1e-5)
     classes = [(each.from_p, each.flights, each.home) for each in energy.reliability]
     assert classes == [(0.0, 1, 0.0), (0.97, 1, 1.0), (0.99, 2, 0.5)]
-    assert energy.sure == (1, 2)
+    assert energy.returned_and_total_at_high_p_home == (1, 2)
 
 
 def test_what_a_flight_took_is_said_with_the_longest():
-    assert spent([row()]) == ""
+    assert cpu_time_summary_line([row()]) == ""
     rows = [msgspec.structs.replace(row(), cpu_s=seconds) for seconds in (9.0, 10.0, 31.0)]
-    assert spent(rows) == "CPU a flight: 10.0 s (median), at most 31.0 s (draw-2 px4 drop)"
+    assert (
+        cpu_time_summary_line(rows)
+        == "CPU per flight: 10.0 s (median), at most 31.0 s (draw-2 px4 drop)"
+    )
 
 
 def test_tight_flights_are_told_by_fault_too():
     rows = [row(), msgspec.structs.replace(row(home=False), fault="icing")]
-    _, by_fault = promises(rows, by_fault=True)
+    _, by_fault = p_home_calibration_tables(rows, by_fault=True)
     lines = printed(by_fault)
     assert ["draw-2", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
     assert ["icing", "1", "0.999", "0.000", "0.9980", "0", "of", "1"] in lines
@@ -86,5 +80,5 @@ def test_tight_flights_are_told_by_fault_too():
 def test_a_promise_is_kept_where_nineteen_of_twenty_that_were_sure_came_home(home, lost, kept):
     unsure = [row(promised=0.6, home=False) for _ in range(5)]
     sure = [row() for _ in range(home)] + [row(home=False) for _ in range(lost)]
-    (energy,) = by_group([*unsure, *sure])
-    assert energy.is_kept is kept
+    (energy,) = p_home_calibration([*unsure, *sure])
+    assert energy.is_high_p_home_reliable is kept

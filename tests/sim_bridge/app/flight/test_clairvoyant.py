@@ -1,12 +1,18 @@
-"""The clairvoyant against energies added up by hand from the truth's own steady power."""
+"""The clairvoyant against energies calculated by hand from the truth's steady power."""
 
 import math
 from pathlib import Path
 
 import pytest
 
-from sim_bridge.app.flight.clairvoyant import Itinerary, Means, SpeedLimits, WayBack, foresee
-from sim_bridge.app.flight.clairvoyant_flight import ways_back
+from sim_bridge.app.flight.clairvoyant import (
+    MissionProfile,
+    ReturnRoute,
+    SpeedLimits,
+    TrueConditions,
+    compute_clairvoyant_result,
+)
+from sim_bridge.app.flight.clairvoyant_flight import build_routes_to_landing_sites
 from sim_bridge.truth.battery import Battery
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
@@ -14,10 +20,10 @@ from sim_bridge.truth.steady_flight import SteadyFlight
 TRUTH = load_airframe(Path(__file__).parents[4] / "params" / "truth" / "m100.toml")
 STEADY = SteadyFlight(TRUTH)
 CUSTOMER = (0.0, 600.0)
-HOME = WayBack([CUSTOMER, (0.0, 0.0)], 0.0)
+HOME = ReturnRoute([CUSTOMER, (0.0, 0.0)], 0.0)
 PLAN = {
     "out_ne_m": [(0.0, 0.0), CUSTOMER],
-    "ways_back": [HOME],
+    "return_routes": [HOME],
     "cruise_height_m": 40.0,
     "return_height_m": 40.0,
     "drop_up_m": 10.0,
@@ -33,9 +39,9 @@ PLAN = {
 
 
 def flown(wind_at, charge_frac=1.0, **changes):
-    means = Means(STEADY, wind_at, 0.6, 18.0, STEADY.hover_power_w())
-    pack = lambda: Battery(TRUTH.battery, charge_frac=charge_frac)  # noqa: E731
-    return foresee(Itinerary(**(PLAN | changes)), means, pack, 0.0)
+    means = TrueConditions(STEADY, wind_at, 0.6, 18.0, STEADY.hover_power_w())
+    pack = Battery(TRUTH.battery, charge_frac=charge_frac)
+    return compute_clairvoyant_result(MissionProfile(**(PLAN | changes)), means, pack, 0.0)
 
 
 def calm(t_s: float, height_m: float) -> tuple[float, float]:
@@ -53,7 +59,7 @@ def used_wh(end) -> float:
 
 def test_a_calm_flight_costs_what_its_parts_add_up_to() -> None:
     def power(speed: float, payload: float = 0.6, climb: float = 0.0) -> float:
-        return STEADY.state(speed, payload_kg=payload, climb_mps=climb).power_w
+        return STEADY.steady_state(speed, payload_kg=payload, climb_mps=climb).power_w
 
     loaded = min(power(v) / v for v in range(4, 19)) * 600.0
     empty = min(power(v, 0.0) / v for v in range(4, 19)) * 600.0
@@ -67,7 +73,7 @@ def test_a_calm_flight_costs_what_its_parts_add_up_to() -> None:
     )
     stops_j = 2 * 0.5 * (14.0 / 2.5) * (power(14.0) + power(14.0, 0.0))
     by_hand_wh = (upright_j + loaded + empty + stops_j) / 3600.0
-    # The battery's own loss under load is not in the sum: usable energy is counted at hover draw.
+    # The battery's loss under load is not in the sum: usable energy is counted at hover draw.
     assert used_wh(flown(calm)) == pytest.approx(by_hand_wh, abs=1.0)
 
 
@@ -75,7 +81,7 @@ def test_a_leg_is_flown_at_one_ground_speed_so_gusts_cost_and_are_not_ridden() -
     def gusty(t_s: float, height_m: float) -> tuple[float, float]:
         return 0.0, 12.0 if int(t_s) % 2 else 4.0
 
-    # Into a mean headwind of 8 m/s power grows faster than speed: gusts cost on average.
+    # In a mean headwind of 8 m/s power grows faster than speed: gusts increase the mean energy.
     assert used_wh(flown(gusty)) > used_wh(flown(steady_wind(0.0, 8.0))) + 0.5
 
 
@@ -87,13 +93,13 @@ def test_knowing_a_wind_that_turns_is_used() -> None:
 
 
 def test_it_lands_where_the_most_is_left() -> None:
-    quay = WayBack([CUSTOMER, (0.0, 300.0)], 2.0)
-    against = steady_wind(0.0, 10.0)  # home is into the wind
-    depot_only, either = flown(against), flown(against, ways_back=[HOME, quay])
+    quay = ReturnRoute([CUSTOMER, (0.0, 300.0)], 2.0)
+    against = steady_wind(0.0, 10.0)  # headwind on the return
+    depot_only, either = flown(against), flown(against, return_routes=[HOME, quay])
     assert either.margin_wh > depot_only.margin_wh + 3.0
     charge = next(c / 100 for c in range(100) if flown(against, c / 100).margin_wh > -3.0)
     assert flown(against, charge).outcome == "ABRT"
-    assert flown(against, charge, ways_back=[HOME, quay]).outcome == "SUC"
+    assert flown(against, charge, return_routes=[HOME, quay]).outcome == "SUC"
 
 
 @pytest.mark.parametrize("wind", [(0.0, 25.0), (20.0, 0.0)])
@@ -109,8 +115,8 @@ def test_a_pack_that_cuts_off_on_the_way_is_not_home() -> None:
 
 def test_a_way_back_in_a_higher_layer_costs_its_climb_and_its_longer_descent():
     higher = used_wh(flown(calm, return_height_m=52.0)) - used_wh(flown(calm))
-    # 12 m more: 4 s of climb at 3 m/s, 6 s of descent at 2 m/s, both empty.
-    empty = lambda climb: STEADY.state(0.0, payload_kg=0.0, climb_mps=climb).power_w  # noqa: E731
+    # 12 m more: 4 s of climb at 3 m/s, 6 s of descent at 2 m/s, both without parcel.
+    empty = lambda climb: STEADY.steady_state(0.0, payload_kg=0.0, climb_mps=climb).power_w  # noqa: E731
     assert higher == pytest.approx((4.0 * empty(3.0) + 6.0 * empty(-2.0)) / 3600.0, abs=0.05)
 
 
@@ -120,11 +126,11 @@ def test_the_clairvoyant_lands_at_the_promised_stop_and_not_where_it_took_off():
         "home_ned_m": (30.0, 250.0, -1.5),
         "rally": [],
     }
-    (way,) = ways_back(row, CUSTOMER)
-    assert way == WayBack([CUSTOMER, (0.0, 400.0), (30.0, 250.0)], 1.5)
+    (way,) = build_routes_to_landing_sites(row, CUSTOMER)
+    assert way == ReturnRoute([CUSTOMER, (0.0, 400.0), (30.0, 250.0)], 1.5)
     # 600 m back to the launch pad, 353 m to the stop, at no less than the best of still air.
     saved = (600.0 - 200.0 - math.hypot(30.0, 150.0)) * min(
-        STEADY.state(v, payload_kg=0.0).power_w / v for v in range(4, 19)
+        STEADY.steady_state(v, payload_kg=0.0).power_w / v for v in range(4, 19)
     )
-    nearer = used_wh(flown(calm)) - used_wh(flown(calm, ways_back=[way]))
+    nearer = used_wh(flown(calm)) - used_wh(flown(calm, return_routes=[way]))
     assert nearer == pytest.approx(saved / 3600.0, abs=0.3)

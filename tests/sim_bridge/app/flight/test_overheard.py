@@ -1,11 +1,11 @@
-"""What a live view takes from the stream of a vehicle that we do not simulate."""
+"""Data of a live view from the stream of a vehicle that is not simulated here."""
 
 import math
 from pathlib import Path
 
 import pytest
 
-from sim_bridge.app.flight.overheard import STAMP, Overheard
+from sim_bridge.app.flight.overheard import STAMP, StreamMonitor
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 
@@ -28,7 +28,7 @@ def tell(path: Path, autopilot: Encoder, lat_deg: float, lon_deg: float, up_m: f
         hdg=0,
     )
     with path.open("ab") as file:
-        file.write(STAMP.pack(0) + autopilot.encode(message))
+        file.write(STAMP.pack(0) + autopilot.encode_next_frame(message))
 
 
 def test_0_north_0_east_is_no_place_to_have_stood(tmp_path, autopilot):
@@ -36,7 +36,7 @@ def test_0_north_0_east_is_no_place_to_have_stood(tmp_path, autopilot):
     tell(path, autopilot, 0.0, 0.0, 0.0)
     tell(path, autopilot, 55.0, 8.0, 1.0)
     tell(path, autopilot, 55.001, 8.0, 20.0)
-    heard = Overheard(path)
-    heard.listen()
-    assert heard.away_m == pytest.approx(math.radians(0.001) * 6_378_137.0, rel=0.01)
+    heard = StreamMonitor(path)
+    heard.read_new_frames_and_update_state()
+    assert heard.distance_m == pytest.approx(math.radians(0.001) * 6_378_137.0, rel=0.01)
     assert heard.up_m == 20.0

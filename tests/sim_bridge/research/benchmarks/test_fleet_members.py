@@ -1,4 +1,4 @@
-"""Whose turn it is among a process's members: who is due, then who is woken."""
+"""Scheduling among a process's members: due members first, then woken ones."""
 
 import queue
 import threading
@@ -13,13 +13,13 @@ from sim_bridge.research.benchmarks.fleet_bench import members
 
 
 class Counted:
-    """A member that wants its next turn after `every_s`."""
+    """A member that requests its next turn after `every_s`."""
 
     def __init__(self, every_s: float) -> None:
         self.every_s = every_s
         self.turns_s: list[float] = []
 
-    def turn(self) -> float:
+    def update_and_return_next_call_time_s(self) -> float:
         self.turns_s.append(wall_s())
         return self.turns_s[-1] + self.every_s
 
@@ -32,7 +32,7 @@ def test_each_has_its_turns_and_a_flood_of_wakes_takes_nobody_elses() -> None:
     stop = threading.Event()
     threading.Timer(1.0, stop.set).start()
     begun_s = wall_s()
-    members.turn_until(stop, [flooded, often, seldom], woken)
+    members.update_members_until_stopped(stop, [flooded, often, seldom], woken)
     assert wall_s() - begun_s < 2.0
     assert len(flooded.turns_s) > 100
     assert 8 <= len(often.turns_s) <= 21
@@ -43,7 +43,9 @@ def test_who_is_woken_comes_at_once() -> None:
     resting = Counted(60.0)
     woken: queue.SimpleQueue[int] = queue.SimpleQueue()
     stop = threading.Event()
-    thread = threading.Thread(target=members.turn_until, args=(stop, [resting], woken))
+    thread = threading.Thread(
+        target=members.update_members_until_stopped, args=(stop, [resting], woken)
+    )
     thread.start()
     while not resting.turns_s and thread.is_alive():
         time.sleep(0.001)

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import Obstacle, ObstacleMap, horizontal_m
-from companion.core.routing.smooth_route import largest_turn_rad, round_corner, smooth_route
-from sim_bridge.research.dubins.corners import hover_turn_s, round_corners, stopping_s
+from companion.core.base.geo import Obstacle, ObstacleMap, horizontal_distance_m
+from companion.core.routing.smooth_route import (
+    arc_at_corner,
+    max_route_turn_rad,
+    round_clear_corners,
+)
+from sim_bridge.research.dubins.corners import (
+    round_corners,
+    stop_and_yaw_time_loss_s,
+    unrounded_corner_time_loss_s,
+)
 from sim_bridge.research.dubins.limits import FlightLimits
 
 LIMITS = FlightLimits(15.0, 60.0)
@@ -36,7 +44,7 @@ def test_a_corner_in_wind_leaves_one_leg_and_meets_the_other():
     wind = np.array([4.0, -6.0])
     turn = math.radians(80.0)
     cut = corner(turn, wind)
-    # An integration of its own: from the first leg, hold its crab, turn at V / R to the second's.
+    # Independent integration: from the first leg, hold its crab, turn at V / R to the second's.
     crab = [math.asin(float(w) / 15.0) for w in (wind[1], wind[1] * 0 + _across(wind, turn))]
     heading, end = -crab[0], turn - crab[1]
     place, dt = np.array([-cut.before_m[0], 0.0]), 1e-4
@@ -60,25 +68,27 @@ def test_a_corner_without_room_takes_longer_and_still_turns_no_faster():
 
 
 def test_stopping_to_turn_costs_what_it_costs_a_leg():
-    # A reversal loses all speed and makes it again: V / a. A hover there turns at V / R besides.
-    assert stopping_s(np.array([math.pi]), 15.0, 2.5) == pytest.approx(6.0)
-    assert hover_turn_s(np.array([math.pi]), LIMITS, 2.5) == pytest.approx(6.0 + 4 * math.pi)
+    # A reversal loses and regains all speed: V / a. A hover there also turns at V / R.
+    assert unrounded_corner_time_loss_s(np.array([math.pi]), 15.0, 2.5) == pytest.approx(6.0)
+    assert stop_and_yaw_time_loss_s(np.array([math.pi]), LIMITS, 2.5) == pytest.approx(
+        6.0 + 4 * math.pi
+    )
 
 
 def test_a_rounded_waypoint_stays_within_its_tolerance():
-    arc = round_corner((-200.0, 0.0, -40.0), (0.0, 0.0, -40.0), (0.0, 300.0, -40.0), 15.0)
+    arc = arc_at_corner((-200.0, 0.0, -40.0), (0.0, 0.0, -40.0), (0.0, 300.0, -40.0), 15.0)
     assert arc is not None
-    assert arc.off_m <= 15.0 + 1e-9
-    assert min(horizontal_m(p, (0.0, 0.0, 0.0)) for p in arc.points) >= arc.off_m - 1e-9
-    apart = [horizontal_m(a, b) for a, b in zip(arc.points, arc.points[1:], strict=False)]
-    assert min(apart) > 18.0  # PX4's acceptance radius is 10 m: nearer ones are one to it
+    assert arc.offset_m <= 15.0 + 1e-9
+    assert min(horizontal_distance_m(p, (0.0, 0.0, 0.0)) for p in arc.points) >= arc.offset_m - 1e-9
+    apart = [horizontal_distance_m(a, b) for a, b in zip(arc.points, arc.points[1:], strict=False)]
+    assert min(apart) > 18.0  # PX4's acceptance radius is 10 m: closer waypoints coincide
 
 
 def test_a_smooth_route_turns_less_at_once_and_keeps_its_ends():
     route = [(0.0, 0.0, -40.0), (300.0, 0.0, -40.0), (300.0, 300.0, -40.0), (0.0, 500.0, -40.0)]
-    smooth = smooth_route(route, 15.0, ObstacleMap((), 15.0, 8.0))
+    smooth = round_clear_corners(route, 15.0, ObstacleMap((), 15.0, 8.0))
     assert (smooth[0], smooth[-1]) == (route[0], route[-1])
-    assert largest_turn_rad(smooth) < 0.6 * largest_turn_rad(route)
+    assert max_route_turn_rad(smooth) < 0.6 * max_route_turn_rad(route)
 
 
 def test_a_corner_whose_arc_would_come_near_a_building_stays():
@@ -87,7 +97,7 @@ def test_a_corner_whose_arc_would_come_near_a_building_stays():
     shop = Obstacle("shop", tuple((corner_m + n, 25.0 + e) for n, e in
                                   ((0, 0), (-5, 0), (-5, 5), (0, 5))), 60.0)  # fmt: skip
     blocked = ObstacleMap((shop,), 15.0, 8.0)
-    assert blocked.blocking(route[0], route[1]) is None
-    assert smooth_route(route, 30.0, blocked) == route
+    assert blocked.first_blocking_obstacle(route[0], route[1]) is None
+    assert round_clear_corners(route, 30.0, blocked) == route
     with pytest.raises(LeewayError, match="corner tolerance"):
-        smooth_route(route, 0.0, blocked)
+        round_clear_corners(route, 0.0, blocked)

@@ -14,10 +14,10 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
-from sim_bridge.research.campaign.frontier import frontier
-from sim_bridge.research.planners.bounded_loss_policy import find_policy
-from sim_bridge.research.planners.dynamic_program import solve_home
-from sim_bridge.research.planners.edge_transitions import Rounding, build_step_model
+from sim_bridge.research.campaign.frontier import compute_frontier
+from sim_bridge.research.planners.bounded_loss_policy import PolicySearch
+from sim_bridge.research.planners.dynamic_program import solve_return_table
+from sim_bridge.research.planners.edge_transitions import Rounding, build_edge_transition_model
 from sim_bridge.research.planners.scenario import (
     ChainWind,
     Power,
@@ -134,26 +134,33 @@ def rounded_down(cost):
     return math.floor(cost + 1e-9)
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("max_loss", [0.02, 0.1, 0.3])
 def test_the_mixture_of_two_policies_is_the_optimum_of_the_linear_program(seed, max_loss):
     scenario = scenario_of(seed)
     chain = chain_from_scenario(scenario.wind)
     graph = build_energy_graph(scenario)
-    model = build_step_model(graph, chain, scenario.budget_wh, LEVELS, Rounding.UP, np.float64)
-    found = find_policy(model, solve_home(model), max_loss).forecast
+    model = build_edge_transition_model(
+        graph, chain, scenario.budget_wh, LEVELS, Rounding.UP, np.float64
+    )
+    found = (
+        PolicySearch(model, solve_return_table(model)).best_policy_within_loss(max_loss).forecast
+    )
     best = best_success(scenario, max_loss, rounded_up)
     assert found.loss <= max_loss + 1e-9
     assert found.success <= best + 1e-6
     assert found.success >= best - 0.01
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("max_loss", [0.02, 0.3])
 def test_the_frontier_bounds_the_linear_program_closely(seed, max_loss):
     scenario = scenario_of(seed)
     best = best_success(scenario, max_loss, rounded_down)
     weights = (0.0, *np.geomspace(0.03, 300.0, 40).tolist())
-    limit = float(frontier(scenario, LEVELS, weights).success_within(max_loss))
+    frontier = compute_frontier(scenario, LEVELS, weights)
+    limit = float(frontier.max_success_within_loss_probability(max_loss))
     assert limit >= best - 1e-6
     assert limit <= best + 0.02  # the weights are a grid

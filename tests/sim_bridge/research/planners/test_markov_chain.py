@@ -8,18 +8,15 @@ from scipy.linalg import expm
 
 from companion.adapters.files.params import read_wind_process
 from companion.core.routing.energy_graph import EnergyGraph
-from companion.core.wind.forecast import LEG_S
+from companion.core.wind.forecast import LEG_AVERAGING_S
 from sim_bridge.research.planners.markov_chain import (
     OrnsteinUhlenbeckWind,
-    Sight,
     WindChain,
-    class_centre,
-    lattice_belief,
-    prior_wind,
-    sight_of,
-    time_window_s,
+    build_observed_wind_by_state,
+    build_prior_wind,
+    snap_direction_to_sector_centre,
 )
-from sim_bridge.research.planners.uncertainty import ChainUncertainty, lag_s
+from sim_bridge.research.planners.uncertainty import ChainUncertainty, lag_until_edge_s
 
 COAST = read_wind_process("coast")
 
@@ -31,21 +28,21 @@ def test_transition_rows_are_those_of_the_matrix_exponential():
     np.fill_diagonal(rate, -rate.sum(axis=1))
     chain = WindChain(np.zeros((5, 2)), rate, np.full(5, 0.2))
     times = np.array([0.0, 0.3, 2.0, 40.0])
-    rows = chain.transition_rows(np.arange(5)[:, None], times[None, :])
+    rows = chain.transition_probability_rows(np.arange(5)[:, None], times[None, :])
     for j, t in enumerate(times):
         assert rows[:, j] == pytest.approx(expm(rate * t), abs=1e-10)
 
 
-def test_a_chain_without_enough_eigenvectors_is_uniformised():
+def test_a_chain_without_enough_eigenvectors_has_the_same_rows():
     rate = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 0.0]])
     chain = WindChain(np.zeros((3, 2)), rate, np.array([1.0, 0.0, 0.0]))
-    rows = chain.transition_rows([0, 0], [0.5, 30.0])
+    rows = chain.transition_probability_rows([0, 0], [0.5, 30.0])
     assert rows[0] == pytest.approx(expm(rate * 0.5)[0], abs=1e-12)
     assert rows[1] == pytest.approx(expm(rate * 30.0)[0], abs=1e-12)
 
 
 def test_four_classes_centre_on_east_north_west_south_and_keep_the_speed():
-    seen = class_centre([[5.0, 1.0], [1.0, 5.0], [-5.0, -1.0], [0.5, -5.0]], 4)
+    seen = snap_direction_to_sector_centre([[5.0, 1.0], [1.0, 5.0], [-5.0, -1.0], [0.5, -5.0]], 4)
     speed = np.hypot(5.0, 1.0)
     assert seen[0] == pytest.approx([speed, 0.0])
     assert seen[1] == pytest.approx([0.0, speed])
@@ -57,25 +54,18 @@ def test_states_that_look_alike_through_classes_are_one_sight():
     angle = (np.arange(16) + 0.5) * np.pi / 8
     states = 6.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     chain = WindChain(states, np.zeros((16, 16)), np.full(16, 1 / 16))
-    assert sight_of(chain, None).reveals_state()
-    assert np.bincount(sight_of(chain, 4).of_state).tolist() == [4, 4, 4, 4]
-    assert np.bincount(sight_of(chain, 8).of_state).tolist() == [2] * 8
-
-
-def test_a_time_window_is_the_mean_stay_in_a_class():
-    # Two states that look alike, each left for good at 0.1 per s: 10 s, however they alternate.
-    rate = np.array([[-0.6, 0.5, 0.1], [0.5, -0.6, 0.1], [0.0, 0.0, 0.0]])
-    chain = WindChain(np.zeros((3, 2)), rate, np.array([0.5, 0.5, 0.0]))
-    sight = Sight(np.array([0, 0, 1]), np.zeros((2, 2)))
-    assert time_window_s(chain, sight)[0] == pytest.approx(10.0)
-    assert np.isinf(time_window_s(chain, sight)[1])
+    assert build_observed_wind_by_state(chain, None).reveals_state()
+    assert np.bincount(build_observed_wind_by_state(chain, 4).of_state).tolist() == [4, 4, 4, 4]
+    assert np.bincount(build_observed_wind_by_state(chain, 8).of_state).tolist() == [2] * 8
 
 
 def test_the_process_chain_drifts_and_spreads_as_ornstein_and_uhlenbeck_say():
-    process = OrnsteinUhlenbeckWind(std_mps=3.0, time_constant_s=600.0, spacing_mps=1.0)
-    chain = process.chain()
+    process = OrnsteinUhlenbeckWind(
+        std_mps=3.0, time_constant_s=600.0, spacing_mps=1.0, extent_mps=12.0
+    )
+    chain = process.build_lattice_chain()
     start = int(np.flatnonzero((chain.states_en_mps == [4.0, 0.0]).all(axis=1))[0])
-    row = chain.transition(120.0)[start]
+    row = chain.transition_matrix(120.0)[start]
     mean = row @ chain.states_en_mps
     std = np.sqrt(row @ (chain.states_en_mps[:, 0] - mean[0]) ** 2)
     # Uhlenbeck & Ornstein 1930: mean x0 exp(-t/tau), variance s^2 (1 - exp(-2 t/tau)).
@@ -90,22 +80,22 @@ def test_what_is_seen_now_is_certain_now_and_less_so_later():
     far = int(np.flatnonzero((graph.tail == 3) & (graph.head == 2))[0])
     states = np.array([[6.0, 0.0], [-6.0, 0.0]])
     chain = WindChain(states, np.array([[-0.05, 0.05], [0.05, -0.05]]), np.array([0.5, 0.5]))
-    spread = ChainUncertainty(graph, chain, sight_of(chain, None), 600.0)
+    spread = ChainUncertainty(graph, chain, build_observed_wind_by_state(chain, None), 600.0)
     origin, seen = np.array([0]), np.array([1])
     std = spread.duration_std_s(origin, seen, states[:1])[:, 0]
     here = graph.tail == 0
     assert (std[here] == 0.0).all()
     assert std[far] > 0.1
-    assert lag_s(graph, origin)[far, 0] == pytest.approx(100.0 / 15.0)
+    assert lag_until_edge_s(graph, origin)[far, 0] == pytest.approx(100.0 / 15.0)
 
 
 def test_the_prior_chain_changes_within_minutes_as_the_process_does() -> None:
-    wind = prior_wind(COAST)
-    chain = wind.chain()
-    start = lattice_belief(chain, np.zeros((1, 2)), wind.spacing_mps)[0]
-    row = start @ chain.transition(300.0)
+    wind = build_prior_wind(COAST)
+    chain = wind.build_lattice_chain()
+    calm = int(np.flatnonzero((chain.states_en_mps == 0.0).all(axis=1))[0])
+    row = chain.transition_matrix(300.0)[calm]
     squared = float(row @ chain.states_en_mps[:, 0] ** 2)
-    expected = float(COAST.mean_squared_change_m2ps2(np.array([300.0]), LEG_S)[0])
+    expected = float(COAST.mean_squared_change_m2ps2(np.array([300.0]), LEG_AVERAGING_S)[0])
     # Of the process, from a wind w: variance(lag) + (w (1 - exp(-lag/T)))^2, w^2 = variance(inf).
     gone = -np.expm1(-300.0 / wind.time_constant_s)
     closed = float(wind.predictive_cov_m2ps2(300.0)[0, 0]) + (wind.std_mps * gone) ** 2

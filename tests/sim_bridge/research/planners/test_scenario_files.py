@@ -1,4 +1,4 @@
-"""Scenario files: read back as written, refused in one line that names the place."""
+"""Scenario files: read back as written; errors name the location in one line."""
 
 import json
 
@@ -8,6 +8,7 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.research.planners.scenario import parse_scenario, scenario_json
 
 CHAIN = {"kind": "chain", "states_en_mps": [[1, 2]], "rate_per_s": [[0]], "initial": [1]}
+TWO_STATES = CHAIN | {"states_en_mps": [[0, 0], [1, 0]], "initial": [0.5, 0.5]}
 LOG = {"kind": "log", "t_s": [0, 1], "wind_en_mps": [[1, 2], [2, 3]], "start_s": [0, 1]}
 GOOD = {
     "format": "delivery-scenario/1",
@@ -72,6 +73,7 @@ BROKEN = [
     ({"wind": {**LOG, "wind_en_mps": [[1, 2]]}}, "wind.wind_en_mps"),
     ({"wind": {**LOG, "start_s": [0, 5]}}, "wind.start_s"),
     ({"wind": {**LOG, "start_s": [1, 0]}}, "wind.start_s"),
+    ({"wind": TWO_STATES | {"rate_per_s": [[0.1, -0.1], [0, 0]]}}, "wind.rate_per_s[0][1]"),
 ]
 
 
@@ -89,17 +91,6 @@ def test_a_broken_scenario_is_refused_in_one_line_that_names_the_place(change, p
     assert message.startswith("x.json: ")
     assert place in message
     assert "\n" not in message
-
-
-def test_a_negative_rate_is_refused_though_its_row_sums_to_zero():
-    wind = {
-        "kind": "chain",
-        "states_en_mps": [[0, 0], [1, 0]],
-        "rate_per_s": [[0.1, -0.1], [0, 0]],
-        "initial": [0.5, 0.5],
-    }
-    with pytest.raises(LeewayError, match=r"rate_per_s\[0\]\[1\]"):
-        parse_scenario(json.dumps({**GOOD, "wind": wind}))
 
 
 @pytest.mark.parametrize("text", ["", "[1]", "{", '{"a": 1, "a": 2}', b"\xff\xfe", "[" * 100_000])

@@ -1,4 +1,4 @@
-"""The missions' truth and the rules, against times and energies added up by hand."""
+"""The missions' truth and the rules, against times and energies calculated by hand."""
 
 import math
 from pathlib import Path
@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_bridge.research.promise.blocks import distances_m
-from sim_bridge.research.promise.rules import clairvoyant, ends_of, px4_time, threshold
-from sim_bridge.research.promise.truth import Missions, Profile, TrueMissions, TruePower
+from sim_bridge.research.promise.rules import outcomes_by_rule, outcomes_of_turn_times
+from sim_bridge.research.promise.truth import Profile, TrueMissions, TruePower
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.steady_flight import SteadyFlight
 
@@ -23,25 +22,24 @@ LOADED_STOP_W = 0.5 * (LOADED_W + STEADY.hover_power_w(0.6))
 EMPTY_STOP_W = 0.5 * (EMPTY_W + STEADY.hover_power_w(0.0))
 
 
-def flown(wind, distance_m=1500.0, unit=(1.0, 0.0), power=POWER) -> TrueMissions:
+def flown(wind, distance_m=1500.0, unit=(1.0, 0.0)) -> TrueMissions:
     """One mission; `wind` is one vector or (seconds, 2)."""
     wind = np.asarray(wind, float)
     if wind.ndim == 1:
         wind = np.tile(wind, (1200, 1))
-    missions = Missions(np.zeros(1, int), np.array([unit]), np.array([distance_m]))
-    return TrueMissions(missions, power, PROFILE, wind[None])
+    return TrueMissions(POWER, np.array([unit]), np.array([distance_m]), wind[None])
 
 
 def landing_wh(payload_kg: float, wind_mps: float, stop_w: float) -> float:
-    fast = STEADY.state(wind_mps, payload_kg=payload_kg, climb_mps=-2.0).power_w
-    slow = STEADY.state(wind_mps, payload_kg=payload_kg, climb_mps=-0.7).power_w
+    fast = STEADY.steady_state(wind_mps, payload_kg=payload_kg, climb_mps=-2.0).power_w
+    slow = STEADY.steady_state(wind_mps, payload_kg=payload_kg, climb_mps=-0.7).power_w
     return (15.0 * fast + (10.0 / 0.7 + 4.0) * slow + STOP_S * stop_w) / 3600.0
 
 
 def delivery_wh(wind_mps: float) -> float:
-    sink = STEADY.state(wind_mps, payload_kg=0.6, climb_mps=-2.0).power_w
+    sink = STEADY.steady_state(wind_mps, payload_kg=0.6, climb_mps=-2.0).power_w
     hover = STEADY.level_flight_power_w(wind_mps, 0.6)
-    climb = STEADY.state(wind_mps, climb_mps=3.0).power_w
+    climb = STEADY.steady_state(wind_mps, climb_mps=3.0).power_w
     moving = STOP_S * (LOADED_STOP_W + EMPTY_STOP_W)
     return (17.0 * sink + 5.0 * hover + 34.0 / 3.0 * climb + moving) / 3600.0
 
@@ -58,21 +56,21 @@ def test_a_delivery_in_constant_wind_costs_power_times_time(wind, unit, out_mps,
     speed = math.hypot(*wind)
     cruise = (LOADED_W * 1500.0 / out_mps + EMPTY_W * 1500.0 / back_mps) / 3600.0
     expected = cruise + delivery_wh(speed) + landing_wh(0.0, speed, EMPTY_STOP_W)
-    assert flown(wind, unit=unit).delivering_wh()[0] == pytest.approx(expected, rel=1e-4)
+    assert flown(wind, unit=unit).delivery_energy_wh()[0] == pytest.approx(expected, rel=1e-4)
 
 
 def test_turning_costs_the_way_back_loaded() -> None:
-    # 40 s with 6 m/s from behind is 840 m; back against it at 9 m/s.
+    # 40 s with a 6 m/s tailwind is 840 m; back against it at 9 m/s.
     expected = LOADED_W * (40.0 + 840.0 / 9.0) / 3600.0 + 2.0 * STOP_S * LOADED_STOP_W / 3600.0
     expected += landing_wh(0.6, 6.0, LOADED_STOP_W)
-    found = flown((6.0, 0.0)).turning_wh(np.array([40.0]))[0]
+    found = flown((6.0, 0.0)).return_energy_wh(np.array([40.0]))[0]
     assert found == pytest.approx(expected, rel=1e-4)
 
 
 def test_wind_that_turns_against_it_on_the_way_home_is_paid_for() -> None:
     wind = np.zeros((1200, 2))
-    wind[100:, 0] = 6.0  # 1500 m at 15 m/s is 100 s: all of the way home against 6 m/s
-    calm, turned = flown((0.0, 0.0)).delivering_wh()[0], flown(wind).delivering_wh()[0]
+    wind[100:, 0] = 6.0  # 1500 m at 15 m/s is 100 s: the whole return against 6 m/s
+    calm, turned = flown((0.0, 0.0)).delivery_energy_wh()[0], flown(wind).delivery_energy_wh()[0]
     dearer = EMPTY_W * (1500.0 / 9.0 - 100.0) / 3600.0
     level = delivery_wh(6.0) - delivery_wh(0.0)
     level += landing_wh(0.0, 6.0, EMPTY_STOP_W) - landing_wh(0.0, 0.0, EMPTY_STOP_W)
@@ -82,79 +80,61 @@ def test_wind_that_turns_against_it_on_the_way_home_is_paid_for() -> None:
 def test_a_wind_faster_than_the_vehicle_lets_nobody_home() -> None:
     there = flown((16.0, 0.0))
     assert there.arrival_s[0] == pytest.approx(1500.0 / 31.0, abs=0.01)
-    assert math.isinf(there.delivering_wh()[0])
+    assert math.isinf(there.delivery_energy_wh()[0])
     assert math.isinf(flown((-16.0, 0.0)).arrival_s[0])
 
 
 def test_the_distance_is_what_the_share_of_the_budget_pays_for() -> None:
     wind, unit = np.array([[3.0, 4.0]]), np.array([[0.0, 1.0]])
-    distance = distances_m(wind, unit, np.array([0.7]), POWER)[0]
-    needed = flown((3.0, 4.0), distance, (0.0, 1.0)).delivering_wh()[0]
+    distance = POWER.distances_that_use_budget_frac_m(wind, unit, np.array([0.7]))[0]
+    needed = flown((3.0, 4.0), distance, (0.0, 1.0)).delivery_energy_wh()[0]
     assert needed == pytest.approx(0.7 * POWER.budget_wh, rel=1e-3)
 
 
-def turned_at_s(ends, mission: TrueMissions) -> float:
-    """The time from which the margin says that it turned."""
-    for t_s in range(1200):
-        spent = mission.turning_wh(np.array([float(t_s)]))[0]
-        if abs(POWER.budget_wh - spent - ends.margin_wh[0]) < 1e-9:
-            return t_s
-    return math.inf
-
-
-def test_px4_returns_when_time_home_and_more_exceeds_the_time_left() -> None:
-    # Calm: home takes as long as it has flown; 1.1 t + 100 > L - t at t = (L - 100) / 2.1.
-    mission = flown((0.0, 0.0), 12_000.0)
-    lasts_s = POWER.budget_wh * 3600.0 / LOADED_W
-    assert turned_at_s(px4_time(mission), mission) == math.floor((lasts_s - 100.0) / 2.1) + 1
-
-
-def test_px4_knows_nothing_of_the_wind_but_where_it_is() -> None:
-    # 5 m/s from behind: 20 m/s out, so home "takes" 20 t / 15.
-    mission = flown((5.0, 0.0), 12_000.0)
-    lasts_s = POWER.budget_wh * 3600.0 / LOADED_W
-    closes = (lasts_s - 100.0) / (1.1 * 20.0 / 15.0 + 1.0)
-    assert turned_at_s(px4_time(mission), mission) == math.floor(closes) + 1
-
-
-@pytest.mark.parametrize("frac", [0.25, 0.35])
-def test_a_threshold_returns_at_its_share_of_the_budget(frac: float) -> None:
-    mission = flown((0.0, 0.0), 12_000.0)
-    lasts_s = POWER.budget_wh * 3600.0 / LOADED_W
-    closes = math.floor((1.0 - frac) * lasts_s) + 1
-    assert turned_at_s(threshold(mission, frac), mission) == closes
+@pytest.mark.parametrize(
+    ("rule", "wind_mps", "closes_frac_and_s"),
+    [
+        # Calm: the return takes as long as the flight; 1.1 t + 100 > L - t at t = (L - 100) / 2.1.
+        ("px4_time", 0.0, (1.0 / 2.1, -100.0 / 2.1)),
+        # PX4 ignores the wind: at 20 m/s out, the return "takes" 20 t / 15.
+        ("px4_time", 5.0, (1.0 / (22.0 / 15.0 + 1.0), -100.0 / (22.0 / 15.0 + 1.0))),
+        ("threshold_25", 0.0, (0.75, 0.0)),
+        ("threshold_35", 0.0, (0.65, 0.0)),
+    ],
+)
+def test_a_rule_returns_in_the_first_second_in_which_it_closes(
+    rule: str, wind_mps: float, closes_frac_and_s: tuple[float, float]
+) -> None:
+    mission = flown((wind_mps, 0.0), 12_000.0)
+    frac, seconds = closes_frac_and_s
+    closes_s = math.floor(frac * POWER.budget_wh * 3600.0 / LOADED_W + seconds) + 1
+    spent_wh = mission.return_energy_wh(np.array([float(closes_s)]))[0]
+    margin_wh = outcomes_by_rule(mission)[rule].margin_wh[0]
+    assert margin_wh == pytest.approx(POWER.budget_wh - spent_wh, abs=1e-9)
 
 
 def test_a_rule_that_never_closes_delivers() -> None:
-    mission = flown((0.0, 0.0), 1000.0)
-    for ends in (px4_time(mission), threshold(mission, 0.25), clairvoyant(mission)):
+    for ends in outcomes_by_rule(flown((0.0, 0.0), 1000.0)).values():
         assert ends.delivered[0]
-        assert ends.success[0]
+        assert ends.delivered_and_returned_home[0]
 
 
 def test_the_clairvoyant_stays_where_the_trip_fails() -> None:
     far = flown((0.0, 0.0), 8000.0)
-    assert not clairvoyant(far).go[0]
-    blind = ends_of(far, np.array([math.inf]))
+    assert not outcomes_by_rule(far)["clairvoyant"].go[0]
+    blind = outcomes_of_turn_times(far, np.array([math.inf]))
     assert blind.lost[0]
-    assert not blind.success[0]
+    assert not blind.delivered_and_returned_home[0]
 
 
 def test_hours_in_the_air_are_those_of_the_way_and_a_pack_that_ran_out_ends_them() -> None:
     mission = flown((0.0, 0.0), 1000.0)
     p = mission.profile
-    there_and_back_s = 2.0 * 1000.0 / p.airspeed_mps + p.sinking_s + p.hover_s + p.climbing_s
-    there_and_back_s += p.landing_s + 4.0 * p.stop_s
-    air_h = ends_of(mission, np.array([math.inf])).air_h[0]
+    there_and_back_s = 2.0 * 1000.0 / p.airspeed_mps + p.descent_s + p.hover_s + p.climb_s
+    there_and_back_s += p.landing_s + 4.0 * p.stop_time_loss_s
+    air_h = outcomes_of_turn_times(mission, np.array([math.inf])).flight_h[0]
     assert air_h * 3600.0 == pytest.approx(there_and_back_s, rel=0.1)
     far = flown((0.0, 0.0), 8000.0)
-    lost = ends_of(far, np.array([math.inf]))
+    lost = outcomes_of_turn_times(far, np.array([math.inf]))
     assert lost.lost[0]
-    assert lost.air_h[0] < far.power.endurance_s / 3600.0
-
-
-def test_a_pack_that_gives_less_loses_what_a_good_one_brings_home() -> None:
-    mission = flown((0.0, 0.0), 1000.0)
-    margin = ends_of(mission, np.array([math.inf])).margin_wh[0]
-    mission.pack_wh = np.array([-margin - 0.1])
-    assert ends_of(mission, np.array([math.inf])).lost[0]
+    assert lost.flight_h[0] < far.power.endurance_s / 3600.0

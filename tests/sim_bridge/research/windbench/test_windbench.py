@@ -1,39 +1,30 @@
-"""The rule by hand, and the command over a made flight whose wind is known."""
+"""The rule by hand, and the command over a synthetic flight whose wind is known."""
 
 import csv
-import json
 import math
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
-from companion.core.wind.estimator import WindEstimator
-from sim_bridge.research.cli.main import app
-from sim_bridge.research.wind.ablation import ABLATIONS, without
-from sim_bridge.research.wind.rival_filters import tuned
-from sim_bridge.research.windbench.estimators import estimators, in_study
-from sim_bridge.research.windbench.flights import cold_starts, read_bench_folder
-from sim_bridge.research.windbench.score import (
-    Scored,
-    difference,
-    flight_errors_mps,
-    standing,
-)
+from sim_bridge.research.windbench.contest import WindowScore, score_estimator
+from sim_bridge.research.windbench.drag_fusion import px4_drag_params_from_airframe
+from sim_bridge.research.windbench.estimators import estimators_by_name
+from sim_bridge.research.windbench.flights import read_bench_folder
+from tests.sim_bridge.research.study_command import run_study
 
 WIND_NE = (3.0, -2.0)
 G = 9.80665
 
 
 def scored(day, read, believed, std=None, vector=None, folder="d"):
-    return Scored(folder, day, f"{day} {read}", read, believed, std, vector)
+    return WindowScore(folder, day, f"{day} {read}", read, believed, std, vector)
 
 
 def test_days_count_alike_however_many_windows_they_have():
     rows = [scored("a", 5.0, 6.0, 0.5)] * 9 + [scored("b", 5.0, 8.0, 1.0)]
-    found = standing("e", rows)
+    found = score_estimator("e", rows)
     assert found.score_mps == pytest.approx(math.sqrt((1.0 + 9.0) / 2.0))
     assert found.nees == pytest.approx((9 * 4.0 + 9.0) / 10)
     assert (found.low_mps, found.high_mps) == pytest.approx((1.0, 3.0))
@@ -41,22 +32,22 @@ def test_days_count_alike_however_many_windows_they_have():
 
 
 def sensor(days, vector=None):
-    """An anemometer that reads 0.8 of the airspeed and 1.5 more."""
+    """Return an anemometer that reads 0.8 of the airspeed and 1.5 more."""
     speeds = (4.0, 7.0, 12.0)
     return [scored(f"{d}", 0.8 * v + 1.5, v, 0.5, vector) for d in range(days) for v in speeds]
 
 
 def test_the_anemometers_scale_is_fitted_on_other_days_and_only_where_there_are_three():
-    assert standing("e", sensor(4)).score_mps == pytest.approx(0.0, abs=1e-9)
-    assert standing("e", sensor(3)).score_mps > 0.3
-    assert standing("e", sensor(4, vector=0.7)).score_mps > 0.3
-    odd = [scored("4", 20.0, 10.0)]  # a day of its own: what judges is not fitted to
-    assert standing("e", [*sensor(4), *odd]).score_mps > 4.0
+    assert score_estimator("e", sensor(4)).score_mps == pytest.approx(0.0, abs=1e-9)
+    assert score_estimator("e", sensor(3)).score_mps > 0.3
+    assert score_estimator("e", sensor(4, vector=0.7)).score_mps > 0.3
+    odd = [scored("4", 20.0, 10.0)]  # a separate day: the fit excludes the judged day
+    assert score_estimator("e", [*sensor(4), *odd]).score_mps > 4.0
 
 
 def test_a_vector_is_judged_where_a_reference_tells_it():
-    assert standing("e", [scored("a", 5.0, 5.0, None, 2.0)]).vector_mps == 2.0
-    found = standing("e", [scored("a", 5.0, 5.0)])
+    assert score_estimator("e", [scored("a", 5.0, 5.0, None, 2.0)]).vector_mps == 2.0
+    found = score_estimator("e", [scored("a", 5.0, 5.0)])
     assert (found.vector_mps, found.nees) == (None, None)
 
 
@@ -117,16 +108,16 @@ def folder(tmp_path):
     return made
 
 
+@pytest.mark.sample
 def test_the_command_ranks_an_estimator_of_ones_own_by_what_it_knows(folder, tmp_path, monkeypatch):
     (tmp_path / "my_wind.py").write_text(OWN)
     monkeypatch.syspath_prepend(str(tmp_path))
     write_log(folder / "blind.csv", read_airframe("generic"), reference=False)
-    words = ["windbench", f"{folder}=generic", "--estimator", "my_wind:Knows"]
-    words += ["--json", str(tmp_path / "o.json"), "--out", str(tmp_path / "out"), "--jobs", "1"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
-    assert "made: blind.csv: no ten seconds in the air with airspeed_mps" in done.output
-    found = {s["estimator"]: s for s in json.loads((tmp_path / "o.json").read_text())["standings"]}
+    document, printed = run_study(
+        tmp_path, "windbench", f"{folder}=generic", "--estimator", "my_wind:Knows"
+    )
+    assert "made: blind.csv: no ten seconds in the air with airspeed_mps" in printed
+    found = {s["estimator"]: s for s in document["standings"]}
     assert found["my_wind:Knows"]["score_mps"] == pytest.approx(0.0, abs=0.05)
     assert found["my_wind:Knows"]["vector_mps"] == pytest.approx(0.0, abs=1e-6)
     assert found["best constant wind of each flight (hindsight)"]["vector_mps"] < 1e-6
@@ -140,77 +131,6 @@ def test_the_command_ranks_an_estimator_of_ones_own_by_what_it_knows(folder, tmp
     assert rows[1][1] in ("my_wind:Knows", "best constant wind of each flight (hindsight)")
 
 
-def studied(study, folder, tmp_path):
-    words = ["windbench", f"{folder}=generic", "--study", study, "--jobs", "1"]
-    done = CliRunner().invoke(
-        app, [*words, "--json", str(tmp_path / "o.json"), "--out", str(tmp_path / "out")]
-    )
-    assert done.exit_code == 0, done.output
-    return json.loads((tmp_path / "o.json").read_text())["windows"], done.output
-
-
-def test_each_state_is_left_out_in_turn_and_the_estimator_then_lacks_it(folder, tmp_path):
-    windows, said = studied("states", folder, tmp_path)
-    assert list(windows) == ["Leeway", *ABLATIONS]
-    assert "1 day tells nothing" in said
-    assert all(len(rows) == len(windows["Leeway"]) > 3 for rows in windows.values())
-    airframe = read_airframe("generic")
-    (flight,) = read_bench_folder(folder, "generic").flights
-    for name, state in (
-        ("without drag gains", lambda e: e.drag_gains[0] - 1.0),
-        ("without heading error", lambda e: e.heading_error_rad),
-        ("without trims", lambda e: e.trim_rad[0]),
-    ):
-        whole, lacking = WindEstimator(airframe), without(name)(airframe)
-        for seen in flight.heard[:1500]:
-            whole.update(seen)
-            lacking.update(seen)
-        assert abs(state(lacking)) < 0.05 * abs(state(whole)), name
-
-
-def test_cold_starts_hear_nothing_of_before_and_are_judged_half_a_minute_later(folder, tmp_path):
-    (flight,) = read_bench_folder(folder, "generic").flights
-    took_off = next(seen.t_s for seen in flight.heard if seen.airborne)
-    starts = cold_starts(flight)
-    assert len(starts) == 2
-    for minute, start in enumerate(starts):
-        assert start.t_s[0] == pytest.approx(took_off + 60.0 * minute, abs=0.21)
-        assert len(start.windows) <= 6
-        for window in start.windows:
-            assert start.t_s[window.rows.start] >= start.t_s[0] + 30.0 - 1e-6
-            assert start.t_s[window.rows.stop - 1] <= start.t_s[0] + 90.1
-            begins_s = start.t_s[window.rows.start]
-            (whole,) = (w for w in flight.windows if flight.t_s[w.rows.start] == begins_s)
-            assert whole.read_mps == window.read_mps
-            assert start.heard[window.rows] == flight.heard[whole.rows]
-    windows, said = studied("cold-starts", folder, tmp_path)
-    names = {row["flight"] for row in windows["Leeway"]}
-    assert names == {start.name for start in starts}
-    assert "worst start" in said
-
-
-def test_a_study_that_is_none_is_refused():
-    with pytest.raises(LeewayError, match="--study none: expected one of board, states"):
-        in_study("none")
-
-
-def test_the_difference_of_two_scores_has_the_interval_of_days():
-    rng = np.random.default_rng(3)
-    of_day = rng.normal(0.0, 0.4, 20)
-    rows = [scored(f"{d:02}", 5.0, 6.0 + x) for d, x in enumerate(of_day)]
-    same = difference(rows, rows)
-    assert (same.mean_mps, same.low_mps, same.high_mps) == (0.0, 0.0, 0.0)
-    worse = [scored(r.day, r.read_mps, r.believed_mps + 0.5) for r in rows]
-    fixed = difference([replaced(r) for r in worse], [replaced(r) for r in rows])
-    assert 0.0 < fixed.low_mps < fixed.mean_mps < fixed.high_mps
-    assert flight_errors_mps([scored("a", 5.0, 8.0, vector=1.0)]) == {("d", "a", "a 5.0"): 3.0}
-
-
-def replaced(row):
-    """With a reference that tells the vector: no scale is fitted."""
-    return scored(row.day, row.read_mps, row.believed_mps, None, 0.0)
-
-
 def test_what_cannot_be_used_is_said_in_one_line(tmp_path, folder):
     with pytest.raises(LeewayError, match="no such folder"):
         read_bench_folder(tmp_path / "nowhere", "generic")
@@ -220,13 +140,13 @@ def test_what_cannot_be_used_is_said_in_one_line(tmp_path, folder):
         read_bench_folder(empty, "generic")
     for words in ("nowhere:It", "json", "json:NoSuch"):
         with pytest.raises(LeewayError, match=f"--estimator {words}: MODULE:CLASS"):
-            estimators((words,))
+            estimators_by_name((words,))
 
 
 def test_windows_are_whole_and_begin_half_a_minute_after_take_off(folder):
     (flight,) = read_bench_folder(folder, "generic").flights
-    took_off = next(seen.t_s for seen in flight.heard if seen.airborne)
-    begins = [flight.t_s[w.rows.start] for w in flight.windows]
+    took_off = next(seen.t_s for seen in flight.observations if seen.airborne)
+    begins = [flight.observations[w.rows.start].t_s for w in flight.windows]
     assert begins[0] == pytest.approx(took_off + 30.0, abs=0.3)
     assert np.diff(begins) == pytest.approx(10.0, abs=0.3)
     assert all(w.wind_to_ne_mps == pytest.approx(WIND_NE) for w in flight.windows)
@@ -234,7 +154,11 @@ def test_windows_are_whole_and_begin_half_a_minute_after_take_off(folder):
 
 def test_px4s_coefficients_are_those_that_explain_the_airframes_drag():
     airframe = read_airframe("m100")
-    found, drag, mass = tuned(airframe), airframe.drag, airframe.mass.empty_kg
+    found, drag, mass = (
+        px4_drag_params_from_airframe(airframe),
+        airframe.drag,
+        airframe.mass.empty_kg,
+    )
     speed = 10.0
-    by_px4 = 0.5 * 1.225 * speed**2 / found.bcoef_kgpm2
+    by_px4 = 0.5 * 1.225 * speed**2 / found.bcoef_forward_kgpm2
     assert by_px4 == pytest.approx(drag.quadratic_forward_n_per_mps2 * speed**2 / mass)

@@ -14,7 +14,7 @@ def ground_m(x_m: float, _y_m: float) -> float:
 
 
 def grid_text(u_mps: Callable[..., float], v_mps: Callable[..., float]) -> str:
-    """The plugin's own text; x runs first, then y, then upward. Speeds of x, y and height."""
+    """Return the plugin's text; x runs first, then y, then upward. Speeds of x, y and height."""
     columns = [(x, y) for y in Y_M for x in X_M]
     nodes = [(x, y, f * (TOP_M - ground_m(x, y))) for f in FACTORS for x, y in columns]
     values = {

@@ -1,6 +1,6 @@
-"""The carried field: its middle is the series, its coherence Davenport's, its variance everywhere.
+"""The coherent field: the series at its centre, Davenport's coherence, its variance everywhere.
 
-Coherence is measured between series at two places by cross-spectra over many draws, against the
+Coherence is measured between series at two positions by cross-spectra over many draws, against the
 formula written out here.
 """
 
@@ -18,7 +18,7 @@ NORTH = np.array([MEAN_MPS, 0.0])
 
 
 def drawn(seed: int, coherence: Coherence, mean: np.ndarray = NORTH) -> CoherentField:
-    """A field about noise that is white but for the shortest seconds."""
+    """Return a field of noise that is white except for the shortest seconds."""
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal((SECONDS, 2))
     smooth = sum(w * np.roll(noise, k, axis=0) for k, w in enumerate((1, 4, 6, 4, 1)))
@@ -33,13 +33,13 @@ def series_at(field: CoherentField, north_m: float, east_m: float) -> np.ndarray
 
 @pytest.fixture(scope="module")
 def fields() -> list[CoherentField]:
-    return [drawn(seed, Coherence(along=4.0, across=13.0)) for seed in range(DRAWS)]
+    return [drawn(seed, Coherence(longitudinal=4.0, across=13.0)) for seed in range(DRAWS)]
 
 
 def cross(
     fields: list[CoherentField], one: tuple[float, float], other: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Complex coherence of the winds at two places, and its frequencies."""
+    """Return the complex coherence of the winds at two positions, and its frequencies."""
     power = np.zeros((2, SECONDS // 2 + 1))
     both = np.zeros(SECONDS // 2 + 1, complex)
     for field in fields:
@@ -64,6 +64,7 @@ def test_the_middle_is_the_series_in_any_direction_of_the_wind(wind: tuple[float
     assert np.abs(series_at(field, 0.0, 0.0) - series).max() < 1e-4
 
 
+@pytest.mark.sample
 @pytest.mark.parametrize(
     ("north_m", "east_m"), [(0.0, 75.0), (0.0, 150.0), (150.0, 0.0), (150.0, 150.0)]
 )
@@ -73,7 +74,7 @@ def test_coherence_is_davenports(
     """Means over eight frequencies and 24 draws, both axes: known to about 0.05."""
     here, there = (-150.0, -75.0), (-150.0 + north_m, -75.0 + east_m)
     found, frequency = cross(fields, here, there)
-    passed = np.exp(-2j * np.pi * frequency * north_m / MEAN_MPS)  # the wind comes there later
+    passed = np.exp(-2j * np.pi * frequency * north_m / MEAN_MPS)  # the wind arrives there later
     for first in (2, 10, 30):
         some = slice(first, first + 8)
         measured = float(np.real(found[some] * passed[some]).mean())
@@ -83,8 +84,11 @@ def test_coherence_is_davenports(
 
 
 def test_frozen_turbulence_comes_unchanged_and_lossy_turbulence_does_not() -> None:
-    """The canary of the coherence: without loss all is foreseen 100 m downstream."""
-    for coherence, is_same in ((Coherence(along=0.0), True), (Coherence(along=4.0), False)):
+    """The canary of the coherence: without loss all turbulence is predictable 100 m downstream."""
+    for coherence, is_same in (
+        (Coherence(longitudinal=0.0), True),
+        (Coherence(longitudinal=4.0), False),
+    ):
         field = drawn(2, coherence)
         delay_s = 20
         up, down = series_at(field, 0.0, 0.0), series_at(field, *(delay_s * field.mean_ne_mps))
@@ -100,9 +104,9 @@ def test_variance_is_the_same_at_nodes_and_between(fields: list[CoherentField]) 
     half = 0.5 * SPACING_M
     at_node = np.mean([variance(series_at(f, 150.0, 75.0)) for f in fields])
     between = np.mean([variance(series_at(f, 150.0 + half, 75.0 + half)) for f in fields])
-    assert at_node == pytest.approx(1.0, abs=0.12)  # 7 % go between the seconds
+    assert at_node == pytest.approx(1.0, abs=0.12)  # 7 % is lost between the seconds
     assert between == pytest.approx(at_node, rel=0.08)
-    corners = np.mean(  # the canary: what plain interpolation would have left
+    corners = np.mean(  # the canary: the variance of plain interpolation
         [
             variance(
                 np.mean(
@@ -149,4 +153,4 @@ def test_a_place_off_the_site_and_a_decay_of_nobody_are_refused() -> None:
     with pytest.raises(TruthError, match="outside of the field"):
         series_at(drawn(1, Coherence()), 2000.0, 0.0)
     with pytest.raises(TruthError, match="along = -1"):
-        Coherence(along=-1.0).check()
+        Coherence(longitudinal=-1.0).raise_if_out_of_range()

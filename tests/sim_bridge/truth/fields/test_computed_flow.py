@@ -1,4 +1,4 @@
-"""A flow that a solver computed: read as Gazebo's RotorS plugin reads it, turned with the wind."""
+"""A computed flow: read as Gazebo's RotorS plugin reads it, turned with the wind."""
 
 import math
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.computed_flow import ComputedFlows, FlowFile
-from sim_bridge.truth.fields.field_file import drawn_series, flows_of, load_wind_field
+from sim_bridge.truth.fields.field_file import draw_free_wind_series, load_flows, load_wind_field
 from sim_bridge.truth.fields.site_wind import SiteWind
 from tests.sim_bridge.truth.fields.made_grid import grid_text
 
@@ -19,7 +19,7 @@ def flows(folder: Path, *stated: FlowFile) -> ComputedFlows:
 
 def share_at(found: ComputedFlows, place: tuple[float, float, float], to_ne: object) -> complex:
     each = (np.array([value]) for value in place)
-    return complex(found.share(*each, np.array([to_ne], dtype=float))[0])
+    return complex(found.complex_wind_ratio(*each, np.array([to_ne], dtype=float))[0])
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_a_gust_bends_with_the_mean_and_a_faster_wind_is_faster_everywhere(
     assert complex(north, east) == pytest.approx(local)
     outside = wind.to_ne_mps(0.0, 0.0, 201.0, 40.0)[0]
     assert outside.tolist() == [3.0, 16.0]
-    assert wind.to_ne_mps(0.0, 0.0, 0.0, 400.0)[0].tolist() == [3.0, 16.0]  # over its top
+    assert wind.to_ne_mps(0.0, 0.0, 0.0, 400.0)[0].tolist() == [3.0, 16.0]  # above its top
 
 
 class Blowing:
@@ -149,11 +149,14 @@ def test_a_made_field_blows_from_the_directions_that_were_computed(
     path.write_text(FIELD)
     params = load_wind_field(path)
     assert params.flows[0] == west
-    assert flows_of(params, path) is not None
-    seen = [drawn_series(params, np.random.default_rng(seed)).mean(axis=0) for seed in range(12)]
+    assert load_flows(params, path) is not None
+    seen = [
+        draw_free_wind_series(params, np.random.default_rng(seed)).mean(axis=0)
+        for seed in range(12)
+    ]
     toward = {round(float(east / abs(east))) for _, east in seen}
     assert toward == {-1, 1}
-    assert max(abs(float(north / east)) for north, east in seen) < 0.5  # weather about it
+    assert max(abs(float(north / east)) for north, east in seen) < 0.5  # weather around it
     box = "{ north_m = 0, east_m = 0, half_north_m = 5, half_east_m = 5, height_m = 9 }"
     path.write_text(FIELD.replace("flows", f"obstacles = [{box}]\nflows"))
     with pytest.raises(TruthError, match=r"obstacles and flows: expected one of them"):

@@ -1,4 +1,4 @@
-"""Wind among obstacles: its lee, its corners, its roof, and where nothing is felt."""
+"""Wind among obstacles: lee, corners, roof, and the unaffected area."""
 
 import math
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.field_file import load_wind_field
-from sim_bridge.truth.fields.lees import Obstacle, wind_share
+from sim_bridge.truth.fields.lees import Obstacle, wind_speed_ratio
 from sim_bridge.truth.fields.site_wind import SiteWind
 
 BOX = Obstacle(north_m=100.0, east_m=-50.0, half_north_m=20.0, half_east_m=10.0, height_m=40.0)
@@ -21,7 +21,7 @@ def share(
     to = math.radians(from_deg + 180.0)
     heading = 7.0 * np.array([math.cos(to), math.sin(to)])
     place = (np.array([x]) for x in (north_m, east_m, height_m))
-    return float(wind_share(*place, heading, (BOX, *more))[0])
+    return float(wind_speed_ratio(*place, heading, (BOX, *more))[0])
 
 
 @pytest.mark.parametrize(
@@ -29,9 +29,9 @@ def share(
     [
         (100.0, -39.9999, 30.0, 270.0, 0.4),  # right behind it: 60 % less
         (100.0, 160.0, 30.0, 270.0, 1.0 - 0.6 / math.e),  # five heights further on
-        (100.0, -61.0, 30.0, 270.0, 1.0),  # before it
+        (100.0, -61.0, 30.0, 270.0, 1.0),  # upstream
         (129.0, -50.0, 30.0, 270.0, 1.25),  # past its corner
-        (141.0, -50.0, 30.0, 270.0, 1.0),  # well beside it
+        (141.0, -50.0, 30.0, 270.0, 1.0),  # well outside it
         (100.0, -50.0, 60.0, 270.0, 1.15),  # over its roof
         (100.0, -39.0, 60.0, 270.0, 1.0),  # above its wake
         (100.0, -50.0, 81.0, 270.0, 1.0),  # far above it
@@ -69,8 +69,8 @@ def test_turned_by_a_quarter_with_the_wind_nothing_changes() -> None:
     )  # fmt: skip
     height = np.full(500, 30.0)
     to = np.array([math.cos(0.7), math.sin(0.7)])
-    before = wind_share(north, east, height, to, [BOX])
-    after = wind_share(-east, north, height, np.array([-to[1], to[0]]), [turned])
+    before = wind_speed_ratio(north, east, height, to, [BOX])
+    after = wind_speed_ratio(-east, north, height, np.array([-to[1], to[0]]), [turned])
     assert np.allclose(before, after)
     assert 0.01 < (before < 1.0).mean() < 0.9
 

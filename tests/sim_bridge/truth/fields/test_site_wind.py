@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sim_bridge.truth.errors import TruthError
-from sim_bridge.truth.fields.front import PassingFront, drawn_front
+from sim_bridge.truth.fields.front import LinearFront, draw_front
 from sim_bridge.truth.fields.site_wind import SiteWind
 
-FRONT = PassingFront(600.0, 90.0, 10.0, (0.0, 7.0), 40.0)
+FRONT = LinearFront(600.0, 90.0, 10.0, (0.0, 7.0), 40.0)
 
 
 class Steady:
@@ -31,13 +31,14 @@ def test_a_front_comes_when_and_where_it_should() -> None:
     ):
         found = wind.to_ne_mps(t_s, 123.0, east_m, 40.0)[0]
         assert found == pytest.approx([5.0, jump], abs=1e-9)
-    reached = FRONT.reaches_s(np.array([99.0]), np.array([500.0]))
+    reached = FRONT.arrival_time_s(np.array([99.0]), np.array([500.0]))
     assert reached[0] == pytest.approx(650.0)
 
 
 def test_a_gust_front_can_end() -> None:
-    ends = PassingFront(0.0, 0.0, 10.0, (6.0, 0.0), 20.0, lasts_s=300.0)
-    share = [float(ends.to_ne_mps(np.array([t]), np.zeros(1), np.zeros(1))[0, 0]) for t in
+    ends = LinearFront(0.0, 0.0, 10.0, (6.0, 0.0), 20.0, lasts_s=300.0)
+    share = [float(ends.added_wind_to_ne_mps(np.array([t]), np.zeros(1), np.zeros(1))[0,
+    0]) for t in
              (100.0, 450.0, 700.0)]  # fmt: skip
     assert share == pytest.approx([6.0, 3.0, 0.0])
 
@@ -54,9 +55,9 @@ def test_drawn_fronts_move_as_density_currents() -> None:
     rng = np.random.default_rng(1)
     mean = np.array([-8.0, 1.0])
     for _ in range(100):
-        front = drawn_front(0.0, mean, 5.0, 10.0, rng)
+        front = draw_front(0.0, mean, 5.0, 10.0, rng)
         assert 5.0 <= math.hypot(*front.jump_ne_mps) <= 10.0
-        angle = math.radians(front.towards_deg)
+        angle = math.radians(front.direction_deg)
         normal = np.array([math.cos(angle), math.sin(angle)])
         behind = float((mean + front.jump_ne_mps) @ normal)
         assert front.speed_mps == pytest.approx(max(front.speed_mps / behind, 0.6) * behind)
@@ -64,9 +65,14 @@ def test_drawn_fronts_move_as_density_currents() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("speed_mps", 0.1), ("passing_s", 0.0), ("lasts_s", 1.0)]
+    ("key", "value", "words"),
+    [
+        ("speed_mps", 0.1, "speed_mps"),
+        ("transition_s", 0.0, "passing_s"),
+        ("lasts_s", 1.0, "lasts_s"),
+    ],
 )
-def test_a_front_that_is_none_is_refused(key: str, value: float) -> None:
-    numbers = {"speed_mps": 10.0, "passing_s": 40.0, "lasts_s": None} | {key: value}
-    with pytest.raises(TruthError, match=key):
-        PassingFront(0.0, 0.0, jump_ne_mps=(5.0, 0.0), **numbers)
+def test_a_front_that_is_none_is_refused(key: str, value: float, words: str) -> None:
+    numbers = {"speed_mps": 10.0, "transition_s": 40.0, "lasts_s": None} | {key: value}
+    with pytest.raises(TruthError, match=words):
+        LinearFront(0.0, 0.0, jump_ne_mps=(5.0, 0.0), **numbers)

@@ -1,8 +1,8 @@
-"""The oldest schema that can be brought to today's."""
+"""The oldest schema that can be upgraded."""
 
 revision = "2"
 down_revision = None
 
 
 def upgrade() -> None:
-    """Nothing: such a store is there."""
+    """Do nothing: a store of this schema exists."""

@@ -1,6 +1,6 @@
-"""Holds, the audit, layers, which launches have left the desk, and who has confirmed one.
+"""Holds, the audit, layers, sent launches, and confirmed launches.
 
-What is written here stays as it is: `tables` goes on to the next schema, stores of old do not.
+This migration must not follow changes of `tables`: it describes schema 3 as it is.
 """
 
 import sqlalchemy as sa
@@ -13,7 +13,7 @@ _count = sa.BigInteger().with_variant(sa.Integer, "sqlite")
 
 
 def upgrade() -> None:
-    """From schema 2."""
+    """Upgrade from schema 2."""
     op.add_column(
         "commands", sa.Column("sent", sa.Boolean, nullable=False, server_default=sa.false())
     )
@@ -28,17 +28,17 @@ def upgrade() -> None:
         sqlite_where=in_force,
         postgresql_where=in_force,
     )
-    # Whether they were is not known: one that may have been sent may be carried out.
+    # Schema 2 does not record sending: an unanswered launch counts as sent.
     commands = sa.table(
         "commands", sa.column("id"), sa.column("answer"), sa.column("sent", sa.Boolean)
     )
     waits = commands.c.id.contains(":launch") & commands.c.answer.is_(None)
     op.execute(sa.update(commands).where(waits).values(sent=True))
-    _make_holds()
-    _make_audit()
+    _create_hold_table()
+    _create_audit_table()
 
 
-def _make_holds() -> None:
+def _create_hold_table() -> None:
     op.create_table(
         "holds",
         sa.Column("n", _count, primary_key=True, autoincrement=True),
@@ -52,7 +52,7 @@ def _make_holds() -> None:
     op.create_index("ix_holds_lifted_us", "holds", ["lifted_us"])
 
 
-def _make_audit() -> None:
+def _create_audit_table() -> None:
     op.create_table(
         "audit",
         sa.Column("n", sa.BigInteger, primary_key=True, autoincrement=False),

@@ -1,0 +1,1 @@
+"""Measured against predicted energy of recorded flights: tracks, phases, times, daily scatter."""

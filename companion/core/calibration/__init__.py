@@ -1,1 +1,0 @@
-"""An airframe identified from its own flight logs. What flies never imports this room."""

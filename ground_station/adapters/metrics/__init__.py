@@ -1,1 +1,0 @@
-"""The desk's figures for Prometheus: as families of samples, as a page, over HTTP."""

@@ -1,0 +1,160 @@
+"""Commands of an operator, from the terminal or the map, with the same steps and audit entries."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from companion.core.base.errors import LeewayError
+from ground_station.adapters.store.hold_store import HoldStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.settle import SETTLED_FROM
+from ground_station.adapters.store.settle import (
+    close_order_with_outcome as close_order_with_outcome,
+)
+from ground_station.app.desk.recall import NoVehicleReceivedError, Recaller
+from ground_station.app.desk.recall import recall_and_hold_vehicles as recall_fleet
+from ground_station.app.desk.recall_record import RecallRecord
+from ground_station.core.fleet.fleet_link import FleetLink
+from ground_station.core.schema.holds import (
+    ALL_DRONES,
+    hold_of_vehicle_or_of_all,
+    raise_if_invalid_vehicle_name,
+)
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome
+
+LogMessage = Callable[[str], None]
+EpochUs = Callable[[], int]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandReport:
+    """Result of a command as text. `checks`: items that the operator has to check now."""
+
+    messages: list[str]
+    checks: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class RecallResult:
+    """Result of a recall. `not_recalled`: vehicles that did not accept it; `no_vehicle_reason`:
+    reason why no vehicle was reached, else empty; `is_recorded`: hold and audit entry are in the
+    store.
+    """
+
+    not_recalled: set[str]
+    no_vehicle_reason: str
+    is_recorded: bool
+
+
+def place_holds(
+    store: Store, epoch_us: EpochUs, scopes: list[str], reason: str, by: str
+) -> CommandReport:
+    """Hold vehicles (or `ALL_DRONES`) on the ground."""
+    sent_launches = HoldStore(store.database, epoch_us).place_holds(scopes, reason, by)
+    checks = [
+        f"WARNING: {one} may take off, launch already sent: keep pad clear" for one in sent_launches
+    ]
+    return CommandReport(
+        [found.text for found in store.holds_in_force() if found.scope in scopes], checks
+    )
+
+
+def clear_holds(store: Store, epoch_us: EpochUs, scopes: list[str], by: str) -> CommandReport:
+    """Release holds; `report_operator_check` of the result names scopes that had no such hold."""
+    released = HoldStore(store.database, epoch_us).clear_holds(scopes, by)
+    messages = [f"released: {h.subject} (was held by {h.by}: {h.reason})" for h in released]
+    messages += [f"in force: {found.text}" for found in store.holds_in_force()]
+    free = sorted(set(scopes) - {found.scope for found in released})
+    names = ("every drone" if scope == ALL_DRONES else scope for scope in free)
+    return CommandReport(messages, [f"{name}: no launch hold of its own" for name in names])
+
+
+def record_launch_confirmation(store: Store, order_id: str, by: str) -> CommandReport:
+    """Confirm the launch of the drone with this order. LeewayError gives the reason if refused."""
+    id_ = store.record_launch_confirmation(order_id, by)
+    if id_ is None:
+        raise LeewayError(f"order {order_id}: {_launch_refusal_reason(store, order_id)}")
+    return CommandReport([f"{id_}: confirmed by {by}; it launches when the launch gap permits"])
+
+
+def _launch_refusal_reason(store: Store, order_id: str) -> str:
+    rows = (row for row in store.assignments(in_force=True) if row.order_id == order_id)
+    row = next(rows, None)
+    if row is None:
+        return "no drone is assigned"
+    found = hold_of_vehicle_or_of_all(store.holds_in_force(), row.vehicle)
+    return found.text if found is not None else f"{row.state.value} with {row.vehicle}, not waiting"
+
+
+def close_order_as_operator(
+    store: Store,
+    epoch_us: EpochUs,
+    order_id: str,
+    parcel_outcome: ParcelOutcome,
+    reason: str,
+    by: str,
+) -> CommandReport:
+    """Close an order on the operator's decision. LeewayError if its state does not permit it."""
+    result_text = close_order_with_outcome(
+        store.database, epoch_us, order_id, parcel_outcome, reason, by
+    )
+    if result_text is None:
+        raise order_state_error(store, order_id, SETTLED_FROM)
+    return CommandReport([result_text])
+
+
+def order_state_error(
+    store: Store, order_id: str, expected_states: tuple[OrderState, ...]
+) -> LeewayError:
+    """Return the error for an order that is in none of the expected states."""
+    state = next((r.state.value for r in store.orders() if r.order.id == order_id), None)
+    expected = " or ".join(s.value for s in expected_states)
+    return LeewayError(f"order {order_id}: {state or 'not known'}, expected {expected}")
+
+
+def recall_hold_and_record(
+    fleet: FleetLink,
+    open_store: Callable[[], Store],
+    vehicle: str | None,
+    by: str,
+    log: LogMessage,
+    report_operator_check: LogMessage,
+    wait_s: float,
+    recall_with_autopilot: Callable[[Recaller, set[str]], set[str]] = lambda recaller, missing: (
+        set()
+    ),
+) -> RecallResult:
+    """Recall a vehicle, or (None) all received vehicles, and hold them.
+
+    `recall_with_autopilot(recaller, missing)` recalls vehicles without their companions and returns
+    their names. `report_operator_check` receives the items that the operator has to check. The
+    store is opened as soon as it is reachable. Raises LeewayError for an invalid name.
+    """
+    if vehicle is not None:
+        raise_if_invalid_vehicle_name(vehicle)
+    recaller = Recaller(fleet, log, by)
+    record = RecallRecord(open_store, by, log, recaller.clock)
+    missing, no_vehicle_reason = set[str](), ""
+    try:
+        recaller.request_states()
+        missing = recall_fleet(recaller, record, vehicle, wait_s)
+        missing -= recall_with_autopilot(recaller, missing)
+    except NoVehicleReceivedError as error:
+        no_vehicle_reason = str(error)
+        report_operator_check(no_vehicle_reason)
+    finally:
+        record.close()
+        if not record.is_hold_placed_and_commands_stored:
+            remedy = f"run ground-station hold {vehicle or '--all'} --reason recalled"
+            report_operator_check(f"launch hold not stored ({record.store_error}): {remedy}")
+    if missing:
+        remedy = "recall again, use recall --direct, or command RTL by RC"
+        report_operator_check(f"{', '.join(sorted(missing))} did not accept the recall: {remedy}")
+    return RecallResult(missing, no_vehicle_reason, record.is_hold_placed_and_commands_stored)
+
+
+def hold_scopes_of(vehicle: str | None) -> list[str]:
+    """Return the scopes of a hold on a vehicle, or (None) on all. LeewayError: invalid name."""
+    if vehicle is None:
+        return [ALL_DRONES]
+    raise_if_invalid_vehicle_name(vehicle)
+    return [vehicle]

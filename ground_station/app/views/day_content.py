@@ -1,0 +1,89 @@
+"""Content of the store on the day, read at one moment, for display."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from companion.core.base.location import Location
+from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.tables import DEPOT_KEY
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.holds import Hold
+from ground_station.core.schema.orders import AssignmentRow, OrderRow
+from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
+
+MAX_NEXT_SORTIES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class DayShown:
+    """Displayed day with a truck: the active plan, its sorties, the day's time, the visits."""
+
+    plan: DayPlan
+    sorties: list[SortieRow]
+    start_us: int | None
+    now_us: int
+    visits: Sequence[StopTimes] = ()
+
+    def next_unassigned_sorties(self, open_orders: set[str]) -> list[PlannedSortie]:
+        """Return the next sorties."""
+        assigned = [row.sortie for row in self.sorties]
+        remaining = [s for s in self.plan.sorties if s.order in open_orders and s not in assigned]
+        return sorted(remaining, key=lambda s: s.launch_s)[:MAX_NEXT_SORTIES]
+
+    @property
+    def plan_and_time_title(self) -> str:
+        """Plan number and time of the day."""
+        if self.start_us is None:
+            return f"plan {self.plan.revision}, not started"
+        now_s = (self.now_us - self.start_us) / 1e6
+        planned = format_minutes_and_seconds(self.plan.makespan_s)
+        return f"plan {self.plan.revision}, {format_minutes_and_seconds(now_s)} of {planned}"
+
+    def active_sortie_of(self, vehicle: str) -> SortieRow | None:
+        """Return the sortie of a drone that is on a pad, in flight, or landed and not recovered."""
+        own_rows = (row for row in self.sorties if row.vehicle == vehicle)
+        return next(
+            (
+                row
+                for row in own_rows
+                if not (row.is_drone_on_truck or row.is_drone_lost_off_site_or_overdue)
+            ),
+            None,
+        )
+
+    def binding_sortie_texts(self, stop: str) -> list[str]:
+        """Return the sorties that keep the truck at a stop, as text."""
+        return [reason for row in self.sorties if (reason := row.binding_reason(stop)) is not None]
+
+
+def read_day_shown(day: DayStore, now_us: int) -> DayShown | None:
+    """Return the day with a truck in the store; None: the store has none."""
+    plan = day.active_plan()
+    if plan is None:
+        return None
+    return DayShown(plan, day.sorties(), day.day_start_us(), now_us, day.truck_stop_visits())
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayRows:
+    """Rows of the store on the day, read at one moment."""
+
+    assignments: Sequence[AssignmentRow] = ()
+    orders: Sequence[OrderRow] = ()
+    day: DayShown | None = None
+    hold_list: Sequence[Hold] = ()
+    depot: Location | None = None
+
+
+def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
+    """Read the displayed rows."""
+    assignments, shown = store.assignments(in_force=True), read_day_shown(day, now_us)
+    depot = store.database.about_value(DEPOT_KEY, Location)
+    return DisplayRows(assignments, store.orders(), shown, store.holds_in_force(), depot)
+
+
+def format_minutes_and_seconds(seconds: float) -> str:
+    """Format as 12:05."""
+    whole, rest = divmod(max(0, round(seconds)), 60)
+    return f"{whole}:{rest:02d}"

@@ -1,0 +1,193 @@
+"""A row of the fault suite: the fault injected into a flight or small day, and its rules."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from sim_bridge.app.faults.verdict import (
+    FaultRunResult,
+    Rule,
+    check_day_rules,
+    check_energy_never_rises,
+    check_fault_started,
+    check_no_error_exit_code,
+    check_no_exceptions,
+    check_no_false_delivery,
+    check_returned_home,
+    check_returned_if_p_home_was_high,
+    check_single_flight_per_power_up,
+)
+from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.world.flight_phase import FlightPhase
+from sim_bridge.autopilot.kinds import AUTOPILOTS
+
+PHASES = tuple(FlightPhase)[1:-1]
+"""Phases in which a fault can begin: from `READY` to `LAND`."""
+
+AIRBORNE_PHASES, AIRBORNE_PHASES_BEFORE_LANDING = PHASES[1:], PHASES[1:-1]
+
+SAFETY_RULES: tuple[Rule, ...] = (check_returned_home, check_returned_if_p_home_was_high)
+"""Rules that apply to nearly every row."""
+
+FLEET_GROUP = "fleet"
+DAY_LIMIT_S = 900.0
+"""Limit of a day: about 200 s without a fault, as much again for a new plan and second flight."""
+
+
+def mark_fault_started_at_once(stage: FaultContext) -> Iterator[None]:
+    """Begin at once: the fault is part of the world (air, battery pack or computer)."""
+    stage.record_fault_start()
+    yield
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCase:
+    """One row: a fault of one vehicle's flight, or (group FLEET) of a small day of a fleet.
+
+    `procedure`: fault procedure on a stage (in a day also on its `SmallDay`). `flight` changes
+    tables of the flight file; `untold` changes only the simulator's copy. `arguments`: additional
+    companion options. `before_companion`: Python code that runs first in the companion's process.
+    `ends_after_s`: time from a takeover to the end of the flight. `signed`: autopilot and companion
+    share a signing key. `day_s`: time limit of a day; a longer day has failed.
+    """
+
+    number: int
+    name: str
+    group: str
+    description: str
+    procedure: Callable[..., Iterator[None]]
+    rules: tuple[Rule, ...] = (check_returned_home,)
+    phases: tuple[FlightPhase, ...] = (FlightPhase.OUTBOUND,)
+    autopilots: tuple[str, ...] = AUTOPILOTS
+    flight: dict[str, Any] = field(default_factory=dict)
+    untold: dict[str, Any] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()
+    before_companion: str = ""
+    ends_after_s: float | None = None
+    signed: bool = False
+    day_s: float = DAY_LIMIT_S
+
+    def find_broken_rules(
+        self, flown: FaultRunResult, *, has_tight_energy: bool = False
+    ) -> list[str]:
+        """Return the broken rules. Always: the fault started, no exception, a normal
+        end, no rise of the energy estimate.
+
+        A `has_tight_energy` flight may be refused, may turn back, and may be lost as often as
+        P(home) predicts, which is evaluated over many flights.
+        """
+        delivery_rules = tuple(rule for rule in self.rules if rule is check_no_false_delivery)
+        specific_rules = delivery_rules if has_tight_energy else (check_fault_started, *self.rules)
+        mandatory_rules = (
+            (check_day_rules, check_single_flight_per_power_up)
+            if self.group == FLEET_GROUP
+            else (check_no_error_exit_code, check_energy_never_rises)
+        )
+        violations = [
+            rule(flown) for rule in (*specific_rules, check_no_exceptions, *mandatory_rules)
+        ]
+        return [violation for violation in violations if violation]
+
+
+P = TypeVar("P", bound=Callable[..., Iterator[None]])
+
+
+@dataclass(slots=True)
+class FaultGroup:
+    """Rows of a group. `register_procedure` is a decorator; `add_case` takes a parametrised one."""
+
+    group: str
+    cases: list[FaultCase] = field(default_factory=list)
+
+    def register_procedure(
+        self,
+        row_number: int,
+        case_name: str,
+        phases: Sequence[str] = ("outbound",),
+        rules: Sequence[Rule] = SAFETY_RULES,
+        **case_options: Any,
+    ) -> Callable[[P], P]:
+        """Decorate a row's procedure. The first paragraph of its docstring describes the fault."""
+
+        def decorate(procedure: P) -> P:
+            description = " ".join((procedure.__doc__ or "").partition("\n\n")[0].split())
+            self.add_case(
+                row_number, case_name, description, procedure, phases, rules, **case_options
+            )
+            return procedure
+
+        return decorate
+
+    def add_case(
+        self,
+        row_number: int,
+        case_name: str,
+        description: str,
+        procedure: Callable[..., Iterator[None]],
+        phases: Sequence[str] = ("outbound",),
+        rules: Sequence[Rule] = SAFETY_RULES,
+        **case_options: Any,
+    ) -> None:
+        """Add a row."""
+        case = FaultCase(
+            row_number,
+            case_name,
+            case_options.pop("group", self.group),
+            description,
+            procedure,
+            tuple(rules),
+            tuple(map(FlightPhase, phases)),
+            **case_options,
+        )
+        self.cases.append(case)
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTask:
+    """One flight of the suite, not yet flown."""
+
+    fault: str
+    autopilot: str
+    phase: FlightPhase
+    seed: int
+    run_root: Path
+    tight: bool = False
+    """Draw the pack's charge from insufficient to ample, and evaluate P(home) over many flights
+    instead of the return of each flight."""
+
+    @property
+    def title(self) -> str:
+        """Name of the flight in messages."""
+        return f"{self.fault} {self.autopilot} {self.phase} seed {self.seed}"
+
+    @property
+    def run_folder(self) -> Path:
+        """Run folder of the flight."""
+        return self.run_root / f"{self.fault}-{self.autopilot}-{self.phase}-seed{self.seed}"
+
+
+class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Result of one flight under one fault, as written by `--json`."""
+
+    fault: str
+    group: str
+    autopilot: str
+    phase: str
+    seed: int
+    outcome: str
+    home: bool
+    delivered: bool
+    margin_wh: float
+    p_home_last_go: float | None
+    commands_after_takeover: int
+    exceptions: int
+    messages: list[str] = msgspec.field(name="said")
+    passed: bool = msgspec.field(name="held")
+    failure_text: str = msgspec.field(name="why")
+    cpu_s: float | None = None
+    """CPU time of simulator and companions together. None: not measured."""
+    charge_frac: float | None = None
+    """Drawn charge of the pack at power-up. None: the charge of the flight file."""
