@@ -88,6 +88,11 @@ class Battery:
         self.chemical_j = 0.0
 
     @property
+    def capacity_ah(self) -> float:
+        """Present capacity of the pack."""
+        return self._capacity_c / 3600.0
+
+    @property
     def polarisation_energy_j(self) -> float:
         """Energy held by the polarisation capacitance, C v^2 / 2 with C = time constant / R."""
         if self._polarisation_ohm == 0.0:

@@ -77,6 +77,8 @@ class DayTruck:
     _task_start_s: float = 0.0
     _task_end_s: float = 0.0
     _pending_delay_s: float = 0.0
+    added_delay_s: float = 0.0
+    """Delay that `delay_current_or_next_drive` has added to drives so far."""
 
     def __post_init__(self) -> None:
         self._stop = self.port.state.stop
@@ -147,6 +149,7 @@ class DayTruck:
         spread = float(np.exp(self.rng.normal(0.0, SPEED_STD_FRAC)))
         delay_s = self.second_drive_delay_s if len(self.drives) == 1 else 0.0
         duration_s = distance_m / self.speed_mps * spread + delay_s
+        self.added_delay_s += self._pending_delay_s
         duration_s, self._pending_delay_s = duration_s + self._pending_delay_s, 0.0
         self.drives.append(Drive(task.id, self.stop_or_destination_ne_m, to, t_s, t_s + duration_s))
         self._task_end_s = t_s + duration_s
@@ -159,6 +162,7 @@ class DayTruck:
         drive = self.drives[-1]
         self.drives[-1] = replace(drive, arrive_s=drive.arrive_s + delay_s)
         self._task_end_s += delay_s
+        self.added_delay_s += delay_s
 
     def _task_position_ne_m(self, task: Task) -> tuple[float, float]:
         position = Location(lat_deg=task.lat_deg, lon_deg=task.lon_deg, alt_amsl_m=0.0)

@@ -8,6 +8,7 @@ from sim_bridge.app.faults.computers import (
     SecondCompanion,
     connect_payload_computer,
     copy_run_dir_to_sibling,
+    expect_payload_heartbeats,
     send_onboard_computer_heartbeat,
 )
 from sim_bridge.app.faults.fault import AIRBORNE_PHASES, AIRBORNE_PHASES_BEFORE_LANDING, FaultGroup
@@ -23,9 +24,15 @@ from sim_bridge.app.faults.verdict import (
     check_returned_if_p_home_was_high,
 )
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
-from sim_bridge.app.link.client_messages import MODE_PARAMS
+from sim_bridge.app.link.client_messages import (
+    COMPANION_COMPONENT,
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    MODE_PARAMS,
+)
 from sim_bridge.app.link.tap import MessageChange, message_with_changed_fields, pass_unchanged
 from sim_bridge.app.world.station import Station
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import Cmd
 
@@ -54,25 +61,32 @@ def _build_message_dropper(message_name: str, command: int | None = None) -> Mes
 )
 def drop_arm_ack_then_disarm_by_person(stage: FaultContext) -> Iterator[None]:
     """The acknowledgement of ARM is lost, and a person disarms 0.3 to 1.5 s after arming."""
+    stage.expect_messages_changed("COMMAND_ACK")
     stage.tap.to_companion = _build_message_dropper("COMMAND_ACK", Cmd.COMPONENT_ARM_DISARM)
     station = Station(stage.craft.link)
     yield from stage.wait_until(lambda: stage.is_armed)
     yield from stage.wait(stage.rng.uniform(0.3, 1.5))
+    stage.expect_effect("the vehicle is disarmed", lambda: not stage.is_armed)
     stage.record_fault_start()
     station.send_disarm_command(by_force=True)
     stage.record_take_over(DISARM_REPORTED_S)
 
 
 @FAULTS.register_procedure(
-    2, "acks-lost", AIRBORNE_PHASES, (check_no_commands_after_takeover,), ends_after_s=15.0
+    2,
+    "acks-lost",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (check_no_commands_after_takeover,),
+    ends_after_s=15.0,
 )
 def drop_all_acks_then_take_over(stage: FaultContext) -> Iterator[None]:
-    """All acknowledgements are lost, then the pilot takes over."""
+    """All acknowledgements are lost, then the pilot takes over during the retries."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_messages_changed("COMMAND_ACK")
     stage.tap.to_companion = _build_message_dropper("COMMAND_ACK")
-    yield from stage.wait(stage.rng.uniform(1.0, 6.0))
-    stage.craft.start_pilot_override()
-    stage.record_take_over()
+    yield from stage.wait_until(lambda: stage.tap.changed_counts["COMMAND_ACK"] > 0)
+    yield from stage.wait(stage.rng.uniform(0.1, 4.0))
+    stage.take_over_by_pilot()
 
 
 @FAULTS.register_procedure(
@@ -90,8 +104,7 @@ def take_over_and_land_by_pilot(stage: FaultContext) -> Iterator[None]:
     if stage.craft.autopilot_kind == "ardupilot":
         Station(stage.craft.link).send_parameter_to_autopilot("FLTMODE6", LOITER_MODE_NUMBER)
     yield from stage.wait_for_phase_and_record_fault_start()
-    stage.craft.start_pilot_override()
-    stage.record_take_over()
+    stage.take_over_by_pilot()
     yield from stage.wait(PILOT_HOVER_S)
     stage.craft.set_pilot_throttle(throttle_us=THROTTLE_DOWN)
     yield from stage.wait_until(lambda: stage.craft.record.landed_s is not None)
@@ -120,6 +133,7 @@ def report_disarmed_once_then_silence(stage: FaultContext) -> Iterator[None]:
         altered.append(message)
         return [message_with_changed_fields(message, base_mode=message.base_mode & ~ARMED_FLAG)]
 
+    stage.expect_messages_changed("HEARTBEAT")
     stage.tap.to_companion = alter_first_heartbeat_then_drop_all
     yield from stage.wait_until(lambda: bool(altered))
     yield from stage.wait(1.0)
@@ -141,6 +155,7 @@ def force_disarm_by_station(stage: FaultContext) -> Iterator[None]:
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
     yield from stage.wait_until(lambda: stage.is_armed)
+    stage.expect_effect("the motors are stopped", lambda: not stage.is_armed)
     stage.record_fault_start()
     station.send_disarm_command(by_force=True)
     stage.record_take_over(DISARM_REPORTED_S)
@@ -154,8 +169,7 @@ def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
         takeover_delay_s = stage.rng.uniform(0.1, 0.9) * duration_s
         stage.stall_companion()
         yield from stage.wait(takeover_delay_s)
-        stage.craft.start_pilot_override()
-        stage.record_take_over()
+        stage.take_over_by_pilot()
         yield from stage.wait(duration_s - takeover_delay_s)
         stage.resume_companion()
 
@@ -175,6 +189,7 @@ def run_second_companion_while_first_stalls(
         yield from stage.wait_for_phase_and_record_fault_start()
         stage.stall_companion()
         second = SecondCompanion(stage, run_dir_for_second(stage.craft.run_dir))
+        stage.expect_effect("the second companion replies", lambda: second.has_replied)
         second.start_and_wait_for_connection()
         resume_at_s = stage.t_s + STALL_FOR_SECOND_S
         while stage.t_s < resume_at_s and second.process.is_running:
@@ -213,6 +228,7 @@ def send_payload_heartbeats_forever(stage: FaultContext) -> Iterator[None]:
     """Another onboard computer (component 192) sends heartbeats, which have no effect."""
     payload = connect_payload_computer(stage)
     yield from stage.wait_for_phase_and_record_fault_start()
+    expect_payload_heartbeats(stage)
     while True:
         send_onboard_computer_heartbeat(payload)
         yield from stage.wait(1.0)
@@ -233,6 +249,9 @@ def claim_control_by_payload_computer(stage: FaultContext) -> Iterator[None]:
     payload = connect_payload_computer(stage)
     yield from stage.wait_for_phase_and_record_fault_start()
     since_s = stage.t_s
+    expect_payload_heartbeats(stage)
+    accepted = (1, Cmd.DO_CHANGE_SPEED, 0)
+    stage.expect_effect("its speed is accepted", lambda: payload.reply_counts[accepted] > 0)
     stage.record_take_over()
     while True:
         send_onboard_computer_heartbeat(payload, control_since_s=since_s)
@@ -251,16 +270,27 @@ PAYLOAD_SPEED_MPS = 9.0
     ends_after_s=25.0,
 )
 def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]:
-    """A person hands back control and takes over again within 0.2 s."""
-    station = Station(stage.craft.link)
+    """A person hands back control and selects RTL within 0.2 s, or HOLD again within 0.2 s of the
+    mission's resumption.
+    """
     craft = stage.craft
+    station = Station(craft.link, (GROUND_SYSTEM, GROUND_COMPONENT))
     yield from stage.wait_for_phase_and_record_fault_start()
     hold = MODE_PARAMS[craft.autopilot_kind]["hold"]
+    mode_set, handed_back = (1, Cmd.DO_SET_MODE, 0), (COMPANION_COMPONENT, Cmd.DO_PAUSE_CONTINUE, 0)
+    replies = station.reply_counts
+    stage.expect_effect("both modes are accepted", lambda: replies[mode_set] >= 2)
+    stage.expect_effect("the hand-back is accepted", lambda: replies[handed_back] > 0)
     station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     yield from stage.wait(3.0)
     station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
+    is_resumed_first = stage.rng.random() < 0.5
+    if is_resumed_first:
+        yield from stage.wait_until(lambda: craft.autopilot.mode is Mode.AUTO)
     yield from stage.wait(stage.rng.choice([0.1, 0.2]))
-    station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
+    # Before the resumption HOLD would change nothing that a heartbeat shows.
+    mode = "hold" if is_resumed_first else "rtl"
+    station.send_autopilot_command(Cmd.DO_SET_MODE, *MODE_PARAMS[craft.autopilot_kind][mode])
     stage.record_take_over()
 
 

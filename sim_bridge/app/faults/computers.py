@@ -25,6 +25,12 @@ def connect_payload_computer(stage: FaultContext) -> Station:
     return Station(stage.craft.link, (stage.craft.number, PAYLOAD_COMPONENT), LinkKind.ONBOARD)
 
 
+def expect_payload_heartbeats(stage: FaultContext) -> None:
+    """Require that the companion receives messages of component 192."""
+    sender, counts = (stage.craft.number, PAYLOAD_COMPONENT), stage.tap.sender_counts
+    stage.expect_effect("component 192 is received", lambda: counts[sender] > 0)
+
+
 def send_onboard_computer_heartbeat(
     station: Station, *, control_since_s: float | None = None
 ) -> None:
@@ -52,6 +58,8 @@ class SecondCompanion:
     stage: FaultContext
     run_dir: Path
     process: CompanionProcess = field(init=False)
+    has_replied: bool = False
+    """Whether it has sent a datagram."""
     _endpoints: EndpointSet = field(init=False)
     _lockstep: Lockstep = field(init=False)
     _frames: list[bytes] = field(default_factory=list)
@@ -102,6 +110,7 @@ class SecondCompanion:
 
     def _deliver_to_autopilot(self, received: list[tuple[int, bytes]]) -> None:
         for _, datagram in received:
+            self.has_replied = True
             self.stage.craft.autopilot.process_received_datagram(SECOND_LINK, datagram)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.fault import SAFETY_RULES, FaultGroup
-from sim_bridge.app.faults.mission_and_home import MISSION_SHIFT_M
+from sim_bridge.app.faults.mission_and_home import MISSION_SHIFT_M, expect_other_mission_onboard
 from sim_bridge.app.faults.verdict import (
     check_alert_sent,
     check_delivered,
@@ -43,6 +43,9 @@ def _connect_operator_station(stage: FaultContext) -> Station:
 
 
 def _send_hold_mode_command(stage: FaultContext, station: Station) -> None:
+    count, held = station.reply_counts, (1, Cmd.DO_SET_MODE, 0)
+    before = count[held]
+    stage.expect_effect("HOLD is accepted", lambda: count[held] > before)
     station.send_autopilot_command(
         Cmd.DO_SET_MODE, *MODE_PARAMS[stage.craft.autopilot_kind]["hold"]
     )
@@ -58,6 +61,7 @@ def _wait_for_command_then_drop_messages(
         if message.msg_name == message_name and (command is None or message.command == command):
             commands.append(message)
 
+    stage.expect_messages_changed()
     stage.tap.to_autopilot = record_matching_command
     stage.tap.to_companion = lambda m: [] if commands and m.msg_name in dropped_names else None
     yield from stage.wait_until(lambda: bool(commands))
@@ -120,6 +124,9 @@ def select_landing_item_during_jump(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait(0.5)
     items = craft.autopilot.store.mission
     landing = max(k for k, item in enumerate(items) if item.command == Cmd.NAV_LAND)
+    stage.expect_effect(
+        "the landing is the current item", lambda: craft.autopilot.executor.index == landing
+    )
     if by_command:
         station.send_autopilot_command(Cmd.DO_SET_MISSION_CURRENT, float(landing))
     else:
@@ -135,6 +142,7 @@ def select_landing_item_during_jump(stage: FaultContext) -> Iterator[None]:
 
 
 def _upload_shifted_mission(stage: FaultContext, station: Station) -> Iterator[None]:
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission(
         shift_mission_east(list(stage.craft.autopilot.store.mission), MISSION_SHIFT_M)
     )
@@ -149,8 +157,6 @@ def _wait_for_auto_and_note_own_mission(
     stage: FaultContext, own_items: list[tuple[int, int, int, float]]
 ) -> Iterator[None]:
     """Note if the companion's mission is onboard when the armed vehicle next flies a mission."""
-    if _onboard_mission_items_without_home(stage) == own_items:
-        raise ValueError("onboard mission is unchanged, expected another station's mission")
     yield from stage.wait_until(lambda: stage.is_armed and stage.craft.autopilot.mode is Mode.AUTO)
     if _onboard_mission_items_without_home(stage) == own_items:
         stage.notes.append(OWN_MISSION_NOTE)
@@ -234,6 +240,7 @@ def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     yield from _upload_shifted_mission(stage, station)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))
+    stage.expect_effect("RTL is refused", lambda: craft.link.refused_count > 0)
     craft.link.refused = frozenset({("COMMAND_LONG", Cmd.DO_SET_MODE)})
     yield from _upload_shifted_mission(stage, station)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.RETURN_REFUSED_RTL))

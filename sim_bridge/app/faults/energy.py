@@ -7,7 +7,7 @@ from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES_BEFORE_LANDING,
     SAFETY_RULES,
     FaultGroup,
-    mark_fault_started_at_once,
+    start_at_once,
 )
 from sim_bridge.app.faults.verdict import (
     FaultRunResult,
@@ -15,6 +15,7 @@ from sim_bridge.app.faults.verdict import (
     check_delivered,
     check_no_false_delivery,
 )
+from sim_bridge.app.flight.craft_building import read_true_airframe
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.link.tap import message_with_changed_fields, pass_unchanged
 from sim_bridge.app.world.flight_phase import FlightPhase
@@ -26,6 +27,7 @@ DELIVERY_RULES = (*SAFETY_RULES, check_delivered)
 BATTERY_MESSAGE = "BATTERY_STATUS"
 BATTERY_DELAY_S = 4.0
 OUTLIER_MAH = 4_000_000
+CELL_V = 3.0
 DISTANT_CUSTOMER = {
     "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
     "vehicle": {"charge_frac": 0.5},
@@ -58,6 +60,7 @@ def report_lower_second_pack(lower_by_percent_points: int) -> FaultProcedure:
                 ),
             ]
 
+        stage.expect_messages_changed(BATTERY_MESSAGE)
         stage.tap.to_companion = report_two_packs
         stage.record_fault_start()
         yield
@@ -69,6 +72,7 @@ def report_lower_second_pack(lower_by_percent_points: int) -> FaultProcedure:
 def delay_one_battery_message(stage: FaultContext) -> Iterator[None]:
     """One battery message is delayed by 4 s."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_messages_changed(BATTERY_MESSAGE)
     stage.tap.delay_s_by_name[BATTERY_MESSAGE] = BATTERY_DELAY_S
     yield from stage.wait(0.6)
     del stage.tap.delay_s_by_name[BATTERY_MESSAGE]
@@ -87,6 +91,7 @@ def alter_one_battery_message(**changed_fields: int) -> FaultProcedure:
             altered.append(message)
             return [message_with_changed_fields(message, **changed_fields)]
 
+        stage.expect_messages_changed(BATTERY_MESSAGE)
         stage.tap.to_companion = alter_first_battery_message
         yield from stage.wait_until(lambda: bool(altered))
         stage.tap.to_companion = pass_unchanged
@@ -114,13 +119,19 @@ def restart_battery_counters_at_zero(stage: FaultContext) -> Iterator[None]:
             )
         ]
 
+    stage.expect_messages_changed(BATTERY_MESSAGE)
     stage.tap.to_companion = subtract_first_counters
 
 
 @FAULTS.register_procedure(30, "parcel-sticks", ("drop",), (*SAFETY_RULES, check_no_false_delivery))
 def make_parcel_release_fail(stage: FaultContext) -> Iterator[None]:
     """The parcel stays attached while the gripper reports success."""
-    stage.craft.vehicle.release_fails = True
+    craft = stage.craft
+    stage.expect_effect(
+        "the gripper is open with the parcel attached",
+        lambda: craft.autopilot.behaviour.is_gripper_open and craft.vehicle.parcel_aboard,
+    )
+    craft.vehicle.release_fails = True
     stage.record_fault_start()
     yield
 
@@ -130,7 +141,9 @@ def multiply_power_draw(factor: float) -> FaultProcedure:
 
     def procedure(stage: FaultContext) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
-        stage.craft.vehicle.draw_factor = factor
+        vehicle = stage.craft.vehicle
+        stage.expect_effect(f"draw {factor:g} times", lambda: vehicle.draw_factor == factor)
+        vehicle.draw_factor = factor
 
     return procedure
 
@@ -145,7 +158,10 @@ def check_draw_change_alert_in_time(flown: FaultRunResult) -> str | None:
 def short_circuit_battery_cell(stage: FaultContext) -> Iterator[None]:
     """One cell of the pack is short-circuited."""
     yield from stage.wait_for_phase_and_record_fault_start()
-    stage.craft.vehicle.battery.short_one_cell()
+    battery = stage.craft.vehicle.battery
+    limit_v = battery.voltage_v - CELL_V
+    stage.expect_effect("voltage a cell lower", lambda: battery.voltage_v < limit_v)
+    battery.short_one_cell()
 
 
 IN_TIME_RULES = (*SAFETY_RULES, check_draw_change_alert_in_time)
@@ -195,25 +211,32 @@ for number, name, description, changed_fields in (
     procedure = alter_one_battery_message(**changed_fields)
     phases = AIRBORNE_PHASES_BEFORE_LANDING
     FAULTS.add_case(number, name, description, procedure, phases, DELIVERY_RULES)
-for number, name, description, pack in (
+for number, name, description, pack, effect, is_observed in (
     (
         28,
         "cold",
         "A pack at -10 degrees C; the flight file does not state the temperature.",
         {"temperature_c": -10.0},
+        "a pack at -10 degrees C",
+        lambda stage: stage.craft.vehicle.battery.temperature_c == -10.0,
     ),
     (
         29,
         "aged",
         "A pack with 80 % of its capacity; the flight file does not state the loss.",
         {"battery_health_frac": 0.8},
+        "a pack of 80 % of its capacity",
+        lambda stage: (
+            stage.craft.vehicle.battery.capacity_ah
+            < 0.81 * read_true_airframe(stage.craft.flight).battery.capacity_ah
+        ),
     ),
 ):
     FAULTS.add_case(
         number,
         f"pack-{name}",
         description,
-        mark_fault_started_at_once,
+        start_at_once(effect, is_observed),
         ("ready",),
         untold={"vehicle": pack},
     )

@@ -20,7 +20,7 @@ from sim_bridge.app.faults.verdict import (
     check_returned_if_p_home_was_high,
     check_single_flight_per_power_up,
 )
-from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.autopilot.kinds import AUTOPILOTS
 
@@ -37,8 +37,37 @@ DAY_LIMIT_S = 900.0
 """Limit of a day: about 200 s without a fault, as much again for a new plan and second flight."""
 
 
-def mark_fault_started_at_once(stage: FaultContext) -> Iterator[None]:
-    """Begin at once: the fault is part of the world (air, battery pack or computer)."""
+def start_at_once(
+    expected_effect: str, is_observed: Callable[[FaultContext], bool]
+) -> FaultProcedure:
+    """Return a procedure that begins at once: the fault is part of the world (air or pack)."""
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        stage.expect_effect(expected_effect, lambda: is_observed(stage), is_in_world=True)
+        stage.record_fault_start()
+        yield
+
+    return procedure
+
+
+STARTUP_EFFECT_CODE = """\
+import pathlib, sys
+def record_fault_effect():
+    (pathlib.Path(sys.argv[-1]) / "fault_effect").touch()
+"""
+"""Python code before each row's `before_companion`, which calls `record_fault_effect()` where its
+fault takes effect in the companion's process."""
+
+
+def expect_startup_effect(stage: FaultContext) -> None:
+    """Require that the row's `before_companion` code has recorded its effect."""
+    path = stage.craft.run_dir / "fault_effect"
+    stage.expect_effect("fault in the companion's process", path.exists)
+
+
+def start_with_companion(stage: FaultContext) -> Iterator[None]:
+    """Begin at once: the fault is in the companion's process, by `before_companion`."""
+    expect_startup_effect(stage)
     stage.record_fault_start()
     yield
 
@@ -49,7 +78,8 @@ class FaultCase:
 
     `procedure`: fault procedure on a stage (in a day also on its `SmallDay`). `flight` changes
     tables of the flight file; `untold` changes only the simulator's copy. `arguments`: additional
-    companion options. `before_companion`: Python code that runs first in the companion's process.
+    companion options. `before_companion`: Python code that runs first in the companion's process,
+    after `STARTUP_EFFECT_CODE`.
     `ends_after_s`: time from a takeover to the end of the flight. `signed`: autopilot and companion
     share a signing key. `day_s`: time limit of a day; a longer day has failed.
     """

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 
+from sim_bridge.app.day.desk import LOG_FILE
 from sim_bridge.app.day.truck import DayTruck
 from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES,
@@ -49,9 +50,21 @@ REJOIN_WAIT_S = 60.0
 def kill_and_restart_desk(stage: FaultContext, day: SmallDay) -> Iterator[None]:
     """The desk is killed and restarted on its store up to a minute later."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _kill_and_restart_desk(stage, day)
+
+
+def _kill_and_restart_desk(stage: FaultContext, day: SmallDay) -> Iterator[None]:
+    first = day.desks.first_desk
+    stage.expect_effect("the desk is down", lambda: first.desk is None)
     day.desks.kill()
     yield from stage.wait(stage.rng.uniform(*DESK_OUTAGE_S))
+    stage.expect_effect("the desk is up again", lambda: first.desk is not None)
     day.desks.restart()
+
+
+def _expect_lost_fleet_messages(stage: FaultContext, day: SmallDay) -> None:
+    lost_count = day.bus.lost
+    stage.expect_effect("lost messages", lambda: day.bus.lost > lost_count)
 
 
 @FAULTS.register_procedure(57, "network-cut", PHASES, (check_all_delivered, *LEFT_AND_JOINED_RULES))
@@ -59,6 +72,7 @@ def cut_fleet_network(stage: FaultContext, day: SmallDay) -> Iterator[None]:
     """The fleet's network is down for 1.5 to 4 minutes."""
     yield from stage.wait_for_phase_and_record_fault_start()
     duration_s = stage.rng.uniform(*NETWORK_OUTAGE_S)
+    _expect_lost_fleet_messages(stage, day)
     day.bus.cut_network(duration_s)
     yield from stage.wait(duration_s)
 
@@ -78,6 +92,7 @@ def cut_off_drone_for_one_hour(stage: FaultContext, day: SmallDay) -> Iterator[N
     """
     yield from stage.wait_for_phase_and_record_fault_start()
     drone, return_at_s = day.faulted_drone, stage.t_s + ONE_HOUR_S
+    _expect_lost_fleet_messages(stage, day)
     day.bus.cut_member(FAULTED_DRONE, ONE_HOUR_S)
     yield from stage.wait_until(lambda: day.faulted_drone_flight_phase is FlightPhase.DOWN)
     yield from stage.wait(SWITCH_OFF_DELAY_S)
@@ -95,6 +110,7 @@ def delay_truck_drive(stage: FaultContext, day: SmallDay) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     driver = day.world.ground_handling
     assert isinstance(driver, DayTruck)
+    stage.expect_effect("a longer drive", lambda: driver.added_delay_s > 0.0)
     driver.delay_current_or_next_drive(stage.rng.uniform(*TRUCK_DELAY_S))
 
 
@@ -110,6 +126,9 @@ def start_second_desk(clock_offset_s: float = 0.0) -> DayFaultProcedure:
             stage.record_fault_start()
         else:
             yield from stage.wait_for_phase_and_record_fault_start()
+        stage.expect_effect(
+            "a second desk runs", lambda: any(desk.desk is not None for desk in day.desks.desks[1:])
+        )
         day.desks.start_second_desk(OffsetClock(day.world.clock, clock_offset_s))
 
     return procedure
@@ -131,6 +150,10 @@ def make_store_unreachable(stage: FaultContext, day: SmallDay) -> Iterator[None]
     database, clock = day.desks.first_desk.database.database, day.world.clock
     duration_s = stage.rng.uniform(*NETWORK_OUTAGE_S)
     outage, until_s = database.outage, stage.t_s + duration_s
+    log_path = day.desks.first_desk.folder / LOG_FILE
+    stage.expect_effect(
+        "the store is unreachable", lambda: "store unreachable" in log_path.read_text()
+    )
     database.outage = TimedOutage(clock.monotonic_s, reason="no route to host", until_s=until_s)
     yield from stage.wait(duration_s)
     database.outage = outage
@@ -143,10 +166,8 @@ def restart_desk_with_clock_offset(clock_offset_s: float) -> DayFaultProcedure:
 
     def procedure(stage: FaultContext, day: SmallDay) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
-        day.desks.kill()
         day.desks.clock.offset_s = clock_offset_s
-        yield from stage.wait(stage.rng.uniform(*DESK_OUTAGE_S))
-        day.desks.restart()
+        yield from _kill_and_restart_desk(stage, day)
 
     return procedure
 
@@ -158,6 +179,13 @@ def set_vehicle_clock_offset(clock_offset_s: float) -> DayFaultProcedure:
 
     def procedure(stage: FaultContext, day: SmallDay) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
+        states = day.bus.states
+
+        def offset_s() -> float:
+            state = states.get(FAULTED_DRONE)
+            return 0.0 if state is None else 1e-6 * (state.epoch_us - day.world.clock.epoch_us())
+
+        stage.expect_effect("an hour off in its state", lambda: abs(offset_s()) > ONE_HOUR_S / 2.0)
         day.faulted_drone.wall_clock_offset_s = clock_offset_s
 
     return procedure

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterator
 
+from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES,
     AIRBORNE_PHASES_BEFORE_LANDING,
     SAFETY_RULES,
     FaultGroup,
-    mark_fault_started_at_once,
+    start_with_companion,
 )
 from sim_bridge.app.faults.verdict import check_delivered, check_file_exists_in_run_folder
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
@@ -47,8 +48,12 @@ def kill_companion_and_corrupt_file(file_name: str) -> FaultProcedure:
         path = stage.craft.run_dir / file_name
         data = path.read_bytes()
         intact_bytes = 2 * len(data) // 3
-        path.write_bytes(data[:intact_bytes] + stage.rng.bytes(len(data) - intact_bytes))
+        damaged = data[:intact_bytes] + stage.rng.bytes(len(data) - intact_bytes)
+        path.write_bytes(damaged)
         yield from stage.wait(stage.rng.uniform(*RESTART_DELAY_S))
+        stage.expect_effect(
+            "the companion replaces the damaged file", lambda: path.read_bytes() != damaged
+        )
         stage.restart_companion()
 
     return procedure
@@ -60,7 +65,10 @@ def reboot_autopilot_before_takeoff(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait(stage.rng.uniform(1.0, TIME_ON_PAD_S))
     if not stage.is_armed:
         stage.record_fault_start()
-        stage.craft.autopilot.reboot()
+        autopilot = stage.craft.autopilot
+        boot_t_s = autopilot.state.boot_t_s
+        stage.expect_effect("a later boot", lambda: autopilot.state.boot_t_s > boot_t_s)
+        autopilot.reboot()
 
 
 @FAULTS.register_procedure(
@@ -69,6 +77,9 @@ def reboot_autopilot_before_takeoff(stage: FaultContext) -> Iterator[None]:
 def fill_companion_disk(stage: FaultContext) -> Iterator[None]:
     """The disk is full."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_effect(
+        "a lost record", lambda: stage.has_operator_received_alert(Alert.RECORD_LOST)
+    )
     stage.craft.companion.simulate_full_disk()
 
 
@@ -78,6 +89,9 @@ def fill_companion_disk(stage: FaultContext) -> Iterator[None]:
 def make_run_folder_unwritable(stage: FaultContext) -> Iterator[None]:
     """The run folder becomes unwritable."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_effect(
+        "a lost record", lambda: stage.has_operator_received_alert(Alert.RECORD_LOST)
+    )
     folder = stage.craft.run_dir
     renamed_folder = folder.with_name(folder.name + ".away")
     folder.rename(renamed_folder)
@@ -91,6 +105,7 @@ def python_code_that_delays_fsync(delay_s: float) -> str:
     return f"""\
 import os, time
 def slow(fd, fsync=os.fsync):
+    record_fault_effect()
     time.sleep({delay_s})
     fsync(fd)
 os.fsync = slow
@@ -116,7 +131,7 @@ for delay_s in (0.5, 3.0, 10.0):
         42,
         f"fsync-{delay_s:g}-s",
         f"Each fsync takes {delay_s:g} s.",
-        mark_fault_started_at_once,
+        start_with_companion,
         ("ready",),
         (*SAFETY_RULES, check_delivered),
         before_companion=python_code_that_delays_fsync(delay_s),

@@ -15,7 +15,8 @@ from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.link.bad_link import FaultyLink
 from sim_bridge.app.link.client_messages import autopilot_heartbeat
 from sim_bridge.app.link.message_mutation import FIELD_MUTATIONS, MessageMutator
-from sim_bridge.app.link.tap import SlowLine, pass_unchanged
+from sim_bridge.app.link.tap import INJECTED, SlowLine, pass_unchanged
+from sim_bridge.app.world.vehicle_host import EXCHANGE_S
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 FAULTS = FaultGroup("link")
@@ -40,6 +41,7 @@ def lose_duplicate_and_delay_messages(stage: FaultContext) -> Iterator[None]:
             rng.choice([0, 1, 2], p=[LOSS_FRAC, 1.0 - 2.0 * LOSS_FRAC, LOSS_FRAC])
         )
 
+    stage.expect_messages_changed()
     tap.to_companion = tap.to_autopilot = randomly_lose_or_duplicate
     while True:
         is_attitude_delayed = rng.random() < LOSS_FRAC
@@ -52,7 +54,10 @@ def silence_link(duration_s: float) -> FaultProcedure:
 
     def procedure(stage: FaultContext) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
-        stage.craft.link.silent_until_s = stage.craft.t_s + duration_s
+        link = stage.craft.link
+        lost_count = link.lost_count
+        stage.expect_effect("lost frames", lambda: link.lost_count > lost_count)
+        link.silent_until_s = stage.craft.t_s + duration_s
 
     return procedure
 
@@ -61,7 +66,9 @@ def silence_link(duration_s: float) -> FaultProcedure:
 def limit_link_to_radio_rate(stage: FaultContext) -> Iterator[None]:
     """The companion receives the autopilot through a radio of 57,600 baud."""
     yield from stage.wait_for_phase_and_record_fault_start()
-    stage.tap.radio = SlowLine(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
+    radio = SlowLine(RADIO_BYTES_PER_S, RADIO_BUFFER_BYTES)
+    stage.expect_effect("a queue", lambda: radio.queued_bytes > RADIO_BYTES_PER_S * EXCHANGE_S)
+    stage.tap.radio = radio
 
 
 @FAULTS.register_procedure(8, "namesake", AIRBORNE_PHASES_BEFORE_LANDING)
@@ -69,6 +76,7 @@ def inject_vehicle_with_same_system_id(stage: FaultContext) -> Iterator[None]:
     """Another vehicle with the same system ID, mode POSITION, 1 km away, is on the link."""
     yield from stage.wait_for_phase_and_record_fault_start()
     encoder, craft = Encoder(stage.craft.number, 1), stage.craft
+    stage.expect_messages_changed(INJECTED)
     lat_deg, lon_deg = (craft.depot.lat_deg or 0.0) + 0.009, craft.depot.lon_deg or 0.0
     while True:
         heartbeat = autopilot_heartbeat(craft.autopilot_kind, "position", base_mode=209)
@@ -98,7 +106,9 @@ def inject_invalid_traffic(stage: FaultContext) -> Iterator[None]:
     """The link carries garbage, truncated frames, other systems and invalid fields."""
     yield from stage.wait_for_phase_and_record_fault_start()
     seed = int(stage.rng.integers(2**31))
-    stage.craft.link.bad_link = FaultyLink(stage.craft.number, np.random.default_rng(seed))
+    link = FaultyLink(stage.craft.number, np.random.default_rng(seed))
+    stage.expect_effect("disturbed exchanges", lambda: link.disturbed_exchange_count > 0)
+    stage.craft.link.bad_link = link
 
 
 @FAULTS.register_procedure(53, "fields-mutated", AIRBORNE_PHASES)
@@ -106,6 +116,7 @@ def mutate_message_fields_at_random(stage: FaultContext) -> Iterator[None]:
     """For 3 to 10 s one message in twenty has extreme, NaN, offset or random fields."""
     yield from stage.wait_for_phase_and_record_fault_start()
     mutator = MessageMutator(stage.rng, MUTATED_SHARE, tuple(FIELD_MUTATIONS), active=True)
+    stage.expect_messages_changed()
     stage.tap.to_companion = mutator.mutate_random_share_of_messages
     yield from stage.wait(stage.rng.uniform(*MUTATED_FOR_S))
     stage.tap.to_companion = pass_unchanged

@@ -1,5 +1,6 @@
 """Faults of the onboard mission and home position: edits by another station, a moved home."""
 
+import math
 from collections.abc import Iterator
 
 from companion.core.mission.alerts import Alert
@@ -28,6 +29,7 @@ RETURN_ON_HOLD_ARGUMENTS = ("--unanswered-hold=return",)
 """Option set before the flight: PX4 holds at an infeasible mission, with no operator response."""
 
 HEIGHT_RESET_MM = 15_000
+MOVED_M = 10.0
 WAYPOINT_SHIFT_M = 1500.0
 MISSION_SHIFT_M = 3000.0
 SLOW_CHECK_S = 30.0
@@ -36,6 +38,18 @@ SLOW_CHECK_S = 30.0
 
 def _onboard_mission(stage: FaultContext) -> list[MissionItem]:
     return list(stage.craft.autopilot.store.mission)
+
+
+def expect_other_mission_onboard(stage: FaultContext) -> None:
+    """Require that another mission than the present one is onboard from now on."""
+    own = _onboard_mission(stage)
+    stage.expect_effect("another mission is onboard", lambda: _onboard_mission(stage) != own)
+
+
+def _expect_moved_home(stage: FaultContext) -> None:
+    state = stage.craft.autopilot.state
+    before = state.home_ned_m
+    stage.expect_effect("home is moved", lambda: math.dist(state.home_ned_m, before) > MOVED_M)
 
 
 @FAULTS.register_procedure(
@@ -49,6 +63,7 @@ def upload_mission_with_moved_waypoint(stage: FaultContext) -> Iterator[None]:
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
     current = stage.craft.autopilot.executor.index
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission(
         shift_next_waypoint_east(_onboard_mission(stage), current, WAYPOINT_SHIFT_M)
     )
@@ -61,6 +76,7 @@ def upload_distant_mission(stage: FaultContext) -> Iterator[None]:
     """Another station uploads a mission of the same length, 3 km away."""
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission(shift_mission_east(_onboard_mission(stage), MISSION_SHIFT_M))
 
 
@@ -75,8 +91,10 @@ def upload_distant_mission_twice(stage: FaultContext) -> Iterator[None]:
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
     items = shift_mission_east(_onboard_mission(stage), MISSION_SHIFT_M)
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission(items)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission(items)
 
 
@@ -85,6 +103,8 @@ def upload_own_mission_again(stage: FaultContext) -> Iterator[None]:
     """Another station uploads the companion's own mission again."""
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
+    accepted = (1, None, 0)
+    stage.expect_effect("the upload is accepted", lambda: station.reply_counts[accepted] > 0)
     yield from station.upload_mission(_onboard_mission(stage))
 
 
@@ -100,6 +120,7 @@ def upload_first_half_of_mission(stage: FaultContext) -> Iterator[None]:
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
     items = _onboard_mission(stage)
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission(items[: len(items) // 2])
 
 
@@ -111,6 +132,7 @@ def upload_mission_with_appended_copy(stage: FaultContext) -> Iterator[None]:
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
     items = _onboard_mission(stage)
+    expect_other_mission_onboard(stage)
     yield from station.upload_mission([*items, *shift_mission_east(items[1:], MISSION_SHIFT_M)])
 
 
@@ -118,7 +140,15 @@ def clear_mission_by_station(stage: FaultContext) -> Iterator[None]:
     """Another station clears the mission."""
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
+    if stage.is_armed and stage.craft.autopilot_kind == "ardupilot":
+        stage.expect_effect("the clear is refused", lambda: _is_mission_transfer_refused(station))
+    else:
+        expect_other_mission_onboard(stage)
     station.send_mission_clear_all()
+
+
+def _is_mission_transfer_refused(station: Station) -> bool:
+    return any(command is None and result for _, command, result in station.reply_counts)
 
 
 @FAULTS.register_procedure(14, "upload-cut", AIRBORNE_PHASES)
@@ -127,8 +157,12 @@ def abort_mission_upload_halfway(stage: FaultContext) -> Iterator[None]:
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
     items = _onboard_mission(stage)
+    half = len(items) // 2
+    stage.expect_effect(
+        "half of the items are requested", lambda: station.uploaded_item_count >= half
+    )
     yield from station.upload_mission(
-        shift_mission_east(items, MISSION_SHIFT_M), stop_after_items=len(items) // 2
+        shift_mission_east(items, MISSION_SHIFT_M), stop_after_items=half
     )
 
 
@@ -138,6 +172,7 @@ def move_home_by_station(*, north_m: float = 0.0, up_m: float = 0.0) -> FaultPro
     def procedure(stage: FaultContext) -> Iterator[None]:
         station = Station(stage.craft.link)
         yield from stage.wait_for_phase_and_record_fault_start()
+        _expect_moved_home(stage)
         station.send_set_home_at_offset(stage.craft.depot, north_m=north_m, up_m=up_m)
 
     return procedure
@@ -153,8 +188,10 @@ def set_home_low_twice(stage: FaultContext) -> Iterator[None]:
     """Home is set 20 m lower, and again after the companion has restored it."""
     station = Station(stage.craft.link)
     yield from stage.wait_for_phase_and_record_fault_start()
+    _expect_moved_home(stage)
     station.send_set_home_at_offset(stage.craft.depot, up_m=-20.0)
     yield from stage.wait(4.0)
+    _expect_moved_home(stage)
     station.send_set_home_at_offset(stage.craft.depot, up_m=-20.0)
 
 
@@ -177,6 +214,7 @@ def offset_reported_height_above_home(stage: FaultContext) -> Iterator[None]:
             )
         ]
 
+    stage.expect_messages_changed("GLOBAL_POSITION_INT")
     stage.tap.to_companion = offset_relative_altitude
 
 
@@ -186,6 +224,7 @@ def offset_reported_height_above_home(stage: FaultContext) -> Iterator[None]:
 def delay_mission_progress_messages(stage: FaultContext) -> Iterator[None]:
     """Mission progress is delayed by 2 s."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_messages_changed("MISSION_CURRENT")
     stage.tap.delay_s_by_name["MISSION_CURRENT"] = 2.0
 
 
@@ -198,10 +237,9 @@ def set_autopilot_parameter_by_station(
         station = Station(stage.craft.link)
         name, value = name_and_value_by_autopilot[stage.craft.autopilot_kind]
         yield from stage.wait_for_phase_and_record_fault_start()
+        params = stage.craft.autopilot.params
+        stage.expect_effect(f"{name} is {value:g}", lambda: params[name] == value)
         station.send_parameter_to_autopilot(name, value)
-        yield
-        if stage.craft.autopilot.params[name] != value:
-            raise ValueError(f"parameter {name} is unchanged, expected the new value")
 
     return procedure
 

@@ -10,7 +10,13 @@ import numpy as np
 
 from companion.adapters.files.params import params_dir
 from companion.adapters.files.signing_files import write_signing_key
-from sim_bridge.app.faults.fault import FLEET_GROUP, FaultCase, FaultRow, FaultTask
+from sim_bridge.app.faults.fault import (
+    FLEET_GROUP,
+    STARTUP_EFFECT_CODE,
+    FaultCase,
+    FaultRow,
+    FaultTask,
+)
 from sim_bridge.app.faults.verdict import FaultRunResult, p_home_of_last_go_decision
 from sim_bridge.app.flight.companion_process import suite_fork_server
 from sim_bridge.app.flight.fly import FlyOptions, fly_vehicles_and_evaluate
@@ -73,7 +79,8 @@ def _fly_flight(case: FaultCase, task: FaultTask, charge_frac: float | None) -> 
         picture=False,
         lockstep_limit_s=LOCKSTEP_LIMIT_S,
         companion_arguments=case.arguments,
-        companion_startup_code=case.before_companion,
+        companion_startup_code=case.before_companion
+        and f"{STARTUP_EFFECT_CODE}{case.before_companion}",
         fork_server=suite_fork_server(),
         signing_key=_create_signing_key(folder) if case.signed else None,
     )

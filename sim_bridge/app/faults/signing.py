@@ -3,7 +3,12 @@
 from collections.abc import Iterator
 from itertools import cycle, islice
 
-from sim_bridge.app.faults.fault import AIRBORNE_PHASES_BEFORE_LANDING, SAFETY_RULES, FaultGroup
+from sim_bridge.app.faults.fault import (
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    SAFETY_RULES,
+    FaultGroup,
+    expect_startup_effect,
+)
 from sim_bridge.app.faults.host import kill_companion_and_restart_if
 from sim_bridge.app.faults.verdict import (
     check_control_retained,
@@ -11,7 +16,7 @@ from sim_bridge.app.faults.verdict import (
     check_procedure_made_note,
 )
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
-from sim_bridge.app.link.tap import MessageChange, pass_unchanged
+from sim_bridge.app.link.tap import INJECTED, MessageChange, pass_unchanged
 from sim_bridge.app.world.companion_link import COMMAND_MESSAGES, COMPANION_LINK
 from sim_bridge.autopilot.mavlink.codec import Message
 
@@ -53,6 +58,7 @@ def replay_signed_frames_both_directions(stage: FaultContext) -> Iterator[None]:
     stage.tap.to_companion = _build_frame_recorder(reports, REPORT_MESSAGES)
     stage.tap.to_autopilot = _build_frame_recorder(commands, COMMAND_MESSAGES)
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_messages_changed(INJECTED)
     replayed_reports, replayed_commands = cycle(list(reports)), cycle(list(commands))
     while True:
         stage.tap.injected_frames += islice(replayed_reports, REPLAYED_PER_EXCHANGE)
@@ -84,7 +90,10 @@ CLOCK_OFFSET_CODE = f"""\
 import pathlib, sys, time
 OFF_S = pathlib.Path(sys.argv[-1]) / "{CLOCK_OFFSET_FILE}"
 def off(real=time.time_ns):
-    return real() + (int(OFF_S.read_text()) * 10**9 if OFF_S.exists() else 0)
+    if not OFF_S.exists():
+        return real()
+    record_fault_effect()
+    return real() + int(OFF_S.read_text()) * 10**9
 time.time_ns = off
 """
 """Adds the seconds in the run folder's `clock_offset_s`, if present, to the companion's wall clock.
@@ -109,6 +118,7 @@ def restart_companion_with_clock_offset(clock_offset_s: int) -> FaultProcedure:
 
 
 def _write_clock_offset_file(stage: FaultContext, clock_offset_s: int) -> None:
+    expect_startup_effect(stage)
     (stage.craft.run_dir / CLOCK_OFFSET_FILE).write_text(str(clock_offset_s))
 
 

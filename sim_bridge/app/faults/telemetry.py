@@ -130,6 +130,7 @@ def fail_sensor(sensor: str, failure_kind: str) -> FaultProcedure:
 
     def procedure(stage: FaultContext) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
+        stage.expect_messages_changed(*fields_by_message)
         if failure_kind == "delayed":
             stage.tap.delay_s_by_name |= dict.fromkeys(fields_by_message, DELAY_S)
         else:

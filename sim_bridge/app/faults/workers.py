@@ -10,7 +10,8 @@ from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES,
     SAFETY_RULES,
     FaultGroup,
-    mark_fault_started_at_once,
+    expect_startup_effect,
+    start_with_companion,
 )
 from sim_bridge.app.faults.host import RESTART_DELAY_S
 from sim_bridge.app.faults.verdict import check_alert_sent, check_delivered, check_no_takeoff
@@ -27,6 +28,7 @@ executor.start_planning = lambda self, find_plan: self._start_thread(find_plan)
 NONE = pathlib.Path(sys.argv[-1]) / "{NO_THREAD_FILE}"
 def start(self, real=threading.Thread.start):
     if NONE.exists() or self.name in KEPT_FROM:
+        record_fault_effect()
         raise RuntimeError("can't start new thread")
     real(self)
 threading.Thread.start = start
@@ -47,6 +49,7 @@ def kill_and_fail_one_restart_for_threads(stage: FaultContext) -> Iterator[None]
     craft = stage.craft
     mark = craft.run_dir / NO_THREAD_FILE
     stage.kill_companion()
+    expect_startup_effect(stage)
     mark.touch()
     yield from stage.wait(stage.rng.uniform(*RESTART_DELAY_S))
     craft.companion.start()
@@ -72,6 +75,7 @@ executor = planning.PlanningExecutor
 executor.start_planning = lambda self, find_plan: self._start_thread(find_plan)
 from companion.core.mission.find_plan import FindPlan
 def work(self, real=FindPlan.compute_plan):
+    record_fault_effect()
 {replacement_code}
 FindPlan.compute_plan = work
 """
@@ -101,7 +105,7 @@ FAULTS.add_case(
     44,
     "no-threads",
     "No thread can be started except the link's: none for the record or the planner.",
-    mark_fault_started_at_once,
+    start_with_companion,
     ("ready",),
     (*SAFETY_RULES, check_delivered, check_alert_sent(Alert.RECORD_LOST)),
     before_companion=LINK_THREAD_ONLY_CODE,
@@ -120,7 +124,7 @@ for name, startup_code, verb, expected_text in (
         48,
         f"plan-worker-{name}",
         f"The planner thread {verb}: the vehicle stays on the ground, with an alert.",
-        mark_fault_started_at_once,
+        start_with_companion,
         ("ready",),
         (check_no_takeoff, check_alert_sent(Alert.NO_TAKE_OFF, parameter_text=expected_text)),
         flight=SHORT_TIME_LIMIT,
@@ -131,7 +135,7 @@ FAULTS.add_case(
     48,
     "plan-worker-late",
     "The planner thread is slow: the main loop keeps receiving, and the flight is flown.",
-    mark_fault_started_at_once,
+    start_with_companion,
     ("ready",),
     (*SAFETY_RULES, check_delivered),
     before_companion=SLOW_PLANNER,

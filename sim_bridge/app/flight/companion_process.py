@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
+import psutil
+
 from sim_bridge.adapters.fork_server import ForkedProcess, ForkServer
 from sim_bridge.adapters.lifeline import code_tied_to_parent_process
 
@@ -83,6 +85,16 @@ class CompanionProcess:
     def is_running(self) -> bool:
         """True while the process runs."""
         return self._process is not None and self._process.poll() is None
+
+    @property
+    def is_stopped(self) -> bool:
+        """True while the operating system holds the process stopped (SIGSTOP)."""
+        pid = self.pid
+        if pid is None:
+            return False
+        with contextlib.suppress(psutil.Error):
+            return psutil.Process(pid).status() == psutil.STATUS_STOPPED
+        return False
 
     @property
     def exit_code(self) -> int | None:

@@ -24,7 +24,8 @@ from sim_bridge.adapters.lockstep import Lockstep
 from sim_bridge.app.flight.vehicle_process import Craft
 from sim_bridge.app.link.tap import Tap
 from sim_bridge.app.world.flight_phase import FlightPhase
-from sim_bridge.app.world.safety_rules import MODE_REPORT_DELAY_S, TakeOver
+from sim_bridge.app.world.safety_rules import MODE_REPORT_DELAY_S
+from sim_bridge.autopilot.base.modes import PILOTED
 
 PHASE_DELAY_RANGE_S = (0.5, 4.0)
 """Range of the delay from phase start to fault start, drawn by seed."""
@@ -129,12 +130,13 @@ class FaultContext:
         any message, injected ones included) from now on.
         """
         counts = self.tap.changed_counts
-        for name in message_names or ("",):
-            count = counts.total if not name else lambda name=name: counts[name]
+        before = counts.copy()
+        for name in message_names:
             self.expect_effect(
-                f"{name or 'a message'} changed on the link",
-                lambda count=count, before=count(): count() > before,
+                f"{name} changed on the link", lambda name=name: counts[name] > before[name]
             )
+        if not message_names:
+            self.expect_effect("a message changed on the link", lambda: counts != before)
 
     @property
     def missing_effects_text(self) -> str:
@@ -142,7 +144,7 @@ class FaultContext:
         for effect in self.expected_effects:
             effect.update()
         texts = [effect.failure_text for effect in self.expected_effects]
-        return "; ".join(filter(None, texts))
+        return "; ".join(filter(None, texts)) if texts else "none is expected"
 
     # --- the vehicle of a flight ---------------------------------------------------------------
 
@@ -154,8 +156,14 @@ class FaultContext:
 
     def record_take_over(self, known_after_s: float = MODE_REPORT_DELAY_S) -> None:
         """Record a take-over, which the companion can know of after `known_after_s`."""
-        self.craft.link.takeover = TakeOver(self.t_s)
-        self.craft.link.takeover.record_known(self.t_s, known_after_s)
+        self.craft.link.record_take_over(self.t_s, known_after_s)
+
+    def take_over_by_pilot(self) -> None:
+        """Start a pilot override and record it as a take-over."""
+        autopilot = self.craft.autopilot
+        self.expect_effect("the pilot's mode is in effect", lambda: autopilot.mode in PILOTED)
+        self.craft.start_pilot_override()
+        self.record_take_over()
 
     @property
     def tap(self) -> Tap:
@@ -177,18 +185,27 @@ class FaultContext:
 
     def kill_companion(self) -> None:
         """Kill the companion with SIGKILL."""
-        self.craft.companion.kill()
+        companion = self.craft.companion
+        self.expect_effect("the companion is killed", lambda: not companion.is_running)
+        companion.kill()
         self._exclude_companion_from_lockstep()
 
     def stall_companion(self) -> None:
         """Stop the companion with SIGSTOP."""
-        self.craft.companion.suspend()
+        companion = self.craft.companion
+        self.expect_effect("the companion is stopped", lambda: companion.is_stopped)
+        companion.suspend()
         self._exclude_companion_from_lockstep()
 
     def restart_companion(self) -> None:
         """Restart the companion; simulated time waits until it replies."""
-        self.craft.companion.start()
-        self.craft.is_companion_returning = True
+        craft = self.craft
+        self.expect_effect(
+            "the restarted companion replies",
+            lambda: craft.companion.is_running and not craft.is_companion_returning,
+        )
+        craft.companion.start()
+        craft.is_companion_returning = True
 
     def resume_companion(self) -> None:
         """Resume the companion with SIGCONT; simulated time waits until it has caught up."""

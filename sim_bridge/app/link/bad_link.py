@@ -25,7 +25,7 @@ class FaultyLink:
 
     system: int
     rng: np.random.Generator
-    _step: int = 0
+    disturbed_exchange_count: int = 0
     _delayed: list[tuple[int, bytes]] = field(default_factory=list)
     _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
 
@@ -33,14 +33,18 @@ class FaultyLink:
         self, datagrams: list[bytes], time_since_boot_ms: int
     ) -> list[bytes]:
         """Return the datagrams of one exchange after faults, with added unwanted frames."""
-        self._step += 1
-        due = [data for step, data in self._delayed if step <= self._step]
-        self._delayed = [(step, data) for step, data in self._delayed if step > self._step]
+        self.disturbed_exchange_count += 1
+        due = [data for step, data in self._delayed if step <= self.disturbed_exchange_count]
+        self._delayed = [
+            (step, data) for step, data in self._delayed if step > self.disturbed_exchange_count
+        ]
         out: list[bytes] = []
         for data in datagrams:
             doubled, torn, late = self.rng.random(3) < FAULT_FRAC
             if late:
-                self._delayed.append((self._step + int(self.rng.integers(*DELAY_STEPS)), data))
+                self._delayed.append(
+                    (self.disturbed_exchange_count + int(self.rng.integers(*DELAY_STEPS)), data)
+                )
             else:
                 out.append(data)
             if doubled:
@@ -84,7 +88,7 @@ class FaultyLink:
             self._encode_frame(1, message)
             for message in (
                 _attitude(time_since_boot_ms, math.nan),
-                _attitude(INVALID_TIME_MS + self._step % 2_000 * 1_000_000, 1.0),
+                _attitude(INVALID_TIME_MS + self.disturbed_exchange_count % 2_000 * 1_000_000, 1.0),
                 _position(time_since_boot_ms, 0.0, 0.0),
                 _sys_status_with_unknown_values(),
                 _battery_status_with_unknown_values(),

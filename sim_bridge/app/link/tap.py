@@ -60,7 +60,8 @@ class Tap:
     `to_companion` and `to_autopilot` change messages. `delay_s_by_name`: delay to the companion by
     message name. `injected_frames`: extra frames to the companion at the next exchange. `radio`: a
     slow link to the companion. `changed_counts`: by name, messages that were altered, dropped,
-    repeated or delayed, and injected frames (`INJECTED`).
+    repeated or delayed, and injected frames (`INJECTED`). `sender_counts`: by system and
+    component, messages to the companion.
     """
 
     to_companion: MessageChange = pass_unchanged
@@ -69,6 +70,7 @@ class Tap:
     injected_frames: list[bytes] = field(default_factory=list)
     radio: SlowLine | None = None
     changed_counts: Counter[str] = field(default_factory=Counter)
+    sender_counts: Counter[tuple[int, int]] = field(default_factory=Counter)
     _delayed: list[tuple[float, bytes]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
@@ -86,6 +88,7 @@ class Tap:
 
     def _change_and_delay_frame(self, frame: bytes, t_s: float) -> list[bytes]:
         messages = self._decoder.decode_bytes(frame)
+        self.sender_counts.update((m.src_system, m.src_component) for m in messages)
         late_s = max((self.delay_s_by_name.get(m.msg_name, 0.0) for m in messages), default=0.0)
         out = self._changed_frames(frame, messages, self.to_companion)
         if late_s == 0.0:

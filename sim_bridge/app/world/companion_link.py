@@ -61,13 +61,31 @@ class CompanionLink:
     commands: list[SentCommand] = field(default_factory=list)
     """Commands of the companion that change the flight."""
     takeover: TakeOver | None = None
+    """The last take-over."""
+    earlier_takeovers: list[TakeOver] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _refusals: list[bytes] = field(default_factory=list)
 
     @property
     def late_commands(self) -> list[SentCommand]:
-        """Commands that the companion sent although it could know of a take-over."""
-        return [] if self.takeover is None else self.takeover.find_late_commands(self.commands)
+        """Commands that the companion sent although it could know of a take-over, which lasts to
+        the operator's next command to the companion.
+        """
+        takeovers = [*self.earlier_takeovers, *([self.takeover] if self.takeover else [])]
+        late = (takeover.find_late_commands(self.commands) for takeover in takeovers)
+        return sorted(set().union(*late))
+
+    def record_take_over(self, t_s: float, known_after_s: float) -> None:
+        """Record a take-over at `t_s`, which the companion can know of after `known_after_s`."""
+        if self.takeover is not None:
+            self.earlier_takeovers.append(self.takeover)
+        self.takeover = TakeOver(t_s)
+        self.takeover.record_known(t_s, known_after_s)
+
+    def record_hand_back(self) -> None:
+        """Record a command to the companion, which ends the present take-over."""
+        if self.takeover is not None:
+            self.takeover.ended_s = min(self.takeover.ended_s, self.host.t_s)
 
     @property
     def late_commands_text(self) -> str:

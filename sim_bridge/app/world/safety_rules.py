@@ -28,6 +28,8 @@ class TakeOver:
     start_s: float | None = None
     """Start of the take-over, if the simulation caused one."""
     known_s: float = math.inf
+    ended_s: float = math.inf
+    """Time at which control was handed back to the companion."""
 
     def record_known(self, t_s: float, delay_s: float = MODE_REPORT_DELAY_S) -> None:
         """Record a report at `t_s`, which the companion has processed after `delay_s`."""
@@ -50,8 +52,8 @@ class TakeOver:
                 self.record_reported_mode(t_s, autopilot_kind, message.custom_mode)
 
     def find_late_commands(self, commands: list[SentCommand]) -> list[SentCommand]:
-        """Return the commands that were sent after `known_s`."""
-        return [command for command in commands if command[0] > self.known_s]
+        """Return the commands that were sent after `known_s`, until `ended_s`."""
+        return [command for command in commands if self.known_s < command[0] <= self.ended_s]
 
 
 def format_sent_command(command: SentCommand) -> str:

@@ -1,6 +1,7 @@
 """MAVLink clients of an autopilot on links of their own, such as a second ground station."""
 
 import math
+from collections import Counter
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -33,6 +34,10 @@ class Station:
     sender: tuple[int, int] = (STATION_SYSTEM, STATION_COMPONENT)
     kind: LinkKind = LinkKind.GCS
     received: list[Message] = field(default_factory=list)
+    """Messages that no upload has read."""
+    reply_counts: Counter[tuple[int, int | None, int]] = field(default_factory=Counter)
+    """Acknowledgements by component, command (None: of a mission transfer) and result."""
+    uploaded_item_count: int = 0
     _encoder: Encoder = field(init=False)
     _decoder: Decoder = field(default_factory=Decoder)
 
@@ -46,6 +51,11 @@ class Station:
         del t_s
         messages = self._decoder.decode_bytes(frame)
         self.received += messages
+        for message in messages:
+            if message.msg_name == "COMMAND_ACK":
+                self.reply_counts[message.src_component, message.command, message.result] += 1
+            elif message.msg_name == "MISSION_ACK":
+                self.reply_counts[message.src_component, None, message.type] += 1
         return messages
 
     def send_to_autopilot(self, message: Message) -> None:
@@ -59,7 +69,8 @@ class Station:
         self.send_to_autopilot(command_long(self._vehicle_system_id, 1, command, *params))
 
     def send_companion_command(self, command: int, *params: float) -> None:
-        """Send a COMMAND_LONG to the companion."""
+        """Send a COMMAND_LONG to the companion, whose control a person thereby permits."""
+        self.companion_link.record_hand_back()
         self.send_to_autopilot(
             command_long(self._vehicle_system_id, COMPANION_COMPONENT, command, *params)
         )
@@ -107,6 +118,7 @@ class Station:
                     if stop_after_items is not None and sent_count >= stop_after_items:
                         return None
                     sent_count += 1
+                    self.uploaded_item_count += 1
                     item = mission_item_int(
                         self._vehicle_system_id, message.seq, items[message.seq]
                     )
