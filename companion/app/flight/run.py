@@ -18,7 +18,7 @@ from companion.core.mission.actions import Action, AlertReport
 from companion.core.mission.alerts import Alert, AlertSink
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
-from companion.core.pilot.transitions import GROUND_PHASES, Phase
+from companion.core.pilot.transitions import GROUND_PHASES, RELEASED_PHASES, Phase
 from companion.fleet.service_manager import record_stop_signals
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def fly_mission(
     return run_until_exit_and_return_code(flown), flown.pilot
 
 
-UNCHECKABLE_PHASES = (Phase.RECOGNISE, Phase.SUSPENDED, Phase.PASSIVE)
+UNCHECKABLE_PHASES = (Phase.RECOGNISE, *RELEASED_PHASES)
 """Phases that a check cannot leave: the vehicle flies, or another controller commands it."""
 
 
