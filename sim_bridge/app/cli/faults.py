@@ -37,6 +37,13 @@ def faults(
             " flights. Only faults 21 to 39, which the model does not know.",
         ),
     ] = False,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            help="Fly so many pairs of faults instead, each drawn by its seed from the first of"
+            " --seeds on."
+        ),
+    ] = 0,
 ) -> None:
     """Inject one fault into each of many short flights, and judge the outcome by true state.
 
@@ -59,6 +66,7 @@ def faults(
     from sim_bridge.app.fault_suite.promises import p_home_calibration
     from sim_bridge.app.fault_suite.session import FaultSuiteSession
     from sim_bridge.app.faults.fault import PHASES
+    from sim_bridge.app.faults.pair import draw_pair_tasks
     from sim_bridge.app.trials.trial import TrialLimits
     from sim_bridge.autopilot.kinds import AUTOPILOTS
 
@@ -70,14 +78,15 @@ def faults(
             typer.echo(line)
         return
     run = run_options()
-    todo = suite.list_tasks(
-        cases,
-        selected_or_all(autopilot, AUTOPILOTS, "autopilot"),
-        selected_or_all(phase, PHASES, "phase"),
-        seed_range(seeds),
-        run.run_root_or_default("logs/faults"),
-        tight=tight,
-    )
+    kinds = selected_or_all(autopilot, AUTOPILOTS, "autopilot")
+    phases = selected_or_all(phase, PHASES, "phase")
+    flown_seeds, root = seed_range(seeds), run.run_root_or_default("logs/faults")
+    if pairs:
+        first_seed = flown_seeds[0]
+        pair_seeds = range(first_seed, first_seed + pairs)
+        todo = draw_pair_tasks(cases, kinds, phases, pair_seeds, root)
+    else:
+        todo = suite.list_tasks(cases, kinds, phases, flown_seeds, root, tight=tight)
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
     session = FaultSuiteSession(

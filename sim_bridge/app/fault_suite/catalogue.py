@@ -15,6 +15,7 @@ from sim_bridge.app.faults import (
     workers,
 )
 from sim_bridge.app.faults.fault import FaultCase
+from sim_bridge.app.faults.pair import SEPARATOR, combine_cases
 
 MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, workers, link,
            signing, fleet)  # fmt: skip
@@ -29,7 +30,9 @@ TIGHT_ROW_NUMBERS = range(21, 40)
 
 
 def find_case(name: str) -> FaultCase:
-    """Return the row with this name."""
+    """Return the row, or the pair of rows, with this name."""
+    if SEPARATOR in name:
+        return combine_cases(*map(find_case, name.split(SEPARATOR)))
     return next(case for case in CATALOGUE if case.name == name)
 
 
@@ -41,16 +44,17 @@ def select_cases(names_or_numbers: list[str]) -> list[FaultCase]:
     if not names_or_numbers:
         return list(CATALOGUE)
     known = {case.name for case in CATALOGUE} | {str(case.number) for case in CATALOGUE}
-    unknown = [name for name in names_or_numbers if name not in known]
+    unknown = [name for name in names_or_numbers if not known.issuperset(name.split(SEPARATOR))]
     if unknown:
         raise LeewayError(
             f"--only {unknown[0]}: no such fault; `sim-bridge faults --list` lists all"
         )
+    pairs = [find_case(name) for name in names_or_numbers if SEPARATOR in name]
     return [
         case
         for case in CATALOGUE
         if case.name in names_or_numbers or str(case.number) in names_or_numbers
-    ]
+    ] + pairs
 
 
 def select_tight_cases(cases: list[FaultCase], *, named_explicitly: bool) -> list[FaultCase]:

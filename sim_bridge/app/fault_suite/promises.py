@@ -1,18 +1,70 @@
-"""Calibration of P(home) at the last decision to continue outbound, by group."""
+"""Calibration of P(home) at the last decision to continue outbound, by group and over all.
+
+Excluded are flights of rows that do not require home (a person keeps control, the motors are
+stopped), and flights landed by a person.
+"""
 
 from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
 import numpy as np
+from scipy.stats import binomtest
 
+from sim_bridge.app.fault_suite.catalogue import find_case
 from sim_bridge.app.faults.fault import FaultRow
+from sim_bridge.app.faults.verdict import check_returned_home
 
-P_HOME_CLASS_EDGES = (0.0, 0.9, 0.97, 0.99, 1.0)
+MIN_PROMISE = 0.99
+P_HOME_CLASS_EDGES = (0.0, 0.9, 0.97, MIN_PROMISE, 1.0)
 """Class limits of P(home). The last class counts as a promise."""
 
 MIN_HOME_FRAC = 0.95
 """Required share of returns in each group among flights with P(home) of 0.99 or more."""
+
+
+BOUND_CONFIDENCE = 0.95
+
+
+class LossBounds(msgspec.Struct, frozen=True, kw_only=True):
+    """Losses among flights with P(home) of 0.99 or more, with one-sided 95 % bounds of their share
+    (Clopper and Pearson). `group`: `all` is the pool of all groups.
+    """
+
+    group: str
+    flights: int
+    lost: int
+    lower: float
+    upper: float
+
+
+def bound_losses_at_high_p_home(rows: Sequence[FaultRow]) -> list[LossBounds]:
+    """Return the bounds of the pool, then of each group; empty without such flights."""
+    high = [row for row in _select_rated_rows(rows) if (row.p_home_last_go or 0.0) >= MIN_PROMISE]
+    groups = dict.fromkeys(row.group for row in high)
+    pools = {"all": high} | {name: [row for row in high if row.group == name] for name in groups}
+    return [_bound_losses(name, pool) for name, pool in pools.items() if pool]
+
+
+def _bound_losses(group: str, rows: Sequence[FaultRow]) -> LossBounds:
+    lost = sum(not row.home for row in rows)
+    lower, upper = (
+        binomtest(lost, len(rows), alternative=side).proportion_ci(BOUND_CONFIDENCE)
+        for side in ("greater", "less")
+    )
+    return LossBounds(
+        group=group, flights=len(rows), lost=lost, lower=float(lower.low), upper=float(upper.high)
+    )
+
+
+def _select_rated_rows(rows: Sequence[FaultRow]) -> list[FaultRow]:
+    return [
+        row
+        for row in rows
+        if row.p_home_last_go is not None
+        and row.outcome != "TAKEN"
+        and check_returned_home in find_case(row.fault).rules
+    ]
 
 
 class Reliability(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,8 +105,8 @@ class GroupPromises(msgspec.Struct, frozen=True, kw_only=True):
 def p_home_calibration(
     rows: Sequence[FaultRow], row_field: Literal["group", "fault"] = "group"
 ) -> list[GroupPromises]:
-    """Evaluate P(home) by group or by fault. Flights landed by a person are excluded."""
-    rated_rows = [r for r in rows if r.p_home_last_go is not None and r.outcome != "TAKEN"]
+    """Evaluate P(home) by group or by fault."""
+    rated_rows = _select_rated_rows(rows)
     names = dict.fromkeys(getattr(row, row_field) for row in rated_rows)
     return [
         _calibrate_p_home_of_group(

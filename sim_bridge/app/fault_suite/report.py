@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.adapters.files.atomic_file import write_text_atomically
-from sim_bridge.app.fault_suite.promises import p_home_calibration
+from sim_bridge.app.fault_suite.promises import bound_losses_at_high_p_home, p_home_calibration
 from sim_bridge.app.faults.fault import FaultCase, FaultRow
 from sim_bridge.app.flight.report import borderless_table
 
@@ -20,8 +20,8 @@ def build_suite_result(
 ) -> dict[str, Any]:
     """Return `{"rows": [...], "held": n, "of": n, "left": n, "lost": [...], ...}`.
 
-    `unflown_count`: number of flights not flown yet. `lost_flight_texts`: those of them whose
-    workers were killed, with the reason.
+    `promise`: losses at P(home) of 0.99 or more. `unflown_count`: number of flights not flown yet.
+    `lost_flight_texts`: those of them whose workers were killed, with the reason.
     """
     return {
         "rows": list(rows),
@@ -30,6 +30,7 @@ def build_suite_result(
         "left": unflown_count,
         "lost": list(lost_flight_texts),
         "groups": p_home_calibration(rows),
+        "promise": bound_losses_at_high_p_home(rows),
         "cpu_s": median_and_maximum_cpu_s(rows),
     }
 
@@ -115,6 +116,30 @@ def cpu_time_summary_line(rows: Sequence[FaultRow]) -> str:
         f"CPU per flight: {cpu_statistics['median']:.1f} s (median), at most"
         f" {cpu_statistics['most']:.1f} s"
         f" ({longest.fault} {longest.autopilot} {longest.phase})"
+    )
+
+
+def loss_bounds_table(rows: Sequence[FaultRow]) -> Table:
+    """Return a table of losses at P(home) of 0.99 or more: of all flights, and by group."""
+    table = borderless_table("losses at P(home) >= 0.99", ("group", "left"))
+    for name in ("flights", "lost", "95 % lower bound", "95 % upper bound"):
+        table.add_column(name, justify="right")
+    for each in bound_losses_at_high_p_home(rows):
+        bounds = (f"{each.lower:.2%}", f"{each.upper:.2%}")
+        table.add_row(each.group, str(each.flights), str(each.lost), *bounds)
+    return table
+
+
+def pair_summary_line(rows: Sequence[FaultRow]) -> str:
+    """Return a line with the number of pairs of which both faults took effect, or ""."""
+    pairs = [row for row in rows if row.had_two_faults is not msgspec.UNSET]
+    if not pairs:
+        return ""
+    commands = sum(row.commands_after_takeover for row in pairs)
+    both = sum(row.had_two_faults is True for row in pairs)
+    return (
+        f"pairs: {len(pairs)}, both faults took effect in {both};"
+        f" {commands} commands after a newer decision of a person"
     )
 
 

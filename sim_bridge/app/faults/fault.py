@@ -99,6 +99,7 @@ class FaultCase:
     ends_after_s: float | None = None
     signed: bool = False
     day_s: float = DAY_LIMIT_S
+    effect_rules: tuple[Rule, ...] = (check_fault_took_effect,)
 
     def find_broken_rules(
         self, flown: FaultRunResult, *, has_tight_energy: bool = False
@@ -112,7 +113,7 @@ class FaultCase:
         delivery_rules = tuple(rule for rule in self.rules if rule is check_no_false_delivery)
         specific_rules = delivery_rules if has_tight_energy else self.rules
         if flown.stage.start_s is not None or not has_tight_energy:
-            specific_rules = (check_fault_took_effect, *specific_rules)
+            specific_rules = (*self.effect_rules, *specific_rules)
         mandatory_rules = (
             (check_day_rules, check_single_flight_per_power_up)
             if self.group == FLEET_GROUP
@@ -223,3 +224,5 @@ class FaultRow(msgspec.Struct, frozen=True, kw_only=True):
     """CPU time of simulator and companions together. None: not measured."""
     charge_frac: float | None = None
     """Drawn charge of the pack at power-up. None: the charge of the flight file."""
+    had_two_faults: bool | msgspec.UnsetType = msgspec.UNSET
+    """Whether both injections of a pair took effect. Omitted for a single fault."""

@@ -150,4 +150,5 @@ def _build_fault_row(
         messages=flown.message_texts,
         passed=not violations,
         failure_text="; ".join(violations),
+        had_two_faults=flown.stage.had_two_faults if flown.stage.second else msgspec.UNSET,
     )

@@ -67,7 +67,10 @@ class FaultContext:
     t_s: float = 0.0
     start_s: float | None = None
     notes: list[str] = field(default_factory=list)
+    own_tap: Tap | None = None
     expected_effects: list[ExpectedEffect] = field(default_factory=list)
+    second: "FaultContext | None" = None
+    """Context of the second fault of a pair."""
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     """Resources of the procedure, closed after the flight."""
     remaining_steps: Iterator[None] = field(default_factory=lambda: iter(()))
@@ -146,6 +149,14 @@ class FaultContext:
         texts = [effect.failure_text for effect in self.expected_effects]
         return "; ".join(filter(None, texts)) if texts else "none is expected"
 
+    @property
+    def had_two_faults(self) -> bool:
+        """Whether both faults of a pair began and took effect."""
+        return all(
+            one is not None and one.start_s is not None and not one.missing_effects_text
+            for one in (self, self.second)
+        )
+
     # --- the vehicle of a flight ---------------------------------------------------------------
 
     @property
@@ -167,10 +178,11 @@ class FaultContext:
 
     @property
     def tap(self) -> Tap:
-        """The tap on the companion's link."""
-        link = self.craft.link
-        link.tap = link.tap or Tap()
-        return link.tap
+        """The tap of this fault on the companion's link."""
+        if self.own_tap is None:
+            self.own_tap = Tap()
+            self.craft.link.taps.append(self.own_tap)
+        return self.own_tap
 
     @property
     def is_armed(self) -> bool:

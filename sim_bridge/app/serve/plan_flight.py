@@ -19,7 +19,7 @@ from sim_bridge.app.link.client_messages import (
     ground_heartbeat,
 )
 from sim_bridge.app.world.companion_link import CompanionLink
-from sim_bridge.app.world.station import STATION_LINK, Station
+from sim_bridge.app.world.station import Station
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE, VehicleHost
 from sim_bridge.autopilot.kinds import AutopilotKind
 from sim_bridge.autopilot.mavlink.enums import Cmd
@@ -52,7 +52,7 @@ class GroundStation:
         self._host, self._kind, self._log = host, kind, log
         self._link = CompanionLink(host, 1)
         self._station = Station(self._link, (GROUND_SYSTEM, GROUND_COMPONENT))
-        self._link.listeners[STATION_LINK] = self._log_and_receive
+        self._link.listeners[self._station.link_number] = self._log_and_receive
 
     def _log_and_receive(self, t_s: float, frame: bytes) -> None:
         self._log.write(struct.pack(">Q", _EPOCH_US + round(t_s * 1e6)) + frame)

@@ -149,10 +149,12 @@ class FuzzMonitor(Script):
         if self.craft is None:
             self.craft = crafts[0]
             self.craft.link.takeover = self.takeover
-            self.craft.link.tap = Tap(
-                to_companion=self.liar.mutate_random_share_of_messages,
-                to_autopilot=self._record_release_and_bad_probability,
-            )
+            self.craft.link.taps = [
+                Tap(
+                    to_companion=self.liar.mutate_random_share_of_messages,
+                    to_autopilot=self._record_release_and_bad_probability,
+                )
+            ]
         end_s = math.inf if self.case.end_s is None else self.case.end_s
         self.liar.active = self.case.start_s <= t_s < end_s
         self.response_timed_out |= self.craft.companion.is_running and not lockstep.live_clients

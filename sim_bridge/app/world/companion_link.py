@@ -49,7 +49,7 @@ class CompanionLink:
     silent_until_s: float = -1.0
     bad_link: FaultyLink | None = None
     forger: Forger | None = None
-    tap: Tap | None = None
+    taps: list[Tap] = field(default_factory=list)
     draw_frame_loss: Callable[[], bool] | None = None
     """Draw whether the next frame is lost."""
     refused: frozenset[tuple[str, int]] = frozenset()
@@ -110,8 +110,8 @@ class CompanionLink:
         """
         frames = [*self._distribute_and_take_companion_frames(), *self._refusals]
         self._refusals = []
-        if self.tap is not None:
-            frames = self.tap.transmit_to_companion(frames, self.host.t_s)
+        for tap in self.taps:
+            frames = tap.transmit_to_companion(frames, self.host.t_s)
         sent_count = len(frames)
         if self.draw_frame_loss is not None:
             frames = [frame for frame in frames if not self.draw_frame_loss()]
@@ -152,8 +152,9 @@ class CompanionLink:
         if self.draw_frame_loss is not None and self.draw_frame_loss():
             self.lost_count += 1
             return
-        passed = datagram if self.tap is None else self.tap.transmit_to_autopilot(datagram)
-        self.host.autopilot.process_received_datagram(COMPANION_LINK, passed)
+        for tap in self.taps:
+            datagram = tap.transmit_to_autopilot(datagram)
+        self.host.autopilot.process_received_datagram(COMPANION_LINK, datagram)
 
     def _record_commands_and_drop_refused(self, datagram: bytes) -> bytes:
         """Record the commands in a datagram; return it without the refused messages."""

@@ -20,7 +20,7 @@ from sim_bridge.autopilot.mavlink.commands import FORCE_DISARM
 from sim_bridge.autopilot.mavlink.enums import Cmd
 from sim_bridge.autopilot.mission.items import MissionItem
 
-STATION_LINK = 2
+STATION_LINKS = range(2, 100, 2)
 STATION_SYSTEM, STATION_COMPONENT = 254, 190
 REPLY_LIMIT_S = 10.0
 METRES_PER_DEG = 111_195.0
@@ -38,13 +38,16 @@ class Station:
     reply_counts: Counter[tuple[int, int | None, int]] = field(default_factory=Counter)
     """Acknowledgements by component, command (None: of a mission transfer) and result."""
     uploaded_item_count: int = 0
+    link_number: int = field(init=False)
     _encoder: Encoder = field(init=False)
     _decoder: Decoder = field(default_factory=Decoder)
 
     def __post_init__(self) -> None:
         self._encoder = Encoder(*self.sender)
-        self.companion_link.host.autopilot.add_link(STATION_LINK, self.kind)
-        self.companion_link.listeners[STATION_LINK] = self.receive_frame
+        listeners = self.companion_link.listeners
+        self.link_number = next(link for link in STATION_LINKS if link not in listeners)
+        self.companion_link.host.autopilot.add_link(self.link_number, self.kind)
+        listeners[self.link_number] = self.receive_frame
 
     def receive_frame(self, t_s: float, frame: bytes) -> list[Message]:
         """Store the messages of a frame, and return them."""
@@ -61,7 +64,7 @@ class Station:
     def send_to_autopilot(self, message: Message) -> None:
         """Send a message to the autopilot."""
         self.companion_link.host.autopilot.process_received_datagram(
-            STATION_LINK, self._encoder.encode_next_frame(message)
+            self.link_number, self._encoder.encode_next_frame(message)
         )
 
     def send_autopilot_command(self, command: int, *params: float) -> None:

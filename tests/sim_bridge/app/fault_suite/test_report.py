@@ -11,6 +11,7 @@ from sim_bridge.app.fault_suite.report import (
     build_suite_result,
     cpu_time_summary_line,
     p_home_calibration_tables,
+    pair_summary_line,
     write_suite_result,
 )
 from sim_bridge.app.faults.fault import FaultRow
@@ -45,7 +46,32 @@ def test_the_file_holds_every_row_and_the_count(tmp_path):
     assert (read["held"], read["of"]) == (1, 2)
     assert read["rows"][1]["why"] == "not home"
     nothing = {"rows": [], "held": 0, "of": 0, "left": 0, "lost": [], "groups": [], "cpu_s": None}
-    assert build_suite_result([]) == nothing
+    assert build_suite_result([]) == nothing | {"promise": []}
+
+
+def test_losses_at_a_high_p_home_are_bounded_over_all_groups_and_in_each():
+    """Bounds: no loss in n flights is 1 - 0.05**(1/n); one in one is 0.05 (Clopper and Pearson)."""
+    rows = [
+        *[row()] * 3,
+        row("link", home=False),
+        row(promised=0.98, home=False),
+        made_row(fault="kill-switch", p_home_last_go=1.0, home=False),  # requires no return
+        made_row(outcome="TAKEN", p_home_last_go=1.0, home=False),
+    ]
+    pool, energy, link = build_suite_result(rows)["promise"]
+    assert (pool.group, pool.flights, pool.lost) == ("all", 4, 1)
+    assert (energy.flights, energy.lost, energy.lower) == (3, 0, 0.0)
+    assert energy.upper == pytest.approx(1.0 - 0.05 ** (1.0 / 3.0))
+    assert (link.lower, link.upper) == (pytest.approx(0.05), 1.0)
+
+
+def test_pairs_are_counted_in_which_both_faults_took_effect():
+    rows = [
+        made_row(had_two_faults=both, commands_after_takeover=n)
+        for both, n in ((True, 2), (False, 0))
+    ]
+    assert pair_summary_line(rows).startswith("pairs: 2, both faults took effect in 1; 2 commands")
+    assert pair_summary_line([row()]) == ""
 
 
 def test_the_file_says_how_reliable_what_was_said_is_group_by_group():

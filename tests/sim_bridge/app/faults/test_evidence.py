@@ -23,7 +23,6 @@ from sim_bridge.app.faults.fleet_day import FAULTED_DRONE
 from sim_bridge.app.faults.runner import write_changed_flight_file
 from sim_bridge.app.flight.craft_building import FlyOptions, build_single_craft
 from sim_bridge.app.flight.stage import FaultContext
-from sim_bridge.app.link.tap import Tap
 from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.enums import Cmd
 from sim_bridge.autopilot.mission.items import MissionItem
@@ -74,7 +73,6 @@ def stage_of_unchangeable_vehicle(case: FaultCase, autopilot: str, folder: Path)
     craft.operator.accepted = True
     texts = ("mission restored", "ready: mission uploaded and verified")
     craft.operator.received_texts = [(1.0, text) for text in texts]
-    craft.link.tap = Tap()
     for name in ("checkpoint.json", "decisions.mcap"):
         (folder / name).write_bytes(bytes(99))
     view: Any = Unchangeable(craft)

@@ -10,17 +10,8 @@ from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 
 def stage_of(tap: Tap | None = None) -> FaultContext:
-    class Link:
-        pass
-
-    class OneCraft:
-        link = Link()
-
-    OneCraft.link.tap = tap
     rng = np.random.default_rng(1)
-    return FaultContext(
-        FlightPhase.OUTBOUND, rng, lambda: True, craft_and_lockstep=(OneCraft(), None)
-    )
+    return FaultContext(FlightPhase.OUTBOUND, rng, lambda: True, own_tap=tap)
 
 
 def test_an_effect_counts_that_held_for_one_step_only():

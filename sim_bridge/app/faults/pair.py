@@ -1,0 +1,151 @@
+"""Two faults in one flight: a row of the suite that combines two others.
+
+The second fault begins with the first, up to 10 s after it, or in a later phase of its own. Both
+rows keep their procedure and draws. Rules of a pair, by truth and by the messages sent:
+
+- no exception, no error exit code, no rise of the energy estimate, no command after a newer
+  decision of a person, no false delivery: always;
+- home, and no P(home) of 0.99 or more without a return: if both rows require home (rows in which a
+  person keeps control, or in which the motors are stopped, do not);
+- disarmed at the end: if one of the rows requires it;
+- deliveries, alerts and notes of the single rows: not required, as the other fault may prevent
+  them.
+
+A flight in which one injection took no effect, because the first fault ended the flight or
+prevented the second, is no two-fault flight: `FaultRow.had_two_faults` is false.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from companion.core.base.errors import LeewayError
+from sim_bridge.app.faults.fault import FLEET_GROUP, FaultCase, FaultTask
+from sim_bridge.app.faults.verdict import (
+    FaultRunResult,
+    check_disarmed_at_end,
+    check_no_false_delivery,
+    check_no_takeoff,
+    check_returned_home,
+    check_returned_if_p_home_was_high,
+)
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.world.flight_phase import FlightPhase
+
+PAIR_GROUP, SEPARATOR = "pairs", "+"
+MAX_DRAWS = 10_000
+MAX_DELAY_S = 10.0
+"""Longest delay of a second fault in the phase of the first: shorter than the time from a take-over
+to the end of the flight."""
+
+
+def check_no_late_commands(flown: FaultRunResult) -> str | None:
+    """Check that no command was sent after a take-over, if there was one."""
+    return flown.stage.craft.link.late_commands_text
+
+
+def combine_cases(first: FaultCase, second: FaultCase) -> FaultCase:
+    """Return the row of both faults."""
+    rules = [check_no_late_commands, check_no_false_delivery]
+    if all(check_returned_home in case.rules for case in (first, second)):
+        rules += [check_returned_home, check_returned_if_p_home_was_high]
+    if any(check_disarmed_at_end in case.rules for case in (first, second)):
+        rules.append(check_disarmed_at_end)
+    ends = [case.ends_after_s for case in (first, second) if case.ends_after_s is not None]
+    return FaultCase(
+        number=1000 * first.number + second.number,
+        name=f"{first.name}{SEPARATOR}{second.name}",
+        group=PAIR_GROUP,
+        description=f"{first.description} {second.description}",
+        procedure=_run_both(first, second),
+        rules=tuple(rules),
+        effect_rules=(),
+        phases=tuple(phase for phase in first.phases if _second_phases(first, second, phase)),
+        autopilots=tuple(kind for kind in first.autopilots if kind in second.autopilots),
+        flight=first.flight or second.flight,
+        untold=first.untold or second.untold,
+        arguments=tuple(dict.fromkeys(first.arguments + second.arguments)),
+        before_companion=first.before_companion or second.before_companion,
+        ends_after_s=max(ends, default=None),
+    )
+
+
+def _second_phases(
+    first: FaultCase, second: FaultCase, phase: FlightPhase
+) -> tuple[FlightPhase, ...]:
+    """Return the phases of the second fault; without a return home there is no later phase."""
+    if check_returned_home not in first.rules:
+        return (phase,) if phase in second.phases else ()
+    return tuple(other for other in second.phases if phase.is_same_or_before(other))
+
+
+def _run_both(first: FaultCase, second: FaultCase) -> FaultProcedure:
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        phases = _second_phases(first, second, stage.phase)
+        same = stage.phase in phases and stage.rng.random() < 0.5
+        phase = stage.phase if same else phases[stage.rng.integers(len(phases))]
+        assert stage.craft_and_lockstep is not None
+        other = FaultContext.for_flight(*stage.craft_and_lockstep, phase, stage.rng)
+        if phase is stage.phase:
+            other.is_in_phase = lambda: stage.start_s is not None
+            other.after_phase_s = (0.0, MAX_DELAY_S) if stage.rng.random() < 0.5 else None
+        other.resources = stage.resources
+        other.remaining_steps, steps = second.procedure(other), first.procedure(stage)
+        stage.second = other
+        while True:
+            next(steps, None)
+            other.continue_procedure(stage.t_s)
+            yield
+
+    return procedure
+
+
+def can_combine(first: FaultCase, second: FaultCase) -> bool:
+    """Return whether both faults fit into one flight.
+
+    Signed links are excluded, as altered frames lose their signature, and rows without a take-off.
+    At most one fault may change the flight file or the companion's process.
+    """
+    cases = (first, second)
+    changed = [case for case in cases if case.flight or case.untold or case.before_companion]
+    combined = combine_cases(first, second)
+    return (
+        first.name != second.name
+        and not any(case.signed or case.group == FLEET_GROUP for case in cases)
+        and not any(check_no_takeoff in case.rules for case in cases)
+        and len(changed) < 2
+        and bool(combined.phases and combined.autopilots)
+    )
+
+
+def draw_pair_tasks(
+    cases: Sequence[FaultCase],
+    autopilots: Sequence[str],
+    phases: Sequence[str],
+    seeds: Sequence[int],
+    run_root: Path,
+) -> list[FaultTask]:
+    """Draw a pair of these rows, an autopilot and a phase for each seed."""
+    return [_draw_pair_task(cases, autopilots, phases, seed, run_root) for seed in seeds]
+
+
+def _draw_pair_task(
+    cases: Sequence[FaultCase],
+    autopilots: Sequence[str],
+    phases: Sequence[str],
+    seed: int,
+    run_root: Path,
+) -> FaultTask:
+    rng = np.random.default_rng([seed, len(SEPARATOR)])
+    for _ in range(MAX_DRAWS):
+        first, second = (cases[k] for k in rng.integers(len(cases), size=2))
+        if not can_combine(first, second):
+            continue
+        pair = combine_cases(first, second)
+        kinds = [kind for kind in pair.autopilots if kind in autopilots]
+        fitting = [phase for phase in pair.phases if phase in phases]
+        if kinds and fitting:
+            kind, phase = kinds[rng.integers(len(kinds))], fitting[rng.integers(len(fitting))]
+            return FaultTask(pair.name, kind, phase, seed, run_root)
+    raise LeewayError("--pairs: no two of these rows fit together")
