@@ -66,7 +66,7 @@ def faults(
     from sim_bridge.app.fault_suite.promises import p_home_calibration
     from sim_bridge.app.fault_suite.session import FaultSuiteSession
     from sim_bridge.app.faults.fault import PHASES
-    from sim_bridge.app.faults.pair import draw_pair_tasks
+    from sim_bridge.app.faults.pair import draw_pair_task
     from sim_bridge.app.trials.trial import TrialLimits
     from sim_bridge.autopilot.kinds import AUTOPILOTS
 
@@ -82,9 +82,8 @@ def faults(
     phases = selected_or_all(phase, PHASES, "phase")
     flown_seeds, root = seed_range(seeds), run.run_root_or_default("logs/faults")
     if pairs:
-        first_seed = flown_seeds[0]
-        pair_seeds = range(first_seed, first_seed + pairs)
-        todo = draw_pair_tasks(cases, kinds, phases, pair_seeds, root)
+        pair_seeds = range(flown_seeds[0], flown_seeds[0] + pairs)
+        todo = [draw_pair_task(cases, kinds, phases, seed, root) for seed in pair_seeds]
     else:
         todo = suite.list_tasks(cases, kinds, phases, flown_seeds, root, tight=tight)
     if not todo:

@@ -15,8 +15,7 @@ from sim_bridge.app.fault_suite.catalogue import find_case
 from sim_bridge.app.faults.fault import FaultRow
 from sim_bridge.app.faults.verdict import check_returned_home
 
-MIN_PROMISE = 0.99
-P_HOME_CLASS_EDGES = (0.0, 0.9, 0.97, MIN_PROMISE, 1.0)
+P_HOME_CLASS_EDGES = (0.0, 0.9, 0.97, 0.99, 1.0)
 """Class limits of P(home). The last class counts as a promise."""
 
 MIN_HOME_FRAC = 0.95
@@ -24,47 +23,7 @@ MIN_HOME_FRAC = 0.95
 
 
 BOUND_CONFIDENCE = 0.95
-
-
-class LossBounds(msgspec.Struct, frozen=True, kw_only=True):
-    """Losses among flights with P(home) of 0.99 or more, with one-sided 95 % bounds of their share
-    (Clopper and Pearson). `group`: `all` is the pool of all groups.
-    """
-
-    group: str
-    flights: int
-    lost: int
-    lower: float
-    upper: float
-
-
-def bound_losses_at_high_p_home(rows: Sequence[FaultRow]) -> list[LossBounds]:
-    """Return the bounds of the pool, then of each group; empty without such flights."""
-    high = [row for row in _select_rated_rows(rows) if (row.p_home_last_go or 0.0) >= MIN_PROMISE]
-    groups = dict.fromkeys(row.group for row in high)
-    pools = {"all": high} | {name: [row for row in high if row.group == name] for name in groups}
-    return [_bound_losses(name, pool) for name, pool in pools.items() if pool]
-
-
-def _bound_losses(group: str, rows: Sequence[FaultRow]) -> LossBounds:
-    lost = sum(not row.home for row in rows)
-    lower, upper = (
-        binomtest(lost, len(rows), alternative=side).proportion_ci(BOUND_CONFIDENCE)
-        for side in ("greater", "less")
-    )
-    return LossBounds(
-        group=group, flights=len(rows), lost=lost, lower=float(lower.low), upper=float(upper.high)
-    )
-
-
-def _select_rated_rows(rows: Sequence[FaultRow]) -> list[FaultRow]:
-    return [
-        row
-        for row in rows
-        if row.p_home_last_go is not None
-        and row.outcome != "TAKEN"
-        and check_returned_home in find_case(row.fault).rules
-    ]
+ALL_GROUPS = "all"
 
 
 class Reliability(msgspec.Struct, frozen=True, kw_only=True):
@@ -78,13 +37,19 @@ class Reliability(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GroupPromises(msgspec.Struct, frozen=True, kw_only=True):
-    """Calibration of one group. `brier`: mean squared difference of P(home) and outcome."""
+    """Calibration of one group, or of all. `brier`: mean squared difference of P(home) and outcome.
+
+    `loss_lower`, `loss_upper`: one-sided 95 % bounds (Clopper and Pearson) of the share of losses
+    among flights with P(home) of 0.99 or more; null without such flights.
+    """
 
     group: str
     flights: int
     p_home: float
     home: float
     brier: float
+    loss_lower: float | None
+    loss_upper: float | None
     reliability: list[Reliability]
 
     @property
@@ -106,25 +71,40 @@ def p_home_calibration(
     rows: Sequence[FaultRow], row_field: Literal["group", "fault"] = "group"
 ) -> list[GroupPromises]:
     """Evaluate P(home) by group or by fault."""
-    rated_rows = _select_rated_rows(rows)
-    names = dict.fromkeys(getattr(row, row_field) for row in rated_rows)
-    return [
-        _calibrate_p_home_of_group(
-            name, [row for row in rated_rows if getattr(row, row_field) == name]
-        )
-        for name in names
+    rated_rows = [
+        row
+        for row in rows
+        if row.p_home_last_go is not None
+        and row.outcome != "TAKEN"
+        and check_returned_home in find_case(row.fault).rules
     ]
+    names = dict.fromkeys(getattr(row, row_field) for row in rated_rows)
+    pools = {name: [r for r in rated_rows if getattr(r, row_field) == name] for name in names}
+    if len(pools) > 1:
+        pools[ALL_GROUPS] = rated_rows
+    return [_calibrate_p_home_of_group(name, pool) for name, pool in pools.items()]
 
 
 def _calibrate_p_home_of_group(group_name: str, rows: Sequence[FaultRow]) -> GroupPromises:
     p_home = np.array([row.p_home_last_go for row in rows], float)
     home = np.array([row.home for row in rows], float)
+    promised = home[p_home >= P_HOME_CLASS_EDGES[-2]]
+    lower, upper = (
+        binomtest(int(np.sum(promised == 0.0)), len(promised), alternative=side).proportion_ci(
+            BOUND_CONFIDENCE
+        )
+        if len(promised)
+        else None
+        for side in ("greater", "less")
+    )
     return GroupPromises(
         group=group_name,
         flights=len(rows),
         p_home=float(p_home.mean()),
         home=float(home.mean()),
         brier=float(np.mean((p_home - home) ** 2)),
+        loss_lower=None if lower is None else float(lower.low),
+        loss_upper=None if upper is None else float(upper.high),
         reliability=_reliability_by_p_home_class(p_home, home),
     )
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.adapters.files.atomic_file import write_text_atomically
-from sim_bridge.app.fault_suite.promises import bound_losses_at_high_p_home, p_home_calibration
+from sim_bridge.app.fault_suite.promises import p_home_calibration
 from sim_bridge.app.faults.fault import FaultCase, FaultRow
 from sim_bridge.app.flight.report import borderless_table
 
@@ -20,8 +20,8 @@ def build_suite_result(
 ) -> dict[str, Any]:
     """Return `{"rows": [...], "held": n, "of": n, "left": n, "lost": [...], ...}`.
 
-    `promise`: losses at P(home) of 0.99 or more. `unflown_count`: number of flights not flown yet.
-    `lost_flight_texts`: those of them whose workers were killed, with the reason.
+    `unflown_count`: number of flights not flown yet. `lost_flight_texts`: those of them whose
+    workers were killed, with the reason.
     """
     return {
         "rows": list(rows),
@@ -30,7 +30,6 @@ def build_suite_result(
         "left": unflown_count,
         "lost": list(lost_flight_texts),
         "groups": p_home_calibration(rows),
-        "promise": bound_losses_at_high_p_home(rows),
         "cpu_s": median_and_maximum_cpu_s(rows),
     }
 
@@ -80,8 +79,9 @@ def p_home_calibration_tables(
 ) -> Iterator[Table]:
     """Yield the calibration of P(home) at the last outbound go decision by group (and by fault).
 
-    Columns: mean P(home), share that returned, mean squared difference (Brier score), and returns
-    among flights with P(home) of 0.99 or more. Flights landed by a person are excluded.
+    Columns: mean P(home), share that returned, mean squared difference (Brier score), returns
+    among flights with P(home) of 0.99 or more, and one-sided bounds of their share of losses.
+    Flights of rows that require no return, and flights landed by a person, are excluded.
     """
     yield _p_home_calibration_table(rows, "group")
     if by_fault:
@@ -93,7 +93,9 @@ def _p_home_calibration_table(
 ) -> Table:
     title = f"P(home) at the last go decision, by {row_field}"
     table = borderless_table(title, (row_field, "left"))
-    for name in ("flights", "mean P(home)", "returned", "Brier", "returned of P >= 0.99"):
+    for name in (
+        "flights", "mean P(home)", "returned", "Brier", "returned of P >= 0.99", "95 % loss bounds"
+    ):  # fmt: skip
         table.add_column(name, justify="right")
     for each in p_home_calibration(rows, row_field):
         shares = (f"{each.p_home:.3f}", f"{each.home:.3f}", f"{each.brier:.4f}")
@@ -102,6 +104,7 @@ def _p_home_calibration_table(
             str(each.flights),
             *shares,
             "{} of {}".format(*each.returned_and_total_at_high_p_home),
+            "" if each.loss_upper is None else f"{each.loss_lower:.2%} to {each.loss_upper:.2%}",
         )
     return table
 
@@ -117,17 +120,6 @@ def cpu_time_summary_line(rows: Sequence[FaultRow]) -> str:
         f" {cpu_statistics['most']:.1f} s"
         f" ({longest.fault} {longest.autopilot} {longest.phase})"
     )
-
-
-def loss_bounds_table(rows: Sequence[FaultRow]) -> Table:
-    """Return a table of losses at P(home) of 0.99 or more: of all flights, and by group."""
-    table = borderless_table("losses at P(home) >= 0.99", ("group", "left"))
-    for name in ("flights", "lost", "95 % lower bound", "95 % upper bound"):
-        table.add_column(name, justify="right")
-    for each in bound_losses_at_high_p_home(rows):
-        bounds = (f"{each.lower:.2%}", f"{each.upper:.2%}")
-        table.add_row(each.group, str(each.flights), str(each.lost), *bounds)
-    return table
 
 
 def pair_summary_line(rows: Sequence[FaultRow]) -> str:

@@ -88,7 +88,6 @@ class FaultSuiteSession:
         is_tight = any(task.tight for task in self.tasks)
         for table in report.p_home_calibration_tables(rows, by_fault=is_tight):
             self.console.print(table)
-        self.console.print(report.loss_bounds_table(rows))
         for line in (report.pair_summary_line(rows), report.cpu_time_summary_line(rows)):
             self.console.print(line, highlight=False)
         for line in self.lost_flights:

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES_BEFORE_LANDING,
     FaultGroup,
@@ -49,13 +51,8 @@ def _ramp_up_return_headwind(
     """Increase the return leg's headwind by `final_increase_mps` over `ramp_duration_s`."""
     north, east = _depot_to_customer_unit_vector_ne(stage)
     vehicle = stage.craft.vehicle
-
-    def headwind_mps() -> float:
-        wind = vehicle.truth.wind_to_ned_mps
-        return wind[0] * north + wind[1] * east
-
-    limit_mps = headwind_mps() + OBSERVED_SHARE * final_increase_mps
-    stage.expect_effect("headwind of the return leg", lambda: headwind_mps() > limit_mps)
+    limit_mps = OBSERVED_SHARE * final_increase_mps
+    stage.expect_change("another wind", lambda: vehicle.truth.wind_to_ned_mps, by=limit_mps)
     steps = max(round(ramp_duration_s / EXCHANGE_S), 1)
     for step in range(1, steps + 1):
         speed = final_increase_mps * step / steps
@@ -78,13 +75,12 @@ def _readings(stage: FaultContext) -> Readings:
 
 def _expect_gnss_error(stage: FaultContext, offset_m: float) -> None:
     """Require that the autopilot's GNSS error changes by most of `offset_m`."""
-
-    def error_ned_m() -> tuple[float, ...]:
-        true = stage.craft.vehicle.pos_ned_m
-        return tuple(a - b for a, b in zip(_readings(stage).pos_ned_m, true, strict=True))
-
-    before, limit_m = error_ned_m(), OBSERVED_SHARE * offset_m
-    stage.expect_effect("a GNSS error", lambda: math.dist(error_ned_m(), before) > limit_m)
+    vehicle = stage.craft.vehicle
+    stage.expect_change(
+        "a GNSS error",
+        lambda: np.subtract(_readings(stage).pos_ned_m, vehicle.pos_ned_m),
+        by=OBSERVED_SHARE * offset_m,
+    )
 
 
 @FAULTS.register_procedure(35, "gnss-jump", AIRBORNE_PHASES_BEFORE_LANDING)
@@ -147,12 +143,13 @@ def add_compass_heading_bias(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     craft = stage.craft
 
-    def heading_error_rad() -> float:
+    def read_heading_error() -> tuple[float, float]:
         error_rad = _readings(stage).yaw_rad - craft.vehicle.truth.yaw_rad
-        return abs(math.remainder(error_rad, 2.0 * math.pi))
+        return math.cos(error_rad), math.sin(error_rad)
 
-    limit_rad = OBSERVED_SHARE * COMPASS_ERROR_RAD
-    stage.expect_effect("a heading error", lambda: heading_error_rad() > limit_rad)
+    stage.expect_change(
+        "a heading error", read_heading_error, by=OBSERVED_SHARE * COMPASS_ERROR_RAD
+    )
     craft.vehicle.sensors.heading_bias_rad += stage.rng.choice([-1.0, 1.0]) * COMPASS_ERROR_RAD
 
 
@@ -162,7 +159,7 @@ def spin_vehicle_about_yaw(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     vehicle = stage.craft.vehicle
     limit_rps = OBSERVED_SHARE * YAW_SPIN_RPS
-    stage.expect_effect("a yaw rate", lambda: abs(_readings(stage).yawspeed_rps) > limit_rps)
+    stage.expect_change("a yaw rate", lambda: _readings(stage).yawspeed_rps, by=limit_rps)
     vehicle.yaw_spin_rps = YAW_SPIN_RPS * stage.rng.choice([-1.0, 1.0])
     yield from stage.wait(20.0)
     vehicle.yaw_spin_rps = None

@@ -251,7 +251,7 @@ def claim_control_by_payload_computer(stage: FaultContext) -> Iterator[None]:
     since_s = stage.t_s
     expect_payload_heartbeats(stage)
     accepted = (1, Cmd.DO_CHANGE_SPEED, 0)
-    stage.expect_effect("its speed is accepted", lambda: payload.reply_counts[accepted] > 0)
+    stage.expect_change("its speed is accepted", lambda: payload.reply_counts[accepted])
     stage.record_take_over()
     while True:
         send_onboard_computer_heartbeat(payload, control_since_s=since_s)
@@ -280,7 +280,7 @@ def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]
     mode_set, handed_back = (1, Cmd.DO_SET_MODE, 0), (COMPANION_COMPONENT, Cmd.DO_PAUSE_CONTINUE, 0)
     replies = station.reply_counts
     stage.expect_effect("both modes are accepted", lambda: replies[mode_set] >= 2)
-    stage.expect_effect("the hand-back is accepted", lambda: replies[handed_back] > 0)
+    stage.expect_change("the hand-back is accepted", lambda: replies[handed_back])
     station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     yield from stage.wait(3.0)
     station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)

@@ -43,9 +43,7 @@ def _connect_operator_station(stage: FaultContext) -> Station:
 
 
 def _send_hold_mode_command(stage: FaultContext, station: Station) -> None:
-    count, held = station.reply_counts, (1, Cmd.DO_SET_MODE, 0)
-    before = count[held]
-    stage.expect_effect("HOLD is accepted", lambda: count[held] > before)
+    stage.expect_change("HOLD is accepted", lambda: station.reply_counts[1, Cmd.DO_SET_MODE, 0])
     station.send_autopilot_command(
         Cmd.DO_SET_MODE, *MODE_PARAMS[stage.craft.autopilot_kind]["hold"]
     )
@@ -240,7 +238,7 @@ def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     yield from _upload_shifted_mission(stage, station)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))
-    stage.expect_effect("RTL is refused", lambda: craft.link.refused_count > 0)
+    stage.expect_change("RTL is refused", lambda: craft.link.refused_count)
     craft.link.refused = frozenset({("COMMAND_LONG", Cmd.DO_SET_MODE)})
     yield from _upload_shifted_mission(stage, station)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.RETURN_REFUSED_RTL))

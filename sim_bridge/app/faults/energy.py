@@ -142,7 +142,7 @@ def multiply_power_draw(factor: float) -> FaultProcedure:
     def procedure(stage: FaultContext) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
         vehicle = stage.craft.vehicle
-        stage.expect_effect(f"draw {factor:g} times", lambda: vehicle.draw_factor == factor)
+        stage.expect_change("another draw", lambda: vehicle.draw_factor)
         vehicle.draw_factor = factor
 
     return procedure
@@ -159,8 +159,7 @@ def short_circuit_battery_cell(stage: FaultContext) -> Iterator[None]:
     """One cell of the pack is short-circuited."""
     yield from stage.wait_for_phase_and_record_fault_start()
     battery = stage.craft.vehicle.battery
-    limit_v = battery.voltage_v - CELL_V
-    stage.expect_effect("voltage a cell lower", lambda: battery.voltage_v < limit_v)
+    stage.expect_change("another voltage", lambda: battery.voltage_v, by=CELL_V)
     battery.short_one_cell()
 
 

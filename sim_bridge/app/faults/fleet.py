@@ -62,17 +62,12 @@ def _kill_and_restart_desk(stage: FaultContext, day: SmallDay) -> Iterator[None]
     day.desks.restart()
 
 
-def _expect_lost_fleet_messages(stage: FaultContext, day: SmallDay) -> None:
-    lost_count = day.bus.lost
-    stage.expect_effect("lost messages", lambda: day.bus.lost > lost_count)
-
-
 @FAULTS.register_procedure(57, "network-cut", PHASES, (check_all_delivered, *LEFT_AND_JOINED_RULES))
 def cut_fleet_network(stage: FaultContext, day: SmallDay) -> Iterator[None]:
     """The fleet's network is down for 1.5 to 4 minutes."""
     yield from stage.wait_for_phase_and_record_fault_start()
     duration_s = stage.rng.uniform(*NETWORK_OUTAGE_S)
-    _expect_lost_fleet_messages(stage, day)
+    stage.expect_change("lost messages", lambda: day.bus.lost)
     day.bus.cut_network(duration_s)
     yield from stage.wait(duration_s)
 
@@ -92,7 +87,7 @@ def cut_off_drone_for_one_hour(stage: FaultContext, day: SmallDay) -> Iterator[N
     """
     yield from stage.wait_for_phase_and_record_fault_start()
     drone, return_at_s = day.faulted_drone, stage.t_s + ONE_HOUR_S
-    _expect_lost_fleet_messages(stage, day)
+    stage.expect_change("lost messages", lambda: day.bus.lost)
     day.bus.cut_member(FAULTED_DRONE, ONE_HOUR_S)
     yield from stage.wait_until(lambda: day.faulted_drone_flight_phase is FlightPhase.DOWN)
     yield from stage.wait(SWITCH_OFF_DELAY_S)
@@ -110,7 +105,7 @@ def delay_truck_drive(stage: FaultContext, day: SmallDay) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     driver = day.world.ground_handling
     assert isinstance(driver, DayTruck)
-    stage.expect_effect("a longer drive", lambda: driver.added_delay_s > 0.0)
+    stage.expect_change("a longer drive", lambda: driver.added_delay_s)
     driver.delay_current_or_next_drive(stage.rng.uniform(*TRUCK_DELAY_S))
 
 

@@ -66,8 +66,7 @@ def reboot_autopilot_before_takeoff(stage: FaultContext) -> Iterator[None]:
     if not stage.is_armed:
         stage.record_fault_start()
         autopilot = stage.craft.autopilot
-        boot_t_s = autopilot.state.boot_t_s
-        stage.expect_effect("a later boot", lambda: autopilot.state.boot_t_s > boot_t_s)
+        stage.expect_change("another boot", lambda: autopilot.state.boot_t_s)
         autopilot.reboot()
 
 

@@ -55,8 +55,7 @@ def silence_link(duration_s: float) -> FaultProcedure:
     def procedure(stage: FaultContext) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
         link = stage.craft.link
-        lost_count = link.lost_count
-        stage.expect_effect("lost frames", lambda: link.lost_count > lost_count)
+        stage.expect_change("lost frames", lambda: link.lost_count)
         link.silent_until_s = stage.craft.t_s + duration_s
 
     return procedure
@@ -107,7 +106,7 @@ def inject_invalid_traffic(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_for_phase_and_record_fault_start()
     seed = int(stage.rng.integers(2**31))
     link = FaultyLink(stage.craft.number, np.random.default_rng(seed))
-    stage.expect_effect("disturbed exchanges", lambda: link.disturbed_exchange_count > 0)
+    stage.expect_change("disturbed exchanges", lambda: link.disturbed_exchange_count)
     stage.craft.link.bad_link = link
 
 

@@ -7,12 +7,14 @@ from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES,
     AIRBORNE_PHASES_BEFORE_LANDING,
+    PHASES,
     SAFETY_RULES,
     FaultGroup,
 )
 from sim_bridge.app.faults.verdict import check_alert_sent, check_delivered, check_returned_home
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.link.tap import message_with_changed_fields
+from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.app.world.station import Station, shift_mission_east, shift_next_waypoint_east
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mission.items import MissionItem
@@ -42,26 +44,38 @@ def _onboard_mission(stage: FaultContext) -> list[MissionItem]:
 
 def expect_other_mission_onboard(stage: FaultContext) -> None:
     """Require that another mission than the present one is onboard from now on."""
-    own = _onboard_mission(stage)
-    stage.expect_effect("another mission is onboard", lambda: _onboard_mission(stage) != own)
+    stage.expect_change("another mission is onboard", lambda: _onboard_mission(stage))
 
 
 def _expect_moved_home(stage: FaultContext) -> None:
     state = stage.craft.autopilot.state
-    before = state.home_ned_m
-    stage.expect_effect("home is moved", lambda: math.dist(state.home_ned_m, before) > MOVED_M)
+    stage.expect_change("another home position", lambda: state.home_ned_m, by=MOVED_M)
+
+
+def _wait_for_phase_or_authorisation(stage: FaultContext) -> Iterator[None]:
+    """Wait for the phase. In READY begin with the authorisation or, as drawn, up to 4 s before it,
+    while the companion is ready.
+    """
+    if stage.phase is not FlightPhase.READY or stage.rng.random() < 0.5:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        return
+    operator = stage.craft.operator
+    operator.authorises_from_s = math.inf
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.READY))
+    operator.authorises_from_s = stage.t_s + stage.rng.uniform(0.3, 4.0)
+    stage.record_fault_start()
 
 
 @FAULTS.register_procedure(
     10,
     "same-length-edit",
-    AIRBORNE_PHASES,
+    PHASES,
     (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS, exempt_if_landed_within_s=SLOW_CHECK_S)),
 )
 def upload_mission_with_moved_waypoint(stage: FaultContext) -> Iterator[None]:
     """Another station moves one waypoint by 1.5 km; the length of the list is unchanged."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     current = stage.craft.autopilot.executor.index
     expect_other_mission_onboard(stage)
     yield from station.upload_mission(
@@ -70,12 +84,12 @@ def upload_mission_with_moved_waypoint(stage: FaultContext) -> Iterator[None]:
 
 
 @FAULTS.register_procedure(
-    11, "foreign-upload", AIRBORNE_PHASES, (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS))
+    11, "foreign-upload", PHASES, (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS))
 )
 def upload_distant_mission(stage: FaultContext) -> Iterator[None]:
     """Another station uploads a mission of the same length, 3 km away."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     expect_other_mission_onboard(stage)
     yield from station.upload_mission(shift_mission_east(_onboard_mission(stage), MISSION_SHIFT_M))
 
@@ -89,7 +103,7 @@ def upload_distant_mission(stage: FaultContext) -> Iterator[None]:
 def upload_distant_mission_twice(stage: FaultContext) -> Iterator[None]:
     """A foreign mission is uploaded, and again after the companion has restored its own."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     items = shift_mission_east(_onboard_mission(stage), MISSION_SHIFT_M)
     expect_other_mission_onboard(stage)
     yield from station.upload_mission(items)
@@ -98,39 +112,38 @@ def upload_distant_mission_twice(stage: FaultContext) -> Iterator[None]:
     yield from station.upload_mission(items)
 
 
-@FAULTS.register_procedure(11, "same-upload", AIRBORNE_PHASES, (*SAFETY_RULES, check_delivered))
+@FAULTS.register_procedure(11, "same-upload", PHASES, (*SAFETY_RULES, check_delivered))
 def upload_own_mission_again(stage: FaultContext) -> Iterator[None]:
     """Another station uploads the companion's own mission again."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
-    accepted = (1, None, 0)
-    stage.expect_effect("the upload is accepted", lambda: station.reply_counts[accepted] > 0)
+    yield from _wait_for_phase_or_authorisation(stage)
+    stage.expect_change("the upload is accepted", lambda: station.reply_counts[1, None, 0])
     yield from station.upload_mission(_onboard_mission(stage))
 
 
 @FAULTS.register_procedure(
     12,
     "shorter-upload",
-    AIRBORNE_PHASES,
+    PHASES,
     (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS)),
     arguments=RETURN_ON_HOLD_ARGUMENTS,
 )
 def upload_first_half_of_mission(stage: FaultContext) -> Iterator[None]:
     """Another station uploads the first half of the list."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     items = _onboard_mission(stage)
     expect_other_mission_onboard(stage)
     yield from station.upload_mission(items[: len(items) // 2])
 
 
 @FAULTS.register_procedure(
-    12, "longer-upload", AIRBORNE_PHASES, (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS))
+    12, "longer-upload", PHASES, (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS))
 )
 def upload_mission_with_appended_copy(stage: FaultContext) -> Iterator[None]:
     """Another station uploads the list with a second list appended."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     items = _onboard_mission(stage)
     expect_other_mission_onboard(stage)
     yield from station.upload_mission([*items, *shift_mission_east(items[1:], MISSION_SHIFT_M)])
@@ -139,7 +152,7 @@ def upload_mission_with_appended_copy(stage: FaultContext) -> Iterator[None]:
 def clear_mission_by_station(stage: FaultContext) -> Iterator[None]:
     """Another station clears the mission."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     if stage.is_armed and stage.craft.autopilot_kind == "ardupilot":
         stage.expect_effect("the clear is refused", lambda: _is_mission_transfer_refused(station))
     else:
@@ -151,11 +164,11 @@ def _is_mission_transfer_refused(station: Station) -> bool:
     return any(command is None and result for _, command, result in station.reply_counts)
 
 
-@FAULTS.register_procedure(14, "upload-cut", AIRBORNE_PHASES)
+@FAULTS.register_procedure(14, "upload-cut", PHASES)
 def abort_mission_upload_halfway(stage: FaultContext) -> Iterator[None]:
     """Another station starts an upload and stops halfway."""
     station = Station(stage.craft.link)
-    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _wait_for_phase_or_authorisation(stage)
     items = _onboard_mission(stage)
     half = len(items) // 2
     stage.expect_effect(
@@ -238,7 +251,7 @@ def set_autopilot_parameter_by_station(
         name, value = name_and_value_by_autopilot[stage.craft.autopilot_kind]
         yield from stage.wait_for_phase_and_record_fault_start()
         params = stage.craft.autopilot.params
-        stage.expect_effect(f"{name} is {value:g}", lambda: params[name] == value)
+        stage.expect_change(f"another {name}", lambda: params[name])
         station.send_parameter_to_autopilot(name, value)
 
     return procedure
@@ -249,7 +262,7 @@ FAULTS.add_case(
     "mission-cleared",
     "Another station clears the mission.",
     clear_mission_by_station,
-    AIRBORNE_PHASES,
+    PHASES,
     (*SAFETY_RULES, check_alert_sent(*MISSION_ALERTS)),
     autopilots=("px4",),
     arguments=RETURN_ON_HOLD_ARGUMENTS,
@@ -259,7 +272,7 @@ FAULTS.add_case(
     "clear-refused",
     "Another station clears the mission; ArduCopter refuses this in the air.",
     clear_mission_by_station,
-    AIRBORNE_PHASES,
+    PHASES,
     (*SAFETY_RULES, check_delivered),
     autopilots=("ardupilot",),
 )

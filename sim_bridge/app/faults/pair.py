@@ -109,43 +109,29 @@ def can_combine(first: FaultCase, second: FaultCase) -> bool:
     """
     cases = (first, second)
     changed = [case for case in cases if case.flight or case.untold or case.before_companion]
-    combined = combine_cases(first, second)
     return (
         first.name != second.name
         and not any(case.signed or case.group == FLEET_GROUP for case in cases)
         and not any(check_no_takeoff in case.rules for case in cases)
         and len(changed) < 2
-        and bool(combined.phases and combined.autopilots)
     )
 
 
-def draw_pair_tasks(
-    cases: Sequence[FaultCase],
-    autopilots: Sequence[str],
-    phases: Sequence[str],
-    seeds: Sequence[int],
-    run_root: Path,
-) -> list[FaultTask]:
-    """Draw a pair of these rows, an autopilot and a phase for each seed."""
-    return [_draw_pair_task(cases, autopilots, phases, seed, run_root) for seed in seeds]
-
-
-def _draw_pair_task(
+def draw_pair_task(
     cases: Sequence[FaultCase],
     autopilots: Sequence[str],
     phases: Sequence[str],
     seed: int,
     run_root: Path,
 ) -> FaultTask:
+    """Draw a pair of these rows, an autopilot and a phase. Raises: LeewayError if none fit."""
     rng = np.random.default_rng([seed, len(SEPARATOR)])
     for _ in range(MAX_DRAWS):
         first, second = (cases[k] for k in rng.integers(len(cases), size=2))
-        if not can_combine(first, second):
-            continue
         pair = combine_cases(first, second)
         kinds = [kind for kind in pair.autopilots if kind in autopilots]
         fitting = [phase for phase in pair.phases if phase in phases]
-        if kinds and fitting:
+        if kinds and fitting and can_combine(first, second):
             kind, phase = kinds[rng.integers(len(kinds))], fitting[rng.integers(len(fitting))]
             return FaultTask(pair.name, kind, phase, seed, run_root)
     raise LeewayError("--pairs: no two of these rows fit together")

@@ -8,14 +8,16 @@ truth or in messages that cross the link. A row of which an expected effect is n
 that expects none, has not been tested and fails. One line is enough:
 
     stage.expect_effect("the autopilot is in HOLD", lambda: craft.autopilot.mode is Mode.HOLD)
+    stage.expect_change("another voltage", lambda: battery.voltage_v, by=3.0)
     stage.expect_messages_changed("BATTERY_STATUS")  # by the tap: altered, dropped, delayed
 
-The condition is evaluated at each step until it holds. It must not hold before the injection.
+A condition is evaluated at each step until it holds. It must not hold before the injection.
 """
 
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -128,18 +130,27 @@ class FaultContext:
         held_before = not is_in_world and is_observed()
         self.expected_effects.append(ExpectedEffect(description, is_observed, held_before))
 
+    def expect_change(
+        self, description: str, read: Callable[[], Any], by: float | None = None
+    ) -> None:
+        """Require another value than now; of a number or vector, a change of its norm over `by`."""
+        before = read()
+        if by is None:
+            self.expect_effect(description, lambda: read() != before)
+        else:
+            self.expect_effect(
+                description, lambda: float(np.linalg.norm(np.subtract(read(), before))) > by
+            )
+
     def expect_messages_changed(self, *message_names: str) -> None:
         """Require that the tap alters, drops, repeats or delays each of these messages (none given:
         any message, injected ones included) from now on.
         """
         counts = self.tap.changed_counts
-        before = counts.copy()
         for name in message_names:
-            self.expect_effect(
-                f"{name} changed on the link", lambda name=name: counts[name] > before[name]
-            )
+            self.expect_change(f"{name} changed on the link", lambda name=name: counts[name])
         if not message_names:
-            self.expect_effect("a message changed on the link", lambda: counts != before)
+            self.expect_change("a message changed on the link", counts.total)
 
     @property
     def missing_effects_text(self) -> str:

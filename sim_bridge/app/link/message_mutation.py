@@ -8,7 +8,7 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,6 +98,60 @@ FIELD_MUTATIONS: dict[str, FieldMutation] = {
     "off": perturb_at_random,
     "anything": draw_value_of_random_bits,
 }
+
+
+def _type_limit(index: int) -> FieldMutation:
+    def mutate(rng: np.random.Generator, wire_type: str, value: Any) -> Any:
+        del rng, value
+        limits = integer_limits(wire_type) if wire_type in INT_BITS else (-MAX_F32, MAX_F32)
+        return limits[index]
+
+    return mutate
+
+
+def _unknown_code(rng: np.random.Generator, wire_type: str, value: Any) -> Any:
+    del rng, value
+    return wrap_or_clip_to_type(wire_type, -1) if wire_type in INT_BITS else math.nan
+
+
+def _wrapped(rng: np.random.Generator, wire_type: str, value: Any) -> Any:
+    """Return the value half the type's range away; a float loses its fraction at 2**31."""
+    del rng
+    half = 2.0 ** (INT_BITS.get(wire_type, 32) - 1)
+    return wrap_or_clip_to_type(wire_type, value + half) if math.isfinite(value) else value
+
+
+STUCK = "stuck"
+SWEEP_VALUES: dict[str, FieldMutation] = {
+    "minimum": _type_limit(0),
+    "maximum": _type_limit(1),
+    "zero": lambda rng, wire_type, value: 0,
+    "unknown": _unknown_code,
+    "wrapped": _wrapped,
+    STUCK: lambda rng, wire_type, value: value,
+}
+"""Values of a sweep over single fields. `stuck` repeats the value from before the sweep."""
+
+
+class SweepTarget(NamedTuple):
+    """One field that a sweep alters, and its value."""
+
+    message: str
+    field: str
+    value: str
+
+
+def sweep_targets(message_names: tuple[str, ...]) -> list[SweepTarget]:
+    """Return all numeric fields of these messages with all values."""
+    return [
+        SweepTarget(name, item.name, value)
+        for name in message_names
+        for item in SPECS[name].fields
+        if item.type != "char" and item.constant is None
+        for value in SWEEP_VALUES
+    ]
+
+
 MESSAGE_MUTATIONS = ("swapped", "stale", "wild-time", "lost", "doubled", "inserted")
 MUTATIONS = (*FIELD_MUTATIONS, *MESSAGE_MUTATIONS)
 """Names of all mutations."""
@@ -117,6 +171,10 @@ class MessageMutator:
     names: tuple[str, ...] = ()
     active: bool = False
     changed_count: int = 0
+    target: SweepTarget | None = None
+    """The only field to alter, in each message: for a sweep."""
+    target_count: int = 0
+    """Messages altered since the target was set; its setter resets it."""
     passed_mode: int | None = None
     _history: dict[str, list[Message]] = field(default_factory=dict)
 
@@ -127,6 +185,8 @@ class MessageMutator:
         kept = self._history.setdefault(message.msg_name, [])
         kept.append(message)
         del kept[:-HISTORY_LENGTH]
+        if self.target is not None and self.active and message.msg_name == self.target.message:
+            return self._alter_target_field(message, self.target)
         is_target = self.active and (not self.names or message.msg_name in self.names)
         if not is_target or self.rng.random() >= self.share:
             if message.msg_name == "HEARTBEAT":
@@ -134,6 +194,19 @@ class MessageMutator:
             return None
         self.changed_count += 1
         return self._apply_random_mutation(message)
+
+    def _alter_target_field(self, message: Message, target: SweepTarget) -> list[Message]:
+        item = next(f for f in message.spec.fields if f.name == target.field)
+        kept = self._history[message.msg_name]
+        before = kept[max(len(kept) - 2 - self.target_count, 0)]
+        value = (before if target.value == STUCK else message).__dict__[item.name]
+        self.target_count += 1
+        self.changed_count += 1
+        return [
+            _with_fields(
+                message, {item.name: self._mutate_field(value, item, SWEEP_VALUES[target.value])}
+            )
+        ]
 
     def _apply_random_mutation(self, message: Message) -> list[Message]:
         mutation = self.mutations[self.rng.integers(len(self.mutations))]

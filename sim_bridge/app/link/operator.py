@@ -28,6 +28,7 @@ class Operator:
 
     vehicle_system: int
     authorises: bool = True
+    authorises_from_s: float = 0.0
     accepted: bool = False
     landing_stop: str = ""
     """Last landing stop reported by the vehicle, once it has changed."""
@@ -46,7 +47,8 @@ class Operator:
         if t_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = t_s + 1.0
             out.append(self._encoder.encode_next_frame(ground_heartbeat()))
-        if self.authorises and not self.accepted and t_s >= self._next_request_s:
+        may_authorise = self.authorises and t_s >= self.authorises_from_s
+        if may_authorise and not self.accepted and t_s >= self._next_request_s:
             self._next_request_s = t_s + REQUEST_INTERVAL_S
             start = command_long(self.vehicle_system, COMPANION_COMPONENT, Cmd.MISSION_START)
             out.append(self._encoder.encode_next_frame(start))

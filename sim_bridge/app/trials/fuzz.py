@@ -5,8 +5,9 @@ With arbitrary false telemetry the vehicle need not return home. The checks here
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,13 @@ from sim_bridge.app.flight.companion_process import suite_fork_server
 from sim_bridge.app.flight.fly import FlyOptions, fly_vehicles_and_evaluate
 from sim_bridge.app.flight.stage import Script
 from sim_bridge.app.flight.vehicle_process import Craft
-from sim_bridge.app.link.message_mutation import MUTATIONS, MessageMutator
+from sim_bridge.app.link.message_mutation import (
+    MUTATIONS,
+    STUCK,
+    MessageMutator,
+    SweepTarget,
+    sweep_targets,
+)
 from sim_bridge.app.link.tap import Tap
 from sim_bridge.app.trials.trial import TrialRow, build_row_and_delete_passed_folder
 from sim_bridge.app.world.exception_files import count_tracebacks_by_file
@@ -55,6 +62,12 @@ OBSERVATION_S = 10.0
 """Time from control release to the end: all retries of a command are due within 3 s."""
 
 RESPONSE_LIMIT_S = 60.0
+SWEEP_INTERVAL = 3
+"""Every third case is a sweep over single fields."""
+
+SWEPT_MESSAGES, STUCK_MESSAGES, SWEEP_LIMIT_S = 2, 20, 3.0
+"""A field is altered in so many messages (if stuck, in more), or for this time."""
+
 ALTERED_MESSAGES = ("HEARTBEAT", "CURRENT_MODE", "ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT",
               "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD", "MISSION_CURRENT", "MISSION_ITEM_REACHED",
               "EXTENDED_SYS_STATE", "SYSTEM_TIME", "HOME_POSITION", "COMMAND_ACK", "MISSION_ACK",
@@ -82,6 +95,8 @@ class FuzzCase(msgspec.Struct, frozen=True, kw_only=True):
     messages: tuple[str, ...]
     pilot_override_after_s: float | None = msgspec.field(name="takes_over_after_s")
     """Delay from the first alteration to a pilot override in flight; null: no override."""
+    is_sweep: bool = False
+    """Alter one field of `messages` at a time, all in an order drawn by seed."""
 
     @property
     def name(self) -> str:
@@ -92,6 +107,8 @@ class FuzzCase(msgspec.Struct, frozen=True, kw_only=True):
 def draw_case(seed: int, case_number: int) -> FuzzCase:
     """Draw case `case_number` of the trial with this seed."""
     rng = np.random.default_rng([seed, case_number])
+    if case_number % SWEEP_INTERVAL == SWEEP_INTERVAL - 1:
+        return _draw_sweep_case(rng, 1000 * seed + case_number)
     alteration_kinds = rng.choice(MUTATIONS, rng.integers(1, len(MUTATIONS) + 1), replace=False)
     start_s = float(rng.choice([0.0, rng.uniform(0.0, NOMINAL_FLIGHT_S)], p=[0.2, 0.8]))
     duration_s = float(rng.choice([2.0, 10.0, 40.0, math.inf]))
@@ -104,6 +121,22 @@ def draw_case(seed: int, case_number: int) -> FuzzCase:
         alteration_kinds=tuple(sorted(map(str, alteration_kinds))),
         messages=_draw_altered_message_names(rng),
         pilot_override_after_s=round(rng.uniform(0.0, 30.0), 1) if rng.random() < 0.4 else None,
+    )
+
+
+def _draw_sweep_case(rng: np.random.Generator, seed: int) -> FuzzCase:
+    """Draw a sweep. Mode messages have one in four sweeps, as a false mode ends the flight."""
+    others = tuple(name for name in ALTERED_MESSAGES if name not in MODE_MESSAGES)
+    return FuzzCase(
+        autopilot=str(rng.choice(["px4", "ardupilot"])),
+        seed=seed,
+        altered_frac=0.0,
+        start_s=0.0,
+        end_s=None,
+        alteration_kinds=(),
+        messages=MODE_MESSAGES if rng.random() < 0.25 else others,
+        pilot_override_after_s=None,
+        is_sweep=True,
     )
 
 
@@ -135,14 +168,19 @@ class FuzzMonitor(Script):
     response_timed_out: bool = False
     invalid_probability: str | None = None
     ending: str = LANDED
+    swept: list[tuple[float, SweepTarget, int]] = field(default_factory=list)
+    """Start, target and number of altered messages of each ended step of a sweep."""
+    _targets: Iterator[SweepTarget] = field(default_factory=lambda: iter(()))
+    _target_since_s: float = 0.0
 
     @classmethod
     def for_case(cls, case: FuzzCase) -> "FuzzMonitor":
         """Return a monitor with the random generator of the case."""
         rng = np.random.default_rng(case.seed)
-        return cls(
-            case, MessageMutator(rng, case.altered_frac, case.alteration_kinds, case.messages)
-        )
+        mutator = MessageMutator(rng, case.altered_frac, case.alteration_kinds, case.messages)
+        targets = sweep_targets(case.messages) if case.is_sweep else []
+        order = rng.permutation(len(targets))
+        return cls(case, mutator, _targets=cycle([targets[k] for k in order]))
 
     def apply_step(self, crafts: list[Craft], t_s: float, lockstep: Lockstep) -> None:
         """Apply one step of 0.1 s."""
@@ -157,8 +195,19 @@ class FuzzMonitor(Script):
             ]
         end_s = math.inf if self.case.end_s is None else self.case.end_s
         self.liar.active = self.case.start_s <= t_s < end_s
+        self._advance_sweep(t_s)
         self.response_timed_out |= self.craft.companion.is_running and not lockstep.live_clients
         self._start_pilot_override_when_due(self.craft, t_s)
+
+    def _advance_sweep(self, t_s: float) -> None:
+        """Begin with the next field after enough altered messages, or after the time limit."""
+        liar, target = self.liar, self.liar.target
+        enough = STUCK_MESSAGES if target and target.value == STUCK else SWEPT_MESSAGES
+        if target and liar.target_count < enough and t_s < self._target_since_s + SWEEP_LIMIT_S:
+            return
+        if target is not None:
+            self.swept.append((self._target_since_s, target, liar.target_count))
+        liar.target, liar.target_count, self._target_since_s = next(self._targets, None), 0, t_s
 
     def _start_pilot_override_when_due(self, craft: Craft, t_s: float) -> None:
         """Start the pilot override in flight; record when a true heartbeat has reported it."""
@@ -303,6 +352,9 @@ def run_case(case: FuzzCase, folder: Path) -> TrialRow:
     craft = monitor.craft
     assert craft is not None
     result = FuzzResult(monitor, craft, _decision_log_rows(craft.run_dir))
+    if case.is_sweep:
+        lines = (f"{at_s:.1f} {'.'.join(target)} {count}" for at_s, target, count in monitor.swept)
+        (folder / "sweep.txt").write_text("\n".join(lines))
     violations = [violation for check in CHECKS if (violation := check(result))]
     ended = NO_TAKEOFF if craft.record.takeoff_s is None else monitor.ending
     outcome = {
@@ -311,6 +363,7 @@ def run_case(case: FuzzCase, folder: Path) -> TrialRow:
         "hands_off_s": monitor.control_released_s,
         "took_over_s": monitor.takeover.start_s,
         "lies": monitor.liar.changed_count,
+        "swept_fields": sum(count > 0 for *_, count in monitor.swept),
         "commands": len(craft.link.commands),
         "flown_s": round(craft.t_s, 1),
     }

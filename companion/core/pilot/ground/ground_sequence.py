@@ -297,7 +297,7 @@ class GroundSequence:
             if self._authorisation.is_pending:
                 self._authorisation.start_after_verification(context)
             return
-        if self._authorisation.is_pending:
+        if self._authorisation.is_pending and event.complete:
             context.report_alert(Alert.MISSION_CHANGED_ON_GROUND)
         for text in event.differences[:10]:
             context.queue_actions(LogNote(f"read back: {text}"))
