@@ -87,7 +87,7 @@ class OnboardMissionVerifier:
             case MissionProgress():
                 self._check_item_count_and_id(context, event, len(items))
             case MissionWriteDetected():
-                if context.phase is Phase.READY:
+                if context.phase in (Phase.READY, Phase.ARM):
                     self._state.last_mismatch_s = context.t_s
                 self._state.modified_during_read = self._state.is_unverified
                 self._start_verification_if_flying(context, event.description)

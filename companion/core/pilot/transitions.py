@@ -148,6 +148,7 @@ def _transition_table() -> dict[tuple[Phase, Trigger], Target]:
         (p.READ_BACK, t.READ_BACK_DIFFERS): p.UPLOAD,
         (p.READY, t.VERIFY): p.READ_BACK,
         (p.READY, t.AUTHORISED): p.ARM,
+        (p.ARM, t.VERIFY): p.READ_BACK,
         (p.ARM, t.ARMED): p.CLIMB,
         (p.CLIMB, t.AT_HEIGHT): p.MEASURE,
         (p.MEASURE, t.DEPARTURE_CLEARED): p.OUTBOUND,

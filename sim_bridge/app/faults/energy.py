@@ -19,6 +19,7 @@ from sim_bridge.app.flight.craft_building import read_true_airframe
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.link.tap import message_with_changed_fields, pass_unchanged
 from sim_bridge.app.world.flight_phase import FlightPhase
+from sim_bridge.autopilot.kinds import BatterySensing
 from sim_bridge.autopilot.mavlink.codec import Message
 
 FAULTS = FaultGroup("energy")
@@ -27,7 +28,7 @@ DELIVERY_RULES = (*SAFETY_RULES, check_delivered)
 BATTERY_MESSAGE = "BATTERY_STATUS"
 BATTERY_DELAY_S = 4.0
 OUTLIER_MAH = 4_000_000
-CELL_V = 3.0
+CELL_V, MIN_CURRENT_A = 3.0, 0.1
 DISTANT_CUSTOMER = {
     "site": {"customer": {"name": "customer", "east_m": -900.0, "north_m": -60.0, "up_m": 4.5}},
     "vehicle": {"charge_frac": 0.5},
@@ -192,6 +193,21 @@ for number, factor, suffix, circumstance, phases, rules, flight in (
         rules,
         flight=flight,
     )
+FAULTS.add_case(
+    26,
+    "current-unmeasured",
+    "The autopilot measures no current; voltage and percentage follow a timer, then are constant.",
+    start_at_once(
+        "no current in the messages",
+        lambda stage: (
+            stage.craft.autopilot.battery.reported_current_a is None
+            and stage.craft.vehicle.battery.current_a > MIN_CURRENT_A
+        ),
+    ),
+    ("ready",),
+    autopilots=("px4",),
+    battery_sensing=BatterySensing.SIH_TIMER,
+)
 for difference, rules in ((5, DELIVERY_RULES), (20, SAFETY_RULES)):
     FAULTS.add_case(
         25,

@@ -22,7 +22,7 @@ from sim_bridge.app.faults.verdict import (
 )
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.world.flight_phase import FlightPhase
-from sim_bridge.autopilot.kinds import AUTOPILOTS
+from sim_bridge.autopilot.kinds import AUTOPILOTS, BatterySensing
 
 PHASES = tuple(FlightPhase)[1:-1]
 """Phases in which a fault can begin: from `READY` to `LAND`."""
@@ -99,6 +99,7 @@ class FaultCase:
     ends_after_s: float | None = None
     signed: bool = False
     day_s: float = DAY_LIMIT_S
+    battery_sensing: BatterySensing = BatterySensing.POWER_MODULE
     effect_rules: tuple[Rule, ...] = (check_fault_took_effect,)
 
     def find_broken_rules(

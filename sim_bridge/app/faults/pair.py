@@ -32,6 +32,7 @@ from sim_bridge.app.faults.verdict import (
 )
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.world.flight_phase import FlightPhase
+from sim_bridge.autopilot.kinds import BatterySensing
 
 PAIR_GROUP, SEPARATOR = "pairs", "+"
 MAX_DRAWS = 10_000
@@ -68,6 +69,9 @@ def combine_cases(first: FaultCase, second: FaultCase) -> FaultCase:
         arguments=tuple(dict.fromkeys(first.arguments + second.arguments)),
         before_companion=first.before_companion or second.before_companion,
         ends_after_s=max(ends, default=None),
+        battery_sensing=max(
+            first.battery_sensing, second.battery_sensing, key=list(BatterySensing).index
+        ),
     )
 
 

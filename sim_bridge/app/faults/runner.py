@@ -82,6 +82,7 @@ def _fly_flight(case: FaultCase, task: FaultTask, charge_frac: float | None) -> 
         companion_startup_code=case.before_companion
         and f"{STARTUP_EFFECT_CODE}{case.before_companion}",
         fork_server=suite_fork_server(),
+        battery_sensing=case.battery_sensing,
         signing_key=_create_signing_key(folder) if case.signed else None,
     )
     (row,) = fly_vehicles_and_evaluate(options, performance)["flights"]

@@ -26,7 +26,7 @@ from sim_bridge.app.flight.vehicle_process import Craft, build_terrain
 from sim_bridge.app.link.operator import Operator
 from sim_bridge.app.world.companion_link import COMPANION_LINK, OPERATOR_LINK
 from sim_bridge.app.world.vehicle_host import Home, power_up_vehicle
-from sim_bridge.autopilot.kinds import AUTOPILOTS, AutopilotKind, LinkKind
+from sim_bridge.autopilot.kinds import AUTOPILOTS, AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.signing import LinkSigning, Signing
 from sim_bridge.truth.params import AirframeTruth, load_airframe
 from sim_bridge.truth.wind_params import build_wind_field
@@ -65,6 +65,7 @@ class FlyOptions:
     """Additional options for `companion run`."""
     settings: Mapping[str, float] = field(default_factory=dict)
     """Autopilot parameters that differ from the defaults."""
+    battery_sensing: BatterySensing = BatterySensing.POWER_MODULE
     fork_server: ForkServer | None = None
     """Fork server for companions in suites of many flights; None: start a new interpreter."""
 
@@ -112,6 +113,7 @@ def build_craft(
         air_temperature_c=flight.site.air_temperature_c,
         battery_health_frac=flight.vehicle.battery_health_frac,
         pitot=flight.vehicle.pitot,
+        battery_sensing=options.battery_sensing,
     )
     signing = _link_signing(options.signing_key)
     host.autopilot.add_link(COMPANION_LINK, LinkKind.ONBOARD, signer=signing)

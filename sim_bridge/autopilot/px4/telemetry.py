@@ -185,11 +185,18 @@ class Px4Telemetry:
         return (round(pack_voltage_v * 1000.0 / cells),) * count + (65535,) * (10 - count)
 
     def update_remaining_battery_frac(self) -> float | None:
-        """By voltage and counted charge; SIH's is a timer."""
+        """By voltage and counted charge; SIH's is a timer, and its voltage follows the timer.
+
+        Source of SIH's: PX4, src/modules/simulation/battery_simulator.
+        """
         state = self._state
         if self._battery.sensing is BatterySensing.SIH_TIMER:
             least = state.params["SIM_BAT_MIN_PCT"] / 100.0
-            return self._battery.sih_timer_remaining_frac(state.params["SIM_BAT_DRAIN"], least)
+            frac = self._battery.sih_timer_remaining_frac(state.params["SIM_BAT_DRAIN"], least)
+            cells = battery_cell_params(state.params)
+            cell_v = cells.empty_v + frac * (cells.full_v - cells.empty_v)
+            self._battery.voltage_v = max(cells.cells, 1) * cell_v
+            return frac
         return self._battery.update_px4_remaining_frac(battery_cell_params(state.params))
 
     def landed_state_in_air(self) -> LandedState:

@@ -134,6 +134,10 @@ class GroundSequence:
                 self._continue_planning(context)
             case Phase.READY:
                 self._abort_start(context, self._authorisation.start_or_failure_reason(context))
+            case Phase.ARM if (
+                self._arming.may_start_again and not self._aboard.is_unchanged_in_phase(context)
+            ):
+                self._authorisation.verify_again(context)
             case Phase.ARM:
                 self._abort_start(context, self._arming.continue_arming_or_failure_reason(context))
             case _:
@@ -302,6 +306,7 @@ class GroundSequence:
         for text in event.differences[:10]:
             context.queue_actions(LogNote(f"read back: {text}"))
         if self._state.uploads >= MAX_READ_BACKS:
-            self._abort_start(context, f"read back differs: {event.differences[0]}")
+            verb = "differs" if event.complete else "failed"
+            self._abort_start(context, f"read back {verb}: {event.differences[0]}")
         else:
             context.apply_phase_trigger(Trigger.READ_BACK_DIFFERS, event.differences[0])

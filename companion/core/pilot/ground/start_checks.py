@@ -221,6 +221,11 @@ class StartAuthorisation:
         context.apply_phase_trigger(Trigger.AUTHORISED, f"authorised by {operator_name}")
         return ResponseStatus.ACCEPTED
 
+    def verify_again(self, context: FlightContext) -> None:
+        """Verify the mission again: it may have been changed after the authorisation."""
+        self._pending_operator = "the last authorisation"
+        context.apply_phase_trigger(Trigger.VERIFY, "mission changed before arming: verifying")
+
     def start_after_verification(self, context: FlightContext) -> None:
         """Start after the onboard mission was verified following the authorisation."""
         by, self._pending_operator = self._pending_operator, ""
@@ -291,6 +296,11 @@ class ArmingController:
     _modes: OrderedMode
     _disarming: DisarmMonitor
     _state: ArmingState = field(default_factory=ArmingState)
+
+    @property
+    def may_start_again(self) -> bool:
+        """Whether no ARM is pending that may have been executed unseen."""
+        return self._state.pending_since_s is None
 
     def order_mission_mode(self, context: FlightContext) -> None:
         """Order the mission mode."""
