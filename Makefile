@@ -55,6 +55,7 @@ STORES := $(if $(wildcard /usr/lib/postgresql/*/bin/postgres)$(shell command -v 
 trials: $(VENV)/.sim  ## faults, lies, stalls, damaged logs, half a day of flights, days; SEED=N again
 	@failed=0; \
 	$(BIN)/sim-bridge faults --seeds $(SEED) --json logs/trials/faults.json || failed=1; \
+	$(BIN)/sim-bridge faults --pairs 500 --seeds $(SEED) --json logs/trials/pairs.json || failed=1; \
 	$(BIN)/sim-bridge faults --tight --seeds $(SEED) --json logs/trials/tight.json || failed=1; \
 	$(TRIAL) fuzz --count 500 --seed $(SEED) --json logs/trials/fuzz.json || failed=1; \
 	$(TRIAL) stall --seed $(SEED) --json logs/trials/stall.json || failed=1; \

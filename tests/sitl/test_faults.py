@@ -8,6 +8,7 @@ from sim_bridge.app.fault_suite.catalogue import CATALOGUE
 from sim_bridge.app.fault_suite.suite import fly_fault, list_tasks
 from sim_bridge.app.faults import runner
 from sim_bridge.app.faults.fault import PHASES, FaultRow, FaultTask
+from sim_bridge.app.faults.pair import draw_pair_task
 from sim_bridge.app.flight import companion_process
 from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.autopilot.kinds import AUTOPILOTS
@@ -33,6 +34,14 @@ def flown(tmp_path, fault: str, autopilot: str, phase: str, seed: int = 1) -> Fa
 def test_a_fault_costs_no_vehicle(tmp_path, fault, autopilot, phase):
     row = flown(tmp_path, fault, autopilot, phase)
     assert row.passed, (row.failure_text, row.messages)
+
+
+@pytest.mark.sample
+@pytest.mark.drawn(keep=1)  # by night 500: `make trials`
+@pytest.mark.parametrize("seed", range(40))
+def test_two_faults_in_one_flight_cost_no_vehicle(tmp_path, seed):
+    row = fly_fault(draw_pair_task(CATALOGUE, AUTOPILOTS, PHASES, seed, tmp_path))
+    assert row.passed, (row.fault, row.failure_text, row.messages)
 
 
 @pytest.mark.sample

@@ -10,6 +10,7 @@ from sim_bridge.app.cli.options import SeedsOption, run_options, seed_range, sel
 
 app = typer.Typer()
 
+PAIRS_PER_SEED = 1000
 EXIT_INTERRUPTED = 130
 """The shell's exit code for a program that Ctrl-C ended."""
 
@@ -40,8 +41,9 @@ def faults(
     pairs: Annotated[
         int,
         typer.Option(
-            help="Fly so many pairs of faults instead, each drawn by its seed from the first of"
-            " --seeds on."
+            max=PAIRS_PER_SEED,
+            help="Fly so many flights with two faults instead, each drawn by its own seed: from 1000"
+            " times the first of --seeds on.",
         ),
     ] = 0,
 ) -> None:
@@ -82,7 +84,8 @@ def faults(
     phases = selected_or_all(phase, PHASES, "phase")
     flown_seeds, root = seed_range(seeds), run.run_root_or_default("logs/faults")
     if pairs:
-        pair_seeds = range(flown_seeds[0], flown_seeds[0] + pairs)
+        first_seed = PAIRS_PER_SEED * flown_seeds[0]
+        pair_seeds = range(first_seed, first_seed + pairs)
         todo = [draw_pair_task(cases, kinds, phases, seed, root) for seed in pair_seeds]
     else:
         todo = suite.list_tasks(cases, kinds, phases, flown_seeds, root, tight=tight)

@@ -172,9 +172,15 @@ def test_px4_sih_knows_no_current_no_charge_and_counts_a_timer(make_rig):
     assert status.energy_consumed == -1
     assert status.time_remaining == 0
     assert rig.last("SYS_STATUS").current_battery == -1
-    first = rig.last("SYS_STATUS").battery_remaining
+    first = rig.last("SYS_STATUS")
     rig.step(5.0)
-    assert rig.last("SYS_STATUS").battery_remaining < first
+    second = rig.last("SYS_STATUS")
+    assert second.battery_remaining < first.battery_remaining
+    assert second.voltage_battery < first.voltage_battery
+    rig.step(40.0)  # beyond SIM_BAT_MIN_PCT, after which the voltage is constant
+    third = rig.last("SYS_STATUS")
+    rig.step(5.0)
+    assert rig.last("SYS_STATUS").voltage_battery == third.voltage_battery
 
 
 def test_px4_with_a_power_module_knows_current_and_charge_but_no_energy(airborne):
