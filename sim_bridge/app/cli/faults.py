@@ -42,8 +42,8 @@ def faults(
         int,
         typer.Option(
             max=PAIRS_PER_SEED,
-            help="Fly so many flights with two faults instead, each drawn by its own seed: from 1000"
-            " times the first of --seeds on.",
+            help="Fly so many flights with two faults instead, each drawn by its own seed, from"
+            " 1000 times the first of --seeds on.",
         ),
     ] = 0,
 ) -> None:

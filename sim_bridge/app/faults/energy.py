@@ -207,6 +207,7 @@ FAULTS.add_case(
     ("ready",),
     autopilots=("px4",),
     battery_sensing=BatterySensing.SIH_TIMER,
+    settings={"BAT1_N_CELLS": 6.0},
 )
 for difference, rules in ((5, DELIVERY_RULES), (20, SAFETY_RULES)):
     FAULTS.add_case(

@@ -69,6 +69,7 @@ def combine_cases(first: FaultCase, second: FaultCase) -> FaultCase:
         arguments=tuple(dict.fromkeys(first.arguments + second.arguments)),
         before_companion=first.before_companion or second.before_companion,
         ends_after_s=max(ends, default=None),
+        settings=first.settings | second.settings,
         battery_sensing=max(
             first.battery_sensing, second.battery_sensing, key=list(BatterySensing).index
         ),

@@ -83,6 +83,7 @@ def _fly_flight(case: FaultCase, task: FaultTask, charge_frac: float | None) -> 
         and f"{STARTUP_EFFECT_CODE}{case.before_companion}",
         fork_server=suite_fork_server(),
         battery_sensing=case.battery_sensing,
+        settings=case.settings,
         signing_key=_create_signing_key(folder) if case.signed else None,
     )
     (row,) = fly_vehicles_and_evaluate(options, performance)["flights"]

@@ -125,16 +125,17 @@ def draw_case(seed: int, case_number: int) -> FuzzCase:
 
 
 def _draw_sweep_case(rng: np.random.Generator, seed: int) -> FuzzCase:
-    """Draw a sweep. Mode messages have one in four sweeps, as a false mode ends the flight."""
+    """Draw a sweep. One in four is of mode messages from a drawn time on: they end the flight."""
     others = tuple(name for name in ALTERED_MESSAGES if name not in MODE_MESSAGES)
+    is_of_modes = rng.random() < 0.25
     return FuzzCase(
         autopilot=str(rng.choice(["px4", "ardupilot"])),
         seed=seed,
         altered_frac=0.0,
-        start_s=0.0,
+        start_s=round(rng.uniform(0.0, NOMINAL_FLIGHT_S), 1) if is_of_modes else 0.0,
         end_s=None,
         alteration_kinds=(),
-        messages=MODE_MESSAGES if rng.random() < 0.25 else others,
+        messages=MODE_MESSAGES if is_of_modes else others,
         pilot_override_after_s=None,
         is_sweep=True,
     )
@@ -202,6 +203,8 @@ class FuzzMonitor(Script):
     def _advance_sweep(self, t_s: float) -> None:
         """Begin with the next field after enough altered messages, or after the time limit."""
         liar, target = self.liar, self.liar.target
+        if not liar.active:
+            return
         enough = STUCK_MESSAGES if target and target.value == STUCK else SWEPT_MESSAGES
         if target and liar.target_count < enough and t_s < self._target_since_s + SWEEP_LIMIT_S:
             return
