@@ -81,8 +81,8 @@ class FaultCase:
     companion options. `before_companion`: Python code that runs first in the companion's process,
     after `STARTUP_EFFECT_CODE`.
     `ends_after_s`: time from a takeover to the end of the flight. `signed`: autopilot and companion
-    share a signing key. `settings`: autopilot parameters. `day_s`: time limit of a day; a longer day
-    has failed.
+    share a signing key. `settings`: autopilot parameters. `day_s`: time limit of a day; a longer
+    day has failed.
     """
 
     number: int

@@ -30,7 +30,11 @@ from sim_bridge.app.faults.verdict import (
     check_returned_home,
     check_returned_if_p_home_was_high,
 )
-from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
+from sim_bridge.app.flight.stage import (
+    FaultContext,
+    FaultProcedure,
+    describe_missing_effects,
+)
 from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.autopilot.kinds import BatterySensing
 
@@ -46,6 +50,14 @@ def check_no_late_commands(flown: FaultRunResult) -> str | None:
     return flown.stage.craft.link.late_commands_text
 
 
+def had_two_faults(stage: FaultContext) -> bool:
+    """Return whether both faults of a pair began and took effect."""
+    return all(
+        one is not None and one.start_s is not None and not describe_missing_effects(one)
+        for one in (stage, stage.second)
+    )
+
+
 def combine_cases(first: FaultCase, second: FaultCase) -> FaultCase:
     """Return the row of both faults."""
     rules = [check_no_late_commands, check_no_false_delivery]
@@ -59,7 +71,7 @@ def combine_cases(first: FaultCase, second: FaultCase) -> FaultCase:
         name=f"{first.name}{SEPARATOR}{second.name}",
         group=PAIR_GROUP,
         description=f"{first.description} {second.description}",
-        procedure=_run_both(first, second),
+        procedure=run_both_procedures(first, second),
         rules=tuple(rules),
         effect_rules=(),
         phases=tuple(phase for phase in first.phases if _second_phases(first, second, phase)),
@@ -85,7 +97,9 @@ def _second_phases(
     return tuple(other for other in second.phases if phase.is_same_or_before(other))
 
 
-def _run_both(first: FaultCase, second: FaultCase) -> FaultProcedure:
+def run_both_procedures(first: FaultCase, second: FaultCase) -> FaultProcedure:
+    """Return the procedure of both rows; `FaultContext.second` is that of the second."""
+
     def procedure(stage: FaultContext) -> Iterator[None]:
         phases = _second_phases(first, second, stage.phase)
         same = stage.phase in phases and stage.rng.random() < 0.5

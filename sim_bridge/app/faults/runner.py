@@ -17,6 +17,7 @@ from sim_bridge.app.faults.fault import (
     FaultRow,
     FaultTask,
 )
+from sim_bridge.app.faults.pair import had_two_faults
 from sim_bridge.app.faults.verdict import FaultRunResult, p_home_of_last_go_decision
 from sim_bridge.app.flight.companion_process import suite_fork_server
 from sim_bridge.app.flight.fly import FlyOptions, fly_vehicles_and_evaluate
@@ -152,5 +153,5 @@ def _build_fault_row(
         messages=flown.message_texts,
         passed=not violations,
         failure_text="; ".join(violations),
-        had_two_faults=flown.stage.had_two_faults if flown.stage.second else msgspec.UNSET,
+        had_two_faults=had_two_faults(flown.stage) if flown.stage.second else msgspec.UNSET,
     )

@@ -11,7 +11,7 @@ from ground_station.core.schema.orders import AssignmentRow
 from sim_bridge.app.day import rules
 from sim_bridge.app.day.drone import DayDrone
 from sim_bridge.app.day.judge import find_flight_sample_ranges as flights_of
-from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.flight.stage import FaultContext, describe_missing_effects
 from sim_bridge.app.world.safety_rules import find_energy_rise_after_takeoff
 
 EXIT_INTERNAL_ERROR, EXIT_USAGE_ERROR = 1, 2
@@ -121,7 +121,7 @@ def check_fault_took_effect(flown: FaultRunResult) -> str | None:
     """
     if flown.stage.start_s is None:
         return "the fault never started"
-    missing = flown.stage.missing_effects_text
+    missing = describe_missing_effects(flown.stage)
     return f"the fault took no effect: {missing}" if missing else None
 
 

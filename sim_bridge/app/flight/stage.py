@@ -152,22 +152,6 @@ class FaultContext:
         if not message_names:
             self.expect_change("a message changed on the link", counts.total)
 
-    @property
-    def missing_effects_text(self) -> str:
-        """Expected effects of the injection that were not observed, empty if all were."""
-        for effect in self.expected_effects:
-            effect.update()
-        texts = [effect.failure_text for effect in self.expected_effects]
-        return "; ".join(filter(None, texts)) if texts else "none is expected"
-
-    @property
-    def had_two_faults(self) -> bool:
-        """Whether both faults of a pair began and took effect."""
-        return all(
-            one is not None and one.start_s is not None and not one.missing_effects_text
-            for one in (self, self.second)
-        )
-
     # --- the vehicle of a flight ---------------------------------------------------------------
 
     @property
@@ -239,6 +223,14 @@ class FaultContext:
         """Continue the lockstep without replies of this companion."""
         assert self.craft_and_lockstep is not None
         self.craft_and_lockstep[1].mark_unresponsive(self.craft.number - 1)
+
+
+def describe_missing_effects(context: FaultContext) -> str:
+    """Return the expected effects of an injection that were not observed, empty if all were."""
+    for effect in context.expected_effects:
+        effect.update()
+    texts = [effect.failure_text for effect in context.expected_effects]
+    return "; ".join(filter(None, texts)) if texts else "none is expected"
 
 
 FaultProcedure = Callable[[FaultContext], Iterator[None]]

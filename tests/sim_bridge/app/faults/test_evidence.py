@@ -22,7 +22,7 @@ from sim_bridge.app.faults.fault import FLEET_GROUP, FaultCase
 from sim_bridge.app.faults.fleet_day import FAULTED_DRONE
 from sim_bridge.app.faults.runner import write_changed_flight_file
 from sim_bridge.app.flight.craft_building import FlyOptions, build_single_craft
-from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.flight.stage import FaultContext, describe_missing_effects
 from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.enums import Cmd
 from sim_bridge.autopilot.mission.items import MissionItem
@@ -128,5 +128,5 @@ def test_a_row_whose_injection_does_nothing_is_not_held(case, autopilot, tmp_pat
         stage.remaining_steps = case.procedure(stage)
         advance(stage, 0.1)
     assert stage.expected_effects
-    assert stage.missing_effects_text
+    assert describe_missing_effects(stage)
     assert any(not e.held_before_injection and not e.was_observed for e in stage.expected_effects)

@@ -98,8 +98,8 @@ def second_delay_s(seed: int) -> float:
         lambda: True,
         craft_and_lockstep=(craft, None),
     )
-    stage.remaining_steps = pair._run_both(first, second)(stage)
+    stage.remaining_steps = pair.run_both_procedures(first, second)(stage)
     for step in range(200):
         stage.continue_procedure(0.1 * step)
-    assert stage.had_two_faults
+    assert pair.had_two_faults(stage)
     return round(stage.second.start_s - stage.start_s, 1)

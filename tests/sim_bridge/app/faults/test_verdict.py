@@ -23,6 +23,7 @@ from sim_bridge.app.faults.verdict import (
     check_returned_home,
     check_returned_if_p_home_was_high,
 )
+from sim_bridge.app.flight.stage import ExpectedEffect
 from sim_bridge.app.world.companion_link import CompanionLink
 from sim_bridge.app.world.safety_rules import TakeOver, find_energy_rise_after_takeoff
 
@@ -37,6 +38,7 @@ def flown(**changes) -> FaultRunResult:
     link = CompanionLink(SimpleNamespace(), 1, commands=changes.pop("commands", []))
     took_over_s = changes.pop("took_over_s", 60.0)
     link.takeover = None if took_over_s is None else TakeOver(known_s=took_over_s)
+    took_effect = changes.pop("took_effect", True)
     craft = SimpleNamespace(
         vehicle=SimpleNamespace(is_crashed=changes.pop("crashed", False)),
         link=link,
@@ -53,7 +55,7 @@ def flown(**changes) -> FaultRunResult:
         craft=craft,
         start_s=changes.pop("began_s", 50.0),
         is_armed=changes.pop("armed", False),
-        missing_effects_text=changes.pop("missing", ""),
+        expected_effects=[ExpectedEffect("home is 3 km away", lambda: took_effect, False)],
     )
     tracebacks = changes.pop("tracebacks", 0)
     return FaultRunResult(row | changes, stage, said, tracebacks, promised)
@@ -87,7 +89,7 @@ def test_a_rule_holds_of_a_good_flight_and_breaks_on_a_bad_one(rule):
 
 
 def test_a_fault_without_its_effect_is_named():
-    text = check_fault_took_effect(flown(missing="home is 3 km away"))
+    text = check_fault_took_effect(flown(took_effect=False))
     assert text == "the fault took no effect: home is 3 km away"
 
 
