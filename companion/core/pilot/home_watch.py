@@ -39,6 +39,7 @@ from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     GROUND_PHASES,
+    RESUMABLE_PHASES,
     Phase,
     Trigger,
 )
@@ -104,6 +105,12 @@ class HomeMonitor:
         return self._state.displaced_since_s is not None and not self._state.restore_abandoned
 
     @property
+    def autopilot_home(self) -> GeoPosition | None:
+        """Position of the autopilot's home as last reported, else as required."""
+        state = self._state
+        return state.reported_home or state.redirected_home or state.takeoff_home
+
+    @property
     def is_rtl_pending(self) -> bool:
         """Whether RTL waits until its destination is the autopilot's home."""
         return self._state.is_rtl_pending
@@ -155,7 +162,7 @@ class HomeMonitor:
         """On the ground store the vehicle's position; in flight monitor its home."""
         if context.phase in GROUND_PHASES:
             self._record_start_position(context)
-        elif self._flight.in_flight and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
+        elif self._flight.in_flight and context.phase in (*FLIGHT_PHASES, *RESUMABLE_PHASES):
             self._fix_takeoff_home(context)
             self._complete_or_abandon_redirect(context)
             self._report_and_restore_displaced_home(context)
