@@ -54,7 +54,9 @@ def test_nothing_leads_out_of_the_end_or_back_from_another_companion(phase):
 
 def test_a_foreign_mission_is_left_on_an_operators_word_at_the_landing_or_to_another_companion():
     foreign = Phase.FOREIGN_MISSION
-    assert {t: next_phase(foreign, t) for t in Trigger if next_phase(foreign, t) is not foreign} == {
+    assert {
+        t: next_phase(foreign, t) for t in Trigger if next_phase(foreign, t) is not foreign
+    } == {
         Trigger.HANDED_BACK: Phase.RECOGNISE,
         Trigger.LANDED: Phase.DONE,
         Trigger.OTHER_COMPANION: Phase.PASSIVE,

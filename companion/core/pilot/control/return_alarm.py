@@ -1,4 +1,4 @@
-"""The return budget without control: a person flies or holds, or another station's mission is flown.
+"""The return budget without control: a person flies or holds, or a foreign mission is flown.
 
 Once a second P(home) is evaluated for a return from the present position, as in flight. The alarm
 evaluates the return that needs no companion: straight to a declared site at the autopilot's own
