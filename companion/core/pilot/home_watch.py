@@ -56,7 +56,6 @@ CONFIRM_S = 1.0
 REDIRECT_TIMEOUT_S = 3.0
 """Timeout of an RTL for its redirected home: three tries of the order."""
 
-REDIRECT_CHECK_INTERVAL_S = 1.0
 REDIRECT_PHASES = (Phase.OUTBOUND, Phase.DELIVER, Phase.RETURN, Phase.DIVERT)
 """Away from the launch pad, on an item of the verified mission."""
 
@@ -92,7 +91,6 @@ class HomeState:
     """The autopilot kept its old home: no further redirect."""
     redirect_ordered_s: float | None = None
     """Time of that order, until the autopilot shows its home there; meanwhile both are valid."""
-    redirect_checked_s: float | None = None
     is_rtl_pending: bool = False
     """RTL is ordered once that home is confirmed."""
 
@@ -236,15 +234,9 @@ class HomeMonitor:
         return f": to {name} as the autopilot's home", position
 
     def _redirect_home_to_landing_site(self, context: FlightContext) -> None:
-        """Redirect the home to the site where the current item leads, once a second."""
-        state = self._state
-        if (
-            context.phase not in REDIRECT_PHASES
-            or state.redirect_ordered_s is not None
-            or context.seconds_since(state.redirect_checked_s) < REDIRECT_CHECK_INTERVAL_S
-        ):
+        """Redirect the home to the site where the current item leads."""
+        if context.phase not in REDIRECT_PHASES or self._state.redirect_ordered_s is not None:
             return
-        state.redirect_checked_s = context.t_s
         text, position = self._rtl_destination(context)
         if position is not None:
             self._redirect_home(context, position)

@@ -8,10 +8,11 @@ before the reserve is touched. In RTL the autopilot's own path is evaluated inst
 """
 
 import math
+from dataclasses import dataclass
 
 from companion.core.base.geo import Ned, course_rad, horizontal_distance_m, point_above
 from companion.core.mission.alerts import Alert
-from companion.core.mission.events import AutopilotKind, Mode
+from companion.core.mission.events import AutopilotKind, Mode, Position
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.context import FlightContext, LatestAssessment
 from companion.core.pilot.flight_state import PromisedStop
@@ -27,7 +28,6 @@ from companion.core.routing.route_planner import to_fixed_ground_speed_leg
 ALARM_LEAD_S = 60.0
 """Time from the first alarm to the last moment: a person reads it, decides, and takes control."""
 
-ALARM_INTERVAL_S = 10.0
 ASSESS_INTERVAL_S = 1.0
 MIN_CLOSING_SPEED_MPS = 1.0
 """Approach speed to a landing site from which on the vehicle counts as returning."""
@@ -35,10 +35,7 @@ MIN_CLOSING_SPEED_MPS = 1.0
 OWN_SPEED_MPS = {AutopilotKind.PX4: 5.0, AutopilotKind.ARDUPILOT: 10.0}
 """Default ground speed of RTL: MPC_XY_CRUISE, WPNAV_SPEED."""
 
-MIN_OWN_SPEED_MPS = 0.3
-LEVEL_FLIGHT_MPS = 0.5
-"""Vertical speed below which RTL flies level, so that its speed is measured."""
-
+MIN_OWN_SPEED_MPS, LEVEL_FLIGHT_MPS = 0.3, 0.5
 RTL_CONFIRM_S = 8.0
 """Duration of an insufficient RTL that confirms it: longer than its acceleration."""
 
@@ -47,23 +44,20 @@ COMPASS_POINTS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 Site = tuple[str, Ned]
 
 
+@dataclass(slots=True, eq=False)
 class ReturnAlarm:
     """Evaluates the return from here without control; raises alarms before its last moment."""
 
-    def __init__(
-        self,
-        budget: BudgetMonitor,
-        latest: LatestAssessment,
-        home: HomeMonitor,
-        promise: PromisedStop,
-    ) -> None:
-        self._budget, self._latest, self._home, self._promise = budget, latest, home, promise
-        self.last_moment_in_s: float | None = None
-        """Time until the last moment to return; `None`: unknown, or the companion has control."""
-        self._evaluated_s: float | None = None
-        self._alarm_s: float | None = None
-        self._rtl_insufficient_since_s: float | None = None
-        self._is_active = False
+    _budget: BudgetMonitor
+    _latest: LatestAssessment
+    _home: HomeMonitor
+    _promise: PromisedStop
+    last_moment_in_s: float | None = None
+    """Time until the last moment to return; `None`: unknown, or the companion has control."""
+    _evaluated_s: float | None = None
+    _rtl_sufficient_s: float | None = None
+    """Last time at which RTL was sufficient, or not the mode."""
+    _is_active: bool = False
 
     def tick(self, context: FlightContext) -> None:
         """Evaluate and report, once a second."""
@@ -72,93 +66,76 @@ class ReturnAlarm:
         if self._is_active and not is_active:
             self._latest.discard()  # a return was assessed, not the mission that is resumed
         self._is_active = is_active
-        here, state = context.recent_position_ned_m(), context.telemetry.state
-        if not is_active or here is None or state is None or context.flight_plan is None:
-            self.last_moment_in_s = self._alarm_s = None
+        flown, here = context.flight_plan, context.recent_position_ned_m()
+        position, state = context.telemetry.position, context.telemetry.state
+        if not is_active or not (flown and here and position and state):
+            self.last_moment_in_s = None
         elif context.seconds_since(self._evaluated_s) >= ASSESS_INTERVAL_S - 1e-6:
-            self._evaluated_s = context.t_s
+            self._evaluated_s, self.last_moment_in_s = context.t_s, None
             self._budget.assess_remaining_if_older(context, ASSESS_INTERVAL_S)
-            sites = self._sites_with_clear_line(context, context.flight_plan, here)
+            first, *others = promised_landing_sites(flown.plan, self._promise.reported_home)
+            sites = [first, *(s for s in others if has_clear_line_to_rally(flown, s[0], here))]
             if state.mode is Mode.RTL:
-                self.last_moment_in_s = None
-                self._evaluate_rtl(context, context.flight_plan, here, sites)
-            else:
-                self._rtl_insufficient_since_s = None
-                self._evaluate_hold(context, here, sites, is_landing=state.mode is Mode.LAND)
+                self._evaluate_rtl(context, flown, position, here, sites)
+                return
+            self._rtl_sufficient_s = context.t_s
+            if state.mode is not Mode.LAND:
+                self._evaluate_hold(context, position, here, sites)
 
     def _evaluate_hold(
-        self, context: FlightContext, here: Ned, sites: list[Site], *, is_landing: bool
+        self, context: FlightContext, position: Position, here: Ned, sites: list[Site]
     ) -> None:
         """Find the last moment of the return at the autopilot's own speed, and warn before it."""
-        north_mps, east_mps, _ = _velocity_ned_mps(context)
+        north_mps, east_mps = position.vel_n_mps, position.vel_e_mps
         later_m = (here[0] + ALARM_LEAD_S * north_mps, here[1] + ALARM_LEAD_S * east_mps, here[2])
         now = _assess_direct_returns(context, here, sites)
         later = _assess_direct_returns(context, later_m, sites, hold_s=ALARM_LEAD_S)
         if now is None or later is None:
-            self.last_moment_in_s = None
             return
         best = next(site for site in sites if site[0] == now.best_landing)
         course = course_rad(here, best[1])
         closing_mps = north_mps * math.cos(course) + east_mps * math.sin(course)
         decline_wh = now.margin_wh - later.margin_wh
-        left_s = MAX_REPORTED_S
-        if now.margin_wh <= 0.0:
-            left_s = 0.0
-        elif closing_mps < MIN_CLOSING_SPEED_MPS and decline_wh > 0.0:
+        left_s = 0.0 if now.margin_wh <= 0.0 else MAX_REPORTED_S
+        if now.margin_wh > 0.0 and closing_mps < MIN_CLOSING_SPEED_MPS and decline_wh > 0.0:
             left_s = min(ALARM_LEAD_S * now.margin_wh / decline_wh, MAX_REPORTED_S)
         self.last_moment_in_s = left_s
-        if is_landing or left_s > ALARM_LEAD_S:
-            self._alarm_s = None
-            return
-        advice = "land here" if _is_beyond_reach(now) else f"return to {_site_text(here, best)}"
-        p_home = f"{now.p_home_now:.3f}"
-        self._report_if_due(context, Alert.RETURN_DUE, p_home=p_home, left_s=left_s, advice=advice)
+        if left_s <= ALARM_LEAD_S:
+            advice = "land here" if _is_out_of_reach(now) else f"return to {_site_text(here, best)}"
+            given = {"p_home": f"{now.p_home_now:.3f}", "left_s": left_s, "advice": advice}
+            context.report_alert(Alert.RETURN_DUE, is_alarm=True, **given)
 
     def _evaluate_rtl(
-        self, context: FlightContext, flown: FlightPlan, here: Ned, sites: list[Site]
+        self,
+        context: FlightContext,
+        flown: FlightPlan,
+        position: Position,
+        here: Ned,
+        sites: list[Site],
     ) -> None:
         """Warn if the pack may be empty before the autopilot's RTL ends; recommend a site."""
-        home = self._home.autopilot_home
+        home, frame = self._home.autopilot_home, flown.site.frame
         if home is None:
             return
-        is_level = abs(_velocity_ned_mps(context)[2]) < LEVEL_FLIGHT_MPS
+        is_level = abs(position.vel_d_mps) < LEVEL_FLIGHT_MPS
         speed_mps = context.telemetry.ground_speed_mps() if is_level else None
-        frame = flown.site.frame
-        north, east, _ = frame.to_ned(*map(math.radians, home[:2]), frame.alt_amsl_m)
+        north, east, _ = frame.to_ned(
+            math.radians(home[0]), math.radians(home[1]), frame.alt_amsl_m
+        )
         destination = "home", (north, east, 0.0)
         rtl = _assess_direct_returns(context, here, [destination], measured_speed_mps=speed_mps)
         if rtl is None or _reaches_site(context, rtl):
-            self._rtl_insufficient_since_s = self._alarm_s = None
-            return
-        if self._rtl_insufficient_since_s is None:
-            self._rtl_insufficient_since_s = context.t_s
-        if context.seconds_since(self._rtl_insufficient_since_s) < RTL_CONFIRM_S:
-            return
-        best, advice = context.recent_assessment(), "be ready to land"
-        site = next((s for s in sites if best is not None and s[0] == best.best_landing), None)
-        if site is not None and best is not None and _reaches_site(context, best):
-            advice = f"fly to {_site_text(here, site)}"
-        elif _is_beyond_reach(rtl):
-            advice = "land here"
-        energies_wh = {"need_wh": rtl.energy_need_wh, "left_wh": rtl.energy_left_wh}
-        self._report_if_due(context, Alert.RTL_OUT_OF_REACH, **energies_wh, advice=advice)
-
-    def _report_if_due(
-        self, context: FlightContext, alert: Alert, **parameters: str | float
-    ) -> None:
-        """Report at the start of the alarm, then at its interval; record its start."""
-        if self._alarm_s is None:
-            context.record_decision(alert.identifier, str(parameters["advice"]))
-        if context.seconds_since(self._alarm_s) >= ALARM_INTERVAL_S - 1e-6:
-            self._alarm_s = context.t_s
-            context.report_alert(alert, **parameters)
-
-    def _sites_with_clear_line(
-        self, context: FlightContext, flown: FlightPlan, here: Ned
-    ) -> list[Site]:
-        """Return the declared sites with a straight line from here; the first always."""
-        first, *others = promised_landing_sites(flown.plan, self._promise.reported_home)
-        return [first, *(s for s in others if has_clear_line_to_rally(flown, s[0], here))]
+            self._rtl_sufficient_s = context.t_s
+        elif context.seconds_since(self._rtl_sufficient_s) >= RTL_CONFIRM_S:
+            best = context.recent_assessment()
+            advice = "land here" if _is_out_of_reach(rtl) else "be ready to land"
+            if best is not None and _reaches_site(context, best):
+                site = next((s for s in sites if s[0] == best.best_landing), sites[0])
+                advice = f"fly to {_site_text(here, site)}"
+            energies_wh = {"need_wh": rtl.energy_need_wh, "left_wh": rtl.energy_left_wh}
+            context.report_alert(
+                Alert.RTL_OUT_OF_REACH, is_alarm=True, **energies_wh, advice=advice
+            )
 
 
 def _assess_direct_returns(
@@ -180,21 +157,15 @@ def _assess_direct_returns(
     for name, ground_ned_m in sites:
         above = point_above(ground_ned_m, start_ned_m)
         cruise = cruise_leg_unless_too_short(start_ned_m, above, payload_kg)
-        legs = [to_fixed_ground_speed_leg(leg, own_speed_mps) for leg in cruise]
+        duration_s, legs = hold_s, [to_fixed_ground_speed_leg(leg, own_speed_mps) for leg in cruise]
         if measured_speed_mps is not None and legs:
             distance_m = horizontal_distance_m(start_ned_m, above)
-            hold_s, legs = distance_m / max(measured_speed_mps, MIN_OWN_SPEED_MPS), []
-        if hold_s > 0.0:
-            legs = [Leg(LegKind.HOVER, start_ned_m, start_ned_m, payload_kg, hold_s), *legs]
+            duration_s, legs = distance_m / max(measured_speed_mps, MIN_OWN_SPEED_MPS), []
+        if duration_s > 0.0:
+            legs = [Leg(LegKind.HOVER, start_ned_m, start_ned_m, payload_kg, duration_s), *legs]
         landing = Leg(LegKind.LAND, above, ground_ned_m, payload_kg)
         routes.append(ReturnRoute(name, (*legs, landing)))
     return context.estimates.assess(RemainingMission(tuple(routes)))
-
-
-def _velocity_ned_mps(context: FlightContext) -> tuple[float, float, float]:
-    position = context.telemetry.position
-    assert position is not None
-    return position.vel_n_mps, position.vel_e_mps, position.vel_d_mps
 
 
 def _reaches_site(context: FlightContext, assessment: Assessment) -> bool:
@@ -204,13 +175,12 @@ def _reaches_site(context: FlightContext, assessment: Assessment) -> bool:
     return assessment.margin_wh + reserve_wh >= 0.0
 
 
-def _is_beyond_reach(assessment: Assessment) -> bool:
+def _is_out_of_reach(assessment: Assessment) -> bool:
     """Return whether the mean need exceeds the energy left, reserve included."""
     return assessment.energy_need_wh > assessment.energy_left_wh
 
 
 def _site_text(here: Ned, site: Site) -> str:
     """Return name, distance and direction of a site, such as `quay, 160 m NW`."""
-    name, ground_ned_m = site
-    point = COMPASS_POINTS[round(math.degrees(course_rad(here, ground_ned_m)) / 45.0) % 8]
-    return f"{name}, {horizontal_distance_m(here, ground_ned_m):.0f} m {point}"
+    point = COMPASS_POINTS[round(math.degrees(course_rad(here, site[1])) / 45.0) % 8]
+    return f"{site[0]}, {horizontal_distance_m(here, site[1]):.0f} m {point}"
