@@ -277,6 +277,24 @@ GUARDS: dict[str, Guard] = {
     "last-resort-refused": Guard(
         "outbound", without("companion.core.pilot.control.last_resort", "LastResort.tick", "None")
     ),
+    "held-until-low": Guard(
+        "outbound",
+        without("companion.core.pilot.control.return_alarm", "ReturnAlarm._evaluate_hold", "None"),
+    ),
+    "failsafe-during-diversion": Guard(
+        "return",
+        without(
+            "companion.core.pilot.home_watch", "HomeMonitor._redirect_home_to_landing_site", "None"
+        ),
+    ),
+    "hopeless-mission": Guard(
+        "outbound",
+        without("companion.core.return_budget.budget", "Gate._low_value_reason", "None"),
+    ),
+    "radio-not-forwarded": Guard(
+        "ready",
+        without(f"{GROUND}.start_checks", "PreflightChecks._no_operator_reason", "''"),
+    ),
     "strangers": Guard("outbound", HEARS_ANY_SYSTEM),
     "replayed-frames": Guard(
         "return",

@@ -131,6 +131,17 @@ class Alert(Enum):
     LANDING_STOP_CHOSEN = (NOTICE, "will land at {site}", "Clear the landing site.")
     LANDING_STOP_WAITS = (WARNING, "not yet diverting to {site}: {reason}", WATCH_FLIGHT)
 
+    RETURN_DUE = (
+        CRITICAL,
+        "P(home) {p_home}, {left_s:.0f} s left: {advice}",
+        "Return or land as stated: hand back with Continue, or command RTL.",
+    )
+    RTL_OUT_OF_REACH = (
+        CRITICAL,
+        "RTL needs {need_wh:.0f} of {left_wh:.0f} Wh: {advice}",
+        "Take over; fly to the stated site or land where it is safe.",
+    )
+
     # Home of the autopilot
     HOME_NOT_TAKEN = (WARNING, "old home kept: RTL goes to the launch pad", "Clear the launch pad.")
     HOME_MOVED = (CRITICAL, "home moved {displacement} by another station", FIND_STATION)

@@ -55,9 +55,6 @@ EXCESS_DESCENT_MPS = 2.0
 DROP_WINDOW_S = 3.0
 """Maximum duration of a fall during a landing, including the delay of its heartbeats at 1 Hz."""
 
-ALARM_INTERVAL_S = 10.0
-"""Interval of the alarm while a foreign mission is flown."""
-
 ARM_CONFIRM_DELAY_S = 0.2
 """Time after an accepted ARM from which on a disarmed heartbeat was sent after it."""
 
@@ -265,7 +262,6 @@ class ControlAuthority:
     """An operator has handed control back, and the flight has not been resumed yet."""
     abortable: bool = False
     """Suspended again because the flight could not be resumed: an abort counts as a hand-back."""
-    alarm_s: float | None = None
     control_since_ms: int | None = None
     """Published start of this process's control, on the autopilot's clock."""
 
@@ -293,11 +289,8 @@ class ControlAuthority:
 
     def tick(self, context: FlightContext) -> None:
         """Repeat the alarm during a foreign mission: only an operator may end that."""
-        if context.phase is not Phase.FOREIGN_MISSION or not context.telemetry.airborne:
-            self.alarm_s = None
-        elif context.seconds_since(self.alarm_s) >= ALARM_INTERVAL_S - 1e-6:
-            self.alarm_s = context.t_s
-            context.report_alert(Alert.MISSION_FOREIGN)
+        if context.phase is Phase.FOREIGN_MISSION and context.telemetry.airborne:
+            context.report_alert(Alert.MISSION_FOREIGN, is_alarm=True)
 
     def record_phase_entry(self, context: FlightContext) -> None:
         """A phase begins. A later hand-back or silence has no effect on the claim of control."""

@@ -52,6 +52,9 @@ MAX_GROUND_SPEED_MPS = 1.0
 """Maximum speed shown on the ground (a GNSS receiver at rest: 0.1 to 0.3 m/s); a fall exceeds it in
 0.1 s."""
 
+ALARM_INTERVAL_S = 10.0
+"""Short enough to be noticed, long enough to read other messages in between."""
+
 ASSESSMENT_MAX_AGE_S = 2.5
 """An older assessment is neither used for decisions nor reported."""
 
@@ -165,6 +168,7 @@ class FlightContext:
         self._observer = observer
         self._outbox: list[Action] = []
         self._reported: set[str] = set()
+        self._reported_s: dict[Alert, float] = {}
 
     # --- outbox ----------------------------------------------------------------------------------
 
@@ -172,8 +176,14 @@ class FlightContext:
         """Queue actions."""
         self._outbox.extend(actions)
 
-    def report_alert(self, alert: Alert, **parameters: AlertParameter) -> None:
-        """Report an alert to the operator and the log."""
+    def report_alert(
+        self, alert: Alert, *, is_alarm: bool = False, **parameters: AlertParameter
+    ) -> None:
+        """Report an alert to the operator and the log; an alarm at most once in its interval."""
+        since_s = self.seconds_since(self._reported_s.get(alert))
+        if is_alarm and 0.0 <= since_s < ALARM_INTERVAL_S - 1e-6:
+            return
+        self._reported_s[alert] = self.t_s
         self.queue_actions(AlertReport.create(alert, **parameters))
 
     def report_alert_once(self, alert: Alert, **parameters: AlertParameter) -> None:

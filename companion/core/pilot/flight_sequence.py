@@ -22,7 +22,7 @@ from companion.core.pilot.neighbours.setpoint_takeover import SetpointController
 from companion.core.pilot.parcel_release import ParcelReleaseController
 from companion.core.pilot.return_course import PositionLossMonitor, ReturnCourseMonitor
 from companion.core.pilot.return_decision import BudgetMonitor, ReturnDecision
-from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
+from companion.core.pilot.transitions import FLIGHT_PHASES, RESUMABLE_PHASES, Phase, Trigger
 from companion.core.return_budget.remaining_from_plan import remaining_outbound
 
 ASSESS_INTERVAL_S = 1.0
@@ -78,10 +78,9 @@ class FlightSequence:
 
     def tick(self, context: FlightContext) -> None:
         """Execute the current flight phase; in other phases only monitor."""
-        if self._state.in_flight and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
+        if self._state.in_flight and context.phase in (*FLIGHT_PHASES, *RESUMABLE_PHASES):
             self._position.tick(context)
-        if context.phase is Phase.SUSPENDED and self._state.in_flight:
-            self._budget.assess_remaining_if_older(context, ASSESS_INTERVAL_S)
+        if context.phase in RESUMABLE_PHASES and self._state.in_flight:
             self._landing.tick(context)
             return
         if context.phase not in FLIGHT_PHASES:

@@ -6,8 +6,10 @@ later item by the new home: 20 m lower it leads into the ground at the customer.
 home closes the gate, and is restored once. Until telemetry confirms it, no leg is cleared and no
 jump sent. After a second move the vehicle returns by means that are safe without its home.
 
-If the promised landing site is not the launch pad, an RTL of the companion is directed to it: the
-site becomes the autopilot's home, at the height of the old one, just before RTL is ordered.
+If the landing site is not the launch pad, an RTL of the companion or of the autopilot's failsafe is
+directed to it: the declared site becomes the autopilot's home, at the height of the old one, as
+soon as the current item leads there and an RTL may end there, and the home is read back. Rally
+points of the autopilot would not do: RTL goes to the nearest, not to the one that is chosen.
 
 The companion's own heights do not depend on any of this (telemetry_state.py).
 """
@@ -39,6 +41,7 @@ from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.transitions import (
     FLIGHT_PHASES,
     GROUND_PHASES,
+    RESUMABLE_PHASES,
     Phase,
     Trigger,
 )
@@ -52,6 +55,9 @@ CONFIRM_S = 1.0
 
 REDIRECT_TIMEOUT_S = 3.0
 """Timeout of an RTL for its redirected home: three tries of the order."""
+
+REDIRECT_PHASES = (Phase.OUTBOUND, Phase.DELIVER, Phase.RETURN, Phase.DIVERT)
+"""Away from the launch pad, on an item of the verified mission."""
 
 HOME_REPORT_WINDOW_S = 3.0
 """HOME_POSITION comes every 2 s: within this time the home set at arming has been reported."""
@@ -80,6 +86,9 @@ class HomeState:
     restore_abandoned: bool = False
     redirected_home: GeoPosition | None = None
     """Substitute destination of an RTL, and then the required position of the home."""
+    home_before_redirect: GeoPosition | None = None
+    redirect_refused: bool = False
+    """The autopilot kept its old home: no further redirect."""
     redirect_ordered_s: float | None = None
     """Time of that order, until the autopilot shows its home there; meanwhile both are valid."""
     is_rtl_pending: bool = False
@@ -104,6 +113,12 @@ class HomeMonitor:
         return self._state.displaced_since_s is not None and not self._state.restore_abandoned
 
     @property
+    def autopilot_home(self) -> GeoPosition | None:
+        """Position of the autopilot's home as last reported, else as required."""
+        state = self._state
+        return state.reported_home or state.redirected_home or state.takeoff_home
+
+    @property
     def is_rtl_pending(self) -> bool:
         """Whether RTL waits until its destination is the autopilot's home."""
         return self._state.is_rtl_pending
@@ -115,18 +130,23 @@ class HomeMonitor:
         site as its home, because RTL plans its path at its start.
         """
         destination_text, position = self._rtl_destination(context)
-        if position is None:
+        if position is not None:
+            self._redirect_home(context, position)
+        self._state.is_rtl_pending = self._state.redirect_ordered_s is not None
+        if self._state.is_rtl_pending:
+            self._modes.record_ordered_mode(Mode.RTL, context.telemetry.state)
+        else:
             self._modes.order_mode(context, Mode.RTL)
-            return destination_text
+        return destination_text
+
+    def _redirect_home(self, context: FlightContext, position: GeoPosition) -> None:
         state = self._state
-        self._modes.record_ordered_mode(Mode.RTL, context.telemetry.state)
+        state.home_before_redirect = state.redirected_home
         state.redirected_home = position
         state.redirect_ordered_s = context.t_s
         state.reported_home = None
-        state.is_rtl_pending = True
         context.queue_actions(SetHome(*position))
         context.request_checkpoint()
-        return destination_text
 
     def to_dict(self) -> dict[str, Any]:
         """Return the checkpoint keys of this part."""
@@ -136,6 +156,7 @@ class HomeMonitor:
         """Restore from a checkpoint."""
         self._state.takeoff_home = checkpoint.took_off_from
         self._state.redirected_home = checkpoint.led_to
+        self._state.redirect_ordered_s = None if checkpoint.led_to is None else checkpoint.t_s
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Process a reported home, or the response to a change of it."""
@@ -155,9 +176,10 @@ class HomeMonitor:
         """On the ground store the vehicle's position; in flight monitor its home."""
         if context.phase in GROUND_PHASES:
             self._record_start_position(context)
-        elif self._flight.in_flight and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
+        elif self._flight.in_flight and context.phase in (*FLIGHT_PHASES, *RESUMABLE_PHASES):
             self._fix_takeoff_home(context)
             self._complete_or_abandon_redirect(context)
+            self._redirect_home_to_landing_site(context)
             self._report_and_restore_displaced_home(context)
 
     # --- the ground that it takes off from -------------------------------------------------------
@@ -200,13 +222,25 @@ class HomeMonitor:
         if spot is None:
             return "", None
         position = (spot.lat_deg, spot.lon_deg, state.takeoff_home[2])
-        if _horizontal_distance_m(position, state.takeoff_home) <= DEPOT_RADIUS_M:
-            return "", None
+        if is_pad := _horizontal_distance_m(position, state.takeoff_home) <= DEPOT_RADIUS_M:
+            position = state.takeoff_home
+        present = state.redirected_home or state.takeoff_home
+        if _horizontal_distance_m(position, present) <= HOME_TOLERANCE_M:
+            return "" if is_pad else f": to {name}, the autopilot's home", None
         ground = flown.mission_position_to_ned_m(spot)
-        is_allowed = here is not None and flown.is_rtl_to_site_allowed(here, ground)
-        if state.displacement_text or not is_allowed:
+        is_allowed = is_pad or (here is not None and flown.is_rtl_to_site_allowed(here, ground))
+        if state.displacement_text or state.redirect_refused or not is_allowed:
             return f": to the launch pad instead of {name}", None
         return f": to {name} as the autopilot's home", position
+
+    def _redirect_home_to_landing_site(self, context: FlightContext) -> None:
+        """Redirect the home to the site where the current item leads."""
+        if context.phase not in REDIRECT_PHASES or self._state.redirect_ordered_s is not None:
+            return
+        text, position = self._rtl_destination(context)
+        if position is not None:
+            self._redirect_home(context, position)
+            context.record_decision("home_redirected", f"a failsafe's RTL goes{text[1:]}")
 
     def _order_pending_rtl(self, context: FlightContext) -> None:
         """Order RTL if it is pending, unless the companion has lost control."""
@@ -232,7 +266,8 @@ class HomeMonitor:
         if is_confirmed:
             state.redirect_ordered_s = None
         elif reported_home is not None and waited_s > RESTORE_TIMEOUT_S:
-            state.redirect_ordered_s = state.redirected_home = None
+            state.redirect_ordered_s, state.redirect_refused = None, True
+            state.redirected_home = state.home_before_redirect
             context.report_alert(Alert.HOME_NOT_TAKEN)
             reason = "the autopilot shows its old home: RTL to the launch pad"
             context.record_decision("home_not_led", reason)
@@ -263,7 +298,7 @@ class HomeMonitor:
             return 0.0
         required_homes = [state.redirected_home or state.takeoff_home]
         if state.redirect_ordered_s is not None:
-            required_homes.append(state.takeoff_home)
+            required_homes.append(state.home_before_redirect or state.takeoff_home)
         return min(_horizontal_distance_m(state.reported_home, home) for home in required_homes)
 
     def _displacement_text(self, context: FlightContext) -> str:

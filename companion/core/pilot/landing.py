@@ -22,7 +22,7 @@ from companion.core.pilot.flight_state import FlightState, ParcelState, Promised
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
 from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
-from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
+from companion.core.pilot.transitions import FLIGHT_PHASES, RESUMABLE_PHASES, Phase, Trigger
 from companion.core.return_budget.budget import reserve_margin_text
 from companion.core.routing.route_planner import Plan
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -98,7 +98,7 @@ class LandingController:
             self._end_flight_if_disarmed_on_ground(context)
             return
         is_companion_phase = context.phase in (Phase.LAND, Phase.LAST_RESORT)
-        is_overridden = context.phase is Phase.SUSPENDED and self._flight.in_flight
+        is_overridden = context.phase in RESUMABLE_PHASES and self._flight.in_flight
         if not (is_companion_phase or is_overridden):
             return
         detected_on_ground = (

@@ -37,16 +37,16 @@ LANDING_ITEM_NOTE, HOLD_NOTE, OWN_MISSION_NOTE = (
 )
 
 
-def _connect_operator_station(stage: FaultContext) -> Station:
+def connect_operator_station(stage: FaultContext) -> Station:
     """Return the operator's station, whose commands the companion accepts."""
     return Station(stage.craft.link, (GROUND_SYSTEM, GROUND_COMPONENT))
 
 
-def _send_hold_mode_command(stage: FaultContext, station: Station) -> None:
-    stage.expect_change("HOLD is accepted", lambda: station.reply_counts[1, Cmd.DO_SET_MODE, 0])
-    station.send_autopilot_command(
-        Cmd.DO_SET_MODE, *MODE_PARAMS[stage.craft.autopilot_kind]["hold"]
-    )
+def send_mode_command(stage: FaultContext, station: Station, mode: str) -> None:
+    """Select a flight mode at the autopilot, which has to accept it."""
+    replies = station.reply_counts
+    stage.expect_change(f"{mode} is accepted", lambda: replies[1, Cmd.DO_SET_MODE, 0])
+    station.send_autopilot_command(Cmd.DO_SET_MODE, *MODE_PARAMS[stage.craft.autopilot_kind][mode])
 
 
 def _wait_for_command_then_drop_messages(
@@ -79,9 +79,9 @@ def _wait_for_command_then_drop_messages(
 )
 def select_hold_again_after_hand_back(stage: FaultContext) -> Iterator[None]:
     """A person selects HOLD again 0.3 s after the hand-back; acks and modes are lost (A1)."""
-    station = _connect_operator_station(stage)
+    station = connect_operator_station(stage)
     yield from stage.wait_for_phase_and_record_fault_start()
-    _send_hold_mode_command(stage, station)
+    send_mode_command(stage, station, "hold")
     yield from stage.wait(3.0)
     station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
     yield from _wait_for_command_then_drop_messages(
@@ -89,7 +89,7 @@ def select_hold_again_after_hand_back(stage: FaultContext) -> Iterator[None]:
     )
     yield from stage.wait_until(lambda: stage.craft.autopilot.mode is Mode.AUTO)
     yield from stage.wait(0.3)
-    _send_hold_mode_command(stage, station)
+    send_mode_command(stage, station, "hold")
     stage.record_take_over(0.0)
     yield from stage.wait(0.4)
     stage.tap.to_companion = pass_unchanged
@@ -111,7 +111,7 @@ def select_hold_again_after_hand_back(stage: FaultContext) -> Iterator[None]:
 )
 def select_landing_item_during_jump(stage: FaultContext) -> Iterator[None]:
     """A person selects the landing while a jump is unconfirmed for 1.3 s (A2)."""
-    station, craft = _connect_operator_station(stage), stage.craft
+    station, craft = connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     by_command = craft.autopilot_kind == "ardupilot"
     name = "COMMAND_LONG" if by_command else "MISSION_SET_CURRENT"
@@ -173,10 +173,10 @@ def _wait_for_auto_and_note_own_mission(
 )
 def replace_mission_during_hold(stage: FaultContext) -> Iterator[None]:
     """A person selects HOLD, the mission is replaced, the operator hands back control (A3)."""
-    station = _connect_operator_station(stage)
+    station = connect_operator_station(stage)
     yield from stage.wait_for_phase_and_record_fault_start()
     own_items = _onboard_mission_items_without_home(stage)
-    _send_hold_mode_command(stage, station)
+    send_mode_command(stage, station, "hold")
     yield from stage.wait(2.0)
     yield from _upload_shifted_mission(stage, station)
     station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
@@ -192,7 +192,7 @@ def replace_mission_during_hold(stage: FaultContext) -> Iterator[None]:
 )
 def replace_mission_during_companion_outage(stage: FaultContext) -> Iterator[None]:
     """The mission is replaced during a companion outage; then return or resume is ordered (A4)."""
-    station = _connect_operator_station(stage)
+    station = connect_operator_station(stage)
     yield from stage.wait_for_phase_and_record_fault_start()
     stage.kill_companion()
     yield from _upload_shifted_mission(stage, station)
@@ -214,7 +214,7 @@ def replace_mission_during_companion_outage(stage: FaultContext) -> Iterator[Non
 )
 def replace_mission_before_launch(stage: FaultContext) -> Iterator[None]:
     """The mission is replaced in phase ready, 3 s before the launch is authorised (A5)."""
-    station, operator = _connect_operator_station(stage), stage.craft.operator
+    station, operator = connect_operator_station(stage), stage.craft.operator
     operator.authorises = False
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.READY))
     stage.record_fault_start()
@@ -234,7 +234,7 @@ def replace_mission_before_launch(stage: FaultContext) -> Iterator[None]:
 )
 def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
     """The mission is replaced twice, and RTL is refused for 12 s (A6)."""
-    station, craft = _connect_operator_station(stage), stage.craft
+    station, craft = connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     yield from _upload_shifted_mission(stage, station)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))

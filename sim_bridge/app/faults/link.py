@@ -10,7 +10,7 @@ from sim_bridge.app.faults.fault import (
     SAFETY_RULES,
     FaultGroup,
 )
-from sim_bridge.app.faults.verdict import check_delivered
+from sim_bridge.app.faults.verdict import check_delivered, check_procedure_made_note
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.link.bad_link import FaultyLink
 from sim_bridge.app.link.client_messages import autopilot_heartbeat
@@ -25,6 +25,8 @@ LOSS_FRAC = 0.3
 RADIO_BYTES_PER_S = 5760.0  # 57,600 baud, ten bits a byte
 RADIO_BUFFER_BYTES = 2048  # as of the 3DR/SiK radios' firmware
 INDEFINITE_S = 1e9
+UNREACHABLE_TEXT = "no ground station or desk reaches this companion"
+REFUSED_NOTE = "take-off refused with the reason"
 TIME_MESSAGE = "TIMESYNC"  # simulated time waits for it: it is not part of the faulty link
 
 
@@ -59,6 +61,26 @@ def silence_link(duration_s: float) -> FaultProcedure:
         link.silent_until_s = stage.craft.t_s + duration_s
 
     return procedure
+
+
+@FAULTS.register_procedure(
+    94,
+    "radio-not-forwarded",
+    ("ready",),
+    (*SAFETY_RULES, check_delivered, check_procedure_made_note(REFUSED_NOTE)),
+    autopilots=("px4",),
+    arguments=("--authorise",),
+)
+def stop_forwarding_of_station_link(stage: FaultContext) -> Iterator[None]:
+    """PX4 does not forward the station's link for a minute: no take-off, with the reason (S9)."""
+    craft, params = stage.craft, stage.craft.autopilot.state.params
+    stage.record_fault_start()
+    params.set("MAV_0_FORWARD", 0.0)
+    yield from stage.wait(stage.rng.uniform(50.0, 80.0))
+    log = (craft.run_dir / "companion.log").read_text()
+    if craft.record.takeoff_s is None and not craft.operator.accepted and UNREACHABLE_TEXT in log:
+        stage.notes.append(REFUSED_NOTE)
+    params.set("MAV_0_FORWARD", 1.0)
 
 
 @FAULTS.register_procedure(55, "slow-radio", ("ready", *AIRBORNE_PHASES_BEFORE_LANDING))

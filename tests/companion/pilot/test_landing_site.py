@@ -25,6 +25,7 @@ from companion.core.mission.events import Mode
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, build_site_map, depot_frame, make_plan
 from companion.core.mission.mission_items import ItemKind, Part, ReturnByDefaultMission
+from companion.core.pilot import home_watch
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.flight_state import PromisedStop
@@ -354,8 +355,9 @@ def refuses_every_jump(w: World) -> None:
 
 def by_rtl(*, takes_home: bool = True, ordered: bool = True) -> World:
     """No jump home is obeyed: RTL is ordered, or before that its home position."""
-    w = reach(Phase.OUTBOUND)
+    w = reach(Phase.MEASURE)
     w.takes_home = takes_home
+    w.until(Phase.OUTBOUND)
     refuses_every_jump(w)
     return w.run(lambda w: w.mode is Mode.RTL if ordered else bool(home_and_rtl(w)), 60.0)
 
@@ -393,7 +395,8 @@ def test_safety_rule_3_an_rtl_leads_to_the_promised_stop_by_the_autopilots_own_h
 
 
 @pytest.mark.parametrize("takes", [True, False])
-def test_an_rtl_waits_for_its_place_to_be_taken_and_not_for_long(takes):
+def test_an_rtl_waits_for_its_place_to_be_taken_and_not_for_long(takes, monkeypatch):
+    monkeypatch.setattr(home_watch, "REDIRECT_PHASES", ())  # the line was not clear before
     w = by_rtl(takes_home=takes, ordered=False)
     assert w.mode is Mode.MISSION, "the place first"
     led_s = w.t_s
@@ -403,7 +406,8 @@ def test_an_rtl_waits_for_its_place_to_be_taken_and_not_for_long(takes):
     assert w.pilot.phase is Phase.LAST_RESORT
 
 
-def test_who_takes_over_while_an_rtl_waits_gets_none():
+def test_who_takes_over_while_an_rtl_waits_gets_none(monkeypatch):
+    monkeypatch.setattr(home_watch, "REDIRECT_PHASES", ())
     w = by_rtl(takes_home=False, ordered=False)
     w.mode = Mode.HOLD
     taken_s = w.t_s
@@ -653,3 +657,34 @@ def test_a_stop_that_no_longer_keeps_the_promise_is_left_for_a_rally_point_that_
     w.run(lambda w: w.pilot.current_home_stop_name == "quay", 5.0)
     assert "stop-3: P(home) 0.900 below 0.990; quay 0.999" in w.said
     assert w.sent(JumpTo)[-1].index == flown_of(w).overhead_and_ground_items_of_site("quay")[0]
+
+
+def home_of(w: World) -> tuple[float, float]:
+    return w.home_north, w.home_east
+
+
+def test_safety_rule_3_a_failsafes_rtl_ends_where_the_flight_ends_at_every_moment():
+    w = reach(Phase.OUTBOUND)
+    w.steps(40)
+    assert home_of(w) == pytest.approx(PADS["stop-2"], abs=0.5)
+    w.until(Phase.RETURN).run(lambda w: w.height > 41.0)
+    wish(w, "stop-3")
+    w.run(lambda w: w.pilot.current_home_stop_name == "stop-3")
+    w.steps(40)
+    assert home_of(w) == pytest.approx(PADS["stop-3"], abs=0.5)
+    w.judge.p_home_by["stop-3"] = 0.9  # type: ignore[attr-defined]
+    w.run(lambda w: w.pilot.current_home_stop_name == "quay", 5.0)
+    w.steps(40)
+    quay = next(r for r in flown_of(w).plan.rally if r.name == "quay").ground_ned_m
+    assert home_of(w) == pytest.approx(quay[:2], abs=0.5)
+    assert SetMode(Mode.RTL) not in w.sent(SetMode), "no last resort"
+    assert "by another station" not in w.said
+    assert w.to_the_end().home
+
+
+def test_a_home_that_the_autopilot_does_not_take_is_tried_once_and_the_flight_goes_on():
+    w = reach(Phase.MEASURE)
+    w.takes_home = False
+    assert w.to_the_end().outcome == "SUC"
+    assert len(w.sent(SetHome)) == 1
+    assert w.said.count("old home kept: RTL goes to the launch pad") == 1

@@ -208,6 +208,30 @@ def test_safety_rule_2_after_a_restart_a_foreign_mission_is_replaced_on_an_opera
     assert done.home
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+@pytest.mark.parametrize("mission_id", [7, None])
+@pytest.mark.parametrize("gap", [ev.LinkRecovered, ev.ClockJumpedForward])
+def test_safety_rule_2_after_a_gap_no_jump_before_the_mission_is_verified(
+    gap, mission_id, replaced
+):
+    w = let(reach(Phase.OUTBOUND, mission_id=mission_id), 1.0)
+    w.tell(ev.LinkSilent(w.t_s))
+    if replaced:
+        replace_mission(w)
+        w.mission_id = mission_id and w.mission_id
+    reads = w.reads
+    w.t_s, back_s = round(w.t_s + 10.0, 3), w.t_s
+    if gap is ev.ClockJumpedForward:
+        w.tell(ev.LinkRecovered(w.t_s, 0.0))
+    w.tell(gap(w.t_s, 10.0))
+    w.judge.turn_back = lambda judge: True
+    let(w, 8.0)
+    moved = [a for a in w.orders_after(back_s) if isinstance(a, JumpTo | SetMode)]
+    assert w.reads > reads
+    assert bool(moved) is not replaced
+    assert (w.pilot.phase is Phase.FOREIGN_MISSION) is replaced
+
+
 def test_safety_rule_1_a_flight_that_another_computer_has_is_not_taken_back():
     w = reach(Phase.OUTBOUND)
     later = w.t_s + 1.0

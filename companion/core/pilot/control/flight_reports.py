@@ -10,7 +10,11 @@ from companion.core.mission.actions import (
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import CONTROL_CLAIM
 from companion.core.pilot.authority import ControlAuthority
-from companion.core.pilot.context import FlightContext
+from companion.core.pilot.context import FlightContext, LatestAssessment
+from companion.core.pilot.control.return_alarm import ReturnAlarm
+from companion.core.pilot.flight_state import PromisedStop
+from companion.core.pilot.home_watch import HomeMonitor
+from companion.core.pilot.return_decision import BudgetMonitor
 from companion.core.pilot.transitions import FLIGHT_PHASES
 from companion.core.return_budget.budget import Assessment
 
@@ -21,8 +25,16 @@ WIND_REPORT_INTERVAL_S = 0.5
 class FlightReports:
     """Queues each periodic report when it is due; all are due at the first tick of this process."""
 
-    def __init__(self, authority: ControlAuthority) -> None:
+    def __init__(
+        self,
+        authority: ControlAuthority,
+        budget: BudgetMonitor,
+        latest: LatestAssessment,
+        home: HomeMonitor,
+        promise: PromisedStop,
+    ) -> None:
         self._authority = authority
+        self.return_alarm = ReturnAlarm(budget, latest, home, promise)
         self._values_s: float | None = None
         self._wind_s: float | None = None
         self._fleet_wind_s: float | None = None
@@ -41,7 +53,8 @@ class FlightReports:
             context.queue_actions(report)
 
     def queue_due_reports(self, context: FlightContext) -> None:
-        """Report wind, energy and assessment at their intervals."""
+        """Report wind, energy, assessment and alarms of the return at their intervals."""
+        self.return_alarm.tick(context)
         wind, t_s = context.estimates.wind, context.t_s
         wind_due = context.seconds_since(self._wind_s) >= WIND_REPORT_INTERVAL_S - 1e-6
         if wind is not None and wind.valid and wind_due:
@@ -74,6 +87,8 @@ class FlightReports:
                 "LW_PSUCC": seen.p_success,
             }
             context.queue_actions(_assessment_report(seen))
+        if self.return_alarm.last_moment_in_s is not None:
+            values["LW_TLEFT"] = self.return_alarm.last_moment_in_s
         context.queue_actions(PublishValues(values))
 
 

@@ -11,9 +11,6 @@ from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
 from companion.core.pilot.home_watch import HomeMonitor
 from companion.core.pilot.transitions import Phase, Trigger
 
-ALARM_INTERVAL_S = 10.0
-"""Interval of the alarm."""
-
 ORDER_INTERVAL_S = 2.0
 """Interval of the orders: a mode shows within 1 s (HEARTBEAT), and twice that on a slow link."""
 
@@ -32,7 +29,6 @@ class ResortState:
     ordered_s: float = 0.0
     orders: int = 1
     refusal: str = ""
-    alarm_s: float | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -100,12 +96,9 @@ class LastResort:
     def _report_mode_not_in_effect(self, context: FlightContext, ordered_mode: Mode) -> None:
         state = self._state
         overdue = state.refusal or context.seconds_since(state.ordered_s) >= ORDER_INTERVAL_S - 1e-6
-        if overdue and context.seconds_since(state.alarm_s) >= ALARM_INTERVAL_S - 1e-6:
-            state.alarm_s = context.t_s
-            reason = state.refusal or "unconfirmed"
-            context.report_alert(
-                Alert.MODE_NOT_IN_EFFECT, mode=MODE_NAMES[ordered_mode], reason=reason
-            )
+        if overdue:
+            mode, reason = MODE_NAMES[ordered_mode], state.refusal or "unconfirmed"
+            context.report_alert(Alert.MODE_NOT_IN_EFFECT, is_alarm=True, mode=mode, reason=reason)
 
     def _repeat_mode_order(self, context: FlightContext, first_mode: Mode) -> None:
         state = self._state

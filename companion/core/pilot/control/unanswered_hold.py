@@ -35,9 +35,6 @@ MAX_CAUSE_DELAY_S = 2.0
 LIST_CHANGED = "mission changed"
 FAILSAFE = "failsafe"
 
-ALARM_INTERVAL_S = 10.0
-"""Short enough to be noticed, long enough to read other messages in between."""
-
 FINAL_MARGIN_S = 0.5
 """The last half second counts as over, because an alarm of "in 0 s" is of no use."""
 
@@ -57,7 +54,6 @@ class HoldState:
     last_normal_s: float | None = None
     """Time of the last heartbeat without a failsafe."""
     since_s: float | None = None
-    alarm_s: float | None = None
     list_length_and_id: tuple[int | None, int | None] | None = None
     """Length and id of the onboard list."""
     responded: bool = False
@@ -99,7 +95,7 @@ class UnansweredHold:
         state = self._state
         self._record_list_change_cause(context)
         if not self._is_unanswered(context):
-            state.since_s = state.alarm_s = None
+            state.since_s = None
             return
         if state.since_s is None:
             state.since_s = context.t_s
@@ -107,11 +103,11 @@ class UnansweredHold:
         mode, left_s = self._configured_safe_mode(context), self._time_until_action_s(context)
         if mode is not None and left_s < FINAL_MARGIN_S:
             self._order_configured_mode(context, mode)
-        elif context.seconds_since(state.alarm_s) >= ALARM_INTERVAL_S - 1e-6:
-            state.alarm_s = context.t_s
+        else:
             next_step = "no pilot" if mode is None else f"{MODE_TEXTS[mode]} in {left_s:.0f} s"
+            cause = state.cause or ""
             context.report_alert(
-                Alert.HOLD_UNANSWERED, cause=state.cause or "", next_step=next_step
+                Alert.HOLD_UNANSWERED, is_alarm=True, cause=cause, next_step=next_step
             )
 
     def _record_mode(self, context: FlightContext, mode: Mode) -> None:
