@@ -15,11 +15,17 @@ from companion.adapters.autopilots.mission_wire import (
 )
 from companion.adapters.autopilots.telemetry import AutopilotProfile
 from companion.core.mission.actions import ClearMission, UploadMission, VerifyMission
-from companion.core.mission.events import Event, MissionUploaded, MissionVerified, Position
+from companion.core.mission.command_life_cycle import CommandKind
+from companion.core.mission.events import (
+    Event,
+    MissionProgress,
+    MissionUploaded,
+    MissionVerified,
+    Position,
+)
 from companion.core.mission.mission_items import MissionItem, MissionPosition, mission_differences
 
-RETRY_S = 1.5
-MAX_TRIES = 6
+RETRY_S, MAX_TRIES = CommandKind.UPLOAD.value.interval_s, CommandKind.UPLOAD.value.max_tries
 MAX_MISSION_ITEMS = 700
 MISSION_MESSAGES = (
     *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_COUNT", "MISSION_ITEM_INT"),
@@ -46,6 +52,7 @@ PAUSE_S = 2.0
 """Minimum pause after an error, in which requests and results of the old transfer arrive."""
 
 RESTARTS = 3
+WRITTEN_BY_OTHER = "written by another station"
 
 
 class ResponseTime:
@@ -96,6 +103,11 @@ class MissionUpload:
         self._next_try_s = max(earliest_start_s, t_s)
         self.result_text: str | None = None
         self.tick(t_s)
+
+    @property
+    def are_all_items_sent(self) -> bool:
+        """Whether the mission onboard may already be this one."""
+        return self._highest_requested_seq == len(self._items) - 1 and bool(self._items)
 
     def _send_count_or_clear_all(self, t_s: float) -> None:
         self._tries += 1
@@ -305,6 +317,7 @@ class MissionClient:
         self._upload_not_before_s = 0.0
         self._verified = VerifyMission(())
         self._home: MissionPosition | None = None
+        self._mission_id: int | None = None
 
     def record_first_position(self, position: Position) -> None:
         """Record the vehicle's first position."""
@@ -339,6 +352,24 @@ class MissionClient:
     def cancel(self) -> None:
         """Stop the transfer without a report."""
         self._transfer = None
+
+    def end_upload_if_id_changed(self, progress: MissionProgress) -> list[Event]:
+        """End an upload if the mission's ID (PX4) changes before the autopilot has all its items:
+        another station has written the mission.
+        """
+        before, self._mission_id = self._mission_id, progress.mission_id
+        upload = self._transfer
+        is_foreign = None not in (before, self._mission_id) and before != self._mission_id
+        if is_foreign and isinstance(upload, MissionUpload) and not upload.are_all_items_sent:
+            return self.end_upload_written_by_other(progress.t_s)
+        return []
+
+    def end_upload_written_by_other(self, t_s: float) -> list[Event]:
+        """End an upload or clearing: another station has written the mission since its start."""
+        if not isinstance(self._transfer, MissionUpload):
+            return []
+        self._transfer = None
+        return [MissionUploaded(t_s, WRITTEN_BY_OTHER, superseded=True)]
 
     def on_message(self, message: Any, t_s: float) -> list[Event]:
         """Process one of `MISSION_MESSAGES`; return the event of a transfer that it ends."""

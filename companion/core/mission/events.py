@@ -268,9 +268,11 @@ class StreamsConfigured(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionUploaded(Event):
-    """An upload ended; `reason` is `None` when the autopilot accepted it."""
+    """An upload ended; `reason` is `None` when the autopilot accepted it. `superseded`: another
+    station wrote the mission meanwhile."""
 
     reason: str | None = None
+    superseded: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,14 @@ replacement: the one that took control last, because the state of the other is o
 compare the claims that both publish, so both reach the same decision independently.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Any
 
+from companion.core.base.geo import EARTH_RADIUS_M
 from companion.core.mission.actions import OperatorResponse, ResponseStatus, SetMode
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     CONTROL_CLAIM_STEP_S,
     AbortOrdered,
@@ -32,7 +35,11 @@ from companion.core.pilot.context import (
     FlightContext,
     height_above_nearest_site_m,
 )
-from companion.core.pilot.telemetry_state import GROUND_MAX_AGE_S, MIN_DISARMED_REPORTS
+from companion.core.pilot.telemetry_state import (
+    GROUND_MAX_AGE_S,
+    MIN_DISARMED_REPORTS,
+    POSITION_MAX_AGE_S,
+)
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,
@@ -51,6 +58,10 @@ FREE_DESCENT_MPS = 2.0
 EXCESS_DESCENT_MPS = 2.0
 """Descent speed above the airframe's own, at any height, that excludes a landing."""
 
+RTL_END_RADIUS_M = 20.0
+"""Horizontal distance from its home at which RTL may change to LAND: acceptance radius (10 m), and
+the accuracy of both positions."""
+
 DROP_WINDOW_S = 3.0
 """Maximum duration of a fall during a landing, including the delay of its heartbeats at 1 Hz."""
 
@@ -65,15 +76,19 @@ ARM_CONFIRM_DELAY_S = 0.2
 class OrderedMode:
     """The flight mode that the companion ordered; other modes, except the mission's, are takeovers.
 
-    An order lasts until the next one, until control is released, or until a resumed flight is
-    back in its mission. Until the ordered mode shows, the mode before it is no takeover either.
-    On the ground the first mode reported is the one that has to stay.
+    A mode is the companion's if it begins within the limit of an order of it, and until it ends.
+    Later the same mode is a person's. Until an ordered mode shows, the mode before it is no
+    takeover either. On the ground the first mode reported is the one that has to stay.
     """
 
     ordered: Mode | None = None
+    """The latest order, until control is released or a resumed flight is back in its mission."""
     ordered_from: str | None = None
     """Mode before the ordered one, until that shows."""
+    effective: Mode | None = None
+    """The ordered mode that the vehicle is in."""
     ground_mode: str | None = None
+    _order_times_s: dict[Mode, float] = field(default_factory=dict)
 
     def clear_ground_mode(self) -> None:
         """Accept the next mode on the ground: a reboot or a hand-back changes it."""
@@ -86,21 +101,23 @@ class OrderedMode:
 
     def order_mode(self, context: FlightContext, mode: Mode) -> None:
         """Order a mode change."""
-        self.record_ordered_mode(mode, context.telemetry.state)
+        self.record_ordered_mode(context, mode)
         context.queue_actions(SetMode(mode))
 
-    def record_ordered_mode(self, mode: Mode, state: VehicleState | None) -> None:
+    def record_ordered_mode(self, context: FlightContext, mode: Mode) -> None:
         """A mode change is ordered: until it takes effect, the old mode is not an intrusion."""
-        self.ordered = mode
+        state = context.telemetry.state
+        self.ordered, self.effective = mode, None
         self.ordered_from = state.mode_name if state is not None else None
+        self._order_times_s[mode] = context.t_s
 
     def clear_ordered_mode(self) -> None:
         """Clear the ordered mode."""
-        self.ordered = None
-        self.ordered_from = None
+        self.ordered = self.ordered_from = self.effective = None
+        self._order_times_s.clear()
 
     def update_and_get_takeover_reason(
-        self, phase: Phase, state: VehicleState, *, on_ground: bool
+        self, phase: Phase, state: VehicleState, *, on_ground: bool, is_at_home: bool
     ) -> str | None:
         """Return why this heartbeat shows a takeover, or `None`."""
         if phase in GROUND_PHASES:
@@ -110,7 +127,9 @@ class OrderedMode:
             return None
         if phase is Phase.LAST_RESORT and on_ground and state.mode is Mode.MISSION:
             return None  # PX4 leaves RTL and LAND as it disarms, for the mode before
-        return self.unexpected_mode_reason(state, is_in_mission=phase is not Phase.LAST_RESORT)
+        return self.unexpected_mode_reason(
+            state, is_in_mission=phase is not Phase.LAST_RESORT, is_at_home=is_at_home
+        )
 
     def _update_and_get_ground_takeover_reason(
         self, phase: Phase, state: VehicleState
@@ -128,16 +147,17 @@ class OrderedMode:
         return None
 
     def unexpected_mode_reason(
-        self, state: VehicleState, *, is_in_mission: bool = True
+        self, state: VehicleState, *, is_in_mission: bool = True, is_at_home: bool = False
     ) -> str | None:
         """Return why the mode in this heartbeat is a takeover of a vehicle in its mission, or
-        without one, or `None`.
+        without one, or `None`. `is_at_home`: above the autopilot's home, where RTL may end in LAND.
         """
-        if self.ordered is not None and state.mode is self.ordered:
-            self.ordered_from = None
+        ordered_s = self._order_times_s.get(state.mode, -math.inf)
+        is_effect = state.t_s - ordered_s <= CommandKind.RESUME_MODE.value.limit_s
+        is_end_of_rtl = self.effective is Mode.RTL and state.mode is Mode.LAND and is_at_home
+        if state.mode is self.effective or is_effect or is_end_of_rtl:
+            self.effective, self.ordered_from = state.mode, None
             return None
-        if self.ordered is Mode.RTL and self.ordered_from is None and state.mode is Mode.LAND:
-            return None  # RTL ends in a landing
         if is_in_mission and state.mode is Mode.MISSION and self.ordered is None:
             return None
         if state.mode_name == self.ordered_from:
@@ -358,7 +378,7 @@ class ControlAuthority:
         if context.phase is Phase.LAST_RESORT:
             on_ground = on_ground and telemetry.is_recent(telemetry.ground, GROUND_MAX_AGE_S)
         reason = self._modes.update_and_get_takeover_reason(
-            context.phase, state, on_ground=on_ground
+            context.phase, state, on_ground=on_ground, is_at_home=_is_above_autopilot_home(context)
         )
         if reason is not None:
             context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
@@ -386,6 +406,17 @@ class ControlAuthority:
         self.handed_back = True
         self._modes.clear_ground_mode()
         context.apply_phase_trigger(Trigger.HANDED_BACK, f"handed back by {operator_name}")
+
+
+def _is_above_autopilot_home(context: FlightContext) -> bool:
+    """Return whether it is above the home that the autopilot reports, the end of its RTL."""
+    home, telemetry = context.telemetry.home, context.telemetry
+    position = telemetry.recent_or_none(telemetry.position, POSITION_MAX_AGE_S)
+    if home is None or position is None:
+        return False
+    east_scale = math.cos(math.radians(home.lat_deg))
+    offset_deg = position.lat_deg - home.lat_deg, east_scale * (position.lon_deg - home.lon_deg)
+    return math.radians(math.hypot(*offset_deg)) * EARTH_RADIUS_M <= RTL_END_RADIUS_M
 
 
 def _is_falling_without_motors(context: FlightContext) -> bool:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.core.base.geo import LocalFrame, horizontal_distance_m
-from companion.core.mission.actions import SetHome, SetMode
+from companion.core.mission.actions import SetHome
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
     SET_HOME,
@@ -119,7 +119,7 @@ class HomeMonitor:
             self._modes.order_mode(context, Mode.RTL)
             return destination_text
         state = self._state
-        self._modes.record_ordered_mode(Mode.RTL, context.telemetry.state)
+        self._modes.record_ordered_mode(context, Mode.RTL)
         state.redirected_home = position
         state.redirect_ordered_s = context.t_s
         state.reported_home = None
@@ -211,7 +211,7 @@ class HomeMonitor:
     def _order_pending_rtl(self, context: FlightContext) -> None:
         """Order RTL if it is pending, unless the companion has lost control."""
         if self._state.is_rtl_pending and context.phase is Phase.LAST_RESORT:
-            context.queue_actions(SetMode(Mode.RTL))
+            self._modes.order_mode(context, Mode.RTL)
         self._state.is_rtl_pending = False
 
     def _complete_or_abandon_redirect(self, context: FlightContext) -> None:

@@ -82,8 +82,8 @@ class OnboardMissionVerifier:
                 self._start_verification_if_flying(context, event.description)
             case MissionVerified() if context.phase in MISSION_PHASES:
                 self._evaluate_mission_read_back(context, event, items)
-            case MissionUploaded() if (
-                self._state.step is VerificationStep.RESTORE and event.reason is None
+            case MissionUploaded() if self._state.step is VerificationStep.RESTORE and (
+                event.reason is None or event.superseded
             ):
                 self._request_whole_list(context, items)
             case MissionUploaded() if event.reason is not None and self._state.is_unverified:
