@@ -35,6 +35,7 @@ from companion.core.mission.events import (
     MessageRequestRefused,
     MissionProgress,
     MissionWriteDetected,
+    OtherStationModeCommand,
     Position,
     StreamsConfigured,
     VehicleState,
@@ -158,6 +159,9 @@ class AutopilotSession:
                 written = MissionWriteDetected(t_s, f"{writer} wrote the mission")
                 ended = self._missions.end_upload_written_by_other(t_s)
                 return [written, *self._end_requests_by_telemetry(written, t_s), *ended]
+            case "COMMAND_ACK" if not is_addressed_here and _is_mode_command_accepted(message):
+                selected = OtherStationModeCommand(t_s)
+                return [selected, *self._end_requests_by_telemetry(selected, t_s)]
             case "COMMAND_ACK" | "PARAM_ERROR" if not is_addressed_here:
                 return []
             case "COMMAND_ACK":
@@ -218,3 +222,8 @@ def _is_mission_write_accepted(message: Any) -> bool:
     """MISSION_ACK ends an upload or a clearing; a download ends with the station's own."""
     accepted = message.type == mavlink.MAV_MISSION_ACCEPTED
     return accepted and message.mission_type == mavlink.MAV_MISSION_TYPE_MISSION
+
+
+def _is_mode_command_accepted(message: Any) -> bool:
+    accepted = message.result == mavlink.MAV_RESULT_ACCEPTED
+    return accepted and message.command == mavlink.MAV_CMD_DO_SET_MODE

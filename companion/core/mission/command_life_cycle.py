@@ -1,4 +1,4 @@
-"""The life cycle of every command to the autopilot, as a table. The documents are generated from it.
+"""The life cycle of every command to the autopilot, as a table; the documents show it.
 
 A command that moves, arms or configures the vehicle, or changes its mission, is created by a
 decision of the pilot and sent. It ends with its effect in telemetry (or its acknowledgement, where
@@ -17,6 +17,7 @@ from companion.core.mission.events import (
     MissionProgress,
     MissionWriteDetected,
     ModeReport,
+    OtherStationModeCommand,
     VehicleState,
 )
 
@@ -69,7 +70,7 @@ class Repeater(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LifeCycle:
-    """One row. `interval_s`: interval of repetitions; `max_tries`: transmissions in all, 0: no limit.
+    """One row. `interval_s`: interval of repetitions; `max_tries`: transmissions, 0: no limit.
 
     `response_timeout_s`: wait after the last one. `effect`: evidence that ends the command.
     `voided_by`: reports of a newer decision that end it. `lane`: commands of one lane are sent one
@@ -122,8 +123,8 @@ class CommandKind(Enum):
     ARM = LifeCycle(
         "armed in HEARTBEAT", *(0.1, 3, (_D.MODE, _D.MISSION), 3.0, Repeater.ADAPTER, "arm")
     )
-    # Repeated only faster than a person can disarm (flown: a disarm 0.3 s after arming). Heartbeats,
-    # which show its effect, come at 1 Hz and lag by up to a second.
+    # Repeated only faster than a person can disarm (flown: a disarm 0.3 s after arming).
+    # Heartbeats, which show its effect, come at 1 Hz and lag by up to a second.
     DISARM = LifeCycle("disarmed in HEARTBEAT", *(5.0, 3, (_D.MODE,), 5.0, _PILOT, "arm", True))
     JUMP = LifeCycle("item in MISSION_CURRENT", *(1.5, 5, _LEG, 1.0, _PILOT, "jump", True))
     # PX4 sends MISSION_CURRENT at 1 Hz, and acknowledges no jump.
@@ -157,6 +158,8 @@ def reported_values(event: Event) -> Iterator[tuple[NewerDecision, Hashable]]:
         case MissionProgress():
             yield NewerDecision.ITEM, event.index
             yield NewerDecision.MISSION, (event.total, event.mission_id)
+        case OtherStationModeCommand():
+            yield NewerDecision.MODE, object()
         case MissionWriteDetected():
             yield NewerDecision.MISSION, object()  # differs from every earlier state
         case Home():

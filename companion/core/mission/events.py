@@ -293,6 +293,11 @@ class MissionWriteDetected(Event):
     description: str
 
 
+@dataclass(frozen=True, slots=True)
+class OtherStationModeCommand(Event):
+    """The autopilot has accepted another station's mode command; it may be the present mode."""
+
+
 SET_HOME = "set home"
 """Name of the order that moves the autopilot's home."""
 

@@ -150,6 +150,8 @@ class OnboardMissionVerifier:
         by_id = state.mission_id is not None and event.mission_id not in (None, state.mission_id)
         if by_id or event.total not in (None, item_count):
             state.last_mismatch_s = context.t_s
+        else:
+            state.last_match_s = context.t_s
 
     def _start_verification_if_flying(self, context: FlightContext, reason: str) -> None:
         """Suspend use of the list until it has been read."""

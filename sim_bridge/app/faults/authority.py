@@ -1,5 +1,6 @@
 """Faults of flight authority: lost acknowledgements, disarming, takeovers, two computers."""
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,15 +24,17 @@ from sim_bridge.app.faults.verdict import (
     check_returned_if_p_home_was_high,
 )
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
-from sim_bridge.app.link.client_messages import MODE_PARAMS
+from sim_bridge.app.link.client_messages import GROUND_COMPONENT, GROUND_SYSTEM, MODE_PARAMS
 from sim_bridge.app.link.tap import MessageChange, message_with_changed_fields, pass_unchanged
 from sim_bridge.app.world.station import Station
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import Cmd
 
 FAULTS = FaultGroup("authority")
 
 ARMED_FLAG = 128
+HANDED_BACK_NOTE = "mission flown after the hand-back"
 
 DISARM_REPORTED_S = 1.2
 """Latency of a disarm report: a heartbeat interval of 1 s and the exchange that carries it."""
@@ -146,8 +149,11 @@ def force_disarm_by_station(stage: FaultContext) -> Iterator[None]:
     stage.record_take_over(DISARM_REPORTED_S)
 
 
-def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
-    """Return a procedure: the companion process is stopped, and the pilot takes over meanwhile."""
+def stall_companion_during_takeover(duration_s: float, wall_s: float = 0.0) -> FaultProcedure:
+    """Return a procedure: the companion process is stopped, and the pilot takes over meanwhile.
+
+    The stop lasts at least `wall_s` of real time.
+    """
 
     def procedure(stage: FaultContext) -> Iterator[None]:
         yield from stage.wait_for_phase_and_record_fault_start()
@@ -157,10 +163,22 @@ def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
         stage.craft.start_pilot_override()
         stage.record_take_over()
         yield from stage.wait(duration_s - takeover_delay_s)
+        threading.Event().wait(wall_s)
         stage.resume_companion()
 
     return procedure
 
+
+CLOCK_WITHOUT_SUSPENSION = """\
+import time
+def monotonic(clock_s=time.monotonic, last=[0.0, 0.0]):
+    now_s = clock_s()
+    last[1] += now_s - last[0] if now_s - last[0] > 0.4 else 0.0
+    last[0] = now_s
+    return now_s - last[1]
+time.monotonic = monotonic
+"""
+"""Python code: the loop reads the clock ten times a second, so a longer gap is a suspension."""
 
 STALL_FOR_SECOND_S = 15.0
 """Time for a second companion to find the vehicle, read its mission and continue the flight."""
@@ -247,18 +265,30 @@ PAYLOAD_SPEED_MPS = 9.0
     6,
     "taken-back-at-once",
     AIRBORNE_PHASES_BEFORE_LANDING,
-    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+    (
+        check_no_commands_after_takeover,
+        check_procedure_made_note(HANDED_BACK_NOTE),
+        check_alert_sent(Alert.CONTROL_RELEASED),
+    ),
     ends_after_s=25.0,
 )
 def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]:
-    """A person hands back control and takes over again within 0.2 s."""
-    station = Station(stage.craft.link)
+    """An operator hands back control; a person takes over 0.1 or 0.2 s after it took effect (A16).
+
+    Before the companion has verified the mission and ordered its mode (up to 1 s), HOLD selected
+    again in HOLD shows in no telemetry: only an acknowledgement of the person's command that
+    reaches the companion ends the hand-back. The person has to cancel it at the companion, or
+    select the mode again.
+    """
+    station = Station(stage.craft.link, (GROUND_SYSTEM, GROUND_COMPONENT))
     craft = stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     hold = MODE_PARAMS[craft.autopilot_kind]["hold"]
     station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     yield from stage.wait(3.0)
     station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
+    yield from stage.wait_until(lambda: craft.autopilot.mode is Mode.AUTO)
+    stage.notes.append(HANDED_BACK_NOTE)
     yield from stage.wait(stage.rng.choice([0.1, 0.2]))
     station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     stage.record_take_over()
@@ -274,6 +304,16 @@ for duration_s in (2.0, 6.0, 20.0):
         (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
         ends_after_s=duration_s + 15.0,
     )
+FAULTS.add_case(
+    73,
+    "computer-suspends",
+    "The computer is suspended for 10 s, CLOCK_MONOTONIC stands still, a pilot takes over (A11).",
+    stall_companion_during_takeover(10.0, wall_s=0.8),
+    AIRBORNE_PHASES,
+    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+    before_companion=CLOCK_WITHOUT_SUSPENSION,
+    ends_after_s=25.0,
+)
 FAULTS.add_case(
     4,
     "second-same-folder",

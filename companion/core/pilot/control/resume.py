@@ -27,6 +27,7 @@ from companion.core.mission.events import (
     MissionWriteDetected,
     Mode,
     OrderRefused,
+    OtherStationModeCommand,
     VehicleState,
 )
 from companion.core.mission.flight_plan import FlightPlan, build_mission, build_site_map
@@ -264,6 +265,8 @@ class FlightResumption:
                 self._evaluate_mission_read_back(context, event)
             case MissionWriteDetected() if self._mission_matches:  # else it may be its own upload
                 self._mission_matches, self._requested_s = False, None
+            case OtherStationModeCommand() if self._authority.handed_back:
+                self._end_resumption(context, "another station selected a mode")
             case MissionUploaded() if event.reason is not None:
                 self._end_resumption(context, f"upload failed: {event.reason}")
             case MissionUploaded():
