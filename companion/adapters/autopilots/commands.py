@@ -126,9 +126,11 @@ class CommandQueue:
     def enqueue_and_send_if_first(self, entry: PendingCommand, t_s: float) -> None:
         """Queue a command in its lane."""
         queued = self._lanes.setdefault(entry.lane, [])
-        before = dict(self._reported)
-        before.pop(NewerDecision.HOME, None)  # heights show a moved home before HOME_POSITION does
-        entry.newer_decisions.before = before
+        entry.newer_decisions.before = {
+            decision: value
+            for decision, value in self._reported.items()
+            if decision not in (NewerDecision.MISSION, NewerDecision.HOME)
+        }
         if entry.kind.value.supersedes:
             self.discard_lane(entry.lane, t_s)
         queued.append(entry)

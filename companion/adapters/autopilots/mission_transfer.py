@@ -329,6 +329,7 @@ class MissionClient:
     ) -> None:
         """Start the transfer of an order."""
         send, system_id, profile = self._send, self._system_id, self._profile
+        self._mission_id = None  # the next report may still be of an earlier change
         match order:
             case UploadMission():
                 wire = encode_mission_items(

@@ -148,7 +148,10 @@ class CommandKind(Enum):
 
 
 def reported_values(event: Event) -> Iterator[tuple[NewerDecision, Hashable]]:
-    """Yield the states in a telemetry event that decisions of people or stations change."""
+    """Yield the states in an event that decisions of people or stations change.
+
+    `None`: a decision that is newer than every command, whatever the state.
+    """
     match event:
         case VehicleState():
             yield NewerDecision.MODE, event.mode_name
@@ -156,12 +159,12 @@ def reported_values(event: Event) -> Iterator[tuple[NewerDecision, Hashable]]:
         case ModeReport():
             yield NewerDecision.MODE, event.mode_name
         case MissionProgress():
-            yield NewerDecision.ITEM, event.index
+            yield NewerDecision.ITEM, -1 if event.index is None else event.index
             yield NewerDecision.MISSION, (event.total, event.mission_id)
         case OtherStationModeCommand():
-            yield NewerDecision.MODE, object()
+            yield NewerDecision.MODE, None
         case MissionWriteDetected():
-            yield NewerDecision.MISSION, object()  # differs from every earlier state
+            yield NewerDecision.MISSION, None
         case Home():
             yield NewerDecision.HOME, (event.lat_deg, event.lon_deg, event.alt_amsl_m)
         case _:
@@ -172,8 +175,8 @@ def reported_values(event: Event) -> Iterator[tuple[NewerDecision, Hashable]]:
 class NewerDecisionMonitor:
     """Detects reports of a newer decision: a state that differs from that at creation.
 
-    Create it with the states reported before the command; a state that was not reported before is
-    that of the first report.
+    Create it with the states reported before the command. The mission and the home, whose reports
+    may be late (1 and 0.5 Hz), are those of the first report after it.
     """
 
     life_cycle: LifeCycle
@@ -183,7 +186,7 @@ class NewerDecisionMonitor:
         """Process a report that does not show the effect; return whether it ends the command."""
         return any(
             decision in self.life_cycle.voided_by
-            and self.before.setdefault(decision, value) != value
+            and (value is None or self.before.setdefault(decision, value) != value)
             for decision, value in reported_values(event)
         )
 
