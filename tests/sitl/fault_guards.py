@@ -40,7 +40,7 @@ guarded.ThreadedRecordWriter = guarded.ImmediateRecordWriter = Unguarded
 """
 
 BLIND = f"""\
-{without(AUTHORITY, "ControlAuthority.on_event", "None")}
+{without(AUTHORITY, "ControlAuthority._release_control_on_takeover", "None")}
 import dataclasses, companion.core.pilot.mission_progress as progress
 follow = progress.MissionProgressMonitor._update_from_progress
 def unwary(self, context, event):

@@ -118,6 +118,8 @@ class CommandQueue:
     """
 
     send: Callable[[Any], None]
+    discard_unsent: Callable[[], None] = lambda: None
+    """Discards the messages that are encoded and have not left."""
     _lanes: dict[str, list[PendingCommand]] = field(default_factory=dict)
     _late_acks: dict[int, _LateAcks] = field(default_factory=dict)
     _reported: dict[NewerDecision, Hashable] = field(default_factory=dict)
@@ -188,6 +190,7 @@ class CommandQueue:
                 ended += self._end_command_and_send_next(lane, t_s, None)
             elif any(entry.newer_decisions.is_void_after(event) for entry in queued):
                 self.discard_lane(lane, t_s)
+                self.discard_unsent()
         self._reported.update(reported_values(event))
         return ended
 

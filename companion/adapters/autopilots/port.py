@@ -68,9 +68,15 @@ class AutopilotPort:
     """
 
     def __init__(
-        self, send: Callable[[Any], None], clock: AutopilotClock, system_id: int | None = None
+        self,
+        send: Callable[[Any], None],
+        clock: AutopilotClock,
+        system_id: int | None = None,
+        discard_unsent: Callable[[], None] = lambda: None,
     ) -> None:
+        """`discard_unsent`: discards sent messages that have not left yet."""
         self._send = send
+        self._discard_unsent = discard_unsent
         self._clock = clock
         self._required_system_id = system_id
         self._heartbeats: dict[tuple[int, int, int], int] = {}
@@ -191,7 +197,9 @@ class AutopilotPort:
         ):
             return []
         profile: AutopilotProfile = PROFILES[message.autopilot]()
-        self._session = AutopilotSession(self._send, self._clock, profile, system)
+        self._session = AutopilotSession(
+            self._send, self._clock, profile, system, self._discard_unsent
+        )
         self._autopilot_and_type = message.autopilot, message.type
         t_s = self._clock.t_s
         state = [

@@ -106,12 +106,14 @@ class AutopilotSession:
         clock: AutopilotClock,
         profile: AutopilotProfile,
         system_id: int,
+        discard_unsent: Callable[[], None],
     ) -> None:
         self._send = send
+        self._discard_unsent = discard_unsent
         self._clock = clock
         self.profile = profile
         self.system_id = system_id
-        self._commands = CommandQueue(send)
+        self._commands = CommandQueue(send, discard_unsent)
         self._streams = StreamRequests(self._commands, profile, system_id)
         self._parameters = ParameterClient(send, system_id, bytewise=profile.bytewise_parameters)
         self._missions = MissionClient(send, system_id, profile)
@@ -132,7 +134,7 @@ class AutopilotSession:
         ended = self._commands.end_commands_by_telemetry(event, t_s)
         match event:
             case MissionProgress():
-                ended += self._missions.end_upload_if_id_changed(event)
+                ended += self._discard_unsent_if_any(self._missions.end_upload_if_id_changed(event))
             case Position():
                 self._missions.record_first_position(event)
             case VehicleState():
@@ -141,6 +143,11 @@ class AutopilotSession:
             case _:
                 pass
         return ended
+
+    def _discard_unsent_if_any(self, void_events: list[Event]) -> list[Event]:
+        if void_events:
+            self._discard_unsent()
+        return void_events
 
     def _process_request_response(self, message: Any, t_s: float) -> list[Event] | None:
         """Process responses to requests of this companion; return `None` for all other messages."""
@@ -157,7 +164,7 @@ class AutopilotSession:
             case "MISSION_ACK" if not is_addressed_here and _is_mission_write_accepted(message):
                 writer = f"{message.target_system}/{message.target_component}"
                 written = MissionWriteDetected(t_s, f"{writer} wrote the mission")
-                ended = self._missions.end_upload_written_by_other(t_s)
+                ended = self._discard_unsent_if_any(self._missions.end_upload_written_by_other(t_s))
                 return [written, *self._end_requests_by_telemetry(written, t_s), *ended]
             case "COMMAND_ACK" if not is_addressed_here and _is_mode_command_accepted(message):
                 selected = OtherStationModeCommand(t_s)

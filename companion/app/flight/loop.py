@@ -95,7 +95,10 @@ class Loop:
         self.send_queue = SendQueue(link, codec, recorder.buffer_frame, self.backlog, self.clock)
         queue_message = self.send_queue.queue_message
         self.autopilot = AutopilotPort(
-            self.send_queue.queue_order_unless_backlog, self.clock, system_id
+            self.send_queue.queue_order_unless_backlog,
+            self.clock,
+            system_id,
+            self.send_queue.discard_orders,
         )
         self._codec = codec
         self._recorder = recorder

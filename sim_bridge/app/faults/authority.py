@@ -149,26 +149,6 @@ def force_disarm_by_station(stage: FaultContext) -> Iterator[None]:
     stage.record_take_over(DISARM_REPORTED_S)
 
 
-def stall_companion_during_takeover(duration_s: float, wall_s: float = 0.0) -> FaultProcedure:
-    """Return a procedure: the companion process is stopped, and the pilot takes over meanwhile.
-
-    The stop lasts at least `wall_s` of real time.
-    """
-
-    def procedure(stage: FaultContext) -> Iterator[None]:
-        yield from stage.wait_for_phase_and_record_fault_start()
-        takeover_delay_s = stage.rng.uniform(0.1, 0.9) * duration_s
-        stage.stall_companion()
-        yield from stage.wait(takeover_delay_s)
-        stage.craft.start_pilot_override()
-        stage.record_take_over()
-        yield from stage.wait(duration_s - takeover_delay_s)
-        threading.Event().wait(wall_s)
-        stage.resume_companion()
-
-    return procedure
-
-
 CLOCK_WITHOUT_SUSPENSION = """\
 import time
 def monotonic(clock_s=time.monotonic, last=[0.0, 0.0]):
@@ -179,6 +159,52 @@ def monotonic(clock_s=time.monotonic, last=[0.0, 0.0]):
 time.monotonic = monotonic
 """
 """Python code: the loop reads the clock ten times a second, so a longer gap is a suspension."""
+
+SUSPENSION_WALL_S = 0.8
+
+
+def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
+    """Return a procedure: the companion process is stopped, and the pilot takes over meanwhile."""
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        takeover_delay_s = stage.rng.uniform(0.1, 0.9) * duration_s
+        stage.stall_companion()
+        yield from stage.wait(takeover_delay_s)
+        stage.craft.start_pilot_override()
+        stage.record_take_over()
+        yield from stage.wait(duration_s - takeover_delay_s)
+        stage.resume_companion()
+
+    return procedure
+
+
+@FAULTS.register_procedure(
+    73,
+    "computer-suspends",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+    before_companion=CLOCK_WITHOUT_SUSPENSION,
+    ends_after_s=20.0,
+)
+def suspend_computer_during_takeover(stage: FaultContext) -> Iterator[None]:
+    """The computer is suspended for 10 s, CLOCK_MONOTONIC stands still, a pilot takes over (A11).
+
+    Before, another station moves home: received telemetry of the suspension calls for a command.
+    """
+    station = Station(stage.craft.link)
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.stall_companion()
+    yield from stage.wait(6.0)
+    station.send_set_home_at_offset(stage.craft.depot, up_m=25.0)
+    takeover_before_end_s = stage.rng.uniform(0.3, 0.7)
+    yield from stage.wait(4.0 - takeover_before_end_s)
+    stage.craft.start_pilot_override()
+    stage.record_take_over()
+    yield from stage.wait(takeover_before_end_s)
+    threading.Event().wait(SUSPENSION_WALL_S)  # simulated time is faster
+    stage.resume_companion()
+
 
 STALL_FOR_SECOND_S = 15.0
 """Time for a second companion to find the vehicle, read its mission and continue the flight."""
@@ -304,16 +330,6 @@ for duration_s in (2.0, 6.0, 20.0):
         (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
         ends_after_s=duration_s + 15.0,
     )
-FAULTS.add_case(
-    73,
-    "computer-suspends",
-    "The computer is suspended for 10 s, CLOCK_MONOTONIC stands still, a pilot takes over (A11).",
-    stall_companion_during_takeover(10.0, wall_s=0.8),
-    AIRBORNE_PHASES,
-    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
-    before_companion=CLOCK_WITHOUT_SUSPENSION,
-    ends_after_s=25.0,
-)
 FAULTS.add_case(
     4,
     "second-same-folder",

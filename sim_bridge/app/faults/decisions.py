@@ -141,10 +141,11 @@ def select_landing_item_during_jump(stage: FaultContext) -> Iterator[None]:
         stage.notes.append(LANDING_ITEM_NOTE)
 
 
-def _upload_shifted_mission(stage: FaultContext, station: Station) -> Iterator[None]:
-    yield from station.upload_mission(
-        shift_mission_east(list(stage.craft.autopilot.store.mission), MISSION_SHIFT_M)
-    )
+def _upload_shifted_mission(
+    stage: FaultContext, station: Station, item_count: int | None = None
+) -> Iterator[None]:
+    items = list(stage.craft.autopilot.store.mission)[:item_count]
+    yield from station.upload_mission(shift_mission_east(items, MISSION_SHIFT_M))
 
 
 def _onboard_mission_items_without_home(stage: FaultContext) -> list[tuple[int, int, int, float]]:
@@ -289,14 +290,14 @@ def land_by_station_during_own_rtl(stage: FaultContext) -> Iterator[None]:
     ends_after_s=45.0,
 )
 def select_hold_then_upload_mission(stage: FaultContext) -> Iterator[None]:
-    """A person selects HOLD and uploads a mission 0.3 to 0.6 s later; no RTL follows (A13)."""
+    """A person selects HOLD and uploads three items 0.3 to 0.6 s later; no RTL follows (A13)."""
     station, craft = _connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     own_items = _onboard_mission_items_without_home(stage)
     _send_mode_command(stage, station, "hold")
     stage.record_take_over()
     yield from stage.wait(stage.rng.uniform(*HOLD_BEFORE_UPLOAD_S))
-    yield from _upload_shifted_mission(stage, station)
+    yield from _upload_shifted_mission(stage, station, 3)
     is_replaced = _onboard_mission_items_without_home(stage) != own_items
     yield from stage.wait(40.0)
     if is_replaced and craft.autopilot.mode is not Mode.AUTO:
