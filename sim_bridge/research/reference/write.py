@@ -7,6 +7,7 @@ import typer
 from typer.cli import get_docs_for_click
 
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import life_cycle_as_markdown
 from companion.core.pilot.transitions import transitions_as_markdown, transitions_as_mermaid
 from sim_bridge.research.reference.formats import WITHOUT_SCHEMA, list_file_formats
 from sim_bridge.research.reference.json_schema import build_json_schema
@@ -29,6 +30,14 @@ the field `alert` of the topic `said`.
 """
 
 
+COMMANDS_HEAD = """# Commands to the autopilot
+
+States of a command, and for each kind of command: the evidence that ends it, who repeats it and how
+long, and which newer decision of a person or another station ends it at once. A takeover ends all.
+
+"""
+
+
 def generate_pages() -> dict[Path, str]:
     """Return the text of each generated file by path below docs/reference."""
     return {
@@ -36,6 +45,7 @@ def generate_pages() -> dict[Path, str]:
         **_schema_pages(),
         Path("alerts.md"): f"{MARK}\n{_alert_page()}",
         Path("mission-table.md"): f"{MARK}\n{_mission_table_page()}",
+        Path("commands.md"): f"{MARK}\n{COMMANDS_HEAD}{life_cycle_as_markdown()}\n",
     }
 
 

@@ -298,6 +298,27 @@ def test_an_upload_ends_as_superseded_if_the_mission_id_changes_before_all_items
     assert bench.is_quiet(20.0)
 
 
+def test_safety_rule_1_a_parameter_that_another_station_sets_meanwhile_is_not_set_again():
+    sent: list[Any] = []
+    client = ParameterClient(sent.append, 1, bytewise=False)
+
+    def show(value: float) -> None:
+        client.process_param_value(SimpleNamespace(param_id="A", param_type=9, param_value=value))
+
+    show(1.0)
+    client.start_setting_values({"A": 5.0}, 0.0)
+    show(1.0)
+    client.tick(1.1)
+    assert len(sent) == 2, "unchanged: it was lost"
+    show(3.0)
+    client.tick(2.2)
+    assert (len(sent), client.failed) == (2, ["A"])
+    client.start_setting_values({"A": 5.0}, 3.0)
+    client.record_armed_state(armed=True)
+    client.tick(4.1)
+    assert (len(sent), client.failed) == (3, ["A"])
+
+
 @pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])
 def test_a_jump_is_sent_once_by_the_adapter_since_the_pilot_repeats_it(autopilot):
     bench = Bench(autopilot)
