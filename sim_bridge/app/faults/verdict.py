@@ -115,9 +115,14 @@ def check_no_false_delivery(flown: FaultRunResult) -> str | None:
     return "delivery reported, parcel still attached" if is_delivery_reported else None
 
 
-def check_fault_started(flown: FaultRunResult) -> str | None:
-    """Check that the fault began: a flight that ends earlier proves nothing."""
-    return None if flown.stage.start_s is not None else "the fault never started"
+def check_fault_took_effect(flown: FaultRunResult) -> str | None:
+    """Check that the fault began and that its injection took effect
+    (`sim_bridge.app.flight.stage`): a flight that ends earlier, or without it, proves nothing.
+    """
+    if flown.stage.start_s is None:
+        return "the fault never started"
+    missing = flown.stage.missing_effects_text
+    return f"the fault took no effect: {missing}" if missing else None
 
 
 def check_no_commands_after_takeover(flown: FaultRunResult) -> str | None:
@@ -173,37 +178,46 @@ def _has_landed_by(flown: FaultRunResult, deadline_s: float) -> bool:
     return landed_s is not None and landed_s <= deadline_s
 
 
+@dataclass(frozen=True, slots=True)
+class AlertSent:
+    """A rule that requires one of `alerts` (none: any) within `within_s` of the start of the fault,
+    with the text `parameter_text` in a parameter. Landing within `exempt_if_landed_within_s`
+    exempts a flight.
+    """
+
+    alerts: tuple[Alert, ...]
+    parameter_text: str
+    within_s: float | None
+    exempt_if_landed_within_s: float
+
+    def __call__(self, flown: FaultRunResult) -> str | None:
+        """Return the violation, or None if the rule holds."""
+        start_s, parameter_text = flown.stage.start_s, self.parameter_text
+        if start_s is None:
+            return "the fault never started"
+        limit_s = start_s + (self.within_s if self.within_s is not None else 1e9)
+        for at_s, alert, given in flown.alerts:
+            matches = not parameter_text or any(
+                parameter_text in text.lower() for text in given.values()
+            )
+            if start_s <= at_s <= limit_s and matches and alert in (self.alerts or (alert,)):
+                return None
+        exempt_s = self.exempt_if_landed_within_s
+        if exempt_s and _has_landed_by(flown, start_s + exempt_s):
+            return None
+        names = ", ".join(one.identifier for one in self.alerts) or "alert"
+        parameter = f" with {parameter_text!r}" if parameter_text else ""
+        return f"the operator received no {names}{parameter}"
+
+
 def check_alert_sent(
     *alerts: Alert,
     parameter_text: str = "",
     within_s: float | None = None,
     exempt_if_landed_within_s: float = 0.0,
-) -> Rule:
-    """Require one of these alerts (default: any) within `within_s` of the start of the fault,
-    with the text `parameter_text` in a parameter. Landing within `exempt_if_landed_within_s`
-    exempts a flight.
-    """
-    alert_names = ", ".join(one.identifier for one in alerts) or "alert"
-
-    def rule(flown: FaultRunResult) -> str | None:
-        start_s = flown.stage.start_s
-        if start_s is None:
-            return "the fault never started"
-        limit_s = start_s + (within_s if within_s is not None else 1e9)
-        for at_s, alert, given in flown.alerts:
-            matches = not parameter_text or any(
-                parameter_text in text.lower() for text in given.values()
-            )
-            if start_s <= at_s <= limit_s and matches and (not alerts or alert in alerts):
-                return None
-        if exempt_if_landed_within_s and _has_landed_by(flown, start_s + exempt_if_landed_within_s):
-            return None
-        return (
-            f"the operator received no"
-            f" {alert_names}{f' with {parameter_text!r}' if parameter_text else ''}"
-        )
-
-    return rule
+) -> AlertSent:
+    """Require one of these alerts (default: any)."""
+    return AlertSent(alerts, parameter_text, within_s, exempt_if_landed_within_s)
 
 
 def check_desk_log_contains(required_text: str) -> Rule:
@@ -216,6 +230,7 @@ def check_desk_log_contains(required_text: str) -> Rule:
         found = any(start_s <= at_s and required_text in line for at_s, line in flown.messages)
         return None if found else f"the desk did not log {required_text!r}"
 
+    rule.__doc__ = f"Check that the desk logged {required_text!r}."
     return rule
 
 
@@ -226,14 +241,18 @@ def check_file_exists_in_run_folder(file_name: str) -> Rule:
         path = flown.stage.craft.run_dir / file_name
         return None if path.exists() else f"no {file_name} in the run folder"
 
+    rule.__doc__ = f"Check that the run folder holds {file_name}."
     return rule
 
 
 def check_procedure_made_note(required_note: str) -> Rule:
     """Require this note of the fault procedure."""
-    return lambda flown: (
-        None if required_note in flown.stage.notes else f"not observed: {required_note}"
-    )
+
+    def rule(flown: FaultRunResult) -> str | None:
+        return None if required_note in flown.stage.notes else f"not observed: {required_note}"
+
+    rule.__doc__ = f"Check that this was observed: {required_note}."
+    return rule
 
 
 # --- of a small day ----------------------------------------------------------------------------

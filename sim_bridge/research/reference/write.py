@@ -9,6 +9,9 @@ from typer.cli import get_docs_for_click
 from companion.core.mission.alerts import Alert
 from companion.core.mission.command_life_cycle import life_cycle_as_markdown
 from companion.core.pilot.transitions import transitions_as_markdown, transitions_as_mermaid
+from sim_bridge.app.fault_suite.catalogue import CATALOGUE
+from sim_bridge.app.faults.fault import FaultCase
+from sim_bridge.app.faults.verdict import AlertSent
 from sim_bridge.research.reference.formats import WITHOUT_SCHEMA, list_file_formats
 from sim_bridge.research.reference.json_schema import build_json_schema
 from sim_bridge.research.reference.programs import CONSOLE_SCRIPTS, load_root_command
@@ -29,6 +32,19 @@ the field `alert` of the topic `said`.
 | --- | --- | --- | --- |
 """
 
+FAULTS_HEAD = """# Faults and what follows
+
+Each row of [the fault suite](../how-to/fault-injection.md): the fault, the alert that the operator
+receives (one of those listed; see [alerts](alerts.md)), and the checks of vehicle and companion by
+number. Always checked: the fault took effect, no exception, no error exit code, no rise of the
+energy estimate.
+"""
+
+FAULTS_COLUMNS = (
+    "| row | fault | operator receives | checks |",
+    "| --- | --- | --- | --- |",
+)
+
 
 COMMANDS_HEAD = """# Commands to the autopilot
 
@@ -44,6 +60,7 @@ def generate_pages() -> dict[Path, str]:
         **_command_pages(),
         **_schema_pages(),
         Path("alerts.md"): f"{MARK}\n{_alert_page()}",
+        Path("fault-suite.md"): f"{MARK}\n{_fault_page()}",
         Path("mission-table.md"): f"{MARK}\n{_mission_table_page()}",
         Path("commands.md"): f"{MARK}\n{COMMANDS_HEAD}{life_cycle_as_markdown()}\n",
     }
@@ -139,3 +156,27 @@ def _alert_page() -> str:
         for alert in Alert
     )
     return ALERTS_HEAD + "\n".join(rows) + "\n"
+
+
+def _fault_page() -> str:
+    """Return the Markdown of the page, without the mark of generated pages."""
+    checks: dict[str, int] = {}
+    rows = [_fault_row(case, checks) for case in CATALOGUE]
+    legend = [f"{number}. {text}" for text, number in checks.items()]
+    return "\n".join([FAULTS_HEAD, *legend, "", *FAULTS_COLUMNS, *rows]) + "\n"
+
+
+def _fault_row(case: FaultCase, checks: dict[str, int]) -> str:
+    """Return the row of a fault; new texts of checks are numbered in `checks`."""
+    sent = [rule for rule in case.rules if isinstance(rule, AlertSent)]
+    alerts = "; ".join(
+        " or ".join(f"“{alert.text_template}”" for alert in rule.alerts) or "any alert"
+        for rule in sent
+    )
+    texts = [
+        " ".join((rule.__doc__ or "").partition("\n\n")[0].split())
+        for rule in case.rules
+        if rule not in sent
+    ]
+    numbers = ", ".join(str(checks.setdefault(text, len(checks) + 1)) for text in texts)
+    return f"| {case.number} `{case.name}` | {case.description} | {alerts} | {numbers} |"
