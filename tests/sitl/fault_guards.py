@@ -293,7 +293,9 @@ GUARDS: dict[str, Guard] = {
         "outbound", without("companion.core.pilot.control.last_resort", "LastResort.tick", "None")
     ),
     "pilot-lands-after-rtl": Guard(
-        "outbound", without(AUTHORITY, "_is_above_autopilot_home", "True")
+        "outbound",
+        "import companion.core.pilot.telemetry_state as guarded\n"
+        "guarded.TelemetryState.is_above_reported_home = True",
     ),
     "computer-suspends": Guard("outbound", TRUSTS_A_CLOCK_THAT_STOPS),
     "hold-then-upload": Guard("outbound", ORDER_OF_EVENTS_IGNORED),

@@ -41,6 +41,22 @@ RESULT_TEXT = {
 }
 
 
+class ResponseTime:
+    """Round-trip time from a message to its response; a limit for repetitions."""
+
+    def __init__(self) -> None:
+        self._measured_s = 0.0
+
+    @property
+    def response_timeout_s(self) -> float:
+        """Before this time a response may still be in transit."""
+        return 1.1 * self._measured_s + 0.2 if self._measured_s > 0.0 else 0.0
+
+    def store_response_time(self, sent_s: float, received_s: float) -> None:
+        """Store the newest response time."""
+        self._measured_s = max(0.0, received_s - sent_s)
+
+
 @dataclass(slots=True)
 class PendingCommand:
     """A command in progress in a lane. `build_message(attempt)` builds the message.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.adapters.autopilots.commands import ResponseTime
 from companion.adapters.autopilots.mission_wire import (
     WireItem,
     decode_mission_item,
@@ -52,23 +53,6 @@ PAUSE_S = 2.0
 """Minimum pause after an error, in which requests and results of the old transfer arrive."""
 
 RESTARTS = 3
-WRITTEN_BY_OTHER = "written by another station"
-
-
-class ResponseTime:
-    """Round-trip time from a message to its response; a limit for repetitions."""
-
-    def __init__(self) -> None:
-        self._measured_s = 0.0
-
-    @property
-    def response_timeout_s(self) -> float:
-        """Before this time a response may still be in transit."""
-        return 1.1 * self._measured_s + 0.2 if self._measured_s > 0.0 else 0.0
-
-    def store_response_time(self, sent_s: float, received_s: float) -> None:
-        """Store the newest response time."""
-        self._measured_s = max(0.0, received_s - sent_s)
 
 
 class MissionUpload:
@@ -355,22 +339,19 @@ class MissionClient:
         self._transfer = None
 
     def end_upload_if_id_changed(self, progress: MissionProgress) -> list[Event]:
-        """End an upload if the mission's ID (PX4) changes before the autopilot has all its items:
-        another station has written the mission.
-        """
+        """End an upload if the mission's ID (PX4) changes before the autopilot has all items."""
         before, self._mission_id = self._mission_id, progress.mission_id
-        upload = self._transfer
-        is_foreign = None not in (before, self._mission_id) and before != self._mission_id
-        if is_foreign and isinstance(upload, MissionUpload) and not upload.are_all_items_sent:
-            return self.end_upload_written_by_other(progress.t_s)
-        return []
+        is_changed = None not in (before, self._mission_id) and before != self._mission_id
+        upload = self._transfer if isinstance(self._transfer, MissionUpload) else None
+        is_foreign = is_changed and upload is not None and not upload.are_all_items_sent
+        return self.end_upload_written_by_other(progress.t_s) if is_foreign else []
 
     def end_upload_written_by_other(self, t_s: float) -> list[Event]:
-        """End an upload or clearing: another station has written the mission since its start."""
+        """End an upload or clearing: another station has written the mission."""
         if not isinstance(self._transfer, MissionUpload):
             return []
         self._transfer = None
-        return [MissionUploaded(t_s, WRITTEN_BY_OTHER, superseded=True)]
+        return [MissionUploaded(t_s, "written by another station", superseded=True)]
 
     def on_message(self, message: Any, t_s: float) -> list[Event]:
         """Process one of `MISSION_MESSAGES`; return the event of a transfer that it ends."""

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from companion.core.base.geo import EARTH_RADIUS_M
 from companion.core.mission.actions import OperatorResponse, ResponseStatus, SetMode
 from companion.core.mission.alerts import Alert
 from companion.core.mission.command_life_cycle import CommandKind
@@ -35,11 +34,7 @@ from companion.core.pilot.context import (
     FlightContext,
     height_above_nearest_site_m,
 )
-from companion.core.pilot.telemetry_state import (
-    GROUND_MAX_AGE_S,
-    MIN_DISARMED_REPORTS,
-    POSITION_MAX_AGE_S,
-)
+from companion.core.pilot.telemetry_state import GROUND_MAX_AGE_S, MIN_DISARMED_REPORTS
 from companion.core.pilot.transitions import (
     COMMANDING_PHASES,
     END_PHASES,
@@ -59,10 +54,6 @@ FREE_DESCENT_MPS = 2.0
 EXCESS_DESCENT_MPS = 2.0
 """Descent speed above the airframe's own, at any height, that excludes a landing."""
 
-RTL_END_RADIUS_M = 20.0
-"""Horizontal distance from its home at which RTL may change to LAND: acceptance radius (10 m), and
-the accuracy of both positions."""
-
 DROP_WINDOW_S = 3.0
 """Maximum duration of a fall during a landing, including the delay of its heartbeats at 1 Hz."""
 
@@ -77,9 +68,9 @@ ARM_CONFIRM_DELAY_S = 0.2
 class OrderedMode:
     """The flight mode that the companion ordered; other modes, except the mission's, are takeovers.
 
-    A mode is the companion's if it begins within the limit of an order of it, and until it ends.
-    Later the same mode is a person's. Until an ordered mode shows, the mode before it is no
-    takeover either. On the ground the first mode reported is the one that has to stay.
+    A mode is the companion's if it begins within the limit of its order; later it is a person's.
+    Until an ordered mode shows, the mode before it is no takeover either. On the ground the first
+    mode reported is the one that has to stay.
     """
 
     ordered: Mode | None = None
@@ -150,9 +141,7 @@ class OrderedMode:
     def unexpected_mode_reason(
         self, state: VehicleState, *, is_in_mission: bool = True, is_at_home: bool = False
     ) -> str | None:
-        """Return why the mode in this heartbeat is a takeover of a vehicle in its mission, or
-        without one, or `None`. `is_at_home`: above the autopilot's home, where RTL may end in LAND.
-        """
+        """Return why the mode in this heartbeat is a takeover, or `None`."""
         ordered_s = self._order_times_s.get(state.mode, -math.inf)
         is_effect = state.t_s - ordered_s <= CommandKind.RESUME_MODE.value.limit_s
         is_end_of_rtl = self.effective is Mode.RTL and state.mode is Mode.LAND and is_at_home
@@ -214,8 +203,7 @@ class DisarmMonitor:
     def release_control_if_disarmed_externally(
         self, context: FlightContext, state: VehicleState
     ) -> bool:
-        """Return whether someone else disarmed it, and release control for good: the companion
-        never re-arms after that.
+        """Return whether someone else disarmed it, and release control for good.
 
         If no heartbeat showed it armed, the ground sequence starts the flight, then releases it.
         """
@@ -375,7 +363,7 @@ class ControlAuthority:
         if context.phase is Phase.LAST_RESORT:
             on_ground = on_ground and telemetry.is_recent(telemetry.ground, GROUND_MAX_AGE_S)
         reason = self._modes.update_and_get_takeover_reason(
-            context.phase, state, on_ground=on_ground, is_at_home=_is_above_autopilot_home(context)
+            context.phase, state, on_ground=on_ground, is_at_home=telemetry.is_above_reported_home
         )
         if reason is not None:
             context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
@@ -401,17 +389,6 @@ class ControlAuthority:
         self.handed_back = True
         self._modes.clear_ground_mode()
         context.apply_phase_trigger(Trigger.HANDED_BACK, f"handed back by {operator_name}")
-
-
-def _is_above_autopilot_home(context: FlightContext) -> bool:
-    """Return whether it is above the home that the autopilot reports, the end of its RTL."""
-    home, telemetry = context.telemetry.home, context.telemetry
-    position = telemetry.recent_or_none(telemetry.position, POSITION_MAX_AGE_S)
-    if home is None or position is None:
-        return False
-    east_scale = math.cos(math.radians(home.lat_deg))
-    offset_deg = position.lat_deg - home.lat_deg, east_scale * (position.lon_deg - home.lon_deg)
-    return math.radians(math.hypot(*offset_deg)) * EARTH_RADIUS_M <= RTL_END_RADIUS_M
 
 
 def _is_falling_without_motors(context: FlightContext) -> bool:

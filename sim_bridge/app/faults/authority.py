@@ -34,7 +34,6 @@ from sim_bridge.autopilot.mavlink.enums import Cmd
 FAULTS = FaultGroup("authority")
 
 ARMED_FLAG = 128
-HANDED_BACK_NOTE = "mission flown after the hand-back"
 
 DISARM_REPORTED_S = 1.2
 """Latency of a disarm report: a heartbeat interval of 1 s and the exchange that carries it."""
@@ -192,8 +191,9 @@ def suspend_computer_during_takeover(stage: FaultContext) -> Iterator[None]:
 
     Before, another station moves home: received telemetry of the suspension calls for a command.
     """
-    station = Station(stage.craft.link)
+    station, autopilot = Station(stage.craft.link), stage.craft.autopilot
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_effect("a pilot has control", lambda: autopilot.is_under_external_control)
     stage.stall_companion()
     yield from stage.wait(6.0)
     station.send_set_home_at_offset(stage.craft.depot, up_m=25.0)
@@ -293,7 +293,6 @@ PAYLOAD_SPEED_MPS = 9.0
     AIRBORNE_PHASES_BEFORE_LANDING,
     (
         check_no_commands_after_takeover,
-        check_procedure_made_note(HANDED_BACK_NOTE),
         check_alert_sent(Alert.CONTROL_RELEASED),
     ),
     ends_after_s=25.0,
@@ -313,8 +312,10 @@ def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]
     station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     yield from stage.wait(3.0)
     station.send_companion_command(Cmd.DO_PAUSE_CONTINUE, 1.0)
+    stage.expect_effect(
+        "mission flown after the hand-back", lambda: craft.autopilot.mode is Mode.AUTO
+    )
     yield from stage.wait_until(lambda: craft.autopilot.mode is Mode.AUTO)
-    stage.notes.append(HANDED_BACK_NOTE)
     yield from stage.wait(stage.rng.choice([0.1, 0.2]))
     station.send_autopilot_command(Cmd.DO_SET_MODE, *hold)
     stage.record_take_over()

@@ -270,10 +270,13 @@ class Flight(RuleBasedStateMachine):
                 shown = (m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24)
                 if shown != self.mode_shown:
                     self.end(VOID_BY_MODE, f"mode {shown}", lambda made: made[2] != shown)
+                    self.mode_handed_back = None
                 self.mode_shown = shown
                 ordered_s, order, *_ = self.created.get("mode", (-9.0, None))
                 ours = order is not None and order.mode.value == MODE_NAMES.get(shown)
-                if self.by_person and shown != MISSION and not (ours and self.t_s - ordered_s < 6):
+                # Selected again in the mode that was handed back, a mode shows in no telemetry.
+                is_seen = self.by_person and shown not in (MISSION, self.mode_handed_back)
+                if is_seen and not (ours and self.t_s - ordered_s < 6):
                     self.silent = self.silent or f"a person selected {shown}"
             case "MISSION_CURRENT":
                 if m.seq != self.index_shown:
@@ -294,6 +297,7 @@ class Flight(RuleBasedStateMachine):
                 return
 
     person_item: int | None = None
+    mode_handed_back: tuple[int, int] | None = None
 
     def end(self, kinds: tuple[str, ...], reason: str, applies: Any = lambda made: True) -> None:
         for kind in kinds:
@@ -330,8 +334,8 @@ class Flight(RuleBasedStateMachine):
         if "jump" in self.created:
             recent |= {self.created["jump"][1].index}
         is_on_leg = self.mode == MISSION and self.pilot.phase in (Phase.OUTBOUND, Phase.RETURN)
-        if flown is None or not is_on_leg:
-            return
+        if flown is None or not is_on_leg or self.items is not self.own_items:
+            return  # in a foreign list an item says nothing
         if any(flown.mission.is_item_reachable_without_jump(i, index) for i in recent):
             return
         self.index = self.person_item = index
@@ -380,10 +384,11 @@ class Flight(RuleBasedStateMachine):
     def operator_hands_back(self, event: Any, count: int) -> None:
         if self.link.received or self.loop.backlog.is_vehicle_state_unconfirmed:
             return
-        self.loop.submit_event(event(self.loop.clock.t_s, "255/190"))
-        if self.pilot.phase is Phase.RECOGNISE:
+        response = self.loop.submit_event(event(self.loop.clock.t_s, "255/190"))
+        if response.status is orders.ResponseStatus.ACCEPTED:
             self.silent = self.item_silent = ""
             self.person_item, self.by_person = None, False
+            self.mode_handed_back = self.mode_shown
         self.exchange(count)
 
     @rule()
