@@ -4,10 +4,15 @@ import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+WALL_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+
 
 def wall_s() -> float:
-    """Return seconds of a monotonic clock, for timeouts and progress."""
-    return time.monotonic()
+    """Return seconds of a clock for timeouts that never steps back and counts suspension.
+
+    CLOCK_MONOTONIC stands still while a computer is suspended; CLOCK_BOOTTIME (Linux) does not.
+    """
+    return time.clock_gettime(WALL_CLOCK)
 
 
 def process_cpu_time_s() -> float:

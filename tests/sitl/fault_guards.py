@@ -40,7 +40,7 @@ guarded.ThreadedRecordWriter = guarded.ImmediateRecordWriter = Unguarded
 """
 
 BLIND = f"""\
-{without(AUTHORITY, "ControlAuthority.on_event", "None")}
+{without(AUTHORITY, "ControlAuthority._release_control_on_takeover", "None")}
 import dataclasses, companion.core.pilot.mission_progress as progress
 follow = progress.MissionProgressMonitor._update_from_progress
 def unwary(self, context, event):
@@ -131,6 +131,22 @@ def start_thread(self, find_plan):
 guarded.PlanningExecutor._start_thread = start_thread
 """
 
+TRUSTS_A_CLOCK_THAT_STOPS = """\
+import time, companion.adapters.clock as guarded
+guarded.wall_s = lambda: time.monotonic()
+import companion.app.flight.receive_backlog as backlog
+backlog.ReceiveBacklog.is_newer_data_unread = lambda self: False
+"""
+
+ORDER_OF_EVENTS_IGNORED = """\
+import companion.core.pilot.control.unanswered_hold as guarded
+def unwary(self, context, event):
+    times_s = self._state.hold_start_s, self._aboard.last_mismatch_s
+    if all(context.seconds_since(t_s) <= guarded.MAX_CAUSE_DELAY_S for t_s in times_s):
+        self._state.cause = guarded.LIST_CHANGED
+guarded.UnansweredHold._record_list_cleared_cause = unwary
+"""
+
 GATE_OPEN = without(
     "companion.core.pilot.return_decision", "ReturnDecision._gate_closing_reason", "''"
 )
@@ -177,8 +193,9 @@ GUARDS: dict[str, Guard] = {
     "height-reset": Guard("outbound", HOME_TRUSTED),
     "progress-late": Guard(
         "outbound",
-        "import companion.core.mission.jump_watch as guarded\n"
-        "guarded.CONFIRM_TIMEOUT_S, guarded.MAX_TRIES = 0.3, 1",
+        "import dataclasses, companion.core.mission.jump_watch as guarded\n"
+        "guarded.JUMP = dataclasses.replace(guarded.JUMP, interval_s=0.3, max_tries=1)\n"
+        "guarded.UNREPORTED_TIMEOUT_S = 0.3",
     ),
     "draw-1.7-far": Guard("outbound", GATE_OPEN),
     "draw-2": Guard(
@@ -239,15 +256,13 @@ GUARDS: dict[str, Guard] = {
     "held-again": Guard(
         "outbound",
         "import companion.adapters.autopilots.commands as guarded\n"
-        "enqueue = guarded.CommandQueue.enqueue_and_send_if_first\n"
-        "def unwary(self, entry, t_s):\n"
-        "    entry.max_tries, entry.response_timeout_s = 4, 1.0\n"
-        "    enqueue(self, entry, t_s)\n"
-        "guarded.CommandQueue.enqueue_and_send_if_first = unwary",
+        "guarded.PendingCommand.has_tries_left = property(lambda self: self.attempt_count < 4)",
     ),
     "item-selected": Guard(
         "outbound",
-        without("companion.adapters.autopilots.order_commands", "_restrict_jump_retries", "None"),
+        "import dataclasses, math, companion.core.mission.jump_watch as guarded\n"
+        "guarded.JUMP = dataclasses.replace(guarded.JUMP, interval_s=1.0)\n"
+        "guarded.UNCHANGED_MAX_AGE_S = math.inf",
         "ardupilot",
     ),
     "replaced-while-held": Guard(
@@ -294,6 +309,17 @@ GUARDS: dict[str, Guard] = {
     "radio-not-forwarded": Guard(
         "ready",
         without(f"{GROUND}.start_checks", "PreflightChecks._no_operator_reason", "''"),
+    ),
+    "pilot-lands-after-rtl": Guard(
+        "outbound",
+        "import companion.core.pilot.telemetry_state as guarded\n"
+        "guarded.TelemetryState.is_above_reported_home = True",
+    ),
+    "computer-suspends": Guard("outbound", TRUSTS_A_CLOCK_THAT_STOPS),
+    "hold-then-upload": Guard("outbound", ORDER_OF_EVENTS_IGNORED),
+    "intruding-heartbeat": Guard(
+        "outbound",
+        without("companion.adapters.autopilots.port", "AutopilotPort.is_intruding_heartbeat", "0"),
     ),
     "strangers": Guard("outbound", HEARS_ANY_SYSTEM),
     "replayed-frames": Guard(

@@ -3,12 +3,17 @@
 Times are on the autopilot's clock.
 """
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.core.mission.command_life_cycle import (
+    CommandKind,
+    NewerDecision,
+    NewerDecisionMonitor,
+    reported_values,
+)
 from companion.core.mission.events import (
     Event,
     MessageRequestRefused,
@@ -17,20 +22,8 @@ from companion.core.mission.events import (
     OrderRefused,
 )
 
-RETRY_S = 1.0
 REJECTED_RETRY_S = 1.0
-MAX_TRIES = 4
-
-RESPONSE_TIMEOUT_S = 1.0
-"""Timeout of the last repetition; the command is abandoned after it."""
-
-UNCHANGED_MAX_AGE_S = 0.3
-"""Maximum age of a report of the unchanged state that permits a repetition. After that, a pilot may
-have changed the state (selecting a mode or item takes a person 0.2 s and more).
-"""
-
-NO_REPORT_TIMEOUT_S = 3.0
-"""Timeout of a command that may not be repeated because no report confirms the unchanged state."""
+IN_PROGRESS_WAIT_S = 5.0
 
 LATE_ACK_S = 1.0
 """How late acknowledgements of repetitions may follow the first one. A busy autopilot processes a
@@ -48,51 +41,58 @@ RESULT_TEXT = {
 }
 
 
+class ResponseTime:
+    """Round-trip time from a message to its response; a limit for repetitions."""
+
+    def __init__(self) -> None:
+        self._measured_s = 0.0
+
+    @property
+    def response_timeout_s(self) -> float:
+        """Before this time a response may still be in transit."""
+        return 1.1 * self._measured_s + 0.2 if self._measured_s > 0.0 else 0.0
+
+    def store_response_time(self, sent_s: float, received_s: float) -> None:
+        """Store the newest response time."""
+        self._measured_s = max(0.0, received_s - sent_s)
+
+
 @dataclass(slots=True)
 class PendingCommand:
     """A command in progress in a lane. `build_message(attempt)` builds the message.
 
     It ends with the COMMAND_ACK of `command`, or with telemetry for which `confirms` is true: a
-    COMMAND_ACK may be lost, and PX4 acknowledges no jump. `retry_interval_s` is the retry interval,
-    `max_tries` the number of transmissions, `response_timeout_s` the timeout of the last one.
-
-    `reports_unchanged` is true for a report of the state before the command: only a recent one
-    permits a repetition. `reports_superseded` is true for a report of a newer decision, which ends
-    the command. `supersedes`: it discards earlier commands in its lane. `requests_message`: only a
-    refusal is an event. `mode`: the mode that it sets.
+    COMMAND_ACK may be lost, and PX4 acknowledges no jump. Its kind's row in the table states how
+    often it is repeated, and which newer decision ends it. `mode`: the mode that it sets.
     """
 
-    lane: str
+    kind: CommandKind
     name: str
     build_message: Callable[[int], Any]
     command: int | None = None
-    confirms: Callable[[Event], bool] | None = None
-    reports_unchanged: Callable[[Event], bool] | None = None
-    reports_superseded: Callable[[Event], bool] | None = None
-    supersedes: bool = False
-    requests_message: bool = False
+    confirms: Callable[[Event], bool] = lambda _event: False
     mode: Mode | None = None
-    retry_interval_s: float = RETRY_S
-    max_tries: int = MAX_TRIES
-    response_timeout_s: float = RESPONSE_TIMEOUT_S
+    lane: str = ""
+    newer_decisions: NewerDecisionMonitor = field(init=False)
     attempt_count: int = 0
     ack_count: int = 0
     next_try_s: float = 0.0
-    unchanged_s: float = -math.inf
-    """Time of the newest report of the unchanged state."""
 
-    def can_repeat(self, t_s: float) -> bool:
-        """Return True if a repetition is permitted: the state is known to be unchanged."""
-        return self.reports_unchanged is None or t_s - self.unchanged_s <= UNCHANGED_MAX_AGE_S
+    def __post_init__(self) -> None:
+        self.newer_decisions = NewerDecisionMonitor(self.kind.value)
+        self.lane = self.lane or self.kind.value.lane
+
+    @property
+    def has_tries_left(self) -> bool:
+        """Whether its row permits a further transmission."""
+        return self.attempt_count < self.kind.value.adapter_tries
 
     @property
     def retry_delay_s(self) -> float:
         """The time to wait after the newest transmission."""
-        return (
-            self.retry_interval_s
-            if self.attempt_count < self.max_tries
-            else max(self.retry_interval_s, self.response_timeout_s)
-        )
+        row = self.kind.value
+        timeout_s = 0.0 if self.has_tries_left else row.adapter_timeout_s
+        return max(row.interval_s, timeout_s)
 
     @property
     def outstanding_acks(self) -> int:
@@ -101,7 +101,12 @@ class PendingCommand:
 
 
 def command_long(
-    system_id: int, lane: str, name: str, command: int, params: tuple[float, ...], **options: Any
+    system_id: int,
+    kind: CommandKind,
+    name: str,
+    command: int,
+    params: tuple[float, ...],
+    **options: Any,
 ) -> PendingCommand:
     """Return a COMMAND_LONG in progress; `options` are further fields of `PendingCommand`."""
     full = (*params, *([0.0] * (7 - len(params))))
@@ -109,7 +114,7 @@ def command_long(
     def build_message(attempt: int) -> Any:
         return mavlink.MAVLink_command_long_message(system_id, AUTOPILOT, command, attempt, *full)
 
-    return PendingCommand(lane, name, build_message, command, **options)
+    return PendingCommand(kind, name, build_message, command, **options)
 
 
 @dataclass(slots=True)
@@ -129,13 +134,22 @@ class CommandQueue:
     """
 
     send: Callable[[Any], None]
+    discard_unsent: Callable[[], None] = lambda: None
+    """Discards the messages that are encoded and have not left."""
     _lanes: dict[str, list[PendingCommand]] = field(default_factory=dict)
     _late_acks: dict[int, _LateAcks] = field(default_factory=dict)
+    _reported: dict[NewerDecision, Hashable] = field(default_factory=dict)
+    """Latest reported state that each kind of decision changes."""
 
     def enqueue_and_send_if_first(self, entry: PendingCommand, t_s: float) -> None:
         """Queue a command in its lane."""
         queued = self._lanes.setdefault(entry.lane, [])
-        if entry.supersedes:
+        entry.newer_decisions.before = {
+            decision: value
+            for decision, value in self._reported.items()
+            if decision not in (NewerDecision.MISSION, NewerDecision.HOME)
+        }
+        if entry.kind.value.supersedes:
             self.discard_lane(entry.lane, t_s)
         queued.append(entry)
         if len(queued) == 1:
@@ -168,15 +182,13 @@ class CommandQueue:
                 continue
             entry = queued[0]
             if message.result == mavlink.MAV_RESULT_IN_PROGRESS:
-                entry.next_try_s = t_s + 5.0 * RETRY_S
+                entry.next_try_s = t_s + IN_PROGRESS_WAIT_S
                 return []
             entry.ack_count += 1
             match message.result:
                 case mavlink.MAV_RESULT_ACCEPTED:
                     return self._end_command_and_send_next(lane, t_s, None)
-                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if (
-                    entry.attempt_count < entry.max_tries
-                ):
+                case mavlink.MAV_RESULT_TEMPORARILY_REJECTED if entry.has_tries_left:
                     entry.next_try_s = t_s + REJECTED_RETRY_S
                     return []
                 case _:
@@ -184,19 +196,19 @@ class CommandQueue:
                     return self._end_command_and_send_next(lane, t_s, reason)
         return []
 
-    def end_commands_confirmed_by_telemetry(self, event: Event, t_s: float) -> list[Event]:
-        """Process a telemetry event; end the command that it confirms or supersedes."""
+    def end_commands_by_telemetry(self, event: Event, t_s: float) -> list[Event]:
+        """Process a telemetry event; end the commands that it confirms or whose newer decision it
+        reports.
+        """
+        ended: list[Event] = []
         for lane, queued in self._lanes.items():
-            if not queued:
-                continue
-            entry = queued[0]
-            if entry.confirms is not None and entry.confirms(event):
-                return self._end_command_and_send_next(lane, t_s, None)
-            if entry.reports_superseded is not None and entry.reports_superseded(event):
+            if queued and queued[0].confirms(event):
+                ended += self._end_command_and_send_next(lane, t_s, None)
+            elif any(entry.newer_decisions.is_void_after(event) for entry in queued):
                 self.discard_lane(lane, t_s)
-            elif entry.reports_unchanged is not None and entry.reports_unchanged(event):
-                entry.unchanged_s = t_s
-        return []
+                self.discard_unsent()
+        self._reported.update(reported_values(event))
+        return ended
 
     def tick(self, t_s: float) -> list[Event]:
         """Retry commands that are due; abandon those without a retry left."""
@@ -205,10 +217,9 @@ class CommandQueue:
             entry = queued[0] if queued else None
             if entry is None or t_s < entry.next_try_s:
                 continue
-            last = entry.attempt_count >= entry.max_tries
-            if not last and entry.can_repeat(t_s):
+            if entry.has_tries_left:
                 self._send_attempt(entry, t_s)
-            elif last or t_s >= entry.next_try_s + NO_REPORT_TIMEOUT_S:
+            else:
                 events += self._end_command_and_send_next(lane, t_s, NO_RESPONSE)
         return events
 
@@ -253,7 +264,7 @@ class CommandQueue:
                 self._send_attempt(queued[0], t_s)
             else:  # sent now, its acknowledgement could be mistaken for a late one
                 queued[0].next_try_s = late.until_s
-        if entry.requests_message:
+        if entry.kind is CommandKind.REQUEST:
             return [] if failure_reason is None else [MessageRequestRefused(t_s, entry.name)]
         if failure_reason is None:
             return [OrderAccepted(t_s, entry.name)]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.adapters.autopilots.commands import ResponseTime
 from companion.adapters.autopilots.mission_wire import (
     WireItem,
     decode_mission_item,
@@ -15,11 +16,17 @@ from companion.adapters.autopilots.mission_wire import (
 )
 from companion.adapters.autopilots.telemetry import AutopilotProfile
 from companion.core.mission.actions import ClearMission, UploadMission, VerifyMission
-from companion.core.mission.events import Event, MissionUploaded, MissionVerified, Position
+from companion.core.mission.command_life_cycle import CommandKind
+from companion.core.mission.events import (
+    Event,
+    MissionProgress,
+    MissionUploaded,
+    MissionVerified,
+    Position,
+)
 from companion.core.mission.mission_items import MissionItem, MissionPosition, mission_differences
 
-RETRY_S = 1.5
-MAX_TRIES = 6
+RETRY_S, MAX_TRIES = CommandKind.UPLOAD.value.interval_s, CommandKind.UPLOAD.value.max_tries
 MAX_MISSION_ITEMS = 700
 MISSION_MESSAGES = (
     *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_COUNT", "MISSION_ITEM_INT"),
@@ -46,22 +53,6 @@ PAUSE_S = 2.0
 """Minimum pause after an error, in which requests and results of the old transfer arrive."""
 
 RESTARTS = 3
-
-
-class ResponseTime:
-    """Round-trip time from a message to its response; a limit for repetitions."""
-
-    def __init__(self) -> None:
-        self._measured_s = 0.0
-
-    @property
-    def response_timeout_s(self) -> float:
-        """Before this time a response may still be in transit."""
-        return 1.1 * self._measured_s + 0.2 if self._measured_s > 0.0 else 0.0
-
-    def store_response_time(self, sent_s: float, received_s: float) -> None:
-        """Store the newest response time."""
-        self._measured_s = max(0.0, received_s - sent_s)
 
 
 class MissionUpload:
@@ -96,6 +87,11 @@ class MissionUpload:
         self._next_try_s = max(earliest_start_s, t_s)
         self.result_text: str | None = None
         self.tick(t_s)
+
+    @property
+    def are_all_items_sent(self) -> bool:
+        """Whether the mission onboard may already be this one."""
+        return self._highest_requested_seq == len(self._items) - 1 and bool(self._items)
 
     def _send_count_or_clear_all(self, t_s: float) -> None:
         self._tries += 1
@@ -305,6 +301,7 @@ class MissionClient:
         self._upload_not_before_s = 0.0
         self._verified = VerifyMission(())
         self._home: MissionPosition | None = None
+        self._mission_id: int | None = None
 
     def record_first_position(self, position: Position) -> None:
         """Record the vehicle's first position."""
@@ -316,6 +313,7 @@ class MissionClient:
     ) -> None:
         """Start the transfer of an order."""
         send, system_id, profile = self._send, self._system_id, self._profile
+        self._mission_id = None  # the next report may still be of an earlier change
         match order:
             case UploadMission():
                 wire = encode_mission_items(
@@ -339,6 +337,21 @@ class MissionClient:
     def cancel(self) -> None:
         """Stop the transfer without a report."""
         self._transfer = None
+
+    def end_upload_if_id_changed(self, progress: MissionProgress) -> list[Event]:
+        """End an upload if the mission's ID (PX4) changes before the autopilot has all items."""
+        before, self._mission_id = self._mission_id, progress.mission_id
+        is_changed = None not in (before, self._mission_id) and before != self._mission_id
+        upload = self._transfer if isinstance(self._transfer, MissionUpload) else None
+        is_foreign = is_changed and upload is not None and not upload.are_all_items_sent
+        return self.end_upload_written_by_other(progress.t_s) if is_foreign else []
+
+    def end_upload_written_by_other(self, t_s: float) -> list[Event]:
+        """End an upload or clearing: another station has written the mission."""
+        if not isinstance(self._transfer, MissionUpload):
+            return []
+        self._transfer = None
+        return [MissionUploaded(t_s, "written by another station", superseded=True)]
 
     def on_message(self, message: Any, t_s: float) -> list[Event]:
         """Process one of `MISSION_MESSAGES`; return the event of a transfer that it ends."""

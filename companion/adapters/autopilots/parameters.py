@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import AutopilotParameters, Event, ParametersSet
 
-RETRY_S = 1.0
-MAX_TRIES = 8
-"""If a fifth of all frames is lost in each direction, 4 tries leave one name in sixty without a
-value, which refused a launch in flight; 8 leave one in 3,500."""
+RETRY_S, MAX_TRIES = CommandKind.PARAMETER.value.interval_s, CommandKind.PARAMETER.value.max_tries
 MAX_PARALLEL_REQUESTS = 6
 
 INTEGER_TYPES = {
@@ -43,7 +41,11 @@ def encode_bytewise(value: float, mav_param_type: int) -> float:
 
 
 class ParameterClient:
-    """Reads and sets parameters, a few at a time, with retries; known `values` persist."""
+    """Reads and sets parameters, a few at a time, with retries; known `values` persist.
+
+    A write is void once the parameter shows a third value, neither the one before the write nor the
+    target: another station has set it. Arming of the vehicle voids all writes.
+    """
 
     def __init__(
         self, send: Callable[[Any], None], target_system_id: int, *, bytewise: bool
@@ -55,6 +57,8 @@ class ParameterClient:
         self._is_setting = False
         self._pending_reads: dict[str, tuple[int, float]] = {}
         self._pending_writes: dict[str, tuple[float, int, float]] = {}
+        self._values_before_write: dict[str, float] = {}
+        self._is_armed = False
         self._types: dict[str, int] = {}
         self.values: dict[str, float | None] = {}
         self.failed: list[str] = []
@@ -70,9 +74,19 @@ class ParameterClient:
         """Set parameters and read them back; `failed` lists the names whose value differs."""
         self._is_setting = True
         self.failed.clear()
+        self._values_before_write.clear()
         for name, value in target_values.items():
             self._pending_writes[name] = (value, 0, t_s)
+            if (before := self.values.get(name)) is not None:
+                self._values_before_write[name] = before
         self.tick(t_s)
+
+    def record_armed_state(self, *, armed: bool) -> None:
+        """Process a heartbeat: writes to a vehicle that is armed meanwhile are void."""
+        if armed and not self._is_armed:
+            self.failed += self._pending_writes
+            self._pending_writes.clear()
+        self._is_armed = armed
 
     def cancel_all(self) -> None:
         """Cancel all pending reads and writes."""
@@ -114,8 +128,12 @@ class ParameterClient:
         target_value = pending_write[0]
         if is_new_type:  # set it immediately
             self._pending_writes[name] = (target_value, 0, 0.0)
-        if abs(target_value - value) <= 1e-4 * max(1.0, abs(target_value)):
+        before = self._values_before_write.setdefault(name, value)
+        if _is_same_value(target_value, value):
             del self._pending_writes[name]
+        elif not _is_same_value(before, value):
+            del self._pending_writes[name]
+            self.failed.append(name)
 
     def process_param_error(self, message: Any) -> None:
         """Process a PARAM_ERROR (PX4 1.18): no such parameter, or the value cannot be set."""
@@ -161,3 +179,8 @@ class ParameterClient:
         self._send(
             mavlink.MAVLink_param_request_read_message(self._target, AUTOPILOT, name.encode(), -1)
         )
+
+
+def _is_same_value(a: float, b: float) -> bool:
+    """Return whether two values are equal as sent (32-bit floats)."""
+    return abs(a - b) <= 1e-4 * max(1.0, abs(a))

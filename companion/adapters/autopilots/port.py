@@ -42,11 +42,22 @@ PROFILES: dict[int, type[ArduPilot] | type[Px4]] = {
     mavlink.MAV_AUTOPILOT_PX4: Px4,
 }
 NON_VEHICLE_TYPES = (
+    mavlink.MAV_TYPE_GENERIC,
+    mavlink.MAV_TYPE_ANTENNA_TRACKER,
     mavlink.MAV_TYPE_GCS,
     mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-    mavlink.MAV_TYPE_GIMBAL,
-    mavlink.MAV_TYPE_ADSB,
 )
+LAST_COMMON_VEHICLE_TYPE = mavlink.MAV_TYPE_VTOL_RESERVED5
+"""MAV_TYPEs after it are peripherals, except these."""
+
+LATER_VEHICLE_TYPES = (mavlink.MAV_TYPE_DODECAROTOR, mavlink.MAV_TYPE_DECAROTOR, 43)
+"""43: MAV_TYPE_GENERIC_MULTIROTOR."""
+
+
+def is_vehicle_type(mav_type: int) -> bool:
+    """Return whether a MAV_TYPE is a vehicle, and not a station or a peripheral."""
+    is_common = mav_type <= LAST_COMMON_VEHICLE_TYPE and mav_type not in NON_VEHICLE_TYPES
+    return is_common or mav_type in LATER_VEHICLE_TYPES
 
 
 class AutopilotPort:
@@ -57,12 +68,19 @@ class AutopilotPort:
     """
 
     def __init__(
-        self, send: Callable[[Any], None], clock: AutopilotClock, system_id: int | None = None
+        self,
+        send: Callable[[Any], None],
+        clock: AutopilotClock,
+        system_id: int | None = None,
+        discard_unsent: Callable[[], None] = lambda: None,
     ) -> None:
+        """`discard_unsent`: discards sent messages that have not left yet."""
         self._send = send
+        self._discard_unsent = discard_unsent
         self._clock = clock
         self._required_system_id = system_id
-        self._heartbeats: dict[tuple[int, int], int] = {}
+        self._heartbeats: dict[tuple[int, int, int], int] = {}
+        self._autopilot_and_type: tuple[int, int] | None = None
         self._stamps: dict[int, tuple[float, float]] = {}
         self._time_request_count = 0
         self._pending_time_requests: dict[int, int] = {}
@@ -93,9 +111,9 @@ class AutopilotPort:
             return self._identify_vehicle(message, system)
         if (system, component) != (self.system_id, AUTOPILOT):
             return []
+        if self.is_intruding_heartbeat(message):
+            return []
         if message.get_type() == "HEARTBEAT":
-            if message.type in NON_VEHICLE_TYPES:
-                return []
             self._request_time_if_clock_stalled(system)
         events, t_s = self._update_clock_step_events_and_time(message)
         return events if t_s is None else events + session.on_message(message, t_s)
@@ -136,13 +154,25 @@ class AutopilotPort:
             message.get_srcSystem(),
         )
 
+    def is_intruding_heartbeat(self, message: Any) -> bool:
+        """Return True for a heartbeat with the identified autopilot's IDs from another component.
+
+        The autopilot is the one whose HEARTBEAT.autopilot and type identified it; a router, camera
+        or station with its system and component ID has other ones.
+        """
+        is_heartbeat = message.get_type() == "HEARTBEAT"
+        if not is_heartbeat or self._autopilot_and_type is None:
+            return False
+        is_accepted = self.is_from_accepted_autopilot(message)
+        return is_accepted and (message.autopilot, message.type) != self._autopilot_and_type
+
     def is_candidate_vehicle(self, message: Any) -> bool:
         """Return True for the heartbeat of a vehicle that the companion could belong to."""
         return (
             message.get_type() == "HEARTBEAT"
             and self.is_from_accepted_autopilot(message)
             and message.autopilot in PROFILES
-            and message.type not in NON_VEHICLE_TYPES
+            and is_vehicle_type(message.type)
         )
 
     def _identify_vehicle(self, message: Any, system: int) -> list[Event]:
@@ -155,7 +185,7 @@ class AutopilotPort:
             self._stamps[system] = (min(first_s, stamp_s), stamp_s)
         if not self.is_candidate_vehicle(message):
             return []
-        key = (system, message.autopilot)
+        key = (system, message.autopilot, message.type)
         self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
         if not self._clock.is_known and system not in self._stamps:
             self._send_timesync_request(system)
@@ -167,7 +197,10 @@ class AutopilotPort:
         ):
             return []
         profile: AutopilotProfile = PROFILES[message.autopilot]()
-        self._session = AutopilotSession(self._send, self._clock, profile, system)
+        self._session = AutopilotSession(
+            self._send, self._clock, profile, system, self._discard_unsent
+        )
+        self._autopilot_and_type = message.autopilot, message.type
         t_s = self._clock.t_s
         state = [
             e for e in events_from_message(message, profile, {}, t_s) if isinstance(e, VehicleState)

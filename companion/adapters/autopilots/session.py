@@ -11,7 +11,6 @@ from companion.adapters.autopilots.codec import COMPONENT, mavlink
 from companion.adapters.autopilots.commands import CommandQueue, command_long
 from companion.adapters.autopilots.mission_transfer import MISSION_MESSAGES, MissionClient
 from companion.adapters.autopilots.order_commands import (
-    JUMP_LANE,
     STREAM_LANE,
     command_of_order,
     velocity_message,
@@ -29,14 +28,17 @@ from companion.core.mission.actions import (
     UploadMission,
     VerifyMission,
 )
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     BoardIdReceived,
     Event,
     MessageRequestRefused,
     MissionProgress,
     MissionWriteDetected,
+    OtherStationModeCommand,
     Position,
     StreamsConfigured,
+    VehicleState,
 )
 
 
@@ -62,11 +64,11 @@ class StreamRequests:
         for name, number, interval_us in intervals:
             entry = command_long(
                 self._system_id,
-                STREAM_LANE,
+                CommandKind.REQUEST,
                 name,
                 mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
                 (float(number), interval_us),
-                requests_message=True,
+                lane=STREAM_LANE,
             )
             self._commands.enqueue_and_send_if_first(entry, t_s)
 
@@ -104,16 +106,17 @@ class AutopilotSession:
         clock: AutopilotClock,
         profile: AutopilotProfile,
         system_id: int,
+        discard_unsent: Callable[[], None],
     ) -> None:
         self._send = send
+        self._discard_unsent = discard_unsent
         self._clock = clock
         self.profile = profile
         self.system_id = system_id
-        self._commands = CommandQueue(send)
+        self._commands = CommandQueue(send, discard_unsent)
         self._streams = StreamRequests(self._commands, profile, system_id)
         self._parameters = ParameterClient(send, system_id, bytewise=profile.bytewise_parameters)
         self._missions = MissionClient(send, system_id, profile)
-        self._progress: MissionProgress | None = None
 
     def on_message(self, message: Any, t_s: float) -> list[Event]:
         """Return the events in a message of the autopilot."""
@@ -123,12 +126,28 @@ class AutopilotSession:
         found = events_from_message(message, self.profile, self._parameters.values, t_s)
         ended: list[Event] = []
         for event in found:
-            ended += self._commands.end_commands_confirmed_by_telemetry(event, t_s)
-            if isinstance(event, Position):
-                self._missions.record_first_position(event)
-            elif isinstance(event, MissionProgress):
-                self._progress = event
+            ended += self._end_requests_by_telemetry(event, t_s)
         return found + ended
+
+    def _end_requests_by_telemetry(self, event: Event, t_s: float) -> list[Event]:
+        """End what a telemetry event shows as effective, or as void after a newer decision."""
+        ended = self._commands.end_commands_by_telemetry(event, t_s)
+        match event:
+            case MissionProgress():
+                ended += self._discard_unsent_if_any(self._missions.end_upload_if_id_changed(event))
+            case Position():
+                self._missions.record_first_position(event)
+            case VehicleState():
+                self._parameters.record_armed_state(armed=event.armed)
+                ended += self._parameters.take_ended_events(t_s)
+            case _:
+                pass
+        return ended
+
+    def _discard_unsent_if_any(self, void_events: list[Event]) -> list[Event]:
+        if void_events:
+            self._discard_unsent()
+        return void_events
 
     def _process_request_response(self, message: Any, t_s: float) -> list[Event] | None:
         """Process responses to requests of this companion; return `None` for all other messages."""
@@ -143,9 +162,13 @@ class AutopilotSession:
                 parameters.process_param_value(message)
                 return parameters.take_ended_events(t_s)
             case "MISSION_ACK" if not is_addressed_here and _is_mission_write_accepted(message):
-                self._commands.discard_lane(JUMP_LANE, t_s)
                 writer = f"{message.target_system}/{message.target_component}"
-                return [MissionWriteDetected(t_s, f"{writer} wrote the mission")]
+                written = MissionWriteDetected(t_s, f"{writer} wrote the mission")
+                ended = self._discard_unsent_if_any(self._missions.end_upload_written_by_other(t_s))
+                return [written, *self._end_requests_by_telemetry(written, t_s), *ended]
+            case "COMMAND_ACK" if not is_addressed_here and _is_mode_command_accepted(message):
+                selected = OtherStationModeCommand(t_s)
+                return [selected, *self._end_requests_by_telemetry(selected, t_s)]
             case "COMMAND_ACK" | "PARAM_ERROR" if not is_addressed_here:
                 return []
             case "COMMAND_ACK":
@@ -176,7 +199,7 @@ class AutopilotSession:
                 boot_ms = self._clock.autopilot_time_since_boot_ms
                 self._send(velocity_message(order, self.system_id, boot_ms))
             case _:
-                entry = command_of_order(order, self.profile, self.system_id, self._progress)
+                entry = command_of_order(order, self.profile, self.system_id)
                 self._commands.enqueue_and_send_if_first(entry, t_s)
 
     def discard_all_pending_requests(self) -> None:
@@ -206,3 +229,8 @@ def _is_mission_write_accepted(message: Any) -> bool:
     """MISSION_ACK ends an upload or a clearing; a download ends with the station's own."""
     accepted = message.type == mavlink.MAV_MISSION_ACCEPTED
     return accepted and message.mission_type == mavlink.MAV_MISSION_TYPE_MISSION
+
+
+def _is_mode_command_accepted(message: Any) -> bool:
+    accepted = message.result == mavlink.MAV_RESULT_ACCEPTED
+    return accepted and message.command == mavlink.MAV_CMD_DO_SET_MODE

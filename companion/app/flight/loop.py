@@ -18,6 +18,7 @@ from companion.adapters.autopilots.codec import (
 from companion.adapters.autopilots.link import Link
 from companion.adapters.autopilots.operator_port import OperatorPort, OperatorTrust
 from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.autopilots.telemetry import vehicle_kind
 from companion.adapters.clock import AutopilotClock, TickTimer, wall_s
 from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.app.flight.planning import PlanningExecutor
@@ -94,7 +95,10 @@ class Loop:
         self.send_queue = SendQueue(link, codec, recorder.buffer_frame, self.backlog, self.clock)
         queue_message = self.send_queue.queue_message
         self.autopilot = AutopilotPort(
-            self.send_queue.queue_order_unless_backlog, self.clock, system_id
+            self.send_queue.queue_order_unless_backlog,
+            self.clock,
+            system_id,
+            self.send_queue.discard_orders,
         )
         self._codec = codec
         self._recorder = recorder
@@ -170,6 +174,10 @@ class Loop:
             self._recorder.buffer_frame(frame, self.clock.t_s)
             return
         from_autopilot = source == (system, AUTOPILOT)
+        if self.autopilot.is_intruding_heartbeat(message):
+            sender = vehicle_kind(message.type) or "generic"
+            self._report_alert_once(Alert.HEARTBEAT_INTRUDER, sender=sender)
+            return
         if from_autopilot:
             self._record_autopilot_contact(peer)
             if message.get_type() == "HEARTBEAT" and self.backlog.record_heartbeat_ends_delay():

@@ -58,6 +58,11 @@ class Alert(Enum):
         "second companion found: this one keeps control",
         "Stop the second companion of this vehicle.",
     )
+    HEARTBEAT_INTRUDER = (
+        WARNING,
+        "{sender} uses the autopilot's IDs: ignored",
+        "Give that component a component ID of its own.",
+    )
     HAND_BACK_IMPOSSIBLE = (
         WARNING,
         "cannot take control: companion has no mission",

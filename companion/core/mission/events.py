@@ -268,9 +268,11 @@ class StreamsConfigured(Event):
 
 @dataclass(frozen=True, slots=True)
 class MissionUploaded(Event):
-    """An upload ended; `reason` is `None` when the autopilot accepted it."""
+    """An upload ended; `reason` is `None` when the autopilot accepted it. `superseded`: another
+    station wrote the mission meanwhile."""
 
     reason: str | None = None
+    superseded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +291,11 @@ class MissionWriteDetected(Event):
     """Another station wrote to the onboard mission; detected from its messages on the link."""
 
     description: str
+
+
+@dataclass(frozen=True, slots=True)
+class OtherStationModeCommand(Event):
+    """The autopilot has accepted another station's mode command; it may be the present mode."""
 
 
 SET_HOME = "set home"

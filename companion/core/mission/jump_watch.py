@@ -8,10 +8,14 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
+from companion.core.mission.command_life_cycle import UNCHANGED_MAX_AGE_S, CommandKind
 from companion.core.mission.mission_items import ReturnByDefaultMission
 
-CONFIRM_TIMEOUT_S = 2.5
-MAX_TRIES = 3
+JUMP = CommandKind.JUMP.value
+
+UNREPORTED_TIMEOUT_S = 2.5
+"""Time without a report of the item after which a try counts as used."""
+
 TURN_GRACE_S = 10.0
 MAX_RECESSION_M = 25.0
 ITEM_RADIUS_M = 50.0
@@ -41,7 +45,8 @@ class JumpStatus(Enum):
     """Status of a jump."""
 
     WAITING = "waiting"
-    REPEAT = "ask again"
+    REPEAT = "repeat"
+    UNREPORTED = "no item reported"
     REFUSED = "refused"
 
 
@@ -49,7 +54,8 @@ class JumpStatus(Enum):
 class JumpMonitor:
     """One jump, from the order until the vehicle flies it.
 
-    `previous_items`: the items reported just before the order, at `first_ordered_s`.
+    `previous_items`: the items reported just before the order, at `first_ordered_s`, and those that
+    the autopilot flew on its own since. `unchanged_s`: last report of one of them.
     """
 
     index: int
@@ -58,6 +64,7 @@ class JumpMonitor:
     previous_items: frozenset[int] = frozenset()
     tries: int = 1
     refused: bool = False
+    unchanged_s: float = -math.inf
     first_ordered_s: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -117,15 +124,22 @@ class JumpMonitor:
         )
 
     def update_retry_status(self, t_s: float) -> JumpStatus:
-        """Without confirmation so far: wait, repeat the order, or abandon it."""
-        if not self.refused and t_s - self.ordered_s < CONFIRM_TIMEOUT_S:
+        """Without confirmation so far: wait, repeat the order, or abandon it.
+
+        It is repeated only if a recent report shows the item unchanged, or if it was refused.
+        """
+        waited_s = t_s - self.ordered_s
+        if not self.refused and waited_s < JUMP.interval_s:
             return JumpStatus.WAITING
-        if self.tries >= MAX_TRIES:
+        is_permitted = self.refused or t_s - self.unchanged_s <= UNCHANGED_MAX_AGE_S
+        if not is_permitted and waited_s < UNREPORTED_TIMEOUT_S:
+            return JumpStatus.WAITING
+        if self.tries >= JUMP.max_tries:
             return JumpStatus.REFUSED
         self.tries += 1
         self.refused = False
         self.ordered_s = t_s
-        return JumpStatus.REPEAT
+        return JumpStatus.REPEAT if is_permitted else JumpStatus.UNREPORTED
 
     def _is_confirming_item(self, mission: ReturnByDefaultMission, reported_item: int) -> bool:
         """Return whether this item confirms the jump.

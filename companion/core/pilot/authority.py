@@ -6,11 +6,13 @@ replacement: the one that took control last, because the state of the other is o
 compare the claims that both publish, so both reach the same decision independently.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Any
 
 from companion.core.mission.actions import OperatorResponse, ResponseStatus, SetMode
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     CONTROL_CLAIM_STEP_S,
     AbortOrdered,
@@ -63,15 +65,19 @@ ARM_CONFIRM_DELAY_S = 0.2
 class OrderedMode:
     """The flight mode that the companion ordered; other modes, except the mission's, are takeovers.
 
-    An order lasts until the next one, until control is released, or until a resumed flight is
-    back in its mission. Until the ordered mode shows, the mode before it is no takeover either.
-    On the ground the first mode reported is the one that has to stay.
+    A mode is the companion's if it begins within the limit of its order; later it is a person's.
+    Until an ordered mode shows, the mode before it is no takeover either. On the ground the first
+    mode reported is the one that has to stay.
     """
 
     ordered: Mode | None = None
+    """The latest order, until control is released or a resumed flight is back in its mission."""
     ordered_from: str | None = None
     """Mode before the ordered one, until that shows."""
+    effective: Mode | None = None
+    """The ordered mode that the vehicle is in."""
     ground_mode: str | None = None
+    _order_times_s: dict[Mode, float] = field(default_factory=dict)
 
     def clear_ground_mode(self) -> None:
         """Accept the next mode on the ground: a reboot or a hand-back changes it."""
@@ -84,21 +90,23 @@ class OrderedMode:
 
     def order_mode(self, context: FlightContext, mode: Mode) -> None:
         """Order a mode change."""
-        self.record_ordered_mode(mode, context.telemetry.state)
+        self.record_ordered_mode(context, mode)
         context.queue_actions(SetMode(mode))
 
-    def record_ordered_mode(self, mode: Mode, state: VehicleState | None) -> None:
+    def record_ordered_mode(self, context: FlightContext, mode: Mode) -> None:
         """A mode change is ordered: until it takes effect, the old mode is not an intrusion."""
-        self.ordered = mode
+        state = context.telemetry.state
+        self.ordered, self.effective = mode, None
         self.ordered_from = state.mode_name if state is not None else None
+        self._order_times_s[mode] = context.t_s
 
     def clear_ordered_mode(self) -> None:
         """Clear the ordered mode."""
-        self.ordered = None
-        self.ordered_from = None
+        self.ordered = self.ordered_from = self.effective = None
+        self._order_times_s.clear()
 
     def update_and_get_takeover_reason(
-        self, phase: Phase, state: VehicleState, *, on_ground: bool
+        self, phase: Phase, state: VehicleState, *, on_ground: bool, is_at_home: bool
     ) -> str | None:
         """Return why this heartbeat shows a takeover, or `None`."""
         if phase in GROUND_PHASES:
@@ -108,7 +116,9 @@ class OrderedMode:
             return None
         if phase is Phase.LAST_RESORT and on_ground and state.mode is Mode.MISSION:
             return None  # PX4 leaves RTL and LAND as it disarms, for the mode before
-        return self.unexpected_mode_reason(state, is_in_mission=phase is not Phase.LAST_RESORT)
+        return self.unexpected_mode_reason(
+            state, is_in_mission=phase is not Phase.LAST_RESORT, is_at_home=is_at_home
+        )
 
     def _update_and_get_ground_takeover_reason(
         self, phase: Phase, state: VehicleState
@@ -126,16 +136,15 @@ class OrderedMode:
         return None
 
     def unexpected_mode_reason(
-        self, state: VehicleState, *, is_in_mission: bool = True
+        self, state: VehicleState, *, is_in_mission: bool = True, is_at_home: bool = False
     ) -> str | None:
-        """Return why the mode in this heartbeat is a takeover of a vehicle in its mission, or
-        without one, or `None`.
-        """
-        if self.ordered is not None and state.mode is self.ordered:
-            self.ordered_from = None
+        """Return why the mode in this heartbeat is a takeover, or `None`."""
+        ordered_s = self._order_times_s.get(state.mode, -math.inf)
+        is_effect = state.t_s - ordered_s <= CommandKind.RESUME_MODE.value.limit_s
+        is_end_of_rtl = self.effective is Mode.RTL and state.mode is Mode.LAND and is_at_home
+        if state.mode is self.effective or is_effect or is_end_of_rtl:
+            self.effective, self.ordered_from = state.mode, None
             return None
-        if self.ordered is Mode.RTL and self.ordered_from is None and state.mode is Mode.LAND:
-            return None  # RTL ends in a landing
         if is_in_mission and state.mode is Mode.MISSION and self.ordered is None:
             return None
         if state.mode_name == self.ordered_from:
@@ -191,8 +200,7 @@ class DisarmMonitor:
     def release_control_if_disarmed_externally(
         self, context: FlightContext, state: VehicleState
     ) -> bool:
-        """Return whether someone else disarmed it, and release control for good: the companion
-        never re-arms after that.
+        """Return whether someone else disarmed it, and release control for good.
 
         If no heartbeat showed it armed, the ground sequence starts the flight, then releases it.
         """
@@ -348,7 +356,7 @@ class ControlAuthority:
         if context.phase is Phase.LAST_RESORT:
             on_ground = on_ground and telemetry.is_recent(telemetry.ground, GROUND_MAX_AGE_S)
         reason = self._modes.update_and_get_takeover_reason(
-            context.phase, state, on_ground=on_ground
+            context.phase, state, on_ground=on_ground, is_at_home=telemetry.is_above_reported_home
         )
         if reason is not None:
             context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)

@@ -306,6 +306,8 @@ class OnboardListState:
     restored: bool = False
     last_mismatch_s: float | None = None
     """Last report of a foreign list or none; also after control is released."""
+    last_match_s: float | None = None
+    """Last report that shows no sign of a foreign list."""
 
     @property
     def is_unverified(self) -> bool:

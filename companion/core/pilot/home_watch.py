@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.core.base.geo import LocalFrame, horizontal_distance_m
-from companion.core.mission.actions import SetHome, SetMode
+from companion.core.mission.actions import SetHome
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
     SET_HOME,
@@ -134,7 +134,7 @@ class HomeMonitor:
             self._redirect_home(context, position)
         self._state.is_rtl_pending = self._state.redirect_ordered_s is not None
         if self._state.is_rtl_pending:
-            self._modes.record_ordered_mode(Mode.RTL, context.telemetry.state)
+            self._modes.record_ordered_mode(context, Mode.RTL)
         else:
             self._modes.order_mode(context, Mode.RTL)
         return destination_text
@@ -245,7 +245,7 @@ class HomeMonitor:
     def _order_pending_rtl(self, context: FlightContext) -> None:
         """Order RTL if it is pending, unless the companion has lost control."""
         if self._state.is_rtl_pending and context.phase is Phase.LAST_RESORT:
-            context.queue_actions(SetMode(Mode.RTL))
+            self._modes.order_mode(context, Mode.RTL)
         self._state.is_rtl_pending = False
 
     def _complete_or_abandon_redirect(self, context: FlightContext) -> None:

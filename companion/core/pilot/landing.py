@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from companion.core.base.geo import Ned, horizontal_distance_m
 from companion.core.mission.actions import Disarm, Finished, LogNote
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import VehicleLandedState
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.authority import DisarmMonitor
@@ -49,8 +50,7 @@ DISARMED_FALLBACK_S = 15.0
 motors it falls from 120 m in 5 s. Needed on ground of unknown height, or with a faulty detector or
 position."""
 
-DISARM_INTERVAL_S = 5.0
-MAX_DISARM_ORDERS = 3
+DISARM = CommandKind.DISARM.value
 HOME_RADIUS_M = 30.0
 MAX_DROP_BELOW_SITE_M = 4.0
 RESTORE_TIMEOUT_S = 4.0
@@ -65,6 +65,7 @@ class LandingState:
     """Reported down coordinate when it came to rest."""
     disarm_ordered_s: float | None = None
     disarm_orders: int = 0
+    disarm_mode_name: str = ""
     manual_disarm_reported: bool = False
     landed_s: float | None = None
     energy_touched_down: EnergyBelief | None = None
@@ -113,9 +114,12 @@ class LandingController:
         waited_s = context.seconds_since(state.at_rest_since_s)
         if waited_s < (LANDED_DELAY_S if detected_on_ground else REST_S):
             return
-        is_disarm_due = context.seconds_since(state.disarm_ordered_s) > DISARM_INTERVAL_S
-        if is_companion_phase and is_disarm_due and state.disarm_orders < MAX_DISARM_ORDERS:
-            state.disarm_ordered_s = context.t_s
+        is_disarm_due = context.seconds_since(state.disarm_ordered_s) > DISARM.interval_s
+        mode_name = telemetry.state.mode_name
+        is_same_mode = state.disarm_mode_name in ("", mode_name)  # another one is a person's
+        may_disarm = is_companion_phase and is_same_mode
+        if may_disarm and is_disarm_due and state.disarm_orders < DISARM.max_tries:
+            state.disarm_ordered_s, state.disarm_mode_name = context.t_s, mode_name
             state.disarm_orders += 1
             context.queue_actions(LogNote("on the ground and still armed: plain disarm"), Disarm())
         if waited_s > ARMED_ALERT_DELAY_S and not state.manual_disarm_reported:

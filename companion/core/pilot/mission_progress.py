@@ -153,13 +153,11 @@ class MissionProgressMonitor:
 
     def tick(self, context: FlightContext) -> None:
         """Repeat a jump that telemetry does not confirm, or abandon it."""
-        jump, reported = self._state.jump, context.telemetry.progress
+        jump = self._state.jump
         if jump is None:
             return
-        unknown = reported is None or reported.t_s <= jump.ordered_s
-        unknown = unknown and not jump.refused
         match jump.update_retry_status(context.t_s):
-            case JumpStatus.REPEAT if unknown:
+            case JumpStatus.UNREPORTED:
                 context.queue_actions(
                     LogNote(f"jump to item {jump.index} not repeated: item not reported")
                 )
@@ -195,6 +193,7 @@ class MissionProgressMonitor:
             if state.jump.is_confirmed_by_report(mission, event.index, event.t_s):
                 self._complete_confirmed_jump(context, state.jump, event.index)
             elif state.jump.record_if_intermediate_item(mission, event.index):
+                state.jump.unchanged_s = event.t_s
                 state.unexpected_item = None  # the jump is pending; the tick repeats or abandons it
             else:
                 self._count_unexpected_item(event.index)

@@ -93,8 +93,8 @@ class OnboardMissionVerifier:
                 self._start_verification_if_flying(context, event.description)
             case MissionVerified() if context.phase in MISSION_PHASES:
                 self._evaluate_mission_read_back(context, event, items)
-            case MissionUploaded() if (
-                self._state.step is VerificationStep.RESTORE and event.reason is None
+            case MissionUploaded() if self._state.step is VerificationStep.RESTORE and (
+                event.reason is None or event.superseded
             ):
                 self._request_whole_list(context, items)
             case MissionUploaded() if event.reason is not None and self._state.is_unverified:
@@ -161,6 +161,8 @@ class OnboardMissionVerifier:
         by_id = state.mission_id is not None and event.mission_id not in (None, state.mission_id)
         if by_id or event.total not in (None, item_count):
             state.last_mismatch_s = context.t_s
+        else:
+            state.last_match_s = context.t_s
 
     def _start_verification_if_flying(self, context: FlightContext, reason: str) -> None:
         """Suspend use of the list until it has been read."""

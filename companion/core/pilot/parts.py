@@ -43,6 +43,7 @@ from companion.core.mission.events import (
     OrderAccepted,
     OrderRefused,
     OtherCompanionReport,
+    OtherStationModeCommand,
     ParametersSet,
     Position,
     ReleaseFeedback,
@@ -144,7 +145,10 @@ PARTS = (
     ),
     PilotPart(
         FlightResumption,
-        (MissionUploaded, MissionVerified, MissionWriteDetected, OrderRefused),
+        (
+            *(MissionUploaded, MissionVerified, MissionWriteDetected, OrderRefused),
+            OtherStationModeCommand,
+        ),
     ),
     PilotPart(LinkMonitor, (LinkSilent, LinkRecovered, ClockJumpedForward, ClockSteppedBack)),
     PilotPart(TrafficExchange, (GnssTime, NeighbourTrackReceived)),

@@ -1,5 +1,6 @@
 """Faults of flight authority: lost acknowledgements, disarming, takeovers, two computers."""
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -161,6 +162,20 @@ def force_disarm_by_station(stage: FaultContext) -> Iterator[None]:
     stage.record_take_over(DISARM_REPORTED_S)
 
 
+CLOCK_WITHOUT_SUSPENSION = """\
+import time
+def monotonic(clock_s=time.monotonic, last=[0.0, 0.0]):
+    now_s = clock_s()
+    last[1] += now_s - last[0] if now_s - last[0] > 0.4 else 0.0
+    last[0] = now_s
+    return now_s - last[1]
+time.monotonic = monotonic
+"""
+"""Python code: the loop reads the clock ten times a second, so a longer gap is a suspension."""
+
+SUSPENSION_WALL_S = 0.8
+
+
 def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
     """Return a procedure: the companion process is stopped, and the pilot takes over meanwhile."""
 
@@ -174,6 +189,34 @@ def stall_companion_during_takeover(duration_s: float) -> FaultProcedure:
         stage.resume_companion()
 
     return procedure
+
+
+@FAULTS.register_procedure(
+    73,
+    "computer-suspends",
+    AIRBORNE_PHASES_BEFORE_LANDING,
+    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+    before_companion=CLOCK_WITHOUT_SUSPENSION,
+    ends_after_s=20.0,
+)
+def suspend_computer_during_takeover(stage: FaultContext) -> Iterator[None]:
+    """The computer is suspended for 10 s, CLOCK_MONOTONIC stands still, a pilot takes over (A11).
+
+    Before, another station moves home: received telemetry of the suspension calls for a command.
+    """
+    station, autopilot = Station(stage.craft.link), stage.craft.autopilot
+    yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_effect("a pilot has control", lambda: autopilot.is_under_external_control)
+    stage.stall_companion()
+    yield from stage.wait(6.0)
+    station.send_set_home_at_offset(stage.craft.depot, up_m=25.0)
+    takeover_before_end_s = stage.rng.uniform(0.3, 0.7)
+    yield from stage.wait(4.0 - takeover_before_end_s)
+    stage.craft.start_pilot_override()
+    stage.record_take_over()
+    yield from stage.wait(takeover_before_end_s)
+    threading.Event().wait(SUSPENSION_WALL_S)  # simulated time is faster
+    stage.resume_companion()
 
 
 STALL_FOR_SECOND_S = 15.0
@@ -266,12 +309,20 @@ PAYLOAD_SPEED_MPS = 9.0
     6,
     "taken-back-at-once",
     AIRBORNE_PHASES_BEFORE_LANDING,
-    (check_no_commands_after_takeover, check_alert_sent(Alert.CONTROL_RELEASED)),
+    (
+        check_no_commands_after_takeover,
+        check_alert_sent(Alert.CONTROL_RELEASED),
+    ),
     ends_after_s=25.0,
 )
 def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]:
     """A person hands back control and selects RTL within 0.2 s, or HOLD again within 0.2 s of the
-    mission's resumption.
+    mission's resumption (A16).
+
+    Before the companion has verified the mission and ordered its mode (up to 1 s), HOLD selected
+    again in HOLD shows in no telemetry: only an acknowledgement of the person's command that
+    reaches the companion ends the hand-back. The person has to cancel it at the companion, or
+    select the mode again.
     """
     craft = stage.craft
     station = Station(craft.link, (GROUND_SYSTEM, GROUND_COMPONENT))

@@ -1,13 +1,20 @@
 """Faults of concurrent decisions: a person selects a mode or item, or replaces the mission."""
 
+import math
 from collections.abc import Iterator
 
 from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.fault import SAFETY_RULES, FaultGroup
-from sim_bridge.app.faults.mission_and_home import MISSION_SHIFT_M, expect_other_mission_onboard
+from sim_bridge.app.faults.mission_and_home import (
+    MISSION_SHIFT_M,
+    RETURN_ON_HOLD_ARGUMENTS,
+    expect_other_mission_onboard,
+)
 from sim_bridge.app.faults.verdict import (
     check_alert_sent,
+    check_control_retained,
     check_delivered,
+    check_landed_intact_by_pilot,
     check_no_commands_after_takeover,
     check_procedure_made_note,
     check_returned_home,
@@ -19,7 +26,8 @@ from sim_bridge.app.link.client_messages import (
     MODE_PARAMS,
     message_to_autopilot,
 )
-from sim_bridge.app.link.tap import pass_unchanged
+from sim_bridge.app.link.tap import message_with_changed_fields, pass_unchanged
+from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.app.world.station import Station, shift_mission_east
 from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.codec import Message
@@ -35,6 +43,10 @@ LANDING_ITEM_NOTE, HOLD_NOTE, OWN_MISSION_NOTE = (
     "vehicle in HOLD",
     "own mission flown",
 )
+FAR_FROM_HOME_M = 60.0
+HOLD_BEFORE_UPLOAD_S = (0.3, 0.6)
+INTRUDERS = ((30, 8), (2, 8), (26, 8), (1, 12), (2, 0))
+"""MAV_TYPE and MAV_AUTOPILOT of other components: camera, gimbal, ones that pose as vehicles."""
 
 
 def connect_operator_station(stage: FaultContext) -> Station:
@@ -139,11 +151,12 @@ def select_landing_item_during_jump(stage: FaultContext) -> Iterator[None]:
         stage.notes.append(LANDING_ITEM_NOTE)
 
 
-def _upload_shifted_mission(stage: FaultContext, station: Station) -> Iterator[None]:
+def _upload_shifted_mission(
+    stage: FaultContext, station: Station, item_count: int | None = None
+) -> Iterator[None]:
     expect_other_mission_onboard(stage)
-    yield from station.upload_mission(
-        shift_mission_east(list(stage.craft.autopilot.store.mission), MISSION_SHIFT_M)
-    )
+    items = list(stage.craft.autopilot.store.mission)[:item_count]
+    yield from station.upload_mission(shift_mission_east(items, MISSION_SHIFT_M))
 
 
 def _onboard_mission_items_without_home(stage: FaultContext) -> list[tuple[int, int, int, float]]:
@@ -244,3 +257,96 @@ def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.RETURN_REFUSED_RTL))
     yield from stage.wait(12.0)
     craft.link.refused = frozenset()
+
+
+@FAULTS.register_procedure(
+    71,
+    "pilot-lands-after-rtl",
+    ("outbound", "return"),
+    (
+        check_no_commands_after_takeover,
+        check_alert_sent(Alert.CONTROL_RELEASED),
+        check_landed_intact_by_pilot,
+    ),
+)
+def land_by_station_during_own_rtl(stage: FaultContext) -> Iterator[None]:
+    """A person selects LAND during the companion's own RTL, far from home (A9)."""
+    station, craft = connect_operator_station(stage), stage.craft
+    yield from stage.wait_for_phase_and_record_fault_start()
+    yield from _upload_shifted_mission(stage, station)
+    yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.MISSION_RESTORED))
+    yield from _upload_shifted_mission(stage, station)
+    yield from stage.wait_until(lambda: craft.autopilot.mode is Mode.RTL)
+    yield from stage.wait(stage.rng.uniform(1.5, 4.0))
+    _, north_m, east_m, *_ = craft.record.rows[-1]
+    is_far = math.hypot(north_m, east_m) > FAR_FROM_HOME_M
+    stage.expect_effect("LAND far from home", lambda: is_far and craft.autopilot.mode is Mode.LAND)
+    send_mode_command(stage, station, "land")
+    stage.record_take_over()
+
+
+@FAULTS.register_procedure(
+    74,
+    "hold-then-upload",
+    ("outbound", "return"),
+    (
+        check_no_commands_after_takeover,
+        check_procedure_made_note(HOLD_NOTE),
+        check_alert_sent(Alert.CONTROL_RELEASED),
+    ),
+    arguments=RETURN_ON_HOLD_ARGUMENTS,
+    ends_after_s=45.0,
+)
+def select_hold_then_upload_mission(stage: FaultContext) -> Iterator[None]:
+    """A person selects HOLD and uploads three items 0.3 to 0.6 s later; no RTL follows (A13)."""
+    station, craft = connect_operator_station(stage), stage.craft
+    yield from stage.wait_for_phase_and_record_fault_start()
+    own_items = _onboard_mission_items_without_home(stage)
+    stage.expect_effect(
+        "mission replaced", lambda: _onboard_mission_items_without_home(stage) != own_items
+    )
+    send_mode_command(stage, station, "hold")
+    stage.record_take_over()
+    yield from stage.wait(stage.rng.uniform(*HOLD_BEFORE_UPLOAD_S))
+    yield from _upload_shifted_mission(stage, station, 3)
+    yield from stage.wait(40.0)
+    if craft.autopilot.mode is not Mode.AUTO:
+        stage.notes.append(HOLD_NOTE)
+
+
+@FAULTS.register_procedure(
+    75,
+    "intruding-heartbeat",
+    ("ready", "climb", "outbound", "return"),
+    (
+        *SAFETY_RULES,
+        check_delivered,
+        check_control_retained,
+        check_alert_sent(Alert.HEARTBEAT_INTRUDER),
+    ),
+)
+def add_heartbeats_with_autopilot_ids(stage: FaultContext) -> Iterator[None]:
+    """Another component sends heartbeats with the autopilot's system and component ID (A14).
+
+    In phase ready it starts before the autopilot is identified.
+    """
+    number, alternates = stage.rng.integers(len(INTRUDERS)), stage.rng.random() < 0.3
+    mav_type, mav_autopilot = INTRUDERS[number]
+    count = 0
+
+    def add_intruding_heartbeat(message: Message) -> list[Message] | None:
+        nonlocal count
+        if message.msg_name != "HEARTBEAT":
+            return None
+        count += 1
+        intruder = {"type": mav_type, "autopilot": mav_autopilot, "base_mode": 0, "custom_mode": 0}
+        intruding = message_with_changed_fields(message, **intruder)
+        return [message] if alternates and count % 2 else [message, intruding]
+
+    if stage.phase is FlightPhase.READY:
+        stage.record_fault_start()
+    else:
+        yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_messages_changed("HEARTBEAT")
+    stage.tap.to_companion = add_intruding_heartbeat
+    yield

@@ -14,12 +14,14 @@ MODE_PARAMS = {
         "hold": (1.0, 4.0, 3.0),
         "mission": (1.0, 4.0, 4.0),
         "rtl": (1.0, 4.0, 5.0),
+        "land": (1.0, 4.0, 6.0),
     },
     "ardupilot": {
         "position": (1.0, 5.0, 0.0),  # LOITER
         "hold": (1.0, 5.0, 0.0),
         "mission": (1.0, 3.0, 0.0),
         "rtl": (1.0, 6.0, 0.0),
+        "land": (1.0, 9.0, 0.0),
     },
 }
 """Parameters of DO_SET_MODE by autopilot and mode."""

@@ -7,6 +7,7 @@ import typer
 from typer.cli import get_docs_for_click
 
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import life_cycle_as_markdown
 from companion.core.pilot.transitions import transitions_as_markdown, transitions_as_mermaid
 from sim_bridge.app.fault_suite.catalogue import CATALOGUE
 from sim_bridge.app.faults.fault import FaultCase
@@ -45,6 +46,14 @@ FAULTS_COLUMNS = (
 )
 
 
+COMMANDS_HEAD = """# Commands to the autopilot
+
+States of a command, and for each kind of command: the evidence that ends it, who repeats it and how
+long, and which newer decision of a person or another station ends it at once. A takeover ends all.
+
+"""
+
+
 def generate_pages() -> dict[Path, str]:
     """Return the text of each generated file by path below docs/reference."""
     return {
@@ -53,6 +62,7 @@ def generate_pages() -> dict[Path, str]:
         Path("alerts.md"): f"{MARK}\n{_alert_page()}",
         Path("fault-suite.md"): f"{MARK}\n{_fault_page()}",
         Path("mission-table.md"): f"{MARK}\n{_mission_table_page()}",
+        Path("commands.md"): f"{MARK}\n{COMMANDS_HEAD}{life_cycle_as_markdown()}\n",
     }
 
 

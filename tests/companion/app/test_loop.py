@@ -23,8 +23,10 @@ from companion.adapters.files.signing_files import SigningStampStore
 from companion.app.flight import run as run_module
 from companion.app.flight.loaded_flight import autopilot_parameter_requirements
 from companion.app.flight.loop import Loop
+from companion.app.flight.receive_backlog import ReceiveBacklog
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.run import INTERNAL_ERROR
+from companion.app.flight.send_queue import SendQueue
 from companion.app.flight.signing_monitor import SigningMonitor
 from companion.core.mission.actions import (
     CancelOrders,
@@ -381,6 +383,60 @@ def test_safety_rule_1_dropped_orders_that_are_encoded_already_do_not_leave(stat
     still = Stalled(station)
     station.loop.execute_actions([SetGroundSpeed(8.0), SetMode(Mode.MISSION), CancelOrders()])
     assert [still.hear(1.0 + 0.1 * k) for k in range(1, 20)] == [[]] * 19
+
+
+@pytest.mark.parametrize("is_guarded", [True, False])
+def test_safety_rule_1_an_order_of_the_tick_in_the_read_with_a_takeover_does_not_leave(
+    station, monkeypatch, is_guarded
+):
+    still = Stalled(station)
+    handle = station.pilot.process_event
+
+    def order_at_tick(event: Any) -> list[Any]:
+        return [SetMode(Mode.MISSION)] if isinstance(event, Tick) else handle(event)
+
+    station.pilot.process_event = order_at_tick
+    if not is_guarded:
+        monkeypatch.setattr(SendQueue, "discard_orders", lambda self: None)
+    station.wire.received.append(
+        b"".join(bytes(m.pack(station.mav)) for m in (station.sync(1.2), still.beat(3)))
+    )
+    assert bool(still.commands()) is not is_guarded
+
+
+@pytest.mark.parametrize("is_guarded", [True, False])
+def test_safety_rule_1_an_order_waits_while_received_data_that_no_clock_shows_late_are_unread(
+    station, monkeypatch, is_guarded
+):
+    """A suspension that stops all clocks: TIMESYNC at its start, the takeover at its end."""
+    still = Stalled(station)
+    if not is_guarded:
+        monkeypatch.setattr(ReceiveBacklog, "is_newer_data_unread", lambda self: False)
+    station.loop.execute_actions([SetGroundSpeed(8.0)])
+    still.arrive(1.1, 2.6, mode=3)
+    assert bool(still.commands()) is not is_guarded
+
+
+INTRUDERS = [(30, 8), (2, 8), (26, 8), (6, 8), (0, 12), (1, 12), (2, 3)]
+
+
+@pytest.mark.parametrize(("mav_type", "mav_autopilot"), INTRUDERS)
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_second_heartbeat_with_the_autopilots_ids_is_reported_once_and_ignored(
+    station, mav_type, mav_autopilot, is_first
+):
+    intruder = mavlink.MAVLink_heartbeat_message(mav_type, mav_autopilot, 0, 0, 4, 3)
+    own = mavlink.MAVLink_heartbeat_message(2, 12, 129, 4 << 16 | 4 << 24, 4, 3)
+    for _ in range(12):
+        station.put(*([intruder, own] if is_first and mav_autopilot == 8 else [own]))
+    said = texts(station.turn())
+    for k in range(1, 40):
+        station.put(own, intruder, *station.telemetry(100 * k), station.sync(0.1 * k))
+        said += texts(station.turn())
+    state = station.pilot.context.telemetry.state
+    assert (state.armed, state.mode) == (True, Mode.MISSION)
+    assert len([text for text in said if "uses the autopilot's IDs" in text]) == 1
+    assert not any("released" in text for text in said)
 
 
 def test_an_order_from_before_a_stall_is_sent_again_where_it_is_still_wanted(station):

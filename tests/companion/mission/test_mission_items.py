@@ -151,12 +151,26 @@ def test_a_report_that_may_be_older_than_the_jump_says_nothing_of_it():
     )
 
 
-def test_a_jump_that_no_report_confirms_is_asked_again_and_then_given_up():
-    jump = JumpMonitor(4, JumpType.HOME, 10.0)
-    assert jump.update_retry_status(12.4) is JumpStatus.WAITING
-    assert jump.update_retry_status(12.5) is JumpStatus.REPEAT
-    assert jump.update_retry_status(15.0) is JumpStatus.REPEAT
-    assert jump.update_retry_status(17.5) is JumpStatus.REFUSED
+@pytest.mark.parametrize("reported", [True, False])
+def test_a_jump_is_repeated_while_the_item_is_reported_unchanged_and_then_abandoned(reported):
+    jump, found = JumpMonitor(4, JumpType.HOME, 0.0), []
+    for tenth in range(150):
+        jump.unchanged_s = tenth / 10.0 if reported else 0.0
+        status = jump.update_retry_status(tenth / 10.0)
+        found += [] if status is JumpStatus.WAITING else [(tenth / 10.0, status)]
+        if status is JumpStatus.REFUSED:
+            break
+    times, statuses = zip(*found, strict=True)
+    interval_s, status = (1.5, JumpStatus.REPEAT) if reported else (2.5, JumpStatus.UNREPORTED)
+    assert times == pytest.approx([interval_s * n for n in range(1, 6)])
+    assert statuses == (*[status] * 4, JumpStatus.REFUSED)
+
+
+def test_a_jump_is_repeated_only_at_a_report_of_the_unchanged_item():
+    jump = JumpMonitor(4, JumpType.HOME, 0.0, unchanged_s=1.0)
+    assert jump.update_retry_status(1.6) is JumpStatus.WAITING, "may have changed since"
+    jump.unchanged_s = 2.0
+    assert jump.update_retry_status(2.1) is JumpStatus.REPEAT
 
 
 def test_the_spot_of_an_item_without_a_place_is_where_the_mission_flies_next():

@@ -500,7 +500,7 @@ def test_an_autopilot_that_flies_on_past_its_item_and_takes_no_jump_gets_rtl(win
     w.run(lambda w: w.mode is Mode.RTL, 120.0)
     assert w.pilot.phase is Phase.LAST_RESORT
     asked = [a.index for t, a in w.log if isinstance(a, JumpTo) and t > lost_s]
-    assert len(asked) == 3
+    assert len(asked) == 5
     assert set(asked) == {missed + 1}
     assert 100.0 < math.dist((w.north, w.east), goal_of(w, missed)) < 215.0
     assert "mission not usable: companion commands RTL" in w.said

@@ -10,6 +10,7 @@ from companion.core.mission import events as ev
 from companion.core.mission.actions import (
     AlertReport,
     Arm,
+    Disarm,
     JumpTo,
     OperatorResponse,
     Order,
@@ -21,6 +22,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.alerts import Severity
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
+from companion.core.pilot.authority import OrderedMode
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
@@ -317,3 +319,64 @@ def test_safety_rule_1_another_mode_ends_the_last_resort_at_once():
     w.until(Phase.SUSPENDED)
     taken_s = w.t_s
     assert let(w, 30.0).orders_after(taken_s) == []
+
+
+@pytest.mark.parametrize(("away_m", "is_persons"), [(100.0, True), (5.0, False)])
+def test_safety_rule_1_land_during_our_rtl_is_a_persons_unless_at_home(away_m, is_persons):
+    w = last_resort()
+    w.refuses = False
+    w.run(lambda w: w.mode is Mode.RTL, 10.0)
+    let(w, 10.0)
+    w.north, w.east, w.mode, changed_s = away_m, 0.0, Mode.LAND, w.t_s
+    let(w, 1.0)
+    assert (w.pilot.phase is Phase.SUSPENDED) is is_persons
+    done = w.to_the_end()
+    assert bool(w.orders_after(changed_s)) is not is_persons, "settings are restored"
+    assert (done.outcome == "TAKEN") is is_persons
+
+
+@pytest.mark.parametrize("mode", [Mode.RTL, Mode.LAND])
+def test_safety_rule_1_a_mode_that_was_ordered_long_ago_is_a_persons(mode):
+    w = reach(Phase.OUTBOUND)
+    w.ignores = True
+    modes_part = w.pilot.parts.part_of_class(OrderedMode)
+    modes_part.order_mode(w.pilot.context, mode)
+    let(w, 6.0)
+    assert w.pilot.phase is Phase.OUTBOUND
+    w.mode = mode
+    let(w, 1.0)
+    assert w.pilot.phase is Phase.SUSPENDED
+
+
+def test_safety_rule_1_another_stations_mode_command_ends_a_hand_back():
+    """HOLD selected again in HOLD shows in no mode report."""
+    w = held()
+    w.mission_id = 6  # not verified: it is read first
+    w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    handed_s = w.t_s
+    w.tell(ev.OtherStationModeCommand(w.t_s))
+    let(w, 20.0)
+    assert modes(w, handed_s) == []
+    assert w.pilot.phase is Phase.SUSPENDED
+
+
+def test_safety_rule_1_a_restore_that_another_station_overwrites_is_not_repeated():
+    w = reach(Phase.OUTBOUND)
+    replace_mission(w)
+    w.run(lambda w: any(isinstance(a, UploadMission) for a in w.orders_after(w.t_s - 0.2)), 10.0)
+    w.answers.clear()
+    uploaded_s = w.t_s
+    replace_mission(w)
+    w.tell(ev.MissionUploaded(w.t_s, "written by another station", superseded=True))
+    let(w, 20.0)
+    assert not [a for a in w.orders_after(uploaded_s) if isinstance(a, UploadMission)]
+    assert w.pilot.phase is Phase.LAST_RESORT
+
+
+def test_safety_rule_1_a_mode_selected_after_the_landing_ends_the_disarm_orders():
+    w = reach(Phase.LAND)
+    w.disarms = False
+    w.run(lambda w: any(isinstance(a, Disarm) for a in w.orders_after(0.0)))
+    ordered_s, w.mode = w.t_s, Mode.OTHER
+    let(w, 20.0)
+    assert not [a for a in w.orders_after(ordered_s) if isinstance(a, Disarm)]

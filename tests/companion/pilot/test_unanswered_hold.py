@@ -133,6 +133,22 @@ def test_safety_rule_1_a_pilots_hold_is_a_take_over_whatever_was_chosen():
     assert modes(w) == []
 
 
+@pytest.mark.parametrize("items_left", [0, 3])
+@pytest.mark.parametrize("is_reported_between", [True, False])
+def test_safety_rule_1_a_hold_that_precedes_the_upload_is_a_persons(
+    items_left, is_reported_between
+):
+    w = world(options=RETURN).until(Phase.OUTBOUND)
+    w.mode, w.takes_uploads = Mode.HOLD, False
+    w.mute = set() if is_reported_between else {ev.MissionProgress}
+    w.until(Phase.SUSPENDED)
+    let(w, 0.4)
+    w.items, w.mute = w.items[:items_left], set()
+    let(w, 40.0)
+    # A list that is cleared before the next report (1 Hz) may have been the cause of the HOLD.
+    assert modes(w) == ([] if is_reported_between or items_left else [Mode.RTL])
+
+
 def test_safety_rule_3_no_return_is_ordered_to_a_home_that_moved():
     w = cleared(Phase.OUTBOUND, RETURN)
     w.home_up = 40.0  # not restored after a release of control

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import Event, Mode, OrderRefused
 from companion.core.pilot.authority import OrderedMode
 from companion.core.pilot.context import FlightContext
@@ -11,8 +12,8 @@ from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
 from companion.core.pilot.home_watch import HomeMonitor
 from companion.core.pilot.transitions import Phase, Trigger
 
-ORDER_INTERVAL_S = 2.0
-"""Interval of the orders: a mode shows within 1 s (HEARTBEAT), and twice that on a slow link."""
+ORDER_INTERVAL_S = CommandKind.LAST_RESORT_MODE.value.interval_s
+"""A mode shows within 1 s (HEARTBEAT), and twice that on a slow link."""
 
 MAX_RTL_ORDERS = 10
 """Number of RTL orders without effect (20 s) after which LAND and RTL are ordered alternately."""

@@ -15,6 +15,7 @@ from companion.core.mission.actions import (
     VerifyMission,
 )
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     ClockJumpedForward,
     ClockSteppedBack,
@@ -26,6 +27,7 @@ from companion.core.mission.events import (
     MissionWriteDetected,
     Mode,
     OrderRefused,
+    OtherStationModeCommand,
     VehicleState,
 )
 from companion.core.mission.flight_plan import FlightPlan, build_mission, build_site_map
@@ -48,16 +50,15 @@ MAX_LULL_S = 3.0
 POSITION_TIMEOUT_S = 30.0
 """On the ground, the position shows whether it is home; a receiver may take this long."""
 
-MODE_TIMEOUT_S = 5.0
-"""Timeout of a mode command: acknowledgement, a heartbeat at 1 Hz, and a slow link."""
+MODE_TIMEOUT_S = CommandKind.RESUME_MODE.value.limit_s
+"""Acknowledgement, a heartbeat at 1 Hz, and a slow link."""
 
+JUMP_INTERVAL_S = CommandKind.JUMP.value.interval_s
 READ_BACK_RETRY_S = 20.0
 
 PENDING_REQUESTS = 12
 """Items requested at a time at a hand-back: 0.1 s of a radio of 57,600 baud. Until the mode command
 leaves, a pilot's selection of HOLD during HOLD cannot be detected."""
-
-JUMP_RETRY_S = 2.5
 
 RESUME_TIMEOUT_S = 60.0
 """Timeout of a hand-back: three downloads, an upload and a jump on a slow link."""
@@ -83,6 +84,7 @@ class FlightResumption:
     _ordered_s: float | None = None
     _restored: bool = False
     _entry: int | None = None
+    _item_before_entry: int | None = None
     _checkpoint: Checkpoint | None = None
     _mission_matches: bool = False
     _requested_s: float | None = None
@@ -203,18 +205,25 @@ class FlightResumption:
         progress, items = context.telemetry.progress, flight_plan.mission.items
         if progress is None or progress.total not in (None, len(items)):
             return False
-        if self._entry is None or context.seconds_since(self._requested_s) > JUMP_RETRY_S:
+        at, reported = progress.index, progress.t_s > (self._requested_s or 0.0)
+        if self._entry is not None and reported and at is not None:
+            if flight_plan.mission.is_item_reachable_without_jump(self._entry, at):
+                return True
+            if at != self._item_before_entry and not self._is_in_mission_mode(context):
+                self._end_resumption(context, f"another station selected item {at}")
+                return False
+        if self._entry is None or context.seconds_since(self._requested_s) > JUMP_INTERVAL_S:
             self._entry = self._decision.return_route_entry_item(context)
+            self._item_before_entry = at
             self._requested_s = context.t_s
             if self._entry is not None:
                 context.queue_actions(JumpTo(self._entry))
-            return False
-        at, reported = progress.index, progress.t_s > (self._requested_s or 0.0)
-        return (
-            reported
-            and at is not None
-            and flight_plan.mission.is_item_reachable_without_jump(self._entry, at)
-        )
+        return False
+
+    @staticmethod
+    def _is_in_mission_mode(context: FlightContext) -> bool:
+        state = context.telemetry.state
+        return state is not None and state.mode is Mode.MISSION
 
     def _upload_companion_mission_once(
         self, context: FlightContext, flight_plan: FlightPlan
@@ -232,10 +241,7 @@ class FlightResumption:
 
     def _end_resumption(self, context: FlightContext, reason: str) -> None:
         """Stay in the pilot's mode; in a foreign mission return without the mission."""
-        state = context.telemetry.state
-        in_mission_mode = (
-            state is not None and state.mode is Mode.MISSION and not self._mission_matches
-        )
+        in_mission_mode = self._is_in_mission_mode(context) and not self._mission_matches
         trigger = Trigger.RETURN_REFUSED if in_mission_mode else Trigger.PILOT_OVERRIDE
         context.apply_phase_trigger(trigger, f"cannot resume: {reason}")
 
@@ -248,6 +254,8 @@ class FlightResumption:
                 self._evaluate_mission_read_back(context, event)
             case MissionWriteDetected() if self._mission_matches:  # else it may be its own upload
                 self._mission_matches, self._requested_s = False, None
+            case OtherStationModeCommand() if self._authority.handed_back:
+                self._end_resumption(context, "another station selected a mode")
             case MissionUploaded() if event.reason is not None:
                 self._end_resumption(context, f"upload failed: {event.reason}")
             case MissionUploaded():

@@ -6,6 +6,10 @@ companion still releases control, as at any mode change: someone changed the mis
 and may have the sticks. Alarms follow at once. If the operator chose a landing or a return before
 the flight, it is ordered once the configured time has passed without a response.
 
+The order of events counts: PX4 flies a replaced list 1 to 2 s after the upload, so the list changed
+before the HOLD; it holds at once when the list is cleared, and the next report (1 Hz) shows none. A
+HOLD that was reported before an unchanged list is a person's.
+
 A response is another mode, a disarm, or a command to the companion to release control or to
 continue. Each write to the mission restarts the timer, because someone is working on it.
 """
@@ -83,6 +87,7 @@ class UnansweredHold:
             case MissionWriteDetected():
                 self._restart_response_timer(context)
             case MissionProgress():
+                self._record_list_cleared_cause(context, event)
                 length_and_id = event.total, event.mission_id
                 if state.list_length_and_id not in (None, length_and_id):
                     self._restart_response_timer(context)
@@ -93,7 +98,6 @@ class UnansweredHold:
     def tick(self, context: FlightContext) -> None:
         """Alarm while there is no response; then execute the operator's choice."""
         state = self._state
-        self._record_list_change_cause(context)
         if not self._is_unanswered(context):
             state.since_s = None
             return
@@ -116,6 +120,8 @@ class UnansweredHold:
             state.hold_start_s, state.cause, state.responded = None, None, False
         elif state.mode is Mode.MISSION:
             state.hold_start_s = context.t_s
+            if context.seconds_since(self._aboard.last_mismatch_s) <= MAX_CAUSE_DELAY_S:
+                state.cause = LIST_CHANGED
         state.mode = mode
 
     def _record_failsafe_cause(self, context: FlightContext, heartbeat: VehicleState) -> None:
@@ -137,9 +143,15 @@ class UnansweredHold:
         if self._state.since_s is not None:
             self._state.since_s = context.t_s
 
-    def _record_list_change_cause(self, context: FlightContext) -> None:
-        """A restored list does not end the cause: the autopilot still holds."""
-        if self._are_hold_and_event_recent(context, self._aboard.last_mismatch_s):
+    def _record_list_cleared_cause(self, context: FlightContext, event: MissionProgress) -> None:
+        """A list found empty by the first report after the HOLD was cleared before it, or with it.
+
+        A restored list does not end the cause: the autopilot still holds.
+        """
+        held_s, matched_s = self._state.hold_start_s, self._aboard.last_match_s
+        is_first_report = held_s is not None and (matched_s is None or matched_s < held_s)
+        is_recent = context.seconds_since(held_s) <= MAX_CAUSE_DELAY_S
+        if event.total == 0 and is_first_report and is_recent:
             self._state.cause = LIST_CHANGED
 
     def _is_unanswered(self, context: FlightContext) -> bool:

@@ -286,7 +286,9 @@ class GroundSequence:
         context.queue_actions(UploadMission(context.flight_plan.mission.items))
 
     def _verify_or_repeat_upload(self, context: FlightContext, event: MissionUploaded) -> None:
-        if event.reason is None:
+        if event.superseded:  # the read-back decides
+            context.report_alert(Alert.MISSION_CHANGED_ON_GROUND)
+        if event.reason is None or event.superseded:
             context.apply_phase_trigger(Trigger.UPLOADED)
         elif self._state.uploads >= MAX_UPLOADS:
             self._abort_start(context, f"upload refused: {event.reason}")

@@ -9,6 +9,7 @@ from typing import Any
 
 from companion.core.mission.actions import Arm, JumpTo, ResponseStatus
 from companion.core.mission.alerts import Alert
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     AutopilotKind,
     Event,
@@ -40,14 +41,14 @@ VERIFICATION_VALIDITY_S = 2.5
 
 WAIT_TIMEOUT_S = 180.0
 
-ARM_RETRY_S = 3.0
+ARM_RETRY_S = CommandKind.START_MODE.value.interval_s
 """Delay after a refusal, and only then: a refused ARM has not armed the vehicle."""
 
 ARM_CONFIRM_TIMEOUT_S = 5.0
 """Maximum delay until an accepted ARM shows: the adapter waits 3 s for a lost response, the
 heartbeat comes at 1 Hz and lags by up to a second."""
 
-ARM_TIMEOUT_S = 90.0
+ARM_TIMEOUT_S = CommandKind.START_MODE.value.limit_s
 
 
 @dataclass(frozen=True, slots=True)

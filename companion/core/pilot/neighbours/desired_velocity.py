@@ -12,6 +12,7 @@ import numpy as np
 
 from companion.core.base.geo import Ned
 from companion.core.mission.actions import JumpTo
+from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.mission.mission_items import Part
 from companion.core.pilot.context import FlightContext
@@ -46,7 +47,7 @@ WAYPOINT_RADIUS_M = 3.0
 """Horizontal distance at which a waypoint of the return route counts as passed: between the
 autopilots' defaults (ArduCopter WPNAV_RADIUS 2 m, PX4 NAV_ACC_RAD 10 m)."""
 
-ORDER_RETRY_S = 1.5
+ORDER_RETRY_S = CommandKind.SETPOINT_MODE.value.interval_s
 MAX_ADVANCE_ORDERS = 3
 """Maximum number of jumps past a waypoint; then control is handed back as it is."""
 
