@@ -9,6 +9,7 @@ from companion.adapters.autopilots.commands import RETRY_S, PendingCommand, comm
 from companion.adapters.autopilots.telemetry import AutopilotProfile
 from companion.core.mission.actions import (
     Arm,
+    ContinueMission,
     Disarm,
     FlyVelocity,
     JumpTo,
@@ -79,6 +80,10 @@ def command_of_order(
             entry = build("arm", "disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
             entry.confirms = lambda event: _confirms_armed(event, armed=False)
             return entry
+        case ContinueMission():
+            command = mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+            entry = build("mode", "continue", command, (1.0,), supersedes=True)
+            return replace(entry, **MODE_RETRIES)
         case JumpTo():
             return _jump_command(order, profile, system_id, progress)
         case SetGroundSpeed():

@@ -280,12 +280,14 @@ class FlightContext:
     def in_air_evidence_text(self) -> str:
         """Return the evidence against standing on the ground; `""` without any.
 
-        Checks landed state, height above the start and landing positions, and speed. A lack of both
-        landed state and position is evidence too.
+        Checks landed state, thrust, height above the start and landing positions, and speed. A lack
+        of both landed state and position is evidence too.
         """
         detector, here = self.telemetry.landed_state, self.recent_position_ned_m()
         if detector not in (None, VehicleLandedState.ON_GROUND):
             return f"landed state is {detector.value}"
+        if self.telemetry.armed and self.telemetry.observed.is_lifted(self.t_s):
+            return "its motors carry it"
         if here is None or self.telemetry.position_faults():
             return "" if detector is not None else "no position and no landed state"
         if self.telemetry.speed_3d_mps() > MAX_GROUND_SPEED_MPS:

@@ -158,7 +158,8 @@ class HomeMonitor:
         elif self._flight.in_flight and context.phase in (*FLIGHT_PHASES, Phase.SUSPENDED):
             self._fix_takeoff_home(context)
             self._complete_or_abandon_redirect(context)
-            self._report_and_restore_displaced_home(context)
+            if context.telemetry.airborne:  # PX4 moves home to its landing position
+                self._report_and_restore_displaced_home(context)
 
     # --- the ground that it takes off from -------------------------------------------------------
 

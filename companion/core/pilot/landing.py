@@ -1,7 +1,8 @@
 """End of the flight: detect the landing, restore the autopilot's settings, determine the outcome.
 
-A landing needs several agreeing sources: disarmed, landed state, height and ground speed
-(`FlightContext.in_air_evidence_text`). No settings are restored before.
+A landing needs several agreeing sources: disarmed, landed state, thrust, height and ground speed
+(`FlightContext.in_air_evidence_text`). No settings are restored before. A disarm is ordered only if
+two of landing detector, thrust and rest near the ground agree and none of the motors carries it.
 """
 
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from companion.core.pilot.context import (
     FlightContext,
     height_above_nearest_site_m,
 )
+from companion.core.pilot.control.observed_reactions import ObservedReactions
 from companion.core.pilot.flight_state import FlightState, ParcelState, PromisedStop
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
 from companion.core.pilot.return_course import PositionLossMonitor
@@ -83,6 +85,7 @@ class LandingController:
     _position: PositionLossMonitor
     _settings: AutopilotSettings
     _disarming: DisarmMonitor
+    _reactions: ObservedReactions
     _state: LandingState = field(default_factory=LandingState)
 
     def tick(self, context: FlightContext) -> None:
@@ -104,7 +107,9 @@ class LandingController:
         detected_on_ground = (
             telemetry.ground is not None and telemetry.ground.ground is VehicleLandedState.ON_GROUND
         )
-        if not (detected_on_ground or self._update_and_check_at_rest(context)):
+        is_resting = self._update_and_check_at_rest(context)
+        is_lifted = telemetry.observed.is_lifted(context.t_s)
+        if is_lifted or not (detected_on_ground or is_resting):
             state.at_rest_since_s = state.energy_touched_down = None
             return
         if state.at_rest_since_s is None:
@@ -114,6 +119,11 @@ class LandingController:
         if waited_s < (LANDED_DELAY_S if detected_on_ground else REST_S):
             return
         is_disarm_due = context.seconds_since(state.disarm_ordered_s) > DISARM_INTERVAL_S
+        is_idle = telemetry.observed.is_thrust_idle(context.t_s)
+        has_two_witnesses = is_idle is not False and (
+            (detected_on_ground and is_resting) or (is_idle and (detected_on_ground or is_resting))
+        )
+        is_disarm_due = is_disarm_due and has_two_witnesses
         if is_companion_phase and is_disarm_due and state.disarm_orders < MAX_DISARM_ORDERS:
             state.disarm_ordered_s = context.t_s
             state.disarm_orders += 1
@@ -171,7 +181,8 @@ class LandingController:
         delivered = self._parcel.delivered
         if is_at_home:
             return "SUC" if delivered else "ABRT"
-        if self._state.landed_by_pilot and not self._disarming.disarmed_in_air:
+        is_intact = not (self._disarming.disarmed_in_air or self._reactions.has_fallen)
+        if self._state.landed_by_pilot and is_intact:
             return "TAKEN"
         return "DEL" if delivered else "FAIL"
 
@@ -180,8 +191,8 @@ class LandingController:
     ) -> tuple[bool, str]:
         """Return whether it is at the promised position, and its position as text."""
         position = context.telemetry.position
-        if self._disarming.disarmed_in_air:
-            return False, "disarmed in flight"
+        if self._disarming.disarmed_in_air or self._reactions.has_fallen:
+            return False, "fell" if self._reactions.has_fallen else "disarmed in flight"
         if self._position.is_position_lost:
             return False, f"position lost, {self._position.last_good_position_text()}"
         if position is None:

@@ -26,6 +26,7 @@ from companion.core.mission.events import (
     ControlHandedBack,
     ControlReleaseOrdered,
     Event,
+    GnssFix,
     GnssTime,
     Home,
     HomeStopRequested,
@@ -56,6 +57,7 @@ from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import CurrentPlan, LatestAssessment
 from companion.core.pilot.control.flight_reports import FlightReports
 from companion.core.pilot.control.last_resort import LastResort
+from companion.core.pilot.control.observed_reactions import ObservedReactions
 from companion.core.pilot.control.resume import FlightResumption, LinkMonitor
 from companion.core.pilot.control.unanswered_hold import UnansweredHold
 from companion.core.pilot.flight_sequence import FlightSequence
@@ -132,7 +134,7 @@ PARTS = (
     PilotPart(OrderedMode),
     PilotPart(
         DisarmMonitor,
-        (VehicleState, Position, OrderAccepted, ClockSteppedBack),
+        (VehicleState, OrderAccepted, ClockSteppedBack),
         checkpoint_keys=("disarmed_by_another",),
     ),
     PilotPart(
@@ -176,6 +178,7 @@ PARTS = (
         UnansweredHold,
         (VehicleState, ModeReport, ControlReleaseOrdered, MissionWriteDetected, MissionProgress),
     ),
+    PilotPart(ObservedReactions, (MissionProgress, Position, VehicleState, GnssFix)),
     PilotPart(MissionProgressMonitor, (MissionProgress, OrderRefused)),
     PilotPart(GroundSpeedController),
     PilotPart(

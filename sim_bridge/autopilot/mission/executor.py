@@ -225,6 +225,21 @@ class MissionExecutor:
         leg.start, leg.target = (north, east, target[2]), target
 
     @property
+    def reported_state(self) -> MissionState:
+        """MISSION_CURRENT.mission_state.
+
+        ArduCopter reports a pause only in AUTO, otherwise AP_Mission's state (GCS_MAVLINK_Copter,
+        mission_state); PX4 any interruption.
+        """
+        if self.plan.is_empty:
+            return MissionState.NO_MISSION
+        if self._sequential:
+            return self.state
+        if self.is_paused and self.is_active:
+            return MissionState.PAUSED
+        return MissionState.NOT_STARTED if self.state == MissionState.PAUSED else self.state
+
+    @property
     def is_moving_or_loitering(self) -> bool:
         """Return True while flying to a waypoint."""
         return self.leg is not None and self.leg.phase in (Phase.MOVE, Phase.LOITER)
