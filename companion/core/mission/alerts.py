@@ -113,7 +113,7 @@ class Alert(Enum):
     MISSION_CHANGED_LANDING = (CRITICAL, "mission changed in landing: left as it is", NEXT_ALERT)
     COMMAND_REFUSED = (WARNING, "{command} not confirmed: {reason}", READ_LOG_LATER)
     JUMP_IGNORED = (WARNING, "autopilot did not jump to mission item {item}", WATCH_FLIGHT)
-    MISSION_STANDS_STILL = (
+    STANDSTILL = (
         CRITICAL,
         "vehicle stands still in its mission: {next_step}",
         "Continue the mission or take over; it hovers until the energy requires a return.",

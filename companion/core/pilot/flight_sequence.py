@@ -246,7 +246,7 @@ class FlightSequence:
             return "stationary on the return route, energy low"
         else:
             next_step = "paused?"
-        context.report_alert_once(Alert.MISSION_STANDS_STILL, next_step=next_step)
+        context.report_alert_once(Alert.STANDSTILL, next_step=next_step)
         return ""
 
     def _try_resume_delivery(self, context: FlightContext, position_ned_m: Ned) -> bool:

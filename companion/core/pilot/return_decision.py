@@ -247,9 +247,7 @@ class ReturnDecision:
         return False
 
     def non_energy_gate_closing_reason(self, context: FlightContext) -> str:
-        """Return what closes the gate except its budget: time limit, no battery data, or a doubtful
-        height.
-        """
+        """Return what closes the gate except its budget: time, battery data, uncertain height."""
         takeoff_s = self._flight.takeoff_s
         if takeoff_s is not None:
             limit_s = context.flight.mission.time_limit_s

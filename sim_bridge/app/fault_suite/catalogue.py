@@ -10,14 +10,15 @@ from sim_bridge.app.faults import (
     host,
     link,
     mission_and_home,
+    observed,
     signing,
     telemetry,
     workers,
 )
 from sim_bridge.app.faults.fault import FaultCase
 
-MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, workers, link,
-           signing, fleet)  # fmt: skip
+MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, observed, host, workers,
+           link, signing, fleet)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )
