@@ -242,7 +242,7 @@ class FlightSequence:
             self._progress.order_jump(context, item, JumpType.HOME)
         elif state is MissionState.ACTIVE or assessment is None:
             return "stationary on the return route"
-        elif assessment.p_home_now < 1.0 - context.estimates.limits.max_loss:
+        elif assessment.p_home < 1.0 - context.estimates.limits.max_loss:
             return "stationary on the return route, energy low"
         else:
             next_step = "paused?"

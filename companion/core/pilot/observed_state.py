@@ -34,12 +34,9 @@ LIFT_THRUST, LIFT_S = 0.25, 3.0
 MIN_STATE_REPORTS = 2
 """Consecutive reports that confirm a state of the mission: one may precede a mode change."""
 
-FALL_ACCELERATION_MPS2, FALL_SPEED_MPS, FALL_S = 5.0, 3.0, 0.25
-"""Downward acceleration of a fall, its speed, and its duration. Autopilots accelerate a descent by
-at most 3 m/s2 (PX4 MPC_ACC_DOWN_MAX) or 1 m/s2 (ArduCopter WPNAV_ACCEL_Z)."""
-
-FALL_HEIGHT_TOLERANCE_M = 0.5
-"""Difference of the height from the integrated speed between two reports of one fall."""
+FALL_ACCELERATION_MPS2, FALL_SPEED_MPS, FALL_DEPTH_M = 5.0, 3.0, 1.0
+"""Least downward acceleration, speed and depth of a fall. Autopilots accelerate a descent by at
+most 3 m/s2 (PX4 MPC_ACC_DOWN_MAX) or 1 m/s2 (ArduCopter WPNAV_ACCEL_Z)."""
 
 MAX_REPORT_GAP_S = 0.5
 
@@ -71,7 +68,9 @@ class ObservedState:
     _reported_state: MissionState | None = None
     _reference_m: float | None = None
     _position: Position | None = None
-    _fall_start_s: float = 0.0
+    _fall_top_m: float = 0.0
+    _fall_expected_m: float = 0.0
+    """Depth of the present fall by its speed."""
 
     def store_event(self, event: Event, mode: Mode | None, *, is_armed: bool) -> None:
         """Process one telemetry event; `mode`: the reported flight mode."""
@@ -122,17 +121,19 @@ class ObservedState:
     def _update_fall(self, new: Position) -> None:
         """Detect a fall: the speed grows as without thrust, and the height falls with it."""
         old = self._position
-        if old is None or not 0.0 < (dt_s := new.t_s - old.t_s) <= MAX_REPORT_GAP_S:
-            self._fall_start_s = new.t_s
-            return
-        sunk_m = old.alt_amsl_m - new.alt_amsl_m
-        expected_m = 0.5 * (old.vel_d_mps + new.vel_d_mps) * dt_s
+        dt_s = 0.0 if old is None else new.t_s - old.t_s
+        gained_mps = 0.0 if old is None else new.vel_d_mps - old.vel_d_mps
         if (
-            new.vel_d_mps - old.vel_d_mps < FALL_ACCELERATION_MPS2 * dt_s
-            or abs(sunk_m - expected_m) > FALL_HEIGHT_TOLERANCE_M
+            old is None
+            or not 0.0 < dt_s <= MAX_REPORT_GAP_S
+            or gained_mps < FALL_ACCELERATION_MPS2 * dt_s
         ):
-            self._fall_start_s = new.t_s
-        elif new.vel_d_mps > FALL_SPEED_MPS and new.t_s - self._fall_start_s > FALL_S:
+            self._fall_top_m, self._fall_expected_m = new.alt_amsl_m, 0.0
+            return
+        self._fall_expected_m += 0.5 * (old.vel_d_mps + new.vel_d_mps) * dt_s
+        sunk_m = self._fall_top_m - new.alt_amsl_m
+        is_deep = self._fall_expected_m > FALL_DEPTH_M
+        if is_deep and new.vel_d_mps > FALL_SPEED_MPS and sunk_m > 0.5 * self._fall_expected_m:
             self.fall_s = new.t_s
 
     def _update_height_difference(self, fix: GnssFix, *, is_armed: bool) -> None:

@@ -27,14 +27,14 @@ from sim_bridge.app.link.tap import message_with_changed_fields
 from sim_bridge.app.world.station import Station
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import Cmd
+from sim_bridge.autopilot.mavlink.enums import Cmd, MissionState
 
 FAULTS = FaultGroup("air and sensors")
 AUTHORITY = {"group": "authority"}
 
 INJECTED_NOTE, AIR_DISARM_NOTE = "injection took effect", "disarm ordered in the air"
-HOVER_SPEED_MPS, HOVER_S = 1.5, 10.0
-"""A vehicle that is slower for so long has stopped in its mission."""
+SETTLE_S, HOVER_SPEED_MPS, HOVER_S = 16.0, 1.5, 10.0
+"""PX4 brakes for 11 s from 17 m/s; then a vehicle that is slower for so long stands still."""
 
 PAUSE_LIMIT_S = 60.0
 ENDS_AFTER_S = 40.0
@@ -59,7 +59,7 @@ def _pause_mission(stage: FaultContext, station: Station) -> Iterator[None]:
 
 def _note_if_hovering(stage: FaultContext) -> Iterator[None]:
     """Note, by truth, whether the vehicle stands still in the air for `HOVER_S`."""
-    yield from stage.wait(8.0)
+    yield from stage.wait(SETTLE_S)
     speeds: list[float] = []
     until_s = stage.t_s + HOVER_S
     while stage.t_s < until_s:
@@ -163,7 +163,9 @@ def select_last_item_by_person(stage: FaultContext) -> Iterator[None]:
             message_to_autopilot("MISSION_SET_CURRENT", craft.number, seq=last)
         )
     stage.record_take_over(1.2)
-    yield from _note_if_hovering(stage)
+    yield from stage.wait(10.0)
+    if craft.autopilot.executor.state == MissionState.COMPLETE:
+        stage.notes.append(INJECTED_NOTE)
 
 
 def _check_no_disarm_in_air(flown: FaultRunResult) -> str | None:

@@ -273,6 +273,8 @@ class MissionExecutor:
         is_unreached = self.leg is not None and self.leg.phase is Phase.MOVE
         self._line_start = None
         self._start_item_or_next_runnable(item_index, count_jumps=count_jumps)
+        if self.state == MissionState.COMPLETE:  # no further item: it holds where it stops
+            self.leg = None
         leg, vehicle = self.leg, self._vehicle
         if leg is None or leg.phase is not Phase.MOVE or not is_unreached:
             return

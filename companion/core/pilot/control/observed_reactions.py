@@ -72,7 +72,7 @@ class ObservedReactions:
             context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, "mission paused by a station")
         elif (
             state is MissionState.COMPLETE
-            and self._aboard.last_mismatch_s is None  # else the end is that of a changed mission
+            and not (self._aboard.is_unverified or self._aboard.restored)  # a changed mission's end
             and _height_m(context) > MAX_GROUND_HEIGHT_M
         ):
             index = self._item.index
