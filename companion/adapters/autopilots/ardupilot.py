@@ -22,35 +22,10 @@ from companion.core.mission.preflight_checks import (
 )
 
 MODE_NAMES = {
-    0: "STABILIZE",
-    1: "ACRO",
-    2: "ALT_HOLD",
-    3: "AUTO",
-    4: "GUIDED",
-    5: "LOITER",
-    6: "RTL",
-    7: "CIRCLE",
-    9: "LAND",
-    11: "DRIFT",
-    13: "SPORT",
-    14: "FLIP",
-    15: "AUTOTUNE",
-    16: "POSHOLD",
-    17: "BRAKE",
-    18: "THROW",
-    19: "AVOID_ADSB",
-    20: "GUIDED_NOGPS",
-    21: "SMART_RTL",
-    22: "FLOWHOLD",
-    23: "FOLLOW",
-    24: "ZIGZAG",
-    25: "SYSTEMID",
-    26: "AUTOROTATE",
-    27: "AUTO_RTL",
-    28: "TURTLE",
-    29: "RATE_ACRO",
-}
-"""ArduCopter/mode.h, 4.7."""
+    number: entry.name.removeprefix("COPTER_MODE_")
+    for number, entry in mavlink.enums["COPTER_MODE"].items()
+} | {29: "RATE_ACRO"}
+"""Names of the flight modes; the dialect lacks that of 4.7."""
 
 MODE_OF = {3: Mode.MISSION, 4: Mode.GUIDED, 5: Mode.HOLD, 6: Mode.RTL, 9: Mode.LAND}
 NUMBER_OF = {mode: number for number, mode in MODE_OF.items()}

@@ -41,6 +41,7 @@ from companion.core.pilot.telemetry_state import (
 from companion.core.pilot.transitions import OUTBOUND_PHASES, Phase, Trigger, next_phase
 from companion.core.return_budget.budget import Assessment
 from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.energy_ledger import EnergyBelief
 
 EXTERNAL_DISARM_TEXT = "disarmed by someone else"
 
@@ -294,6 +295,10 @@ class FlightContext:
             return f"it moves at {self.telemetry.speed_3d_mps():.1f} m/s"
         height_m = height_above_nearest_site_m(self, here)
         return f"it is {height_m:.0f} m high" if height_m > MAX_GROUND_HEIGHT_M else ""
+
+    def margin_above_reserve_wh(self, energy: EnergyBelief) -> float:
+        """Return the energy left above the reserve (Wh)."""
+        return energy.mean_wh - self.estimates.limits.reserve_frac * energy.usable_full_wh
 
     def recent_assessment(self) -> Assessment | None:
         """Return the latest assessment if it is recent enough to decide on, else None."""

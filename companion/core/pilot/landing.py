@@ -154,8 +154,7 @@ class LandingController:
             home, text = self._at_home_and_position_text(context, plan)
             energy = self._state.energy_landed or context.estimates.energy
             if energy is not None:
-                reserve_wh = context.estimates.limits.reserve_frac * energy.usable_full_wh
-                margin_wh = energy.mean_wh - reserve_wh
+                margin_wh = context.margin_above_reserve_wh(energy)
                 text += f", {reserve_margin_text(margin_wh)}"
                 home = home and margin_wh >= 0.0
             outcome = self._outcome_code(is_at_home=home)

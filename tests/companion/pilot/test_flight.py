@@ -467,6 +467,7 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
 def test_a_late_report_before_the_last_resort_does_not_keep_the_flight_from_ending():
     """Flown on ArduCopter with late progress: disarmed at home, but the flight did not end."""
     w = reach(Phase.RETURN)
+    w.mission_state = ev.MissionState.NOT_STARTED
     while w.pilot.phase is Phase.RETURN and w.t_s < 600.0:
         w.speed = 0.0
         w.step()

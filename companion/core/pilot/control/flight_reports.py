@@ -1,5 +1,7 @@
 """Periodic reports of a flight: wind, energy, the gate's assessment, and news of the fleet wind."""
 
+from dataclasses import replace
+
 from companion.core.mission.actions import (
     AlertReport,
     AssessmentReport,
@@ -11,7 +13,7 @@ from companion.core.mission.alerts import Alert
 from companion.core.mission.events import CONTROL_CLAIM
 from companion.core.pilot.authority import ControlAuthority
 from companion.core.pilot.context import FlightContext
-from companion.core.pilot.transitions import FLIGHT_PHASES
+from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 from companion.core.return_budget.budget import Assessment
 
 REPORT_INTERVAL_S = 1.0
@@ -57,6 +59,9 @@ class FlightReports:
     def _queue_energy_and_gate_report(self, context: FlightContext) -> None:
         wind, energy = context.estimates.wind, context.estimates.energy
         seen, values = context.recent_assessment(), dict[str, float]()
+        if seen and energy and context.phase is Phase.LAND and context.telemetry.on_ground:
+            # Landed: the same margin as in the outcome.
+            seen = replace(seen, margin_wh=context.margin_above_reserve_wh(energy))
         claim_s = self._authority.published_control_start_s(context.phase)
         if claim_s is not None:
             values[CONTROL_CLAIM] = claim_s
