@@ -18,12 +18,7 @@ from companion.adapters.logs.log_time import (
     make_time_monotonic,
     stamp_outlier_issue,
 )
-from companion.adapters.logs.ulog_faults import (
-    ARMED,
-    FAULT_TOPICS,
-    TopicRows,
-    fault_starts,
-)
+from companion.adapters.logs.ulog_faults import ARMED, FAULT_TOPICS, TopicRows, fault_starts
 from companion.adapters.logs.ulog_filter import extract_topics_at_min_interval
 from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
 from companion.core.base.arrays import Floats

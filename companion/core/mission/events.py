@@ -143,9 +143,7 @@ class AirPressure(Event):
 
 @dataclass(frozen=True, slots=True)
 class GnssFix(Event):
-    """Fix reported by the GNSS receiver. `usable`: 3-D fix or better. `gnss_alt_m`: its own height
-    AMSL, which no barometer affects; `gnss_alt_std_m`: its stated accuracy.
-    """
+    """Fix of the GNSS receiver. `usable`: 3-D fix or better. `gnss_alt_m`: its height AMSL."""
 
     usable: bool
     satellites: int | None = None

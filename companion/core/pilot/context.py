@@ -296,10 +296,6 @@ class FlightContext:
         height_m = height_above_nearest_site_m(self, here)
         return f"it is {height_m:.0f} m high" if height_m > MAX_GROUND_HEIGHT_M else ""
 
-    def margin_above_reserve_wh(self, energy: EnergyBelief) -> float:
-        """Return the energy left above the reserve (Wh)."""
-        return energy.mean_wh - self.estimates.limits.reserve_frac * energy.usable_full_wh
-
     def recent_assessment(self) -> Assessment | None:
         """Return the latest assessment if it is recent enough to decide on, else None."""
         assessment = self.assessment
@@ -318,3 +314,8 @@ def height_above_nearest_site_m(context: FlightContext, position_ned_m: Ned) -> 
         *(s.ground_ned_m[2] for s in plan.uploaded_sites_except_return_end),
     )
     return min((down - position_ned_m[2] for down in grounds), key=abs)
+
+
+def margin_above_reserve_wh(context: FlightContext, energy: EnergyBelief) -> float:
+    """Return the energy left above the reserve (Wh)."""
+    return energy.mean_wh - context.estimates.limits.reserve_frac * energy.usable_full_wh

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from companion.core.base.geo import Ned, horizontal_distance_m
 from companion.core.mission.alerts import Alert
-from companion.core.mission.events import MissionState
 from companion.core.mission.flight_plan import DROP_TOTAL_S
 from companion.core.mission.jump_watch import JumpType
 from companion.core.pilot.context import FlightContext, LatestAssessment
@@ -20,6 +19,7 @@ from companion.core.pilot.landing import LandingController
 from companion.core.pilot.landing_site import LandingStopController
 from companion.core.pilot.mission_progress import GroundSpeedController, MissionProgressMonitor
 from companion.core.pilot.neighbours.setpoint_takeover import SetpointController
+from companion.core.pilot.observed_reactions import ObservedReactions
 from companion.core.pilot.parcel_release import ParcelReleaseController
 from companion.core.pilot.return_course import PositionLossMonitor, ReturnCourseMonitor
 from companion.core.pilot.return_decision import BudgetMonitor, ReturnDecision
@@ -56,10 +56,9 @@ class FlightSequence:
     _landing: LandingController
     _setpoints: SetpointController
     _assessment: LatestAssessment
+    _reactions: ObservedReactions
     _outbound_returns: int = 0
     _outbound_assessed_s: float | None = None
-    _jumped_again_item: int | None = None
-    """Last item to which a vehicle that stood still was sent again."""
 
     def enter_flight_phase(self, context: FlightContext, previous_phase: Phase) -> None:
         """Enter a flight phase; a resumed flight commands its speed again."""
@@ -213,7 +212,7 @@ class FlightSequence:
         if self._course.update_and_check_off_return_route(context, here):
             cause = "flying away from the return route"
         elif self._course.update_and_check_stationary(context, here):
-            cause = self._jump_again_or_standstill_reason(context)
+            cause = self._reactions.jump_again_or_standstill_reason(context)
         if cause:
             context.record_decision("way_home_refused", cause)
             context.apply_phase_trigger(Trigger.RETURN_REFUSED, cause)
@@ -225,29 +224,6 @@ class FlightSequence:
             and context.options.gate_enabled
         ):
             self._decision.divert_if_rally_is_safer(context, here)
-
-    def _jump_again_or_standstill_reason(self, context: FlightContext) -> str:
-        """Jump to the item again, once; return why a return without the mission is due, or `""`.
-
-        A person may have paused the mission. An autopilot that does not report its state keeps the
-        pause until the energy requires the return.
-        """
-        state, item = context.telemetry.observed.mission_state, self._item.index
-        assessment = context.recent_assessment()
-        if state in (MissionState.COMPLETE, MissionState.NOT_STARTED) or item is None:
-            return "stationary on the return route"
-        if self._jumped_again_item != item:
-            self._jumped_again_item, next_step = item, "jump again"
-            self._course.restart_standstill_timer(context.t_s)
-            self._progress.order_jump(context, item, JumpType.HOME)
-        elif state is MissionState.ACTIVE or assessment is None:
-            return "stationary on the return route"
-        elif assessment.p_home < 1.0 - context.estimates.limits.max_loss:
-            return "stationary on the return route, energy low"
-        else:
-            next_step = "paused?"
-        context.report_alert_once(Alert.STANDSTILL, next_step=next_step)
-        return ""
 
     def _try_resume_delivery(self, context: FlightContext, position_ned_m: Ned) -> bool:
         """Resume a delivery that no decision ended: clearance was only missing at the time.

@@ -18,10 +18,11 @@ from companion.core.pilot.context import (
     MAX_GROUND_SPEED_MPS,
     FlightContext,
     height_above_nearest_site_m,
+    margin_above_reserve_wh,
 )
-from companion.core.pilot.control.observed_reactions import ObservedReactions
 from companion.core.pilot.flight_state import FlightState, ParcelState, PromisedStop
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
+from companion.core.pilot.observed_reactions import ObservedReactions
 from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
@@ -154,7 +155,7 @@ class LandingController:
             home, text = self._at_home_and_position_text(context, plan)
             energy = self._state.energy_landed or context.estimates.energy
             if energy is not None:
-                margin_wh = context.margin_above_reserve_wh(energy)
+                margin_wh = margin_above_reserve_wh(context, energy)
                 text += f", {reserve_margin_text(margin_wh)}"
                 home = home and margin_wh >= 0.0
             outcome = self._outcome_code(is_at_home=home)

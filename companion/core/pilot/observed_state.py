@@ -7,7 +7,7 @@
 | falling | vertical speed | change of the height |
 | height | the autopilot's estimate, by its barometer | height of the GNSS receiver |
 
-One report alone never decides. The reactions are in `control/observed_reactions.py`.
+One report alone never decides. The reactions are in observed_reactions.py.
 """
 
 from dataclasses import dataclass

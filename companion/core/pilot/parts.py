@@ -57,7 +57,6 @@ from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import CurrentPlan, LatestAssessment
 from companion.core.pilot.control.flight_reports import FlightReports
 from companion.core.pilot.control.last_resort import LastResort
-from companion.core.pilot.control.observed_reactions import ObservedReactions
 from companion.core.pilot.control.resume import FlightResumption, LinkMonitor
 from companion.core.pilot.control.unanswered_hold import UnansweredHold
 from companion.core.pilot.flight_sequence import FlightSequence
@@ -84,6 +83,7 @@ from companion.core.pilot.mission_progress import GroundSpeedController, Mission
 from companion.core.pilot.neighbours.desired_velocity import DesiredVelocity
 from companion.core.pilot.neighbours.setpoint_takeover import SetpointController
 from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
+from companion.core.pilot.observed_reactions import ObservedReactions
 from companion.core.pilot.onboard_verification import OnboardMissionVerifier
 from companion.core.pilot.parcel_release import ParcelReleaseController
 from companion.core.pilot.return_course import PositionLossMonitor, ReturnCourseMonitor

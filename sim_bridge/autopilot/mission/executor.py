@@ -226,18 +226,12 @@ class MissionExecutor:
 
     @property
     def reported_state(self) -> MissionState:
-        """MISSION_CURRENT.mission_state.
-
-        ArduCopter reports a pause only in AUTO, otherwise AP_Mission's state (GCS_MAVLINK_Copter,
-        mission_state); PX4 any interruption.
-        """
-        if self.plan.is_empty:
-            return MissionState.NO_MISSION
-        if self._sequential:
-            return self.state
-        if self.is_paused and self.is_active:
+        """MISSION_CURRENT.mission_state: ArduCopter's is PAUSED in AUTO only, PX4's in any mode."""
+        state = MissionState.NO_MISSION if self.plan.is_empty else self.state
+        if self.is_paused and self.is_active and not self._sequential:
             return MissionState.PAUSED
-        return MissionState.NOT_STARTED if self.state == MissionState.PAUSED else self.state
+        is_stopped = state == MissionState.PAUSED and not self._sequential
+        return MissionState.NOT_STARTED if is_stopped else state
 
     @property
     def is_moving_or_loitering(self) -> bool:

@@ -12,7 +12,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import CONTROL_CLAIM
 from companion.core.pilot.authority import ControlAuthority
-from companion.core.pilot.context import FlightContext
+from companion.core.pilot.context import FlightContext, margin_above_reserve_wh
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 from companion.core.return_budget.budget import Assessment
 
@@ -61,7 +61,7 @@ class FlightReports:
         seen, values = context.recent_assessment(), dict[str, float]()
         if seen and energy and context.phase is Phase.LAND and context.telemetry.on_ground:
             # Landed: the same margin as in the outcome.
-            seen = replace(seen, margin_wh=context.margin_above_reserve_wh(energy))
+            seen = replace(seen, margin_wh=margin_above_reserve_wh(context, energy))
         claim_s = self._authority.published_control_start_s(context.phase)
         if claim_s is not None:
             values[CONTROL_CLAIM] = claim_s

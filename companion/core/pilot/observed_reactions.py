@@ -7,6 +7,7 @@
 | mission complete in the air, elsewhere | a person's item selection: control is released |
 | fall | reported; unless it recovers in the air, the flight did not come home |
 | failsafe of the autopilot | reported; a mode change that follows is a takeover |
+| standstill on the return route | one more jump to its item, then a return without the mission |
 | heights differ | reported; the gate closes (`ReturnDecision`) |
 """
 
@@ -21,6 +22,7 @@ from companion.core.mission.events import (
     Position,
     VehicleState,
 )
+from companion.core.mission.jump_watch import JumpType
 from companion.core.mission.mission_items import Part
 from companion.core.pilot.context import (
     MAX_GROUND_HEIGHT_M,
@@ -28,6 +30,8 @@ from companion.core.pilot.context import (
     height_above_nearest_site_m,
 )
 from companion.core.pilot.flight_state import CurrentItem, OnboardListState
+from companion.core.pilot.mission_progress import MissionProgressMonitor
+from companion.core.pilot.return_course import ReturnCourseMonitor
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
 
 RECOVERY_S, MAX_RECOVERED_SINK_MPS = 2.0, 1.0
@@ -42,8 +46,12 @@ class ObservedReactions:
 
     _item: CurrentItem
     _aboard: OnboardListState
+    _course: ReturnCourseMonitor
+    _progress: MissionProgressMonitor
     has_fallen: bool = False
     """It fell and did not recover in the air."""
+    _jumped_again_item: int | None = None
+    """Last item to which a vehicle that stood still was sent again."""
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Process the telemetry of a vehicle in flight."""
@@ -82,6 +90,29 @@ class ObservedReactions:
             reason = "mission complete in the air"
             context.record_decision("way_home_refused", reason)
             context.apply_phase_trigger(Trigger.RETURN_REFUSED, reason)
+
+    def jump_again_or_standstill_reason(self, context: FlightContext) -> str:
+        """Jump to the item again, once; return why a return without the mission is due, or `""`.
+
+        A person may have paused the mission. An autopilot that does not report its state keeps the
+        pause until the energy requires the return.
+        """
+        state, item = context.telemetry.observed.mission_state, self._item.index
+        assessment = context.recent_assessment()
+        if state in (MissionState.COMPLETE, MissionState.NOT_STARTED) or item is None:
+            return "stationary on the return route"
+        if self._jumped_again_item != item:
+            self._jumped_again_item, next_step = item, "jump again"
+            self._course.restart_standstill_timer(context.t_s)
+            self._progress.order_jump(context, item, JumpType.HOME)
+        elif state is MissionState.ACTIVE or assessment is None:
+            return "stationary on the return route"
+        elif assessment.p_home < 1.0 - context.estimates.limits.max_loss:
+            return "stationary on the return route, energy low"
+        else:
+            next_step = "paused?"
+        context.report_alert_once(Alert.STANDSTILL, next_step=next_step)
+        return ""
 
     def _report_fall_or_recovery(self, context: FlightContext, position: Position) -> None:
         fall_s = context.telemetry.observed.fall_s
