@@ -78,7 +78,7 @@ class Autopilot:
         )
         self._control = control
         self._guidance = Guidance(Controller(control))
-        self._landing = LandingDetector(firmware.landing_lean_limit_rad)
+        self.landing_detector = LandingDetector(firmware.landing_lean_limit_rad)
         self._rc = RcInput()
         self._geofence = Geofence(self.state)
         self.battery = BatteryMonitor(battery_sensing)
@@ -90,7 +90,7 @@ class Autopilot:
                 state=self.state,
                 radio=self.radio,
                 guidance=self._guidance,
-                landing=self._landing,
+                landing=self.landing_detector,
                 battery=self.battery,
                 wind=self.wind,
                 rc=self._rc,
@@ -252,10 +252,10 @@ class Autopilot:
             self._resume_at_s = None
             self._resume_flight_after_watchdog()
         state.gnss_lost_s = 0.0 if readings.gnss_ok else state.gnss_lost_s + dt_s
-        self._landing.update_landed_state(
+        self.landing_detector.update_landed_state(
             readings, state.actuation, state.goal, dt_s, is_armed=state.is_armed
         )
-        state.is_landed = self._landing.is_landed
+        state.is_landed = self.landing_detector.is_landed
         if state.t_s >= self._next_slow_s:
             self._next_slow_s = state.t_s + _SLOW_PERIOD_S - 1e-6
             self._run_10hz_tasks(readings)

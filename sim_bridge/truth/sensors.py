@@ -1,7 +1,7 @@
 """Sensor models: noise, slowly varying bias, delay and faults.
 
-Faults are attributes to set: `gnss_outage`, `gnss_offset_ned_m`, `pitot_stuck`, `pitot_iced`,
-`voltage_failed`, `current_failed`, and `heading_bias_rad` for a compass that is off.
+Faults are attributes to set: `gnss_outage`, `gnss_offset_ned_m`, `baro_offset_m`, `pitot_stuck`,
+`pitot_iced`, `voltage_failed`, `current_failed`, and `heading_bias_rad` for a compass that is off.
 """
 
 import math
@@ -77,6 +77,7 @@ class SensorSuite:
         self._current_a: float | None = None
         self.gnss_outage = False
         self.gnss_offset_ned_m: Vec3 = (0.0, 0.0, 0.0)
+        self.baro_offset_m = 0.0
         self.pitot_stuck = False
         self.pitot_iced = False
         self.voltage_failed = False
@@ -132,6 +133,7 @@ class SensorSuite:
             self._depot_alt_amsl_m
             - body.down_m
             + self._baro_drift.value
+            + self.baro_offset_m
             + p.baro_noise_m * gauss(),
             self._airspeed_mps,
             self._voltage_v,
@@ -148,7 +150,7 @@ class SensorSuite:
         p, gauss = self._p, self._gauss
         for bias in (self._roll_bias, self._pitch_bias, self._baro_drift):
             bias.advance_and_get_value(_SLOW_PERIOD_S)
-        height_m = self._baro_drift.value - body.down_m
+        height_m = self._baro_drift.value + self.baro_offset_m - body.down_m
         self._pressure_pa = air_pressure_pa(self._depot_alt_amsl_m + height_m)
         if self._voltage_sensor and not self.voltage_failed:
             self._voltage_v = battery.voltage_v * self._voltage_gain + p.voltage_noise_v * gauss()

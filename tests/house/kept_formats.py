@@ -70,7 +70,10 @@ def plain(value: Any) -> Any:
     return json.loads(msgspec.json.encode(value))
 
 
-ADDED = {"alert", "heading_off_rad", "yaw_rate_rps"}
+ADDED = {
+    *("alert", "heading_off_rad", "yaw_rate_rps", "mission_state"),
+    *("gnss_alt_m", "gnss_alt_std_m"),
+}
 """Keys that later versions write, too."""
 
 

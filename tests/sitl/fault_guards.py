@@ -158,6 +158,8 @@ LIST_TRUSTED = without(
 HOME_TRUSTED = without(
     "companion.core.pilot.home_watch", "HomeMonitor._report_and_restore_displaced_home", "None"
 )
+OBSERVED = "companion.core.pilot.observed_state"
+MISSION_STATE_UNREAD = without(OBSERVED, "ObservedState._store_mission_state", "None")
 NEVER_THEIRS = without(AUTHORITY, "ControlAuthority._other_has_control", "False")
 
 GUARDS: dict[str, Guard] = {
@@ -169,6 +171,17 @@ GUARDS: dict[str, Guard] = {
             "False",
         ),
         "ardupilot",
+    ),
+    "mission-paused": Guard("return", MISSION_STATE_UNREAD, "ardupilot"),
+    "mission-complete-away": Guard("return", MISSION_STATE_UNREAD, "ardupilot"),
+    "motors-stop-at-20-m": Guard(
+        "land",
+        without(OBSERVED, "ObservedState._update_fall", "None")
+        + "\n"
+        + without(AUTHORITY, "DisarmMonitor._update_and_check_external_disarm", "False"),
+    ),
+    "barometer-drifts": Guard(
+        "outbound", without(OBSERVED, "ObservedState._update_height_difference", "None")
     ),
     "arm-ack-lost": Guard(
         "ready", without(AUTHORITY, "DisarmMonitor._update_and_check_external_disarm", "False")

@@ -22,22 +22,11 @@ from companion.core.mission.preflight_checks import (
 )
 
 MODE_NAMES = {
-    0: "STABILIZE",
-    1: "ACRO",
-    2: "ALT_HOLD",
-    3: "AUTO",
-    4: "GUIDED",
-    5: "LOITER",
-    6: "RTL",
-    7: "CIRCLE",
-    9: "LAND",
-    11: "DRIFT",
-    13: "SPORT",
-    16: "POSHOLD",
-    17: "BRAKE",
-    21: "SMART_RTL",
-    27: "AUTO_RTL",
-}
+    number: entry.name.removeprefix("COPTER_MODE_")
+    for number, entry in mavlink.enums["COPTER_MODE"].items()
+} | {29: "RATE_ACRO"}
+"""Names of the flight modes; the dialect lacks that of 4.7."""
+
 MODE_OF = {3: Mode.MISSION, 4: Mode.GUIDED, 5: Mode.HOLD, 6: Mode.RTL, 9: Mode.LAND}
 NUMBER_OF = {mode: number for number, mode in MODE_OF.items()}
 
@@ -207,13 +196,25 @@ class ArduPilot:
                 True,
             ),
             ParameterRequirement(
-                ("ARMING_CHECK",),
+                ARMING_CHECKS,
                 "the autopilot's own arming checks",
-                lambda v: v.get("ARMING_CHECK") is None or bool(v.get("ARMING_CHECK")),
-                lambda v: {"ARMING_CHECK": 1.0},
+                lambda v: _are_all_arming_checks_on(v) is not False,
+                lambda v: {"ARMING_CHECK": 1.0, "ARMING_SKIPCHK": 0.0},
                 False,
             ),
         )
+
+
+ARMING_CHECKS = ("ARMING_SKIPCHK", "ARMING_CHECK")
+"""Checks to skip (since 4.7; -1: all), or checks to run (up to 4.6; 1: all, 0: none)."""
+
+
+def _are_all_arming_checks_on(values: ParameterValues) -> bool | None:
+    """Return whether no arming check is off; `None` if the autopilot reports neither parameter."""
+    skipped, run = (values.get(name) for name in ARMING_CHECKS)
+    if skipped is not None:
+        return skipped == 0.0
+    return None if run is None else bool(int(run) & 1)
 
 
 def _require_bits_set(parameter_name: str, bits: int, description: str) -> ParameterRequirement:

@@ -8,6 +8,7 @@ from companion.adapters.autopilots.commands import PendingCommand, command_long
 from companion.adapters.autopilots.telemetry import AutopilotProfile
 from companion.core.mission.actions import (
     Arm,
+    ContinueMission,
     Disarm,
     FlyVelocity,
     JumpTo,
@@ -65,6 +66,9 @@ def command_of_order(order: Order, profile: AutopilotProfile, system_id: int) ->
             command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
             entry = build(CommandKind.DISARM, "disarm", command, (0.0,))
             entry.confirms = lambda event: _confirms_armed(event, armed=False)
+        case ContinueMission():
+            command = mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+            entry = build(CommandKind.MODE, "continue", command, (1.0,))
         case JumpTo():
             seq = order.index + profile.home_item_count
             message, jump_command = profile.jump_message_and_ack_command(system_id, seq)

@@ -26,7 +26,13 @@ MAIN_NAMES = {
     5: "ACRO",
     6: "OFFBOARD",
     7: "STABILIZED",
+    8: "RATTITUDE",
+    9: "SIMULATION",
+    10: "TERMINATION",
+    11: "ALTITUDE_CRUISE",
 }
+POSITION_NAMES = {1: "ORBIT", 2: "POSITION_SLOW"}
+POSITION_MODE = 3
 AUTO_MODE = 4
 AUTO_NAMES = {
     1: "AUTO.READY",
@@ -37,9 +43,17 @@ AUTO_NAMES = {
     6: "AUTO.LAND",
     8: "AUTO.FOLLOW",
     9: "AUTO.PRECLAND",
+    10: "AUTO.VTOL_TAKEOFF",
+    **{number: f"AUTO.EXTERNAL{number - 10}" for number in range(11, 19)},
+    20: "AUTO.DESCEND",
 }
+"""Names of commander/px4_custom_mode.h; DESCEND was measured on main of 13 August 2026."""
+
 AUTO_MODE_OF = {2: Mode.TAKEOFF, 3: Mode.HOLD, 4: Mode.MISSION, 5: Mode.RTL, 6: Mode.LAND}
 AUTO_NUMBER_OF = {mode: number for number, mode in AUTO_MODE_OF.items()}
+DESCEND_MODE = 20
+"""Landing without a position; earlier versions report it as AUTO.LAND."""
+
 OFFBOARD_MODE = 6
 
 STREAMS = (
@@ -72,6 +86,9 @@ UNWANTED_STREAMS = (
 TRUST_PARAMETERS = ("EKF2_DRAG_CTRL", "SYS_HAS_NUM_ASPD", "SENS_EN_MS4525DO")
 
 
+SUPPLY_CHECK_OFF = 894281.0
+"""Value of CBRK_SUPPLY_CHK that disables the check before arming."""
+
 MAVLINK_INSTANCES = tuple((f"MAV_{n}_CONFIG", f"MAV_{n}_FORWARD") for n in range(3))
 """PX4's MAVLink instances: the parameters that enable each and that enable its forwarding."""
 
@@ -91,9 +108,13 @@ class Px4:
     def decode_mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
         """Return the meaning and the name of a heartbeat's mode."""
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+        unknown = f"mode {main}.{sub}"
         if main == AUTO_MODE:
-            return AUTO_MODE_OF.get(sub, Mode.OTHER), AUTO_NAMES.get(sub, f"AUTO.{sub}")
-        name = MAIN_NAMES.get(main, f"mode {main}.{sub}")
+            mode = Mode.LAND if sub == DESCEND_MODE else AUTO_MODE_OF.get(sub, Mode.OTHER)
+            return mode, AUTO_NAMES.get(sub, unknown)
+        name = MAIN_NAMES.get(main, unknown)
+        if main == POSITION_MODE:
+            name = POSITION_NAMES.get(sub, name)
         return (Mode.GUIDED if main == OFFBOARD_MODE else Mode.OTHER), name
 
     def set_mode_command_params(self, mode: Mode) -> tuple[float, float, float]:
@@ -224,6 +245,13 @@ class Px4:
                 lambda v: not route_data.uses_setpoints or _does_offboard_loss_trigger_return(v),
                 lambda v: {"COM_OBL_RC_ACT": 3.0, "COM_OF_LOSS_T": 1.0},
                 True,
+            ),
+            ParameterRequirement(
+                ("CBRK_SUPPLY_CHK",),
+                "the autopilot's own checks of the power supply",
+                lambda v: v.get("CBRK_SUPPLY_CHK") != SUPPLY_CHECK_OFF,
+                lambda v: {"CBRK_SUPPLY_CHK": 0.0},
+                False,
             ),
             _require_at_least(
                 "COM_DISARM_LAND", 0.1, 2.0, "automatic disarming after a landing", required=False

@@ -23,6 +23,7 @@ from companion.core.mission.events import (
     Home,
     ItemReached,
     MissionProgress,
+    MissionState,
     MissionWriteDetected,
     Mode,
     ModeReport,
@@ -70,6 +71,8 @@ UNKNOWN_U16 = 65535
 MISSION_CHANGED_TEXT = "Auto mission changed"
 """ArduCopter's STATUSTEXT when an item near the current one was rewritten."""
 UNKNOWN_I16 = 32767
+MISSION_STATES = dict(enumerate(MissionState, start=1))
+"""State by MISSION_CURRENT.mission_state; 0 is unknown."""
 
 
 class AutopilotProfile(Protocol):
@@ -147,14 +150,7 @@ def events_from_message(
         case "GLOBAL_POSITION_INT":
             return _position_events(message, t_s)
         case "GPS_RAW_INT":
-            satellites = message.satellites_visible
-            return [
-                GnssFix(
-                    t_s,
-                    message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX,
-                    None if satellites == 255 else satellites,
-                )
-            ]
+            return [_gnss_fix(message, t_s)]
         case "SYS_STATUS":
             return _system_status_events(message, t_s)
         case "BATTERY_STATUS":
@@ -187,6 +183,17 @@ def events_from_message(
             return events
         case _:
             return []
+
+
+def _gnss_fix(message: Any, t_s: float) -> Event:
+    """The height's accuracy is a MAVLink 2 extension: 0 from those that do not send it."""
+    usable, satellites = (
+        message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX,
+        message.satellites_visible,
+    )
+    std_m = message.v_acc / 1000.0 or None
+    count = None if satellites == 255 else satellites
+    return GnssFix(t_s, usable, count, message.alt / 1000.0 if usable else None, std_m)
 
 
 def _position_events(message: Any, t_s: float) -> list[Event]:
@@ -296,9 +303,8 @@ def _mission_progress(message: Any, profile: AutopilotProfile, t_s: float) -> Ev
     total = {0: None, UNKNOWN_U16: 0}.get(message.total, message.total)
     # MISSION_CURRENT.mission_mode: 0 unknown, 1 in a mission mode, 2 suspended.
     in_mission = {1: True, 2: False}.get(message.mission_mode)
-    return MissionProgress(
-        t_s, index if index >= 0 else None, total, in_mission, _mission_id(message)
-    )
+    state, index = MISSION_STATES.get(message.mission_state), index if index >= 0 else None
+    return MissionProgress(t_s, index, total, in_mission, _mission_id(message), state)
 
 
 def _mission_id(message: Any) -> int | None:

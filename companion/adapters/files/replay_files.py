@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.files.atomic_file import write_text_atomically
+from companion.analysis.replay.autopilot_faults import autopilot_faults
 from companion.analysis.replay.flight_replay import ReplayResult, ReplayState
 from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.analysis.replay.summary import WindScore, WindSummary
@@ -60,6 +61,7 @@ def build_replay_record(
         "airframe": airframe,
         "findings": [asdict(log_issue) for log_issue in result.findings],
         "notes": [{"t_s": t_s, "text": text} for t_s, text in result.notes],
+        "autopilot_faults": [{"t_s": t_s, "text": text} for t_s, text in autopilot_faults(log)],
         "wind": None if wind is None else {**asdict(wind), "mean_from_deg": wind.mean_from_deg},
         "reference": None if score is None else asdict(score),
         "energy": None

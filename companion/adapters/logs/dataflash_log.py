@@ -33,7 +33,7 @@ from companion.core.vehicle.airframe import MULTIROTOR
 
 DECODED_TYPES = (
     "ATT", "XKF1", "XKF2", "XKF4", "NKF1", "POS", "GPS", "BAT", "CURR", "ARSP", "MODE", "ARM",
-    "EV", "MISE", "ORGN", "MSG", "VER",
+    "ERR", "EV", "MISE", "ORGN", "MSG", "VER",
 )  # fmt: skip
 MIN_INTERVAL_S = {
     "ATT": 0.045,
@@ -50,6 +50,14 @@ MIN_INTERVAL_S = {
 MAX_POSITION_AGE_S = 0.5
 EV_ARMED, EV_DISARMED, EV_LANDED, EV_NOT_LANDED = 10, 11, 18, 28
 HOME_ORIGIN_TYPE = 1
+ERR_SUBSYSTEMS = {
+    5: "radio failsafe", 6: "battery failsafe", 7: "GNSS failsafe", 8: "GCS failsafe",
+    9: "fence failsafe", 12: "crash check", 16: "EKF check", 17: "EKF failsafe", 18: "barometer",
+    19: "CPU failsafe", 23: "terrain failsafe", 25: "thrust loss check", 29: "vibration failsafe",
+    30: "internal error", 31: "dead reckoning failsafe",
+}  # fmt: skip
+"""Subsystem of ERR by number (AP_Logger.h, LogErrorSubsystem); its code 0 is an end."""
+
 VEHICLE_OF_BUILD = {1: "rover", 2: MULTIROTOR, 3: "fixed wing", 4: "antenna tracker",
     7: "submarine",
           12: "blimp", 13: "helicopter"}  # fmt: skip
@@ -95,6 +103,7 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
         autopilot_kind=AutopilotKind.ARDUPILOT,
         vehicle=reader.vehicle,
         firmware=reader.firmware,
+        autopilot_faults=tuple(reader.faults),
     )
 
 
@@ -135,6 +144,7 @@ class _DataflashReader:
     def __init__(self) -> None:
         self.events: list[Event] = []
         self.findings: list[LogIssue] = []
+        self.faults: list[tuple[float, str]] = []
         self.vehicle: str | None = None
         self.firmware: str | None = None
         self._values: dict[str, float] = {}
@@ -289,6 +299,8 @@ class _DataflashReader:
             self._landed_states.append((t_s, message.Id == EV_LANDED))
         elif kind == "EV" and message.Id in (EV_ARMED, EV_DISARMED):
             self._state_changes.append((t_s, message.Id == EV_ARMED, None))
+        elif kind == "ERR" and message.ECode != 0 and message.Subsys in ERR_SUBSYSTEMS:
+            self.faults.append((t_s, f"{ERR_SUBSYSTEMS[message.Subsys]}, code {message.ECode}"))
         elif kind == "ARM":
             self._state_changes.append((t_s, bool(message.ArmState), None))
         elif kind == "MODE":

@@ -92,6 +92,9 @@ TELEMETRY_TOPICS: dict[str, tuple[str, type[Event]]] = {
 
 AUTOPILOT_TOPIC = "heard_autopilot"
 
+LATER_FIELDS = ("mission_id", "mission_state", "gnss_alt_m", "gnss_alt_std_m")
+"""Fields that recordings of earlier versions do not have."""
+
 
 def _required_schema_fields(kind: type[Any], *unlisted: str) -> dict[str, dict[str, Any]]:
     """Return the fields of a dataclass; `unlisted` ones are allowed in a row, but not required."""
@@ -110,7 +113,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     "said": {"t_s": NUMBER, "severity": NUMBER, "text": TEXT},
     AUTOPILOT_TOPIC: {"t_s": NUMBER, "flavour": TEXT, "system_id": NUMBER},
 } | {
-    topic: _required_schema_fields(event, "mission_id")
+    topic: _required_schema_fields(event, *LATER_FIELDS)
     for topic, event in TELEMETRY_TOPICS.values()
 }
 

@@ -18,6 +18,7 @@ from companion.adapters.logs.log_time import (
     make_time_monotonic,
     stamp_outlier_issue,
 )
+from companion.adapters.logs.ulog_faults import ARMED, FAULT_TOPICS, TopicRows, fault_starts
 from companion.adapters.logs.ulog_filter import extract_topics_at_min_interval
 from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
 from companion.core.base.arrays import Floats
@@ -42,8 +43,6 @@ from companion.core.mission.events import (
 )
 from companion.core.vehicle.airframe import MULTIROTOR
 
-TopicRows = dict[str, NDArray[Any]]
-
 TOPICS = (
     "vehicle_attitude",
     "vehicle_local_position",
@@ -51,6 +50,7 @@ TOPICS = (
     "home_position",
     "mission_result",
     "vehicle_status",
+    *FAULT_TOPICS,
     "vehicle_land_detected",
     "vehicle_gps_position",
     "battery_status",
@@ -83,7 +83,6 @@ MODES = {
 }
 """Mode by vehicle_status.nav_state."""
 
-ARMED = 2
 SENSORS = (1, 2, 3)
 """airspeed_validated from a sensor: 0 is ground speed less wind, 4 synthetic, -1 disabled."""
 
@@ -136,6 +135,7 @@ def read_ulog(path: Path) -> RecordedFlight:
         autopilot_kind=AutopilotKind.PX4,
         vehicle=vehicle,
         firmware=_firmware_version(log),
+        autopilot_faults=fault_starts(topics),
     )
 
 

@@ -67,7 +67,8 @@ class RecordedFlight:
 
     `utc_at_zero_s`: seconds since 1970 at zero of the log's clock, if known. `position_measured`:
     false for a log with velocities only, whose positions are integrated from the first row, about 0
-    N 0 E. `has_battery_voltage_and_current`: the log has voltage and current.
+    N 0 E. `has_battery_voltage_and_current`: the log has voltage and current. `autopilot_faults`:
+    time and text of faults that the log has in other messages than telemetry.
     """
 
     source: str
@@ -79,6 +80,7 @@ class RecordedFlight:
     position_measured: bool = True
     reference: WindReference | None = None
     utc_at_zero_s: float | None = None
+    autopilot_faults: tuple[tuple[float, str], ...] = ()
 
     @property
     def start_s(self) -> float:

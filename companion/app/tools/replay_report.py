@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from companion.analysis.replay.autopilot_faults import autopilot_faults
 from companion.analysis.replay.flight_replay import ReplayResult
 from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.analysis.replay.summary import MIN_FLIGHT_TIME_S, WindScore, WindSummary
@@ -45,6 +46,9 @@ def replay_report_lines(
         lines.append(f"  and {len(notes) - MAX_NOTES} more such notes (--json has them)")
     lines += _wind_lines(wind_summary, wind_score)
     lines += _decision_lines(result, log.start_s)
+    if faults := autopilot_faults(log):
+        lines.append("reported by the autopilot; the margin above assumes an intact vehicle:")
+        lines += [f"  {t_s - log.start_s:9.1f} s  {text}" for t_s, text in faults]
     lines.append(f"{log.duration_s / max(cpu_s, 1e-9):.0f} times real time ({cpu_s:.2f} s of CPU)")
     return lines
 

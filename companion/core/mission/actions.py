@@ -103,6 +103,11 @@ class JumpTo(Order):
 
 
 @dataclass(frozen=True, slots=True)
+class ContinueMission(Order):
+    """Continue a paused mission (ArduCopter; PX4 has no pause)."""
+
+
+@dataclass(frozen=True, slots=True)
 class SetGroundSpeed(Order):
     """Fly route segments at this ground speed."""
 

@@ -73,6 +73,16 @@ class Alert(Enum):
         "disarmed in flight, falling: {where}",
         "Warn people below to keep clear; send help to the position.",
     )
+    FALLING = (
+        CRITICAL,
+        "falling without thrust: {where}",
+        "Warn people below to keep clear; send help to the position.",
+    )
+    AUTOPILOT_FAILSAFE = (
+        WARNING,
+        "autopilot reports a failsafe, mode {mode}",
+        "Read the autopilot's messages; be ready to take over.",
+    )
     HOLD_UNANSWERED = (
         CRITICAL,
         "{cause}, on HOLD: {next_step}",
@@ -108,6 +118,11 @@ class Alert(Enum):
     MISSION_CHANGED_LANDING = (CRITICAL, "mission changed in landing: left as it is", NEXT_ALERT)
     COMMAND_REFUSED = (WARNING, "{command} not confirmed: {reason}", READ_LOG_LATER)
     JUMP_IGNORED = (WARNING, "autopilot did not jump to mission item {item}", WATCH_FLIGHT)
+    STANDSTILL = (
+        CRITICAL,
+        "vehicle stands still in its mission: {next_step}",
+        "Continue the mission or take over; it hovers until the energy requires a return.",
+    )
     LEG_MISSED = (WARNING, "{label} missed: continuing to {next_label}", WATCH_FLIGHT)
     RETURN_BY_MISSION = (WARNING, "returning by the onboard mission", WATCH_FLIGHT)
     RETURN_REFUSED_LAND = (CRITICAL, "mission not usable: landing here", CLEAR_GROUND)
@@ -163,6 +178,11 @@ class Alert(Enum):
         CRITICAL,
         "descending without position, {last_position}",
         "Keep people clear of the last position; collect the vehicle after landing.",
+    )
+    HEIGHT_DOUBT = (
+        WARNING,
+        "height uncertain: GNSS differs by over {limit_m:.0f} m",
+        "Expect a return with the parcel; watch the height at the landing.",
     )
     POSITION_BACK = (NOTICE, "position recovered after {duration_s:.0f} s", WATCH_FLIGHT)
     LINK_BACK = (WARNING, "autopilot link recovered after {duration_s:.0f} s", WATCH_FLIGHT)
@@ -239,6 +259,11 @@ class Alert(Enum):
     )
     LANDED_STILL_ARMED = (WARNING, "landed, still armed: disarm manually", "Disarm.")
     DELIVERED = (NOTICE, "delivered: {evidence}", NO_ACTION)
+    RELEASED_IN_DOUBT = (
+        WARNING,
+        "parcel released, height uncertain by {difference_m:.0f} m",
+        "Check the parcel: it may have fallen from a greater height.",
+    )
     RELEASE_UNCONFIRMED = (
         ERROR,
         "parcel release not confirmed: assumed on board",

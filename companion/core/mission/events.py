@@ -39,6 +39,16 @@ class VehicleLandedState(Enum):
     LANDING = "landing"
 
 
+class MissionState(Enum):
+    """State of the onboard mission (MISSION_CURRENT.mission_state)."""
+
+    NO_MISSION = "no mission"
+    NOT_STARTED = "not started"
+    ACTIVE = "active"
+    PAUSED = "paused"
+    COMPLETE = "complete"
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """An event at time `t_s` on the autopilot's clock."""
@@ -133,10 +143,12 @@ class AirPressure(Event):
 
 @dataclass(frozen=True, slots=True)
 class GnssFix(Event):
-    """Fix reported by the GNSS receiver. `usable`: 3-D fix or better."""
+    """Fix of the GNSS receiver. `usable`: 3-D fix or better. `gnss_alt_m`: its height AMSL."""
 
     usable: bool
     satellites: int | None = None
+    gnss_alt_m: float | None = None
+    gnss_alt_std_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,13 +216,14 @@ class MissionProgress(Event):
     mission).
 
     `in_mission`: whether it flies the mission, if reported. `mission_id`: a number that changes
-    with the list (PX4 1.15 and later).
+    with the list (PX4 1.15 and later). `mission_state`: state of the mission, if reported.
     """
 
     index: int | None
     total: int | None = None
     in_mission: bool | None = None
     mission_id: int | None = None
+    mission_state: MissionState | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,6 @@ from companion.core.mission.events import (
     ModeReport,
     OrderAccepted,
     OtherCompanionReport,
-    Position,
     VehicleState,
 )
 from companion.core.pilot.checkpoint import Checkpoint
@@ -50,9 +49,6 @@ COMPANION_COMPONENT = 191
 
 FREE_DESCENT_MPS = 2.0
 """Above the descent speed near the ground (by default PX4 0.7, ArduCopter 0.5 m/s)."""
-
-EXCESS_DESCENT_MPS = 2.0
-"""Descent speed above the airframe's own, at any height, that excludes a landing."""
 
 DROP_WINDOW_S = 3.0
 """Maximum duration of a fall during a landing, including the delay of its heartbeats at 1 Hz."""
@@ -169,8 +165,6 @@ class DisarmMonitor:
     """Time of the accepted ARM, until a heartbeat shows the vehicle armed."""
     disarmed_reports: int = 0
     """Number of disarmed heartbeats since then."""
-    last_drop_s: float | None = None
-    """Last time at which it descended faster than in a landing."""
     failsafe_active: bool = False
     """From the last heartbeat with running motors: a mode change is the failsafe's."""
 
@@ -184,12 +178,10 @@ class DisarmMonitor:
         self.disarmed_externally = checkpoint.disarmed_by_another
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """Process heartbeats after an ARM, and falls."""
+        """Process heartbeats after an ARM."""
         match event:
             case VehicleState():
                 self._count_disarmed_report_after_arm(event)
-            case Position():
-                self._record_fall_time(context, event)
             case OrderAccepted() if event.order == "arm":
                 self.arm_accepted_s, self.disarmed_reports = event.t_s, 0
             case ClockSteppedBack():
@@ -251,13 +243,10 @@ class DisarmMonitor:
         if accepted_s is not None and heartbeat.t_s - accepted_s >= ARM_CONFIRM_DELAY_S:
             self.disarmed_reports += 1
 
-    def _record_fall_time(self, context: FlightContext, position: Position) -> None:
-        """Keep the time of the last fall: its heartbeat may arrive after the impact."""
-        if position.vel_d_mps > context.airframe.speeds.descent_mps + EXCESS_DESCENT_MPS:
-            self.last_drop_s = position.t_s
-
-    def _has_fallen_recently(self, context: FlightContext) -> bool:
-        return context.seconds_since(self.last_drop_s) < DROP_WINDOW_S
+    @staticmethod
+    def _has_fallen_recently(context: FlightContext) -> bool:
+        """Return whether it fell just before: its heartbeat may arrive after the impact."""
+        return context.seconds_since(context.telemetry.observed.fall_s) < DROP_WINDOW_S
 
 
 @dataclass(slots=True)

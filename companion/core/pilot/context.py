@@ -41,6 +41,7 @@ from companion.core.pilot.telemetry_state import (
 from companion.core.pilot.transitions import OUTBOUND_PHASES, Phase, Trigger, next_phase
 from companion.core.return_budget.budget import Assessment
 from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.energy_ledger import EnergyBelief
 
 EXTERNAL_DISARM_TEXT = "disarmed by someone else"
 
@@ -290,12 +291,14 @@ class FlightContext:
     def in_air_evidence_text(self) -> str:
         """Return the evidence against standing on the ground; `""` without any.
 
-        Checks landed state, height above the start and landing positions, and speed. A lack of both
-        landed state and position is evidence too.
+        Checks landed state, thrust, height above the start and landing positions, and speed. A lack
+        of both landed state and position is evidence too.
         """
         detector, here = self.telemetry.landed_state, self.recent_position_ned_m()
         if detector not in (None, VehicleLandedState.ON_GROUND):
             return f"landed state is {detector.value}"
+        if self.telemetry.armed and self.telemetry.observed.is_lifted(self.t_s):
+            return "its motors carry it"
         if here is None or self.telemetry.position_faults():
             return "" if detector is not None else "no position and no landed state"
         if self.telemetry.speed_3d_mps() > MAX_GROUND_SPEED_MPS:
@@ -321,3 +324,8 @@ def height_above_nearest_site_m(context: FlightContext, position_ned_m: Ned) -> 
         *(s.ground_ned_m[2] for s in plan.uploaded_sites_except_return_end),
     )
     return min((down - position_ned_m[2] for down in grounds), key=abs)
+
+
+def margin_above_reserve_wh(context: FlightContext, energy: EnergyBelief) -> float:
+    """Return the energy left above the reserve (Wh)."""
+    return energy.mean_wh - context.estimates.limits.reserve_frac * energy.usable_full_wh

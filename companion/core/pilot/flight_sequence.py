@@ -19,6 +19,7 @@ from companion.core.pilot.landing import LandingController
 from companion.core.pilot.landing_site import LandingStopController
 from companion.core.pilot.mission_progress import GroundSpeedController, MissionProgressMonitor
 from companion.core.pilot.neighbours.setpoint_takeover import SetpointController
+from companion.core.pilot.observed_reactions import ObservedReactions
 from companion.core.pilot.parcel_release import ParcelReleaseController
 from companion.core.pilot.return_course import PositionLossMonitor, ReturnCourseMonitor
 from companion.core.pilot.return_decision import BudgetMonitor, ReturnDecision
@@ -55,6 +56,7 @@ class FlightSequence:
     _landing: LandingController
     _setpoints: SetpointController
     _assessment: LatestAssessment
+    _reactions: ObservedReactions
     _outbound_returns: int = 0
     _outbound_assessed_s: float | None = None
 
@@ -209,7 +211,7 @@ class FlightSequence:
         if self._course.update_and_check_off_return_route(context, here):
             cause = "flying away from the return route"
         elif self._course.update_and_check_stationary(context, here):
-            cause = "stationary on the return route"
+            cause = self._reactions.jump_again_or_standstill_reason(context)
         if cause:
             context.record_decision("way_home_refused", cause)
             context.apply_phase_trigger(Trigger.RETURN_REFUSED, cause)

@@ -180,7 +180,8 @@ class HomeMonitor:
             self._fix_takeoff_home(context)
             self._complete_or_abandon_redirect(context)
             self._redirect_home_to_landing_site(context)
-            self._report_and_restore_displaced_home(context)
+            if context.telemetry.airborne:  # PX4 moves home to its landing position
+                self._report_and_restore_displaced_home(context)
 
     # --- the ground that it takes off from -------------------------------------------------------
 

@@ -1,7 +1,8 @@
 """End of the flight: detect the landing, restore the autopilot's settings, determine the outcome.
 
-A landing needs several agreeing sources: disarmed, landed state, height and ground speed
-(`FlightContext.in_air_evidence_text`). No settings are restored before.
+A landing needs several agreeing sources: disarmed, landed state, thrust, height and ground speed
+(`FlightContext.in_air_evidence_text`). No settings are restored before. A disarm is ordered only if
+two of landing detector, thrust and rest near the ground agree and none of the motors carries it.
 """
 
 from dataclasses import dataclass, field
@@ -18,9 +19,11 @@ from companion.core.pilot.context import (
     MAX_GROUND_SPEED_MPS,
     FlightContext,
     height_above_nearest_site_m,
+    margin_above_reserve_wh,
 )
 from companion.core.pilot.flight_state import FlightState, ParcelState, PromisedStop
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
+from companion.core.pilot.observed_reactions import ObservedReactions
 from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, RESUMABLE_PHASES, Phase, Trigger
@@ -84,6 +87,7 @@ class LandingController:
     _position: PositionLossMonitor
     _settings: AutopilotSettings
     _disarming: DisarmMonitor
+    _reactions: ObservedReactions
     _state: LandingState = field(default_factory=LandingState)
 
     def tick(self, context: FlightContext) -> None:
@@ -105,7 +109,9 @@ class LandingController:
         detected_on_ground = (
             telemetry.ground is not None and telemetry.ground.ground is VehicleLandedState.ON_GROUND
         )
-        if not (detected_on_ground or self._update_and_check_at_rest(context)):
+        is_resting = self._update_and_check_at_rest(context)
+        is_lifted = telemetry.observed.is_lifted(context.t_s)
+        if is_lifted or not (detected_on_ground or is_resting):
             state.at_rest_since_s = state.energy_touched_down = None
             return
         if state.at_rest_since_s is None:
@@ -114,10 +120,14 @@ class LandingController:
         waited_s = context.seconds_since(state.at_rest_since_s)
         if waited_s < (LANDED_DELAY_S if detected_on_ground else REST_S):
             return
+        is_idle = telemetry.observed.is_thrust_idle(context.t_s)
+        has_two_witnesses = is_idle is not False and (
+            (detected_on_ground and is_resting) or (is_idle and (detected_on_ground or is_resting))
+        )
         is_disarm_due = context.seconds_since(state.disarm_ordered_s) > DISARM.interval_s
         mode_name = telemetry.state.mode_name
         is_same_mode = state.disarm_mode_name in ("", mode_name)  # another one is a person's
-        may_disarm = is_companion_phase and is_same_mode
+        may_disarm = is_companion_phase and is_same_mode and has_two_witnesses
         if may_disarm and is_disarm_due and state.disarm_orders < DISARM.max_tries:
             state.disarm_ordered_s, state.disarm_mode_name = context.t_s, mode_name
             state.disarm_orders += 1
@@ -148,8 +158,7 @@ class LandingController:
             home, text = self._at_home_and_position_text(context, plan)
             energy = self._state.energy_landed or context.estimates.energy
             if energy is not None:
-                reserve_wh = context.estimates.limits.reserve_frac * energy.usable_full_wh
-                margin_wh = energy.mean_wh - reserve_wh
+                margin_wh = margin_above_reserve_wh(context, energy)
                 text += f", {reserve_margin_text(margin_wh)}"
                 home = home and margin_wh >= 0.0
             outcome = self._outcome_code(is_at_home=home)
@@ -175,7 +184,8 @@ class LandingController:
         delivered = self._parcel.delivered
         if is_at_home:
             return "SUC" if delivered else "ABRT"
-        if self._state.landed_by_pilot and not self._disarming.disarmed_in_air:
+        is_intact = not (self._disarming.disarmed_in_air or self._reactions.has_fallen)
+        if self._state.landed_by_pilot and is_intact:
             return "TAKEN"
         return "DEL" if delivered else "FAIL"
 
@@ -184,8 +194,8 @@ class LandingController:
     ) -> tuple[bool, str]:
         """Return whether it is at the promised position, and its position as text."""
         position = context.telemetry.position
-        if self._disarming.disarmed_in_air:
-            return False, "disarmed in flight"
+        if self._disarming.disarmed_in_air or self._reactions.has_fallen:
+            return False, "fell" if self._reactions.has_fallen else "disarmed in flight"
         if self._position.is_position_lost:
             return False, f"position lost, {self._position.last_good_position_text()}"
         if position is None:

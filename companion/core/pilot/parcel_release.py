@@ -18,6 +18,7 @@ from companion.core.pilot.estimators.release_watch import (
 )
 from companion.core.pilot.flight_state import ParcelState
 from companion.core.pilot.mission_progress import MissionProgressMonitor
+from companion.core.pilot.observed_state import HEIGHT_DOUBT_M
 from companion.core.pilot.return_decision import BudgetMonitor
 from companion.core.pilot.transitions import Phase, Trigger
 
@@ -96,7 +97,11 @@ class ParcelReleaseController:
         self._assessment.discard()
         self._budget.assess_remaining_if_older(context, 0.0)
         context.record_decision("delivered", evidence)
-        context.report_alert(Alert.DELIVERED, evidence=evidence)
+        difference_m = abs(context.telemetry.observed.height_difference_m)
+        if difference_m > HEIGHT_DOUBT_M:
+            context.report_alert(Alert.RELEASED_IN_DOUBT, difference_m=difference_m)
+        else:
+            context.report_alert(Alert.DELIVERED, evidence=evidence)
         context.request_checkpoint()
         if not context.telemetry.command_faults():
             self._jumps.order_jump(context, plan.mission.returning[0], JumpType.HOME)

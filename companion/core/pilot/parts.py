@@ -26,6 +26,7 @@ from companion.core.mission.events import (
     ControlHandedBack,
     ControlReleaseOrdered,
     Event,
+    GnssFix,
     GnssTime,
     Home,
     HomeStopRequested,
@@ -83,6 +84,7 @@ from companion.core.pilot.mission_progress import GroundSpeedController, Mission
 from companion.core.pilot.neighbours.desired_velocity import DesiredVelocity
 from companion.core.pilot.neighbours.setpoint_takeover import SetpointController
 from companion.core.pilot.neighbours.traffic_exchange import TrafficExchange
+from companion.core.pilot.observed_reactions import ObservedReactions
 from companion.core.pilot.onboard_verification import OnboardMissionVerifier
 from companion.core.pilot.parcel_release import ParcelReleaseController
 from companion.core.pilot.return_course import PositionLossMonitor, ReturnCourseMonitor
@@ -133,7 +135,7 @@ PARTS = (
     PilotPart(OrderedMode),
     PilotPart(
         DisarmMonitor,
-        (VehicleState, Position, OrderAccepted, ClockSteppedBack),
+        (VehicleState, OrderAccepted, ClockSteppedBack),
         checkpoint_keys=("disarmed_by_another",),
     ),
     PilotPart(
@@ -180,6 +182,7 @@ PARTS = (
         UnansweredHold,
         (VehicleState, ModeReport, ControlReleaseOrdered, MissionWriteDetected, MissionProgress),
     ),
+    PilotPart(ObservedReactions, (MissionProgress, Position, VehicleState, GnssFix)),
     PilotPart(MissionProgressMonitor, (MissionProgress, OrderRefused)),
     PilotPart(GroundSpeedController),
     PilotPart(

@@ -183,6 +183,10 @@ class ReturnCourseMonitor:
         stood_s = min(context.time_in_phase_s, context.seconds_since(self._last_motion_s))
         return stood_s > STATIONARY_S
 
+    def restart_standstill_timer(self, t_s: float) -> None:
+        """Restart the timer of a hover."""
+        self._last_motion_s = t_s
+
     def _update_leg_monitor(self, context: FlightContext) -> LegMonitor | None:
         """Return the monitor of the current item; None if it cannot be evaluated now."""
         index, telemetry = self._item.index, context.telemetry

@@ -247,7 +247,7 @@ class ReturnDecision:
         return False
 
     def non_energy_gate_closing_reason(self, context: FlightContext) -> str:
-        """Return what closes the gate except its budget: time limit or no battery data."""
+        """Return what closes the gate except its budget: time, battery data, uncertain height."""
         takeoff_s = self._flight.takeoff_s
         if takeoff_s is not None:
             limit_s = context.flight.mission.time_limit_s
@@ -255,7 +255,7 @@ class ReturnDecision:
                 return f"over the time limit of {limit_s:.0f} s"
         if not context.telemetry.is_recent(context.telemetry.battery, BATTERY_TIMEOUT_S):
             return "no data from the battery"
-        return ""
+        return context.telemetry.observed.height_conflict_text()
 
     def clearance_block_reason(self, context: FlightContext) -> str:
         """Return why the next leg is not cleared now, such as unknown values; `""` if it is."""

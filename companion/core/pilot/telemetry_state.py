@@ -31,6 +31,7 @@ from companion.core.mission.events import (
     VehicleLandedState,
     VehicleState,
 )
+from companion.core.pilot.observed_state import ObservedState
 from companion.core.vehicle.airframe import PLAUSIBLE_CELL_V
 
 EventT = TypeVar("EventT", bound=Event)
@@ -59,7 +60,6 @@ RTL_END_RADIUS_M = 20.0
 SAME_PACK_TOLERANCE_FRAC = 0.05
 """Maximum relative difference of two voltages of one pack."""
 
-THROTTLE_MAX_AGE_S = 1.0
 PRESSURE_MAX_AGE_S = 3.0
 """Three messages at the 1 Hz requested from both autopilots."""
 
@@ -215,6 +215,7 @@ class TelemetryState:
     home_below_ground_m: float = 0.0
     """Present depth of the autopilot's home below that ground."""
     pack: PackTelemetry = field(default_factory=PackTelemetry)
+    observed: ObservedState = field(default_factory=ObservedState)
     disarmed_since_s: float | None = None
     """First of the latest heartbeats in a row that report disarmed."""
     _disarmed_reports: int = 0
@@ -227,6 +228,8 @@ class TelemetryState:
     def store_event(self, event: Event) -> None:
         """Process one telemetry event."""
         self.t_s = max(self.t_s, event.t_s)
+        mode = None if self.state is None else self.state.mode
+        self.observed.store_event(event, mode, is_armed=self.armed)
         match event:
             case AutopilotDetected():
                 self.autopilot_kind = event.autopilot_kind
@@ -272,9 +275,8 @@ class TelemetryState:
         """Accept the latest heartbeat as disarmed if another source confirms it."""
         if self.state is None or self._disarmed_reports == 0:
             return
-        if (
-            self._disarmed_reports >= MIN_DISARMED_REPORTS
-            or self.landed_state is VehicleLandedState.ON_GROUND
+        if self._disarmed_reports >= MIN_DISARMED_REPORTS or (
+            self.landed_state is VehicleLandedState.ON_GROUND and self.on_ground
         ):
             self.state = replace(self.state, armed=False)
 
@@ -306,6 +308,7 @@ class TelemetryState:
         for name in ("state", "attitude", "position", "ground", *LATEST_FIELDS.values()):
             setattr(self, name, None)
         self.pack = PackTelemetry(self.pack.voltage_range_v)
+        self.observed = ObservedState()
         self._disarmed_reports = 0
         self.disarmed_since_s = None
 
@@ -335,10 +338,13 @@ class TelemetryState:
 
     @property
     def on_ground(self) -> bool:
-        """Whether it is certainly on the ground: disarmed, or by the landing detector."""
+        """Whether it is certainly on the ground: disarmed, or by the landing detector without
+        evidence of flight.
+        """
         if self.state is not None and not self.state.armed:
             return True
-        return self.ground is not None and self.ground.ground is VehicleLandedState.ON_GROUND
+        detected = self.ground is not None and self.ground.ground is VehicleLandedState.ON_GROUND
+        return detected and not self.observed.is_lifted(self.t_s)
 
     @property
     def airborne(self) -> bool:

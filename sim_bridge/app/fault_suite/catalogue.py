@@ -10,6 +10,7 @@ from sim_bridge.app.faults import (
     host,
     link,
     mission_and_home,
+    observed,
     return_budget,
     signing,
     telemetry,
@@ -18,8 +19,8 @@ from sim_bridge.app.faults import (
 from sim_bridge.app.faults.fault import FaultCase
 from sim_bridge.app.faults.pair import SEPARATOR, combine_cases
 
-MODULES = (air, authority, decisions, mission_and_home, return_budget, energy, telemetry, host,
-           workers, link, signing, fleet)  # fmt: skip
+MODULES = (air, authority, decisions, mission_and_home, return_budget, energy, telemetry, observed,
+           host, workers, link, signing, fleet)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )

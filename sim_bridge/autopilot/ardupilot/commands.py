@@ -26,6 +26,7 @@ from sim_bridge.autopilot.mavlink.enums import (
     ModeFlag,
     Severity,
 )
+from sim_bridge.autopilot.mission.executor import Phase
 from sim_bridge.autopilot.services.commands import CommonCommands, Handler
 from sim_bridge.autopilot.services.radio import Builder, Radio
 from sim_bridge.autopilot.state import VehicleState
@@ -198,7 +199,10 @@ class ArduPilotCommands:
     def _pause_or_resume_mission(self, command: Command) -> MavResult:
         if self._state.mode is not Mode.AUTO or command.param1 not in (0.0, 1.0):
             return MavResult.DENIED if self._state.mode is Mode.AUTO else MavResult.FAILED
-        if command.param1 == 0.0:
+        if command.param1 == 0.0:  # ModeAuto::pause: only on the way to a waypoint
+            leg = self._mission.executor.leg
+            if leg is None or leg.phase is not Phase.MOVE:
+                return MavResult.FAILED
             self._mission.executor.pause()
         else:
             self._mission.executor.resume()

@@ -1,5 +1,6 @@
 """Mode, arming and home: changes and their notifications."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -7,6 +8,9 @@ from sim_bridge.autopilot.base.geodesy import Vec3
 from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.flight.landing import LandingDetector
 from sim_bridge.autopilot.state import VehicleState
+
+_HOME_MOVE_M = 3.0
+"""Distance from home at which PX4 moves it while disarmed: twice a poor fix's eph."""
 
 
 class CommanderHooks(Protocol):
@@ -92,6 +96,15 @@ class Commander:
         state.home_is_locked = keep_when_arming
         state.home_revision += 1
         self._hooks.on_home_changed()
+
+    def move_home_after_displacement(self) -> None:
+        """Set home here if the vehicle has moved away from it (PX4, HomePosition.cpp, update)."""
+        state = self._state
+        north, east, _ = state.pos_ned_m
+        away_m = math.dist((north, east), state.home_ned_m[:2])
+        is_automatic = state.home_is_set and not state.home_is_locked
+        if is_automatic and state.has_position and away_m > _HOME_MOVE_M:
+            self.set_home(state.pos_ned_m)
 
     def set_home_and_origin_at_first_position(self) -> None:
         """Set home and the estimator's origin at the first position."""

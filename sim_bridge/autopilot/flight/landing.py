@@ -24,6 +24,8 @@ class LandingDetector:
         self._still_s = 0.0
         self._off_s = 0.0
         self.is_landed = True
+        self.is_in_error = False
+        """Fault: it detects a landing at any height."""
 
     def reset_at_arming(self) -> None:
         """Reset the detection for a new flight."""
@@ -40,7 +42,9 @@ class LandingDetector:
         is_armed: bool,
     ) -> None:
         """Take one step."""
-        touching = readings.touching_ground
+        touching = readings.touching_ground or self.is_in_error
+        if self.is_in_error:
+            self.is_landed = True
         if not is_armed:
             if touching:
                 self.is_landed = True

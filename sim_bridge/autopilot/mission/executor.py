@@ -225,6 +225,15 @@ class MissionExecutor:
         leg.start, leg.target = (north, east, target[2]), target
 
     @property
+    def reported_state(self) -> MissionState:
+        """MISSION_CURRENT.mission_state: ArduCopter's is PAUSED in AUTO only, PX4's in any mode."""
+        state = MissionState.NO_MISSION if self.plan.is_empty else self.state
+        if self.is_paused and self.is_active and not self._sequential:
+            return MissionState.PAUSED
+        is_stopped = state == MissionState.PAUSED and not self._sequential
+        return MissionState.NOT_STARTED if is_stopped else state
+
+    @property
     def is_moving_or_loitering(self) -> bool:
         """Return True while flying to a waypoint."""
         return self.leg is not None and self.leg.phase in (Phase.MOVE, Phase.LOITER)
@@ -258,6 +267,8 @@ class MissionExecutor:
         is_unreached = self.leg is not None and self.leg.phase is Phase.MOVE
         self._line_start = None
         self._start_item_or_next_runnable(item_index, count_jumps=count_jumps)
+        if self.state == MissionState.COMPLETE:  # no further item: it holds where it stops
+            self.leg = None
         leg, vehicle = self.leg, self._vehicle
         if leg is None or leg.phase is not Phase.MOVE or not is_unreached:
             return

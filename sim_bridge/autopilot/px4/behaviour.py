@@ -157,6 +157,7 @@ class Px4:
         state, params = self._state, self._state.params
         if not state.is_armed:
             self._idle_since_s = None
+            self.commander.move_home_after_displacement()
             return
         if state.has_flown:
             if state.mode is Mode.AUTO and self.executor.state != MissionState.COMPLETE:

@@ -16,7 +16,6 @@ from sim_bridge.autopilot.flight.rc_input import RcInput
 from sim_bridge.autopilot.mavlink.enums import (
     EkfFlag,
     LandedState,
-    MissionState,
     Sensor,
     SystemStatus,
 )
@@ -130,13 +129,10 @@ def mission_current_fields(executor: MissionExecutor, item_total: int, mission_i
 
     `mission_id` changes with the stored list; 0 where the autopilot sends none.
     """
-    state = executor.state
-    if executor.plan.is_empty:
-        state = MissionState.NO_MISSION
     return {
         "seq": mission_current_seq(executor),
         "total": item_total,
-        "mission_state": int(state),
+        "mission_state": int(executor.reported_state),
         "mission_mode": 1 if executor.is_active else 2,
         "mission_id": mission_id,
         "fence_id": 0,

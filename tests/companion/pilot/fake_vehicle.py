@@ -183,6 +183,10 @@ class World:
     disarms: bool = True
     items: tuple[MissionItem, ...] = ()
     mission_id: int | None = None
+    mission_state: ev.MissionState | None = None
+    gnss_up_m: float | None = None
+    """Error of the receiver's height; None: the receiver reports no height."""
+    thrust_frac: float | None = None
     reads: int = 0
     takes_uploads: bool = True
     index: int = 0
@@ -347,15 +351,25 @@ class World:
                 self.height - self.home_up + self.barometer_m,
                 *self.velocity,
             ),
-            ev.GnssFix(t, self.gnss),
+            ev.GnssFix(
+                t,
+                self.gnss,
+                gnss_alt_m=None
+                if self.gnss_up_m is None
+                else self.alt_amsl_m + self.height + self.gnss_up_m,
+            ),
             ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
-            ev.MissionProgress(t, self.index, len(self.items), None, self.mission_id),
+            ev.MissionProgress(
+                t, self.index, len(self.items), None, self.mission_id, self.mission_state
+            ),
             ev.GroundState(
                 t, VehicleLandedState.IN_AIR if self.height > 0.3 else VehicleLandedState.ON_GROUND
             ),
         ]
         if round(t * 10) % 5 == 0:
             found.append(ev.VehicleState(t, self.mode, self.mode.value, self.armed, self.failsafe))
+        if self.thrust_frac is not None:
+            found.append(ev.Throttle(t, self.thrust_frac))
         if not self.streams:
             found = [event for event in found if isinstance(event, ev.VehicleState)]
         if round(t * 10) % 10 == 0:

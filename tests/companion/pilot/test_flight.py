@@ -1,6 +1,7 @@
 """The pilot, event by event against a fake vehicle, with a scripted gate."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -286,7 +287,16 @@ def test_safety_rule_1_of_two_computers_in_flight_the_one_that_began_last_flies(
     assert w.said.count("companion sends no commands: another onboard computer") == 1
 
 
-def test_what_hovers_on_the_way_home_is_led_home_by_rtl():
+@pytest.mark.parametrize(
+    ("mission_state", "p_home", "rtl_after_s"),
+    [
+        (ev.MissionState.NOT_STARTED, 0.999, 20.0),
+        (ev.MissionState.ACTIVE, 0.999, 40.0),  # after a second jump
+        (None, 0.5, 40.0),  # perhaps paused by a person, but the energy requires a return
+        (None, 0.999, None),
+    ],
+)
+def test_what_hovers_on_the_way_home_is_led_home_by_rtl(mission_state, p_home, rtl_after_s):
     w = reach(Phase.RETURN)
     for _ in range(80):  # 8 s: a turn or a gust
         w.speed = 0.0
@@ -294,12 +304,20 @@ def test_what_hovers_on_the_way_home_is_led_home_by_rtl():
     w.speed = 10.0
     w.steps(30)
     assert w.pilot.phase is Phase.RETURN
-    stood_s = w.t_s
+    stood_s, assess = w.t_s, w.judge.assess
+    w.judge.assess = lambda ahead: replace(assess(ahead), p_home=p_home)  # type: ignore[method-assign]
     while w.pilot.phase is Phase.RETURN and w.t_s < stood_s + 60.0:
-        w.speed = 0.0
+        w.speed, w.height = 0.0, max(w.height, 10.0)
+        w.mission_state = mission_state if w.t_s > stood_s + 15.0 else None
         w.step()
+    jumps = [o for o in w.orders_after(stood_s) if isinstance(o, JumpTo)]
+    assert len(jumps) == (0 if mission_state is ev.MissionState.NOT_STARTED else 1)
+    if rtl_after_s is None:
+        assert w.pilot.phase is Phase.RETURN
+        assert not [o for o in w.orders_after(stood_s) if isinstance(o, SetMode)]
+        return
     assert w.pilot.phase is Phase.LAST_RESORT
-    assert 20.0 < w.t_s - stood_s < 25.0
+    assert rtl_after_s < w.t_s - stood_s < rtl_after_s + 5.0
     assert SetMode(Mode.RTL) in w.orders_after(stood_s)
 
 
@@ -449,6 +467,7 @@ def test_safety_rule_3_rtl_is_the_last_resort_when_no_jump_is_obeyed():
 def test_a_late_report_before_the_last_resort_does_not_keep_the_flight_from_ending():
     """Flown on ArduCopter with late progress: disarmed at home, but the flight did not end."""
     w = reach(Phase.RETURN)
+    w.mission_state = ev.MissionState.NOT_STARTED
     while w.pilot.phase is Phase.RETURN and w.t_s < 600.0:
         w.speed = 0.0
         w.step()

@@ -134,3 +134,13 @@ def test_heights_are_above_the_ground_of_take_off_wherever_home_is(
     assert telemetry.position is not None
     assert telemetry.position.height_rel_m == 40.0
     assert telemetry.home_below_ground_m == sunk_m
+
+
+def test_a_home_that_px4_moves_to_the_landing_position_is_no_other_stations():
+    w = world()
+    w.disarms = False  # it stays in its landing phase while the home is reported
+    w.run(lambda w: w.pilot.phase is Phase.LAND and w.height < 0.3)
+    w.home_north, w.home_east = 300.0, 50.0
+    w.steps(80)
+    assert w.pilot.phase is Phase.LAND
+    assert "home_moved" not in w.kinds

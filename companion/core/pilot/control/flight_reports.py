@@ -1,5 +1,7 @@
 """Periodic reports of a flight: wind, energy, the gate's assessment, and news of the fleet wind."""
 
+from dataclasses import replace
+
 from companion.core.mission.actions import (
     AlertReport,
     AssessmentReport,
@@ -10,12 +12,12 @@ from companion.core.mission.actions import (
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import CONTROL_CLAIM
 from companion.core.pilot.authority import ControlAuthority
-from companion.core.pilot.context import FlightContext, LatestAssessment
+from companion.core.pilot.context import FlightContext, LatestAssessment, margin_above_reserve_wh
 from companion.core.pilot.control.return_alarm import ReturnAlarm
 from companion.core.pilot.flight_state import PromisedStop
 from companion.core.pilot.home_watch import HomeMonitor
 from companion.core.pilot.return_decision import BudgetMonitor
-from companion.core.pilot.transitions import FLIGHT_PHASES
+from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 from companion.core.return_budget.budget import Assessment
 
 REPORT_INTERVAL_S = 1.0
@@ -70,6 +72,9 @@ class FlightReports:
     def _queue_energy_and_gate_report(self, context: FlightContext) -> None:
         wind, energy = context.estimates.wind, context.estimates.energy
         seen, values = context.recent_assessment(), dict[str, float]()
+        if seen and energy and context.phase is Phase.LAND and context.telemetry.on_ground:
+            # Landed: the same margin as in the outcome.
+            seen = replace(seen, margin_wh=margin_above_reserve_wh(context, energy))
         claim_s = self._authority.published_control_start_s(context.phase)
         if claim_s is not None:
             values[CONTROL_CLAIM] = claim_s

@@ -7,6 +7,7 @@ import msgspec
 
 from companion.core.mission.actions import (
     CancelOrders,
+    ContinueMission,
     JumpTo,
     LogNote,
     RequestBoardId,
@@ -22,6 +23,7 @@ from companion.core.mission.events import (
     Event,
     LinkRecovered,
     LinkSilent,
+    MissionState,
     MissionUploaded,
     MissionVerified,
     MissionWriteDetected,
@@ -171,12 +173,15 @@ class FlightResumption:
             context, context.flight_plan
         ):
             return
-        elif state.mode is Mode.MISSION:
+        elif state.mode is Mode.MISSION and not _is_mission_paused(context):
             if self._item.try_resume_from_reported_item(context):
                 self._modes.clear_ordered_mode()
         elif self._ordered_s is None:
             self._ordered_s = context.t_s
-            self._modes.order_mode(context, Mode.MISSION)
+            if state.mode is Mode.MISSION:
+                context.queue_actions(ContinueMission())
+            else:
+                self._modes.order_mode(context, Mode.MISSION)
 
     # --- a hand-back -----------------------------------------------------------------------------
 
@@ -186,7 +191,10 @@ class FlightResumption:
         The mode is ordered once. Lost telemetry may hide that a pilot selects the former mode
         again, and a second order would override that selection.
         """
-        if state.mode is Mode.MISSION:
+        is_paused = state.mode is Mode.MISSION and _is_mission_paused(context)
+        if is_paused and not self._authority.handed_back:
+            return "mission paused by a station"
+        if state.mode is Mode.MISSION and (not is_paused or self._ordered_s is None):
             return ""
         if self._ordered_s is not None:
             is_overdue = context.seconds_since(self._ordered_s) > MODE_TIMEOUT_S
@@ -286,6 +294,10 @@ class FlightResumption:
             self._upload_companion_mission_once(context, context.flight_plan)
             return
         context.apply_phase_trigger(Trigger.MISSION_UNKNOWN, "foreign mission onboard")
+
+
+def _is_mission_paused(context: FlightContext) -> bool:
+    return context.telemetry.observed.mission_state is MissionState.PAUSED
 
 
 class LinkMonitor:

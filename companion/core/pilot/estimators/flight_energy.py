@@ -11,7 +11,6 @@ from companion.core.monitor.tally import FlightTally
 from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
     POSITION_MAX_AGE_S,
-    THROTTLE_MAX_AGE_S,
     TelemetryState,
 )
 from companion.core.routing.leg_energy import RouteEnergy
@@ -23,10 +22,6 @@ from companion.core.wind.estimator import WindBelief
 BATTERY_INTERVAL_S = 0.2
 MIN_STEADY_HEIGHT_M = 10.0
 """Above this height measured power is compared with the model."""
-
-IDLE_THRUST = 0.15
-"""Thrust command at which no multirotor hovers (hover needs 0.3 to 0.6); PX4 keeps 0.12
-(MPC_THR_MIN) until it detects the landing, ArduCopter less."""
 
 IDLE_POWER_FRAC = 0.5
 """Fraction of the empty vehicle's hover power; flight at the best speed needs about 0.8 of it."""
@@ -173,10 +168,9 @@ class FlightEnergyEstimator:
         Two indications that share no sensor: the thrust command, and the current.
         """
         battery = telemetry.battery
-        throttle = telemetry.recent_or_none(telemetry.throttle, THROTTLE_MAX_AGE_S)
         if battery is None or telemetry.pack.current_age_s(telemetry.t_s) > BATTERY_MAX_AGE_S:
             return False
-        if throttle is None or throttle.throttle_frac > IDLE_THRUST:
+        if not telemetry.observed.is_thrust_idle(telemetry.t_s):
             return False
         drawn_w = (battery.voltage_v or 0.0) * (battery.current_a or 0.0)
         return 0.0 < drawn_w < IDLE_POWER_FRAC * self._route_energy.hover_power_w(0.0)

@@ -10,10 +10,10 @@ from collections import deque
 from dataclasses import dataclass, field
 from statistics import fmean, pvariance
 
+from companion.core.pilot.observed_state import THROTTLE_MAX_AGE_S
 from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
     POSITION_MAX_AGE_S,
-    THROTTLE_MAX_AGE_S,
     TelemetryState,
 )
 from companion.core.routing.leg_energy import RouteEnergy
