@@ -209,6 +209,11 @@ class Alert(Enum):
     START_NOT_POSSIBLE_NOW = (WARNING, "start conditions changed: authorise again", AUTHORISE_AGAIN)
     NO_TAKE_OFF = (ERROR, "no take-off: {reason}", READ_LOG)
     PLANNING = (NOTICE, "still planning the route", "Wait; no action is needed.")
+    PARAMETERS_AWAITED = (
+        WARNING,
+        "waiting for {count} parameters: {names}",
+        "Check the link to the autopilot; the companion repeats the requests.",
+    )
     PARAMETERS_NOT_SET = (WARNING, "could not set {names}", READ_LOG)
     EARLIER_SETTINGS_IN_FORCE = (
         WARNING,

@@ -251,9 +251,19 @@ class AutopilotText(Event):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotParameters(Event):
-    """Requested parameters; `None` if the autopilot has no such parameter."""
+    """Requested parameters; `None` if the autopilot has no such parameter. `unanswered`: names
+    without a response, which may exist.
+    """
 
     values: dict[str, float | None]
+    unanswered: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersAwaited(Event):
+    """Parameters that were requested long ago and are still awaited."""
+
+    names: tuple[str, ...]
 
 
 # --- responses to actions ----------------------------------------------------------------------

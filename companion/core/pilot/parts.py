@@ -43,6 +43,7 @@ from companion.core.mission.events import (
     OrderAccepted,
     OrderRefused,
     OtherCompanionReport,
+    ParametersAwaited,
     ParametersSet,
     Position,
     ReleaseFeedback,
@@ -150,7 +151,7 @@ PARTS = (
     PilotPart(TrafficExchange, (GnssTime, NeighbourTrackReceived)),
     PilotPart(
         AutopilotSettings,
-        (AutopilotParameters, ParametersSet, UnrestoredSettings),
+        (AutopilotParameters, ParametersAwaited, ParametersSet, UnrestoredSettings),
         checkpoint_keys=("settings_before",),
     ),
     PilotPart(FlightPlanning),
