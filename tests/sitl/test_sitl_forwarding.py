@@ -27,4 +27,6 @@ def test_a_companion_whose_link_does_not_forward_states_it_before_take_off(fly_c
     assert (
         flown.craft.operator.received_texts == []
     )  # no companion message reached the ground station
-    assert "pre-flight: off: messages forwarded" in (flown.run_dir / "companion.log").read_text()
+    assert (
+        "pre-flight: WARNING: messages forwarded" in (flown.run_dir / "companion.log").read_text()
+    )

@@ -47,3 +47,9 @@ def write_or_remove_original_parameters(path: Path, values: dict[str, float]) ->
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json_atomically(path, values)
+
+
+def move_original_parameters(source: Path, target: Path, values: dict[str, float]) -> None:
+    """Store the original values under another name, then remove the former file."""
+    write_or_remove_original_parameters(target, values)
+    source.unlink(missing_ok=True)

@@ -14,11 +14,11 @@ from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.signing_monitor import SigningMonitor
 from companion.core.base.errors import LeewayError
-from companion.core.mission.actions import Action
+from companion.core.mission.actions import Action, AlertReport
 from companion.core.mission.alerts import Alert, AlertSink
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
-from companion.core.pilot.transitions import GROUND_PHASES, Phase
+from companion.core.pilot.transitions import GROUND_PHASES, RELEASED_PHASES, Phase
 from companion.fleet.service_manager import record_stop_signals
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def fly_mission(
     return run_until_exit_and_return_code(flown), flown.pilot
 
 
-UNCHECKABLE_PHASES = (Phase.RECOGNISE, Phase.SUSPENDED, Phase.PASSIVE)
+UNCHECKABLE_PHASES = (Phase.RECOGNISE, *RELEASED_PHASES)
 """Phases that a check cannot leave: the vehicle flies, or another controller commands it."""
 
 
@@ -185,9 +185,13 @@ def run_until_exit_and_return_code(flown: Run) -> int:
         except Exception as error:  # noqa: BLE001 - the one broad except: nothing is commanded after it
             # Send no command: the autopilot holds a mission that ends at home.
             recorder.record_exception(loop.clock.t_s, error)
-            text = b"companion failed: it sends no more commands"
-            severity = mavlink.MAV_SEVERITY_CRITICAL
-            loop.send_queue.queue_message(mavlink.MAVLink_statustext_message(severity, text))
+            reports = [AlertReport.create(Alert.COMPANION_FAILED)]
+            if flown.pilot.settings.original_values_to_restore:
+                reason = "companion failed"
+                reports.append(AlertReport.create(Alert.SETTINGS_NOT_RESTORED, reason=reason))
+            for report in reports:
+                message = mavlink.MAVLink_statustext_message(report.severity, report.text.encode())
+                loop.send_queue.queue_message(message)
             code = INTERNAL_ERROR
     flown.write_result_and_close(code)
     return code

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.files.vehicle_settings import (
+    move_original_parameters,
     original_parameters_file_path,
     read_original_parameters,
     write_or_remove_original_parameters,
@@ -29,19 +30,30 @@ class SettingsKeeper:
     """This flight adopted the stored settings or changed a setting."""
 
     def read_unrestored_settings(self, board_serial_number: str) -> dict[str, float]:
-        """Return settings that an earlier flight changed on this vehicle and did not restore."""
-        if self.folder is None or self._path is not None:
+        """Return settings that an earlier flight changed on this vehicle and did not restore.
+
+        Values that this flight stored before the board reported its number move to its file.
+        """
+        if self.folder is None:
             return {}
         profile = self.autopilot.profile
         kind = "" if profile is None else profile.autopilot_kind.value
-        self._path = original_parameters_file_path(
+        earlier_path, own_values = self._path, self._stored
+        path = original_parameters_file_path(
             self.folder, kind, self.autopilot.system_id or 0, board_serial_number
         )
+        if path == earlier_path:
+            return {}
+        self._path, self._stored = path, {}
         try:
-            self._stored = read_original_parameters(self._path)
+            self._stored = read_original_parameters(path)
         except LeewayError as error:
             self.note(f"cannot read the settings of an earlier flight: {error}")
-        return dict(self._stored)
+        found = dict(self._stored)
+        if earlier_path is not None and self._has_changes:
+            self._stored = moved = own_values | found
+            self.write(lambda: move_original_parameters(earlier_path, path, moved))
+        return found
 
     def store_original_values_if_changed(self, original_values: dict[str, float]) -> None:
         """Store the values to restore, also for a vehicle that did not report its board."""

@@ -13,6 +13,7 @@ from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 HEARTBEAT_S = 1.0
 STATE_BY_PHASE = {
     Phase.IDENTIFY: mavlink.MAV_STATE_BOOT,
+    Phase.FOREIGN_MISSION: mavlink.MAV_STATE_STANDBY,
     Phase.PASSIVE: mavlink.MAV_STATE_STANDBY,
 }
 

@@ -181,6 +181,7 @@ class Alert(Enum):
         "companion stalled for {duration_s:.1f} s",
         "Check the load of the companion computer.",
     )
+    COMPANION_FAILED = (CRITICAL, "companion failed: it sends no more commands", WATCH_MODE)
     COMPANION_STOPPED = (WARNING, "companion stopped: vehicle stays in {mode}", WATCH_MODE)
     COMPANION_STOPPED_ON_GROUND = (
         WARNING,

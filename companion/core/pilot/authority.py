@@ -38,6 +38,7 @@ from companion.core.pilot.transitions import (
     END_PHASES,
     FLIGHT_PHASES,
     GROUND_PHASES,
+    RESUMABLE_PHASES,
     Phase,
     Trigger,
 )
@@ -264,8 +265,6 @@ class ControlAuthority:
     """An operator has handed control back, and the flight has not been resumed yet."""
     abortable: bool = False
     """Suspended again because the flight could not be resumed: an abort counts as a hand-back."""
-    control_yielded: bool = False
-    """Another onboard computer has control of the flight."""
     alarm_s: float | None = None
     control_since_ms: int | None = None
     """Published start of this process's control, on the autopilot's clock."""
@@ -283,7 +282,7 @@ class ControlAuthority:
             case ControlHandedBack():
                 self._handle_hand_back(context, event.by)
             case AbortOrdered() if self._is_resumption_possible(context) and (
-                context.phase is Phase.PASSIVE or self.abortable
+                context.phase is Phase.FOREIGN_MISSION or self.abortable
             ):
                 self._request_flight_resumption(context, event.by)  # the return decision replies
             case ControlReleaseOrdered():
@@ -294,8 +293,7 @@ class ControlAuthority:
 
     def tick(self, context: FlightContext) -> None:
         """Repeat the alarm during a foreign mission: only an operator may end that."""
-        passive = context.phase is Phase.PASSIVE and self._is_resumption_possible(context)
-        if not (passive and context.telemetry.airborne):
+        if context.phase is not Phase.FOREIGN_MISSION or not context.telemetry.airborne:
             self.alarm_s = None
         elif context.seconds_since(self.alarm_s) >= ALARM_INTERVAL_S - 1e-6:
             self.alarm_s = context.t_s
@@ -316,7 +314,6 @@ class ControlAuthority:
     ) -> None:
         """Release control for good if another onboard computer has it or was first."""
         if self._other_has_control(context.phase, other_computer):
-            self.control_yielded = True
             reason = f"another onboard computer (component {other_computer.component})"
             context.apply_phase_trigger(Trigger.OTHER_COMPANION, reason)
         elif other_computer.has_control and context.phase in COMMANDING_PHASES:
@@ -345,7 +342,7 @@ class ControlAuthority:
 
     def published_control_start_s(self, phase: Phase) -> float | None:
         """Return the published start of control, 0 before it; None without control."""
-        if phase in (Phase.IDENTIFY, Phase.PASSIVE, *END_PHASES):
+        if phase in (Phase.IDENTIFY, Phase.FOREIGN_MISSION, Phase.PASSIVE, *END_PHASES):
             return None
         return (self.control_since_ms or 0) / 1000.0
 
@@ -376,9 +373,7 @@ class ControlAuthority:
     def _is_resumption_possible(self, context: FlightContext) -> bool:
         """Return whether the flight may be resumed; an armed vehicle needs a plan."""
         has_plan = context.flight_plan is not None
-        if context.phase is Phase.PASSIVE:
-            return has_plan and not self.control_yielded
-        return context.phase is Phase.SUSPENDED and (has_plan or not context.telemetry.armed)
+        return context.phase in RESUMABLE_PHASES and (has_plan or not context.telemetry.armed)
 
     def _request_flight_resumption(self, context: FlightContext, operator_name: str) -> None:
         """Verify the onboard mission; the mode is ordered after that (resume.py)."""

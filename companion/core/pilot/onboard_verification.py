@@ -8,6 +8,14 @@ autopilots keep the index; PX4 switches when the whole list is there, and on Ard
 received item replaces a foreign one. Then one jump leads home. The last resort needs no list. It
 applies if the list cannot be restored or changes again, and above the landing site: PX4 takes off
 again for an item after a landing, and holds when the list is restored and complete.
+
+A complete read-back, or a recent report of the verified list's id, precedes every command that
+starts or resumes motion:
+
+- authorisation: READY, READ_BACK, READY, ARM (start_checks.py);
+- hand-back by an operator: RECOGNISE, then the mode (resume.py);
+- resumption after a restart of the companion: RECOGNISE, then a jump (resume.py);
+- resumption after a silent link, a gap of the autopilot's clock or its reboot: as after a restart.
 """
 
 from dataclasses import dataclass
@@ -54,6 +62,9 @@ read, restore, read."""
 
 MISSION_PHASES = tuple(phase for phase in FLIGHT_PHASES if phase is not Phase.LAST_RESORT)
 """Phases in which the list is flown; RTL needs no list."""
+
+ID_PHASES = (Phase.READY, Phase.ARM, *MISSION_PHASES)
+"""Phases in which the onboard list is verified, so that its id is that of the companion's list."""
 
 
 @dataclass(slots=True, eq=False)
@@ -138,7 +149,7 @@ class OnboardMissionVerifier:
             self._start_verification_if_flying(
                 context, f"another mission onboard ({event.total} items)"
             )
-        elif state.mission_id is None:
+        elif state.mission_id is None and context.phase in ID_PHASES:
             state.mission_id = event.mission_id
         elif event.mission_id not in (None, state.mission_id):
             self._start_verification_if_flying(context, "onboard mission changed")

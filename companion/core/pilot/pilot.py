@@ -220,7 +220,7 @@ class Pilot:
                 context.queue_actions(CancelOrders())
                 context.report_alert(Alert.CONTROL_RELEASED, reason=reason)
                 context.record_decision("suspended", reason)
-            case Phase.PASSIVE:
+            case Phase.PASSIVE | Phase.FOREIGN_MISSION:
                 context.queue_actions(CancelOrders())
                 context.report_alert(Alert.PASSIVE, reason=reason)
                 context.record_decision("passive", reason)

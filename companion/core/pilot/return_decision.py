@@ -29,7 +29,13 @@ from companion.core.pilot.flight_state import (
 from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
-from companion.core.pilot.transitions import FLIGHT_PHASES, RETURN_PHASES, Phase, Trigger
+from companion.core.pilot.transitions import (
+    FLIGHT_PHASES,
+    RELEASED_PHASES,
+    RETURN_PHASES,
+    Phase,
+    Trigger,
+)
 from companion.core.return_budget.budget import (
     Assessment,
     RemainingMission,
@@ -399,7 +405,7 @@ class ReturnDecision:
         if context.phase in (Phase.RECOGNISE, Phase.LINK_LOST):
             self._state.replace_gate_reason(reason)
             return True
-        if context.phase in (Phase.SUSPENDED, Phase.PASSIVE):
+        if context.phase in RELEASED_PHASES:
             return False
         context.apply_phase_trigger(Trigger.ABORT, reason)
         return True

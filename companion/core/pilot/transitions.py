@@ -27,6 +27,7 @@ class Phase(Enum):
     GROUNDED = "grounded"
     RECOGNISE = "recognise"
     SUSPENDED = "suspended"
+    FOREIGN_MISSION = "foreign mission"
     PASSIVE = "passive"
     LINK_LOST = "link lost"
 
@@ -57,6 +58,7 @@ class Trigger(Enum):
     NOT_POSSIBLE = "not possible"
     AIRBORNE_AT_START = "airborne at start"
     MISSION_UNKNOWN = "mission not ours"
+    FLIGHT_UNKNOWN = "flight not ours"
     STILL_ON_GROUND = "still on the ground"
     HOLD_UNANSWERED = "hold that nobody answers"
     # What may happen in any phase:
@@ -107,6 +109,12 @@ RETURN_PHASES = (Phase.RETURN, Phase.DIVERT, Phase.LAST_RESORT, Phase.LAND)
 
 END_PHASES = (Phase.DONE, Phase.GROUNDED)
 
+RESUMABLE_PHASES = (Phase.SUSPENDED, Phase.FOREIGN_MISSION)
+"""Without control until an operator hands it back; over a foreign mission an abort does so, too."""
+
+RELEASED_PHASES = (*RESUMABLE_PHASES, Phase.PASSIVE)
+"""Without control. PASSIVE is final: another companion flies, or this one has no plan."""
+
 COMMANDING_PHASES = (*GROUND_PHASES, *FLIGHT_PHASES, Phase.RECOGNISE)
 """The only phases in which the autopilot may be sent an order (safety rule 1)."""
 
@@ -131,7 +139,7 @@ def _transition_table() -> dict[tuple[Phase, Trigger], Target]:
         # the nominal sequence
         (p.IDENTIFY, t.AUTOPILOT_DETECTED): p.CONFIGURE,
         (p.IDENTIFY, t.AIRBORNE_AT_START): p.RECOGNISE,
-        (p.IDENTIFY, t.MISSION_UNKNOWN): p.PASSIVE,
+        (p.IDENTIFY, t.FLIGHT_UNKNOWN): p.PASSIVE,
         (p.CONFIGURE, t.TELEMETRY_AVAILABLE): p.WAIT_POSITION,
         (p.WAIT_POSITION, t.POSITION_USABLE): p.PLAN,
         (p.PLAN, t.PLANNED): p.UPLOAD,
@@ -157,12 +165,13 @@ def _transition_table() -> dict[tuple[Phase, Trigger], Target]:
         (p.RETURN, t.CUSTOMER_REACHED): p.DELIVER,
         **{(phase, t.RETURN_REFUSED): p.LAST_RESORT for phase in (p.RETURN, p.DIVERT, p.LAND)},
         (p.SUSPENDED, t.HOLD_UNANSWERED): p.LAST_RESORT,
-        **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, p.SUSPENDED)},
+        **{(phase, t.LANDED): p.DONE for phase in (*FLIGHT_PHASES, *RESUMABLE_PHASES)},
         **{(phase, t.NOT_POSSIBLE): p.GROUNDED for phase in GROUND_PHASES},
         **{(phase, t.TELEMETRY_LOST): p.CONFIGURE for phase in WAITING_PHASES},
         # resuming the flight
         (p.RECOGNISE, t.STILL_ON_GROUND): p.CONFIGURE,
-        (p.RECOGNISE, t.MISSION_UNKNOWN): p.PASSIVE,
+        (p.RECOGNISE, t.MISSION_UNKNOWN): p.FOREIGN_MISSION,
+        (p.RECOGNISE, t.FLIGHT_UNKNOWN): p.PASSIVE,
         (p.RECOGNISE, t.TELEMETRY_AVAILABLE): p.CLIMB,
         (p.RECOGNISE, t.AT_HEIGHT): p.MEASURE,
         (p.RECOGNISE, t.DEPARTURE_CLEARED): p.OUTBOUND,
@@ -177,12 +186,11 @@ def _transition_table() -> dict[tuple[Phase, Trigger], Target]:
     # what may happen in any phase
     for phase in Phase:
         over = phase in END_PHASES
-        passive = phase is p.PASSIVE
+        passive = phase in (p.FOREIGN_MISSION, p.PASSIVE)
         waiting = phase in (p.SUSPENDED, p.LINK_LOST)
         early = phase is p.IDENTIFY
         table[phase, t.PILOT_OVERRIDE] = phase if (over or passive or early) else p.SUSPENDED
-        resumes = phase in (p.SUSPENDED, p.PASSIVE)  # over a foreign mission, see authority.py
-        table[phase, t.HANDED_BACK] = p.RECOGNISE if resumes else phase
+        table[phase, t.HANDED_BACK] = p.RECOGNISE if phase in RESUMABLE_PHASES else phase
         table[phase, t.OTHER_COMPANION] = phase if over else p.PASSIVE
         stays = over or passive or waiting or early
         table[phase, t.LINK_SILENT] = phase if stays else p.LINK_LOST

@@ -109,8 +109,6 @@ class OutcomeProbabilities:
         route, self.p_onward = self._best_route_and_p_home(1, flown)
         """P(home) via the next decision point, or via a later one if that is higher."""
         self.onward_need_wh = flown + table.return_route_energy_wh(1, route)
-        self.p_whole = float(budget.probability_need_is_met(table.whole_mission_energy_wh()).mean())
-        """Probability that the energy suffices for the whole trip, ignoring later gates."""
         self._later_decisions: list[LaterDecision] = []
         if table.stage_count == 1:
             self._p_home_at_end = np.array([self.p_onward])

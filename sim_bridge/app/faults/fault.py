@@ -12,7 +12,7 @@ from sim_bridge.app.faults.verdict import (
     Rule,
     check_day_rules,
     check_energy_never_rises,
-    check_fault_started,
+    check_fault_took_effect,
     check_no_error_exit_code,
     check_no_exceptions,
     check_no_false_delivery,
@@ -73,14 +73,16 @@ class FaultCase:
     def find_broken_rules(
         self, flown: FaultRunResult, *, has_tight_energy: bool = False
     ) -> list[str]:
-        """Return the broken rules. Always: the fault started, no exception, a normal
+        """Return the broken rules. Always: the fault took effect, no exception, a normal
         end, no rise of the energy estimate.
 
-        A `has_tight_energy` flight may be refused, may turn back, and may be lost as often as
-        P(home) predicts, which is evaluated over many flights.
+        A `has_tight_energy` flight may be refused before the fault starts, may turn back, and may
+        be lost as often as P(home) predicts, which is evaluated over many flights.
         """
         delivery_rules = tuple(rule for rule in self.rules if rule is check_no_false_delivery)
-        specific_rules = delivery_rules if has_tight_energy else (check_fault_started, *self.rules)
+        specific_rules = delivery_rules if has_tight_energy else self.rules
+        if flown.stage.start_s is not None or not has_tight_energy:
+            specific_rules = (check_fault_took_effect, *specific_rules)
         mandatory_rules = (
             (check_day_rules, check_single_flight_per_power_up)
             if self.group == FLEET_GROUP

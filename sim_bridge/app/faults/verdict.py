@@ -115,9 +115,14 @@ def check_no_false_delivery(flown: FaultRunResult) -> str | None:
     return "delivery reported, parcel still attached" if is_delivery_reported else None
 
 
-def check_fault_started(flown: FaultRunResult) -> str | None:
-    """Check that the fault began: a flight that ends earlier proves nothing."""
-    return None if flown.stage.start_s is not None else "the fault never started"
+def check_fault_took_effect(flown: FaultRunResult) -> str | None:
+    """Check that the fault began and that its injection took effect
+    (`sim_bridge.app.flight.stage`): a flight that ends earlier, or without it, proves nothing.
+    """
+    if flown.stage.start_s is None:
+        return "the fault never started"
+    missing = flown.stage.missing_effects_text
+    return f"the fault took no effect: {missing}" if missing else None
 
 
 def check_no_commands_after_takeover(flown: FaultRunResult) -> str | None:

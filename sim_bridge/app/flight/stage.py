@@ -2,6 +2,15 @@
 
 A fault procedure is a generator that acts on this context. Each `yield` waits for one exchange:
 0.1 s in a flight, 1 s in a day.
+
+**Evidence.** Each procedure states, before it injects its fault, what the injection changes by
+truth or in messages that cross the link. A row of which an expected effect is never observed, or
+that expects none, has not been tested and fails. One line is enough:
+
+    stage.expect_effect("the autopilot is in HOLD", lambda: craft.autopilot.mode is Mode.HOLD)
+    stage.expect_messages_changed("BATTERY_STATUS")  # by the tap: altered, dropped, delayed
+
+The condition is evaluated at each step until it holds. It must not hold before the injection.
 """
 
 import contextlib
@@ -22,6 +31,27 @@ PHASE_DELAY_RANGE_S = (0.5, 4.0)
 
 
 @dataclass(slots=True)
+class ExpectedEffect:
+    """An effect by which an injection is observed; `is_observed` is evaluated until it holds."""
+
+    description: str
+    is_observed: Callable[[], bool]
+    held_before_injection: bool
+    was_observed: bool = False
+
+    def update(self) -> None:
+        """Evaluate the condition."""
+        self.was_observed = self.was_observed or self.is_observed()
+
+    @property
+    def failure_text(self) -> str:
+        """Reason why the injection is not shown, empty if it is."""
+        if self.held_before_injection:
+            return f"{self.description}: already before the injection"
+        return "" if self.was_observed else self.description
+
+
+@dataclass(slots=True)
 class FaultContext:
     """One flight or day under one fault."""
 
@@ -36,6 +66,7 @@ class FaultContext:
     t_s: float = 0.0
     start_s: float | None = None
     notes: list[str] = field(default_factory=list)
+    expected_effects: list[ExpectedEffect] = field(default_factory=list)
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     """Resources of the procedure, closed after the flight."""
     remaining_steps: Iterator[None] = field(default_factory=lambda: iter(()))
@@ -44,7 +75,10 @@ class FaultContext:
     def continue_procedure(self, t_s: float) -> bool:
         """Continue the procedure at `t_s`. Return False after its last step."""
         self.t_s = t_s
-        return next(self.remaining_steps, self) is not self
+        has_more_steps = next(self.remaining_steps, self) is not self
+        for effect in self.expected_effects:
+            effect.update()
+        return has_more_steps
 
     @classmethod
     def for_flight(
@@ -80,6 +114,35 @@ class FaultContext:
     def record_fault_start(self) -> None:
         """Record the start time of the fault."""
         self.start_s = self.t_s
+
+    def expect_effect(
+        self, description: str, is_observed: Callable[[], bool], *, is_in_world: bool = False
+    ) -> None:
+        """Require this effect, which does not hold yet unless the fault `is_in_world`, as a part of
+        it since power-up. `description`: the expected observation, such as "home is 3 km away".
+        """
+        held_before = not is_in_world and is_observed()
+        self.expected_effects.append(ExpectedEffect(description, is_observed, held_before))
+
+    def expect_messages_changed(self, *message_names: str) -> None:
+        """Require that the tap alters, drops, repeats or delays each of these messages (none given:
+        any message, injected ones included) from now on.
+        """
+        counts = self.tap.changed_counts
+        for name in message_names or ("",):
+            count = counts.total if not name else lambda name=name: counts[name]
+            self.expect_effect(
+                f"{name or 'a message'} changed on the link",
+                lambda count=count, before=count(): count() > before,
+            )
+
+    @property
+    def missing_effects_text(self) -> str:
+        """Expected effects of the injection that were not observed, empty if all were."""
+        for effect in self.expected_effects:
+            effect.update()
+        texts = [effect.failure_text for effect in self.expected_effects]
+        return "; ".join(filter(None, texts))
 
     # --- the vehicle of a flight ---------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 Vehicle and companion are healthy; the faults are in the link.
 """
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -11,6 +11,8 @@ from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 MessageChange = Callable[[Message], list[Message] | None]
 """Replacement of one message: None keeps its frame unchanged, an empty list drops it."""
+
+INJECTED = "injected frames"
 
 
 @dataclass(slots=True)
@@ -22,6 +24,11 @@ class SlowLine:
     _queue: deque[bytes] = field(default_factory=deque)
     _available_bytes: float = 0.0
     _last_s: float | None = None
+
+    @property
+    def queued_bytes(self) -> int:
+        """Size of the frames that wait for transmission."""
+        return sum(map(len, self._queue))
 
     def queue_and_take_arrived_frames(self, frames: list[bytes], t_s: float) -> list[bytes]:
         """Queue these frames and return the frames that arrive at `t_s`."""
@@ -35,7 +42,7 @@ class SlowLine:
             out.append(self._queue.popleft())
             self._available_bytes -= len(out[-1])
         for frame in frames:
-            if sum(map(len, self._queue)) + len(frame) <= self.buffer_bytes:
+            if self.queued_bytes + len(frame) <= self.buffer_bytes:
                 self._queue.append(frame)
         return out
 
@@ -52,7 +59,8 @@ class Tap:
 
     `to_companion` and `to_autopilot` change messages. `delay_s_by_name`: delay to the companion by
     message name. `injected_frames`: extra frames to the companion at the next exchange. `radio`: a
-    slow link to the companion.
+    slow link to the companion. `changed_counts`: by name, messages that were altered, dropped,
+    repeated or delayed, and injected frames (`INJECTED`).
     """
 
     to_companion: MessageChange = pass_unchanged
@@ -60,6 +68,7 @@ class Tap:
     delay_s_by_name: dict[str, float] = field(default_factory=dict)
     injected_frames: list[bytes] = field(default_factory=list)
     radio: SlowLine | None = None
+    changed_counts: Counter[str] = field(default_factory=Counter)
     _delayed: list[tuple[float, bytes]] = field(default_factory=list)
     _decoder: Decoder = field(default_factory=Decoder)
     _encoders: dict[tuple[int, int], Encoder] = field(default_factory=dict)
@@ -69,6 +78,7 @@ class Tap:
         due = [frame for at_s, frame in self._delayed if at_s <= t_s]
         self._delayed = [(at_s, frame) for at_s, frame in self._delayed if at_s > t_s]
         passed = due + [out for frame in frames for out in self._change_and_delay_frame(frame, t_s)]
+        self.changed_counts[INJECTED] += len(self.injected_frames)
         passed, self.injected_frames = passed + self.injected_frames, []
         return (
             passed if self.radio is None else self.radio.queue_and_take_arrived_frames(passed, t_s)
@@ -80,6 +90,7 @@ class Tap:
         out = self._changed_frames(frame, messages, self.to_companion)
         if late_s == 0.0:
             return out
+        self.changed_counts.update(message.msg_name for message in messages)
         self._delayed += [(t_s + late_s, one) for one in out]
         return []
 
@@ -100,6 +111,8 @@ class Tap:
         out: list[bytes] = []
         for message in messages:
             replacement = change(message)
+            if replacement is not None and replacement != [message]:
+                self.changed_counts[message.msg_name] += 1
             out += (
                 [frame]
                 if replacement is None

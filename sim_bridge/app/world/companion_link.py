@@ -54,6 +54,9 @@ class CompanionLink:
     """Draw whether the next frame is lost."""
     refused: frozenset[tuple[str, int]] = frozenset()
     """Messages and commands of the companion that the autopilot refuses."""
+    refused_count: int = 0
+    lost_count: int = 0
+    """Frames to the companion and datagrams of the companion lost by silence or drawn loss."""
     records_commands: bool = True
     commands: list[SentCommand] = field(default_factory=list)
     """Commands of the companion that change the flight."""
@@ -91,9 +94,11 @@ class CompanionLink:
         self._refusals = []
         if self.tap is not None:
             frames = self.tap.transmit_to_companion(frames, self.host.t_s)
+        sent_count = len(frames)
         if self.draw_frame_loss is not None:
             frames = [frame for frame in frames if not self.draw_frame_loss()]
         frames = frames if self.is_up else []
+        self.lost_count += sent_count - len(frames)
         if self.bad_link is not None and self.is_up:
             datagrams = self.bad_link.apply_random_faults_to_exchange(
                 frames, self.host.autopilot.time_boot_ms
@@ -122,10 +127,12 @@ class CompanionLink:
     def pass_datagram_to_autopilot(self, datagram: bytes) -> None:
         """Pass a datagram of the companion to the autopilot."""
         if not self.is_up:
+            self.lost_count += 1
             return
         if self.records_commands or self.refused:
             datagram = self._record_commands_and_drop_refused(datagram)
         if self.draw_frame_loss is not None and self.draw_frame_loss():
+            self.lost_count += 1
             return
         passed = datagram if self.tap is None else self.tap.transmit_to_autopilot(datagram)
         self.host.autopilot.process_received_datagram(COMPANION_LINK, passed)
@@ -137,6 +144,7 @@ class CompanionLink:
             if message.msg_name in COMMAND_MESSAGES and number not in REQUEST_COMMANDS:
                 self.commands.append((self.host.t_s, message.msg_name, number))
             if (message.msg_name, number) in self.refused:
+                self.refused_count += 1
                 self._queue_failed_acknowledgement(number)
                 datagram = datagram.replace(message.wire_bytes, b"")
         return datagram

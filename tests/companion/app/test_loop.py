@@ -33,7 +33,7 @@ from companion.core.mission.actions import (
     SetGroundSpeed,
     SetMode,
 )
-from companion.core.mission.events import LinkSilent, Mode, Tick, VehicleState
+from companion.core.mission.events import LinkSilent, Mode, Tick, UnrestoredSettings, VehicleState
 from companion.core.mission.find_plan import FindPlan
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
@@ -47,7 +47,9 @@ FLIGHT = ROOT / "params" / "flights" / "default.toml"
 class Station:
     """A loop on a tapped wire, and a sender of autopilot messages."""
 
-    def __init__(self, folder: Path, system: int = 1, key: bytes | None = None) -> None:
+    def __init__(
+        self, folder: Path, system: int = 1, key: bytes | None = None, *, configure: bool = False
+    ) -> None:
         flight, airframe = read_flight(FLIGHT), read_airframe("m100")
         wind_process = read_wind_process("coast")
         self.wire, self.wall_clock_s = MemoryLink(), monotonic
@@ -59,7 +61,7 @@ class Station:
             obstacles=None,
             requirements=autopilot_parameter_requirements,
             flight_digest=flight_configuration_digest(FLIGHT, airframe, wind_process),
-            options=PilotOptions(),
+            options=PilotOptions(configure=configure),
         )
         codec = MavlinkCodec(datagrams=True, signing_key=key)
         signing = None
@@ -503,9 +505,11 @@ def test_garbage_foreigners_nan_and_torn_frames_change_nothing_that_it_says(tmp_
     assert flight(tmp_path / "noisy", True) == flight(tmp_path / "quiet", False)
 
 
-def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path):
-    station = Station(tmp_path)
+@pytest.mark.parametrize("unrestored", [{}, {"LOW_ACT": 0.0}])
+def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path, unrestored):
+    station = Station(tmp_path, configure=True)
     station.identify()
+    station.pilot.process_event(UnrestoredSettings(0.0, unrestored))
 
     def broken(event: Any) -> list[Any]:
         raise RuntimeError("boom")
@@ -518,7 +522,9 @@ def test_an_error_inside_ends_with_code_1_a_word_and_the_result_on_disk(tmp_path
     assert "boom" in log
     assert "Traceback" in log
     sent = [m for data in station.wire.sent for m in station.ear.parse_buffer(data) or []]
-    assert texts(sent) == ["companion failed: it sends no more commands"]
+    expected = ["companion failed: it sends no more commands"]
+    expected += ["settings not restored: companion failed"] * bool(unrestored)
+    assert texts(sent) == expected
     assert json.loads((tmp_path / "result.json").read_text())["phase"] == "configure"
 
 

@@ -944,7 +944,7 @@ def test_started_beside_an_armed_vehicle_that_it_does_not_know_it_stays_passive(
 def test_restarted_over_a_mission_that_is_not_ours_it_stays_passive():
     w, kept = interrupted(Phase.OUTBOUND)
     w.items = w.items[:-3]
-    restarted(w, kept).until(Phase.PASSIVE, 10.0)
+    restarted(w, kept).until(Phase.FOREIGN_MISSION, 10.0)
 
 
 @pytest.mark.parametrize("mode", [Mode.OTHER, Mode.MISSION])

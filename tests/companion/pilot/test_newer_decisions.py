@@ -196,7 +196,7 @@ def test_safety_rule_2_after_a_restart_a_foreign_mission_is_replaced_on_an_opera
     again = Recorded(made.pilot, made.judge, w.t_s + 3.0, w.north, w.east, w.height)
     again.mode, again.armed, again.items, again.index = Mode.MISSION, True, w.items, w.index
     start(again)
-    again.until(Phase.PASSIVE)
+    again.until(Phase.FOREIGN_MISSION)
     let(again, 21.0)
     alarms = [
         a for _, a in again.log if isinstance(a, AlertReport) and a.severity is Severity.CRITICAL

@@ -10,6 +10,7 @@ from companion.core.pilot.transitions import (
     GROUND_PHASES,
     OUTBOUND_PHASES,
     PREVIOUS_PHASE,
+    RELEASED_PHASES,
     TRANSITIONS,
     Phase,
     Trigger,
@@ -28,8 +29,7 @@ def test_every_phase_has_a_row_for_what_may_happen_in_any_phase(phase, trigger):
 @pytest.mark.parametrize("phase", [*GROUND_PHASES, *FLIGHT_PHASES, Phase.RECOGNISE])
 def test_safety_rule_1_another_hand_suspends_every_phase_that_commands(phase):
     assert next_phase(phase, Trigger.PILOT_OVERRIDE) is Phase.SUSPENDED
-    assert Phase.SUSPENDED not in COMMANDING_PHASES
-    assert Phase.PASSIVE not in COMMANDING_PHASES
+    assert not set(RELEASED_PHASES) & set(COMMANDING_PHASES)
     assert Phase.LINK_LOST not in COMMANDING_PHASES
 
 
@@ -47,12 +47,18 @@ def test_safety_rule_1_only_a_hand_back_the_landing_or_an_unanswered_hold_leaves
     }
 
 
-def test_ended_missions_never_move_again_and_passive_ones_only_on_an_operators_word():
-    for phase in END_PHASES:
-        assert all(next_phase(phase, trigger) is phase for trigger in Trigger)
-    leaves = {t for t in Trigger if next_phase(Phase.PASSIVE, t) is not Phase.PASSIVE}
-    assert leaves == {Trigger.HANDED_BACK}
-    assert next_phase(Phase.PASSIVE, Trigger.HANDED_BACK) is Phase.RECOGNISE
+@pytest.mark.parametrize("phase", [*END_PHASES, Phase.PASSIVE])
+def test_nothing_leads_out_of_the_end_or_back_from_another_companion(phase):
+    assert all(next_phase(phase, trigger) is phase for trigger in Trigger)
+
+
+def test_a_foreign_mission_is_left_on_an_operators_word_at_the_landing_or_to_another_companion():
+    foreign = Phase.FOREIGN_MISSION
+    assert {t: next_phase(foreign, t) for t in Trigger if next_phase(foreign, t) is not foreign} == {
+        Trigger.HANDED_BACK: Phase.RECOGNISE,
+        Trigger.LANDED: Phase.DONE,
+        Trigger.OTHER_COMPANION: Phase.PASSIVE,
+    }
 
 
 def test_only_an_authorisation_leads_to_arming():

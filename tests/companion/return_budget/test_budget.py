@@ -286,11 +286,25 @@ def test_the_gate_is_option_aware() -> None:
     assert answer.p_home > 0.99
 
 
-def test_a_flight_that_cannot_deliver_is_not_begun() -> None:
-    answer = judge(mission(2500.0, 8), 45.0, (0.0, -6.0))
+@pytest.mark.parametrize(
+    ("distance_m", "legs", "done", "east_mps", "left_wh"),
+    [
+        (2500.0, 8, 0, -6.0, 45.0),  # the energy does not suffice for the whole trip
+        (420.0, 2, 0, 13.0, 40.0),  # it does, barely: a later gate turns back
+        (420.0, 5, 2, 13.0, 40.0),  # in flight
+        (1200.0, 5, 2, 8.0, 52.0),
+    ],
+)
+def test_a_flight_that_cannot_deliver_is_neither_begun_nor_continued(
+    distance_m: float, legs: int, done: int, east_mps: float, left_wh: float
+) -> None:
+    ahead, wind = mission(distance_m, legs, done), (0.0, east_mps)
+    answer = judge(ahead, left_wh, wind)
     assert answer.turn_back
-    assert "too low to continue" in answer.reason
+    assert re.search(r"P\(success\) 0\.0[0-4]\d is below 0.05", answer.reason)
     assert answer.p_home == answer.p_home_now
+    if distance_m < 2500.0:  # canary: safe, so that it would be flown without the threshold
+        assert not judge(ahead, left_wh, wind, min_success=0.0).turn_back
 
 
 def test_turning_back_goes_to_the_landing_site_with_the_better_chance() -> None:

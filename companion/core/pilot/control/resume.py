@@ -45,9 +45,6 @@ from companion.core.pilot.transitions import Phase, Trigger
 MAX_LULL_S = 3.0
 """Maximum gap of the autopilot's time without a full read-back."""
 
-MAX_UNVERIFIED_GAP_S = 30.0
-"""Maximum gap after which the onboard mission need not be read item by item again."""
-
 POSITION_TIMEOUT_S = 30.0
 """On the ground, the position shows whether it is home; a receiver may take this long."""
 
@@ -106,10 +103,6 @@ class FlightResumption:
             self._plan.store(FlightPlan(site, checkpoint.plan, mission))
             self._flight.record_in_flight()
 
-    def accept_onboard_mission(self) -> None:
-        """Resume without a read-back; the number of items is still compared."""
-        self._mission_matches = True
-
     def start_or_resume_flight(self, context: FlightContext) -> None:
         """The autopilot is identified: start on the ground, or resume the flight."""
         checkpoint, armed = self._checkpoint, context.telemetry.armed
@@ -120,7 +113,7 @@ class FlightResumption:
         elif not armed:
             context.apply_phase_trigger(Trigger.AUTOPILOT_DETECTED)
         else:
-            context.apply_phase_trigger(Trigger.MISSION_UNKNOWN, "armed, but not by the companion")
+            context.apply_phase_trigger(Trigger.FLIGHT_UNKNOWN, "armed, but not by the companion")
 
     def request_state_for_resumption(self, context: FlightContext, reason: str) -> None:
         """Request all state again, if the companion may fly this flight at all."""
@@ -159,7 +152,7 @@ class FlightResumption:
             self._return_to_ground_or_end_flight(context)
             return
         if context.flight_plan is None:
-            context.apply_phase_trigger(Trigger.MISSION_UNKNOWN, "armed, mission not loaded")
+            context.apply_phase_trigger(Trigger.FLIGHT_UNKNOWN, "armed, mission not loaded")
             return
         reason = self._hand_back_end_reason(context, state)
         if reason:
@@ -167,11 +160,7 @@ class FlightResumption:
         elif self._authority.handed_back and context.time_in_phase_s > RESUME_TIMEOUT_S:
             self._end_resumption(context, "mission not verified")
         elif not self._mission_matches:
-            if (
-                self._authority.handed_back
-                and not self._restored
-                and self._onboard_mission.is_verified_by_id(context)
-            ):
+            if not self._restored and self._onboard_mission.is_verified_by_id(context):
                 self._mission_matches = True
             elif context.seconds_since(self._requested_s) > READ_BACK_RETRY_S:
                 self._requested_s = context.t_s
@@ -291,15 +280,12 @@ class FlightResumption:
         context.apply_phase_trigger(Trigger.MISSION_UNKNOWN, "foreign mission onboard")
 
 
-@dataclass(slots=True, eq=False)
 class LinkMonitor:
     """Interrupts the flight while the link is silent; resumes it after gaps and reboots.
 
     A gap in the autopilot's time counts as one in the link. After a short gap the flight continues
     in its phase, after a longer one it is resumed.
     """
-
-    _resumption: FlightResumption
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Process the link's state, and the autopilot's clock."""
@@ -327,8 +313,6 @@ class LinkMonitor:
         context.report_alert(Alert.LINK_BACK, duration_s=gap_s)
         context.record_decision("link_back", f"nothing received for {gap_s:.0f} s")
         context.apply_phase_trigger(Trigger.LINK_RECOVERED, f"link recovered after {gap_s:.0f} s")
-        if context.phase is Phase.RECOGNISE and gap_s <= MAX_UNVERIFIED_GAP_S:
-            self._resumption.accept_onboard_mission()
 
     def _resume_after_autopilot_reboot(
         self, context: FlightContext, event: ClockSteppedBack

@@ -12,7 +12,7 @@ from sim_bridge.app.faults.verdict import (
     check_delivered,
     check_disarmed_at_end,
     check_energy_never_rises,
-    check_fault_started,
+    check_fault_took_effect,
     check_file_exists_in_run_folder,
     check_landed_intact_by_pilot,
     check_no_commands_after_takeover,
@@ -53,6 +53,7 @@ def flown(**changes) -> FaultRunResult:
         craft=craft,
         start_s=changes.pop("began_s", 50.0),
         is_armed=changes.pop("armed", False),
+        missing_effects_text=changes.pop("missing", ""),
     )
     tracebacks = changes.pop("tracebacks", 0)
     return FaultRunResult(row | changes, stage, said, tracebacks, promised)
@@ -66,7 +67,7 @@ BAD = {
         "delivered": False,
         "said": [(60.0, "delivered: so says the gripper")],
     },
-    check_fault_started: {"began_s": None},
+    check_fault_took_effect: {"began_s": None},
     check_no_commands_after_takeover: {"commands": [(60.1, "COMMAND_LONG", 400)]},
     check_energy_never_rises: {
         "energy": [{"t_s": 10.0, "left_wh": 80.0}, {"t_s": 11.0, "left_wh": 80.1}]
@@ -83,6 +84,11 @@ BAD = {
 def test_a_rule_holds_of_a_good_flight_and_breaks_on_a_bad_one(rule):
     assert not rule(flown())
     assert rule(flown(**BAD[rule]))
+
+
+def test_a_fault_without_its_effect_is_named():
+    text = check_fault_took_effect(flown(missing="home is 3 km away"))
+    assert text == "the fault took no effect: home is 3 km away"
 
 
 def test_a_torn_record_is_looked_for_in_the_run_folder(tmp_path):
