@@ -150,6 +150,7 @@ class Alert(Enum):
     )
     POSITION_BACK = (NOTICE, "position recovered after {duration_s:.0f} s", WATCH_FLIGHT)
     LINK_BACK = (WARNING, "autopilot link recovered after {duration_s:.0f} s", WATCH_FLIGHT)
+    CLOCK_JUMPED = (NOTICE, "autopilot clock jumped {jump_s:.0f} s: not counted", READ_LOG_LATER)
     AUTOPILOT_REBOOTED = (
         WARNING,
         "autopilot clock went back {back_s:.0f} s: rebooted?",

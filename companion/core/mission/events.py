@@ -441,6 +441,10 @@ class OtherCompanionReport(Event):
     control_since_ms: int | None = None
 
 
+MAX_TELEMETRY_GAP_S = 3600.0
+"""No multirotor flies longer on its pack: a longer gap in its telemetry is a fault of its clock."""
+
+
 @dataclass(frozen=True, slots=True)
 class LinkSilent(Event):
     """No message has arrived from the autopilot for a while (wall clock)."""
@@ -462,6 +466,8 @@ class ClockSteppedBack(Event):
 
 @dataclass(frozen=True, slots=True)
 class ClockJumpedForward(Event):
-    """The autopilot's clock jumped forward by `jump_s` between two messages."""
+    """The autopilot's clock jumped forward by `jump_s` between two messages; above
+    `MAX_TELEMETRY_GAP_S` the time did not pass.
+    """
 
     jump_s: float
