@@ -141,9 +141,13 @@ def events_from_message(
             return [ModeReport(t_s, *profile.decode_mode(message.custom_mode, 0))]
         case "ATTITUDE":
             angles = (message.roll, message.pitch, message.yaw)
-            rate_rps = message.yawspeed if math.isfinite(message.yawspeed) else None
+            roll_rps, pitch_rps, yaw_rps = (
+                rate if math.isfinite(rate) else None
+                for rate in (message.rollspeed, message.pitchspeed, message.yawspeed)
+            )
             known = all(map(math.isfinite, angles))
-            return [Attitude(t_s, *angles, rate_rps)] if known else []
+            rates = (roll_rps, pitch_rps)
+            return [Attitude(t_s, *angles, yaw_rps, tilt_rates_rps=rates)] if known else []
         case "GLOBAL_POSITION_INT":
             return _position_events(message, t_s)
         case "GPS_RAW_INT":

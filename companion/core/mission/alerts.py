@@ -240,7 +240,7 @@ class Alert(Enum):
     HEADING_UNUSABLE = (
         WARNING,
         "wind estimate: {finding}",
-        "Check the compass after landing; expect a return.",
+        "Check compass and GNSS after landing; expect a return.",
     )
     BATTERY_CHOSEN = (
         WARNING,

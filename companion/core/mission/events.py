@@ -4,7 +4,7 @@ Adapters create them from MAVLink messages and stamp them with the autopilot's c
 monotonic). Mission indices count the uploaded items from 0. Unknown is `None`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.core.separation.track import Track
@@ -102,12 +102,13 @@ class ModeReport(Event):
 
 @dataclass(frozen=True, slots=True)
 class Attitude(Event):
-    """Body attitude, heading clockwise from north, and the yaw rate of the gyro."""
+    """Body attitude, heading clockwise from north, and the rates of the gyro (roll, pitch)."""
 
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
     yaw_rate_rps: float | None = None
+    tilt_rates_rps: tuple[float | None, float | None] = field(default=(None, None), kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
