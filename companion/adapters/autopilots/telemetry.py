@@ -28,6 +28,7 @@ from companion.core.mission.events import (
     ModeReport,
     OtherCompanionReport,
     Position,
+    ReleaseFeedback,
     Throttle,
     VehicleLandedState,
     VehicleState,
@@ -69,6 +70,9 @@ NON_MOTOR_PACKS = (mavlink.MAV_BATTERY_FUNCTION_AVIONICS, mavlink.MAV_BATTERY_FU
 UNKNOWN_U16 = 65535
 MISSION_CHANGED_TEXT = "Auto mission changed"
 """ArduCopter's STATUSTEXT when an item near the current one was rewritten."""
+RELEASED_TEXT = "Gripper load released"
+"""ArduCopter's STATUSTEXT at the end of a release."""
+
 UNKNOWN_I16 = 32767
 
 
@@ -151,14 +155,12 @@ def events_from_message(
         case "GLOBAL_POSITION_INT":
             return _position_events(message, t_s)
         case "GPS_RAW_INT":
-            satellites = message.satellites_visible
-            return [
-                GnssFix(
-                    t_s,
-                    message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX,
-                    None if satellites == 255 else satellites,
-                )
-            ]
+            satellites = None if message.satellites_visible == 255 else message.satellites_visible
+            usable = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
+            if not usable or (message.lat == 0 and message.lon == 0):
+                return [GnssFix(t_s, usable, satellites)]
+            place = (message.lat * 1e-7, message.lon * 1e-7), message.alt / 1000.0
+            return [GnssFix(t_s, usable, satellites, *place)]
         case "SYS_STATUS":
             return _system_status_events(message, t_s)
         case "BATTERY_STATUS":
@@ -188,6 +190,8 @@ def events_from_message(
             events: list[Event] = [AutopilotText(t_s, message.severity, text)]
             if text.startswith(MISSION_CHANGED_TEXT):
                 events.append(MissionWriteDetected(t_s, text))
+            elif text == RELEASED_TEXT:
+                events.append(ReleaseFeedback(t_s))
             return events
         case _:
             return []

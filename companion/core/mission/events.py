@@ -138,6 +138,8 @@ class GnssFix(Event):
 
     usable: bool
     satellites: int | None = None
+    lat_lon_deg: tuple[float, float] | None = None
+    alt_amsl_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,9 +239,7 @@ class ArmingReadiness(Event):
 
 @dataclass(frozen=True, slots=True)
 class ReleaseFeedback(Event):
-    """Gripper feedback on whether the parcel was released."""
-
-    released: bool
+    """The gripper reports that the parcel was released."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,7 +188,7 @@ PARTS = (
     PilotPart(BudgetMonitor),
     PilotPart(ReturnDecision, (AbortOrdered, LimitsChanged)),
     PilotPart(LandingStopController, (HomeStopRequested,)),
-    PilotPart(ParcelReleaseController, (ReleaseFeedback,)),
+    PilotPart(ParcelReleaseController, (ReleaseFeedback, OrderAccepted)),
     PilotPart(LandingController),
     PilotPart(DesiredVelocity),
     PilotPart(SetpointController),

@@ -11,13 +11,14 @@ from sim_bridge.app.faults import (
     link,
     mission_and_home,
     signing,
+    steps,
     telemetry,
     workers,
 )
 from sim_bridge.app.faults.fault import FaultCase
 
 MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, workers, link,
-           signing, fleet)  # fmt: skip
+           signing, fleet, steps)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )
