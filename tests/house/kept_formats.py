@@ -70,7 +70,10 @@ def plain(value: Any) -> Any:
     return json.loads(msgspec.json.encode(value))
 
 
-ADDED = {"alert", "heading_off_rad", "yaw_rate_rps"}
+ADDED = {
+    *("alert", "heading_off_rad", "tilt_off_rad", "velocity_off_mps"),
+    *("yaw_rate_rps", "tilt_rates_rps", "lat_lon_deg", "alt_amsl_m", "unanswered"),
+}
 """Keys that later versions write, too."""
 
 

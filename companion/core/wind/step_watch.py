@@ -27,63 +27,30 @@ class StepLimits:
     """
 
     quantity: str
+    unit: str
     tolerance: float
     max_rate: float
     unreported_rate: float
     max_change: float
     step_back: float
-    unit: str = "m"
     is_angle: bool = False
 
     def step_text(self, size: float) -> str:
         """Return a step of this size as text."""
-        amount = f"{math.degrees(size):.0f} deg" if self.is_angle else f"{size:.0f} {self.unit}"
-        return f"{self.quantity} stepped by {amount}"
+        amount = math.degrees(size) if self.is_angle else size
+        return f"{self.quantity} stepped by {amount:.0f} {self.unit}"
 
 
-HEADING = StepLimits(
-    "heading",
-    tolerance=math.radians(10.0),
-    max_rate=math.pi,  # faster than autopilots turn a multirotor
-    unreported_rate=math.radians(60.0),
-    max_change=math.radians(50.0),
-    step_back=math.radians(15.0),
-    is_angle=True,
-)
-TILT = StepLimits(
-    "tilt",
-    tolerance=math.radians(6.0),
-    max_rate=math.radians(220.0),  # ATC_RATE_R_MAX, MC_ROLLRATE_MAX
-    unreported_rate=math.radians(40.0),
-    max_change=math.radians(45.0),
-    step_back=math.radians(5.0),
-    is_angle=True,
-)
-VELOCITY = StepLimits(
-    "velocity",
-    tolerance=1.5,
-    max_rate=12.0,  # 45 degrees of tilt and the drag in braking
-    unreported_rate=12.0,
-    max_change=6.0,
-    step_back=2.0,
-    unit="m/s",
-)
-POSITION = StepLimits(
-    "position",
-    tolerance=5.0,
-    max_rate=40.0,
-    unreported_rate=8.0,  # error of the reported velocity
-    max_change=12.0,
-    step_back=8.0,
-)
-HEIGHT = StepLimits(
-    "height",
-    tolerance=5.0,
-    max_rate=20.0,
-    unreported_rate=5.0,
-    max_change=8.0,
-    step_back=5.0,
-)
+def _angular(quantity: str, *limits_deg: float) -> StepLimits:
+    return StepLimits(quantity, "deg", *map(math.radians, limits_deg), is_angle=True)
+
+
+# quantity, unit, tolerance, max_rate, unreported_rate, max_change, step_back
+HEADING = _angular("heading", 10.0, 180.0, 60.0, 50.0, 15.0)  # autopilots turn by 45 to 90 deg/s
+TILT = _angular("tilt", 6.0, 220.0, 40.0, 45.0, 5.0)  # MC_ROLLRATE_MAX
+VELOCITY = StepLimits("velocity", "m/s", 1.5, 12.0, 12.0, 6.0, 2.0)  # 45 degrees of tilt, and drag
+POSITION = StepLimits("position", "m", 5.0, 40.0, 8.0, 12.0, 8.0)  # error of the reported velocity
+HEIGHT = StepLimits("height", "m", 5.0, 20.0, 5.0, 8.0, 5.0)
 
 
 class StepDetector:

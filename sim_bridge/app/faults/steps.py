@@ -1,7 +1,7 @@
 """Steps of reported quantities and of the clock: estimator resets, corrupted reports, wraps."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -17,53 +17,36 @@ FAULTS = FaultGroup("steps")
 
 STEP_PHASES = ("climb", "outbound", "return")
 SETTLING_S, MAX_WIND_ERROR_SIGMAS = 5.0, 3.0
-POSITION_FIELDS_PER_M = 1e7 / 111_200.0
-"""Units of GLOBAL_POSITION_INT's latitude per metre."""
-
-WIND, LOST = Alert.HEADING_UNUSABLE, Alert.POSITION_LOST
 WRAP_S = 2.0**32 / 1000.0
-FieldOffsets = dict[str, float]
-
-
-def _draw_heading_offsets(rng: np.random.Generator) -> tuple[str, FieldOffsets]:
-    return "ATTITUDE", {"yaw": math.radians(rng.choice([-1.0, 1.0]) * rng.uniform(45.0, 180.0))}
-
-
-def _draw_position_offsets(rng: np.random.Generator) -> tuple[str, FieldOffsets]:
-    size, course = rng.uniform(30.0, 300.0) * POSITION_FIELDS_PER_M, rng.uniform(0.0, math.tau)
-    return "GLOBAL_POSITION_INT", {"lat": size * math.cos(course), "lon": size * math.sin(course)}
-
-
-def _draw_altitude_offsets(rng: np.random.Generator) -> tuple[str, FieldOffsets]:
-    size_mm = 1000.0 * rng.choice([-1.0, 1.0]) * rng.uniform(15.0, 60.0)
-    return "GLOBAL_POSITION_INT", {"alt": size_mm, "relative_alt": size_mm}
-
-
-def _draw_velocity_offsets(rng: np.random.Generator) -> tuple[str, FieldOffsets]:
-    size, course = 100.0 * rng.uniform(5.0, 10.0), rng.uniform(0.0, math.tau)
-    return "GLOBAL_POSITION_INT", {"vx": size * math.cos(course), "vy": size * math.sin(course)}
+POSITION = "GLOBAL_POSITION_INT"
+LATITUDE_PER_M = 1e7 / 111_200.0
+WIND, LOST = Alert.HEADING_UNUSABLE, Alert.POSITION_LOST
 
 
 def offset_reports(
-    draw_offsets: Callable[[np.random.Generator], tuple[str, FieldOffsets]],
+    message_name: str, fields: Sequence[str], least: float, most: float
 ) -> FaultProcedure:
-    """Return a procedure: reports are offset by drawn amounts for 3 to 20 s, then right again."""
+    """Return a procedure: for 3 to 20 s fields are offset by an amount that is drawn from `least`
+    to `most`: two fields (north, east) in a drawn direction, others equally with a drawn sign.
+    """
 
     def procedure(stage: FaultContext) -> Iterator[None]:
-        name, offsets = draw_offsets(stage.rng)
+        size, course = stage.rng.uniform(least, most), stage.rng.uniform(0.0, math.tau)
+        parts = [math.copysign(1.0, math.sin(course))] * len(fields)
+        if fields[0] in ("lat", "vx"):
+            parts = [math.cos(course), math.sin(course)]
 
         def add_offsets(message: Message) -> list[Message] | None:
-            if message.msg_name != name:
+            if message.msg_name != message_name:
                 return None
-            values = {key: getattr(message, key) + by for key, by in offsets.items()}
-            if name == "ATTITUDE":
-                values = {key: math.remainder(one, math.tau) for key, one in values.items()}
-            else:
-                values = {key: round(one) for key, one in values.items()}
+            given = zip(fields, parts, strict=True)
+            values = {name: getattr(message, name) + size * part for name, part in given}
+            for name, value in values.items():
+                values[name] = math.remainder(value, math.tau) if name == "yaw" else round(value)
             return [message_with_changed_fields(message, **values)]
 
         yield from stage.wait_for_phase_and_record_fault_start()
-        stage.expect_messages_changed(name)
+        stage.expect_messages_changed(message_name)
         stage.tap.to_companion = add_offsets
         yield from stage.wait(stage.rng.uniform(3.0, 20.0))
         stage.tap.to_companion = pass_unchanged
@@ -99,26 +82,26 @@ def check_no_leg_decision(flown: FaultRunResult) -> str | None:
     return f"decided {', '.join(sorted(kinds))}" if kinds else None
 
 
-for number, name, description, draw_offsets, alert in (
-    (
-        83,
-        "heading-step",
-        "heading is wrong by 45 to 180 degrees",
-        _draw_heading_offsets,
-        WIND,
-    ),
-    (96, "position-step", "position is wrong by 30 to 300 m", _draw_position_offsets, LOST),
-    (97, "altitude-step", "altitude is wrong by 15 to 60 m", _draw_altitude_offsets, LOST),
-    (98, "velocity-step", "velocity is wrong by 5 to 10 m/s", _draw_velocity_offsets, WIND),
-):
-    alert_rule = check_alert_sent(alert, within_s=3.0)
+HEADING_RANGE_RAD = math.radians(45.0), math.pi
+for number, name, description, alert, offset in (
+    (83, "heading-step", "heading is wrong by 45 to 180 degrees", WIND,
+     ("ATTITUDE", ["yaw"], *HEADING_RANGE_RAD)),
+    (96, "position-step", "position is wrong by 30 to 300 m", LOST,
+     (POSITION, ["lat", "lon"], 30.0 * LATITUDE_PER_M, 300.0 * LATITUDE_PER_M)),
+    (97, "altitude-step", "altitude is wrong by 15 to 60 m", LOST,
+     (POSITION, ["alt", "relative_alt"], 15e3, 60e3)),
+    (98, "velocity-step", "velocity is wrong by 5 to 10 m/s", WIND,
+     (POSITION, ["vx", "vy"], 500.0, 1000.0)),
+):  # fmt: skip
+    rules = (*SAFETY_RULES, check_alert_sent(alert, within_s=3.0), check_wind_right_after_step)
+    description = f"The reported {description} for 3 to 20 s (C1)."
     FAULTS.add_case(
         number,
         name,
-        f"The reported {description} for 3 to 20 s (C1).",
-        offset_reports(draw_offsets),
+        description,
+        offset_reports(*offset),
         STEP_PHASES,
-        (*SAFETY_RULES, alert_rule, check_wind_right_after_step, check_no_leg_decision),
+        (*rules, check_no_leg_decision),
     )
 
 

@@ -186,7 +186,7 @@ def test_safety_rule_5_without_any_measurement_nothing_is_confirmed_but_by_the_g
     watch = ReleaseMonitor(power_frac=0.28, thrust_frac=0.2)
     watch.record_release_order(10.0)
     assert watch.release_evidence_text(20.0) is None
-    watch.gripper_released = True
+    watch.gripper_reports = 1
     assert watch.release_evidence_text(20.0) == "reported by the gripper"
 
 

@@ -26,6 +26,7 @@ REFERENCE_WINDOW_S = 3.0
 SETTLING_S = 0.7
 RELEASED_WINDOW_S = 2.4
 MIN_SAMPLES = 3
+REPORTED_TEXT = "reported by the gripper"
 DROP_ERROR_FRAC = 0.35
 """Relative error of the expected drop: 20 to 26 % were measured where the model expected 35 %."""
 
@@ -118,13 +119,15 @@ class ReleaseMonitor:
             text = f"{quantity} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
             weighed.append((_release_nats(drop, expected, std), text))
         gripper_nats = GRIPPER_NATS * min(self.gripper_reports, MAX_GRIPPER_REPORTS)
-        if not weighed or min(weighed)[0] <= CONTRADICTION_NATS:
+        if not weighed:
+            return REPORTED_TEXT if self.gripper_reports else None
+        if min(weighed)[0] <= CONTRADICTION_NATS:
             return None
         nats, text = max(weighed)
         if nats + gripper_nats >= REQUIRED_NATS:
             return text
         is_drop_in_noise = nats < -CONTRADICTION_NATS and self.power_frac < NOISE_DROP_FRAC
-        return "reported by the gripper" if gripper_nats and is_drop_in_noise else None
+        return REPORTED_TEXT if gripper_nats and is_drop_in_noise else None
 
 
 def _release_nats(drop: float, expected: float, noise_std: float) -> float:
