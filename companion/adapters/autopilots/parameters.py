@@ -30,7 +30,7 @@ MAX_RESPONSE_S = 4.0
 MIN_ANSWERED_ROUNDS, MAX_TRIES = 8, 60
 """Answered rounds after which a name is absent at the earliest, and transmissions of a name."""
 
-UNANSWERED_CHANCE = 1e-5
+UNANSWERED_CHANCE = 1e-4
 """Chance that an existing name stays unanswered until it counts as absent."""
 
 MAX_PARALLEL_REQUESTS = 6
@@ -220,7 +220,7 @@ class ParameterClient:
             if request.answered_rounds >= self._rounds_until_absent():
                 self._end_without_value(name, request)
                 continue
-            is_probe_due |= request.tries > 0 and not has_answered
+            is_probe_due |= request.tries > 0
             self._send_request(name, request, t_s)
             if self._silent_tries >= MAX_SILENT_TRIES or request.tries >= MAX_TRIES:
                 self._end_all_as_unanswered()
