@@ -4,6 +4,8 @@ import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from companion.core.mission.events import MAX_TELEMETRY_GAP_S
+
 WALL_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 
@@ -62,6 +64,12 @@ STEP_THRESHOLD_S = 2.0
 STAMPS_TO_CONFIRM_STEP = 3
 """Number of consecutive stamps that must agree on a step: one wrong stamp has no effect."""
 
+WRAP_S = 2.0**32 / 1000.0
+"""`time_boot_ms` has 32 bits: it restarts from 0 after 49.7 days."""
+
+MAX_WRAP_GAP_S = 600.0
+"""Longest gap in telemetry across a wrap; with a longer one the autopilot has rebooted."""
+
 OFFSET_ERROR_S = 0.3
 """If all stamps of a time source are this far behind core time, its offset is wrong: its first
 stamp, or the other source's, was late. Telemetry is valid for one to two seconds; the sources
@@ -77,6 +85,14 @@ class _TimeSource:
         self.offset_s = 0.0
         self.doubtful: list[float] = []
         self.lags_s: list[float] = []
+
+    def unwrap_stamp_s(self, stamp_s: float) -> float:
+        """Return a 32-bit stamp in continuation of the newest one."""
+        newest_s = self.newest_s or 0.0
+        stamp_s += WRAP_S * (newest_s // WRAP_S)
+        if 0.0 <= stamp_s + WRAP_S - newest_s <= MAX_WRAP_GAP_S:
+            return stamp_s + WRAP_S
+        return stamp_s - WRAP_S if stamp_s - newest_s >= WRAP_S - MAX_LATE_S else stamp_s
 
     def convert_to_core_time_and_correct_offset(self, stamp_s: float, core_s: float) -> float:
         """Return core time of a stamp. Messages arrive in order: if several in succession are
@@ -108,7 +124,8 @@ class AutopilotClock:
 
     Telemetry carries the time since boot; TIMESYNC requests may carry another time source. A step
     back adds nothing to core time; a step forward counts as elapsed time (correct after a gap in
-    telemetry, and otherwise safe, since it only makes known values older).
+    telemetry, and otherwise safe, since it only makes known values older), unless it exceeds
+    `MAX_TELEMETRY_GAP_S`: then it is a fault of the clock and adds nothing. A wrap is no step.
     """
 
     def __init__(self) -> None:
@@ -147,15 +164,16 @@ class AutopilotClock:
         if source.newest_s is None:
             self._process_first_stamp(source, boot_s)
             return ClockReading(self._t_s)
+        boot_s = source.unwrap_stamp_s(boot_s)
         step_s = boot_s - source.newest_s
         if -MAX_LATE_S <= step_s <= STEP_THRESHOLD_S:
             source.doubtful.clear()
             return ClockReading(self._advance_core_time(source, boot_s))
         if not source.record_inconsistent_stamp_confirms_step(boot_s):
             return ClockReading(None)
-        if step_s < 0.0:
+        if not 0.0 <= step_s <= MAX_TELEMETRY_GAP_S:
             source.newest_s, source.offset_s = boot_s, self._t_s - boot_s
-            return ClockReading(self._t_s, step_back_s=-step_s)
+            return ClockReading(self._t_s, max(-step_s, 0.0), max(step_s, 0.0))
         return ClockReading(self._advance_core_time(source, boot_s), step_forward_s=step_s)
 
     def update_from_sync_time(self, sync_s: float) -> None:

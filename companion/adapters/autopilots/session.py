@@ -159,7 +159,7 @@ class AutopilotSession:
             case "AUTOPILOT_VERSION":
                 return [BoardIdReceived(t_s, _board_serial(message))]
             case "PARAM_VALUE":
-                parameters.process_param_value(message)
+                parameters.process_param_value(message, t_s)
                 return parameters.take_ended_events(t_s)
             case "MISSION_ACK" if not is_addressed_here and _is_mission_write_accepted(message):
                 writer = f"{message.target_system}/{message.target_component}"
@@ -176,7 +176,7 @@ class AutopilotSession:
                     self._commands.process_command_ack(message, t_s)
                 )
             case "PARAM_ERROR":
-                parameters.process_param_error(message)
+                parameters.process_param_error(message, t_s)
                 return parameters.take_ended_events(t_s)
             case _ if kind in MISSION_MESSAGES:
                 return self._missions.on_message(message, t_s) if is_addressed_here else []

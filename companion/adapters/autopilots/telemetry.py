@@ -29,6 +29,7 @@ from companion.core.mission.events import (
     ModeReport,
     OtherCompanionReport,
     Position,
+    ReleaseFeedback,
     Throttle,
     VehicleLandedState,
     VehicleState,
@@ -70,6 +71,9 @@ NON_MOTOR_PACKS = (mavlink.MAV_BATTERY_FUNCTION_AVIONICS, mavlink.MAV_BATTERY_FU
 UNKNOWN_U16 = 65535
 MISSION_CHANGED_TEXT = "Auto mission changed"
 """ArduCopter's STATUSTEXT when an item near the current one was rewritten."""
+RELEASED_TEXT = "Gripper load released"
+"""ArduCopter's STATUSTEXT at the end of a release."""
+
 UNKNOWN_I16 = 32767
 MISSION_STATES = dict(enumerate(MissionState, start=1))
 """State by MISSION_CURRENT.mission_state; 0 is unknown."""
@@ -144,9 +148,13 @@ def events_from_message(
             return [ModeReport(t_s, *profile.decode_mode(message.custom_mode, 0))]
         case "ATTITUDE":
             angles = (message.roll, message.pitch, message.yaw)
-            rate_rps = message.yawspeed if math.isfinite(message.yawspeed) else None
+            roll_rps, pitch_rps, yaw_rps = (
+                rate if math.isfinite(rate) else None
+                for rate in (message.rollspeed, message.pitchspeed, message.yawspeed)
+            )
             known = all(map(math.isfinite, angles))
-            return [Attitude(t_s, *angles, rate_rps)] if known else []
+            rates = (roll_rps, pitch_rps)
+            return [Attitude(t_s, *angles, yaw_rps, tilt_rates_rps=rates)] if known else []
         case "GLOBAL_POSITION_INT":
             return _position_events(message, t_s)
         case "GPS_RAW_INT":
@@ -180,6 +188,8 @@ def events_from_message(
             events: list[Event] = [AutopilotText(t_s, message.severity, text)]
             if text.startswith(MISSION_CHANGED_TEXT):
                 events.append(MissionWriteDetected(t_s, text))
+            elif text == RELEASED_TEXT:
+                events.append(ReleaseFeedback(t_s))
             return events
         case _:
             return []
@@ -187,13 +197,13 @@ def events_from_message(
 
 def _gnss_fix(message: Any, t_s: float) -> Event:
     """The height's accuracy is a MAVLink 2 extension: 0 from those that do not send it."""
-    usable, satellites = (
-        message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX,
-        message.satellites_visible,
-    )
+    usable = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
+    satellites = None if message.satellites_visible == 255 else message.satellites_visible
+    if not usable or (message.lat == 0 and message.lon == 0):
+        return GnssFix(t_s, usable, satellites)
     std_m = message.v_acc / 1000.0 or None
-    count = None if satellites == 255 else satellites
-    return GnssFix(t_s, usable, count, message.alt / 1000.0 if usable else None, std_m)
+    lat_lon_deg = (message.lat * 1e-7, message.lon * 1e-7)
+    return GnssFix(t_s, usable, satellites, message.alt / 1000.0, std_m, lat_lon_deg)
 
 
 def _position_events(message: Any, t_s: float) -> list[Event]:

@@ -186,6 +186,7 @@ class Alert(Enum):
     )
     POSITION_BACK = (NOTICE, "position recovered after {duration_s:.0f} s", WATCH_FLIGHT)
     LINK_BACK = (WARNING, "autopilot link recovered after {duration_s:.0f} s", WATCH_FLIGHT)
+    CLOCK_JUMPED = (NOTICE, "autopilot clock jumped {jump_s:.0f} s: not counted", READ_LOG_LATER)
     AUTOPILOT_REBOOTED = (
         WARNING,
         "autopilot clock went back {back_s:.0f} s: rebooted?",
@@ -246,6 +247,11 @@ class Alert(Enum):
     START_NOT_POSSIBLE_NOW = (WARNING, "start conditions changed: authorise again", AUTHORISE_AGAIN)
     NO_TAKE_OFF = (ERROR, "no take-off: {reason}", READ_LOG)
     PLANNING = (NOTICE, "still planning the route", "Wait; no action is needed.")
+    PARAMETERS_AWAITED = (
+        WARNING,
+        "waiting for {count} parameters: {names}",
+        "Check the link to the autopilot; the companion repeats the requests.",
+    )
     PARAMETERS_NOT_SET = (WARNING, "could not set {names}", READ_LOG)
     EARLIER_SETTINGS_IN_FORCE = (
         WARNING,
@@ -275,7 +281,7 @@ class Alert(Enum):
     HEADING_UNUSABLE = (
         WARNING,
         "wind estimate: {finding}",
-        "Check the compass after landing; expect a return.",
+        "Check compass and GNSS after landing; expect a return.",
     )
     BATTERY_CHOSEN = (
         WARNING,

@@ -133,13 +133,14 @@ class CommandKind(Enum):
     HOME = LifeCycle(
         "HOME_POSITION", *(1.0, 4, (_D.MODE, _D.HOME), 1.0, Repeater.ADAPTER, "home", True)
     )
-    PARAMETER = LifeCycle("value in PARAM_VALUE", *(1.0, 8, (_D.PARAMETER, _D.ARMED)))
-    # If a fifth of all frames is lost in each direction, 4 tries leave one name in sixty without a
-    # value, which refused a launch in flight; 8 leave one in 3,500.
+    PARAMETER = LifeCycle("value in PARAM_VALUE", *(1.0, 60, (_D.PARAMETER, _D.ARMED)))
+    # The interval doubles while nothing answers; a name that stays unanswered while others are
+    # answered counts as absent earlier (parameters.py).
     UPLOAD = LifeCycle("MISSION_ACK, then the read-back", *(1.5, 6, (_D.MISSION,)))
     CLEAR = LifeCycle("MISSION_ACK", *(1.5, 6, (_D.MISSION,)))
     SETPOINT = LifeCycle("velocity", *(0.1, 1, _LEG, 0.1, Repeater.NONE))
-    REQUEST = LifeCycle("the requested message", 1.0, 4)
+    REQUEST = LifeCycle("the requested message", 1.0, 10)
+    # With 30 % of the frames lost in each direction, one request in 800 then stays unanswered.
 
     @property
     def title(self) -> str:

@@ -4,7 +4,7 @@ Adapters create them from MAVLink messages and stamp them with the autopilot's c
 monotonic). Mission indices count the uploaded items from 0. Unknown is `None`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.core.separation.track import Track
@@ -112,12 +112,13 @@ class ModeReport(Event):
 
 @dataclass(frozen=True, slots=True)
 class Attitude(Event):
-    """Body attitude, heading clockwise from north, and the yaw rate of the gyro."""
+    """Body attitude, heading clockwise from north, and the rates of the gyro (roll, pitch)."""
 
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
     yaw_rate_rps: float | None = None
+    tilt_rates_rps: tuple[float | None, float | None] = field(default=(None, None), kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +150,7 @@ class GnssFix(Event):
     satellites: int | None = None
     gnss_alt_m: float | None = None
     gnss_alt_std_m: float | None = None
+    lat_lon_deg: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,9 +251,7 @@ class ArmingReadiness(Event):
 
 @dataclass(frozen=True, slots=True)
 class ReleaseFeedback(Event):
-    """Gripper feedback on whether the parcel was released."""
-
-    released: bool
+    """The gripper reports that the parcel was released."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,9 +264,19 @@ class AutopilotText(Event):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotParameters(Event):
-    """Requested parameters; `None` if the autopilot has no such parameter."""
+    """Requested parameters; `None` if the autopilot has no such parameter. `unanswered`: names
+    without a response, which may exist.
+    """
 
     values: dict[str, float | None]
+    unanswered: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersAwaited(Event):
+    """Parameters that were requested long ago and are still awaited."""
+
+    names: tuple[str, ...]
 
 
 # --- responses to actions ----------------------------------------------------------------------
@@ -451,6 +461,10 @@ class OtherCompanionReport(Event):
     control_since_ms: int | None = None
 
 
+MAX_TELEMETRY_GAP_S = 3600.0
+"""No multirotor flies longer on its pack: a longer gap in its telemetry is a fault of its clock."""
+
+
 @dataclass(frozen=True, slots=True)
 class LinkSilent(Event):
     """No message has arrived from the autopilot for a while (wall clock)."""
@@ -472,6 +486,8 @@ class ClockSteppedBack(Event):
 
 @dataclass(frozen=True, slots=True)
 class ClockJumpedForward(Event):
-    """The autopilot's clock jumped forward by `jump_s` between two messages."""
+    """The autopilot's clock jumped forward by `jump_s` between two messages; above
+    `MAX_TELEMETRY_GAP_S` the time did not pass.
+    """
 
     jump_s: float

@@ -185,7 +185,9 @@ def unmet_requirement_issues(
             continue
         name = requirement.names[0]
         if is_met is None:
-            description = f"{requirement.description}: this autopilot does not report {name}"
+            is_absent = name in parameter_values
+            lack = "this autopilot does not report" if is_absent else "no response about"
+            description = f"{requirement.description}: {lack} {name}"
         else:
             description = (
                 f"{requirement.description}: {_correction_text(requirement, parameter_values)}"

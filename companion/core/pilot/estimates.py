@@ -35,7 +35,7 @@ from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
-from companion.core.wind.observation import HeadingMessage, WindFilter
+from companion.core.wind.observation import StepMessage, WindFilter
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_field.shared_winds import SharedWinds
 
@@ -212,6 +212,7 @@ class FlightEstimates:
                 density_kgpm3=self.route_energy.density_kgpm3,
                 attitude_t_s=attitude.t_s if attitude else None,
                 yaw_rate_rps=attitude.yaw_rate_rps if attitude else None,
+                tilt_rates_rps=attitude.tilt_rates_rps if attitude else (None, None),
             )
         )
 
@@ -287,7 +288,7 @@ def _mask_numbers(text: str) -> str:
 
 
 def _wind_exclusion_report(exclusion: str) -> EstimateMessage:
-    if isinstance(exclusion, HeadingMessage):
+    if isinstance(exclusion, StepMessage):
         return AlertReport.create(Alert.HEADING_UNUSABLE, finding=exclusion)
     return LogNote(f"wind: {exclusion}")
 

@@ -1,14 +1,15 @@
 """The release of the parcel: monitor the hover, look for evidence, retry once, return.
 
-Safety rule 5: the parcel counts as released if a gripper reports it, or if the hover power falls
-(release_watch.py).
+Safety rule 5: the parcel counts as released by the fall of the hover power and by the gripper's
+reports, weighed together (release_watch.py).
 """
 
+import math
 from dataclasses import dataclass
 
 from companion.core.mission.actions import LogNote, ReleaseParcel
 from companion.core.mission.alerts import Alert
-from companion.core.mission.events import Event, ReleaseFeedback
+from companion.core.mission.events import Event, OrderAccepted, ReleaseFeedback
 from companion.core.mission.jump_watch import JumpType
 from companion.core.pilot.context import FlightContext, LatestAssessment
 from companion.core.pilot.estimators.release_watch import (
@@ -35,9 +36,12 @@ class ParcelReleaseController:
     _assessment: LatestAssessment
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """Process the gripper's feedback."""
-        if isinstance(event, ReleaseFeedback) and self._state.release_monitor is not None:
-            self._state.release_monitor.gripper_released = event.released
+        """Process the gripper's feedback, or the acknowledgement of its command."""
+        is_report = isinstance(event, ReleaseFeedback) or (
+            isinstance(event, OrderAccepted) and event.order == "release"
+        )
+        if is_report and self._state.release_monitor is not None:
+            self._state.release_monitor.gripper_reports += 1
 
     def record_hover_samples(self, context: FlightContext) -> None:
         """Pass the hover over the customer to the watch."""
@@ -84,8 +88,10 @@ class ParcelReleaseController:
     def _get_or_create_release_monitor(self, context: FlightContext) -> ReleaseMonitor:
         if self._state.release_monitor is None:
             payload_kg = context.flight.vehicle.payload_kg
+            wind = context.estimates.wind
+            wind_mps = math.hypot(*wind.mean_to_ne_mps) if wind and wind.valid else 0.0
             self._state.release_monitor = build_release_monitor(
-                context.estimates.route_energy, payload_kg
+                context.estimates.route_energy, payload_kg, wind_mps
             )
         return self._state.release_monitor
 

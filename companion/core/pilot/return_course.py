@@ -99,6 +99,8 @@ class ReturnCourseMonitor:
     _course: CourseMonitor | None = None
     _leg: LegMonitor | None = None
     """Monitors the current item on the return route."""
+    _step_count: int = 0
+    """Steps of the position before the checks began: none is evaluated across a step."""
     _last_motion_s: float = 0.0
     """Time of the last motion on the return route."""
 
@@ -109,6 +111,7 @@ class ReturnCourseMonitor:
         if flown is not None and position is not None and target is not None:
             away_m = horizontal_distance_m(flown.position_to_ned_m(position), target)
             self._course = CourseMonitor(context.t_s, away_m)
+            self._step_count = context.telemetry.position_watch.step_count
 
     def restart_leg_check(self) -> None:
         """Restart the check of the current item."""
@@ -195,8 +198,12 @@ class ReturnCourseMonitor:
             return None
         if self._leg is None or self._leg.index != index:
             self._leg = LegMonitor(index)
+            self._step_count = telemetry.position_watch.step_count
         is_reported = telemetry.is_recent(telemetry.progress, PROGRESS_MAX_AGE_S)
-        if not is_reported or telemetry.position_faults():
+        has_stepped = self._step_count != telemetry.position_watch.step_count
+        if has_stepped:
+            self._course = None
+        if not is_reported or has_stepped or telemetry.position_faults():
             self._leg.suspend_check()
             return None
         return self._leg

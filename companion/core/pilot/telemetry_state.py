@@ -32,6 +32,7 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.pilot.observed_state import ObservedState
+from companion.core.pilot.position_watch import PositionWatch
 from companion.core.vehicle.airframe import PLAUSIBLE_CELL_V
 
 EventT = TypeVar("EventT", bound=Event)
@@ -216,6 +217,7 @@ class TelemetryState:
     """Present depth of the autopilot's home below that ground."""
     pack: PackTelemetry = field(default_factory=PackTelemetry)
     observed: ObservedState = field(default_factory=ObservedState)
+    position_watch: PositionWatch = field(default_factory=PositionWatch)
     disarmed_since_s: float | None = None
     """First of the latest heartbeats in a row that report disarmed."""
     _disarmed_reports: int = 0
@@ -242,7 +244,8 @@ class TelemetryState:
             case Attitude() if self.attitude is None or event.t_s >= self.attitude.t_s:
                 self.attitude = event
             case Position() if self.position is None or event.t_s >= self.position.t_s:
-                self.position = self._correct_height_to_takeoff_ground(event)
+                if self._is_plausible_position(event):
+                    self.position = self._correct_height_to_takeoff_ground(event)
             case Battery():
                 self.pack.store_message(event, self.t_s, is_armed=self.armed)
             case GroundState():
@@ -252,6 +255,13 @@ class TelemetryState:
                 setattr(self, LATEST_FIELDS[type(event)], event)
             case _:
                 return
+
+    def _is_plausible_position(self, position: Position) -> bool:
+        if not self.airborne:
+            self.position_watch = PositionWatch()
+            return True
+        gnss = self.recent_or_none(self.gnss, GNSS_MAX_AGE_S)
+        return self.position_watch.accepts_report(position, gnss)
 
     def _record_mode_report(self, t_s: float) -> None:
         interval_s = t_s - (self._mode_s if self._mode_s is not None else t_s)
@@ -309,6 +319,7 @@ class TelemetryState:
             setattr(self, name, None)
         self.pack = PackTelemetry(self.pack.voltage_range_v)
         self.observed = ObservedState()
+        self.position_watch = PositionWatch()
         self._disarmed_reports = 0
         self.disarmed_since_s = None
 
@@ -375,7 +386,7 @@ class TelemetryState:
         """Return why the position is not good enough to plan or to clear a leg; empty if it is."""
         faults: list[str] = []
         if not self.is_recent(self.position, POSITION_MAX_AGE_S):
-            faults.append("no recent position")
+            faults.append(self.position_watch.reason or "no recent position")
         if not self.is_recent(self.gnss, GNSS_MAX_AGE_S):
             faults.append("no data from the GNSS receiver")
         elif self.gnss is not None and not self.gnss.usable:

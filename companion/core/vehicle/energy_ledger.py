@@ -20,6 +20,7 @@ from companion.core.vehicle.power import level_airspeed_at_max_tilt_mps, multiro
 SNAPSHOT_FORMAT = "energy-ledger/2"
 
 _GAP_S = 5.0  # longer gaps are filled with the larger of the last and the modelled power
+_GAP_DRAW_ERROR_FRAC, _GAP_SIGMAS = 0.3, 3.0  # a gap beyond these is a step of the clock
 _COUNTER_STD_FRAC = 0.03  # relative error of consumption by current sensors and counters
 _MODEL_STD_FRAC = 0.10  # relative error of consumption by the power model in unknown wind
 _UNDERCOUNT_FRAC = 0.6  # a counter below this share of the model is rejected
@@ -149,6 +150,8 @@ class EnergyLedger:
             self._update_start_energy(reading)
             state.started = is_started
         dt_s = 0.0 if previous_s is None else max(reading.t_s - previous_s, 0.0)
+        if self._is_gap_impossible(reading, dt_s):
+            dt_s = _GAP_S
         if dt_s > 0.0:
             self._integrate_measured_and_modelled_power(reading, dt_s)
         if previous_s is None or reading.t_s > previous_s:
@@ -260,6 +263,14 @@ class EnergyLedger:
     def _is_plausible_pack_voltage(self, voltage_v: float | None) -> bool:
         low_v, high_v = self._battery.plausible_pack_voltage_range_v
         return voltage_v is not None and low_v <= voltage_v <= high_v
+
+    def _is_gap_impossible(self, reading: BatteryObservation, dt_s: float) -> bool:
+        """Return whether a flight of this time would have emptied the pack: the clock jumped."""
+        state = self._state
+        if dt_s <= _GAP_S or reading.at_rest or not state.started or state.left_wh is None:
+            return False
+        least_wh = (1.0 - _GAP_DRAW_ERROR_FRAC) * self._draw_w * dt_s / 3600.0
+        return least_wh > state.left_wh + _GAP_SIGMAS * state.left_std_wh
 
     # -- counting ------------------------------------------------------------------------------
 

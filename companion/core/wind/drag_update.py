@@ -7,7 +7,7 @@ sends. No accelerometer or throttle is needed.
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -49,12 +49,6 @@ class ReportedMotion:
     thrust_e: float
     thrust_change_mps2: float
     since_s: float | None
-
-    def with_thrust_rotated_by(self, clockwise_rad: float) -> "ReportedMotion":
-        """Return the motion for a heading reported this much farther clockwise."""
-        cos, sin = math.cos(clockwise_rad), math.sin(clockwise_rad)
-        north, east = self.thrust_n, self.thrust_e
-        return replace(self, thrust_n=cos * north - sin * east, thrust_e=sin * north + cos * east)
 
 
 class MotionTracker:

@@ -10,8 +10,8 @@
   flight on the opposite heading makes it observable.
 - In light wind two filters, one for calm and one for turbulent air, are weighted by likelihood
   (`multiple_model`); in stronger wind there is the second alone.
-- A step of the reported heading suspends all measurements that depend on it, until the heading is
-  known again (`heading_watch`). The earlier wind is kept and ages, and is not valid meanwhile.
+- A step of the reported attitude or velocity suspends all measurements, until it is known again
+  (`step_watch`). The earlier wind is kept and ages, and is not valid meanwhile.
 - While an airspeed is used, copies of the filters run without it. The airspeed is checked against
   them, and they replace it immediately if it is faulty.
 - A released parcel changes the drag by more than its mass, so the gains' variance is increased.
@@ -20,7 +20,6 @@
 """
 
 import math
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -46,9 +45,9 @@ from companion.core.wind.ekf import (
     WindState,
     eddy_length_at_height_m,
 )
-from companion.core.wind.heading_watch import HeadingStepDetector
 from companion.core.wind.multiple_model import AirHypotheses
-from companion.core.wind.observation import HeadingMessage, WindBelief, WindObservation
+from companion.core.wind.observation import StepMessage, WindBelief, WindObservation
+from companion.core.wind.step_watch import ReportWatch
 
 __all__ = ["WindBelief", "WindEstimator", "WindEstimatorParams", "WindObservation"]
 
@@ -56,7 +55,7 @@ SNAPSHOT_FORMAT = "wind-estimator/5"
 
 
 KNOWN_DRAG_STD_FRAC = 0.1
-INFLATED_WIND_STD_MPS, INFLATED_TRIM_STD_RAD = 0.5, math.radians(0.3)  # after a step of the heading
+INFLATED_WIND_STD_MPS, INFLATED_TRIM_STD_RAD = 0.5, math.radians(0.3)  # after a step of the reports
 FRONT_PROCESS_NOISE_M2PS3 = (
     0.05  # ten times the recordings': fronts cause most losses on return flights
 )
@@ -91,7 +90,8 @@ class WindEstimator:
         self._last_used_s: dict[str, float] = {}
         self._tilt_s = 0.0
         self._motion = MotionTracker()
-        self._heading = HeadingStepDetector()
+        self._step_free_motion = MotionTracker()
+        self._watch = ReportWatch()
         self._pitot = PitotMonitor()
         self._rejected_since_s: float | None = None
         self._mass_kg: float | None = None
@@ -154,11 +154,11 @@ class WindEstimator:
         self._inflate_drag_gain_on_mass_change(observation.mass_kg)
         left_out: list[str] = []
         if observation.airborne:
-            left_out += self._update_heading_validity(observation)
+            left_out += self._update_validity_of_reports(observation)
         else:
             self._motion.clear_history()
-            self._heading = HeadingStepDetector()
-        if self._heading.off_rad:
+            self._watch = ReportWatch()
+        if any(self._watch.offsets):
             return tuple(left_out)
         if observation.airborne:
             left_out += self._correct_by_tilt_or_report_rejection(observation)
@@ -185,7 +185,9 @@ class WindEstimator:
             "usual": hypotheses.turbulent.snapshot(),
             "calm": None if hypotheses.calm is None else hypotheses.calm.snapshot(),
             "chance_calm": hypotheses.chance_calm,
-            "heading_off_rad": self._heading.off_rad,
+            "heading_off_rad": self._watch.heading.off[0],
+            "tilt_off_rad": list(self._watch.tilt.off),
+            "velocity_off_mps": list(self._watch.velocity.off),
         }
 
     def restore(self, snapshot: dict[str, object]) -> None:
@@ -195,7 +197,13 @@ class WindEstimator:
         try:
             t_s = msgspec.convert(snapshot["t_s"], float | None)
             chance = msgspec.convert(snapshot["chance_calm"], float)
-            off_rad = msgspec.convert(snapshot.get("heading_off_rad", 0.0), float)
+            watch = ReportWatch()
+            for detector, key in (
+                (watch.tilt, "tilt_off_rad"),
+                (watch.velocity, "velocity_off_mps"),
+            ):
+                detector.off = msgspec.convert(snapshot.get(key, detector.off), type(detector.off))
+            watch.heading.off = (msgspec.convert(snapshot.get("heading_off_rad", 0.0), float),)
             turbulent = self._restore_filter_state(snapshot["usual"])
             calm = (
                 None if snapshot["calm"] is None else self._restore_filter_state(snapshot["calm"])
@@ -206,7 +214,7 @@ class WindEstimator:
             raise LeewayError("checkpoint: expected a chance of calm from 0 to under 1")
         self._t_s, self._with_airspeed = t_s, None
         self._without_airspeed = AirHypotheses(turbulent, calm, chance)
-        self._heading = HeadingStepDetector(off_rad)
+        self._watch = watch
 
     def _restore_filter_state(self, snapshot: object) -> WindState:
         state = WindState(self._airframe, self._params)
@@ -233,45 +241,48 @@ class WindEstimator:
                 state.inflate_drag_gain_variance(self._params.gain_parcel_std_frac**2)
         self._mass_kg = mass_kg
 
-    def _update_heading_validity(self, observation: WindObservation) -> list[str]:
-        """Suspend the measurements that depend on an unknown heading."""
-        heading, was_off = self._heading, self._heading.off_rad != 0.0
-        step = heading.update_and_detect_step_rad(observation)
-        if step:
+    def _update_validity_of_reports(self, observation: WindObservation) -> list[str]:
+        """Suspend the measurements while attitude or velocity are unknown."""
+        watch = self._watch
+        was_off = any(watch.offsets)
+        steps = watch.update_and_describe_steps(observation)
+        if steps:
             self._last_used_s.clear()
             self._tilt_s = 0.0
-        elif was_off and self._update_motion_and_confirm_heading(observation):
-            heading.off_rad = 0.0
-        if step or (was_off and not heading.off_rad):
+        elif was_off:
+            self._update_motion_and_accept_right_reports(observation)
+        is_known_again = was_off and not any(watch.offsets)
+        if steps or is_known_again:
             self._motion.clear_history()
-        if was_off and not heading.off_rad:
+            self._step_free_motion.clear_history()
+        if is_known_again:
             trim_rad = min(INFLATED_TRIM_STD_RAD, math.radians(self._airframe.drag.trim_std_deg))
             for state in self._all_filter_states():
                 state.inflate_mean_wind_variance(INFLATED_WIND_STD_MPS**2)
                 state.inflate_trim_variance(trim_rad**2)
-            return [HeadingMessage("heading known again: variance increased")]
-        size_deg = round(abs(math.degrees(step)), -1)
-        message = HeadingMessage(
-            f"heading stepped by {size_deg:.0f} deg, more than a turn: not used"
-        )
-        return [message] if step else []
+            return [StepMessage("reports known again: variance increased")]
+        return [StepMessage(f"{text}: not used") for text in steps]
 
-    def _update_motion_and_confirm_heading(self, observation: WindObservation) -> bool:
+    def _update_motion_and_accept_right_reports(self, observation: WindObservation) -> None:
         if not has_usable_attitude_and_velocity(observation):
             self._motion.clear_history()
-            return False
-        motion = self._motion.update_and_derive_motion(observation, self._params)
-        if motion.since_s is None or observation.yaw_rad is None:
-            return False
+            self._step_free_motion.clear_history()
+            return
         misfits: list[float] = []
-        for turn_rad in (0.0, -self._heading.off_rad):
-            rotated = replace(observation, yaw_rad=observation.yaw_rad + turn_rad)
-            at = self._airframe, self._params, rotated, motion.with_thrust_rotated_by(turn_rad)
+        interval_s = None
+        for reported, tracker in (
+            (observation, self._motion),
+            (self._watch.without_steps(observation), self._step_free_motion),
+        ):
+            motion = tracker.update_and_derive_motion(reported, self._params)
+            if motion.since_s is None:
+                continue
+            interval_s = motion.since_s
+            at = self._airframe, self._params, reported, motion
             white = compute_tilt_innovation_and_set_airspeed(self._active_state, *at).white
             misfits.append(min(float(white @ white), self._params.gate_sigmas**2))
-        return self._heading.update_evidence_and_confirm_heading(
-            misfits[0], misfits[1], motion.since_s
-        )
+        if interval_s is not None and len(misfits) == 2:
+            self._watch.update_evidence_and_accept_reports(misfits[0], misfits[1], interval_s)
 
     def _correct_by_tilt_or_report_rejection(self, observation: WindObservation) -> list[str]:
         if not has_usable_attitude_and_velocity(observation):

@@ -17,7 +17,8 @@ class WindObservation:
     air, along heading and right of it; `autopilot_wind_to_ne_mps` only if the autopilot's adapter
     identifies it as an estimate, with its variances and covariance (nn, ne, ee) if reported;
     `height_m` above the ground, for the size of the eddies; `density_kgpm3` of the air, which
-    scales the drag; `attitude_t_s` of the attitude, if not `t_s`; `yaw_rate_rps` as reported.
+    scales the drag; `attitude_t_s` of the attitude, if not `t_s`; `yaw_rate_rps` and
+    `tilt_rates_rps` (roll, pitch) as reported.
     """
 
     t_s: float
@@ -36,6 +37,7 @@ class WindObservation:
     density_kgpm3: float = REFERENCE_DENSITY_KGPM3
     attitude_t_s: float | None = None
     yaw_rate_rps: float | None = None
+    tilt_rates_rps: tuple[float | None, float | None] = (None, None)
 
     def raise_if_invalid(self) -> None:
         """Raise ValueError on NaN, infinity, no mass, no air, or an invalid covariance."""
@@ -80,8 +82,8 @@ class WindBelief:
     valid: bool
 
 
-class HeadingMessage(str):
-    """Message about the reported heading for the operator."""
+class StepMessage(str):
+    """Message about a step of the reports for the operator."""
 
     __slots__ = ()
 

@@ -13,6 +13,7 @@ from sim_bridge.app.faults import (
     observed,
     return_budget,
     signing,
+    steps,
     telemetry,
     workers,
 )
@@ -20,7 +21,7 @@ from sim_bridge.app.faults.fault import FaultCase
 from sim_bridge.app.faults.pair import SEPARATOR, combine_cases
 
 MODULES = (air, authority, decisions, mission_and_home, return_budget, energy, telemetry, observed,
-           host, workers, link, signing, fleet)  # fmt: skip
+           host, workers, link, signing, fleet, steps)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )

@@ -1,5 +1,6 @@
 """Energy faults: false battery readings, failed release, increased draw, degraded packs."""
 
+import math
 from collections.abc import Iterator
 
 from companion.core.mission.alerts import Alert
@@ -135,6 +136,43 @@ def make_parcel_release_fail(stage: FaultContext) -> Iterator[None]:
     craft.vehicle.release_fails = True
     stage.record_fault_start()
     yield
+
+
+def check_delivery_reported_as_by_truth(flown: FaultRunResult) -> str | None:
+    """Check that a delivery is reported if, and only if, the parcel was released."""
+    is_reported = any(alert is Alert.DELIVERED for _, alert, _ in flown.alerts)
+    has_released = not flown.stage.craft.vehicle.parcel_aboard
+    return None if is_reported is has_released else f"released {has_released}, not so reported"
+
+
+def release_parcel_in_drawn_wind(stage: FaultContext) -> Iterator[None]:
+    """Release or keep the parcel while drawn wind is added over the customer."""
+    vehicle, rng = stage.craft.vehicle, stage.rng
+    vehicle.release_fails = bool(rng.random() < 0.5)
+    yield from stage.wait_until(stage.is_in_phase)
+    stage.record_fault_start()
+    before_n, before_e, _ = vehicle.truth.wind_to_ned_mps
+    stage.expect_effect(
+        "the wind has changed by 1 m/s",
+        lambda: math.dist(vehicle.truth.wind_to_ned_mps[:2], (before_n, before_e)) > 1.0,
+    )
+    size_mps, course_rad = rng.uniform(2.0, 5.0), rng.uniform(0.0, math.tau)
+    vehicle.wind_field.front_to_ne_mps = (
+        size_mps * math.cos(course_rad),
+        size_mps * math.sin(course_rad),
+    )
+
+
+for suffix, payload_kg in (("", 0.5), ("-light", 0.25)):
+    FAULTS.add_case(
+        90,
+        f"release-in-wind{suffix}",
+        f"A parcel of {payload_kg:g} kg is released, or sticks, in 2 to 5 m/s of added wind (S3).",
+        release_parcel_in_drawn_wind,
+        ("drop",),
+        (*SAFETY_RULES, check_delivery_reported_as_by_truth),
+        flight={"vehicle": {"payload_kg": payload_kg}},
+    )
 
 
 def multiply_power_draw(factor: float) -> FaultProcedure:

@@ -92,6 +92,74 @@ def limit_link_to_radio_rate(stage: FaultContext) -> Iterator[None]:
     stage.tap.radio = radio
 
 
+def slow_down_transfers(prefix: str, max_stall_s: float) -> FaultProcedure:
+    """Return a procedure: until arming, messages of this prefix arrive a drawn time late, some are
+    lost, and the companion may stall in the transfer.
+    """
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        rng, tap, sent = stage.rng, stage.tap, list[Message]()
+        delay_s, loss = rng.uniform(0.3, 3.0), rng.choice([0.0, LOSS_FRAC])
+        stall_s = rng.choice([0.0, max_stall_s])
+        stage.record_fault_start()
+        stage.expect_messages_changed()
+
+        def lose_at_random(message: Message) -> list[Message] | None:
+            name = message.msg_name
+            if not name.startswith(prefix) or name == "MISSION_CURRENT":
+                return None
+            tap.delay_s_by_name[name] = delay_s
+            sent.append(message)
+            return [] if rng.random() < loss else None
+
+        tap.to_companion = tap.to_autopilot = lose_at_random
+        yield from stage.wait_until(lambda: bool(sent))
+        if stall_s:
+            yield from stage.wait(0.5)
+            stage.stall_companion()
+            yield from stage.wait(stall_s)
+            stage.resume_companion()
+        yield from stage.wait_until(lambda: stage.is_armed)
+        tap.to_companion = tap.to_autopilot = pass_unchanged
+        tap.delay_s_by_name = {}
+
+    return procedure
+
+
+@FAULTS.register_procedure(76, "stray-result", ("ready",), (*SAFETY_RULES, check_delivered))
+def inject_stray_mission_result(stage: FaultContext) -> Iterator[None]:
+    """The upload is answered with a result that belongs to no transfer (A15)."""
+    counts: list[Message] = []
+    stage.tap.to_autopilot = lambda m: counts.append(m) if m.msg_name == "MISSION_COUNT" else None
+    yield from stage.wait_until(lambda: bool(counts))
+    stage.record_fault_start()
+    stage.expect_messages_changed(INJECTED)
+    yield from stage.wait(stage.rng.uniform(0.0, 0.4))
+    result = int(stage.rng.choice(STRAY_RESULTS))
+    ack = Message(
+        "MISSION_ACK",
+        target_system=stage.craft.number,
+        target_component=191,
+        type=result,
+        mission_type=0,
+    )
+    stage.tap.injected_frames.append(Encoder(stage.craft.number, 1).encode_next_frame(ack))
+    yield from stage.wait(1.0)
+
+
+STRAY_RESULTS = (1, 13, 15)
+"""MAV_MISSION_ERROR, INVALID_SEQUENCE and OPERATION_CANCELLED."""
+
+for number, name, description, arguments in (
+    (88, "slow-upload", "Mission messages arrive 0.3 to 3 s late, 0 or 30 % are lost; the companion"
+     " may stall for 2 s (S1).", ("MISSION_", 2.0)),
+    (92, "slow-parameters", "Parameter messages arrive 0.3 to 3 s late, 0 or 30 % are lost (S6).",
+     ("PARAM_", 0.0)),
+):  # fmt: skip
+    procedure, rules = slow_down_transfers(*arguments), (*SAFETY_RULES, check_delivered)
+    FAULTS.add_case(number, name, description, procedure, ("ready",), rules)
+
+
 @FAULTS.register_procedure(8, "namesake", AIRBORNE_PHASES_BEFORE_LANDING)
 def inject_vehicle_with_same_system_id(stage: FaultContext) -> Iterator[None]:
     """Another vehicle with the same system ID, mode POSITION, 1 km away, is on the link."""

@@ -68,6 +68,8 @@ class FaultContext:
     """The vehicle of a flight. None in a day."""
     t_s: float = 0.0
     start_s: float | None = None
+    end_s: float | None = None
+    """End of the injection, if it ends."""
     notes: list[str] = field(default_factory=list)
     own_tap: Tap | None = None
     expected_effects: list[ExpectedEffect] = field(default_factory=list)

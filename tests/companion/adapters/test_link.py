@@ -405,6 +405,8 @@ def test_whatever_the_stamps_core_time_never_goes_back(stamps):
     [
         ([3.0 + 0.1 * i for i in range(6)], [96.8], [], 100.3),  # a reboot is reported once
         ([160.0 + 0.1 * i for i in range(4)], [], [60.2], 160.3),  # time passes in a telemetry gap
+        ([4.2e6 + 0.1 * i for i in range(4)], [], [4.2e6 - 99.8], 100.1),  # the clock is wrong
+        ([21_700.0 + 0.1 * i for i in range(4)], [], [21_600.2], 100.1),
     ],
 )
 def test_core_time_goes_on_after_a_reboot_and_a_silence(clock, stamps_s, back_s, ahead_s, now_s):
@@ -412,6 +414,30 @@ def test_core_time_goes_on_after_a_reboot_and_a_silence(clock, stamps_s, back_s,
     assert [r.step_back_s for r in readings if r.step_back_s] == pytest.approx(back_s)
     assert [r.step_forward_s for r in readings if r.step_forward_s] == pytest.approx(ahead_s)
     assert clock.t_s == pytest.approx(now_s)
+
+
+@pytest.mark.parametrize("gap_s", [0.1, 1.0, 60.0])
+def test_the_32_bit_wrap_of_the_time_since_boot_is_no_step(gap_s):
+    clock, wrap_s = AutopilotClock(), 2.0**32 / 1000.0
+    stamps = [wrap_s - 1.0 + 0.1 * k for k in range(10)]
+    stamps += [stamps[-1] + gap_s + 0.1 * k for k in range(10)]
+    readings = [clock.update_from_boot_time(round(s % wrap_s, 3)) for s in stamps]
+    assert not any(reading.step_back_s for reading in readings)
+    assert clock.t_s == pytest.approx(stamps[-1], abs=0.02)
+    late = clock.update_from_boot_time(round((stamps[-1] - 0.5) % wrap_s, 3))
+    assert late.t_s == pytest.approx(stamps[-1] - 0.5, abs=0.02)
+    rebooted = [clock.update_from_boot_time(3.0 + 0.1 * k) for k in range(4)]
+    is_wrap = stamps[-1] - wrap_s < 2.0  # 3 s after boot is a gap of some seconds then
+    assert any(reading.step_back_s for reading in rebooted) is not is_wrap
+
+
+@pytest.mark.parametrize("modulus_s", [2.0**32 / 1e9, 2.0**32 / 1e6])
+def test_a_wrap_of_timesync_neither_steps_nor_stops_the_clock(modulus_s):
+    clock = AutopilotClock()
+    for k in range(200):
+        assert clock.update_from_boot_time(100.0 + 0.1 * k).step_back_s == 0.0
+        clock.update_from_sync_time((100.05 + 0.1 * k) % modulus_s)
+        assert clock.t_s == pytest.approx(100.0 + 0.1 * k, abs=0.31)
 
 
 def test_timesync_that_counts_otherwise_never_fakes_a_reboot():

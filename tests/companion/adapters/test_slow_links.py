@@ -1,25 +1,36 @@
-"""Mission transfers over links with long round trips, stalls and stray results.
+"""Missions, parameters and commands over links with long round trips, stalls, loss, stray results.
 
 The autopilots are the simulated ones, with their own codec and time-outs (PX4 repeats a request
 after 0.25 s and gives up after 5 s, ArduPilot after 1 s and 8 s).
 """
 
 from collections import deque
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 import pytest
 
+from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.port import AutopilotPort
+from companion.adapters.autopilots.px4 import Px4
 from companion.adapters.clock import AutopilotClock
 from companion.core.mission import events as ev
-from companion.core.mission.actions import Order, UploadMission, VerifyMission
+from companion.core.mission.actions import (
+    Order,
+    RequestParameters,
+    RequestTelemetry,
+    SetParameters,
+    UploadMission,
+    VerifyMission,
+)
 from companion.core.mission.mission_items import ItemKind, MissionItem, MissionPosition, Part
 from sim_bridge.autopilot.kinds import AutopilotKind
 from tests.sim_bridge.autopilot.conftest import Rig
 
 BOTH = pytest.mark.parametrize("autopilot", [AutopilotKind.ARDUPILOT, AutopilotKind.PX4])
 STEP_S = 0.1
+EventT = TypeVar("EventT", bound=ev.Event)
 ITEMS = (
     MissionItem(ItemKind.TAKEOFF, Part.TAKEOFF, "takeoff", MissionPosition(55.47, 8.45, 40.0)),
     *(
@@ -35,8 +46,10 @@ ITEMS = (
 class SlowLink:
     """A companion's port and a simulated autopilot with a one-way delay of `delay_s`."""
 
-    def __init__(self, autopilot: AutopilotKind, delay_s: float) -> None:
+    def __init__(self, autopilot: AutopilotKind, delay_s: float, loss: float = 0.0) -> None:
         self.rig = Rig(autopilot)
+        self._rng = np.random.default_rng(round(10.0 * delay_s) + 1)
+        self._loss = loss
         self.clock = AutopilotClock()
         self.port = AutopilotPort(self._send, self.clock)
         self.delay_s = delay_s
@@ -48,10 +61,12 @@ class SlowLink:
         self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
         self._up: deque[tuple[float, bytes]] = deque()
         self._down: deque[tuple[float, bytes]] = deque()
-        self.until(ev.AutopilotDetected, 10.0)
+        self.until(ev.AutopilotDetected, 60.0)
 
     def _send(self, message: Any) -> None:
         self.sent.append(message)
+        if self._rng.random() < self._loss:
+            return
         self._up.append((self.t_s + self.delay_s, bytes(message.pack(self._mav))))
 
     def inject(self, result: int) -> None:
@@ -67,6 +82,8 @@ class SlowLink:
             self.rig.ap.process_received_datagram(0, self._up.popleft()[1])
         self.rig.step(STEP_S)
         for _, datagram in self.rig.ap.take_frames_to_send():
+            if self._rng.random() < self._loss:
+                continue
             self._down.append((self.t_s + self.delay_s, datagram))
         if self.t_s < self.stalled_until_s:
             return []
@@ -79,7 +96,7 @@ class SlowLink:
         self.clock.update_from_boot_time(self.rig.ap.state.t_since_boot_s - self.delay_s)
         return events + self.port.tick(self.clock.t_s)
 
-    def until(self, kind: type[ev.Event], limit_s: float) -> ev.Event:
+    def until(self, kind: type[EventT], limit_s: float) -> EventT:
         """Step until an event of this kind occurs."""
         for _ in range(round(limit_s / STEP_S)):
             found = [event for event in self.step() if isinstance(event, kind)]
@@ -109,6 +126,63 @@ def test_a_mission_is_uploaded_and_read_back_over_any_round_trip(
     items = [m.seq for m in link.sent if m.get_type() == "MISSION_ITEM_INT"]
     # Each item once, plus the cost of the first round trip and a repeated count.
     assert len(items) <= len(set(items)) + 2
+
+
+LINKS = pytest.mark.parametrize(
+    ("round_trip_s", "loss", "stall_s"),
+    [
+        (0.0, 0.0, 0.0),
+        (1.4, 0.0, 2.0),
+        (3.0, 0.0, 0.0),
+        (0.2, 0.3, 1.6),
+        (1.0, 0.3, 0.0),
+        (3.0, 0.3, 0.0),
+    ],
+)
+
+
+@BOTH
+@LINKS
+def test_each_transaction_ends_well_on_a_slow_and_lossy_link(
+    autopilot: AutopilotKind, round_trip_s: float, loss: float, stall_s: float
+) -> None:
+    link = SlowLink(autopilot, round_trip_s / 2.0, loss)
+    profile = Px4() if autopilot is AutopilotKind.PX4 else ArduPilot()
+    names = [link.rig.ap.params.name_at(index) for index in range(27)]
+    known = [name for name in names if name is not None]
+    link.order(RequestParameters((*known, "NO_SUCH_NAME")))
+    link.stalled_until_s = link.t_s + stall_s
+    read = link.until(ev.AutopilotParameters, 400.0)
+    missing = [name for name in known if read.values.get(name) is None]
+    assert (missing, read.unanswered) == ([], ())
+    assert read.values["NO_SUCH_NAME"] is None
+    kinds = [m.get_type() for m in link.sent]
+    assert kinds.count("PARAM_REQUEST_READ") < (70 if not loss else 250)
+    changed = {name: float(read.values[name] or 0.0) + 1.0 for name in known[:1]}
+    link.order(SetParameters(changed))
+    assert link.until(ev.ParametersSet, 100.0).failed == ()
+    link.order(RequestTelemetry())
+    granted = link.until(ev.StreamsConfigured, 400.0)
+    required = {name for name, _, _, is_required in profile.streams if is_required}
+    assert not required & set(granted.refused)
+    if loss:
+        link.order(UploadMission(ITEMS))
+        uploads = 1
+        while link.until(ev.MissionUploaded, 300.0).reason and uploads < 6:
+            uploads += 1
+            link.order(UploadMission(ITEMS))
+        assert uploads < 6
+
+
+def test_a_silent_link_is_asked_rarely_and_its_names_are_reported_as_awaited() -> None:
+    link = SlowLink(AutopilotKind.ARDUPILOT, 0.1)
+    link.order(RequestParameters(tuple(f"NAME_{k}" for k in range(27))))
+    link.sent.clear()
+    link._loss = 1.0
+    assert len(link.until(ev.ParametersAwaited, 60.0).names) >= 27
+    ended = link.until(ev.AutopilotParameters, 430.0)
+    assert len(ended.unanswered) >= 27
+    assert sum(m.get_type() == "PARAM_REQUEST_READ" for m in link.sent) < 60
 
 
 @BOTH

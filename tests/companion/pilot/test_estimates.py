@@ -131,6 +131,27 @@ def test_safety_rule_5_two_thirds_of_the_expected_fall_tells_a_release(after_w, 
     assert (watch.release_evidence_text(14.0) is not None) == delivered
 
 
+@pytest.mark.parametrize(
+    ("payload", "after_w", "reports", "delivered"),
+    [
+        (0.35, 376.0, 2, True),  # the drop that was measured on a real autopilot's simulator
+        (0.35, 376.0, 0, True),
+        (0.35, 465.0, 2, False),  # the gripper reports success, the parcel stays
+        (0.35, 500.0, 2, False),
+        (0.04, 462.0, 1, True),  # a light parcel: the drop does not contradict the gripper
+        (0.04, 462.0, 0, False),
+        (0.04, 520.0, 2, False),
+    ],
+)
+def test_safety_rule_5_gripper_and_power_are_weighed_together(payload, after_w, reports, delivered):
+    watch = ReleaseMonitor(power_frac=payload, thrust_frac=0.0)
+    hover(watch, 0.0, 10.0, 470.0, 10.0)
+    watch.record_release_order(10.0)
+    watch.gripper_reports = reports
+    hover(watch, 10.0, 14.0, after_w, 10.0)
+    assert (watch.release_evidence_text(14.0) is not None) == delivered
+
+
 def test_safety_rule_5_without_a_current_sensor_the_thrust_command_tells():
     watch = ReleaseMonitor(power_frac=0.28, thrust_frac=0.2)
     for k in range(140):
@@ -165,7 +186,7 @@ def test_safety_rule_5_without_any_measurement_nothing_is_confirmed_but_by_the_g
     watch = ReleaseMonitor(power_frac=0.28, thrust_frac=0.2)
     watch.record_release_order(10.0)
     assert watch.release_evidence_text(20.0) is None
-    watch.gripper_released = True
+    watch.gripper_reports = 1
     assert watch.release_evidence_text(20.0) == "reported by the gripper"
 
 

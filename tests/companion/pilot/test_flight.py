@@ -531,8 +531,12 @@ def test_a_waypoint_of_the_way_home_that_is_blown_past_is_left_for_the_next_one(
     w, to_n, to_e = on_a_leg_home(speed_mps)
     missed, lost_s = w.index, w.t_s
     passed_n, passed_e = goal_of(w, missed)
-    w.north, w.east = passed_n - 13.0 * to_e / speed_mps, passed_e + 13.0 * to_n / speed_mps
-    obeys, astray = w.fly, flies_on(w, missed, to_n, to_e)
+    abeam = passed_n - 13.0 * to_e / speed_mps, passed_e + 13.0 * to_n / speed_mps
+    left_m = math.dist((w.north, w.east), abeam)
+    approach_mps = (10.0 * (abeam[0] - w.north) / left_m, 10.0 * (abeam[1] - w.east) / left_m)
+    obeys, w.fly = w.fly, flies_on(w, missed, *approach_mps)  # type: ignore[method-assign]
+    w.run(lambda w: math.dist((w.north, w.east), abeam) < 1.5, 120.0)
+    astray = flies_on(w, missed, to_n, to_e)
 
     def fly(dt_s: float) -> None:
         (astray if w.index == missed else obeys)(dt_s)

@@ -194,6 +194,16 @@ def test_safety_rule_4_a_companion_restart_goes_on_and_never_raises_it() -> None
     assert left(again).mean_wh <= FULL_WH - 24.0 + 1e-6
 
 
+@pytest.mark.parametrize("gap_s", [3000.0, 6.0 * 3600.0, 49.7 * 86400.0])
+def test_a_gap_that_would_have_emptied_the_pack_is_a_step_of_the_clock(gap_s) -> None:
+    book = rested(consumed_wh=0.0)
+    fly(book, 1, 60, voltage_v=VOLTS, current_a=AMPS, consumed_wh=8.0)
+    before = left(book)
+    fly(book, round(60 + gap_s), 10, voltage_v=VOLTS, current_a=AMPS, consumed_wh=9.0)
+    assert before.mean_wh - 5.0 <= left(book).mean_wh <= before.mean_wh
+    assert left(book).used_wh < 15.0
+
+
 def test_safety_rule_4_restoring_an_older_higher_checkpoint_does_not_raise_it() -> None:
     book = rested()
     old = book.snapshot()

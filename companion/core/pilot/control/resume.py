@@ -18,6 +18,7 @@ from companion.core.mission.actions import (
 from companion.core.mission.alerts import Alert
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
+    MAX_TELEMETRY_GAP_S,
     ClockJumpedForward,
     ClockSteppedBack,
     Event,
@@ -319,7 +320,9 @@ class LinkMonitor:
                 context.queue_actions(
                     LogNote(f"autopilot clock jumped forward by {event.jump_s:.1f} s")
                 )
-                if context.phase is not Phase.LINK_LOST:
+                if event.jump_s > MAX_TELEMETRY_GAP_S:
+                    context.report_alert(Alert.CLOCK_JUMPED, jump_s=event.jump_s)
+                elif context.phase is not Phase.LINK_LOST:
                     self._resume_after_link_recovery(context, event.jump_s)
             case ClockSteppedBack():
                 self._resume_after_autopilot_reboot(context, event)

@@ -1,8 +1,12 @@
-"""Evidence of the parcel's release from the hover.
+"""Evidence of the parcel's release from the hover and the gripper's reports.
 
-Compares the mean hover power (or, without a current sensor, the thrust command) before the release
-with the mean after it. At constant geometry hover power is proportional to mass to the power of 3/2
-and the linearised thrust command to mass (Leishman, Principles of Helicopter Aerodynamics, 2.2).
+Compares the mean hover power and thrust command before the release with the means after it. Each
+drop is weighed by its likelihood with the parcel released (the drop that the model predicts in the
+present wind and air) over that with the parcel attached (none, but for noise). The gripper's
+reports count as prior evidence: a mechanism that reports success may still hold the parcel.
+
+At constant geometry hover power is proportional to mass to the power of 3/2 and the linearised
+thrust command to mass (Leishman, Principles of Helicopter Aerodynamics, 2.2).
 """
 
 import math
@@ -22,15 +26,27 @@ REFERENCE_WINDOW_S = 3.0
 SETTLING_S = 0.7
 RELEASED_WINDOW_S = 2.4
 MIN_SAMPLES = 3
-FIRST_DROP_FRAC, SECOND_DROP_FRAC = 0.65, 0.35
-"""Required fraction of the expected drop, of the first measure and of the second."""
+REPORTED_TEXT = "reported by the gripper"
+DROP_ERROR_FRAC = 0.35
+"""Relative error of the expected drop: 20 to 26 % were measured where the model expected 35 %."""
 
-NOISE_SIGMAS = 2.0
+REQUIRED_NATS, GRIPPER_NATS, MAX_GRIPPER_REPORTS = 4.0, 1.25, 2
+"""Log-likelihood ratio that proves a release, and that of each of the gripper's reports."""
+
+CONTRADICTION_NATS = -1.0
+"""A quantity below this contradicts a release."""
+
+NOISE_DROP_FRAC = 0.06
+"""Expected drop of hover power that may be lost in noise: the gripper's report alone proves it."""
+
+MIN_POWER_NOISE_FRAC = 0.02
+"""Change of hover power without a release: voltage, and wind that changes within seconds."""
+
 INDEPENDENT_SAMPLES = 3
 """Gusts are correlated over about a second: independent samples in a reference or released window.
 """
 
-THRUST_RESOLUTION = 0.01
+THRUST_NOISE = 0.005
 """VFR_HUD reports the throttle in whole per cent. A light parcel (2 % of the mass) is one step of
 it, which the throttle also makes without a parcel (seen on PX4's SIH)."""
 
@@ -63,7 +79,8 @@ class ReleaseMonitor:
     power_frac: float
     thrust_frac: float
     release_ordered_s: float | None = None
-    gripper_released: bool | None = None
+    gripper_reports: int = 0
+    """Reports of the gripper or its command that the parcel is released."""
     _power: _SampleWindow = field(default_factory=_SampleWindow)
     _thrust: _SampleWindow = field(default_factory=_SampleWindow)
 
@@ -82,39 +99,53 @@ class ReleaseMonitor:
             self.release_ordered_s = t_s
 
     def release_evidence_text(self, t_s: float) -> str | None:
-        """Return the evidence of the release, or `None` without any."""
-        if self.gripper_released:
-            return "reported by the gripper"
-        if self.release_ordered_s is None:
-            return None
+        """Return the evidence of the release, or `None` without enough."""
         # Compares the latest hover with the one before the release.
-        start_s = max(self.release_ordered_s + SETTLING_S, t_s - RELEASED_WINDOW_S)
-        if t_s < self.release_ordered_s + SETTLING_S + RELEASED_WINDOW_S - 0.05:
+        ordered_s = self.release_ordered_s
+        if ordered_s is None or t_s < ordered_s + SETTLING_S + RELEASED_WINDOW_S - 0.05:
             return None
-        found = ""
-        for window, expected, resolution, quantity in (
-            (self._power, self.power_frac, 0.0, "hover power"),
-            (self._thrust, self.thrust_frac, THRUST_RESOLUTION, "hover thrust"),
+        start_s = max(ordered_s + SETTLING_S, t_s - RELEASED_WINDOW_S)
+        weighed: list[tuple[float, str]] = []
+        for window, expected, noise, noise_frac, quantity in (
+            (self._power, self.power_frac, 0.0, MIN_POWER_NOISE_FRAC, "hover power"),
+            (self._thrust, self.thrust_frac, THRUST_NOISE, 0.0, "hover thrust"),
         ):
-            loaded = window.mean_and_variance_of_mean(
-                self.release_ordered_s - REFERENCE_WINDOW_S, self.release_ordered_s
-            )
+            loaded = window.mean_and_variance_of_mean(ordered_s - REFERENCE_WINDOW_S, ordered_s)
             empty = window.mean_and_variance_of_mean(start_s, t_s)
             if loaded is None or empty is None or loaded[0] <= 0.0 or expected <= 0.0:
                 continue
             drop = 1.0 - empty[0] / loaded[0]
-            if drop < (SECOND_DROP_FRAC if found else FIRST_DROP_FRAC) * expected:
-                return None
-            noise = resolution + NOISE_SIGMAS * math.sqrt(loaded[1] + empty[1])
-            if loaded[0] - empty[0] > noise:  # below the noise there is no evidence for or against
-                report = f"{quantity} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
-                found = found or report
-        return found or None
+            std = math.hypot(noise_frac, math.sqrt(loaded[1] + empty[1] + noise**2) / loaded[0])
+            text = f"{quantity} fell by {100 * drop:.0f} %, {100 * expected:.0f} % expected"
+            weighed.append((_release_nats(drop, expected, std), text))
+        gripper_nats = GRIPPER_NATS * min(self.gripper_reports, MAX_GRIPPER_REPORTS)
+        if not weighed:
+            return REPORTED_TEXT if self.gripper_reports else None
+        if min(weighed)[0] <= CONTRADICTION_NATS:
+            return None
+        nats, text = max(weighed)
+        if nats + gripper_nats >= REQUIRED_NATS:
+            return text
+        is_drop_in_noise = nats < -CONTRADICTION_NATS and self.power_frac < NOISE_DROP_FRAC
+        return REPORTED_TEXT if gripper_nats and is_drop_in_noise else None
 
 
-def build_release_monitor(route_energy: RouteEnergy, payload_kg: float) -> ReleaseMonitor:
-    """Return the monitor of the release, with the drops that the power model expects."""
-    loaded_w, empty_w = route_energy.hover_power_w(payload_kg), route_energy.hover_power_w(0.0)
+def _release_nats(drop: float, expected: float, noise_std: float) -> float:
+    """Return the log-likelihood ratio of released over attached for a relative drop."""
+    released_std = math.hypot(noise_std, DROP_ERROR_FRAC * expected)
+    released = ((drop - expected) / released_std) ** 2
+    return 0.5 * ((max(drop, 0.0) / noise_std) ** 2 - released) - math.log(released_std / noise_std)
+
+
+def build_release_monitor(
+    route_energy: RouteEnergy, payload_kg: float, wind_mps: float
+) -> ReleaseMonitor:
+    """Return the monitor of the release, with the drops that the power model expects in a hover in
+    this wind.
+    """
+    loaded_w, empty_w = (
+        route_energy.steady_flight_power_w(mass_kg, wind_mps) for mass_kg in (payload_kg, 0.0)
+    )
     mass_kg = route_energy.airframe.flying_mass_kg(payload_kg)
     return ReleaseMonitor(1.0 - empty_w / loaded_w, payload_kg / mass_kg)
 

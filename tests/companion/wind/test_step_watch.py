@@ -1,4 +1,4 @@
-"""Steps of the reported heading that no vehicle turns; the wind's error is against a made world.
+"""Steps of the reports that no vehicle makes; the wind's error is against a made world.
 
 The world is Newton's law with the airframe's published drag (`synthetic_flight`), in 5 m/s of wind.
 """
@@ -11,8 +11,8 @@ import pytest
 
 from companion.adapters.files.params import read_airframe
 from companion.core.wind.estimator import WindEstimator
-from companion.core.wind.heading_watch import HeadingStepDetector
 from companion.core.wind.observation import WindObservation
+from companion.core.wind.step_watch import HEADING, StepDetector
 from sim_bridge.app.trials.synthetic_flight import MASS_KG, build_square_flight
 
 AIRFRAME = read_airframe("m100")
@@ -41,23 +41,31 @@ def slowly_turned(world):
 
 WORLD = slowly_turned(build_square_flight())
 RATES = np.gradient(WORLD.yaw_rad, WORLD.t_s)
+TILT_RATES = np.gradient(np.stack([WORLD.roll_rad, WORLD.pitch_rad], axis=1), WORLD.t_s, axis=0)
+DIRECTION = np.array([0.6, -0.8, 0.0])
 
 
-def observations(heading_off, *, rated=True, lost=lambda t_s: False):
-    """Return the observations of the simulated flight with heading error `heading_off(t_s)`."""
+def observations(
+    heading_off, *, rated=True, lost=lambda t_s: False, other_off=lambda t_s: 0.0, of=""
+):
+    """Return the observations of the simulated flight with heading error `heading_off(t_s)`, and
+    `other_off(t_s)` of "tilt" (rad) or "velocity" (m/s).
+    """
     for k, t_s in enumerate(WORLD.t_s.tolist()):
         known = not lost(t_s)
         yaw = math.remainder(WORLD.yaw_rad[k] + heading_off(t_s), math.tau)
+        tilt, speed = (other_off(t_s) if of == one else 0.0 for one in ("tilt", "velocity"))
         yield WindObservation(
             t_s=t_s,
             airborne=bool(WORLD.flying[k]) and bool(WORLD.pos_ned_m[k, 2] < -2.0),
             mass_kg=MASS_KG,
-            vel_ned_mps=tuple(WORLD.vel_ned_mps[k].tolist()),
-            roll_rad=float(WORLD.roll_rad[k]) if known else None,
-            pitch_rad=float(WORLD.pitch_rad[k]) if known else None,
+            vel_ned_mps=tuple((WORLD.vel_ned_mps[k] + speed * DIRECTION).tolist()),
+            roll_rad=float(WORLD.roll_rad[k]) + 0.6 * tilt if known else None,
+            pitch_rad=float(WORLD.pitch_rad[k]) - 0.8 * tilt if known else None,
             yaw_rad=yaw if known else None,
             height_m=float(-WORLD.pos_ned_m[k, 2]),
             yaw_rate_rps=float(RATES[k]) if rated else None,
+            tilt_rates_rps=tuple(TILT_RATES[k].tolist()) if rated else (None, None),
         )
 
 
@@ -92,6 +100,41 @@ def test_a_heading_that_steps_and_steps_back_does_not_become_wind(deg, rated):
     assert not valid[(t_s > STEP_S + 0.2) & (t_s < STEP_S + 8.0)].any()
     assert sigmas[t_s > STEP_S].max() < 3.0
     assert valid[(t_s > STEP_S + 14.0) & (t_s < 150.0)].all()
+
+
+@pytest.mark.sample
+@pytest.mark.parametrize("for_s", [3.0, 8.0, math.inf])
+@pytest.mark.parametrize(
+    ("of", "size", "rated"),
+    [("velocity", 5.0, True), ("velocity", -10.0, False), ("velocity", 7.0, True)]
+    + [("tilt", math.radians(deg), True) for deg in (15.0, -25.0)]
+    + [("tilt", math.radians(35.0), False)],
+)
+def test_a_velocity_or_tilt_that_steps_does_not_become_wind(of, size, rated, for_s):
+    off = during(math.degrees(size), STEP_S, STEP_S + for_s)
+    rows, said = flown(observations(lambda t_s: 0.0, rated=rated, other_off=off, of=of))
+    t_s, sigmas, valid = rows.T
+    steps = [at for at, words in said if f"{of} stepped" in words]
+    assert steps[0] == pytest.approx(STEP_S, abs=0.15)
+    assert len(steps) == 1
+    assert sigmas[t_s > STEP_S].max() < 3.0
+    assert not valid[(t_s > STEP_S + 0.2) & (t_s < STEP_S + for_s)].any()
+    assert valid[(t_s > STEP_S + for_s + 14.0) & (t_s < 150.0)].all()
+
+
+@pytest.mark.parametrize("of", ["velocity", "tilt"])
+def test_reports_that_a_step_corrects_are_known_again_by_drag(of):
+    """They drift by 8 m/s or 20 degrees, too slowly to be seen, and step back at once."""
+    most = 8.0 if of == "velocity" else math.radians(20.0)
+
+    def off(t_s):
+        return most * (t_s - STEP_S) / 2.0 if STEP_S <= t_s < STEP_S + 2.0 else 0.0
+
+    rows, said = flown(observations(lambda t_s: 0.0, other_off=off, of=of))
+    t_s, sigmas, valid = rows.T
+    assert [words for _, words in said if "stepped" in words]
+    assert valid[(t_s > STEP_S + 60.0) & (t_s < 150.0)].all()
+    assert sigmas[t_s > STEP_S + 7.0].max() < 3.0
 
 
 @pytest.mark.parametrize("deg", [160.0, -100.0, 45.0])
@@ -154,13 +197,12 @@ def test_an_unchanged_heading_is_no_step():
 
 def watched(yaw_deg, rate_hz, rate_dps=None):
     """Steps (degrees) that the watch finds in a heading given over time."""
-    watch, found = HeadingStepDetector(), []
+    watch, found = StepDetector(HEADING, [0.0]), []
     for k in range(round(60.0 * rate_hz)):
         t_s = k / rate_hz
         yaw = math.remainder(math.radians(yaw_deg(t_s)), math.tau)
-        rate = None if rate_dps is None else math.radians(rate_dps)
-        seen = WindObservation(t_s, True, MASS_KG, yaw_rad=yaw, yaw_rate_rps=rate)
-        step = watch.update_and_detect_step_rad(replace(seen, attitude_t_s=t_s))
+        rates = None if rate_dps is None else [math.radians(rate_dps)]
+        step = watch.update_and_detect_step(t_s, [yaw], rates, [yaw, t_s])
         found += [math.degrees(step)] if step else []
     return found
 
@@ -182,11 +224,9 @@ def test_a_step_is_found_at_slow_rates_and_across_south(deg, rate_hz):
 
 
 def test_a_repeated_report_says_nothing_of_a_turn_at_the_next():
-    watch = HeadingStepDetector()
+    watch = StepDetector(HEADING, [0.0])
     for k in range(40):  # 10 Hz ticks on reports of 1 Hz that turn by 45 degrees each
-        at_s = float(k // 10)
-        seen = WindObservation(0.1 * k, True, MASS_KG, yaw_rad=math.radians(45.0 * at_s))
-        assert watch.update_and_detect_step_rad(replace(seen, attitude_t_s=at_s)) == 0.0
+        assert watch.update_and_detect_step(float(k // 10), [math.radians(45.0 * (k // 10))]) == 0.0
 
 
 def test_a_restart_while_the_heading_is_unknown_keeps_it_unknown():
