@@ -240,6 +240,11 @@ class Alert(Enum):
         "battery monitor in use: {monitor}",
         "Check the battery monitors' settings.",
     )
+    PACK_POWER_LOW = (
+        WARNING,
+        "battery gives at most {power_w:.0f} W: flying slower",
+        "Expect an early return; warm or replace the pack before the next flight.",
+    )
     DRAW_CHANGED = (
         WARNING,
         "power draw {scale:.1f} +- {std:.1f} times the model",

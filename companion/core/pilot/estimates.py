@@ -116,6 +116,7 @@ class FlightEstimates:
         has_draw_changed = self._energy.update_and_detect_draw_change(
             telemetry, autopilot_kind, self.wind, self.payload_kg
         )
+        self._limit_airspeeds_by_pack_power()
         left_out = self._update_wind_estimate(telemetry, t_s)
         self.wind = self._estimator.belief(t_s)
         left_envelope = self._record_envelope_exits(telemetry, t_s)
@@ -129,6 +130,9 @@ class FlightEstimates:
             _wind_exclusion_report(e) for e in left_out if self._record_if_new(e)
         ]
         energy = self.energy
+        limit_w = self.route_energy.power_limit_w
+        if math.isfinite(limit_w) and telemetry.airborne and self._record_if_new("power limit"):
+            found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
         if energy is not None:
             found += [
                 AlertReport.create(Alert.BATTERY_CHOSEN, monitor=m)
@@ -148,6 +152,12 @@ class FlightEstimates:
         return found + [
             AlertReport.create(Alert.ENVELOPE_LEFT, finding=each) for each in left_envelope
         ]
+
+    def _limit_airspeeds_by_pack_power(self) -> None:
+        """Choose no airspeed in flight that the pack cannot supply now."""
+        energy = self.energy
+        if energy is not None and energy.pack is not None:
+            self.route_energy.set_power_limit_w(energy.pack.sustained_power_w(), self.payload_kg)
 
     def _record_if_new(self, text: str) -> bool:
         is_new = text not in self._returned_findings
@@ -270,7 +280,9 @@ class FlightEstimates:
         """Restore from a checkpoint: energy never rises, and the air stays as fixed."""
         if checkpoint_state.air is not None:
             self.fix_air_properties(checkpoint_state.air)
-        self._energy.restore(checkpoint_state.ledger, checkpoint_state.scale)
+        self._energy.restore(
+            checkpoint_state.ledger, checkpoint_state.scale, checkpoint_state.pack
+        )
         self._outlook.restore(checkpoint_state.outlook)
         self._estimator.restore(checkpoint_state.wind)
         if checkpoint_state.tally is not None:
@@ -313,6 +325,7 @@ class EstimatesSnapshot:
     reserve_frac: float
     air: Air | None = None
     tally: dict[str, object] | None = None
+    pack: dict[str, object] | None = None
     outside_envelope: dict[str, str] = field(default_factory=dict)
 
 

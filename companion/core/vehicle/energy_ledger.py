@@ -15,6 +15,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe, BatteryPack
 from companion.core.vehicle.battery_gauge import Gauge
+from companion.core.vehicle.pack_model import PackPower
 from companion.core.vehicle.power import level_airspeed_at_max_tilt_mps, multirotor_power_w
 
 SNAPSHOT_FORMAT = "energy-ledger/2"
@@ -65,7 +66,7 @@ class EnergyBelief:
 
     `usable_full_wh` is the usable energy of a full pack (the reserve is a share of it). `source`
     names the source that applies; `warnings` are texts, empty without a problem. `used_wh` is the
-    consumption since the start by the source that counts most.
+    consumption since the start by the source that counts most. `pack` limits the power.
     """
 
     t_s: float
@@ -75,6 +76,17 @@ class EnergyBelief:
     source: str
     warnings: tuple[str, ...] = ()
     used_wh: float = 0.0
+    start: "StartOfCount | None" = None
+    pack: PackPower | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StartOfCount:
+    """Energy, charge and resting voltage of the pack (None: not measured) at the start."""
+
+    energy_wh: float
+    charge_frac: float
+    rest_voltage_v: float | None
 
 
 @dataclass(slots=True)
@@ -168,7 +180,16 @@ class EnergyLedger:
             state.source,
             tuple(state.warnings),
             max(self._consumed_wh_by_source().values()),
+            self._start_of_count(),
         )
+
+    def _start_of_count(self) -> StartOfCount | None:
+        state = self._state
+        if state.start_wh is None or state.usable_full_wh <= 0.0:
+            return None
+        empty = charge_frac_at_loaded_cutoff_voltage(self._battery, self._draw_w)
+        charge = empty + (1.0 - empty) * state.start_wh / state.usable_full_wh
+        return StartOfCount(state.start_wh, charge, state.rest_voltage_v)
 
     def snapshot(self) -> dict[str, object]:
         """Return the state for a checkpoint (numbers and strings, JSON-safe)."""

@@ -10,13 +10,14 @@ from sim_bridge.app.faults import (
     host,
     link,
     mission_and_home,
+    packs,
     signing,
     telemetry,
     workers,
 )
 from sim_bridge.app.faults.fault import FaultCase
 
-MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, workers, link,
+MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, packs, workers, link,
            signing, fleet)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)

@@ -17,12 +17,16 @@ from companion.core.pilot.telemetry_state import (
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
+from companion.core.vehicle.pack_model import LoadedVoltage, PackPower, ResistanceEstimator
 from companion.core.vehicle.power_bias import ModelError, PowerScale
 from companion.core.wind.estimator import WindBelief
 
 BATTERY_INTERVAL_S = 0.2
 MIN_STEADY_HEIGHT_M = 10.0
 """Above this height measured power is compared with the model."""
+
+CURRENT_STD_FRAC, MODELLED_CURRENT_STD_FRAC = 0.05, 0.15
+"""[est] Relative std of a measured current, and of one by the power model."""
 
 IDLE_THRUST = 0.15
 """Thrust command at which no multirotor hovers (hover needs 0.3 to 0.6); PX4 keeps 0.12
@@ -61,13 +65,51 @@ class FlightEnergyEstimator:
             configured_charge_frac=vehicle.stated_charge_frac,
         )
         self._scale = _prior_power_scale(airframe, monitor_corrections, certificate)
+        self._resistance = ResistanceEstimator(airframe.battery, vehicle.temperature_c)
+        self._health_frac = vehicle.battery_health_frac * monitor_corrections.capacity_frac
         self._updated_s: float | None = None
         self._latest_batteries: dict[int | None, Battery] = {}
 
     @property
     def energy(self) -> EnergyBelief | None:
         """Usable energy left, `None` while unknown."""
-        return self._ledger.energy_belief_or_none()
+        energy = self._ledger.energy_belief_or_none()
+        return energy and replace(energy, pack=self._pack_power_or_none(energy))
+
+    def _pack_power_or_none(self, energy: EnergyBelief) -> PackPower | None:
+        """Return the power of the pack at its present charge: that at the start less the use."""
+        pack, start = self._airframe.battery, energy.start
+        if start is None:
+            return None
+        wh_per_charge = pack.nominal_wh * pack.usable_frac * self._health_frac
+        charge = start.charge_frac - (start.energy_wh - energy.mean_wh) / wh_per_charge
+        ohm, std_log = self._resistance.resistance_ohm_and_std_log()
+        return PackPower(pack, ohm, std_log, max(charge, 0.0), energy.mean_wh, wh_per_charge)
+
+    def _update_resistance(self, telemetry: TelemetryState, modelled_power_w: float | None) -> None:
+        """Measure the resistance by the voltage under load, with the modelled current where none
+        is measured.
+        """
+        battery, energy = telemetry.battery, self.energy
+        if battery is None or energy is None or energy.pack is None or energy.start is None:
+            return
+        if battery.temperature_c is not None:
+            self._resistance.update_temperature(battery.temperature_c)
+        voltage_v, rest_v = battery.voltage_v, energy.start.rest_voltage_v
+        if voltage_v is None or rest_v is None or not (telemetry.airborne and modelled_power_w):
+            return
+        pack = self._airframe.battery
+        start_v, now_v = (
+            pack.cells * pack.resting_cell_voltage_v(charge)
+            for charge in (energy.start.charge_frac, energy.pack.charge_frac)
+        )
+        current_a, std_frac = battery.current_a, CURRENT_STD_FRAC
+        if not current_a:
+            current_a, std_frac = modelled_power_w / voltage_v, MODELLED_CURRENT_STD_FRAC
+        drop_v = start_v - now_v
+        self._resistance.update_from_sample(
+            LoadedVoltage(telemetry.t_s, voltage_v, current_a, std_frac, rest_v - drop_v, drop_v)
+        )
 
     @property
     def model_error(self) -> ModelError:
@@ -141,16 +183,28 @@ class FlightEnergyEstimator:
         with_messages = [_with_battery_message(observation, new) for new in new_messages]
         for one in with_messages or [observation]:
             self._ledger.update_from_observation(one)
+        self._update_resistance(telemetry, modelled_w)
         return has_draw_changed
 
     def snapshot(self) -> dict[str, object]:
         """Return the state for the checkpoint."""
-        return {"ledger": self._ledger.snapshot(), "scale": self._scale.snapshot()}
+        return {
+            "ledger": self._ledger.snapshot(),
+            "scale": self._scale.snapshot(),
+            "pack": self._resistance.snapshot(),
+        }
 
-    def restore(self, ledger: dict[str, object], scale: dict[str, object]) -> None:
+    def restore(
+        self,
+        ledger: dict[str, object],
+        scale: dict[str, object],
+        pack: dict[str, object] | None = None,
+    ) -> None:
         """Restore from a checkpoint: energy never rises."""
         self._ledger.restore(ledger)
         self._scale.restore(scale)
+        if pack is not None:
+            self._resistance.restore(pack)
 
     def _modelled_power_w(
         self, telemetry: TelemetryState, wind: WindBelief | None, payload_kg: float
