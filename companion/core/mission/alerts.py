@@ -240,6 +240,11 @@ class Alert(Enum):
         "battery monitor in use: {monitor}",
         "Check the battery monitors' settings.",
     )
+    CURRENT_SENSOR_LOW = (
+        WARNING,
+        "current sensor reads {gain:.0%}: using the power model",
+        "Expect an early return; calibrate the current sensor before the next flight.",
+    )
     PACK_POWER_LOW = (
         WARNING,
         "battery gives at most {power_w:.0f} W: flying slower",

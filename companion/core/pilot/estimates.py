@@ -131,8 +131,12 @@ class FlightEstimates:
         ]
         energy = self.energy
         limit_w = self.route_energy.power_limit_w
-        if math.isfinite(limit_w) and telemetry.airborne and self._record_if_new("power limit"):
+        needed_w = self.route_energy.cruise_climb_power_w(self.payload_kg)
+        if limit_w < needed_w and telemetry.airborne and self._record_if_new("power limit"):
             found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
+        gain = self._energy.current_gain
+        if gain is not None and self._record_if_new("current gain"):
+            found.append(AlertReport.create(Alert.CURRENT_SENSOR_LOW, gain=gain[0]))
         if energy is not None:
             found += [
                 AlertReport.create(Alert.BATTERY_CHOSEN, monitor=m)
@@ -281,7 +285,10 @@ class FlightEstimates:
         if checkpoint_state.air is not None:
             self.fix_air_properties(checkpoint_state.air)
         self._energy.restore(
-            checkpoint_state.ledger, checkpoint_state.scale, checkpoint_state.pack
+            checkpoint_state.ledger,
+            checkpoint_state.scale,
+            checkpoint_state.pack,
+            checkpoint_state.current_gain,
         )
         self._outlook.restore(checkpoint_state.outlook)
         self._estimator.restore(checkpoint_state.wind)
@@ -326,6 +333,7 @@ class EstimatesSnapshot:
     air: Air | None = None
     tally: dict[str, object] | None = None
     pack: dict[str, object] | None = None
+    current_gain: tuple[float, float] | None = None
     outside_envelope: dict[str, str] = field(default_factory=dict)
 
 

@@ -428,6 +428,11 @@ class RouteEnergy:
         """Return electrical power in still-air hover. A drop reduces it."""
         return self.steady_flight_power_w(payload_kg, 0.0)
 
+    def cruise_climb_power_w(self, payload_kg: float) -> float:
+        """Return electrical power in a climb at the cruise airspeed."""
+        climb_mps = self.airframe.speeds.climb_mps
+        return self.steady_flight_power_w(payload_kg, self.cruise_airspeed_mps, climb_mps)
+
     def _cached_steady_power(self, payload_kg: float) -> SteadyPower:
         key = round(payload_kg * 1000.0)
         if key not in self._power:

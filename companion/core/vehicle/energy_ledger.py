@@ -58,6 +58,8 @@ class BatteryObservation:
     modelled_power_w: float | None = None
     source: str = "battery"
     """Message and pack of the counters and the percentage."""
+    is_current_low: bool = False
+    """Whether the current sensor was found to read low: the power model counts, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +139,7 @@ class EnergyLedger:
         self._health_frac = health_frac
         self._temperature_c = temperature_c
         self._configured_charge_frac = configured_charge_frac
+        self._is_current_low = False
         self._state = _LedgerState()
         self._max_draw_w = max_draw_with_fault_w(airframe, density_kgpm3)
         self._update_usable_full_energy()
@@ -154,6 +157,7 @@ class EnergyLedger:
         if not math.isfinite(observation.t_s):
             raise ValueError(f"observation.t_s = {observation.t_s}, expected a finite time")
         reading = _replace_invalid_values_by_none(observation)
+        self._is_current_low = observation.is_current_low
         is_started = state.started or not reading.at_rest
         self._update_gauge_of_source(reading, is_started)
         # Several sources at one instant are one sample of the resting voltage.
@@ -444,7 +448,8 @@ class EnergyLedger:
 
     def _is_below_modelled_consumption(self, measured_wh: float) -> bool:
         modelled = self._state.modelled_wh
-        return modelled > _COUNTER_CHECK_WH and measured_wh < _UNDERCOUNT_FRAC * modelled
+        counted_frac = 1.0 if self._is_current_low else _UNDERCOUNT_FRAC
+        return modelled > _COUNTER_CHECK_WH and measured_wh < counted_frac * modelled
 
     def _max_energy_by_loaded_voltage_wh(self) -> float | None:
         cell_v = self._state.loaded_cell_v

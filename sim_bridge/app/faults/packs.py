@@ -37,3 +37,39 @@ def raise_headwind_on_cold_pack(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait_until(stage.is_in_phase)
     rise_mps = stage.rng.uniform(*COLD_RISE_RANGE_MPS)
     yield from ramp_up_return_headwind(stage, rise_mps, FRONT_DURATION_S)
+
+
+TIGHT_PACK = {"vehicle": {"charge_frac": 0.44}}
+"""An honest sensor shows that the delivery just keeps the reserve, or does not."""
+
+
+def scale_measured_current(least_gain: float, greatest_gain: float) -> FaultProcedure:
+    """Return a procedure: from power-up the current sensor reads a drawn share of the current."""
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        sensors, gain = stage.craft.vehicle.sensors, stage.rng.uniform(least_gain, greatest_gain)
+        sensors.current_gain *= gain
+        stage.record_fault_start()
+        yield from stage.wait_until(lambda: stage.craft.vehicle.is_airborne)
+        yield from stage.wait(5.0)
+        counted_j = stage.craft.autopilot.battery.consumed_j
+        if abs(counted_j / stage.craft.vehicle.battery.delivered_j / gain - 1.0) < 0.1:
+            stage.notes.append(INJECTED_NOTE)
+
+    return procedure
+
+
+for suffix, gains, rules in (
+    ("low", (0.6, 0.8), (*PACK_RULES, check_alert_sent(Alert.CURRENT_SENSOR_LOW))),
+    ("high", (1.2, 1.3), PACK_RULES),
+):
+    FAULTS.add_case(
+        79,
+        f"current-sensor-{suffix}",
+        f"The current sensor reads {gains[0]:g} to {gains[1]:g} times the current from power-up,"
+        " on a flight without spare energy (B3).",
+        scale_measured_current(*gains),
+        ("ready",),
+        rules,
+        flight=TIGHT_PACK,
+    )
