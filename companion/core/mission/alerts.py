@@ -240,6 +240,16 @@ class Alert(Enum):
         "battery monitor in use: {monitor}",
         "Check the battery monitors' settings.",
     )
+    MONITOR_FROZEN = (
+        WARNING,
+        "battery monitor frozen: using the power model",
+        "Expect an early return; check the battery monitor after landing.",
+    )
+    VOLTAGES_DIFFER = (
+        WARNING,
+        "battery at {system_v:.1f} and {monitor_v:.1f} V: lower used",
+        "Check the number of cells and the voltage calibration of the autopilot.",
+    )
     CURRENT_SENSOR_LOW = (
         WARNING,
         "current sensor reads {gain:.0%}: using the power model",

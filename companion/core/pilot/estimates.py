@@ -134,6 +134,14 @@ class FlightEstimates:
         needed_w = self.route_energy.cruise_climb_power_w(self.payload_kg)
         if limit_w < needed_w and telemetry.airborne and self._record_if_new("power limit"):
             found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
+        pack = telemetry.pack
+        if pack.has_frozen and self._record_if_new("frozen"):
+            found.append(AlertReport.create(Alert.MONITOR_FROZEN))
+        if pack.differing_voltages_v is not None and self._record_if_new("voltages"):
+            system_v, monitor_v = pack.differing_voltages_v
+            found.append(
+                AlertReport.create(Alert.VOLTAGES_DIFFER, system_v=system_v, monitor_v=monitor_v)
+            )
         gain = self._energy.current_gain
         if gain is not None and self._record_if_new("current gain"):
             found.append(AlertReport.create(Alert.CURRENT_SENSOR_LOW, gain=gain[0]))

@@ -121,9 +121,7 @@ class LegTable:
 
     def return_route_energy_wh(self, decision_point: int, route_index: int) -> Floats:
         """Return the energy (K,) of one route home from a decision point."""
-        return self._need_after_stages_wh(
-            decision_point, self._routes[decision_point][route_index]
-        )
+        return self._need_after_stages_wh(decision_point, self._routes[decision_point][route_index])
 
     def _need_after_stages_wh(self, decision_point: int, route: _Span) -> Floats:
         """Return the need (K,) of a route, so that the stages before it also have their power."""

@@ -17,8 +17,8 @@ from sim_bridge.app.faults import (
 )
 from sim_bridge.app.faults.fault import FaultCase
 
-MODULES = (air, authority, decisions, mission_and_home, energy, telemetry, host, packs, workers, link,
-           signing, fleet)  # fmt: skip
+MODULES = (air, authority, decisions, mission_and_home, energy, packs, telemetry, host, workers,
+           link, signing, fleet)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )

@@ -73,3 +73,122 @@ for suffix, gains, rules in (
         rules,
         flight=TIGHT_PACK,
     )
+
+
+UNKNOWN_U16 = 65535
+EMPTY_MONITOR_FIELDS = {
+    BATTERY_MESSAGE: {
+        "voltages": (UNKNOWN_U16,) * 10,
+        "current_battery": -1,
+        "current_consumed": -1,
+        "energy_consumed": -1,
+    },
+    SYSTEM_MESSAGE: {"voltage_battery": UNKNOWN_U16, "current_battery": -1},
+}
+"""Unknown values, by MAVLink's common.xml."""
+
+
+def report_monitor_without_pack(
+    charge_percents: tuple[int, ...], *, has_pack: bool = True
+) -> FaultProcedure:
+    """Return a procedure: monitor 0 has no pack and reports one of these charges; the pack, if
+    there is one, is monitor 1.
+    """
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        charge_percent = int(stage.rng.choice(charge_percents))
+
+        def report_both(message: Message) -> list[Message] | None:
+            empty = EMPTY_MONITOR_FIELDS.get(message.msg_name)
+            if empty is None:
+                return None
+            stage.notes.append(INJECTED_NOTE)
+            fields = {**empty, "battery_remaining": charge_percent}
+            reported = [message_with_changed_fields(message, **fields)]
+            if message.msg_name == BATTERY_MESSAGE and has_pack:
+                reported.append(message_with_changed_fields(message, id=1))
+            return reported
+
+        stage.tap.to_companion = report_both
+        stage.record_fault_start()
+        yield
+
+    return procedure
+
+
+for charge_frac, suffix, stated, rules in (
+    (0.9, "full", (0, 55, 100), (*PACK_RULES, check_delivered)),
+    (0.09, "empty", (100,), (INJECTED, check_no_takeoff)),
+):
+    FAULTS.add_case(
+        77,
+        f"monitor-without-pack-{suffix}",
+        f"Monitor 0 has no pack and reports a charge; the pack, monitor 1, is at {charge_frac:.0%}"
+        " (B1).",
+        report_monitor_without_pack(stated),
+        ("ready",),
+        rules,
+        flight={"vehicle": {"charge_frac": charge_frac}},
+    )
+
+
+def split_voltage_over_cells(message: Message, cell_count: int) -> Message:
+    """Return BATTERY_STATUS with the pack's voltage split over cells, 11 to 14 in the extension."""
+    total_mv = sum(mv for mv in message.voltages if mv < UNKNOWN_U16)
+    cells_mv = [round(total_mv / cell_count)] * cell_count + [0] * (14 - cell_count)
+    return message_with_changed_fields(
+        message, voltages=tuple(cells_mv[:10]), voltages_ext=tuple(cells_mv[10:])
+    )
+
+
+@FAULTS.register_procedure(80, "many-cells", ("ready",), (*PACK_RULES, check_delivered))
+def report_pack_over_many_cells(stage: FaultContext) -> Iterator[None]:
+    """A monitor reports 12 or 14 cells, those beyond the tenth in the extension field (B4)."""
+    cell_count = int(stage.rng.choice((12, 14)))
+
+    def report_cells(message: Message) -> list[Message] | None:
+        if message.msg_name != BATTERY_MESSAGE:
+            return None
+        stage.notes.append(INJECTED_NOTE)
+        return [split_voltage_over_cells(message, cell_count)]
+
+    stage.tap.to_companion = report_cells
+    stage.record_fault_start()
+    yield
+
+
+FROZEN_FIELDS = {
+    BATTERY_MESSAGE: (
+        "voltages",
+        "current_battery",
+        "current_consumed",
+        "energy_consumed",
+        "battery_remaining",
+    ),
+    SYSTEM_MESSAGE: ("voltage_battery", "current_battery", "battery_remaining"),
+}
+FREEZE_ALERT_S = 20.0
+
+
+@FAULTS.register_procedure(
+    82,
+    "monitor-freezes",
+    ("outbound", "return"),
+    (*PACK_RULES, check_alert_sent(Alert.MONITOR_FROZEN, within_s=FREEZE_ALERT_S)),
+)
+def freeze_battery_monitor(stage: FaultContext) -> Iterator[None]:
+    """The battery monitor freezes in flight: constant values with current time stamps (B6)."""
+    yield from stage.wait_for_phase_and_record_fault_start()
+    first: dict[str, Message] = {}
+
+    def freeze(message: Message) -> list[Message] | None:
+        names = FROZEN_FIELDS.get(message.msg_name)
+        if names is None:
+            return None
+        values = first.setdefault(message.msg_name, message)
+        if values.current_battery != message.current_battery:
+            stage.notes.append(INJECTED_NOTE)
+        frozen = {name: getattr(values, name) for name in names}
+        return [message_with_changed_fields(message, **frozen)]
+
+    stage.tap.to_companion = freeze
