@@ -70,7 +70,7 @@ def plain(value: Any) -> Any:
     return json.loads(msgspec.json.encode(value))
 
 
-ADDED = {"alert", "heading_off_rad", "yaw_rate_rps"}
+ADDED = {"alert", "heading_off_rad", "yaw_rate_rps", "pack_resistance", "current_gain"}
 """Keys that later versions write, too."""
 
 

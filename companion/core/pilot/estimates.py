@@ -295,7 +295,7 @@ class FlightEstimates:
         self._energy.restore(
             checkpoint_state.ledger,
             checkpoint_state.scale,
-            checkpoint_state.pack,
+            checkpoint_state.pack_resistance,
             checkpoint_state.current_gain,
         )
         self._outlook.restore(checkpoint_state.outlook)
@@ -340,7 +340,7 @@ class EstimatesSnapshot:
     reserve_frac: float
     air: Air | None = None
     tally: dict[str, object] | None = None
-    pack: dict[str, object] | None = None
+    pack_resistance: dict[str, object] | None = None
     current_gain: tuple[float, float] | None = None
     outside_envelope: dict[str, str] = field(default_factory=dict)
 

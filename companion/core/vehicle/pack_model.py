@@ -27,11 +27,12 @@ _LOW_CHARGE_FRAC, _LOW_CHARGE_GAIN = 0.2, 0.6
 _PEAK_FRAC = 1.05
 """[est] Peak over mean power of a leg: gusts, turns and accelerations of a second or more."""
 
-_PRIOR_STD_LOG = 0.10  # [est] resistance of one pack at the temperature of the file
-_UNKNOWN_TEMPERATURE_STD_LOG = 0.25  # [est] a pack up to 8 degrees colder than configured
+_CHARGES: Floats = np.linspace(0.0, 1.0, 101)
+_PRIOR_STD_LOG = 0.20  # [est] resistance of one pack at the temperature of the file
+_UNKNOWN_TEMPERATURE_STD_LOG = 0.45  # [est] a pack 10 degrees colder than configured
 _LAW_STD_FRAC = 0.3  # [est] error of the temperature law, share of its logarithm
 _BLOCK_S = 5.0
-_MEMORY_S = 30.0  # [est] correlation time of the errors of voltage, curve and current
+_MEMORY_S = 20.0  # [est] correlation time of the errors of voltage, curve and current
 _LEAST_CURRENT_C = 1.0  # multiples of the capacity in Ah: the least current that causes a sag
 _LEAST_STD_LOG = 0.05
 _CURVE_STD_FRAC = 0.2  # [est] error of a difference along the open-circuit curve
@@ -84,14 +85,12 @@ class PackPower:
         pack = self.battery
         cutoff_v = pack.cells * pack.cutoff_cell_v
         ohm = self.resistance_ohm * np.exp(self.std_log * deviates)
-        sag_v = _PEAK_FRAC * mean_power_w / cutoff_v * ohm
-        full_v = pack.cells * pack.ocv_cell_v[-1]
-        charge = np.zeros(np.broadcast_shapes(mean_power_w.shape, deviates.shape))
-        for _ in range(2):  # the rise of resistance at low charge, by fixed-point iteration
-            open_v = cutoff_v + sag_v * _rise(charge)
-            charge = np.interp(open_v / pack.cells, pack.ocv_cell_v, pack.ocv_charge_frac)
+        power_ohm = _PEAK_FRAC * mean_power_w * ohm
+        open_v = pack.cells * np.interp(_CHARGES, pack.ocv_charge_frac, pack.ocv_cell_v)
+        limit_power_ohm = cutoff_v * np.maximum(open_v - cutoff_v, 0.0) / _rise(_CHARGES)
+        charge = np.interp(power_ohm, limit_power_ohm, _CHARGES)
         # Beyond a full pack the need still rises, so that probabilities stay smooth.
-        charge = charge + np.maximum(open_v / full_v - 1.0, 0.0) * 10.0
+        charge += np.maximum(power_ohm / limit_power_ohm[-1] - 1.0, 0.0)
         return self.energy_wh - (self.charge_frac - charge) * self.wh_per_charge
 
 
@@ -177,13 +176,12 @@ class ResistanceEstimator:
         state.sag_vs += (sample.open_v - sample.voltage_v) * dt_s
         state.charge_as += sample.current_a * dt_s
         if sample.t_s - state.block_since_s >= _BLOCK_S and state.charge_as > 0.0:
-            self._update_from_block(sample)
+            self._update_from_block(sample, sample.t_s - state.loaded_since_s)
             state.block_since_s = None
 
-    def _update_from_block(self, sample: LoadedVoltage) -> None:
+    def _update_from_block(self, sample: LoadedVoltage, loaded_s: float) -> None:
         state, pack = self._state, self._battery
         expected_ohm = pack.resistance_ohm * math.exp(state.log_ratio)
-        loaded_s = sample.t_s - (state.loaded_since_s or sample.t_s)
         settled = 1.0 - _UNSETTLED_FRAC * math.exp(-loaded_s / _SETTLING_S)
         ohm = state.sag_vs / state.charge_as / settled
         if ohm < _NO_SAG_FRAC * expected_ohm:

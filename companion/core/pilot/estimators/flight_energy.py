@@ -217,7 +217,7 @@ class FlightEnergyEstimator:
         return {
             "ledger": self._ledger.snapshot(),
             "scale": self._scale.snapshot(),
-            "pack": self._resistance.snapshot(),
+            "pack_resistance": self._resistance.snapshot(),
             "current_gain": self._low_current.gain,
         }
 
