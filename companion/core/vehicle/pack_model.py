@@ -36,8 +36,9 @@ _MEMORY_S = 20.0  # [est] correlation time of the errors of voltage, curve and c
 _LEAST_CURRENT_C = 1.0  # multiples of the capacity in Ah: the least current that causes a sag
 _LEAST_STD_LOG = 0.05
 _CURVE_STD_FRAC = 0.2  # [est] error of a difference along the open-circuit curve
-_UNSETTLED_FRAC, _SETTLING_S = 0.35, 30.0
-"""[est] Share of the resistance that acts only after this time under load (polarisation)."""
+_UNSETTLED_FRAC, _UNSETTLED_STD_FRAC, _SETTLING_S = 0.2, 0.12, 30.0
+"""Share of the resistance that acts only after this time under load (polarisation), and its std.
+[fit] 0.12 in recorded M100 flights; 0.38 in Chen and Rincon-Mora 2006."""
 
 _NO_SAG_FRAC = 0.15
 """A sag below this share of the expected one is that of a constant voltage (simulators)."""
@@ -182,13 +183,15 @@ class ResistanceEstimator:
     def _update_from_block(self, sample: LoadedVoltage, loaded_s: float) -> None:
         state, pack = self._state, self._battery
         expected_ohm = pack.resistance_ohm * math.exp(state.log_ratio)
-        settled = 1.0 - _UNSETTLED_FRAC * math.exp(-loaded_s / _SETTLING_S)
-        ohm = state.sag_vs / state.charge_as / settled
+        unsettled = math.exp(-loaded_s / _SETTLING_S)
+        ohm = state.sag_vs / state.charge_as / (1.0 - _UNSETTLED_FRAC * unsettled)
         if ohm < _NO_SAG_FRAC * expected_ohm:
             return
         std_v = math.hypot(pack.resting_voltage_std_v, _CURVE_STD_FRAC * sample.drop_v)
         mean_a = state.charge_as / _BLOCK_S
-        std_log = math.hypot(std_v / (mean_a * ohm), sample.current_std_frac)
+        std_log = math.hypot(
+            std_v / (mean_a * ohm), sample.current_std_frac, _UNSETTLED_STD_FRAC * unsettled
+        )
         noise = std_log**2 * _MEMORY_S / _BLOCK_S
         gain = state.variance / (state.variance + noise)
         state.log_ratio += gain * (math.log(ohm / pack.resistance_ohm) - state.log_ratio)
