@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.air import FRONT_DURATION_S, ramp_up_return_headwind
 from sim_bridge.app.faults.fault import SAFETY_RULES, FaultGroup
+from sim_bridge.app.faults.telemetry import Ranges, freeze_fields
 from sim_bridge.app.faults.verdict import (
     check_alert_sent,
     check_delivered,
@@ -157,15 +158,9 @@ def report_pack_over_many_cells(stage: FaultContext) -> Iterator[None]:
     yield
 
 
-FROZEN_FIELDS = {
-    BATTERY_MESSAGE: (
-        "voltages",
-        "current_battery",
-        "current_consumed",
-        "energy_consumed",
-        "battery_remaining",
-    ),
-    SYSTEM_MESSAGE: ("voltage_battery", "current_battery", "battery_remaining"),
+FROZEN_FIELDS: dict[str, Ranges] = {
+    name: dict.fromkeys((*fields, "battery_remaining"), (0.0, 0.0))
+    for name, fields in EMPTY_MONITOR_FIELDS.items()
 }
 FREEZE_ALERT_S = 20.0
 
@@ -179,16 +174,12 @@ FREEZE_ALERT_S = 20.0
 def freeze_battery_monitor(stage: FaultContext) -> Iterator[None]:
     """The battery monitor freezes in flight: constant values with current time stamps (B6)."""
     yield from stage.wait_for_phase_and_record_fault_start()
-    first: dict[str, Message] = {}
+    freeze = freeze_fields(stage, FROZEN_FIELDS)
 
-    def freeze(message: Message) -> list[Message] | None:
-        names = FROZEN_FIELDS.get(message.msg_name)
-        if names is None:
-            return None
-        values = first.setdefault(message.msg_name, message)
-        if values.current_battery != message.current_battery:
+    def freeze_and_note(message: Message) -> list[Message] | None:
+        frozen = freeze(message)
+        if frozen and frozen[0].current_battery != message.current_battery:
             stage.notes.append(INJECTED_NOTE)
-        frozen = {name: getattr(values, name) for name in names}
-        return [message_with_changed_fields(message, **frozen)]
+        return frozen
 
-    stage.tap.to_companion = freeze
+    stage.tap.to_companion = freeze_and_note
