@@ -169,7 +169,7 @@ class FlightEstimates:
         """Choose no airspeed in flight that the pack cannot supply now."""
         energy = self.energy
         if energy is not None and energy.pack is not None:
-            self.route_energy.set_power_limit_w(energy.pack.sustained_power_w(), self.payload_kg)
+            self.route_energy.set_power_limit_w(energy.pack.sustained_power_w, self.payload_kg)
 
     def _record_if_new(self, text: str) -> bool:
         is_new = text not in self._returned_findings

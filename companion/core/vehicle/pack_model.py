@@ -73,9 +73,17 @@ class PackPower:
         open_v = pack.cells * pack.resting_cell_voltage_v(charge)
         return cutoff_v * max(open_v - cutoff_v, 0.0) / ohm
 
-    def sustained_power_w(self, sigmas: float = 1.0) -> float:
-        """Return the mean power that the pack can give now with its peaks."""
-        return self.max_power_w(sigmas=sigmas) / _PEAK_FRAC
+    @property
+    def sustained_power_w(self) -> float:
+        """Mean power that the pack can give now with its peaks."""
+        return self.max_power_w() / _PEAK_FRAC
+
+    def power_shortage_or_empty(self, hover_power_w: float) -> str:
+        """Return why it cannot supply a hover, even one sigma better; `""` if it can."""
+        most_w = self.max_power_w(sigmas=-1.0)
+        if most_w >= hover_power_w:
+            return ""
+        return f"the battery gives at most {most_w:.0f} W now, hover needs {hover_power_w:.0f} W"
 
     def unusable_energy_wh(self, mean_power_w: Floats, deviates: Floats) -> Floats:
         """Return the energy (Wh, of the ledger) below which the pack cannot give these powers.

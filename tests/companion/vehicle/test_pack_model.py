@@ -42,6 +42,14 @@ def test_below_the_unusable_energy_the_pack_cannot_give_the_power(ohm, mean_powe
     assert pack.max_power_w(charge - 0.02) < 1.05 * mean_power_w < pack.max_power_w(charge + 0.02)
 
 
+def test_a_pack_that_cannot_supply_a_hover_even_at_its_best_says_so() -> None:
+    doubted = power(0.2, charge=0.3, std_log=0.3)
+    most_w = doubted.max_power_w(sigmas=-1.0)
+    assert doubted.max_power_w() < 0.9 * most_w
+    assert doubted.power_shortage_or_empty(0.99 * most_w) == ""
+    assert f"at most {most_w:.0f} W" in doubted.power_shortage_or_empty(1.01 * most_w)
+
+
 def test_cold_doubles_resistance_as_measured_and_a_doubtful_pack_needs_more() -> None:
     # rcex.cz, 2010: 1.1e-6 exp(3131 / T) ohm at 273 and 293 K.
     assert resistance_ratio(PACK, 0.0) == pytest.approx(math.exp(3131 / 273.15 - 3131 / 293.15))

@@ -95,7 +95,8 @@ class FlightEnergyEstimator:
         """Measure the resistance by the voltage under load, with the modelled current where none
         is measured.
         """
-        battery, energy = telemetry.battery, self.energy
+        battery = telemetry.recent_or_none(telemetry.battery, BATTERY_MAX_AGE_S)
+        energy = self.energy
         if battery is None or energy is None or energy.pack is None or energy.start is None:
             return
         if battery.temperature_c is not None:
