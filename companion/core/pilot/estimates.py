@@ -130,21 +130,11 @@ class FlightEstimates:
             _wind_exclusion_report(e) for e in left_out if self._record_if_new(e)
         ]
         energy = self.energy
-        limit_w = self.route_energy.power_limit_w
-        needed_w = self.route_energy.cruise_climb_power_w(self.payload_kg)
-        if limit_w < needed_w and telemetry.airborne and self._record_if_new("power limit"):
-            found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
-        pack = telemetry.pack
-        if pack.has_frozen and self._record_if_new("frozen"):
-            found.append(AlertReport.create(Alert.MONITOR_FROZEN))
-        if pack.differing_voltages_v is not None and self._record_if_new("voltages"):
-            system_v, monitor_v = pack.differing_voltages_v
-            found.append(
-                AlertReport.create(Alert.VOLTAGES_DIFFER, system_v=system_v, monitor_v=monitor_v)
-            )
-        gain = self._energy.current_gain
-        if gain is not None and self._record_if_new("current gain"):
-            found.append(AlertReport.create(Alert.CURRENT_SENSOR_LOW, gain=gain[0]))
+        found += [
+            report
+            for report in _pack_alerts(telemetry, self._energy, self.route_energy, self.payload_kg)
+            if self._record_if_new(report.alert.identifier)
+        ]
         if energy is not None:
             found += [
                 AlertReport.create(Alert.BATTERY_CHOSEN, monitor=m)
@@ -306,6 +296,27 @@ class FlightEstimates:
         self.payload_kg = checkpoint_state.payload_kg
         self.limits = AcceptedLimits(checkpoint_state.max_loss, checkpoint_state.reserve_frac)
         self.gate.set_accepted_loss(checkpoint_state.accepted_loss)
+
+
+def _pack_alerts(
+    telemetry: TelemetryState,
+    energy: FlightEnergyEstimator,
+    route_energy: RouteEnergy,
+    payload_kg: float,
+) -> list[AlertReport]:
+    """Return the alerts about pack and monitors that apply now."""
+    found: list[AlertReport] = []
+    limit_w = route_energy.power_limit_w
+    if telemetry.airborne and limit_w < route_energy.cruise_climb_power_w(payload_kg):
+        found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
+    if telemetry.pack.has_frozen:
+        found.append(AlertReport.create(Alert.MONITOR_FROZEN))
+    if (voltages_v := telemetry.pack.differing_voltages_v) is not None:
+        given = dict(zip(("system_v", "monitor_v"), voltages_v, strict=True))
+        found.append(AlertReport.create(Alert.VOLTAGES_DIFFER, **given))
+    if (gain := energy.current_gain) is not None:
+        found.append(AlertReport.create(Alert.CURRENT_SENSOR_LOW, gain=gain[0]))
+    return found
 
 
 def _mask_numbers(text: str) -> str:
