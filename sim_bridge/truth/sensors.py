@@ -62,7 +62,7 @@ class SensorSuite:
         self._pitot_gain = (1.0 + params.pitot_scale_error_frac * gauss()) ** 2
         self._pitot_bias_pa = params.pitot_bias_pa * gauss()
         self._voltage_gain = 1.0 + params.voltage_scale_error_frac * gauss()
-        self._current_gain = 1.0 + params.current_scale_error_frac * gauss()
+        self.current_gain = 1.0 + params.current_scale_error_frac * gauss()
         self._tilt_noise = math.radians(params.tilt_noise_deg)
         self._heading_noise = math.radians(params.heading_noise_deg)
         self._gyro_noise = math.radians(params.gyro_noise_degps)
@@ -157,7 +157,7 @@ class SensorSuite:
         else:
             self._voltage_v = None
         if self._current_sensor and not self.current_failed:
-            self._current_a = battery.current_a * self._current_gain + p.current_noise_a * gauss()
+            self._current_a = battery.current_a * self.current_gain + p.current_noise_a * gauss()
         else:
             self._current_a = None
         if self._pitot and not self.pitot_stuck:

@@ -273,7 +273,8 @@ def _battery_events(message: Any, t_s: float) -> list[Event]:
     if message.battery_function in NON_MOTOR_PACKS:
         return []
     # Voltages of the cells: 65535 is "no such cell"; a value of 65534 continues in the next.
-    cells = [mv for mv in message.voltages if mv < UNKNOWN_U16]
+    # Cells 11 to 14 are an extension, where 0 is "no such cell".
+    cells = [mv for mv in (*message.voltages, *message.voltages_ext) if mv < UNKNOWN_U16]
     voltage_v = sum(cells) / 1000.0 if cells and sum(cells) > 0 else None
     consumed_mah, consumed_hj = message.current_consumed, message.energy_consumed
     current_known = message.current_battery >= 0

@@ -288,6 +288,26 @@ class Alert(Enum):
         "battery monitor in use: {monitor}",
         "Check the battery monitors' settings.",
     )
+    MONITOR_FROZEN = (
+        WARNING,
+        "battery monitor frozen: using the power model",
+        "Expect an early return; check the battery monitor after landing.",
+    )
+    VOLTAGES_DIFFER = (
+        WARNING,
+        "battery at {system_v:.1f} and {monitor_v:.1f} V: lower used",
+        "Check the number of cells and the voltage calibration of the autopilot.",
+    )
+    CURRENT_SENSOR_LOW = (
+        WARNING,
+        "current sensor reads {gain:.0%}: using the power model",
+        "Expect an early return; calibrate the current sensor before the next flight.",
+    )
+    PACK_POWER_LOW = (
+        WARNING,
+        "battery gives at most {power_w:.0f} W: flying slower",
+        "Expect an early return; warm or replace the pack before the next flight.",
+    )
     DRAW_CHANGED = (
         WARNING,
         "power draw {scale:.1f} +- {std:.1f} times the model",

@@ -116,6 +116,7 @@ class FlightEstimates:
         has_draw_changed = self._energy.update_and_detect_draw_change(
             telemetry, autopilot_kind, self.wind, self.payload_kg
         )
+        self._limit_airspeeds_by_pack_power()
         left_out = self._update_wind_estimate(telemetry, t_s)
         self.wind = self._estimator.belief(t_s)
         left_envelope = self._record_envelope_exits(telemetry, t_s)
@@ -129,6 +130,11 @@ class FlightEstimates:
             _wind_exclusion_report(e) for e in left_out if self._record_if_new(e)
         ]
         energy = self.energy
+        found += [
+            report
+            for report in _pack_alerts(telemetry, self._energy, self.route_energy, self.payload_kg)
+            if self._record_if_new(report.alert.identifier)
+        ]
         if energy is not None:
             found += [
                 AlertReport.create(Alert.BATTERY_CHOSEN, monitor=m)
@@ -148,6 +154,12 @@ class FlightEstimates:
         return found + [
             AlertReport.create(Alert.ENVELOPE_LEFT, finding=each) for each in left_envelope
         ]
+
+    def _limit_airspeeds_by_pack_power(self) -> None:
+        """Choose no airspeed in flight that the pack cannot supply now."""
+        energy = self.energy
+        if energy is not None and energy.pack is not None:
+            self.route_energy.set_power_limit_w(energy.pack.sustained_power_w, self.payload_kg)
 
     def _record_if_new(self, text: str) -> bool:
         is_new = text not in self._returned_findings
@@ -271,7 +283,12 @@ class FlightEstimates:
         """Restore from a checkpoint: energy never rises, and the air stays as fixed."""
         if checkpoint_state.air is not None:
             self.fix_air_properties(checkpoint_state.air)
-        self._energy.restore(checkpoint_state.ledger, checkpoint_state.scale)
+        self._energy.restore(
+            checkpoint_state.ledger,
+            checkpoint_state.scale,
+            checkpoint_state.pack_resistance,
+            checkpoint_state.current_gain,
+        )
         self._outlook.restore(checkpoint_state.outlook)
         self._estimator.restore(checkpoint_state.wind)
         if checkpoint_state.tally is not None:
@@ -280,6 +297,27 @@ class FlightEstimates:
         self.payload_kg = checkpoint_state.payload_kg
         self.limits = AcceptedLimits(checkpoint_state.max_loss, checkpoint_state.reserve_frac)
         self.gate.set_accepted_loss(checkpoint_state.accepted_loss)
+
+
+def _pack_alerts(
+    telemetry: TelemetryState,
+    energy: FlightEnergyEstimator,
+    route_energy: RouteEnergy,
+    payload_kg: float,
+) -> list[AlertReport]:
+    """Return the alerts about pack and monitors that apply now."""
+    found: list[AlertReport] = []
+    limit_w = route_energy.power_limit_w
+    if telemetry.airborne and limit_w < route_energy.cruise_climb_power_w(payload_kg):
+        found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
+    if telemetry.pack.has_frozen:
+        found.append(AlertReport.create(Alert.MONITOR_FROZEN))
+    if (voltages_v := telemetry.pack.differing_voltages_v) is not None:
+        given = dict(zip(("system_v", "monitor_v"), voltages_v, strict=True))
+        found.append(AlertReport.create(Alert.VOLTAGES_DIFFER, **given))
+    if (gain := energy.current_gain) is not None:
+        found.append(AlertReport.create(Alert.CURRENT_SENSOR_LOW, gain=gain[0]))
+    return found
 
 
 def _mask_numbers(text: str) -> str:
@@ -314,6 +352,8 @@ class EstimatesSnapshot:
     reserve_frac: float
     air: Air | None = None
     tally: dict[str, object] | None = None
+    pack_resistance: dict[str, object] | None = None
+    current_gain: tuple[float, float] | None = None
     outside_envelope: dict[str, str] = field(default_factory=dict)
 
 

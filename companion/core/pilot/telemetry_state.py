@@ -32,8 +32,8 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.pilot.observed_state import ObservedState
+from companion.core.pilot.pack_telemetry import BATTERY_MAX_AGE_S, PackTelemetry
 from companion.core.pilot.position_watch import PositionWatch
-from companion.core.vehicle.airframe import PLAUSIBLE_CELL_V
 
 EventT = TypeVar("EventT", bound=Event)
 
@@ -42,7 +42,6 @@ ATTITUDE_MAX_AGE_S = 1.0
 GNSS_MAX_AGE_S = 3.0
 STATE_MAX_AGE_S = 3.5
 PROGRESS_MAX_AGE_S = 3.0
-BATTERY_MAX_AGE_S = 5.0
 AIRSPEED_MAX_AGE_S = 1.0
 WIND_MAX_AGE_S = 2.0
 GROUND_MAX_AGE_S = 1.5
@@ -57,9 +56,6 @@ changed it back. At lower rates a gap is 1.6 times the usual interval."""
 
 RTL_END_RADIUS_M = 20.0
 """Distance from home at which RTL may change to LAND: acceptance radius 10 m, two GNSS errors."""
-
-SAME_PACK_TOLERANCE_FRAC = 0.05
-"""Maximum relative difference of two voltages of one pack."""
 
 PRESSURE_MAX_AGE_S = 3.0
 """Three messages at the 1 Hz requested from both autopilots."""
@@ -77,114 +73,6 @@ LATEST_FIELDS: dict[type[Event], str] = {
     ArmingReadiness: "readiness",
 }
 """Events of which the latest is kept unchanged, with its field."""
-
-
-@dataclass(slots=True)
-class PackTelemetry:
-    """The battery messages, and the state of the pack merged from those about it.
-
-    The monitor that measures the pack is selected by voltage, then current, then number; while the
-    vehicle is armed it stays. Its messages and matching ones of the whole vehicle are merged. After
-    a reboot of the autopilot a new object replaces this one.
-    """
-
-    voltage_range_v: tuple[float, float] = (PLAUSIBLE_CELL_V[0], math.inf)
-    """Lowest and highest voltage of the vehicle's pack."""
-    battery: Battery | None = None
-    messages: dict[int | None, Battery] = field(default_factory=dict)
-    """The latest battery message of each monitor, and of the whole vehicle (`None`)."""
-    _monitor: int = 0
-    _measured: dict[int, Battery] = field(default_factory=dict)
-    _field_times_s: dict[str, float] = field(default_factory=dict)
-
-    def store_message(self, battery: Battery, t_s: float, *, is_armed: bool) -> None:
-        """Process one battery message at this time."""
-        self.messages[battery.pack] = battery
-        if battery.pack is not None and battery.voltage_v is not None:
-            self._measured[battery.pack] = battery
-        if not (is_armed and self._monitor in self._measured):  # in flight it stays the same pack
-            known = [k for k in self._measured or self.messages if k is not None]
-            selected = max(known, key=lambda k: self._monitor_selection_key(k, t_s), default=0)
-            if selected != self._monitor:
-                self._monitor, self.battery = selected, None
-        if battery.pack in (self._monitor, None) and self._is_about_pack(battery):
-            self.battery = self._merge_battery(battery)
-
-    def _monitor_voltage_v(self, monitor_number: int) -> float:
-        battery = self._measured.get(monitor_number)
-        return 0.0 if battery is None else battery.voltage_v or 0.0
-
-    def _has_pack_voltage(self, monitor_number: int) -> bool:
-        low_v, high_v = self.voltage_range_v
-        return low_v <= self._monitor_voltage_v(monitor_number) <= high_v
-
-    def _monitor_selection_key(
-        self, monitor_number: int, t_s: float
-    ) -> tuple[bool, bool, bool, int]:
-        battery = self._measured.get(monitor_number)
-        return (
-            self._has_pack_voltage(monitor_number),
-            battery is not None and t_s - battery.t_s <= BATTERY_MAX_AGE_S,
-            battery is not None and battery.current_a is not None,
-            -monitor_number,
-        )
-
-    def _is_about_pack(self, battery: Battery) -> bool:
-        """Return whether a message is about a pack; SYS_STATUS is matched by its voltage."""
-        if battery.pack is not None:
-            return battery.pack == self._monitor or self._has_pack_voltage(battery.pack)
-        monitor_v = self._monitor_voltage_v(self._monitor)
-        off_v = abs((battery.voltage_v or 0.0) - monitor_v)
-        return self._monitor == 0 or off_v < SAME_PACK_TOLERANCE_FRAC * monitor_v
-
-    @property
-    def latest_messages(self) -> list[Battery]:
-        """The latest messages about packs; a charge from a monitor without a voltage is not one."""
-        return [new for new in self.messages.values() if self._is_about_pack(new)]
-
-    def missing_reason(self, t_s: float) -> str:
-        """Return why no monitor is known to measure the pack now; `""` if one does."""
-        recent = [b for b in self.messages.values() if t_s - b.t_s <= BATTERY_MAX_AGE_S]
-        battery = self.battery
-        is_recent = battery is not None and t_s - battery.t_s <= BATTERY_MAX_AGE_S
-        if battery and is_recent and (battery.voltage_v, battery.current_a) != (None, None):
-            return ""
-        received = ", ".join(map(_monitor_text, recent)) or "nothing"
-        return f"no battery voltage: received {received}; expected a monitor that measures the pack"
-
-    @property
-    def monitor_notes(self) -> list[str]:
-        """The monitor that measures the pack, if it is not the first."""
-        battery = self._measured.get(self._monitor) if self._monitor else None
-        return [f"{_monitor_text(battery)}, by its voltage"] if battery else []
-
-    def _merge_battery(self, battery: Battery) -> Battery:
-        """Merge the two messages about the pack; a field stays until reported again or too old."""
-        fields: dict[str, float | None] = {}
-        for name in (
-            "voltage_v",
-            "current_a",
-            "consumed_ah",
-            "consumed_j",
-            "remaining_frac",
-            "temperature_c",
-        ):
-            value = getattr(battery, name)
-            if value is not None:
-                self._field_times_s[name] = battery.t_s
-            elif (
-                self.battery is not None
-                and (reported_s := self._field_times_s.get(name)) is not None
-                and battery.t_s - reported_s <= BATTERY_MAX_AGE_S
-            ):
-                value = getattr(self.battery, name)
-            fields[name] = value
-        return Battery(battery.t_s, **fields, pack=None)
-
-    def current_age_s(self, t_s: float) -> float:
-        """Return the age of the last current report; infinite without one."""
-        reported_s = self._field_times_s.get("current_a")
-        return math.inf if reported_s is None else t_s - reported_s
 
 
 @dataclass(slots=True)
@@ -247,7 +135,9 @@ class TelemetryState:
                 if self._is_plausible_position(event):
                     self.position = self._correct_height_to_takeoff_ground(event)
             case Battery():
-                self.pack.store_message(event, self.t_s, is_armed=self.armed)
+                self.pack.store_message(
+                    event, self.t_s, is_armed=self.armed, is_airborne=self.airborne
+                )
             case GroundState():
                 self.ground = event
                 self._accept_disarmed_if_confirmed()
@@ -407,10 +297,3 @@ class TelemetryState:
             if not self.is_recent(sample, max_age_s):
                 faults.append(text)
         return tuple(faults)
-
-
-def _monitor_text(battery: Battery) -> str:
-    monitor = "SYS_STATUS" if battery.pack is None else f"battery {battery.pack}"
-    return (
-        monitor if battery.remaining_frac is None else f"{monitor} at {battery.remaining_frac:.0%}"
-    )

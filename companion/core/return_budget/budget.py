@@ -16,6 +16,7 @@ from typing import Protocol
 
 from companion.core.return_budget.leg_costs import LegTable
 from companion.core.return_budget.outcomes import Budget, OutcomeProbabilities
+from companion.core.return_budget.power_need import PowerNeed
 from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute, Stage
 from companion.core.return_budget.wind_samples import PathSampler
 from companion.core.routing.leg_energy import RouteEnergy
@@ -226,7 +227,15 @@ class Gate:
             model_error = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
         left_wh = energy.mean_wh - self.params.reserve_wh
         budget = Budget(left_wh, energy.std_wh, model_error.std_frac, model_error.scale)
-        table = LegTable(self._route_energy, remaining, wind_estimate, wind_outlook, self._sampler)
+        power_need = energy.pack and PowerNeed(
+            energy.pack,
+            self.params.reserve_wh,
+            model_error.scale,
+            self._sampler.resistance_deviates,
+        )
+        table = LegTable(
+            self._route_energy, remaining, wind_estimate, wind_outlook, self._sampler, power_need
+        )
         return _Evaluation(table, budget, OutcomeProbabilities(table, budget, self._sampler))
 
     def _make_decision(

@@ -11,6 +11,7 @@ import numpy as np
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.geo import Ned, course_rad, horizontal_distance_m, wrap_pi
+from companion.core.return_budget.power_need import PowerNeed, additional_need_wh
 from companion.core.return_budget.remaining_mission import RemainingMission, Stage
 from companion.core.return_budget.wind_samples import PathSampler
 from companion.core.routing.leg_energy import MIN_LEG_M, Leg, LegKind, RouteEnergy
@@ -85,8 +86,9 @@ class LegTable:
         wind: WindBelief,
         outlook: WindForecaster,
         sampler: PathSampler,
+        power_need: PowerNeed | None = None,
     ) -> None:
-        self._route_energy = route_energy
+        self._route_energy, self._power_need = route_energy, power_need
         self._leg_list: list[Leg] = []
         self._before: list[Leg | None] = []
         self._stage: list[_Span] = []
@@ -119,7 +121,16 @@ class LegTable:
 
     def return_route_energy_wh(self, decision_point: int, route_index: int) -> Floats:
         """Return the energy (K,) of one route home from a decision point."""
-        return _span_energy_wh(self._energy, self._routes[decision_point][route_index])
+        return self._need_after_stages_wh(decision_point, self._routes[decision_point][route_index])
+
+    def _need_after_stages_wh(self, decision_point: int, route: _Span) -> Floats:
+        """Return the need (K,) of a route, so that the stages before it also have their power."""
+        need_wh = _span_energy_wh(self._energy, route)
+        if self._remaining_need is None:
+            return need_wh
+        spans = (*self._stage[:decision_point], route)
+        rows = np.array([row for span in spans for row in _row_range(span)], dtype=np.int64)
+        return need_wh + additional_need_wh(self._energy[rows], self._remaining_need[rows])
 
     def selected_route_energy_wh(self, decision_point: int, route_index_by_sample: Ints) -> Floats:
         """Return each POLICY sample's energy of its route home, `route_index_by_sample`."""
@@ -144,7 +155,8 @@ class LegTable:
         """
         if self._unattended is None:
             return None
-        return _span_energy_wh(self._energy, self._unattended) + (
+        point = min(1, self.stage_count)
+        return self._need_after_stages_wh(point, self._unattended) + (
             self.stage_energy_wh(1) if self._stage else 0.0
         )
 
@@ -178,7 +190,11 @@ class LegTable:
         left = self._later_cov[rows[:, None], rows]
         random_walk_wh2 = float(np.einsum("ia,ij,ja->", by_leg, left, by_leg))
         std_wh = math.sqrt(max(random_walk_wh2, 0.0) + max(constant_error_wh2, 0.0))
-        return Need(self._later_energy_wh[rows].sum(axis=0), std_wh)
+        energy_wh = self._later_energy_wh[rows]
+        need_wh = energy_wh.sum(axis=0)
+        if self._later_remaining_need is not None:
+            need_wh = need_wh + additional_need_wh(energy_wh, self._later_remaining_need[rows])
+        return Need(need_wh, std_wh)
 
     # -- laying out and pricing ----------------------------------------------------------------
 
@@ -263,9 +279,11 @@ class LegTable:
         at_leg = _interpolation_weights_at(midpoint_times_s)
         wind_process = sampler.sample_wind_paths(forecast)
         wind = at_leg @ wind_process + sampler.sample_wind_estimate_errors(forecast)
-        self._energy = self._route_energy.leg_costs_leg_major(
-            self._compiled, wind[0], wind[1]
-        ).energy_wh
+        costs = self._route_energy.leg_costs_leg_major(self._compiled, wind[0], wind[1])
+        self._energy = costs.energy_wh
+        self._remaining_need = self._power_need and self._power_need.remaining_need_by_leg_wh(
+            costs.energy_wh, costs.time_s
+        )
         if self.stage_count > 1:
             self._compute_later_needs(
                 forecast,
@@ -296,9 +314,11 @@ class LegTable:
         compiled = self._route_energy.group_legs_by_cost_formula(
             tuple(self._leg_list[i] for i in leg_list), tuple(self._before[i] for i in leg_list)
         )
-        self._later_energy_wh = self._route_energy.leg_costs_leg_major(
-            compiled, seen[0], seen[1]
-        ).energy_wh
+        costs = self._route_energy.leg_costs_leg_major(compiled, seen[0], seen[1])
+        self._later_energy_wh = costs.energy_wh
+        self._later_remaining_need = self._power_need and self._power_need.remaining_need_by_leg_wh(
+            costs.energy_wh, costs.time_s, POLICY_SAMPLES
+        )
         mean_wind = mean.mean(axis=0)
         self._later_gradient = self._route_energy.leg_energy_gradients_wh_per_mps(
             compiled, mean_wind

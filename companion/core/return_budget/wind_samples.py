@@ -8,6 +8,7 @@ from companion.core.wind.forecast import WindForecast, student_t_scale_factors
 
 _COMPONENTS = 5  # principal components of the wind's random walk per axis: over 99 % of variance
 _DIMENSIONS = 2 * _COMPONENTS + 4  # model error, random walk, constant wind error, scale
+_GOLDEN_STEP = 0.5 * (np.sqrt(5.0) - 1.0)  # sequence of the resistance, independent of the others
 
 
 class PathSampler:
@@ -27,6 +28,9 @@ class PathSampler:
         self._scale = normal_cdf(points[:, -1])
         self._tails: dict[float, Floats] = {}
         self.model_error: Floats = points[:, 0]
+        golden = (0.5 + np.arange(1.0, sample_count + 1.0) * _GOLDEN_STEP) % 1.0
+        ranks = golden.argsort().argsort()
+        self.resistance_deviates: Floats = normal_quantile((ranks + 0.5) / sample_count)
 
     def sample_wind_paths(self, forecast: WindForecast) -> Floats:
         """Return wind paths at the forecast's horizons, (2, n, count), north then east."""

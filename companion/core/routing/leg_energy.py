@@ -41,6 +41,7 @@ _MIN_SLOPE_HEIGHT_M = (
     3.0  # a smaller change of height takes a second or two and does not slow a leg
 )
 _WIND_STEP_MPS = 0.25  # for gradients
+_LIMIT_STEP_LOG = math.log(1.05)
 _MAX_CACHED_TABLES = 64  # cached cruise tables, 0.1 MB each; the oldest is evicted
 
 
@@ -157,6 +158,7 @@ class RouteEnergy:
             speed_rule, self.cruise_airspeed_mps
         )
         self.density_kgpm3 = density_kgpm3
+        self.power_limit_w = math.inf
         self._fixed_airspeed = fixed_airspeed
         self._sinking_frac = float(
             measured_over_modelled_power(airframe, -1.0)
@@ -178,6 +180,16 @@ class RouteEnergy:
         self.density_kgpm3 = density_kgpm3
         self._power.clear()
         self._cruise.clear()
+
+    def set_power_limit_w(self, limit_w: float, payload_kg: float) -> None:
+        """Limit the power of chosen airspeeds, in steps of 5 %; no limit where none binds."""
+        top_mps = self.level_airspeed_at_max_tilt_mps(payload_kg)
+        binds = limit_w < self.steady_flight_power_w(payload_kg, top_mps)
+        steps = math.floor(math.log(max(limit_w, 1.0)) / _LIMIT_STEP_LOG) if binds else 0
+        stepped_w = math.exp(steps * _LIMIT_STEP_LOG) if binds else math.inf
+        if stepped_w != self.power_limit_w:
+            self.power_limit_w = stepped_w
+            self.set_air_density_and_clear_cached_tables(self.density_kgpm3)
 
     def overload_reason_or_empty(self, payload_kg: float) -> str:
         """Return the reason that the parcel is too heavy in this air; `""` if it is not."""
@@ -416,10 +428,17 @@ class RouteEnergy:
         """Return electrical power in still-air hover. A drop reduces it."""
         return self.steady_flight_power_w(payload_kg, 0.0)
 
+    def cruise_climb_power_w(self, payload_kg: float) -> float:
+        """Return electrical power in a climb at the cruise airspeed."""
+        climb_mps = self.airframe.speeds.climb_mps
+        return self.steady_flight_power_w(payload_kg, self.cruise_airspeed_mps, climb_mps)
+
     def _cached_steady_power(self, payload_kg: float) -> SteadyPower:
         key = round(payload_kg * 1000.0)
         if key not in self._power:
-            self._power[key] = SteadyPower(self.airframe, key / 1000.0, self.density_kgpm3)
+            self._power[key] = SteadyPower(
+                self.airframe, key / 1000.0, self.density_kgpm3, self.power_limit_w
+            )
         return self._power[key]
 
     def _cached_cruise_table(self, group: _LegGroup) -> CruiseTable:

@@ -42,6 +42,17 @@ _DIFFERENCE_MEMORY_S = 30.0
 _LAG_S = 1.0
 
 
+_LOW_CURRENT_LOG = 0.26
+"""Smallest deficit of a current sensor that is searched for: it reads 77 % of the current."""
+
+_LOW_CURRENT_SIGMAS = 5.0
+"""Deficit in standard deviations of the power model, where that is uncertain."""
+
+_LOW_CURRENT_LIMIT = 3.0
+"""Log-seconds beyond half of that deficit. Reading 65 % is detected after 10 s of level flight,
+80 % after 32 s."""
+
+
 @dataclass(frozen=True, slots=True)
 class DetectedChange:
     """Detected change: mean deviation `deviation_log` of the log ratio over the last `duration_s`
@@ -70,6 +81,34 @@ class _CusumTest:
 
     def mean_change_since_zero(self) -> DetectedChange:
         return DetectedChange(self.residual_s / self.for_s, self.for_s)
+
+
+class LowCurrentDetector:
+    """Detector of a current sensor that reads low, from measured over modelled power.
+
+    No vehicle flies level on much less power than the model. `gain` is the estimated reading over
+    the true current with its relative standard deviation; None: nothing was detected.
+    """
+
+    def __init__(self, expected_log: float, model_std_frac: float) -> None:
+        self._expected_log = expected_log
+        self._std_frac = model_std_frac
+        self._half_log = 0.5 * max(_LOW_CURRENT_LOG, _LOW_CURRENT_SIGMAS * model_std_frac)
+        self._test = _CusumTest()
+        self.gain: tuple[float, float] | None = None
+
+    def update_and_detect(self, dt_s: float, measured_w: float, modelled_w: float) -> bool:
+        """Process the mean power of the last `dt_s` in level flight. Returns True once."""
+        if self.gain is not None or not (measured_w > 0.0 and modelled_w > 0.0):
+            return False
+        low = self._expected_log - math.log(measured_w / modelled_w)
+        low = min(max(low, -_MAX_DEVIATION_LOG), _MAX_DEVIATION_LOG)
+        self._test.update_statistic((low - self._half_log) * dt_s, low, dt_s)
+        if self._test.statistic < _LOW_CURRENT_LIMIT:
+            return False
+        deviation_log = self._test.mean_change_since_zero().deviation_log
+        self.gain = math.exp(-deviation_log), self._std_frac
+        return True
 
 
 class _NoiseEstimator:

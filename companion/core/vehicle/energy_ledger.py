@@ -15,6 +15,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe, BatteryPack
 from companion.core.vehicle.battery_gauge import Gauge
+from companion.core.vehicle.pack_model import PackPower
 from companion.core.vehicle.power import level_airspeed_at_max_tilt_mps, multirotor_power_w
 
 SNAPSHOT_FORMAT = "energy-ledger/2"
@@ -58,6 +59,8 @@ class BatteryObservation:
     modelled_power_w: float | None = None
     source: str = "battery"
     """Message and pack of the counters and the percentage."""
+    is_current_low: bool = False
+    """Whether the current sensor was found to read low: the power model counts, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +69,7 @@ class EnergyBelief:
 
     `usable_full_wh` is the usable energy of a full pack (the reserve is a share of it). `source`
     names the source that applies; `warnings` are texts, empty without a problem. `used_wh` is the
-    consumption since the start by the source that counts most.
+    consumption since the start by the source that counts most. `pack` limits the power.
     """
 
     t_s: float
@@ -76,6 +79,17 @@ class EnergyBelief:
     source: str
     warnings: tuple[str, ...] = ()
     used_wh: float = 0.0
+    start: "StartOfCount | None" = None
+    pack: PackPower | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StartOfCount:
+    """Energy, charge and resting voltage of the pack (None: not measured) at the start."""
+
+    energy_wh: float
+    charge_frac: float
+    rest_voltage_v: float | None
 
 
 @dataclass(slots=True)
@@ -126,6 +140,7 @@ class EnergyLedger:
         self._health_frac = health_frac
         self._temperature_c = temperature_c
         self._configured_charge_frac = configured_charge_frac
+        self._is_current_low = False
         self._state = _LedgerState()
         self._max_draw_w = max_draw_with_fault_w(airframe, density_kgpm3)
         self._update_usable_full_energy()
@@ -143,6 +158,7 @@ class EnergyLedger:
         if not math.isfinite(observation.t_s):
             raise ValueError(f"observation.t_s = {observation.t_s}, expected a finite time")
         reading = _replace_invalid_values_by_none(observation)
+        self._is_current_low = observation.is_current_low
         is_started = state.started or not reading.at_rest
         self._update_gauge_of_source(reading, is_started)
         # Several sources at one instant are one sample of the resting voltage.
@@ -171,7 +187,16 @@ class EnergyLedger:
             state.source,
             tuple(state.warnings),
             max(self._consumed_wh_by_source().values()),
+            self._start_of_count(),
         )
+
+    def _start_of_count(self) -> StartOfCount | None:
+        state = self._state
+        if state.start_wh is None or state.usable_full_wh <= 0.0:
+            return None
+        empty = charge_frac_at_loaded_cutoff_voltage(self._battery, self._draw_w)
+        charge = empty + (1.0 - empty) * state.start_wh / state.usable_full_wh
+        return StartOfCount(state.start_wh, charge, state.rest_voltage_v)
 
     def snapshot(self) -> dict[str, object]:
         """Return the state for a checkpoint (numbers and strings, JSON-safe)."""
@@ -434,7 +459,8 @@ class EnergyLedger:
 
     def _is_below_modelled_consumption(self, measured_wh: float) -> bool:
         modelled = self._state.modelled_wh
-        return modelled > _COUNTER_CHECK_WH and measured_wh < _UNDERCOUNT_FRAC * modelled
+        counted_frac = 1.0 if self._is_current_low else _UNDERCOUNT_FRAC
+        return modelled > _COUNTER_CHECK_WH and measured_wh < counted_frac * modelled
 
     def _max_energy_by_loaded_voltage_wh(self) -> float | None:
         cell_v = self._state.loaded_cell_v

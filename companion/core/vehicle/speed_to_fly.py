@@ -5,6 +5,7 @@ a headwind makes that cheaper; or the fastest that the return budget allows. No 
 than the headwind, at which the vehicle could not return.
 """
 
+import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -47,9 +48,18 @@ def fastest_planning_airspeed_mps(
 
 
 class SteadyPower:
-    """Power tables over airspeed for one mass: level flight and climb at the airframe's rate."""
+    """Power tables over airspeed for one mass: level flight and climb at the airframe's rate.
 
-    def __init__(self, airframe: Airframe, payload_kg: float, density_kgpm3: float) -> None:
+    `limit_w`: maximum power for a chosen airspeed, at least that of the most economical one.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        payload_kg: float,
+        density_kgpm3: float,
+        limit_w: float = math.inf,
+    ) -> None:
         mass_kg = airframe.flying_mass_kg(payload_kg)
         self.max_airspeed_mps = level_airspeed_at_max_tilt_mps(airframe, mass_kg, density_kgpm3)
         self.max_ground_mps = airframe.speeds.max_ground_mps
@@ -57,6 +67,8 @@ class SteadyPower:
         self._level = multirotor_power_w(airframe, mass_kg, self._speeds, 0.0, density_kgpm3)
         climb = airframe.speeds.climb_mps
         self._climb = multirotor_power_w(airframe, mass_kg, self._speeds, climb, density_kgpm3)
+        within = np.flatnonzero(self._level <= max(limit_w, float(self._level.min())))
+        self._limit_mps = float(self._speeds[within[-1]])
 
     def level_flight_power_w(self, airspeed_mps: Floats) -> Floats:
         """Return electrical power in level flight (the table's last entry beyond its end)."""
@@ -95,7 +107,7 @@ class SteadyPower:
 
         Without a positive ground speed at any airspeed: the fastest airspeed for planning.
         """
-        top = max(self.max_airspeed_mps * _TILT_AUTHORITY, 1.0)
+        top = max(min(self.max_airspeed_mps * _TILT_AUTHORITY, self._limit_mps), 1.0)
         least = min(least_airspeed_mps, top)
         candidates = np.append(np.arange(least, top, _SPEED_STEP_MPS), top)
         ground = ground_speeds_mps(candidates, tailwind_mps[..., None], crosswind_mps[..., None])

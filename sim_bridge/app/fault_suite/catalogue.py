@@ -11,6 +11,7 @@ from sim_bridge.app.faults import (
     link,
     mission_and_home,
     observed,
+    packs,
     return_budget,
     signing,
     steps,
@@ -20,8 +21,8 @@ from sim_bridge.app.faults import (
 from sim_bridge.app.faults.fault import FaultCase
 from sim_bridge.app.faults.pair import SEPARATOR, combine_cases
 
-MODULES = (air, authority, decisions, mission_and_home, return_budget, energy, telemetry, observed,
-           host, workers, link, signing, fleet, steps)  # fmt: skip
+MODULES = (air, authority, decisions, mission_and_home, return_budget, energy, packs, telemetry,
+           observed, host, workers, link, signing, fleet, steps)  # fmt: skip
 CATALOGUE: tuple[FaultCase, ...] = tuple(
     sorted((case for module in MODULES for case in module.FAULTS.cases), key=lambda c: c.number)
 )

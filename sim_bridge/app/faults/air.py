@@ -45,7 +45,7 @@ def _depot_to_customer_unit_vector_ne(stage: FaultContext) -> tuple[float, float
     return north / distance_m, east / distance_m
 
 
-def _ramp_up_return_headwind(
+def ramp_up_return_headwind(
     stage: FaultContext, final_increase_mps: float, ramp_duration_s: float
 ) -> Iterator[None]:
     """Increase the return leg's headwind by `final_increase_mps` over `ramp_duration_s`."""
@@ -64,7 +64,7 @@ def _ramp_up_return_headwind(
 def inject_return_headwind_front(stage: FaultContext) -> Iterator[None]:
     """A front: the headwind of the return leg rises to 12 m/s within 10 s."""
     yield from stage.wait_for_phase_and_record_fault_start()
-    yield from _ramp_up_return_headwind(stage, FRONT_WIND_RISE_MPS, FRONT_DURATION_S)
+    yield from ramp_up_return_headwind(stage, FRONT_WIND_RISE_MPS, FRONT_DURATION_S)
 
 
 def _readings(stage: FaultContext) -> Readings:
@@ -134,7 +134,7 @@ def freeze_attitude_and_ramp_up_headwind(stage: FaultContext) -> Iterator[None]:
 
     stage.expect_messages_changed("ATTITUDE")
     stage.tap.to_companion = freeze_roll_and_pitch
-    yield from _ramp_up_return_headwind(stage, FRONT_WIND_RISE_MPS, 60.0)
+    yield from ramp_up_return_headwind(stage, FRONT_WIND_RISE_MPS, 60.0)
 
 
 @FAULTS.register_procedure(38, "compass-off", AIRBORNE_PHASES_BEFORE_LANDING)

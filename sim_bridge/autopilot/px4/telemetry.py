@@ -176,7 +176,7 @@ class Px4Telemetry:
     def battery_status_voltages_mv(self, pack_voltage_v: float | None) -> tuple[int, ...]:
         """Return each cell's mean if the cell count is known, else the pack voltage in the first
         field."""
-        count = min(int(self._state.params["BAT1_N_CELLS"]), 10)
+        count = min(int(self._state.params["BAT1_N_CELLS"]), 14)
         if pack_voltage_v is None:
             return (65535,) * 10
         if count <= 0:

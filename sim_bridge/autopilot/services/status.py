@@ -57,7 +57,7 @@ class StatusSource(Protocol):
         ...
 
     def battery_status_voltages_mv(self, pack_voltage_v: float | None) -> tuple[int, ...]:
-        """BATTERY_STATUS.voltages."""
+        """BATTERY_STATUS.voltages (10), then the cells of voltages_ext (at most 4)."""
         ...
 
     def landed_state_in_air(self) -> LandedState:
@@ -369,6 +369,7 @@ class CommonTelemetry:
         counted = battery.has_current and current is not None
         remaining = self._battery.remaining_frac
         temperature = battery.temperature_c
+        voltages_mv = self._own.battery_status_voltages_mv(voltage)
         return {
             "id": 0,
             "battery_function": 0,
@@ -376,7 +377,8 @@ class CommonTelemetry:
             "temperature": 32767
             if temperature is None
             else _round_and_clamp_to_int16(temperature * 100.0),
-            "voltages": self._own.battery_status_voltages_mv(voltage),
+            "voltages": voltages_mv[:10],
+            "voltages_ext": (*voltages_mv[10:14], *(0,) * (14 - len(voltages_mv))),
             "current_battery": -1
             if current is None
             else _round_and_clamp_to_int16(current * 100.0),

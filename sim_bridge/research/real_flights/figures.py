@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.files.params import read_airframe
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.real_flights.fold import (
     EvaluatedEnergy,
@@ -15,6 +16,7 @@ from sim_bridge.research.real_flights.fold import (
     split_into_day_folds,
 )
 from sim_bridge.research.real_flights.folder import read_usable_flights
+from sim_bridge.research.real_flights.pack import voltage_statistics
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
 from sim_bridge.research.study.sheet import Sheet, format_optional
 
@@ -52,6 +54,11 @@ def evaluate_real_flights(
         run.print_message(message)
     energy = energy_statistics(flights)
     winds = {name: wind_statistics(flights, name) for name in SENSORS}
+    measured = [f.measured for f in judged.flights]
+    pack = voltage_statistics(
+        [(m.prepared.blocks, m.resting_voltage_v) for m in measured],
+        read_airframe(airframe).battery,
+    )
     document = {
         "energy": energy,
         "wind": winds["tilt"],
@@ -62,9 +69,11 @@ def evaluate_real_flights(
              "legs": f.winds["tilt"].leg_averages}
             for f in flights
         ],
+        "pack": pack,
         "words": messages,
     }  # fmt: skip
-    return Report({"energy": _energy_sheet(energy), "wind": _wind_sheet(winds)}, document)
+    sheets = {"energy": _energy_sheet(energy), "wind": _wind_sheet(winds)}
+    return Report({**sheets, "pack": _pack_sheet(pack)}, document)
 
 
 def energy_statistics(flights: Sequence[EvaluatedFlight]) -> dict[str, Any]:
@@ -166,6 +175,23 @@ def _energy_sheet(energy: dict[str, Any]) -> Sheet:
         " judged flights or more; the goals are 90 % pooled, 75 % on it, and 6 % (flown) or 7 % (to"
         " go) of margin. Energy to go uses corners, height, commanded speed and the wind estimated"
         " until then.",
+    )
+
+
+def _pack_sheet(pack: dict[str, Any]) -> Sheet:
+    """Return the table of predicted voltages."""
+    return Sheet.from_objects(
+        "Voltage under load",
+        [pack],
+        {
+            "flights": "{0[flights]}",
+            "2 s means": "{0[blocks]}",
+            "V RMS": "{0[rmse_v]:.2f}",
+            "within 90 %": "{0[coverage90]:.1%}",
+            "resistance, ohm (median)": "{0[resistance_median_ohm]:.3f}",
+        },
+        "Predicted a minute ahead from the measured current, with the resistance identified until"
+        " then and the airframe file's open-circuit curve.",
     )
 
 

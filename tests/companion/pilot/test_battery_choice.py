@@ -151,3 +151,51 @@ def test_no_measured_pack_no_take_off_and_the_operator_reads_why(until):
     w.steps(100)
     assert not w.armed
     assert "no battery voltage: received battery 0 at 100%; expected a monitor" in w.said
+
+
+def flown_with(change, seconds=40, *, rate_hz=2.0):
+    """Return telemetry after a flight in which `change(t_s)` alters the monitor's values."""
+    now = TelemetryState(pack=PackTelemetry(V_RANGE))
+    now.store_event(ev.VehicleState(0.0, ev.Mode.MISSION, "AUTO", armed=True))
+    now.store_event(ev.GroundState(0.0, ev.VehicleLandedState.IN_AIR))
+    for k in range(round(seconds * rate_hz)):
+        t_s = 1.0 + k / rate_hz
+        fields = {"voltage_v": 24.0 - 0.003 * k, "current_a": 20.0 + math.sin(k)}
+        fields |= {"consumed_ah": 0.003 * k, "remaining_frac": 0.8} | change(t_s)
+        counted = {k: v for k, v in fields.items() if k != "consumed_ah"}
+        now.store_event(ev.Battery(t_s, **fields, pack=0))
+        now.store_event(ev.Battery(t_s, **counted))
+    return now
+
+
+@pytest.mark.parametrize(
+    ("change", "frozen"),
+    [
+        (lambda t_s: {}, False),
+        (lambda t_s: {"voltage_v": 24.0}, False),  # constant from power-up, as in SITL
+        (lambda t_s: {"current_a": 20.0} if 12.0 < t_s < 20.0 else {}, False),
+        (lambda t_s: {"current_a": 20.0} if t_s > 12.0 else {}, True),
+        (lambda t_s: {"current_a": 0.6}, True),  # frozen before take-off
+        (lambda t_s: {"voltage_v": 23.9} if t_s > 12.0 else {}, True),
+    ],
+)
+def test_a_measurement_that_freezes_in_flight_is_found_and_no_longer_used(change, frozen):
+    now = flown_with(change)
+    assert now.pack.has_frozen == frozen
+    still = change(40.0)
+    if frozen:
+        assert now.battery is not None
+        assert all(getattr(now.battery, name) is None for name in still)
+        assert now.battery.consumed_ah is None or "current_a" not in still
+
+
+@pytest.mark.parametrize("factor", [10 / 12, 10 / 14, 1.04])
+def test_two_voltages_of_one_pack_that_differ_are_reported_and_the_lower_counts(factor):
+    messages = [(0, FULL | {"voltage_v": 25.6 * factor}), (None, FULL)]
+    _, now, texts = stood(messages, ev.AutopilotKind.PX4)
+    assert sum("lower used" in text for text in texts) == 1
+    assert now.battery is not None
+    assert now.battery.voltage_v == pytest.approx(25.6 * min(factor, 1.0))
+    _, same, texts = stood([(0, FULL | {"voltage_v": 25.3}), (None, FULL)], ev.AutopilotKind.PX4)
+    assert same.pack.differing_voltages_v is None
+    assert not any("lower used" in text for text in texts)

@@ -21,8 +21,10 @@ from companion.core.return_budget.budget import (
     reserve_margin_text,
 )
 from companion.core.return_budget.outcomes import Budget
+from companion.core.return_budget.power_need import additional_need_wh
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
+from companion.core.vehicle.pack_model import PackPower
 from companion.core.wind.estimator import WindBelief
 from companion.core.wind.forecast import WindForecast, WindOutlook
 
@@ -579,3 +581,27 @@ def test_in_calm_air_turning_round_costs_the_same_on_every_course(north, east) -
     ]
     assert 0.02 < said[0].p_home_now < 0.98  # on the slope, where a tenth of a Wh is visible
     assert said[1].p_home_now == pytest.approx(said[0].p_home_now, abs=1e-6)
+
+
+def with_pack(resistance_ohm: float, left_wh: float = 80.0) -> Assessment:
+    pack = PackPower(M100.battery, resistance_ohm, 0.05, 0.65, left_wh, 125.0)
+    gate, ahead = Gate(ROUTE, GateParams(max_loss=0.01, reserve_wh=15.0)), mission(1500.0, 3)
+    belief = replace(energy(left_wh), pack=pack if resistance_ohm else None)
+    return gate.assess(ahead, believed(0.0, -6.0), followed(0.0, -6.0), belief)
+
+
+def test_a_warm_pack_decides_as_one_without_limits_and_a_cold_one_turns_back() -> None:
+    free = with_pack(0.0)
+    assert not free.turn_back
+    assert with_pack(0.035) == free
+    cold = with_pack(0.12)
+    assert cold.turn_back
+    assert cold.p_home < free.p_home
+    assert with_pack(0.07).energy_need_wh > free.energy_need_wh
+
+
+def test_legs_before_the_last_have_their_power_too() -> None:
+    energy_wh = np.array([[5.0], [3.0], [2.0]])
+    # 9 Wh have to remain after the first leg, of which the others use 5.
+    assert additional_need_wh(energy_wh, np.array([[9.0], [0.0], [1.0]])) == pytest.approx([4.0])
+    assert additional_need_wh(energy_wh, np.array([[5.0], [2.0], [0.0]])) == pytest.approx([0.0])

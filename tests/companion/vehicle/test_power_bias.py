@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from companion.core.vehicle.draw_change import LowCurrentDetector
 from companion.core.vehicle.power_bias import PowerScale
 
 STEP_S = 0.2
@@ -92,3 +93,26 @@ def test_a_rise_that_ends_is_told_and_never_taken_for_less_than_the_model() -> N
     flown(scale, 60.0, 2.0)
     assert flown(scale, 20.0, 1.0) == 1
     assert 1.0 <= scale.model_error().scale < 1.3
+
+
+def seconds_until_low(gain: float, seed: int | None = None, model_std_frac: float = PRIOR) -> float:
+    detector = LowCurrentDetector(0.0, model_std_frac)
+    noise = [0.0] * 1500 if seed is None else gusts(300.0, 0.1, seed)
+    for step, e in enumerate(noise):
+        if detector.update_and_detect(STEP_S, MODEL_W * gain * math.exp(e), MODEL_W):
+            assert detector.gain is not None
+            assert detector.gain[0] == pytest.approx(gain, rel=0.15)
+            return step * STEP_S
+    return math.inf
+
+
+@pytest.mark.parametrize(("gain", "limit_s"), [(0.6, 10.0), (0.65, 11.0), (0.7, 14.0), (0.8, 34.0)])
+def test_a_current_sensor_that_reads_low_is_found(gain: float, limit_s: float) -> None:
+    assert seconds_until_low(gain) < limit_s
+
+
+def test_an_honest_or_high_current_is_not_found_low_in_gusts() -> None:
+    for seed in range(20):
+        assert seconds_until_low(1.0, seed) == math.inf
+    assert seconds_until_low(1.25) == math.inf
+    assert seconds_until_low(0.7, model_std_frac=0.3) == math.inf

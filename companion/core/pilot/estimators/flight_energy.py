@@ -15,13 +15,21 @@ from companion.core.pilot.telemetry_state import (
 )
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.airframe import Airframe
+from companion.core.vehicle.draw_change import LowCurrentDetector
 from companion.core.vehicle.energy_ledger import BatteryObservation, EnergyBelief, EnergyLedger
+from companion.core.vehicle.pack_model import LoadedVoltage, PackPower, ResistanceEstimator
 from companion.core.vehicle.power_bias import ModelError, PowerScale
 from companion.core.wind.estimator import WindBelief
 
 BATTERY_INTERVAL_S = 0.2
 MIN_STEADY_HEIGHT_M = 10.0
 """Above this height measured power is compared with the model."""
+
+CURRENT_STD_FRAC, MODELLED_CURRENT_STD_FRAC = 0.05, 0.15
+"""[est] Relative std of a measured current, and of one by the power model."""
+
+LEVEL_CLIMB_MPS = 0.5
+"""Up to this climb or descent rate flight is level for the check of the current sensor."""
 
 IDLE_POWER_FRAC = 0.5
 """Fraction of the empty vehicle's hover power; flight at the best speed needs about 0.8 of it."""
@@ -55,14 +63,73 @@ class FlightEnergyEstimator:
             temperature_c=vehicle.temperature_c,
             configured_charge_frac=vehicle.stated_charge_frac,
         )
-        self._scale = _prior_power_scale(airframe, monitor_corrections, certificate)
+        self._prior_log_and_std = _prior_power_ratio(airframe, monitor_corrections, certificate)
+        self._scale, self._low_current = self._new_power_scale()
+        self._resistance = ResistanceEstimator(airframe.battery, vehicle.temperature_c)
+        self._health_frac = vehicle.battery_health_frac * monitor_corrections.capacity_frac
         self._updated_s: float | None = None
         self._latest_batteries: dict[int | None, Battery] = {}
 
     @property
     def energy(self) -> EnergyBelief | None:
         """Usable energy left, `None` while unknown."""
-        return self._ledger.energy_belief_or_none()
+        energy = self._ledger.energy_belief_or_none()
+        return energy and replace(energy, pack=self._pack_power_or_none(energy))
+
+    def _pack_power_or_none(self, energy: EnergyBelief) -> PackPower | None:
+        """Return the power of the pack at its present charge: that at the start less the use."""
+        pack, start = self._airframe.battery, energy.start
+        if start is None:
+            return None
+        wh_per_charge = pack.nominal_wh * pack.usable_frac * self._health_frac
+        charge = start.charge_frac - (start.energy_wh - energy.mean_wh) / wh_per_charge
+        ohm, std_log = self._resistance.resistance_ohm_and_std_log()
+        return PackPower(pack, ohm, std_log, max(charge, 0.0), energy.mean_wh, wh_per_charge)
+
+    def _update_resistance(self, telemetry: TelemetryState, modelled_power_w: float | None) -> None:
+        """Measure the resistance by the voltage under load, with the modelled current where none
+        is measured.
+        """
+        battery = telemetry.recent_or_none(telemetry.battery, BATTERY_MAX_AGE_S)
+        energy = self.energy
+        if battery is None or energy is None or energy.pack is None or energy.start is None:
+            return
+        if battery.temperature_c is not None:
+            self._resistance.update_temperature(battery.temperature_c)
+        voltage_v, rest_v = battery.voltage_v, energy.start.rest_voltage_v
+        if voltage_v is None or rest_v is None or not (telemetry.airborne and modelled_power_w):
+            return
+        pack = self._airframe.battery
+        start_v, now_v = (
+            pack.cells * pack.resting_cell_voltage_v(charge)
+            for charge in (energy.start.charge_frac, energy.pack.charge_frac)
+        )
+        current_a, std_frac = battery.current_a, CURRENT_STD_FRAC
+        if not current_a or self._low_current.gain is not None:
+            current_a, std_frac = modelled_power_w / voltage_v, MODELLED_CURRENT_STD_FRAC
+        drop_v = start_v - now_v
+        self._resistance.update_from_sample(
+            LoadedVoltage(telemetry.t_s, voltage_v, current_a, std_frac, rest_v - drop_v, drop_v)
+        )
+
+    def _new_power_scale(self) -> tuple[PowerScale, LowCurrentDetector]:
+        log, std_frac = self._prior_log_and_std
+        return PowerScale(std_frac, prior_log=log), LowCurrentDetector(log, std_frac)
+
+    def _is_current_found_low(
+        self, telemetry: TelemetryState, measured_w: float, modelled_w: float
+    ) -> bool:
+        """Return whether the current sensor reads low; its readings then correct no model."""
+        position, detector = telemetry.position, self._low_current
+        is_level = position is not None and abs(position.vel_d_mps) < LEVEL_CLIMB_MPS
+        if is_level and detector.update_and_detect(BATTERY_INTERVAL_S, measured_w, modelled_w):
+            self._scale, _ = self._new_power_scale()
+        return detector.gain is not None
+
+    @property
+    def current_gain(self) -> tuple[float, float] | None:
+        """Reading over true current of a sensor that reads low, and its relative std."""
+        return self._low_current.gain
 
     @property
     def model_error(self) -> ModelError:
@@ -101,6 +168,7 @@ class FlightEnergyEstimator:
             and current_a
             and modelled_w
             and _is_in_steady_flight(telemetry, wind)
+            and not self._is_current_found_low(telemetry, battery.voltage_v * current_a, modelled_w)
         ):
             comparison = (
                 BATTERY_INTERVAL_S,
@@ -125,6 +193,7 @@ class FlightEnergyEstimator:
             remaining_is_timer=autopilot_kind is AutopilotKind.PX4 and current_a is None,
             temperature_c=battery.temperature_c if battery else None,
             modelled_power_w=modelled_w,
+            is_current_low=self._low_current.gain is not None,
         )
         new_messages = [
             new
@@ -136,16 +205,31 @@ class FlightEnergyEstimator:
         with_messages = [_with_battery_message(observation, new) for new in new_messages]
         for one in with_messages or [observation]:
             self._ledger.update_from_observation(one)
+        self._update_resistance(telemetry, modelled_w)
         return has_draw_changed
 
     def snapshot(self) -> dict[str, object]:
         """Return the state for the checkpoint."""
-        return {"ledger": self._ledger.snapshot(), "scale": self._scale.snapshot()}
+        return {
+            "ledger": self._ledger.snapshot(),
+            "scale": self._scale.snapshot(),
+            "pack_resistance": self._resistance.snapshot(),
+            "current_gain": self._low_current.gain,
+        }
 
-    def restore(self, ledger: dict[str, object], scale: dict[str, object]) -> None:
+    def restore(
+        self,
+        ledger: dict[str, object],
+        scale: dict[str, object],
+        pack: dict[str, object] | None = None,
+        current_gain: tuple[float, float] | None = None,
+    ) -> None:
         """Restore from a checkpoint: energy never rises."""
+        self._low_current.gain = current_gain
         self._ledger.restore(ledger)
         self._scale.restore(scale)
+        if pack is not None:
+            self._resistance.restore(pack)
 
     def _modelled_power_w(
         self, telemetry: TelemetryState, wind: WindBelief | None, payload_kg: float
@@ -198,14 +282,14 @@ def _is_in_steady_flight(telemetry: TelemetryState, wind: WindBelief | None) -> 
     return telemetry.airborne and high and wind is not None and wind.valid
 
 
-def _prior_power_scale(
+def _prior_power_ratio(
     airframe: Airframe, monitor_corrections: MonitorCorrections, certificate: Certificate | None
-) -> PowerScale:
-    """Return the prior ratio of draw to model: never better than the airframe file states."""
+) -> tuple[float, float]:
+    """Return log and std of the prior ratio of draw to model: never below the airframe file's."""
     log, std = monitor_corrections.draw_log, airframe.power_rotor.model_std_frac
     if certificate is not None:
         log, std = max(log, certificate.log_draw_factor), max(std, certificate.draw_std_frac)
-    return PowerScale(math.hypot(std, monitor_corrections.draw_std), prior_log=log)
+    return log, math.hypot(std, monitor_corrections.draw_std)
 
 
 def _with_battery_message(observation: BatteryObservation, message: Battery) -> BatteryObservation:

@@ -114,6 +114,11 @@ class PreflightChecks:
         if (text := telemetry.pack.missing_reason(context.t_s)) or context.estimates.energy is None:
             text = text or "battery energy unknown"
             found.append(PreflightIssue("energy", text, blocks=True, waits=True))
+        estimates = context.estimates
+        if estimates.energy is not None and (pack := estimates.energy.pack) is not None:
+            hover_w = estimates.route_energy.hover_power_w(estimates.payload_kg)
+            if text := pack.power_shortage_or_empty(hover_w):
+                found.append(PreflightIssue("energy", text, blocks=True, waits=True))
         found += self._flight_window_findings(context)
         if telemetry.in_failsafe:
             found.append(
