@@ -165,7 +165,7 @@ class HomeMonitor:
             case Home() if state.takeoff_home is not None:
                 state.reported_home = (event.lat_deg, event.lon_deg, state.takeoff_home[2])
                 is_recent = context.seconds_since(self._flight.takeoff_s) <= HOME_REPORT_WINDOW_S
-                if is_recent and self._home_displacement_m() <= DEPOT_RADIUS_M:
+                if is_recent and _home_displacement_m(self._state) <= DEPOT_RADIUS_M:
                     state.takeoff_home = state.reported_home
             case OrderAccepted() | OrderRefused() if event.order == SET_HOME:
                 self._order_pending_rtl(context)
@@ -277,7 +277,7 @@ class HomeMonitor:
 
     def _report_and_restore_displaced_home(self, context: FlightContext) -> None:
         state = self._state
-        displacement = self._displacement_text(context)
+        displacement = _displacement_text(self._state, context)
         if not displacement:
             state.displaced_since_s = None
             if state.displacement_text:
@@ -291,25 +291,6 @@ class HomeMonitor:
             self._close_gate_and_report_home_moved(context, displacement)
         if context.phase in FLIGHT_PHASES and not state.restore_abandoned:
             self._restore_home_once(context)
-
-    def _home_displacement_m(self) -> float:
-        """Return the horizontal distance of the reported home from its required position."""
-        state = self._state
-        if state.reported_home is None or state.takeoff_home is None:
-            return 0.0
-        required_homes = [state.redirected_home or state.takeoff_home]
-        if state.redirect_ordered_s is not None:
-            required_homes.append(state.home_before_redirect or state.takeoff_home)
-        return min(_horizontal_distance_m(state.reported_home, home) for home in required_homes)
-
-    def _displacement_text(self, context: FlightContext) -> str:
-        """Describe the distance of the home from its required position; `""` if it is there."""
-        sunk_m, away_m = context.telemetry.home_below_ground_m, self._home_displacement_m()
-        if away_m > HOME_TOLERANCE_M:
-            return f"{away_m:.0f} m away"
-        if abs(sunk_m) > HOME_TOLERANCE_M:
-            return f"{abs(sunk_m):.0f} m {'down' if sunk_m > 0.0 else 'up'}"
-        return ""
 
     def _close_gate_and_report_home_moved(
         self, context: FlightContext, displacement_text: str
@@ -351,18 +332,40 @@ class HomeMonitor:
         """
         state = self._state
         state.restore_abandoned = True
-        context.report_alert(Alert.HOME_NOT_RESTORED, displacement=self._displacement_text(context))
+        context.report_alert(
+            Alert.HOME_NOT_RESTORED, displacement=_displacement_text(self._state, context)
+        )
         context.record_decision("home_stays_moved", state.displacement_text)
         low = context.telemetry.home_below_ground_m > HOME_TOLERANCE_M
         if (
             not low
-            or self._home_displacement_m() > HOME_TOLERANCE_M
+            or _home_displacement_m(self._state) > HOME_TOLERANCE_M
             or not self._settings.is_rtl_known_safe
         ):
             return
         if context.is_outbound:
             context.apply_phase_trigger(Trigger.RETURN_STARTED, state.displacement_text)
         context.apply_phase_trigger(Trigger.RETURN_REFUSED, state.displacement_text)
+
+
+def _home_displacement_m(state: HomeState) -> float:
+    """Return the horizontal distance of the reported home from its required position."""
+    if state.reported_home is None or state.takeoff_home is None:
+        return 0.0
+    required_homes = [state.redirected_home or state.takeoff_home]
+    if state.redirect_ordered_s is not None:
+        required_homes.append(state.home_before_redirect or state.takeoff_home)
+    return min(_horizontal_distance_m(state.reported_home, home) for home in required_homes)
+
+
+def _displacement_text(state: HomeState, context: FlightContext) -> str:
+    """Describe the distance of the home from its required position; `""` if it is there."""
+    sunk_m, away_m = context.telemetry.home_below_ground_m, _home_displacement_m(state)
+    if away_m > HOME_TOLERANCE_M:
+        return f"{away_m:.0f} m away"
+    if abs(sunk_m) > HOME_TOLERANCE_M:
+        return f"{abs(sunk_m):.0f} m {'down' if sunk_m > 0.0 else 'up'}"
+    return ""
 
 
 def _horizontal_distance_m(a_position: GeoPosition, b_position: GeoPosition) -> float:
