@@ -91,7 +91,7 @@ class MissionUpload:
     @property
     def are_all_items_sent(self) -> bool:
         """Whether the mission onboard may already be this one."""
-        return self._highest_requested_seq == len(self._items) - 1 and bool(self._items)
+        return 0 <= self._highest_requested_seq == len(self._items) - 1
 
     def _send_count_or_clear_all(self, t_s: float) -> None:
         self._tries += 1
@@ -127,8 +127,7 @@ class MissionUpload:
 
     def _process_mission_ack_result(self, result: int, t_s: float) -> None:
         if result == mavlink.MAV_MISSION_ACCEPTED:
-            # An accepted ACK before the request for the last item belongs to another station's
-            # transfer, or to a mission of that length that was already loaded.
+            # Before the request for the last item it belongs to another station's transfer.
             if self._highest_requested_seq == len(self._items) - 1:
                 self.result_text = ""
         elif result in OTHER_TRANSFER and self._items:

@@ -1,8 +1,7 @@
 """Safety rule 1: control authority over the vehicle, determined from heartbeats.
 
-The autopilot's heartbeats show a takeover by a person or another station. Heartbeats of another
-onboard computer decide which of two has control, when a stalled companion resumes next to its
-replacement: the one that took control last, because the state of the other is out of date. Both
+The autopilot's heartbeats show a takeover by a person or another station. Of two onboard computers
+the one that took control last has it, because the state of a stalled one is out of date. Both
 compare the claims that both publish, so both reach the same decision independently.
 """
 
@@ -91,9 +90,8 @@ class OrderedMode:
 
     def record_ordered_mode(self, context: FlightContext, mode: Mode) -> None:
         """A mode change is ordered: until it takes effect, the old mode is not an intrusion."""
-        state = context.telemetry.state
         self.ordered, self.effective = mode, None
-        self.ordered_from = state.mode_name if state is not None else None
+        self.ordered_from = state.mode_name if (state := context.telemetry.state) else None
         self._order_times_s[mode] = context.t_s
 
     def clear_ordered_mode(self) -> None:
@@ -135,10 +133,10 @@ class OrderedMode:
         self, state: VehicleState, *, is_in_mission: bool = True, is_at_home: bool = False
     ) -> str | None:
         """Return why the mode in this heartbeat is a takeover, or `None`."""
-        ordered_s = self._order_times_s.get(state.mode, -math.inf)
+        mode, ordered_s = state.mode, self._order_times_s.get(state.mode, -math.inf)
         is_effect = state.t_s - ordered_s <= CommandKind.RESUME_MODE.value.limit_s
-        is_end_of_rtl = self.effective is Mode.RTL and state.mode is Mode.LAND and is_at_home
-        if state.mode is self.effective or is_effect or is_end_of_rtl:
+        is_end_of_rtl = self.effective is Mode.RTL and mode is Mode.LAND and is_at_home
+        if mode is self.effective or is_effect or is_end_of_rtl:
             self.effective, self.ordered_from = state.mode, None
             return None
         if is_in_mission and state.mode is Mode.MISSION and self.ordered is None:
