@@ -115,18 +115,19 @@ class PackTelemetry:
 
     def _without_higher_of_two_voltages(self, battery: Battery) -> Battery:
         """Compare SYS_STATUS with all monitors. While they differ the lower voltage counts."""
-        if battery.pack is None and battery.voltage_v is not None:
+        system_v = battery.voltage_v
+        if battery.pack is None and system_v is not None:
             others_v = [
                 other.voltage_v
                 for other in self._measured.values()
                 if other.voltage_v is not None and battery.t_s - other.t_s <= BATTERY_MAX_AGE_S
             ]
-            near_v = min(others_v, key=lambda v: abs(v - battery.voltage_v), default=0.0)
-            off_v, is_about_pack = abs(near_v - battery.voltage_v), self._is_about_pack(battery)
+            near_v = min(others_v, key=lambda v: abs(v - system_v), default=0.0)
+            off_v, is_about_pack = abs(near_v - system_v), self._is_about_pack(battery)
             differs = near_v > 0.0 and off_v > REPORTED_DIFFERENCE_FRAC * near_v and is_about_pack
             self._differing_reports = self._differing_reports + 1 if differs else 0
             is_lasting = self._differing_reports >= DIFFERENT_REPORTS
-            self.differing_voltages_v = (battery.voltage_v, near_v) if is_lasting else None
+            self.differing_voltages_v = (system_v, near_v) if is_lasting else None
         voltages_v = self.differing_voltages_v
         if voltages_v is None or battery.voltage_v is None or len(self._measured) > 1:
             return battery
