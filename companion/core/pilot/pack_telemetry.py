@@ -98,8 +98,9 @@ class PackTelemetry:
         battery = self._freezes.message_without_frozen_fields(message, is_airborne=is_airborne)
         if battery is not message:
             self.has_frozen = True
-            for name in COUNTED_FIELDS if battery.current_a is None else ("voltage_v",):
-                self._field_times_s.pop(name, None)
+            for name in ("voltage_v", *COUNTED_FIELDS):
+                if getattr(message, name) is not None and getattr(battery, name) is None:
+                    self._field_times_s.pop(name, None)
         battery = self._without_higher_of_two_voltages(battery)
         self.messages[battery.pack] = battery
         if battery.pack is not None and battery.voltage_v is not None:
@@ -114,14 +115,19 @@ class PackTelemetry:
 
     def _without_higher_of_two_voltages(self, battery: Battery) -> Battery:
         """Compare SYS_STATUS with all monitors. While they differ the lower voltage counts."""
-        if battery.pack is None and battery.voltage_v is not None:
-            others_v = [b.voltage_v for b in self._measured.values() if b.voltage_v is not None]
-            near_v = min(others_v, key=lambda v: abs(v - battery.voltage_v), default=0.0)
-            off_v, is_about_pack = abs(near_v - battery.voltage_v), self._is_about_pack(battery)
+        system_v = battery.voltage_v
+        if battery.pack is None and system_v is not None:
+            others_v = [
+                other.voltage_v
+                for other in self._measured.values()
+                if other.voltage_v is not None and battery.t_s - other.t_s <= BATTERY_MAX_AGE_S
+            ]
+            near_v = min(others_v, key=lambda v: abs(v - system_v), default=0.0)
+            off_v, is_about_pack = abs(near_v - system_v), self._is_about_pack(battery)
             differs = near_v > 0.0 and off_v > REPORTED_DIFFERENCE_FRAC * near_v and is_about_pack
             self._differing_reports = self._differing_reports + 1 if differs else 0
             is_lasting = self._differing_reports >= DIFFERENT_REPORTS
-            self.differing_voltages_v = (battery.voltage_v, near_v) if is_lasting else None
+            self.differing_voltages_v = (system_v, near_v) if is_lasting else None
         voltages_v = self.differing_voltages_v
         if voltages_v is None or battery.voltage_v is None or len(self._measured) > 1:
             return battery
