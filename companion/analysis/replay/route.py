@@ -269,7 +269,9 @@ class _ReleaseDetector:
     """Detects the parcel release, with the companion's own detector."""
 
     def __init__(self, route_energy: RouteEnergy, payload_kg: float) -> None:
-        self._watch = build_release_monitor(route_energy, payload_kg) if payload_kg > 0.0 else None
+        self._watch = (  # the drop expected in calm air: the log has no wind at its start
+            build_release_monitor(route_energy, payload_kg, 0.0) if payload_kg > 0.0 else None
+        )
 
     def update_and_get_release_evidence(
         self, telemetry: TelemetryState, *, is_release_commanded: bool
