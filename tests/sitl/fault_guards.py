@@ -162,6 +162,23 @@ OBSERVED = "companion.core.pilot.observed_state"
 MISSION_STATE_UNREAD = without(OBSERVED, "ObservedState._store_mission_state", "None")
 NEVER_THEIRS = without(AUTHORITY, "ControlAuthority._other_has_control", "False")
 
+TEN_CELLS_READ = """\
+import companion.adapters.autopilots.telemetry as guarded
+read = guarded._battery_events
+def unwary(message, t_s):
+    message.voltages_ext = [0] * len(message.voltages_ext)
+    return read(message, t_s)
+guarded._battery_events = unwary
+"""
+
+PACK = "companion.core.pilot.telemetry.pack_telemetry"
+POSITION_STEPS_ACCEPTED = without(
+    "companion.core.pilot.telemetry.position_watch", "PositionWatch.accepts_report", "True"
+)
+MOTION_STEPS_ACCEPTED = without(
+    "companion.core.wind.step_watch", "ReportWatch.update_and_describe_steps", "()"
+)
+
 GUARDS: dict[str, Guard] = {
     "shorter-upload": Guard(
         "return",
@@ -329,6 +346,40 @@ GUARDS: dict[str, Guard] = {
         "guarded.TelemetryState.is_above_reported_home = True",
     ),
     "computer-suspends": Guard("outbound", TRUSTS_A_CLOCK_THAT_STOPS),
+    "stray-result": Guard(
+        "ready",
+        "import companion.adapters.autopilots.mission_transfer as guarded\n"
+        "guarded.OTHER_TRANSFER = ()\n"
+        f"import {GROUND}.ground_sequence as sequence; sequence.MAX_UPLOADS = 1",
+    ),
+    "monitor-without-pack-full": Guard(
+        "ready",
+        without(PACK, "PackTelemetry._monitor_selection_key", "0")
+        + "\n"
+        + without(PACK, "PackTelemetry._is_about_pack", "True"),
+    ),
+    "slow-upload": Guard(
+        "ready",
+        "import companion.adapters.autopilots.mission_transfer as guarded; guarded.MAX_TRIES = 2",
+    ),
+    "slow-parameters": Guard(
+        "ready",
+        "import companion.adapters.autopilots.parameters as guarded; guarded.MAX_TRIES = 2\n"
+        "import companion.adapters.autopilots.commands as commands\n"
+        "commands.ResponseTime.response_timeout_s = property(lambda self: 0.0)",
+    ),
+    "current-sensor-low": Guard(
+        "ready",
+        without(
+            "companion.core.vehicle.draw_change", "LowCurrentDetector.update_and_detect", "False"
+        ),
+    ),
+    "many-cells": Guard("ready", TEN_CELLS_READ),
+    "monitor-freezes": Guard("outbound", without(PACK, "FreezeDetector._is_frozen", "False")),
+    "heading-step": Guard("outbound", MOTION_STEPS_ACCEPTED),
+    "position-step": Guard("outbound", POSITION_STEPS_ACCEPTED),
+    "altitude-step": Guard("outbound", POSITION_STEPS_ACCEPTED),
+    "velocity-step": Guard("outbound", MOTION_STEPS_ACCEPTED),
     "hold-then-upload": Guard("outbound", ORDER_OF_EVENTS_IGNORED),
     "intruding-heartbeat": Guard(
         "outbound",
@@ -366,11 +417,14 @@ NO_GUARD = {
     51: LIST_ABOARD,
     53: "many; `sim-bridge trials fuzz` asks each of them by itself",
     55: "none: what the radio loses is as in 50",
+    81: f"the row requires a return, and there is {LIST_ABOARD}; test_link.py asks each leap alone",
+    84: "each disarm needs two of rest, detector and thrust: without one the others suffice;"
+    " test_observed_state.py takes each away",
     59: "none: a plan is made anew, which is what a desk does all day",
 }
 """By number: rows without a guard that a patch could disable."""
 
-SAME_GUARD = {15: 16, 17: 16, 21: 23, 24: 22, 32: 22, 39: 22, 41: 40, 62: 60}
-"""By number: the row whose guard also protects this row. For 24, 32 and 39 it is the gate; their
-flights are short enough to end at home without it. For 62 it is the store's constraint on two
+SAME_GUARD = {15: 16, 17: 16, 21: 23, 24: 22, 32: 22, 39: 22, 41: 40, 62: 60, 78: 22, 90: 30}
+"""By number: the row whose guard also protects this row. For 24, 32, 39 and 78 it is the gate;
+their flights are short enough to end at home without it. For 62 it is the store's constraint on two
 desks; no other decision of desk or vehicle reads a foreign wall clock."""

@@ -13,7 +13,11 @@ from sim_bridge.app.faults.fault import (
 from sim_bridge.app.faults.verdict import check_delivered, check_procedure_made_note
 from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.link.bad_link import FaultyLink
-from sim_bridge.app.link.client_messages import autopilot_heartbeat
+from sim_bridge.app.link.client_messages import (
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    autopilot_heartbeat,
+)
 from sim_bridge.app.link.message_mutation import FIELD_MUTATIONS, MessageMutator
 from sim_bridge.app.link.tap import INJECTED, SlowLine, pass_unchanged
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S
@@ -26,6 +30,7 @@ RADIO_BYTES_PER_S = 5760.0  # 57,600 baud, ten bits a byte
 RADIO_BUFFER_BYTES = 2048  # as of the 3DR/SiK radios' firmware
 INDEFINITE_S = 1e9
 UNREACHABLE_TEXT = "no ground station or desk reaches this companion"
+UNREACHED_S = 40.0
 REFUSED_NOTE = "take-off refused with the reason"
 TIME_MESSAGE = "TIMESYNC"  # simulated time waits for it: it is not part of the faulty link
 
@@ -75,8 +80,15 @@ def stop_forwarding_of_station_link(stage: FaultContext) -> Iterator[None]:
     """PX4 does not forward the station's link for a minute: no take-off, with the reason (S9)."""
     craft, params = stage.craft, stage.craft.autopilot.state.params
     stage.record_fault_start()
+    counts, station = stage.tap.sender_counts, (GROUND_SYSTEM, GROUND_COMPONENT)
     params.set("MAV_0_FORWARD", 0.0)
-    yield from stage.wait(stage.rng.uniform(50.0, 80.0))
+    yield from stage.wait(1.0)  # until what was already forwarded has arrived
+    before, until_s = counts[station], stage.t_s + UNREACHED_S
+    stage.expect_effect(
+        f"no station is received for {UNREACHED_S:g} s",
+        lambda: stage.t_s > until_s and counts[station] == before,
+    )
+    yield from stage.wait(stage.rng.uniform(50.0, 80.0) - 1.0)
     log = (craft.run_dir / "companion.log").read_text()
     if craft.record.takeoff_s is None and not craft.operator.accepted and UNREACHABLE_TEXT in log:
         stage.notes.append(REFUSED_NOTE)
@@ -130,10 +142,10 @@ def slow_down_transfers(prefix: str, max_stall_s: float) -> FaultProcedure:
 def inject_stray_mission_result(stage: FaultContext) -> Iterator[None]:
     """The upload is answered with a result that belongs to no transfer (A15)."""
     counts: list[Message] = []
+    stage.expect_messages_changed(INJECTED)
     stage.tap.to_autopilot = lambda m: counts.append(m) if m.msg_name == "MISSION_COUNT" else None
     yield from stage.wait_until(lambda: bool(counts))
     stage.record_fault_start()
-    stage.expect_messages_changed(INJECTED)
     yield from stage.wait(stage.rng.uniform(0.0, 0.4))
     result = int(stage.rng.choice(STRAY_RESULTS))
     ack = Message(

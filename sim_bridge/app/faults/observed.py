@@ -26,6 +26,7 @@ from sim_bridge.app.link.client_messages import (
 from sim_bridge.app.link.tap import message_with_changed_fields
 from sim_bridge.app.world.station import Station
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.enums import Cmd, MissionState
 
@@ -49,8 +50,10 @@ def _pause_mission(stage: FaultContext, station: Station) -> Iterator[None]:
     """Pause as a ground station does; ArduCopter refuses it except on the way to a waypoint."""
     craft = stage.craft
     if craft.autopilot_kind == "px4":
+        stage.expect_effect("the autopilot is in HOLD", lambda: craft.autopilot.mode is Mode.HOLD)
         station.send_autopilot_command(Cmd.DO_SET_MODE, *MODE_PARAMS["px4"]["hold"])
         return
+    stage.expect_effect("the mission is paused", lambda: craft.autopilot.executor.is_paused)
     until_s = stage.t_s + PAUSE_LIMIT_S
     while not craft.autopilot.executor.is_paused and stage.t_s < until_s:
         station.send_autopilot_command(Cmd.DO_PAUSE_CONTINUE, 0.0)
@@ -63,8 +66,7 @@ def _note_if_hovering(stage: FaultContext) -> Iterator[None]:
     speeds: list[float] = []
     until_s = stage.t_s + HOVER_S
     while stage.t_s < until_s:
-        speeds.append(stage.craft.record.rows[-1][4])
-        speeds.append(stage.craft.record.rows[-1][5])
+        speeds += stage.craft.vehicle.truth.vel_ned_mps[:2]
         yield
     if max(map(abs, speeds)) < HOVER_SPEED_MPS and stage.craft.record.landed_s is None:
         stage.notes.append(INJECTED_NOTE)
@@ -127,6 +129,7 @@ def pause_mission_then_hand_back(stage: FaultContext) -> Iterator[None]:
 def pause_mission_of_old_autopilot(stage: FaultContext) -> Iterator[None]:
     """The mission is paused, and the autopilot does not report the mission's state (A7)."""
     station = Station(stage.craft.link)
+    stage.expect_messages_changed("MISSION_CURRENT")
     stage.tap.to_companion = lambda message: (
         [message_with_changed_fields(message, mission_state=0)]
         if message.msg_name == "MISSION_CURRENT"
@@ -156,6 +159,11 @@ def select_last_item_by_person(stage: FaultContext) -> Iterator[None]:
     station, craft = Station(stage.craft.link), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     last = len(craft.autopilot.store.mission) - 1
+    executor = craft.autopilot.executor
+    stage.expect_effect(
+        "the mission is complete in the air",
+        lambda: executor.state == MissionState.COMPLETE and craft.vehicle.is_airborne,
+    )
     if craft.autopilot_kind == "ardupilot":
         station.send_autopilot_command(Cmd.DO_SET_MISSION_CURRENT, float(last))
     else:
@@ -201,6 +209,7 @@ def freeze_landed_state(stage: FaultContext) -> Iterator[None]:
             stage.notes.append(AIR_DISARM_NOTE)
         return None
 
+    stage.expect_messages_changed("EXTENDED_SYS_STATE")
     stage.tap.to_companion, stage.tap.to_autopilot = replace_landed_state, note_disarm_in_air
 
 
@@ -225,6 +234,10 @@ def _check_crash_is_reported(flown: FaultRunResult) -> str | None:
 def stop_motors_by_false_landing(stage: FaultContext) -> Iterator[None]:
     """The autopilot detects a landing at up to 20 m, and its motors stop (C3)."""
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_effect(
+        "the motors are stopped in the air",
+        lambda: not stage.is_armed and stage.craft.vehicle.is_airborne,
+    )
     stage.craft.autopilot.landing_detector.is_in_error = True
     yield from stage.wait_until(lambda: stage.craft.vehicle.is_crashed)
 
@@ -245,11 +258,15 @@ def drift_barometer(stage: FaultContext) -> Iterator[None]:
     rate_mps = stage.rng.choice([-1.0, 1.0]) * stage.rng.uniform(*DRIFT_RANGE_MPS)
     yield from stage.wait_for_phase_and_record_fault_start()
     sensors, craft = stage.craft.vehicle.sensors, stage.craft
+
+    def is_height_wrong() -> bool:
+        error_m = craft.autopilot.state.pos_ned_m[2] - craft.vehicle.pos_ned_m[2]
+        return abs(error_m) > MIN_HEIGHT_ERROR_M
+
+    stage.expect_effect(f"a height error of {MIN_HEIGHT_ERROR_M:g} m", is_height_wrong)
     while True:
         if abs(sensors.baro_offset_m) < MAX_DRIFT_M:
             sensors.baro_offset_m += rate_mps * EXCHANGE_S
-        estimated_m = -craft.autopilot.state.pos_ned_m[2]
-        error_m = abs(estimated_m + craft.record.rows[-1][3])
-        if error_m > MIN_HEIGHT_ERROR_M and INJECTED_NOTE not in stage.notes:
+        if is_height_wrong() and INJECTED_NOTE not in stage.notes:
             stage.notes.append(INJECTED_NOTE)
         yield

@@ -49,12 +49,18 @@ def scale_measured_current(least_gain: float, greatest_gain: float) -> FaultProc
 
     def procedure(stage: FaultContext) -> Iterator[None]:
         sensors, gain = stage.craft.vehicle.sensors, stage.rng.uniform(least_gain, greatest_gain)
+
+        def is_share_counted() -> bool:
+            counted_j = stage.craft.autopilot.battery.consumed_j
+            expected_j = gain * stage.craft.vehicle.battery.delivered_j
+            return stage.craft.vehicle.is_airborne and abs(counted_j / expected_j - 1.0) < 0.1
+
+        stage.expect_effect(f"{gain:.2f} times the energy is counted", is_share_counted)
         sensors.current_gain *= gain
         stage.record_fault_start()
         yield from stage.wait_until(lambda: stage.craft.vehicle.is_airborne)
         yield from stage.wait(5.0)
-        counted_j = stage.craft.autopilot.battery.consumed_j
-        if abs(counted_j / stage.craft.vehicle.battery.delivered_j / gain - 1.0) < 0.1:
+        if is_share_counted():
             stage.notes.append(INJECTED_NOTE)
 
     return procedure
@@ -110,6 +116,7 @@ def report_monitor_without_pack(
                 reported.append(message_with_changed_fields(message, id=1))
             return reported
 
+        stage.expect_messages_changed(*EMPTY_MONITOR_FIELDS)
         stage.tap.to_companion = report_both
         stage.record_fault_start()
         yield
@@ -153,6 +160,7 @@ def report_pack_over_many_cells(stage: FaultContext) -> Iterator[None]:
         stage.notes.append(INJECTED_NOTE)
         return [split_voltage_over_cells(message, cell_count)]
 
+    stage.expect_messages_changed(BATTERY_MESSAGE)
     stage.tap.to_companion = report_cells
     stage.record_fault_start()
     yield
@@ -182,4 +190,5 @@ def freeze_battery_monitor(stage: FaultContext) -> Iterator[None]:
             stage.notes.append(INJECTED_NOTE)
         return frozen
 
+    stage.expect_messages_changed(*FROZEN_FIELDS)
     stage.tap.to_companion = freeze_and_note

@@ -15,7 +15,7 @@ from sim_bridge.app.faults.verdict import (
     check_returned_home,
 )
 from sim_bridge.app.flight.stage import FaultContext
-from sim_bridge.autopilot.base.modes import Mode
+from sim_bridge.autopilot.base.modes import PILOTED, Mode
 from sim_bridge.autopilot.mavlink.enums import Cmd
 
 FAULTS = FaultGroup("energy")
@@ -52,8 +52,17 @@ def hold_until_alarm_then_return_by_rtl(stage: FaultContext) -> Iterator[None]:
     """A person holds, or a foreign mission loiters, until the return alarm; then RTL (A10)."""
     station, craft = connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
-    yield from stage.wait_until(lambda: _is_away(stage))
     member = stage.rng.choice(["hold", "position", "foreign mission"])
+    autopilot = craft.autopilot
+    is_held = {
+        "hold": lambda: autopilot.mode is Mode.HOLD,
+        "position": lambda: autopilot.mode in PILOTED,
+        "foreign mission": lambda: all(
+            item.command == Cmd.NAV_LOITER_TIME for item in autopilot.store.mission[1:]
+        ),
+    }
+    stage.expect_effect(f"held by {member}", is_held[member])
+    yield from stage.wait_until(lambda: _is_away(stage))
     if member == "foreign mission":
         stage.kill_companion()
         items = craft.autopilot.store.mission
@@ -115,9 +124,11 @@ def trigger_battery_failsafe_during_diversion(stage: FaultContext) -> Iterator[N
     """The draw rises to 1.7 to 2 times; in the diversion the autopilot commands RTL (S2)."""
     station, craft = connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
+    stage.expect_change("another draw", lambda: craft.vehicle.draw_factor)
     craft.vehicle.draw_factor = stage.rng.uniform(1.7, 2.0)
     yield from stage.wait_until(lambda: stage.has_operator_received_alert(Alert.DIVERTING))
     yield from stage.wait(stage.rng.uniform(4.0, 8.0))
+    stage.expect_effect("the autopilot is in RTL", lambda: craft.autopilot.mode is Mode.RTL)
     for name, value in LOW_BATTERY_SETTINGS[craft.autopilot_kind].items():
         station.send_parameter_to_autopilot(name, value)
     yield from stage.wait_until(lambda: craft.autopilot.mode is Mode.RTL)
@@ -137,6 +148,7 @@ def check_no_hopeless_go_decision(flown: FaultRunResult) -> str:
     )
 
 
+HEADWIND_MPS, HEADWIND_AT_M = 13.0, 30.0
 MIN_SUCCESS, GO_KINDS = 0.05, ("go", "onward", "descend")
 
 
@@ -151,11 +163,22 @@ MIN_SUCCESS, GO_KINDS = 0.05, ("go", "onward", "descend")
     ),
     flight={
         "vehicle": {"charge_frac": 0.43},
-        "wind": {"kind": "steady", "speed_mps": 13.0, "from_deg": 270.0, "turbulence": "dryden"},
+        "wind": {
+            "kind": "steady",
+            "speed_mps": HEADWIND_MPS,
+            "from_deg": 270.0,
+            "turbulence": "dryden",
+        },
     },
 )
 def increase_headwind_to_customer(stage: FaultContext) -> Iterator[None]:
     """The headwind measured after take-off makes the delivery hopeless, the return safe (S5)."""
-    stage.craft.vehicle.wind_field.front_to_ne_mps = (0.0, stage.rng.uniform(0.0, 1.0))
+    wind_field = stage.craft.vehicle.wind_field
+    stage.expect_effect(
+        "a headwind",
+        lambda: wind_field.mean_wind_to_ne_mps(stage.t_s, HEADWIND_AT_M)[1] > 0.9 * HEADWIND_MPS,
+        is_in_world=True,
+    )
+    wind_field.front_to_ne_mps = (0.0, stage.rng.uniform(0.0, 1.0))
     stage.record_fault_start()
     yield
