@@ -41,6 +41,10 @@ RESULT_TEXT = {
 }
 
 
+MAX_RESPONSE_S = 4.0
+"""Longest assumed response time: a measured one may contain lost messages and their repetitions."""
+
+
 class ResponseTime:
     """Round-trip time from a message to its response; a limit for repetitions."""
 
@@ -50,7 +54,8 @@ class ResponseTime:
     @property
     def response_timeout_s(self) -> float:
         """Before this time a response may still be in transit."""
-        return 1.1 * self._measured_s + 0.2 if self._measured_s > 0.0 else 0.0
+        timeout_s = 1.1 * self._measured_s + 0.2
+        return min(timeout_s, MAX_RESPONSE_S) if self._measured_s > 0.0 else 0.0
 
     def store_response_time(self, sent_s: float, received_s: float) -> None:
         """Store the newest response time."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
-from companion.adapters.autopilots.mission_transfer import ResponseTime
+from companion.adapters.autopilots.commands import ResponseTime
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     AutopilotParameters,
@@ -24,9 +24,6 @@ from companion.core.mission.events import (
 
 RETRY_S, MAX_RETRY_S = CommandKind.PARAMETER.value.interval_s, 16.0
 """First and last interval between transmissions on a link that answers nothing."""
-
-MAX_RESPONSE_S = 4.0
-"""Longest assumed response time."""
 
 MIN_ANSWERED_ROUNDS, MAX_TRIES = 8, CommandKind.PARAMETER.value.max_tries
 """Answered rounds after which a name is absent at the earliest, and transmissions of a name."""
@@ -253,7 +250,7 @@ class ParameterClient:
             self._send_read_request(known)
 
     def _send_request(self, name: str, request: _Request, t_s: float) -> None:
-        interval_s = max(RETRY_S, min(self._response.response_timeout_s, MAX_RESPONSE_S))
+        interval_s = max(RETRY_S, self._response.response_timeout_s)
         interval_s *= 2.0 ** (self._silent_tries // MAX_PARALLEL_REQUESTS)
         request.first_s = request.first_s if request.tries else t_s
         request.due_s = t_s + min(interval_s, MAX_RETRY_S)

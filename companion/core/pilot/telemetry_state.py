@@ -32,8 +32,8 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.pilot.observed_state import ObservedState
-from companion.core.pilot.pack_telemetry import BATTERY_MAX_AGE_S, PackTelemetry
-from companion.core.pilot.position_watch import PositionWatch
+from companion.core.pilot.telemetry.pack_telemetry import BATTERY_MAX_AGE_S, PackTelemetry
+from companion.core.pilot.telemetry.position_watch import PositionWatch
 
 EventT = TypeVar("EventT", bound=Event)
 

@@ -415,7 +415,7 @@ class EnergyLedger:
         state = self._state
         used = self._consumed_wh_by_source()
         source = max(used, key=lambda name: used[name])
-        frac = _MODEL_STD_FRAC if source == "power model" else _COUNTER_STD_FRAC
+        frac = _MODEL_STD_FRAC if source == "modelled power" else _COUNTER_STD_FRAC
         std = math.hypot(state.start_std_wh, frac * used[source])
         left, name = start_wh - used[source], f"{state.start_source} less {source}"
         percentage_wh = self._energy_by_least_percentage_wh()
@@ -454,7 +454,7 @@ class EnergyLedger:
             used["voltage x current"] = state.current_wh + state.unmeasured_wh
         most = max(used.values(), default=0.0)
         if not used or self._is_below_modelled_consumption(most):
-            used["power model"] = state.modelled_wh
+            used["modelled power"] = state.modelled_wh
         return used
 
     def _is_below_modelled_consumption(self, measured_wh: float) -> bool:
@@ -484,7 +484,7 @@ class EnergyLedger:
         if reading.remaining_is_timer:
             warnings.append("the autopilot's percentage counts time, not energy: not used")
         used = self._consumed_wh_by_source()
-        if "power model" in used and state.modelled_wh > _COUNTER_CHECK_WH:
+        if "modelled power" in used and state.modelled_wh > _COUNTER_CHECK_WH:
             reason = (
                 "counts less than the power model" if len(used) > 1 else "measures no consumption"
             )

@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterator
 
 from sim_bridge.app.day.desk import LOG_FILE
 from sim_bridge.app.day.truck import DayTruck
+from sim_bridge.app.faults.day.fleet_day import FAULTED_DRONE, SmallDay
+from sim_bridge.app.faults.day.small_day import OffsetClock, TimedOutage
 from sim_bridge.app.faults.fault import (
     AIRBORNE_PHASES,
     FLEET_GROUP,
     PHASES,
     FaultGroup,
 )
-from sim_bridge.app.faults.fleet_day import FAULTED_DRONE, SmallDay
-from sim_bridge.app.faults.small_day import OffsetClock, TimedOutage
 from sim_bridge.app.faults.verdict import (
     check_all_delivered,
     check_desk_log_contains,

@@ -47,7 +47,7 @@ def fly_case(case: FaultCase, task: FaultTask) -> FaultRow:
 
 def _fly_day_case_catching_exceptions(case: FaultCase, task: FaultTask) -> FaultRow:
     """Fly a day. An exception of desk, companion or truck, all in this process, fails the row."""
-    from sim_bridge.app.faults.fleet_day import EMPTY_FLIGHT_ROW, fly_small_day
+    from sim_bridge.app.faults.day.fleet_day import EMPTY_FLIGHT_ROW, fly_small_day
 
     try:
         flown = fly_small_day(case, task)

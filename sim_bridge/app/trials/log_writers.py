@@ -14,10 +14,8 @@ import numpy as np
 from sim_bridge.app.trials.synthetic_flight import (
     ALT_M,
     CHARGE_FRAC,
-    CURRENT_A,
     LAT_DEG,
     LON_DEG,
-    VOLTAGE_V,
     SyntheticFlight,
 )
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
@@ -44,11 +42,9 @@ def telemetry_csv_columns(synthetic_flight: SyntheticFlight) -> dict[str, np.nda
 
 
 def battery_csv_columns(synthetic_flight: SyntheticFlight) -> dict[str, np.ndarray]:
-    unit_values = np.ones(synthetic_flight.t_s.size)
-    current = np.where(synthetic_flight.flying, CURRENT_A, 0.0)
     return {
-        "voltage_v": np.where(synthetic_flight.flying, VOLTAGE_V - 0.9, VOLTAGE_V) * unit_values,
-        "current_a": current,
+        "voltage_v": synthetic_flight.voltage_v,
+        "current_a": synthetic_flight.current_a,
         "consumed_mah": 1000.0 * synthetic_flight.consumed_charge_ah,
         "armed": synthetic_flight.flying.astype(float),
         "lat_deg": synthetic_flight.lat_deg,
@@ -136,7 +132,7 @@ def write_ulog(
     parameters: dict[str, int] | None = None,
     *,
     airspeed_source: int = -1,
-    current_a: float = CURRENT_A,
+    with_current: bool = True,
     with_wind_estimate: bool = False,
 ) -> Path:
     log = UlogWriter({"MAV_TYPE": 2, **(parameters or {})})
@@ -162,9 +158,9 @@ def write_ulog(
             log.append_message("wind", t_s, *synthetic_flight.wind_to_ne_mps, 0.25, 0.25)
         is_airborne = bool(synthetic_flight.flying[i])
         if i % 2 == 0 and synthetic_flight.powered:
-            used = 1000.0 * synthetic_flight.consumed_charge_ah[i] if current_a >= 0.0 else 0.0
-            amps = current_a if is_airborne or current_a < 0.0 else 0.0
-            volts = VOLTAGE_V - 0.9 * is_airborne
+            used = 1000.0 * synthetic_flight.consumed_charge_ah[i] if with_current else 0.0
+            amps = synthetic_flight.current_a[i] if with_current else -1.0
+            volts = synthetic_flight.voltage_v[i]
             log.append_message("battery_status", t_s, volts, amps, used, CHARGE_FRAC, math.nan)
         if is_airborne != was_airborne or i % 10 == 0:
             was_airborne = is_airborne
@@ -292,11 +288,9 @@ def write_dataflash(
             was_airborne = is_airborne
             log.append_message("EV", t_s, 28 if is_airborne else 18)
         if i % 2 == 0 and synthetic_flight.powered:
-            amps = CURRENT_A if is_airborne else 0.0
+            amps, volts = synthetic_flight.current_a[i], synthetic_flight.voltage_v[i]
             used = 1000.0 * float(synthetic_flight.consumed_charge_ah[i])
-            log.append_message(
-                "BAT", t_s, 0, VOLTAGE_V - 0.9 * is_airborne, amps, used, used * 0.0232
-            )
+            log.append_message("BAT", t_s, 0, volts, amps, used, used * 0.0232)
     log.append_message("EV", synthetic_flight.t_s[-1], 11)
     return log.save(path)
 
@@ -369,8 +363,8 @@ def write_tlog(
         if i % 2 == 0 and synthetic_flight.powered:
             log.append_frame(t_s, "BATTERY_STATUS", id=0, battery_function=0, type=1,
             temperature=32767,
-                    voltages=(round(1000.0 * (VOLTAGE_V - 0.9 * is_airborne)), *([65535] * 9)),
-                    current_battery=round(100.0 * CURRENT_A) if is_airborne else 0,
+                    voltages=(round(1000.0 * synthetic_flight.voltage_v[i]), *([65535] * 9)),
+                    current_battery=round(100.0 * synthetic_flight.current_a[i]),
                     current_consumed=round(1000.0 * float(synthetic_flight.consumed_charge_ah[i])),
                     energy_consumed=-1, battery_remaining=-1)  # fmt: skip
     return log.save(path)

@@ -50,6 +50,21 @@ class SyntheticFlight:
         steps = np.diff(self.t_s, prepend=self.t_s[0]) * self.flying
         return np.cumsum(steps) * CURRENT_A / 3600.0
 
+    @property
+    def current_a(self) -> np.ndarray:
+        """The measured current; it varies by its resolution, as a constant one counts as frozen."""
+        return np.where(self.flying, CURRENT_A + 0.01 * self._least_variation, 0.0)
+
+    @property
+    def voltage_v(self) -> np.ndarray:
+        """The measured voltage, which varies by its resolution in flight."""
+        loaded_v = VOLTAGE_V - 0.9 + 0.001 * self._least_variation
+        return np.where(self.flying, loaded_v, VOLTAGE_V)
+
+    @property
+    def _least_variation(self) -> np.ndarray:
+        return np.round(10.0 * self.t_s) % 3 - 1.0
+
     def select_rows(self, selection: Any) -> "SyntheticFlight":
         """Return the flight reduced to these rows."""
         names = ("t_s", "vel_ned_mps", "pos_ned_m", "roll_rad", "pitch_rad", "yaw_rad",

@@ -100,7 +100,7 @@ def best_speed_sheet(found: list[EnergyCurve], airframe: Airframe) -> Sheet:
         f"Energy and speed: {airframe.name}",
         found,
         {
-            "power model": "{0.model}",
+            "model": "{0.model}",
             "payload kg": "{0.payload_kg:g}",
             f"wind {WIND_MPS:g} m/s": "{0.wind}",
             "best airspeed m/s": "{0.best[0]:.1f}",

@@ -12,6 +12,7 @@ import pytest
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.autopilots.mission_transfer import MissionClient
 from companion.adapters.autopilots.mission_wire import encode_mission_items
 from companion.adapters.autopilots.operator_port import (
     MAX_REPORTED_SOURCES,
@@ -280,22 +281,21 @@ def test_an_order_is_repeated_while_the_state_is_reported_unchanged(order, befor
 
 
 def test_an_upload_ends_as_superseded_if_the_mission_id_changes_before_all_items_are_sent():
-    bench = Bench(PX4)
-    session = bench.port._session
-    assert session is not None
-    bench.port.execute(UploadMission(ITEMS), 10.0)
+    sent: list[Any] = []
+    missions = MissionClient(sent.append, 1, Px4())
+    missions.start_transfer(UploadMission(ITEMS), 10.0)
     found = [
         event
         for mission_id in (7, 8)
-        for event in session._missions.end_upload_if_id_changed(
+        for event in missions.end_upload_if_id_changed(
             ev.MissionProgress(10.0, 3, 10, None, mission_id)
         )
     ]
     assert [(event.superseded, event.reason) for event in found] == [
         (True, "written by another station")
     ]
-    bench.take()
-    assert bench.is_quiet(20.0)
+    sent.clear()
+    assert missions.tick(20.0) == sent == []
 
 
 def test_safety_rule_1_a_parameter_that_another_station_sets_meanwhile_is_not_set_again():
@@ -303,20 +303,24 @@ def test_safety_rule_1_a_parameter_that_another_station_sets_meanwhile_is_not_se
     client = ParameterClient(sent.append, 1, bytewise=False)
 
     def show(value: float) -> None:
-        client.process_param_value(SimpleNamespace(param_id="A", param_type=9, param_value=value))
+        message = SimpleNamespace(param_id="A", param_type=9, param_value=value)
+        client.process_param_value(message, 1.0)
+
+    def write_count() -> int:
+        return sum(message.get_type() == "PARAM_SET" for message in sent)
 
     show(1.0)
     client.start_setting_values({"A": 5.0}, 0.0)
     show(1.0)
     client.tick(1.1)
-    assert len(sent) == 2, "unchanged: it was lost"
+    assert write_count() == 2, "unchanged: it was lost"
     show(3.0)
     client.tick(2.2)
-    assert (len(sent), client.failed) == (2, ["A"])
+    assert (write_count(), client.failed) == (2, ["A"])
     client.start_setting_values({"A": 5.0}, 3.0)
     client.record_armed_state(armed=True)
     client.tick(4.1)
-    assert (len(sent), client.failed) == (3, ["A"])
+    assert (write_count(), client.failed) == (3, ["A"])
 
 
 @pytest.mark.parametrize("autopilot", [ARDUPILOT, PX4])

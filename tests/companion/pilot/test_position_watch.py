@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.core.mission.events import GnssFix, Position
-from companion.core.pilot.position_watch import PositionWatch
+from companion.core.pilot.telemetry.position_watch import PositionWatch
 
 LAT_DEG, LON_DEG, M_PER_DEG = 55.47, 8.45, 111_195.0
 SPEED_MPS, STEP_S, INTERVAL_S = 15.0, 10.0, 0.1

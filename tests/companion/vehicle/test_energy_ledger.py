@@ -109,7 +109,7 @@ def test_unknown_fields_are_never_integrated(unknown: float) -> None:
     book, told = rested(), {"current_a": unknown, "consumed_wh": unknown, "consumed_mah": 0.0}
     fly(book, 1, 60, **told, modelled_power_w=480.0)
     assert left(book).mean_wh == pytest.approx(FULL_WH - 8.0, abs=0.2)
-    assert "power model" in left(book).source
+    assert "modelled power" in left(book).source
     assert any("measures no consumption" in w for w in left(book).warnings)
 
 

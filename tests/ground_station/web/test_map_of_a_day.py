@@ -83,7 +83,7 @@ class Watched:
     def take_seat(self, built: Any, folder: Path) -> Any:
         """Start the day's desk and the map next to it."""
         from sim_bridge.app.day.desk import SteppedDesk, store_url
-        from sim_bridge.app.faults.small_day import build_fixed_plan
+        from sim_bridge.app.faults.day.small_day import build_fixed_plan
 
         seat = SteppedDesk.start_truck_desk(built, build_fixed_plan(built.data), folder, SEED, 50)
         self.built = built
@@ -231,7 +231,7 @@ def flown(folder: Path, watched: Watched) -> dict[str, Any]:
     enable_compile_cache_and_check_if_known()
     from sim_bridge.app.day.faults import DayWorldOptions
     from sim_bridge.app.day.run import DayOptions, fly_day_and_write_result
-    from sim_bridge.app.faults.small_day import read_bundled_day
+    from sim_bridge.app.faults.day.small_day import read_bundled_day
 
     options = DayOptions(
         name="faults", data=read_bundled_day(), world_options=DayWorldOptions(), seed=SEED,

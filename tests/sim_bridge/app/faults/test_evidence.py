@@ -18,8 +18,8 @@ from sim_bridge.app.day.desk import LOG_FILE
 from sim_bridge.app.day.truck import DayTruck
 from sim_bridge.app.fault_suite.catalogue import CATALOGUE
 from sim_bridge.app.faults import authority
+from sim_bridge.app.faults.day.fleet_day import FAULTED_DRONE
 from sim_bridge.app.faults.fault import FLEET_GROUP, FaultCase
-from sim_bridge.app.faults.fleet_day import FAULTED_DRONE
 from sim_bridge.app.faults.runner import write_changed_flight_file
 from sim_bridge.app.flight.craft_building import FlyOptions, build_single_craft
 from sim_bridge.app.flight.stage import FaultContext, describe_missing_effects

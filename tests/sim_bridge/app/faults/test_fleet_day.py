@@ -9,11 +9,11 @@ import pytest
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.app.desk.active_plan import require_plan_fits_day
 from sim_bridge.app.faults import verdict as rules
-from sim_bridge.app.faults.fleet_day import (
+from sim_bridge.app.faults.day.fleet_day import (
     find_p_home_at_last_go_decision,
     read_desk_log_entries,
 )
-from sim_bridge.app.faults.small_day import build_fixed_plan, read_bundled_day
+from sim_bridge.app.faults.day.small_day import build_fixed_plan, read_bundled_day
 from sim_bridge.app.faults.verdict import FaultRunResult, FlownDay
 from sim_bridge.app.world.exception_files import count_tracebacks_by_file
 from tests.sim_bridge.app.trials.test_days import HELD

@@ -19,13 +19,13 @@ from sim_bridge.app.day.drone import DayDrone, PowerCycle
 from sim_bridge.app.day.faults import DayWorldOptions
 from sim_bridge.app.day.run import DayOptions, fly_day_and_write_result
 from sim_bridge.app.day.world import DayWorld, SimulatedDesk
-from sim_bridge.app.faults.fault import FaultCase, FaultTask
-from sim_bridge.app.faults.small_day import (
+from sim_bridge.app.faults.day.small_day import (
     OffsetClock,
     SmallDayDesks,
     build_fixed_plan,
     read_bundled_day,
 )
+from sim_bridge.app.faults.fault import FaultCase, FaultTask
 from sim_bridge.app.faults.verdict import FaultRunResult, FlownDay, p_home_of_last_go_decision
 from sim_bridge.app.flight.stage import FaultContext
 from sim_bridge.app.world.exception_files import count_tracebacks_by_file
