@@ -58,6 +58,7 @@ from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.estimator import WindBelief
 
 DEPOT = (55.47, 8.45, 12.0)
+PACK_OHM = 0.045
 M_PER_DEG = 111_194.93  # one degree on a sphere of 6,371,008.8 m
 FLIGHT = msgspec.convert(
     tomllib.loads(
@@ -341,6 +342,9 @@ class World:
     def telemetry(self) -> list[ev.Event]:
         t = self.t_s
         power = 470.0 if self.loaded else 370.0
+        # A working sensor varies, and a pack under load sags.
+        current = (power / 22.0 if self.armed else 0.5) + 0.02 * (round(t * 10) % 3)
+        volts = None if self.volts is None else self.volts - PACK_OHM * current * self.armed
         found: list[ev.Event] = [
             ev.Attitude(t, 0.0, 0.0, 0.0),
             ev.Position(
@@ -358,7 +362,7 @@ class World:
                 if self.gnss_up_m is None
                 else self.alt_amsl_m + self.height + self.gnss_up_m,
             ),
-            ev.Battery(t, voltage_v=self.volts, current_a=power / 22.0 if self.armed else 0.5),
+            ev.Battery(t, voltage_v=volts, current_a=current),
             ev.MissionProgress(
                 t, self.index, len(self.items), None, self.mission_id, self.mission_state
             ),

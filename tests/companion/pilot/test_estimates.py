@@ -195,7 +195,7 @@ def in_flight(
 ) -> tuple[FlightEstimates, RemainingMission]:
     """Return estimates with a known wind and battery, over the depot of the default flight."""
     judge = judgement(speed_rule)
-    battery = ev.Battery(1.0, voltage_v=resting_v, current_a=0.5)
+    battery = ev.Battery(1.0, voltage_v=resting_v, current_a=0.5, temperature_c=25.0)
     judge.update_from_telemetry(standing(1.0, battery), ev.AutopilotKind.PX4)
     judge.wind = WindBelief(60.0, np.array([2.0, -3.0]), 0.2 * np.eye(2), ("test",), True)
     depot, customer, level = (0.0, 0.0, 0.0), (0.0, -400.0, 0.0), -40.0
@@ -263,7 +263,8 @@ def counted_on_the_ground(throttle_frac: float, *, landed: bool) -> float:
     )
     for k in range(600):
         t_s = 2.0 + 0.1 * k
-        told = (ev.Battery(t_s, voltage_v=25.6, current_a=1.6), ev.Throttle(t_s, throttle_frac))
+        current_a = 1.6 + 0.02 * (k % 3)  # a working sensor varies
+        told = ev.Battery(t_s, voltage_v=25.6, current_a=current_a), ev.Throttle(t_s, throttle_frac)
         judge.update_from_telemetry(armed(t_s, now, state, *told), ev.AutopilotKind.ARDUPILOT)
     assert judge.energy is not None
     return judge.energy.used_wh

@@ -25,6 +25,7 @@ from companion.core.mission.mission_items import MissionItem
 from companion.core.pilot.authority import OrderedMode
 from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
+from companion.core.pilot.telemetry.position_watch import PositionWatch
 from companion.core.pilot.transitions import Phase
 from tests.companion.pilot.fake_vehicle import World, start, world
 
@@ -328,6 +329,7 @@ def test_safety_rule_1_land_during_our_rtl_is_a_persons_unless_at_home(away_m, i
     w.run(lambda w: w.mode is Mode.RTL, 10.0)
     let(w, 10.0)
     w.north, w.east, w.mode, changed_s = away_m, 0.0, Mode.LAND, w.t_s
+    w.pilot.context.telemetry.position_watch = PositionWatch()  # its flight there is left out
     let(w, 1.0)
     assert (w.pilot.phase is Phase.SUSPENDED) is is_persons
     done = w.to_the_end()

@@ -197,9 +197,9 @@ AGAINST = EncodedFront(
 
 @pytest.mark.sample
 def test_a_front_that_is_told_is_judged_within_ten_seconds_and_only_against_flying_on() -> None:
-    calm, against = Flown(None, volts=23.75), Flown(None, front=AGAINST, volts=23.75)
+    calm, against = Flown(None, volts=24.05), Flown(None, front=AGAINST, volts=24.05)
     helping = msgspec.structs.replace(AGAINST, post_front_n_mps=-4.0, post_front_e_mps=0.0)
-    helped = Flown(None, front=helping, volts=23.75)
+    helped = Flown(None, front=helping, volts=24.05)
     assert calm.decision("turn_back") is None
     turned = against.decision("turn_back")
     assert turned is not None
@@ -222,8 +222,8 @@ def test_a_front_that_is_withdrawn_counts_no_more() -> None:
     far = msgspec.structs.replace(
         AGAINST, arrives_in_s=200.0, post_front_n_mps=-4.0, post_front_e_mps=0.0
     )
-    calm, told = Flown(None, volts=23.75), Flown(None, front=far, volts=23.75)
-    over = Flown(None, front=far, volts=23.75, withdrawn_after_s=20.0)
+    calm, told = Flown(None, volts=24.05), Flown(None, front=far, volts=24.05)
+    over = Flown(None, front=far, volts=24.05, withdrawn_after_s=20.0)
     assert over.front_s is not None
     assert told.front_s == over.front_s
     before, after = over.front_s + 20.0, over.front_s + 22.0
