@@ -64,7 +64,7 @@ NO_FIXTURE = {
     "audit/1": "a domain of digests: the audit's rows are in the store",
     "calibration/1": "a report for people, with the airframe file that is kept",
     "certificate/1": "the name of a domain",
-    "conformance/1": "tests/reference has two, which other tests read",
+    "conformance/1": "tests/reference has three, which other tests read",
     "day-report/1": "a report for people, never read back",
     "leeway-signed/1": "a domain of signatures: the envelopes that are kept have them",
     "fleet-wind/1": "a study's result, never read back",

@@ -205,6 +205,14 @@ def test_every_recorded_answer_belongs_to_a_behaviour() -> None:
         assert recorded(kind).results.keys() <= names
 
 
+def test_arducopter_4_6_2_differs_from_4_7_in_two_answers_to_speed_commands() -> None:
+    path = reference.reference_folder() / "ardupilot-4.6.2.json"
+    of_4_6_2, of_4_7 = reference.read_result(path), recorded(AutopilotKind.ARDUPILOT)
+    verdicts = reference.compare_results(of_4_6_2, of_4_7, {})
+    assert verdicts.keys() == of_4_7.results.keys()
+    assert wrong(verdicts) == ["acks/speed_type", "speed/none"]
+
+
 def test_the_command_asks_over_udp_and_judges(tmp_path: Path) -> None:
     out = tmp_path / "seen.json"
     with Host(SPEEDUP) as host:
