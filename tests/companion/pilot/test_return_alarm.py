@@ -160,7 +160,7 @@ def test_who_flies_away_is_warned_earlier_and_who_returns_is_not(left_wh, drift_
     [
         (30.0, 5.0, None),
         (30.0, 0.8, "fly to quay, "),  # held up by the wind, as measured
-        (1.0, 0.8, "land here"),
+        (3.0, 0.8, "land here"),
     ],
 )
 def test_an_rtl_that_does_not_arrive_is_reported_with_a_site_or_a_landing(

@@ -65,6 +65,8 @@ class ReturnAlarm:
         is_active = context.phase in phases and context.telemetry.airborne
         if self._is_active and not is_active:
             self._latest.discard()  # a return was assessed, not the mission that is resumed
+        if is_active and not self._is_active:
+            self._rtl_sufficient_s = context.t_s
         self._is_active = is_active
         flown, here = context.flight_plan, context.recent_position_ned_m()
         position, state = context.telemetry.position, context.telemetry.state
