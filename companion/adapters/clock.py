@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from companion.core.mission.events import MAX_TELEMETRY_GAP_S
+from companion.core.base.clock_limits import MAX_TELEMETRY_GAP_S
 
 WALL_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 

@@ -461,10 +461,6 @@ class OtherCompanionReport(Event):
     control_since_ms: int | None = None
 
 
-MAX_TELEMETRY_GAP_S = 3600.0
-"""No multirotor flies longer on its pack: a longer gap in its telemetry is a fault of its clock."""
-
-
 @dataclass(frozen=True, slots=True)
 class LinkSilent(Event):
     """No message has arrived from the autopilot for a while (wall clock)."""

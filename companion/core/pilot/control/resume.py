@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from companion.core.base.clock_limits import MAX_TELEMETRY_GAP_S
 from companion.core.mission.actions import (
     CancelOrders,
     ContinueMission,
@@ -18,7 +19,6 @@ from companion.core.mission.actions import (
 from companion.core.mission.alerts import Alert
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
-    MAX_TELEMETRY_GAP_S,
     ClockJumpedForward,
     ClockSteppedBack,
     Event,
