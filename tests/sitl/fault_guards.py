@@ -134,8 +134,6 @@ guarded.PlanningExecutor._start_thread = start_thread
 TRUSTS_A_CLOCK_THAT_STOPS = """\
 import time, companion.adapters.clock as guarded
 guarded.wall_s = lambda: time.monotonic()
-import companion.app.flight.receive_backlog as backlog
-backlog.ReceiveBacklog.is_newer_data_unread = lambda self: False
 """
 
 ORDER_OF_EVENTS_IGNORED = """\

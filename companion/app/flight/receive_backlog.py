@@ -32,10 +32,6 @@ can be processed must not block decisions.
 """
 
 
-MAX_ORDER_HOLD_S = 0.3
-"""Wall-clock limit for holding an order while received data are unread."""
-
-
 class _State(Enum):
     READY = auto()
     STALLED = auto()
@@ -61,7 +57,6 @@ class ReceiveBacklog:
         self._backlog_count = 0
         self._previous_count = 0
         self._received_newer = False
-        self._no_unread_data_s = clock_s()
         self._count_start_s = 0.0
         self.stall_duration_s = 0.0
 
@@ -74,17 +69,6 @@ class ReceiveBacklog:
     def is_vehicle_state_unconfirmed(self) -> bool:
         """Whether the vehicle flew on during a stall and its present state is unknown."""
         return self._state in (_State.CATCHING_UP, _State.UNCONFIRMED)
-
-    def is_newer_data_unread(self) -> bool:
-        """Return whether received data wait that may contain a newer decision.
-
-        It needs no clock: after a stall that no clock shows, they are older than they seem. A link
-        that always delivers more than is processed holds orders for `MAX_ORDER_HOLD_S` only.
-        """
-        now_s, is_unread = self._clock_s(), self._link.queued_chunk_count() > 0
-        if not is_unread:
-            self._no_unread_data_s = now_s
-        return is_unread and now_s - self._no_unread_data_s < MAX_ORDER_HOLD_S
 
     @property
     def link_silence_s(self) -> float:

@@ -31,8 +31,7 @@ class SendQueue:
     per datagram exceeds the cost per byte.
 
     A frame is packed when it is queued and recorded when it is sent. Orders are not queued during a
-    backlog, and wait until their age is confirmed and received data are read; ones that are
-    outdated by the autopilot's time are discarded.
+    backlog, and wait until their age is confirmed; outdated ones are discarded.
     """
 
     def __init__(
@@ -83,12 +82,11 @@ class SendQueue:
         self._backlog.register_cycle()
         backlog, now_s = self._backlog, self._clock.t_s
         # Orders that wait: the next tick shows whether they are outdated.
-        can_send = backlog.can_send_orders and not backlog.is_newer_data_unread()
-        must_wait = not can_send and not backlog.is_vehicle_state_unconfirmed
+        must_wait = not backlog.can_send_orders and not backlog.is_vehicle_state_unconfirmed
         sendable = [
             queued
             for queued in self._queued
-            if not queued.is_order or (can_send and now_s - queued.t_s <= STALL_S)
+            if not queued.is_order or (backlog.can_send_orders and now_s - queued.t_s <= STALL_S)
         ]
         self._queued = [queued for queued in self._queued if queued.is_order and must_wait]
         if sendable:

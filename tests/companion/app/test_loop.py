@@ -23,7 +23,6 @@ from companion.adapters.files.signing_files import SigningStampStore
 from companion.app.flight import run as run_module
 from companion.app.flight.loaded_flight import autopilot_parameter_requirements
 from companion.app.flight.loop import Loop
-from companion.app.flight.receive_backlog import ReceiveBacklog
 from companion.app.flight.recorder import Recorder
 from companion.app.flight.run import INTERNAL_ERROR
 from companion.app.flight.send_queue import SendQueue
@@ -401,19 +400,6 @@ def test_safety_rule_1_an_order_of_the_tick_in_the_read_with_a_takeover_does_not
     station.wire.received.append(
         b"".join(bytes(m.pack(station.mav)) for m in (station.sync(1.2), still.beat(3)))
     )
-    assert bool(still.commands()) is not is_guarded
-
-
-@pytest.mark.parametrize("is_guarded", [True, False])
-def test_safety_rule_1_an_order_waits_while_received_data_that_no_clock_shows_late_are_unread(
-    station, monkeypatch, is_guarded
-):
-    """A suspension that stops all clocks: TIMESYNC at its start, the takeover at its end."""
-    still = Stalled(station)
-    if not is_guarded:
-        monkeypatch.setattr(ReceiveBacklog, "is_newer_data_unread", lambda self: False)
-    station.loop.execute_actions([SetGroundSpeed(8.0)])
-    still.arrive(1.1, 2.6, mode=3)
     assert bool(still.commands()) is not is_guarded
 
 

@@ -37,7 +37,7 @@ class _ConstantValue:
 class FreezeDetector:
     """Detects measurements that are constant in flight, by monitor and field.
 
-    A constant voltage is only frozen if it varied before: some simulators report a constant one.
+    A constant value is only frozen if it varied before: some simulators report constant ones.
     """
 
     _values: dict[tuple[int | None, str], _ConstantValue] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class FreezeDetector:
             return False
         last.reports += 1
         is_constant = t_s - last.since_s >= FROZEN_S and last.reports >= FROZEN_REPORTS
-        return is_constant and (last.has_varied or field_name == "current_a")
+        return is_constant and last.has_varied
 
 
 @dataclass(slots=True)
