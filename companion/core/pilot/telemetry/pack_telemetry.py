@@ -29,6 +29,7 @@ class _ConstantValue:
 
     value: float
     since_s: float
+    is_airborne: bool
     reports: int = 1
     has_varied: bool = False
 
@@ -37,7 +38,7 @@ class _ConstantValue:
 class FreezeDetector:
     """Detects measurements that are constant in flight, by monitor and field.
 
-    A constant value is only frozen if it varied before: some simulators report constant ones.
+    A constant value is only frozen if it varied before in flight: some simulators report constants.
     """
 
     _values: dict[tuple[int | None, str], _ConstantValue] = field(default_factory=dict)
@@ -59,8 +60,9 @@ class FreezeDetector:
         key, t_s = (battery.pack, field_name), battery.t_s
         last = self._values.get(key)
         if last is None or value != last.value or not is_airborne:
-            has_varied = last is not None and (last.has_varied or value != last.value)
-            self._values[key] = _ConstantValue(value, t_s, has_varied=has_varied)
+            in_flight = is_airborne and last is not None and last.is_airborne
+            has_varied = in_flight and (last.has_varied or value != last.value)
+            self._values[key] = _ConstantValue(value, t_s, is_airborne, has_varied=has_varied)
             return False
         last.reports += 1
         is_constant = t_s - last.since_s >= FROZEN_S and last.reports >= FROZEN_REPORTS
