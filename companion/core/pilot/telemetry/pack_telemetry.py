@@ -60,9 +60,12 @@ class FreezeDetector:
         key, t_s = (battery.pack, field_name), battery.t_s
         last = self._values.get(key)
         if last is None or value != last.value or not is_airborne:
-            was_in_flight = last is not None and last.is_airborne and is_airborne
-            differs = last is not None and (last.has_varied or value != last.value)
-            has_varied = was_in_flight and differs
+            has_varied = (
+                is_airborne
+                and last is not None
+                and last.is_airborne
+                and (last.has_varied or value != last.value)
+            )
             self._values[key] = _ConstantValue(value, t_s, is_airborne, has_varied=has_varied)
             return False
         last.reports += 1
