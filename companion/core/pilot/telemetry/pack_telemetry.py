@@ -25,20 +25,22 @@ COUNTED_FIELDS = ("current_a", "consumed_ah", "consumed_j")
 
 @dataclass(slots=True)
 class _ConstantValue:
-    """A measured value, since when and for how many messages it is constant in flight."""
+    """A measured value, since when and for how many messages it is constant in flight, and the
+    number of changes in flight before it.
+    """
 
     value: float
     since_s: float
-    is_airborne: bool
+    changes: int
     reports: int = 1
-    has_varied: bool = False
 
 
 @dataclass(slots=True)
 class FreezeDetector:
     """Detects measurements that are constant in flight, by monitor and field.
 
-    A constant value is only frozen if it varied before in flight: some simulators report constants.
+    Simulators and synthetic logs report constants, which are not frozen: a voltage that never
+    changed, and values that changed at takeoff only.
     """
 
     _values: dict[tuple[int | None, str], _ConstantValue] = field(default_factory=dict)
@@ -60,17 +62,13 @@ class FreezeDetector:
         key, t_s = (battery.pack, field_name), battery.t_s
         last = self._values.get(key)
         if last is None or value != last.value or not is_airborne:
-            has_varied = (
-                is_airborne
-                and last is not None
-                and last.is_airborne
-                and (last.has_varied or value != last.value)
-            )
-            self._values[key] = _ConstantValue(value, t_s, is_airborne, has_varied=has_varied)
+            changes = 0 if last is None or not is_airborne else last.changes + 1
+            self._values[key] = _ConstantValue(value, t_s, changes)
             return False
         last.reports += 1
         is_constant = t_s - last.since_s >= FROZEN_S and last.reports >= FROZEN_REPORTS
-        return is_constant and last.has_varied
+        has_same_current_as_on_ground = field_name == "current_a" and last.changes == 0
+        return is_constant and (last.changes > 1 or has_same_current_as_on_ground)
 
 
 @dataclass(slots=True)
