@@ -1,16 +1,19 @@
 """Text report of a replay, for a terminal."""
 
+from collections import Counter
 from pathlib import Path
 
 from companion.analysis.replay.autopilot_faults import autopilot_faults
 from companion.analysis.replay.flight_replay import ReplayResult
 from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.analysis.replay.summary import MIN_FLIGHT_TIME_S, WindScore, WindSummary
+from companion.core.mission.actions import mask_numbers
 
 OMITTED_KINDS = ("looked_again",)
 """Decisions that only the JSON record contains."""
 
-MAX_NOTES = 8
+MAX_NOTES, MAX_NOTES_OF_KIND = 20, 2
+"""Most notes in all, and of those that differ in numbers only."""
 
 
 def replay_report_lines(
@@ -40,10 +43,15 @@ def replay_report_lines(
     lines += [
         f"  ! {log_issue.format_with_time_since(log.start_s)}" for log_issue in result.findings
     ]
-    notes = result.notes
-    lines += [f"  {t_s - log.start_s:9.1f} s  {text}" for t_s, text in notes[:MAX_NOTES]]
-    if len(notes) > MAX_NOTES:
-        lines.append(f"  and {len(notes) - MAX_NOTES} more such notes (--json has them)")
+    kinds, printed = Counter[str](), list[str]()
+    for t_s, text in result.notes:
+        note_kind = mask_numbers(text)
+        kinds[note_kind] += 1
+        if kinds[note_kind] <= MAX_NOTES_OF_KIND and len(printed) < MAX_NOTES:
+            printed.append(f"  {t_s - log.start_s:9.1f} s  {text}")
+    lines += printed
+    if len(result.notes) > len(printed):
+        lines.append(f"  and {len(result.notes) - len(printed)} more such notes (--json has them)")
     lines += _wind_lines(wind_summary, wind_score)
     lines += _decision_lines(result, log.start_s)
     if faults := autopilot_faults(log):

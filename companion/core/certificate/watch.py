@@ -49,12 +49,13 @@ class EnvelopeMonitor:
         return tuple(found)
 
     def record_exits_in_flight(
-        self, t_s: float, wind_mps: float | None, airspeed_mps: float | None
+        self, t_s: float, wind_ne_mps: tuple[float, float] | None, airspeed_mps: float | None
     ) -> tuple[str, ...]:
         """Check one instant in the air, `None` is unknown; returns new exits."""
         if self._certificate is None:
             return ()
         envelope = self._certificate.envelope
+        wind_mps = None if wind_ne_mps is None else math.hypot(*wind_ne_mps)
         return (
             *self._record_exit_if_sustained("wind", t_s, wind_mps, envelope.wind_mps),
             *self._record_exit_if_sustained("airspeed", t_s, airspeed_mps, envelope.airspeed_mps),

@@ -1,5 +1,6 @@
 """Actions: outputs of the pilot. Adapters translate them into autopilot messages."""
 
+import re
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -165,6 +166,11 @@ class AlertReport(Action):
     def text(self) -> str:
         """Text for operators; raises KeyError for a missing parameter."""
         return self.alert.text_template.format(**self.parameters)
+
+
+def mask_numbers(text: str) -> str:
+    """Return the text without its numbers: texts of one kind are then equal."""
+    return re.sub(r"[0-9.]+", "#", text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,11 @@
 """Estimates of wind and energy, and the gate's result from them; updated at every tick."""
 
-import math
-import re
 from dataclasses import asdict, dataclass, field
 
 from companion.core.base.geo import Ned
 from companion.core.certificate.certificate import Certificate
 from companion.core.certificate.watch import EnvelopeMonitor
-from companion.core.mission.actions import AlertReport, LogNote
+from companion.core.mission.actions import AlertReport, LogNote, mask_numbers
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import AutopilotKind, AutopilotWind
 from companion.core.mission.flight_file import Flight
@@ -139,12 +137,12 @@ class FlightEstimates:
             found += [
                 AlertReport.create(Alert.BATTERY_CHOSEN, monitor=m)
                 for m in telemetry.pack.monitor_notes
-                if self._record_if_new(_mask_numbers(m))
+                if self._record_if_new(mask_numbers(m))
             ]
             found += [
                 LogNote(f"battery: {w}")
                 for w in energy.warnings
-                if self._record_if_new(_mask_numbers(w))
+                if self._record_if_new(mask_numbers(w))
             ]
         if has_draw_changed:
             error = self._energy.model_error
@@ -184,9 +182,7 @@ class FlightEstimates:
             return left
         if wind is not None and telemetry.is_recent(telemetry.position, POSITION_MAX_AGE_S):
             airspeed_mps = horizontal_airspeed_mps(telemetry, wind)
-        return left + self._watch.record_exits_in_flight(
-            t_s, wind and math.hypot(*wind), airspeed_mps
-        )
+        return left + self._watch.record_exits_in_flight(t_s, wind, airspeed_mps)
 
     @property
     def envelope_exit_texts(self) -> tuple[str, ...]:
@@ -318,11 +314,6 @@ def _pack_alerts(
     if (gain := energy.current_gain) is not None:
         found.append(AlertReport.create(Alert.CURRENT_SENSOR_LOW, gain=gain[0]))
     return found
-
-
-def _mask_numbers(text: str) -> str:
-    """Return the finding without its numbers."""
-    return re.sub(r"[0-9.]+", "#", text)
 
 
 def _wind_exclusion_report(exclusion: str) -> EstimateMessage:

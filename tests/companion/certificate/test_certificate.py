@@ -130,7 +130,7 @@ def test_a_certificate_of_whole_flights_says_that_it_is_to_be_made_again():
         certificate_from_dict(table, "c.json")
 
 
-INSIDE = {"t_s": 0.0, "wind_mps": 4.0, "airspeed_mps": 11.0}
+INSIDE = {"t_s": 0.0, "wind_ne_mps": (0.0, 4.0), "airspeed_mps": 11.0}
 
 
 def test_inside_nothing_is_said_and_nothing_changes():
@@ -143,9 +143,12 @@ def test_inside_nothing_is_said_and_nothing_changes():
 
 
 def test_wind_and_airspeed_outside_are_said_once_after_their_hold():
-    for key, words in (("wind_mps", "wind of 8.0 m/s"), ("airspeed_mps", "airspeed of 14.0 m/s")):
+    for key, words in (
+        ("wind_ne_mps", "wind of 8.0 m/s"),
+        ("airspeed_mps", "airspeed of 14.0 m/s"),
+    ):
         watch, said = EnvelopeMonitor(certificate()), []
-        outside = {**INSIDE, key: 14.0 if "air" in key else 8.0}
+        outside = {**INSIDE, key: 14.0 if "air" in key else (8.0, 0.0)}
         for t_s in range(40):
             said += [
                 (t_s, one) for one in watch.record_exits_in_flight(**{**outside, "t_s": float(t_s)})
@@ -159,7 +162,7 @@ def test_a_gust_shorter_than_the_hold_leaves_nothing():
     watch = EnvelopeMonitor(certificate())
     for t_s in range(60):
         gust = 8.0 if t_s % 10 < 9 else 4.0
-        assert watch.record_exits_in_flight(float(t_s), gust, None) == ()
+        assert watch.record_exits_in_flight(float(t_s), (0.0, gust), None) == ()
     assert watch.record_exits_in_flight(61.0, None, None) == ()
 
 
@@ -192,7 +195,7 @@ def test_a_restarted_companion_stays_outside_and_without_a_certificate_nothing_i
     unwatched = EnvelopeMonitor(None)
     assert (
         unwatched.record_exits_on_ground(5.0, 90.0)
-        == unwatched.record_exits_in_flight(0.0, 99.0, 99.0)
+        == unwatched.record_exits_in_flight(0.0, (99.0, 0.0), 99.0)
         == ()
     )
     unwatched.restore(watch.snapshot())

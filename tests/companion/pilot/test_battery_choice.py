@@ -175,8 +175,8 @@ def flown_with(change, seconds=40, *, rate_hz=2.0):
         (lambda t_s: {"voltage_v": 24.0}, False),  # constant from power-up, as in SITL
         (lambda t_s: {"current_a": 20.0} if 12.0 < t_s < 20.0 else {}, False),
         (lambda t_s: {"current_a": 20.0} if t_s > 12.0 else {}, True),
-        (lambda t_s: {"current_a": 0.6}, True),  # frozen before take-off
-        (lambda t_s: {"current_a": 20.0 if t_s > 1.0 else 0.5}, False),  # a synthetic log
+        (lambda t_s: {"current_a": 20.0}, False),  # a synthetic log
+        (lambda t_s: {"current_a": 20.0 if t_s > 1.0 else 0.5}, False),  # one with an idle current
         (lambda t_s: {"voltage_v": 23.9} if t_s > 12.0 else {}, True),
     ],
 )

@@ -111,6 +111,13 @@ def test_a_current_sensor_that_reads_low_is_found(gain: float, limit_s: float) -
     assert seconds_until_low(gain) < limit_s
 
 
+def test_a_current_that_stays_at_the_idle_value_of_the_ground_is_found_low() -> None:
+    detector, idle_w = LowCurrentDetector(0.0, PRIOR), 0.03 * MODEL_W
+    assert any(
+        detector.update_and_detect(STEP_S, idle_w, MODEL_W) for _ in range(round(8.0 / STEP_S))
+    )
+
+
 def test_an_honest_or_high_current_is_not_found_low_in_gusts() -> None:
     for seed in range(20):
         assert seconds_until_low(1.0, seed) == math.inf

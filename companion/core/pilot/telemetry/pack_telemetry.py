@@ -39,8 +39,9 @@ class _ConstantValue:
 class FreezeDetector:
     """Detects measurements that are constant in flight, by monitor and field.
 
-    Simulators and synthetic logs report constants, which are not frozen: a voltage that never
-    changed, and values that changed at takeoff only.
+    Simulators and synthetic logs report constants: only a value that changed in flight before, at
+    takeoff not counted, can freeze. A current that is too low from power-up is not frozen, but
+    low (`LowCurrentDetector`).
     """
 
     _values: dict[tuple[int | None, str], _ConstantValue] = field(default_factory=dict)
@@ -67,8 +68,7 @@ class FreezeDetector:
             return False
         last.reports += 1
         is_constant = t_s - last.since_s >= FROZEN_S and last.reports >= FROZEN_REPORTS
-        has_same_current_as_on_ground = field_name == "current_a" and last.changes == 0
-        return is_constant and (last.changes > 1 or has_same_current_as_on_ground)
+        return is_constant and last.changes > 1
 
 
 @dataclass(slots=True)
