@@ -1,6 +1,6 @@
 """Files, stores, recordings and messages of an earlier version are read and written as before.
 
-The fixtures are as commit 3d417155 wrote them (tests/reference/compatibility/generate.py), and so
+The fixtures are as commit 3d417155 wrote them, by a script that only the history holds, and so
 are `readings.json.gz`: the values that this version read in them. Names of modules and classes may
 change; a key, a value, a table or a byte on the wire may not. A new optional key belongs in
 `ADDED`."""
