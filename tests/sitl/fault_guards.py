@@ -340,8 +340,12 @@ GUARDS: dict[str, Guard] = {
     ),
     "pilot-lands-after-rtl": Guard(
         "outbound",
-        "import companion.core.pilot.telemetry_state as guarded\n"
-        "guarded.TelemetryState.is_above_reported_home = True",
+        "import companion.core.pilot.authority as guarded\n"
+        "checked = guarded.OrderedMode.unexpected_mode_reason\n"
+        "def accepts_land(self, state, **options):\n"
+        "    is_land = self.effective is guarded.Mode.RTL and state.mode is guarded.Mode.LAND\n"
+        "    return None if is_land else checked(self, state, **options)\n"
+        "guarded.OrderedMode.unexpected_mode_reason = accepts_land",
     ),
     "computer-suspends": Guard("outbound", TRUSTS_A_CLOCK_THAT_STOPS),
     "stray-result": Guard(

@@ -76,10 +76,14 @@ class ArduPilot:
         """Return DO_SET_MODE's parameters."""
         return (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(NUMBER_OF[mode]), 0.0)
 
-    def jump_message_and_ack_command(self, system_id: int, seq: int) -> tuple[Any, int | None]:
+    def jump_message_and_ack_command(
+        self, system_id: int, seq: int, *, is_restart: bool
+    ) -> tuple[Any, int | None]:
         """Return the message that jumps to an item, and the command of its acknowledgement."""
-        command, params = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, (float(seq), *([0.0] * 6))
-        message = mavlink.MAVLink_command_long_message(system_id, AUTOPILOT, command, 0, *params)
+        command, params = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, (seq, is_restart, *([0] * 5))
+        message = mavlink.MAVLink_command_long_message(
+            system_id, AUTOPILOT, command, 0, *map(float, params)
+        )
         return message, command
 
     def has_pitot(self, values: ParameterValues) -> bool:

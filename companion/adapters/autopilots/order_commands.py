@@ -71,7 +71,9 @@ def command_of_order(order: Order, profile: AutopilotProfile, system_id: int) ->
             entry = build(CommandKind.MODE, "continue", command, (1.0,))
         case JumpTo():
             seq = order.index + profile.home_item_count
-            message, jump_command = profile.jump_message_and_ack_command(system_id, seq)
+            message, jump_command = profile.jump_message_and_ack_command(
+                system_id, seq, is_restart=order.is_restart
+            )
             name = f"jump to item {order.index}"
             entry = PendingCommand(CommandKind.JUMP, name, lambda _: message, jump_command)
             entry.confirms = lambda event: _confirms_jump_target(event, order)

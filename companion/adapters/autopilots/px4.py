@@ -124,8 +124,13 @@ class Px4:
             return (custom, float(OFFBOARD_MODE), 0.0)
         return (custom, float(AUTO_MODE), float(AUTO_NUMBER_OF[mode]))
 
-    def jump_message_and_ack_command(self, system_id: int, seq: int) -> tuple[Any, int | None]:
-        """Return the message that jumps to an item; only MISSION_CURRENT confirms it."""
+    def jump_message_and_ack_command(
+        self, system_id: int, seq: int, *, is_restart: bool
+    ) -> tuple[Any, int | None]:
+        """Return the message that jumps to an item; only MISSION_CURRENT confirms it.
+
+        It also restarts a completed mission.
+        """
         return mavlink.MAVLink_mission_set_current_message(system_id, AUTOPILOT, seq), None
 
     def has_pitot(self, values: ParameterValues) -> bool:

@@ -96,11 +96,13 @@ class JumpTo(Order):
     """Continue the mission at this item.
 
     `confirming_items`: further items that confirm the jump: the autopilot reaches them on its own
-    and may be there before it reports this one.
+    and may be there before it reports this one. `is_restart`: the mission is complete or stopped;
+    ArduCopter then flies to the item only if the jump resets the mission.
     """
 
     index: int
     confirming_items: frozenset[int] = field(default=frozenset(), compare=False)
+    is_restart: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

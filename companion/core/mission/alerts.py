@@ -107,7 +107,7 @@ class Alert(Enum):
     MISSION_FOREIGN = (
         CRITICAL,
         "unknown mission onboard: operator must decide",
-        "Send the companion Continue (restore, go on) or RTL (restore, return), or fly manually.",
+        "Send the companion Continue or RTL (both restore it and return), or fly manually.",
     )
     MISSION_FOREIGN_RESTORING = (CRITICAL, "unknown mission onboard: restoring", FIND_STATION)
     MISSION_CHANGED = (CRITICAL, "mission changed by another station: restoring", FIND_STATION)

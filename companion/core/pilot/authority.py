@@ -100,7 +100,7 @@ class OrderedMode:
         self._order_times_s.clear()
 
     def update_and_get_takeover_reason(
-        self, phase: Phase, state: VehicleState, *, on_ground: bool, is_at_home: bool
+        self, phase: Phase, state: VehicleState, *, on_ground: bool
     ) -> str | None:
         """Return why this heartbeat shows a takeover, or `None`."""
         if phase in GROUND_PHASES:
@@ -110,9 +110,7 @@ class OrderedMode:
             return None
         if phase is Phase.LAST_RESORT and on_ground and state.mode is Mode.MISSION:
             return None  # PX4 leaves RTL and LAND as it disarms, for the mode before
-        return self.unexpected_mode_reason(
-            state, is_in_mission=phase is not Phase.LAST_RESORT, is_at_home=is_at_home
-        )
+        return self.unexpected_mode_reason(state, is_in_mission=phase is not Phase.LAST_RESORT)
 
     def _update_and_get_ground_takeover_reason(
         self, phase: Phase, state: VehicleState
@@ -130,13 +128,15 @@ class OrderedMode:
         return None
 
     def unexpected_mode_reason(
-        self, state: VehicleState, *, is_in_mission: bool = True, is_at_home: bool = False
+        self, state: VehicleState, *, is_in_mission: bool = True
     ) -> str | None:
-        """Return why the mode in this heartbeat is a takeover, or `None`."""
+        """Return why the mode in this heartbeat is a takeover, or `None`.
+
+        LAND after RTL is one: both autopilots stay in RTL until they disarm.
+        """
         mode, ordered_s = state.mode, self._order_times_s.get(state.mode, -math.inf)
         is_effect = state.t_s - ordered_s <= CommandKind.RESUME_MODE.value.limit_s
-        is_end_of_rtl = self.effective is Mode.RTL and mode is Mode.LAND and is_at_home
-        if mode is self.effective or is_effect or is_end_of_rtl:
+        if mode is self.effective or is_effect:
             self.effective, self.ordered_from = state.mode, None
             return None
         if is_in_mission and state.mode is Mode.MISSION and self.ordered is None:
@@ -343,7 +343,7 @@ class ControlAuthority:
         if context.phase is Phase.LAST_RESORT:
             on_ground = on_ground and telemetry.is_recent(telemetry.ground, GROUND_MAX_AGE_S)
         reason = self._modes.update_and_get_takeover_reason(
-            context.phase, state, on_ground=on_ground, is_at_home=telemetry.is_above_reported_home
+            context.phase, state, on_ground=on_ground
         )
         if reason is not None:
             context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)

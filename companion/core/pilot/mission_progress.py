@@ -11,6 +11,7 @@ from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
     Event,
     MissionProgress,
+    MissionState,
     Mode,
     OrderRefused,
     VehicleState,
@@ -32,6 +33,9 @@ from companion.core.pilot.flight_state import (
 from companion.core.pilot.return_course import ReturnCourseMonitor
 from companion.core.pilot.telemetry_state import PROGRESS_MAX_AGE_S
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase, Trigger
+
+STOPPED_STATES = (MissionState.COMPLETE, MissionState.NOT_STARTED)
+"""States of ArduCopter's mission in AUTO in which a jump alone does not move the vehicle."""
 
 MIN_MOVE_REPORTS = 2
 """Number of consecutive messages that confirm a move by another station."""
@@ -108,6 +112,7 @@ class MissionProgressMonitor:
         ):  # it flies there already: indistinguishable from a confirmation
             before.discard(item_index)
         state.jump = JumpMonitor(item_index, jump_type, context.t_s, frozenset(before))
+        self._aboard.slow_read_start_s = None  # is it an item of the companion's list?
         self._course.restart_leg_check()
         _queue_jump_order(context, state.jump)
 
@@ -154,8 +159,8 @@ class MissionProgressMonitor:
     def tick(self, context: FlightContext) -> None:
         """Repeat a jump that telemetry does not confirm, or abandon it."""
         jump = self._state.jump
-        if jump is None:
-            return
+        if jump is None or self._aboard.is_unverified:
+            return  # no item of a list in doubt
         match jump.update_retry_status(context.t_s):
             case JumpStatus.UNREPORTED:
                 context.queue_actions(
@@ -288,7 +293,8 @@ class MissionProgressMonitor:
 def _queue_jump_order(context: FlightContext, jump: JumpMonitor) -> None:
     flown = context.flight_plan
     others = frozenset[int]() if flown is None else jump.other_confirming_items(flown.mission)
-    context.queue_actions(JumpTo(jump.index, others))
+    is_stopped = context.telemetry.observed.mission_state in STOPPED_STATES
+    context.queue_actions(JumpTo(jump.index, others, is_restart=is_stopped))
 
 
 def _is_mission_mode_or_unknown(vehicle_state: VehicleState | None) -> bool:

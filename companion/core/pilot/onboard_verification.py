@@ -30,7 +30,7 @@ from companion.core.mission.events import (
     MissionWriteDetected,
 )
 from companion.core.mission.jump_watch import JumpType
-from companion.core.mission.mission_items import MissionItem
+from companion.core.mission.mission_items import MissionItem, Part
 from companion.core.pilot.context import FlightContext, LatestAssessment
 from companion.core.pilot.flight_state import (
     CurrentItem,
@@ -62,6 +62,8 @@ read, restore, read."""
 
 MISSION_PHASES = tuple(phase for phase in FLIGHT_PHASES if phase is not Phase.LAST_RESORT)
 """Phases in which the list is flown; RTL needs no list."""
+
+RETURN_PARTS = (Part.RETURN, Part.RALLY, Part.LAND, Part.RALLY_LAND, Part.END)
 
 ID_PHASES = (Phase.READY, Phase.ARM, *MISSION_PHASES)
 """Phases in which the onboard list is verified, so that its id is that of the companion's list."""
@@ -233,25 +235,28 @@ class OnboardMissionVerifier:
         state = self._state
         state.unverified_since_s = None
         state.mission_id = None
-        state.slow_read_start_s = context.t_s
-        if not state.restored:
+        if state.restored:
+            context.record_decision("mission_restored", "mission restored")
+            context.report_alert(Alert.MISSION_RESTORED)
+            self._jump_home_from_last_item(context)
+        else:
             context.record_decision("mission_proven", "onboard mission verified")
-            return
-        context.record_decision("mission_restored", "mission restored")
-        context.report_alert(Alert.MISSION_RESTORED)
-        self._jump_home_from_last_item(context)
+        state.slow_read_start_s = context.t_s
 
     def _jump_home_from_last_item(self, context: FlightContext) -> None:
-        """Return from the last known item: a list changed meanwhile may have moved the index."""
-        flown, index = context.flight_plan, self._item.index
+        """Return by the newest decision: a list changed meanwhile may have moved the index."""
+        flown, index = context.flight_plan, self._jumps.destination_item_index
         assert flown is not None
         if context.phase is Phase.RELEASE:
             self._jumps.order_jump(context, flown.mission.returning[0], JumpType.HOME)
             context.apply_phase_trigger(Trigger.RETURN_STARTED, self._gate.gate_closed_reason)
         elif context.is_outbound:
             self._decision.is_gate_open_else_turn_back(context)
-        elif index is not None:
-            self._jumps.order_jump(context, index, JumpType.HOME)
+        else:
+            if index is None or flown.mission.part_of_item(index) not in RETURN_PARTS:
+                index = self._decision.return_route_entry_item(context)
+            if index is not None:
+                self._jumps.order_jump(context, index, JumpType.HOME)
 
     def _return_without_list(self, context: FlightContext, alert: Alert) -> None:
         """Return without the list."""

@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from companion.core.base.geo import LocalFrame, distance_from_depot_m
 from companion.core.mission.events import (
     AirPressure,
     Airspeed,
@@ -53,9 +52,6 @@ MIN_DISARMED_REPORTS = 2
 MIN_MODE_GAP_S = 0.6
 """Both autopilots report the mode at 4 Hz or more. In a longer gap a person may have changed it and
 changed it back. At lower rates a gap is 1.6 times the usual interval."""
-
-RTL_END_RADIUS_M = 20.0
-"""Distance from home at which RTL may change to LAND: acceptance radius 10 m, two GNSS errors."""
 
 PRESSURE_MAX_AGE_S = 3.0
 """Three messages at the 1 Hz requested from both autopilots."""
@@ -251,16 +247,6 @@ class TelemetryState:
     def airborne(self) -> bool:
         """Whether it is armed and not known to be on the ground."""
         return self.armed and not self.on_ground
-
-    @property
-    def is_above_reported_home(self) -> bool:
-        """Whether it is above the home that the autopilot reports, where RTL may end in LAND."""
-        home, position = self.home, self.recent_or_none(self.position, POSITION_MAX_AGE_S)
-        if home is None or position is None:
-            return False
-        frame = LocalFrame(math.radians(home.lat_deg), math.radians(home.lon_deg), 0.0)
-        away_m = distance_from_depot_m(frame, position.lat_deg, position.lon_deg)
-        return away_m <= RTL_END_RADIUS_M
 
     def ground_speed_mps(self) -> float:
         """Return the horizontal ground speed from the latest position; 0 without one."""

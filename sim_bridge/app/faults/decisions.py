@@ -43,7 +43,7 @@ LANDING_ITEM_NOTE, HOLD_NOTE, OWN_MISSION_NOTE = (
     "vehicle in HOLD",
     "own mission flown",
 )
-FAR_FROM_HOME_M = 60.0
+ABOVE_HOME_M = 10.0
 HOLD_BEFORE_UPLOAD_S = (0.3, 0.6)
 INTRUDERS = ((30, 8), (2, 8), (26, 8), (1, 12), (2, 0))
 """MAV_TYPE and MAV_AUTOPILOT of other components: camera, gimbal, ones that pose as vehicles."""
@@ -270,7 +270,7 @@ def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
     ),
 )
 def land_by_station_during_own_rtl(stage: FaultContext) -> Iterator[None]:
-    """A person selects LAND during the companion's own RTL, far from home (A9)."""
+    """A person selects LAND during the companion's own RTL, far from home or above it (A9)."""
     station, craft = connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     yield from _upload_shifted_mission(stage, station)
@@ -278,9 +278,10 @@ def land_by_station_during_own_rtl(stage: FaultContext) -> Iterator[None]:
     yield from _upload_shifted_mission(stage, station)
     yield from stage.wait_until(lambda: craft.autopilot.mode is Mode.RTL)
     yield from stage.wait(stage.rng.uniform(1.5, 4.0))
-    _, north_m, east_m, *_ = craft.record.rows[-1]
-    is_far = math.hypot(north_m, east_m) > FAR_FROM_HOME_M
-    stage.expect_effect("LAND far from home", lambda: is_far and craft.autopilot.mode is Mode.LAND)
+    if stage.rng.random() < 0.5:
+        yield from stage.wait_until(lambda: math.hypot(*craft.vehicle.pos_ned_m[:2]) < ABOVE_HOME_M)
+    is_in_rtl = craft.autopilot.mode is Mode.RTL
+    stage.expect_effect("LAND in RTL", lambda: is_in_rtl and craft.autopilot.mode is Mode.LAND)
     send_mode_command(stage, station, "land")
     stage.record_take_over()
 

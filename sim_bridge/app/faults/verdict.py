@@ -144,14 +144,17 @@ def check_control_retained(flown: FaultRunResult) -> str | None:
 
 
 def check_landed_intact_by_pilot(flown: FaultRunResult) -> str | None:
-    """Check that a person landed it undamaged, by truth and by the companion's own verdict."""
+    """Check that a person landed it undamaged, by truth and by the companion's own verdict.
+
+    A landing at home counts as a return in both, whether or not the delivery is known.
+    """
     finish_texts = [d["reason"] for d in flown.row["decisions"] if d["kind"] == "finished"]
-    if flown.row["outcome"] != "TAKEN":
-        return f"by truth {flown.row['outcome']}"
+    landings, outcome = (("TAKEN",), ("ABRT", "SUC")), flown.row["outcome"]
+    expected = next((group for group in landings if outcome in group), ())
     return (
         None
-        if finish_texts and finish_texts[-1].startswith("TAKEN")
-        else f"by the companion {finish_texts or 'nothing'}"
+        if expected and finish_texts and finish_texts[-1].startswith(expected)
+        else f"by truth {outcome}, by the companion {finish_texts or 'nothing'}"
     )
 
 

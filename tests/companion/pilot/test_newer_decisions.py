@@ -322,8 +322,8 @@ def test_safety_rule_1_another_mode_ends_the_last_resort_at_once():
     assert let(w, 30.0).orders_after(taken_s) == []
 
 
-@pytest.mark.parametrize(("away_m", "is_persons"), [(100.0, True), (5.0, False)])
-def test_safety_rule_1_land_during_our_rtl_is_a_persons_unless_at_home(away_m, is_persons):
+@pytest.mark.parametrize(("away_m", "outcome"), [(100.0, "TAKEN"), (5.0, "ABRT")])
+def test_safety_rule_1_land_during_our_rtl_is_a_persons(away_m, outcome):
     w = last_resort()
     w.refuses = False
     w.run(lambda w: w.mode is Mode.RTL, 10.0)
@@ -331,10 +331,10 @@ def test_safety_rule_1_land_during_our_rtl_is_a_persons_unless_at_home(away_m, i
     w.north, w.east, w.mode, changed_s = away_m, 0.0, Mode.LAND, w.t_s
     w.pilot.context.telemetry.position_watch = PositionWatch()  # its flight there is left out
     let(w, 1.0)
-    assert (w.pilot.phase is Phase.SUSPENDED) is is_persons
+    assert w.pilot.phase is Phase.SUSPENDED
     done = w.to_the_end()
-    assert bool(w.orders_after(changed_s)) is not is_persons, "settings are restored"
-    assert (done.outcome == "TAKEN") is is_persons
+    assert w.orders_after(changed_s) == [], "settings are not restored"
+    assert done.outcome == outcome
 
 
 @pytest.mark.parametrize("mode", [Mode.RTL, Mode.LAND])

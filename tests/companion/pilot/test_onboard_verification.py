@@ -95,6 +95,29 @@ def test_safety_rule_2_without_an_id_the_slow_reading_finds_a_dragged_item():
     assert w.to_the_end().home
 
 
+@pytest.mark.parametrize("mission_id", [ID, None])
+def test_safety_rule_2_an_abort_in_a_foreign_list_leads_home_once_ours_is_restored(mission_id):
+    w = reach(Phase.OUTBOUND, mission_id)
+    put_aboard(w, dragged(w.items))
+    aborted_s = w.t_s
+    w.tell(ev.AbortOrdered(w.t_s, "255/190"))
+    w.run(lambda w: "mission_restored" in w.kinds, 60.0)
+    assert w.t_s - aborted_s < 10.0, "the jump is followed by a read-back at once"
+    returning = w.pilot.context.flight_plan.mission.returning
+    assert all(a.index in returning for a in w.orders_after(aborted_s) if isinstance(a, JumpTo))
+    done = w.to_the_end()
+    assert (done.home, done.delivered) == (True, False)
+
+
+def test_safety_rule_2_a_mission_that_ended_is_restarted_by_the_jump_only():
+    w = reach(Phase.RETURN, mission_id=None)
+    w.mission_state = ev.MissionState.COMPLETE
+    put_aboard(w, w.items[:-3])
+    w.run(lambda w: "mission_restored" in w.kinds, 60.0)
+    jumps = [a for a in w.orders_after(0.0) if isinstance(a, JumpTo)]
+    assert [a.is_restart for a in jumps] == [*[False] * (len(jumps) - 1), True]
+
+
 def test_safety_rule_2_no_jump_and_no_promise_rests_on_a_list_in_doubt():
     w = reach(Phase.OUTBOUND)
     w.takes_uploads = False
