@@ -92,7 +92,7 @@ def down_whole_and_said_where(flown) -> bool:
 
 
 def refused_jumps_bring_it_home(flown) -> bool:
-    return flown.row["outcome"] == "ABRT" and "not executed" in flown.said
+    return flown.row["outcome"] == "ABRT" and "did not jump" in flown.said
 
 
 def stays_on_the_ground_and_says(words: str) -> Callable[[Any], bool]:

@@ -232,11 +232,15 @@ def run_second_companion_while_first_stalls(
         yield from stage.wait_for_phase_and_record_fault_start()
         stage.stall_companion()
         second = SecondCompanion(stage, run_dir_for_second(stage.craft.run_dir))
-        stage.expect_effect("the second companion replies", lambda: second.has_replied)
+        stage.expect_effect(
+            "a second companion sends, or is refused",
+            lambda: second.has_replied or second.process.exit_code == EXIT_USAGE_ERROR,
+        )
         second.start_and_wait_for_connection()
         resume_at_s = stage.t_s + STALL_FOR_SECOND_S
-        while stage.t_s < resume_at_s and second.process.is_running:
-            second.exchange_messages_once()
+        while stage.t_s < resume_at_s:
+            if second.process.is_running:
+                second.exchange_messages_once()
             yield
         if second.process.exit_code == EXIT_USAGE_ERROR:
             stage.notes.append(SECOND_REFUSED_NOTE)
