@@ -57,9 +57,17 @@ class ResponseTime:
         timeout_s = 1.1 * self._measured_s + 0.2
         return min(timeout_s, MAX_RESPONSE_S) if self._measured_s > 0.0 else 0.0
 
-    def store_response_time(self, sent_s: float, received_s: float) -> None:
-        """Store the newest response time."""
-        self._measured_s = max(0.0, received_s - sent_s)
+    def store_response_time(
+        self, sent_s: float, received_s: float, *, is_repeated: bool = False
+    ) -> None:
+        """Store the newest response time since the first transmission.
+
+        That of a repeated message, whose first transmission may be lost, only shortens it.
+        """
+        time_s = max(0.0, received_s - sent_s)
+        if is_repeated and self._measured_s > 0.0:
+            time_s = min(time_s, self._measured_s)
+        self._measured_s = time_s
 
 
 @dataclass(slots=True)

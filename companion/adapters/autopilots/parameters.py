@@ -31,10 +31,12 @@ MIN_ANSWERED_ROUNDS, MAX_TRIES = 8, CommandKind.PARAMETER.value.max_tries
 UNANSWERED_CHANCE = 1e-4
 """Chance that an existing name stays unanswered until it counts as absent."""
 
-MAX_PARALLEL_REQUESTS = 6
-SILENT_TRIES, MAX_SILENT_TRIES = 12, 30
-"""Transmissions without any response after which one name at a time is requested, and after which
-the requests end as unanswered."""
+MAX_PARALLEL_REQUESTS, SLOW_TRIES = 6, 3
+"""Parallel requests, and transmissions after which a name does not hold up others."""
+
+SILENT_ROUNDS, MAX_SILENT_ROUNDS = 3, 20
+"""Rounds of transmissions without any response after which one name at a time is requested, and
+after which the requests end as unanswered. Two such rounds double the interval."""
 
 AWAITED_AFTER_S = 15.0
 """Time after which the awaited names are reported."""
@@ -105,7 +107,7 @@ class ParameterClient:
         """Start of the requests; `None` once the awaited names are reported."""
         self._probe: str | None = None
         self._response = ResponseTime()
-        self._responses = self._silent_tries = 0
+        self._responses = self._silent_rounds = 0
         self._answered_reads = self._tries_of_answered_reads = 0
         self._types: dict[str, int] = {}
         self.values: dict[str, float | None] = {}
@@ -113,12 +115,14 @@ class ParameterClient:
 
     def request_values(self, names: Iterable[str], t_s: float) -> None:
         """Request parameters; `values` receives numbers, or `None` for absent ones. A repetition
-        adds only names that are neither pending nor answered since the first request.
+        adds only names that are neither pending nor answered since the first request. Absent names
+        are not requested again until one of their group is set, or all requests are cancelled.
         """
         if not self._is_requesting:
             self._answered.clear()
         self._is_requesting = True
-        self._add_requests(dict.fromkeys(n for n in names if n not in self._answered), t_s)
+        known = self._answered | {name for name, value in self.values.items() if value is None}
+        self._add_requests(dict.fromkeys(n for n in names if n not in known), t_s)
 
     def start_setting_values(self, target_values: dict[str, float], t_s: float) -> None:
         """Set parameters and read them back; `failed` lists the names whose value differs."""
@@ -132,7 +136,7 @@ class ParameterClient:
         if not self._requests:
             self._started_s = t_s
             self._unanswered.clear()
-            self._silent_tries = min(self._silent_tries, SILENT_TRIES)
+            self._silent_rounds = min(self._silent_rounds, SILENT_ROUNDS)
         for name, target in targets.items():
             self._requests.setdefault(name, _Request(target, t_s, self.values.get(name)))
         self.tick(t_s)
@@ -148,6 +152,7 @@ class ParameterClient:
 
     def cancel_all(self) -> None:
         """Cancel all pending reads and writes."""
+        self._forget_absent_names()
         self._requests.clear()
         self._is_requesting = self._is_setting = False
 
@@ -187,6 +192,8 @@ class ParameterClient:
         before = value if request.before is None else request.before
         if target is None or _is_same_value(target, value):
             del self._requests[name]
+            if target is not None:
+                self._forget_absent_names(name.partition("_")[0])
         elif not _is_same_value(before, value):
             self._end_without_value(name, request)
         elif is_new_type:  # set it immediately
@@ -205,12 +212,12 @@ class ParameterClient:
         """Record that the link answers; return the request that this name answers."""
         request = self._requests.get(name)
         if request is not None and request.tries and request.target is None:
-            self._response.store_response_time(request.first_s, t_s)
+            self._response.store_response_time(request.first_s, t_s, is_repeated=request.tries > 1)
             self._answered_reads += 1
             self._tries_of_answered_reads += request.tries
         if name == self._probe or (request is not None and request.tries):
             self._responses += 1
-            self._silent_tries = 0
+            self._silent_rounds = 0
         self._answered.add(name)
         return request
 
@@ -221,6 +228,13 @@ class ParameterClient:
         else:
             self.values.setdefault(name, None)
 
+    def _forget_absent_names(self, group: str = "") -> None:
+        """Request absent names again: ArduPilot hides parameters of what is not enabled."""
+        absent = [name for name, value in self.values.items() if value is None]
+        for name in absent:
+            if name.startswith(group):
+                del self.values[name]
+
     def _rounds_until_absent(self) -> int:
         """Return the answered rounds after which an existing name would have been answered."""
         frac = (1.0 + self._answered_reads) / (2.0 + self._tries_of_answered_reads)
@@ -229,9 +243,8 @@ class ParameterClient:
 
     def tick(self, t_s: float) -> None:
         """Send requests that are due, first or repeated."""
-        window = MAX_PARALLEL_REQUESTS if self._silent_tries < SILENT_TRIES else 1
-        is_probe_due = False
-        for name, request in list(self._requests.items())[:window]:
+        is_probe_due = has_sent = False
+        for name, request in self._current_requests():
             if t_s < request.due_s:
                 continue
             has_answered = self._responses > request.responses_before
@@ -241,22 +254,34 @@ class ParameterClient:
                 continue
             is_probe_due |= request.tries > 0
             self._send_request(name, request, t_s)
-            if self._silent_tries >= MAX_SILENT_TRIES or request.tries >= MAX_TRIES:
+            has_sent = True
+            if request.tries >= MAX_TRIES:
                 self._end_all_as_unanswered()
                 return
+        self._silent_rounds += has_sent
+        if self._silent_rounds > MAX_SILENT_ROUNDS:
+            self._end_all_as_unanswered()
         known = next((n for n, value in self.values.items() if value is not None), None)
         if is_probe_due and known is not None:
             self._probe = known
             self._send_read_request(known)
 
+    def _current_requests(self) -> list[tuple[str, _Request]]:
+        """Return the requests in progress: a few, and on a link that answers all slow ones."""
+        requests = list(self._requests.items())
+        if self._silent_rounds >= SILENT_ROUNDS:
+            return requests[:1]
+        slow = [(name, request) for name, request in requests if request.tries > SLOW_TRIES]
+        fresh = [(name, request) for name, request in requests if request.tries <= SLOW_TRIES]
+        return slow + fresh[:MAX_PARALLEL_REQUESTS]
+
     def _send_request(self, name: str, request: _Request, t_s: float) -> None:
         interval_s = max(RETRY_S, self._response.response_timeout_s)
-        interval_s *= 2.0 ** (self._silent_tries // MAX_PARALLEL_REQUESTS)
+        interval_s *= 2.0 ** (self._silent_rounds // 2)
         request.first_s = request.first_s if request.tries else t_s
         request.due_s = t_s + min(interval_s, MAX_RETRY_S)
         request.tries += 1
         request.responses_before = self._responses
-        self._silent_tries += 1
         kind = self._types.get(name)
         if request.target is None or kind is None:  # a write needs the type, known from the value
             self._send_read_request(name)

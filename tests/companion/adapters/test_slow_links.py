@@ -46,9 +46,11 @@ ITEMS = (
 class SlowLink:
     """A companion's port and a simulated autopilot with a one-way delay of `delay_s`."""
 
-    def __init__(self, autopilot: AutopilotKind, delay_s: float, loss: float = 0.0) -> None:
+    def __init__(
+        self, autopilot: AutopilotKind, delay_s: float, loss: float = 0.0, seed: int = 1
+    ) -> None:
         self.rig = Rig(autopilot)
-        self._rng = np.random.default_rng(round(10.0 * delay_s) + 1)
+        self._rng = np.random.default_rng(round(10.0 * delay_s) + seed)
         self._loss = loss
         self.clock = AutopilotClock()
         self.port = AutopilotPort(self._send, self.clock)
@@ -172,6 +174,20 @@ def test_each_transaction_ends_well_on_a_slow_and_lossy_link(
             uploads += 1
             link.order(UploadMission(ITEMS))
         assert uploads < 6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_many_absent_names_are_known_as_absent_on_a_lossy_link(seed: int) -> None:
+    link = SlowLink(AutopilotKind.ARDUPILOT, 0.1, 0.3, seed=seed)
+    absent = tuple(f"NAME_{k}" for k in range(11))
+    link.order(RequestParameters(("WPNAV_SPEED", *absent)))
+    for _ in range(3):  # the pilot requests again what was not answered
+        read = link.until(ev.AutopilotParameters, 300.0)
+        if not read.unanswered:
+            break
+        link.order(RequestParameters(read.unanswered))
+    assert {read.values[name] for name in absent} == {None}
+    assert link.t_s < 180.0
 
 
 def test_a_silent_link_is_asked_rarely_and_its_names_are_reported_as_awaited() -> None:
