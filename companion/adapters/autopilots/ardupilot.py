@@ -115,6 +115,9 @@ class ArduPilot:
         self, route_data: RouteProperties
     ) -> tuple[ParameterRequirement, ...]:
         """Return the requirements of the return guarantee on ArduCopter's parameters."""
+        battery = (
+            "BATT" if not route_data.battery_monitor else f"BATT{route_data.battery_monitor + 1}"
+        )
         return (
             _require_bits_set(
                 "AUTO_OPTIONS", 3, "arming in AUTO and take-off without raising the throttle"
@@ -140,20 +143,20 @@ class ArduPilot:
                 True,
             ),
             single_parameter_requirement(
-                "BATT_FS_LOW_ACT",
+                f"{battery}_FS_LOW_ACT",
                 "a low-battery action of the autopilot",
                 lambda x: x > 0.0,
                 2.0,
             ),
             single_parameter_requirement(
-                "BATT_LOW_VOLT",
+                f"{battery}_LOW_VOLT",
                 f"a low-battery voltage near the pack's cut-off ({route_data.battery_low_v:.1f} V)",
                 lambda x: (
                     0.97 * route_data.battery_cutoff_v <= x <= route_data.battery_low_v + 0.05
                 ),
                 round(route_data.battery_low_v, 2),
             ),
-            battery_capacity_requirement("BATT_CAPACITY", route_data),
+            battery_capacity_requirement(f"{battery}_CAPACITY", route_data),
             _require_rtl_height(route_data),
             ParameterRequirement(
                 ("FENCE_ENABLE", "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX"),

@@ -157,12 +157,13 @@ class Px4:
     ) -> tuple[ParameterRequirement, ...]:
         """Return the requirements of the return guarantee on PX4's parameters."""
         fence_m = math.ceil(route_data.farthest_m + 200.0)
+        battery = f"BAT{route_data.battery_monitor + 1}"
         sloped_or_all_items = "sloping legs' waypoints" if route_data.is_sloped else "items"
         return (
             _require_at_least("COM_LOW_BAT_ACT", 2.0, 3.0, "a low-battery action of the autopilot"),
-            battery_capacity_requirement("BAT1_CAPACITY", route_data),
+            battery_capacity_requirement(f"{battery}_CAPACITY", route_data),
             _require_within_two_percent(
-                "BAT1_N_CELLS", float(route_data.battery_cells), "number of cells"
+                f"{battery}_N_CELLS", float(route_data.battery_cells), "number of cells"
             ),
             ParameterRequirement(
                 ("NAV_RCL_ACT", "COM_RCL_EXCEPT"),

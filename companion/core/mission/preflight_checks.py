@@ -40,6 +40,8 @@ class RouteProperties:
     """Lower limit of geo-zones under which the flight passes, less the clearance."""
     is_sloped: bool = False
     """Whether consecutive waypoints are at different heights."""
+    battery_monitor: int = 0
+    """Number of the monitor that measures the pack (BATTERY_STATUS.id)."""
 
     @property
     def waypoint_height_tolerance_m(self) -> float:

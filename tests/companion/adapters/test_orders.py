@@ -672,6 +672,23 @@ def test_what_configure_sets_meets_every_requirement(words):
 
 
 @pytest.mark.parametrize(
+    ("profile", "monitor", "capacity"),
+    [
+        (ArduPilot(), 0, "BATT_CAPACITY"),
+        (ArduPilot(), 1, "BATT2_CAPACITY"),
+        (Px4(), 0, "BAT1_CAPACITY"),
+        (Px4(), 1, "BAT2_CAPACITY"),
+    ],
+)
+def test_the_battery_settings_are_those_of_the_monitor_of_the_pack(profile, monitor, capacity):
+    requirements = profile.parameter_requirements(replace(FACTS, battery_monitor=monitor))
+    group = capacity.partition("_")[0]
+    names = required_parameter_names(requirements)
+    assert capacity in names
+    assert {n.partition("_")[0] for n in names if n.startswith("BAT")} == {group}
+
+
+@pytest.mark.parametrize(
     ("name", "value", "words"),
     [
         ("AUTO_OPTIONS", 0.0, "arming in AUTO"),

@@ -1,7 +1,7 @@
 """Settings of the autopilot: read, compared with the flight's requirements, set, and restored."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from companion.core.mission.actions import LogNote, RequestParameters, SetParameters
@@ -144,6 +144,7 @@ class AutopilotSettings:
             flown,
             with_separation=context.options.separation_enabled,
         )
+        route = replace(route, battery_monitor=context.telemetry.pack.monitor)
         self._state.requirements = self._requirements(context.telemetry.autopilot_kind, route)
         context.queue_actions(RequestParameters(required_parameter_names(self._state.requirements)))
 

@@ -166,6 +166,11 @@ class PackTelemetry:
         return self._monitor == 0 or off_v < SAME_PACK_TOLERANCE_FRAC * monitor_v
 
     @property
+    def monitor(self) -> int:
+        """Number of the monitor that measures the pack."""
+        return self._monitor
+
+    @property
     def latest_messages(self) -> list[Battery]:
         """The latest messages about packs; a charge from a monitor without a voltage is not one."""
         return [new for new in self.messages.values() if self._is_about_pack(new)]
