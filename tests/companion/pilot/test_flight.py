@@ -943,6 +943,21 @@ def test_killed_in_the_air_and_restarted_on_its_pad_it_ends_the_flight_and_never
     assert not again.sent(Arm | UploadMission)
 
 
+@pytest.mark.parametrize(("north_m", "is_home"), [(0.0, True), (150.0, False)])
+def test_safety_rule_1_settings_of_a_flight_that_ended_unseen_are_restored_at_home_only(
+    north_m, is_home
+):
+    w, kept = interrupted(Phase.RETURN)
+    again = world(kept=kept, armed=False)
+    again.t_s, again.items, again.loaded = w.t_s + 20.0, w.items, w.loaded
+    again.north = north_m
+    start(again)
+    again.to_the_end()
+    assert bool(again.sent(SetParameters)) is is_home
+    text = "settings not restored: disarmed away from home, unseen"
+    assert (text in again.said) is not is_home
+
+
 @pytest.mark.parametrize(
     ("phase", "unproven"),
     [(Phase.OUTBOUND, False), (Phase.DELIVER, True), (Phase.RELEASE, True), (Phase.RETURN, False)],
