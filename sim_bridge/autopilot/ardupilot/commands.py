@@ -209,7 +209,8 @@ class ArduPilotCommands:
         return MavResult.ACCEPTED
 
     def _set_current_item_and_broadcast(self, command: Command) -> MavResult:
-        if not self._mission.executor.jump_to_item(int_or_default(command.param1)):
+        seq, is_restart = int_or_default(command.param1), command.param2 == 1.0
+        if not self._mission.executor.jump_to_item(seq, is_restart=is_restart):
             return MavResult.FAILED
         self._radio.send_on_all_links(
             "MISSION_CURRENT", **(self._streams["MISSION_CURRENT"]() or {})

@@ -499,6 +499,21 @@ def test_ardupilot_pauses_in_auto_on_the_way_only_and_ends_without_a_further_ite
     assert state() == 2, "AP_Mission is stopped, not paused"
 
 
+@pytest.mark.parametrize(("reset", "moves"), [(0.0, False), (1.0, True)])
+def test_ardupilot_jumps_from_a_completed_mission_only_with_a_reset(airborne, reset, moves):
+    """Measured on 4.6.2: the item is current, and the vehicle stays."""
+    rig = airborne(AP)
+    rig.upload([rig.place(WAYPOINT, 60, 0, 20), rig.place(WAYPOINT, 5, 0, 20)])
+    assert rig.set_mode(Mode.AUTO) == 0
+    assert rig.command(224, 2.0) == 0
+    rig.step(20.0)
+    rig.command(REQUEST_MESSAGE, 42.0)
+    assert rig.last("MISSION_CURRENT").mission_state == 5
+    assert rig.command(224, 1.0, reset) == 0
+    rig.step(25.0)
+    assert (math.dist(rig.ne_m, (60, 0)) < 6.0) is moves
+
+
 @pytest.mark.parametrize(("autopilot", "moves"), [(PX4, True), (AP, False)])
 def test_only_px4_moves_its_home_to_where_it_landed(make_rig, autopilot, moves):
     rig = make_rig(autopilot)
