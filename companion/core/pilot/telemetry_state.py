@@ -229,11 +229,6 @@ class TelemetryState:
         return None if ground is None else ground.ground
 
     @property
-    def in_failsafe(self) -> bool:
-        """Whether the autopilot reports a critical state."""
-        return self.state is not None and self.state.failsafe
-
-    @property
     def on_ground(self) -> bool:
         """Whether it is certainly on the ground: disarmed, or by the landing detector without
         evidence of flight.

@@ -23,6 +23,7 @@ from sim_bridge.autopilot.mavlink.enums import (
     RELATIVE_FRAMES,
     Cmd,
     MavResult,
+    MissionState,
     ModeFlag,
     Severity,
 )
@@ -209,8 +210,11 @@ class ArduPilotCommands:
         return MavResult.ACCEPTED
 
     def _set_current_item_and_broadcast(self, command: Command) -> MavResult:
-        seq, is_restart = int_or_default(command.param1), command.param2 == 1.0
-        if not self._mission.executor.jump_to_item(seq, is_restart=is_restart):
+        executor = self._mission.executor
+        is_reset = command.param2 == 1.0
+        if is_reset and executor.is_active and executor.state != MissionState.ACTIVE:
+            executor.state = MissionState.ACTIVE  # without a reset a completed mission is stopped
+        if not executor.jump_to_item(int_or_default(command.param1)):
             return MavResult.FAILED
         self._radio.send_on_all_links(
             "MISSION_CURRENT", **(self._streams["MISSION_CURRENT"]() or {})

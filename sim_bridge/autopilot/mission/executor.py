@@ -238,11 +238,8 @@ class MissionExecutor:
         """Return True while flying to a waypoint."""
         return self.leg is not None and self.leg.phase in (Phase.MOVE, Phase.LOITER)
 
-    def jump_to_item(self, seq: int, *, is_restart: bool = False) -> bool:
-        """Jump to an item; False if there is no such item.
-
-        ArduCopter flies to it from a completed mission only with `is_restart`.
-        """
+    def jump_to_item(self, seq: int) -> bool:
+        """Jump to an item; False if there is no such item."""
         plan = self.plan
         if seq == 0 and plan.first == 1 and not plan.is_empty:
             plan.jumps_done.clear()
@@ -252,8 +249,6 @@ class MissionExecutor:
         if not self._sequential and self.state == MissionState.COMPLETE:
             plan.jumps_done.clear()
             self.state = MissionState.PAUSED
-        if is_restart and self.is_active and self.state == MissionState.PAUSED:
-            self.state = MissionState.ACTIVE
         running = self.is_active and (self._sequential or self.state == MissionState.ACTIVE)
         if not running:
             landing = plan.item_index_after_jumps(seq, count_jumps=False)

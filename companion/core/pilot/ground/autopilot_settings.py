@@ -154,7 +154,7 @@ class AutopilotSettings:
             case AutopilotParameters():
                 self._store_and_evaluate_parameters(context, event)
             case ParametersAwaited():
-                self._report_awaited(context, event.names)
+                _report_awaited(context, event.names)
             case ParametersSet():
                 if event.failed:
                     context.report_alert(Alert.PARAMETERS_NOT_SET, names=", ".join(event.failed))
@@ -175,17 +175,13 @@ class AutopilotSettings:
         state = self._state
         state.values.update(event.values)
         if event.unanswered and not context.options.check_only:
-            self._report_awaited(context, event.unanswered)  # they are requested again
+            _report_awaited(context, event.unanswered)  # they are requested again
             return
         if context.phase is Phase.PLAN and context.flight_plan is not None:
             self._set_or_compare_parameters(context)
         elif not state.findings_known and state.requirements:
             state.findings = unmet_requirement_issues(state.requirements, state.values)
             state.findings_known = True
-
-    @staticmethod
-    def _report_awaited(context: FlightContext, names: tuple[str, ...]) -> None:
-        context.report_alert(Alert.PARAMETERS_AWAITED, count=len(names), names=", ".join(names))
 
     def _set_or_compare_parameters(self, context: FlightContext) -> None:
         state = self._state
@@ -258,3 +254,7 @@ class AutopilotSettings:
             context.queue_actions(
                 LogNote("`companion restore` restores the vehicle's own settings")
             )
+
+
+def _report_awaited(context: FlightContext, names: tuple[str, ...]) -> None:
+    context.report_alert(Alert.PARAMETERS_AWAITED, count=len(names), names=", ".join(names))

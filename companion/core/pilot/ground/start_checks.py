@@ -120,7 +120,7 @@ class PreflightChecks:
             if text := pack.power_shortage_or_empty(hover_w):
                 found.append(PreflightIssue("energy", text, blocks=True, waits=True))
         found += self._flight_window_findings(context)
-        if telemetry.in_failsafe:
+        if telemetry.state is not None and telemetry.state.failsafe:
             found.append(
                 PreflightIssue("failsafe", "the autopilot reports a failsafe", True, waits=True)
             )
