@@ -150,7 +150,7 @@ PARTS = (
         FlightResumption,
         (
             *(MissionUploaded, MissionVerified, MissionWriteDetected, OrderRefused),
-            OtherStationModeCommand,
+            *(OtherStationModeCommand, VehicleState, ModeReport),
         ),
     ),
     PilotPart(LinkMonitor, (LinkSilent, LinkRecovered, ClockJumpedForward, ClockSteppedBack)),

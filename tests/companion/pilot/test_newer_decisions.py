@@ -235,6 +235,21 @@ def test_safety_rule_2_after_a_gap_no_jump_before_the_mission_is_verified(
     assert (w.pilot.phase is Phase.FOREIGN_MISSION) is replaced
 
 
+def test_safety_rule_1_a_mode_between_two_ticks_ends_a_hand_back():
+    w = reach(Phase.OUTBOUND)
+    w.mode = Mode.HOLD
+    w.until(Phase.SUSPENDED)
+    w.mute.add(ev.MissionVerified)
+    w.tell(ev.ControlHandedBack(w.t_s, OPERATOR))
+    handed_back_s = w.t_s
+    for mode in (Mode.OTHER, Mode.HOLD):
+        w.tell(ev.VehicleState(w.t_s, mode, mode.value, armed=True))
+    w.mute.clear()
+    let(w, 5.0)
+    assert w.pilot.phase is Phase.SUSPENDED
+    assert not [a for a in w.orders_after(handed_back_s) if isinstance(a, SetMode)]
+
+
 def test_safety_rule_1_a_flight_that_another_computer_has_is_not_taken_back():
     w = reach(Phase.OUTBOUND)
     later = w.t_s + 1.0

@@ -29,6 +29,7 @@ from companion.core.mission.events import (
     MissionVerified,
     MissionWriteDetected,
     Mode,
+    ModeReport,
     OrderRefused,
     OtherStationModeCommand,
     VehicleState,
@@ -159,10 +160,9 @@ class FlightResumption:
         if context.flight_plan is None:
             context.apply_phase_trigger(Trigger.FLIGHT_UNKNOWN, "armed, mission not loaded")
             return
-        reason = self._hand_back_end_reason(context, state)
-        if reason:
-            context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
-        elif self._authority.handed_back and context.time_in_phase_s > RESUME_TIMEOUT_S:
+        if self._end_if_taken_over(context, state):
+            return
+        if self._authority.handed_back and context.time_in_phase_s > RESUME_TIMEOUT_S:
             self._end_resumption(context, "mission not verified")
         elif not self._mission_matches:
             if not self._restored and self._onboard_mission.is_verified_by_id(context):
@@ -185,6 +185,12 @@ class FlightResumption:
                 self._modes.order_mode(context, Mode.MISSION)
 
     # --- a hand-back -----------------------------------------------------------------------------
+
+    def _end_if_taken_over(self, context: FlightContext, state: VehicleState) -> bool:
+        reason = self._hand_back_end_reason(context, state)
+        if reason:
+            context.apply_phase_trigger(Trigger.PILOT_OVERRIDE, reason)
+        return bool(reason)
 
     def _hand_back_end_reason(self, context: FlightContext, state: VehicleState) -> str:
         """Return the reason that ends the hand-back: another mode, or one selected without notice.
@@ -255,10 +261,13 @@ class FlightResumption:
         context.apply_phase_trigger(trigger, f"cannot resume: {reason}")
 
     def on_event(self, context: FlightContext, event: Event) -> None:
-        """Process the mission read-back, and the responses to orders."""
+        """Process modes, the mission read-back, and the responses to orders."""
+        state = context.telemetry.state
         match event:
             case _ if context.phase is not Phase.RECOGNISE:
                 return
+            case VehicleState() | ModeReport() if state is not None and state.armed:
+                self._end_if_taken_over(context, state)  # after a stall no tick sees each mode
             case MissionVerified():
                 self._evaluate_mission_read_back(context, event)
             case MissionWriteDetected() if self._mission_matches:  # else it may be its own upload
