@@ -44,15 +44,8 @@ INSERTION = InsertionParams(
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """Temperatures as shares of the initial plan's time per node; cooling from hot to cold.
+    """Large changes of a plan."""
 
-    Above 0.4 a plan becomes permanently worse than the initial one; below 0.04 it no longer
-    changes (docs/explanation/truck-and-drones.md).
-    """
-
-    start_temperature_frac: float = 0.4
-    end_temperature_frac: float = 0.04
-    step_trials: int = 20_000
     rebuild_frac: float = 0.05
     """Share of the changes that remove several customers and reinsert them."""
     insertion: InsertionParams = INSERTION
@@ -208,18 +201,24 @@ def anneal_plan_in_place(
 
 
 class PlanSearch(AnnealingSearch):
-    """A resumable search: `run_trials` repeatedly; `best` is always valid."""
+    """A resumable search: `run_trials` repeatedly; `best` is always valid.
+
+    Above a temperature share of 0.4 a plan becomes permanently worse than the initial one; below
+    0.04 it no longer changes (docs/explanation/truck-and-drones.md).
+    """
+
+    step_trials = 20_000
+    start_temperature_frac, end_temperature_frac = 0.4, 0.04
 
     def __init__(
         self,
         problem: TruckAndDrones,
         rng: np.random.Generator,
-        params: SearchParams,
+        params: SearchParams = SearchParams(),
         start: Plan | None = None,
     ) -> None:
         """`start`: initial plan, instead of `build_first_plan`."""
         self._problem, self._params = problem, params
-        self.step_trials = params.step_trials
         tables, stream = tables_of(problem), seeded_stream_from_generator(rng)
         work, new_work = allocate_work_arrays(tables), allocate_work_arrays(tables)
         first = build_first_plan(problem, tables, new_work) if start is None else start
@@ -238,7 +237,7 @@ class PlanSearch(AnnealingSearch):
             new_work,
             self._position.copy(),
         )
-        self._mean_leg_s = first_s / problem.nodes
+        self.mean_leg = first_s / problem.nodes
         self._constructed: list[Plan] | None = None
         self._start_plan: Plan | None = None
 
@@ -255,8 +254,8 @@ class PlanSearch(AnnealingSearch):
             self.best,
             self._position,
             trials,
-            self._mean_leg_s * _temperature_frac_at(params, schedule_from_frac),
-            self._mean_leg_s * _temperature_frac_at(params, schedule_to_frac),
+            self.temperature_at(schedule_from_frac),
+            self.temperature_at(schedule_to_frac),
             params.insertion,
             params.rebuild_frac,
         )
@@ -297,14 +296,7 @@ class PlanSearch(AnnealingSearch):
 
     def construct_plans(self) -> list[Plan]:
         """Return initial plans with different tours, best first."""
-        return construct_plan_per_flight_price(self._problem, self._change, self._mean_leg_s)
-
-
-def _temperature_frac_at(params: SearchParams, schedule_frac: float) -> float:
-    return (
-        params.start_temperature_frac
-        * (params.end_temperature_frac / params.start_temperature_frac) ** schedule_frac
-    )
+        return construct_plan_per_flight_price(self._problem, self._change, self.mean_leg)
 
 
 def problems_with_growing_fleets(problem: TruckAndDrones) -> list[TruckAndDrones]:
@@ -338,7 +330,6 @@ class SearchPolicy:
     `trials`: of a search; None: by the number of customers.
     """
 
-    params: SearchParams = SearchParams()
     trials: int | None = None
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
@@ -351,20 +342,19 @@ class SearchPolicy:
                 search.start_from_plan_of_cooling(cooling)
                 search.run_cooling(max(1, int(share * cooling.share)), cooling.begin_frac)
 
-        return best_plan_over_growing_fleets(problem, rng, self.params, run_search)
+        return best_plan_over_growing_fleets(problem, rng, run_search)
 
 
 def best_plan_over_growing_fleets(
     problem: TruckAndDrones,
     rng: np.random.Generator,
-    params: SearchParams,
     run_search: Callable[[PlanSearch, bool], None],
 ) -> Plan:
     """Call `run_search(search, is_smaller_fleet_searched)` per fleet size; return the best plan."""
     fleets = problems_with_growing_fleets(problem)
     plan: Plan | None = None
     for number, fleet in enumerate(fleets):
-        search = PlanSearch(fleet, rng, params)
+        search = PlanSearch(fleet, rng)
         if plan is not None:
             search.add_start_plan(plan_for_larger_fleet(plan, fleets[number - 1], fleet))
         run_search(search, plan is not None)

@@ -88,9 +88,9 @@ def test_a_priced_tour_of_six_customers_costs_one_per_cent_more_than_the_cheapes
 @pytest.mark.sample
 @PROBLEMS
 def test_built_plans_serve_everyone_once_and_the_best_comes_first(problem: TruckAndDrones):
-    from ground_station.core.truck_drones.search import PlanSearch, SearchParams
+    from ground_station.core.truck_drones.search import PlanSearch
 
-    plans = PlanSearch(problem, np.random.default_rng(0), SearchParams()).construct_plans()
+    plans = PlanSearch(problem, np.random.default_rng(0)).construct_plans()
     schedules = [simulate_schedule(problem, plan) for plan in plans]
     assert len(plans) >= 2
     for schedule in schedules:
@@ -165,12 +165,12 @@ def test_where_drones_are_plenty_a_built_plan_comes_near_the_truck_and_drivers_o
     """With drones that are never short, no day ends before the cheapest priced tour: driving, and
     the driver's time for each stop and flight.
     """
-    from ground_station.core.truck_drones.search import PlanSearch, SearchParams
+    from ground_station.core.truck_drones.search import PlanSearch
 
     problem = grown(small_town(3, 7), 7)
     driver_s = 90.0 - problem.deliver_s
     driver_s[2] = np.inf
     least_s = cheapest_s(problem, driver_s) + 7 * 30.0
-    plan = PlanSearch(problem, np.random.default_rng(0), SearchParams()).construct_plans()[0]
+    plan = PlanSearch(problem, np.random.default_rng(0)).construct_plans()[0]
     ends_s = simulate_schedule(problem, plan).makespan_s
     assert least_s - 1e-6 <= ends_s <= 1.05 * least_s
