@@ -111,7 +111,7 @@ class PastStore:
             self._hold_history = _read_hold_history(db)
             orders = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
             records = db.execute(sa.select(t.assignments).order_by(t.assignments.c.n)).all()
-            self._sorties = _read_sorties(db)
+            self._sorties = day_steps.read_sorties_without_responses(db)
         self.assignments = self._timed_assignments(records, audit)
         self._orders = [
             (
@@ -330,12 +330,3 @@ def _read_hold_history(db: sa.Connection) -> list[PastHold]:
         PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
         for row in found
     ]
-
-
-def _read_sorties(db: sa.Connection) -> list[SortieRow]:
-    query = (
-        sa.select(t.assignments, t.sorties)
-        .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
-        .order_by(t.assignments.c.n)
-    )
-    return [day_steps.sortie_from_database_row(row, ()) for row in db.execute(query)]

@@ -24,6 +24,7 @@ from ground_station.core.feasibility.reach import (
     Feasible,
     Infeasible,
     SortieFeasibility,
+    SortieGeometry,
     SortieNeed,
     route_energy_model_for_day,
 )
@@ -213,7 +214,7 @@ class DepotAssigner:
             depot, customer_ned = (0.0, 0.0, 0.0), self.order_ground_ned(order)
             up_m = self.layers.mission_in_layer(layer).cruise_height_m
             self._sortie_needs[key] = feasibility.sortie_need(
-                order.mass_kg, depot, customer_ned, depot, up_m
+                SortieGeometry(order.mass_kg, depot, customer_ned, depot, up_m)
             )
         return self._sortie_needs[key]
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -102,12 +103,6 @@ def plan_day(
     """
     _raise_if_state_inconsistent(data, start)
     return _DayPlanner(data, start, params, on_progress).compute_plan_and_record_unplanned()
-
-
-def truck_and_drones_problem_of_day(data: DayData, start: DayState) -> TruckAndDrones:
-    """Return the truck-and-drones problem of the policies, without layers."""
-    planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
-    return replace(planner.build_problem_and_record_unplanned().problem, air=None)
 
 
 class _DayPlanner:
@@ -259,10 +254,10 @@ class _DayPlanner:
             search = PlanSearch(problem, rng, params, start)
             if search.best_makespan_s == math.inf:  # the offered plan has no feasible layer
                 search = PlanSearch(problem, rng, params)
-            until = done + (progress_range_frac[1] - progress_range_frac[0]) * cooling.share
-            of_cooling = max(1, int(trials * cooling.share))
-            self._run_cooling(search, of_cooling, cooling.begin_frac, (done, until))
-            done = until
+            share = (progress_range_frac[1] - progress_range_frac[0]) * cooling.share
+            report = partial(self._report_progress, search, done, share)
+            search.run_cooling(max(1, int(trials * cooling.share)), cooling.begin_frac, report)
+            done += share
             if not any((search.best == plan).all() for _, plan in found):
                 found.append((search.best_makespan_s, search.best))
         found.sort(key=lambda one: one[0])
@@ -270,20 +265,8 @@ class _DayPlanner:
             return [PlanSearch(problem, rng, SearchParams()).best]
         return [plan for _, plan in found]
 
-    def _run_cooling(
-        self,
-        search: PlanSearch,
-        trials: int,
-        begin_frac: float,
-        progress_range_frac: tuple[float, float],
-    ) -> None:
-        """Run one cooling, from this fraction of the schedule to its end."""
-        first, last = progress_range_frac
-        search.run_cooling(
-            trials,
-            begin_frac,
-            lambda done: self._on_progress(first + (last - first) * done, search.best_makespan_s),
-        )
+    def _report_progress(self, search: PlanSearch, first: float, share: float, done: float) -> None:
+        self._on_progress(first + share * done, search.best_makespan_s)
 
     def _build_forward_pass(self, nodes: DayProblem) -> ForwardPass:
         stops = {stop.id: stop for stop in self._start.stops}
@@ -375,15 +358,14 @@ class _DayPlanner:
             )
             if node == request.rendezvous or pad is None:
                 continue
-            need = nodes.classes[request.kind].feasibility.sortie_need_if_feasible(
-                nodes.orders[request.customer - 1].mass_kg,
+            geometry = nodes.sortie_geometry(
+                (request.launch, request.customer, node),
                 slot.from_pad_ned_m,
-                nodes.ground_ned_m(request.customer),
                 pad[1],
                 slot.volume.high_m,
-                nodes.routes.waypoints_between(request.launch, request.customer),
-                nodes.routes.waypoints_between(request.customer, node),
             )
+            feasibility = nodes.classes[request.kind].feasibility
+            need = feasibility.sortie_need_if_feasible(geometry)
             if need is not None:
                 schedule.pads[node].pad_by_drone[slot.drone] = pad[1]
                 found.append(ids[node])

@@ -20,7 +20,11 @@ from ground_station.core.deconfliction.separation import (
 )
 from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import (
+    SortieFeasibility,
+    SortieGeometry,
+    route_energy_model_for_day,
+)
 from ground_station.core.feasibility.sortie_model import WindSortieModel
 from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
@@ -68,6 +72,25 @@ class DayProblem:
         """Return the ground point of a node."""
         north, east, down = self.ned_m[node].tolist()
         return north, east, down
+
+    def sortie_geometry(
+        self,
+        launch_customer_rendezvous: tuple[int, int, int],
+        start: Ned,
+        end: Ned,
+        height_m: float,
+    ) -> SortieGeometry:
+        """Return the geometry of a delivery between pads at two nodes."""
+        launch, customer, rendezvous = launch_customer_rendezvous
+        return SortieGeometry(
+            self.orders[customer - 1].mass_kg,
+            start,
+            self.ground_ned_m(customer),
+            end,
+            height_m,
+            self.routes.waypoints_between(launch, customer),
+            self.routes.waypoints_between(customer, rendezvous),
+        )
 
 
 def obstacle_map(data: DayData) -> ObstacleMap:
