@@ -31,8 +31,7 @@ from ground_station.core.clustering.prompt import (
     decode_clusters_or_rejection_reason,
 )
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.feasibility.hills import hills_of
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import DayFeasibility, SortieFeasibility
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
 
@@ -55,14 +54,11 @@ def build_clustering_problem(
     assigner = DepotAssigner(data.day, data.airframes, data.elevation)
     positions = [assigner.order_ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
-    airframe = data.airframes[drone.airframe]
-    energy = route_energy_model_for_day(data.day, airframe)
-    hills = hills_of(data.day, data.elevation)
-    feasibility = SortieFeasibility(
-        drone, airframe, data.day.mission, data.day.forecast, energy, hills
-    )
+    feasibility = DayFeasibility(data.day, data.airframes, data.elevation).of_drone(drone)
     charge = (
-        None if voltage_v is None else airframe.battery.charge_frac_from_resting_voltage(voltage_v)
+        None
+        if voltage_v is None
+        else feasibility.airframe.battery.charge_frac_from_resting_voltage(voltage_v)
     )
     positions_ne_m = np.array([position[:2] for position in positions]).reshape(-1, 2)
     mass_kg = np.array([order.mass_kg for order in orders])

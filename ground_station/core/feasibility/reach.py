@@ -8,7 +8,7 @@ delivery, with a reason.
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,8 +21,9 @@ from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import DROP_TOTAL_S, SETTLE_MARGIN_S
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
-from ground_station.core.feasibility.hills import Hills
+from ground_station.core.feasibility.hills import Hills, hills_of
 from ground_station.core.schema.day import Day, Drone, Forecast
+from ground_station.core.schema.elevation import SiteElevation
 
 Waypoints = tuple[tuple[float, float], ...]
 """Points (north, east) of a route around obstacles."""
@@ -297,6 +298,25 @@ class SortieFeasibility:
     def loiter_before_departure_s(self) -> float:
         """Loiter time over the pad before departure."""
         return self.mission.wind_settle_s + SETTLE_MARGIN_S
+
+
+class DayFeasibility:
+    """Creates `SortieFeasibility` for a day's drones; energy models and terrain are cached."""
+
+    def __init__(
+        self, day: Day, airframes: Mapping[str, Airframe], elevation: SiteElevation | None = None
+    ) -> None:
+        self._day, self._airframes, self._hills = day, airframes, hills_of(day, elevation)
+        self._energies: dict[str, RouteEnergy] = {}
+
+    def of_drone(self, drone: Drone, wind: Forecast | None = None) -> SortieFeasibility:
+        """Return the feasibility for a drone in this wind; None: the day's forecast."""
+        day, airframe = self._day, self._airframes[drone.airframe]
+        if drone.airframe not in self._energies:
+            self._energies[drone.airframe] = route_energy_model_for_day(day, airframe)
+        energy = self._energies[drone.airframe]
+        wind = wind or day.forecast
+        return SortieFeasibility(drone, airframe, day.mission, wind, energy, self._hills)
 
 
 def flight_height_over_hills_m(

@@ -18,12 +18,11 @@ from ground_station.core.deconfliction.separation import (
     LATE_MARGIN_S,
     LAYER_GAP_M,
 )
-from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
 from ground_station.core.feasibility.reach import (
+    DayFeasibility,
     SortieFeasibility,
     SortieGeometry,
-    route_energy_model_for_day,
 )
 from ground_station.core.feasibility.sortie_model import WindSortieModel
 from ground_station.core.schema.day import Drone
@@ -109,28 +108,14 @@ def group_identical_drones(
 ) -> tuple[DroneClass, ...]:
     """Group the available drones into identical ones."""
     day = data.day
-    energies = {
-        name: route_energy_model_for_day(day, airframe) for name, airframe in data.airframes.items()
-    }
-    hills = hills_of(day, data.elevation)
+    feasibility = DayFeasibility(day, data.airframes, data.elevation)
     grouped: dict[tuple[Drone, float], list[str]] = {}
     for drone in day.drones:
         if drone.id in available_from_s_by_drone:
             key = (_anonymous_drone(drone), available_from_s_by_drone[drone.id])
             grouped.setdefault(key, []).append(drone.id)
     return tuple(
-        DroneClass(
-            tuple(ids),
-            SortieFeasibility(
-                drone,
-                data.airframes[drone.airframe],
-                day.mission,
-                day.forecast,
-                energies[drone.airframe],
-                hills,
-            ),
-            from_s,
-        )
+        DroneClass(tuple(ids), feasibility.of_drone(drone), from_s)
         for (drone, from_s), ids in grouped.items()
     )
 
