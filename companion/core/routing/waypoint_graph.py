@@ -171,13 +171,6 @@ class SightLines:
         return np.concatenate(tail_arrays), np.concatenate(head_arrays)
 
 
-def build_visibility_graph(
-    site: SiteMap, cruise_height_m: float, corner_margin_m: float = _CORNER_MARGIN_M
-) -> WaypointGraph:
-    """Return the visibility graph of a site at one height. Raises LeewayError as `SightLines`."""
-    return SightLines(site, cruise_height_m, corner_margin_m).cached_visibility_graph()
-
-
 def split_route_into_legs(points: list[Ned], max_leg_length_m: float) -> list[Ned]:
     """Split each line into equal legs of at most `max_leg_length_m`; return the waypoints."""
     cut = points[:1]

@@ -150,12 +150,8 @@ class PkiFolder:
         self._sign_and_write_certificate(member, tls.private.public_key())
         return member
 
-    def renew_member_certificate(self, name: str, validity_days: int) -> None:
-        """Extend a member's certificate with the same keys; open connections continue."""
-        self.renew_member_certificates([name], validity_days)
-
     def renew_member_certificates(self, names: Sequence[str], validity_days: int) -> None:
-        """Extend several members' certificates with one roster."""
+        """Extend members' certificates with the same keys and one roster; connections continue."""
         new: dict[str, RosterMember] = {}
         for old in [self._require_active_member(name) for name in names]:
             member = msgspec.structs.replace(old, not_after=self._expiry_after(validity_days))

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ground_station.core
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.compiled_code import digest_of_text_and_files, planner_sources
 from ground_station.adapters.files.tspd_files import (
     ReferenceCosts,
     ReferenceKey,
@@ -47,11 +47,7 @@ class TspdParams:
 
 def inputs_and_planner_source_digest(files: list[Path], params: TspdParams) -> str:
     """Return a digest of all inputs of the rows: files, parameters and the planner's sources."""
-    digest = hashlib.sha256(repr(params).encode())
-    core = Path(next(iter(ground_station.core.__path__)))
-    for path in [*files, *sorted((core / "truck_drones").rglob("*.py"))]:
-        digest.update(str(path).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    return digest_of_text_and_files(repr((params, files)), [*files, *planner_sources()])
 
 
 def reference_key(instance: TspdInstance) -> ReferenceKey:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
-from ground_station.adapters.files.day_wind import create_site_wind, station_files
+from ground_station.adapters.files.day_wind import create_site_wind
 from ground_station.adapters.files.watched_file import (
     READ_TIMEOUT_S,
     ForecastFileMonitor,
@@ -35,7 +35,6 @@ from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.sortie_rows import SortieRow
 from ground_station.core.site_wind.corrected_forecast import ForecastTracker
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_stations import StationRegistry
 
 LogMessage = Callable[[str], None]
 
@@ -146,10 +145,7 @@ def _open_site_monitor(
     find_sorties: Callable[[], Sequence[SortieRow]] = lambda: (),
 ) -> SiteMonitor:
     """Return the monitor of the site. Reports of wind stations are ignored if the day has none."""
-    stations = None
-    if data.day.stations:
-        registry = StationRegistry.from_day(wind, data.day.stations)
-        stations = StationMonitor(registry, station_files(data), clock, log)
+    stations = StationMonitor.of_day(wind, data, clock, log) if data.day.stations else None
     limits = WindHoldRules(wind, launch_wind_limit_mps(data))
     return SiteMonitor(store, data, limits, clock, log, find_sorties, forecast_monitor, stations)
 

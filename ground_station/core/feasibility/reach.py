@@ -50,6 +50,10 @@ class SortieGeometry:
     outbound_waypoints: Waypoints = ()
     return_waypoints: Waypoints = ()
 
+    def height_above_depot_m(self, mission: Mission) -> float:
+        """Return `height_m`, by default the mission's cruise height."""
+        return mission.cruise_height_m if self.height_m is None else self.height_m
+
     @property
     def ground_ne_m(self) -> Waypoints:
         """Ground points and route corners, (north, east)."""
@@ -143,9 +147,7 @@ class SortieFeasibility:
     def sortie_need(self, geometry: SortieGeometry) -> SortieNeed:
         """Compute energy and time of a delivery."""
         out, back = geometry.outbound_waypoints, geometry.return_waypoints
-        level_m = geometry.height_m
-        if level_m is None:
-            level_m = self.mission.cruise_height_m
+        level_m = geometry.height_above_depot_m(self.mission)
         up_m = (
             self._flight_height_over_hills_m(level_m, (geometry.start, *out, geometry.customer)),
             self._flight_height_over_hills_m(level_m, (geometry.customer, *back, geometry.end)),

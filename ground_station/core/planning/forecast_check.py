@@ -50,12 +50,13 @@ def price_in_most_demanding_forecast_wind(
     if forecast is None:
         return _price_sortie(feasibility, geometry)
     found: list[PricedSortie] = []
+    height_m = geometry.height_above_depot_m(feasibility.mission)
     positions_ned_m = (geometry.start, geometry.customer, geometry.end)
     for position_ned_m, t_s in zip(
         positions_ned_m, (launch_s, 0.5 * (launch_s + landing_s), landing_s), strict=True
     ):
         wind = forecast.constant_wind_at_day_time(
-            t_s, geometry.height_m, (position_ned_m[0], position_ned_m[1])
+            t_s, height_m, (position_ned_m[0], position_ned_m[1])
         )
         if isinstance(wind, OutsideForecast):
             return wind

@@ -107,7 +107,7 @@ def simulate_schedule(problem: TruckAndDrones, plan: Plan) -> Schedule:
     for flight, drone in zip(flights, _drone_by_flight(problem, flights), strict=True):
         kind = problem.kinds[flight.kind]
         sorties.append(Sortie(drone, flight.launch, flight.customer, flight.rendezvous))
-        for what, node, start_s, end_s in (
+        steps: tuple[tuple[Literal["launch", "recover"], int, float, float], ...] = (
             ("launch", flight.launch, flight.launched_s - kind.launch_s, flight.launched_s),
             (
                 "recover",

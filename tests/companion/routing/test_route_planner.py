@@ -21,9 +21,9 @@ from companion.core.routing.route_planner import BerPlanner, NoRoute, Plan, Plan
 from companion.core.routing.shortest_paths import RouteFinder, path_vertices_in_first_problem
 from companion.core.routing.smooth_route import max_route_turn_rad
 from companion.core.routing.waypoint_graph import (
+    SightLines,
     SiteMap,
     WaypointGraph,
-    build_visibility_graph,
     split_route_into_legs,
 )
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -67,7 +67,7 @@ def test_legs_are_no_longer_than_asked_and_a_way_keeps_its_corners() -> None:
 
 def test_every_line_of_the_graph_keeps_clear_and_every_other_does_not() -> None:
     where = site(WALL, SHED)
-    graph = build_visibility_graph(where, 40.0)
+    graph = SightLines(where, 40.0).cached_visibility_graph()
     seen = set(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
     for a, b in permutations(range(len(graph.vertices_ned_m)), 2):
         clear = (
@@ -78,7 +78,7 @@ def test_every_line_of_the_graph_keeps_clear_and_every_other_does_not() -> None:
 
 
 def test_the_graph_is_directed_both_ways_and_connected() -> None:
-    graph = in_networkx(build_visibility_graph(site(WALL), 40.0))
+    graph = in_networkx(SightLines(site(WALL), 40.0).cached_visibility_graph())
     assert nx.is_strongly_connected(graph)
     assert all(graph.has_edge(b, a) for a, b in graph.edges)
 
@@ -101,7 +101,7 @@ def shortest(graph: WaypointGraph) -> list[int] | None:
 
 
 def test_the_planners_graph_is_the_sites() -> None:
-    graph = build_visibility_graph(site(WALL, SHED), 40.0)
+    graph = SightLines(site(WALL, SHED), 40.0).cached_visibility_graph()
     planned = graph.to_energy_graph(ROUTE, 0.5)
     np.testing.assert_allclose(planned.edge_length_m, graph.edge_lengths_m())
     first = planned.vertices_m[0]
@@ -111,7 +111,7 @@ def test_the_planners_graph_is_the_sites() -> None:
 
 
 def test_the_shortest_path_is_networkxs() -> None:
-    graph = build_visibility_graph(site(WALL, SHED), 40.0)
+    graph = SightLines(site(WALL, SHED), 40.0).cached_visibility_graph()
     path = shortest(graph)
     assert path is not None
     oracle = nx.shortest_path_length(
@@ -127,7 +127,7 @@ def test_the_shortest_path_is_networkxs() -> None:
 
 
 def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
-    graph = build_visibility_graph(site(SHED), 40.0)
+    graph = SightLines(site(SHED), 40.0).cached_visibility_graph()
     path = shortest(graph)
     assert path is not None
     assert all(abs(graph.vertex_ned_m(v)[0]) < 1e-9 for v in path)
@@ -135,11 +135,11 @@ def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
 
 def test_a_customer_inside_an_obstacle_is_refused_by_name() -> None:
     with pytest.raises(LeewayError, match="customer: within 15 m of wall"):
-        build_visibility_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0)
+        SightLines(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0).cached_visibility_graph()
 
 
 def test_no_path_leads_over_a_closed_edge() -> None:
-    graph = build_visibility_graph(site(), 40.0)
+    graph = SightLines(site(), 40.0).cached_visibility_graph()
     planned = graph.to_energy_graph(ROUTE, 0.0)
     cost = np.where(graph.head == graph.customer, np.inf, 1.0)
     routes = RouteFinder(planned).find_routes_to_goal(graph.customer, cost[:, None])

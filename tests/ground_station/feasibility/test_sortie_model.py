@@ -16,7 +16,7 @@ from companion.core.base.location import Location
 from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import depot_frame
 from companion.core.routing.leg_energy import RouteEnergy
-from companion.core.routing.waypoint_graph import SiteMap, build_visibility_graph
+from companion.core.routing.waypoint_graph import SightLines, SiteMap
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
@@ -129,7 +129,9 @@ def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
     points = [(0.0, 0.0), *ways.waypoints_between(0, 1), customer[:2]]
     length_m = sum(math.dist(a, b) for a, b in pairwise(points))
     frame = depot_frame(Location(lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0))
-    graph = build_visibility_graph(SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0)
+    graph = SightLines(
+        SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0
+    ).cached_visibility_graph()
     edges = zip(
         graph.tail.tolist(), graph.head.tolist(), graph.edge_lengths_m().tolist(), strict=True
     )
