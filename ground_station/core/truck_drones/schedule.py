@@ -107,16 +107,12 @@ def simulate_schedule(problem: TruckAndDrones, plan: Plan) -> Schedule:
     for flight, drone in zip(flights, _drone_by_flight(problem, flights), strict=True):
         kind = problem.kinds[flight.kind]
         sorties.append(Sortie(drone, flight.launch, flight.customer, flight.rendezvous))
-        steps: tuple[tuple[Literal["launch", "recover"], int, float, float], ...] = (
-            ("launch", flight.launch, flight.launched_s - kind.launch_s, flight.launched_s),
-            (
-                "recover",
-                flight.rendezvous,
-                flight.recovered_s,
-                flight.recovered_s + kind.recover_s,
-            ),
-        ):
-            tasks.append(DriverTask(what, node, drone, start_s, end_s))
+        launch_start_s = flight.launched_s - kind.launch_s
+        recovery_end_s = flight.recovered_s + kind.recover_s
+        tasks += (
+            DriverTask("launch", flight.launch, drone, launch_start_s, flight.launched_s),
+            DriverTask("recover", flight.rendezvous, drone, flight.recovered_s, recovery_end_s),
+        )
     tasks.sort(key=lambda task: (task.start_s, task.end_s))
     return Schedule(stops[-1].depart_s, stops, tuple(sorties), tuple(tasks))
 
