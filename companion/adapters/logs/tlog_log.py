@@ -85,7 +85,7 @@ def read_tlog(path: Path) -> RecordedFlight:
     if damaged_at:
         findings.append(
             summarise_rows_as_issue(
-                damaged_at, _byte_text, "bytes of no whole frame (truncated?)", "discarded"
+                damaged_at, "byte {}".format, "bytes of no whole frame (truncated?)", "discarded"
             )
         )
     others = sorted({f.system for f in frames if f.component == AUTOPILOT} - {system})
@@ -219,7 +219,3 @@ def _next_frame_start(raw: bytes, at: int) -> int:
             return at
         at += 1
     return len(raw)
-
-
-def _byte_text(at: int) -> str:
-    return f"byte {at}"

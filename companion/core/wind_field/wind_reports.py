@@ -139,7 +139,8 @@ class MemberReports:
                 return ""
             if (
                 report.t_s - before.t_s < REPORT_AVERAGING_S - 0.5
-                and not self._are_all_segments_expired(report.t_s)
+                and self.segments
+                and report.t_s - self.segments[-1].last[0] <= KEPT_S
             ):
                 return ""
             if _speed_between_reports_mps(before, report) > MAX_SPEED_MPS:
@@ -177,9 +178,6 @@ class MemberReports:
             else:
                 kept.append(one)
         self.segments = kept[-max_segments:]
-
-    def _are_all_segments_expired(self, t_s: float) -> bool:
-        return not self.segments or t_s - self.segments[-1].last[0] > KEPT_S
 
     def _update_constant_wind_and_reject(self, report: MemberWindReport) -> str:
         """Return a reason if the wind is constant for too long; drops the reports of that time."""

@@ -30,7 +30,8 @@ def enable_compile_cache_and_check_if_known() -> bool:
     from numba.core import config
 
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "leeway"
-    folder = root / f"truck_drones-{_compiler_and_sources_digest(numba.__version__)}"
+    digest = digest_of_text_and_files(numba.__version__, planner_sources())[:16]
+    folder = root / f"truck_drones-{digest}"
     known = folder.is_dir()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -40,10 +41,6 @@ def enable_compile_cache_and_check_if_known() -> bool:
         return False  # a read-only home: each process compiles again
     config.CACHE_DIR = str(folder)  # pyright: ignore[reportAttributeAccessIssue]
     return known
-
-
-def _compiler_and_sources_digest(compiler_version: str) -> str:
-    return digest_of_text_and_files(compiler_version, planner_sources())[:16]
 
 
 def planner_sources() -> list[Path]:

@@ -131,7 +131,10 @@ class PastStore:
         }
         flew = {row.id: row.launched_us for row in self._sorties}
         for past_event in reversed(self.events):
-            if past_event.event.kind is EventKind.PHASE and _is_take_off(past_event.event):
+            if (
+                past_event.event.kind is EventKind.PHASE
+                and PhaseEvent.parse(past_event.event.text).now == Phase.CLIMB.value
+            ):
                 flew[past_event.event.assignment or ""] = past_event.received_us
         return [
             PastAssignment(
@@ -292,10 +295,6 @@ def _read_past_events(db: sa.Connection) -> list[PastEvent]:
         PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
         for row in db.execute(query)
     ]
-
-
-def _is_take_off(event: FleetEvent) -> bool:
-    return PhaseEvent.parse(event.text).now == Phase.CLIMB.value
 
 
 def _read_start_us(db: sa.Connection) -> int | None:

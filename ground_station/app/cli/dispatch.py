@@ -328,7 +328,7 @@ def recall(
             vehicle,
             operator.name,
             echo_with_time_of_day,
-            _print_error,
+            partial(typer.echo, err=True),
             wait,
             recall_without_companion,
         )
@@ -357,10 +357,6 @@ def report(
     plain_console().print(report_tables(statistics))
     if json_file is not None:
         json_file.write_text(json.dumps(statistics, indent=1))
-
-
-def _print_error(message: str) -> None:
-    typer.echo(message, err=True)
 
 
 def _log_line_with_open_network_mark(message: str) -> None:

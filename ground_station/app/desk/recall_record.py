@@ -76,7 +76,9 @@ class RecallRecord:
         store = self._store
         if store is not None:
             for id_ in sorted(self._unanswered):
-                self._try_write_and_record_error(lambda id_=id_: _void_command(store, id_))
+                self._try_write_and_record_error(
+                    lambda id_=id_: store.cancel_command(id_, "not answered in time")
+                )
 
     def _try_write_and_record_error(self, write: Callable[[], None]) -> None:
         try:
@@ -94,7 +96,3 @@ class RecallRecord:
         """Close the store."""
         if self._store is not None:
             self._store.close()
-
-
-def _void_command(store: Store, id_: str) -> None:
-    store.cancel_command(id_, "not answered in time")

@@ -153,7 +153,7 @@ class _DayPlanner:
         search's times. The truck serves customers without a slot, if permitted.
         """
         plan_request = forward_pass.request_from_plan(problem, plan)
-        both = (plan_request.without_timing(), plan_request)
+        both = (ForwardPassRequest(plan_request.route, plan_request.requests), plan_request)
         return min(
             (_schedule_with_lost_served_by_truck(nodes, forward_pass, one) for one in both),
             key=lambda one: _schedule_rank(one[1]),
@@ -170,7 +170,7 @@ class _DayPlanner:
             self._data,
             [order for order in orders if order.id not in left],
             location_to_ground_ned_m(self._airspace.frame, self._start_stop.location),
-            self._start_name_in_road_matrix(),
+            self._start_stop.serves[0] if self._start_stop.serves else DEPOT,
             {id_: max(0.0, at - self._t0_s) for id_, at in self._start.available_from_s.items()},
             self._promised_stay_at_first_stop_s(),
             first_ring_radius_m(),
@@ -184,9 +184,6 @@ class _DayPlanner:
         ids = [id_ for stop in self._start.stops for id_ in stop.serves]
         ids += [sortie.order for sortie in self._start.airborne]
         return sum(order_by_id[id_].mass_kg for id_ in ids if id_ in order_by_id)
-
-    def _start_name_in_road_matrix(self) -> str:
-        return self._start_stop.serves[0] if self._start_stop.serves else DEPOT
 
     def _promised_stay_at_first_stop_s(self) -> float:
         """Return the promised duration of the truck's stay at the first stop of the plan."""
@@ -353,9 +350,10 @@ class _DayPlanner:
         after = route[route.index(request.rendezvous) + 1 :][:1]
         found: list[str] = []
         for node in [request.launch, *after]:
-            pad = schedule.pads[node].best_pad_with_route_angle_rad(
+            ranked = schedule.pads[node].pads_ranked_by_route_angle_rad(
                 slot.drone, nodes.ground_ned_m(request.customer)
             )
+            pad = next(iter(ranked), None)
             if node == request.rendezvous or pad is None:
                 continue
             geometry = nodes.sortie_geometry(

@@ -6,6 +6,7 @@ the depot at the end of the day.
 
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -112,21 +113,11 @@ def group_identical_drones(
     grouped: dict[tuple[Drone, float], list[str]] = {}
     for drone in day.drones:
         if drone.id in available_from_s_by_drone:
-            key = (_anonymous_drone(drone), available_from_s_by_drone[drone.id])
+            key = (msgspec.structs.replace(drone, id="any"), available_from_s_by_drone[drone.id])
             grouped.setdefault(key, []).append(drone.id)
     return tuple(
         DroneClass(tuple(ids), feasibility.of_drone(drone), from_s)
         for (drone, from_s), ids in grouped.items()
-    )
-
-
-def _anonymous_drone(drone: Drone) -> Drone:
-    return Drone(
-        id="any",
-        airframe=drone.airframe,
-        charge_frac=drone.charge_frac,
-        temperature_c=drone.temperature_c,
-        battery_health_frac=drone.battery_health_frac,
     )
 
 
@@ -181,8 +172,8 @@ def build_day_problem(
         deliver_s=np.where(_flags_by_node(orders, [True] * len(orders)), truck.deliver_s, 0.0),
         kinds=kinds or (_empty_drone_kind(len(positions_ned_m)),),
         leg_tables=tuple(
-            _with_ready_time(sorties.leg_tables(number), truck.ready_s)
-            for number in range(len(classes))
+            replace(legs, out_s=legs.out_s + truck.ready_s)
+            for legs in map(sorties.leg_tables, range(len(classes)))
         )
         or (_infeasible_leg_tables(len(positions_ned_m)),),
         truck_can_serve=by_truck,
@@ -218,11 +209,6 @@ def _empty_drone_kind(node_count: int) -> DroneKind:
 def _infeasible_leg_tables(node_count: int) -> LegTables:
     infinite = np.full((node_count, node_count), np.inf)
     return LegTables(infinite, infinite, infinite, infinite, 0.0)
-
-
-def _with_ready_time(leg_tables: LegTables, ready_s: float) -> LegTables:
-    """Add the time on the pad before each flight."""
-    return replace(leg_tables, out_s=leg_tables.out_s + ready_s)
 
 
 def without_orders(nodes: DayProblem, order_ids: set[str]) -> DayProblem:

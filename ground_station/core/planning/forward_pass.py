@@ -328,7 +328,10 @@ class _Pass:
                     s for s in self._available_from_s[request.kind].values() if s > self._now_s
                 ]
                 until_s += later_s
-                if not later_s and not self._is_recovery_expected(request.kind, node):
+                if not later_s and not any(
+                    (slot.request.rendezvous, slot.request.kind) == (node, request.kind)
+                    for slot in self._airborne
+                ):
                     self._defer_waiting_request_or_mark_lost(
                         request, waiting, moved_requests, is_last_stop=is_last_stop
                     )
@@ -388,12 +391,6 @@ class _Pass:
                 return
         self._defer_waiting_request_or_mark_lost(
             request, waiting, moved_requests, is_last_stop=is_last_stop
-        )
-
-    def _is_recovery_expected(self, kind: int, node: int) -> bool:
-        """Return whether a drone of this kind will be recovered here."""
-        return any(
-            slot.request.rendezvous == node and slot.request.kind == kind for slot in self._airborne
         )
 
     def _defer_waiting_request_or_mark_lost(

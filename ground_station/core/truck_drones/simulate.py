@@ -352,13 +352,8 @@ def simulate_stop_and_next_arrival(tables, plan, work_arrays, route_index):
 def initialise_drones_on_truck(tables, plan, drones_on_truck):
     """Initialise the drones on the truck: all that the plan uses."""
     for kind in range(drones_on_truck.shape[1]):
-        drones_on_truck[0, kind] = tables.fleet[kind] - unused_drone_count(plan, kind)
-
-
-@compiled_inner
-def unused_drone_count(plan, kind):
-    """Return the number of unused drones of this kind."""
-    return plan[IDLE, kind] if kind < plan.shape[1] else 0
+        unused = plan[IDLE, kind] if kind < plan.shape[1] else 0
+        drones_on_truck[0, kind] = tables.fleet[kind] - unused
 
 
 @compiled
