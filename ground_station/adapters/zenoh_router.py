@@ -45,7 +45,9 @@ class ZenohRouter:
         _require_active_router_role(identity)
         if identity.trust.validity.own_end_us is None:
             raise LeewayError(f"{identity_folder / TLS_CERTIFICATE}: No such file or directory")
-        _require_router_mode(identity.zenoh_config_path)
+        mode = config_mode(read_and_check_zenoh_config(identity.zenoh_config_path))
+        if mode != "router":
+            raise LeewayError(f"{identity.zenoh_config_path}: mode {mode}, expected router")
         called = ServerSession(identity)
         session = called.open_session()
         share = RosterShare(session, identity, report_roster_refusal)
@@ -82,9 +84,3 @@ def _require_active_router_role(identity: MemberIdentity) -> None:
     if trust.own_roster_entry.role is not Role.ROUTER:
         role = trust.own_roster_entry.role.value
         raise LeewayError(f"{identity.folder}: {trust.name} is a {role}, expected a router")
-
-
-def _require_router_mode(zenoh_config_file: Path) -> None:
-    mode = config_mode(read_and_check_zenoh_config(zenoh_config_file))
-    if mode != "router":
-        raise LeewayError(f"{zenoh_config_file}: mode {mode}, expected router")

@@ -143,7 +143,8 @@ class MemberReports:
                 and report.t_s - self.segments[-1].last[0] <= KEPT_S
             ):
                 return ""
-            if _speed_between_reports_mps(before, report) > MAX_SPEED_MPS:
+            moved_m = math.dist(before.position_ne_m, report.position_ne_m)
+            if moved_m / max(report.t_s - before.t_s, 1e-3) > MAX_SPEED_MPS:
                 self.segments.clear()
                 self.newest = report
                 return f"position moved faster than {MAX_SPEED_MPS:g} m/s"
@@ -192,13 +193,6 @@ class MemberReports:
         self.segments = [one for one in self.segments if one.last[0] < constant_since_s]
         self.newest = report
         return f"reported the same wind for {report.t_s - constant_since_s:.0f} s"
-
-
-def _speed_between_reports_mps(
-    earlier_report: MemberWindReport, later_report: MemberWindReport
-) -> float:
-    (n0, e0), (n1, e1) = earlier_report.position_ne_m, later_report.position_ne_m
-    return math.hypot(n1 - n0, e1 - e0) / max(later_report.t_s - earlier_report.t_s, 1e-3)
 
 
 @dataclass(frozen=True, slots=True)

@@ -342,11 +342,13 @@ def apply_response_to_assignment(
             end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
         case Launch(), CommandStatus.DONE | CommandStatus.INTERRUPTED:
             set_assignment_state(db, row.id, AssignmentState.IN_FLIGHT, reason)
-            _set_launch_time_once(db, now_us, row.id)
+            here = (t.sorties.c.assignment == row.id, t.sorties.c.launched_us.is_(None))
+            db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
         case Launch(), CommandStatus.REFUSED if row.state is not AssignmentState.IN_FLIGHT:
             set_assignment_state(db, row.id, AssignmentState.UPLOADED, f"launch refused: {reason}")
         case MoveHome(), CommandStatus.REFUSED | CommandStatus.INTERRUPTED:
-            _clear_requested_landing_stop(db, row.id, command.command.home)
+            here = (t.sorties.c.assignment == row.id, t.sorties.c.asked == command.command.home)
+            db.execute(sa.update(t.sorties).where(*here).values(asked=None))
         case Withdraw(), _ if (
             command.vehicle != row.vehicle or command.command.assignment != row.id
         ):
@@ -358,16 +360,6 @@ def apply_response_to_assignment(
             set_assignment_state(db, row.id, AssignmentState.IN_FLIGHT, f"not withdrawn: {reason}")
         case _:
             return
-
-
-def _set_launch_time_once(db: sa.Connection, now_us: int, assignment: str) -> None:
-    here = (t.sorties.c.assignment == assignment, t.sorties.c.launched_us.is_(None))
-    db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
-
-
-def _clear_requested_landing_stop(db: sa.Connection, assignment: str, landing_stop: str) -> None:
-    here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == landing_stop)
-    db.execute(sa.update(t.sorties).where(*here).values(asked=None))
 
 
 def assignment_from_database_row(database_row: Any) -> AssignmentRow:

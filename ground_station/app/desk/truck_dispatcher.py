@@ -115,7 +115,8 @@ class TruckDispatcher:
         )
         actions = rules.due_actions(snapshot)
         for action in actions:
-            self._execute_and_log_action(action)
+            if message := self._store_action_and_format_result(action):
+                self.log(message)
         if actions:
             tracker.discard_store_rows()
         self.departure_blockers = rules.departure_blockers(snapshot)
@@ -137,12 +138,6 @@ class TruckDispatcher:
             used_wh = self._tracker.pop_energy_used_wh(row.id) if row.is_finished else None
             if used_wh is not None:
                 self.day.update_sortie_columns(row.id, used_wh=used_wh)
-
-    def _execute_and_log_action(self, action: DispatchAction) -> None:
-        """Execute an action as one transaction, and log its result for the operator."""
-        message = self._store_action_and_format_result(action)
-        if message:
-            self.log(message)
 
     def _store_action_and_format_result(self, action: DispatchAction) -> str | None:
         day, by = self.day, self.issuer

@@ -68,7 +68,9 @@ def _reachable_radii_m(
 ) -> Floats:
     """Return the radius in each direction, (n, 2) unit vectors, metres."""
     up = -(state.height_rel_m or 0.0)
-    wind = _reported_or_forecast_wind_ne_mps(model, state)
+    wind = model.wind_to_ne_mps
+    if state.wind_to_n_mps is not None and state.wind_to_e_mps is not None:
+        wind = np.array([state.wind_to_n_mps, state.wind_to_e_mps])
     cruises = tuple(
         Leg(
             LegKind.CRUISE,
@@ -110,12 +112,6 @@ def _reachable_radii_m(
         )
 
     return np.array([radius_m(k) for k in range(len(directions_ne))])
-
-
-def _reported_or_forecast_wind_ne_mps(model: SortieFeasibility, state: State) -> Floats:
-    if state.wind_to_n_mps is None or state.wind_to_e_mps is None:
-        return model.wind_to_ne_mps
-    return np.array([state.wind_to_n_mps, state.wind_to_e_mps])
 
 
 def _energy_above_reserve_wh(

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from ground_station.core.feasibility.reach import SortieFeasibility, SortieGeometry
 from ground_station.core.planning.forecast_check import (
-    PricedSortie,
     price_in_most_demanding_forecast_wind,
 )
 from ground_station.core.schema.day_forecast import DayForecast
@@ -25,18 +24,17 @@ class SortieInForecast:
     duration_s: float
     limit_mps: float
 
-    def price_at_launch_time(self, launch_s: float) -> PricedSortie | OutsideForecast:
-        """Price the sortie for a launch at day time `launch_s`."""
-        to_s = launch_s + self.duration_s
-        return price_in_most_demanding_forecast_wind(
-            self.feasibility, self.geometry, self.forecast, launch_s, to_s
-        )
-
     def launch_restriction_text(self, launch_s: float) -> str | None:
         """Return a text with the wind that forbids a launch at `launch_s`; empty if the launch is
         permitted; None outside the forecast.
         """
-        priced = self.price_at_launch_time(launch_s)
+        priced = price_in_most_demanding_forecast_wind(
+            self.feasibility,
+            self.geometry,
+            self.forecast,
+            launch_s,
+            launch_s + self.duration_s,
+        )
         if isinstance(priced, OutsideForecast):
             return None
         height_m = self.geometry.height_m
