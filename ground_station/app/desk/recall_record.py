@@ -80,7 +80,7 @@ class RecallRecord:
                     lambda id_=id_: store.cancel_command(id_, "not answered in time")
                 )
 
-    def _try_write_and_record_error(self, write: Callable[[], None]) -> None:
+    def _try_write_and_record_error(self, write: Callable[[], object]) -> None:
         try:
             write()
             self.store_error = None
