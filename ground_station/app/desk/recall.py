@@ -196,6 +196,6 @@ def command_return_to_launch_if_silent(
         ):
             recaller.log(f"{vehicle}: its companion is connected: direct RTL not sent")
             return set()
-    done = connect_and_command_return_to_launch(autopilot_url)
-    recaller.log(f"{vehicle}: autopilot {done.system} returns to launch, commanded directly")
+    system = connect_and_command_return_to_launch(autopilot_url)
+    recaller.log(f"{vehicle}: autopilot {system} returns to launch, commanded directly")
     return {vehicle}

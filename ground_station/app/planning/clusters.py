@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned, ObstacleMap
 from companion.core.mission.flight_plan import CLEARANCE_M, VERTICAL_CLEARANCE_M, depot_frame
-from ground_station.adapters.llm import LlmParams, NoLlmResponse, request_completion
+from ground_station.adapters.llm import LlmParams, request_completion
 from ground_station.core.clustering.energies import delivery_energy_matrix_wh
 from ground_station.core.clustering.methods import (
     cluster_by_distance,
@@ -90,13 +91,12 @@ def cluster_by_llm_or_energy(
     Prompt, response and result are appended to `log_file`, one JSON line for each call.
     """
     user = clustering_prompt_json(problem)
-    reply = request_completion(params, SYSTEM, user, SCHEMA)
-    reply_text = "" if isinstance(reply, NoLlmResponse) else reply.text
-    clusters_or_reason = (
-        reply.reason
-        if isinstance(reply, NoLlmResponse)
-        else decode_clusters_or_rejection_reason(reply.text, problem)
-    )
+    reply_text = ""
+    try:
+        reply_text = request_completion(params, SYSTEM, user, SCHEMA)
+        clusters_or_reason = decode_clusters_or_rejection_reason(reply_text, problem)
+    except LeewayError as error:
+        clusters_or_reason = str(error)
     if isinstance(clusters_or_reason, str):
         result = cluster_by_energy(problem).with_notes(
             f"the LLM proposed no valid clusters: {clusters_or_reason}"
