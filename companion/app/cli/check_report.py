@@ -11,9 +11,9 @@ def check_report_lines_and_is_ready(pilot: Pilot) -> tuple[list[str], bool]:
     if preflight.abort_reason:
         return [f"MISSING  {preflight.abort_reason}", "NOT READY"], False
     findings = preflight.findings
-    lines = [
-        f"{_issue_label(issue)}  {issue.words}" for issue in sorted(findings, key=_severity_rank)
-    ]
+    labelled = [(_issue_label(issue), issue.words) for issue in findings]
+    labelled.sort(key=lambda one: ("MISSING", "WAITING", "WARNING").index(one[0]))
+    lines = [f"{label}  {words}" for label, words in labelled]
     met = preflight.settings_met
     if met > 0:
         lines.append(f"ok       {met} autopilot parameters are as required")
@@ -48,10 +48,6 @@ def reason_no_check_ran(pilot: Pilot) -> str:
 
 def _issue_label(issue: PreflightIssue) -> str:
     return "WAITING" if issue.waits else "MISSING" if issue.blocks else "WARNING"
-
-
-def _severity_rank(issue: PreflightIssue) -> int:
-    return ("MISSING", "WAITING", "WARNING").index(_issue_label(issue))
 
 
 def _certificate_and_envelope_exit_lines(pilot: Pilot) -> list[str]:

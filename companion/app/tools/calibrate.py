@@ -312,7 +312,9 @@ def _write_airframe_file(
         f" {prior_airframe.name}; numbers without a comment are unchanged.",
     ]
     header += [
-        f"Predicted unseen: {_prediction_text(h)}"
+        f"Predicted unseen: {h.name}: {h.predicted_wh:.1f} Wh of {h.measured_wh:.1f} measured"
+        f" ({100.0 * h.relative_energy_error:+.1f} %), {h.wind_mps:.1f} m/s of wind,"
+        f" {h.payload_kg:g} kg"
         for h in (*calibration.holdouts, *validation_flights)
     ]
     header += calibration.notes
@@ -322,15 +324,6 @@ def _write_airframe_file(
             + ", ".join(q.name for q in calibration.unidentified_required_quantities)
         )
     write_airframe(out_path, fitted, header, _source_comment_by_parameter(calibration))
-
-
-def _prediction_text(validation_flight: ValidationFlight) -> str:
-    return (
-        f"{validation_flight.name}: {validation_flight.predicted_wh:.1f} Wh of"
-        f" {validation_flight.measured_wh:.1f} measured"
-        f" ({100.0 * validation_flight.relative_energy_error:+.1f} %),"
-        f" {validation_flight.wind_mps:.1f} m/s of wind, {validation_flight.payload_kg:g} kg"
-    )
 
 
 def _file_date_text(path: Path) -> str:

@@ -113,7 +113,10 @@ class PkiFolder:
         self, names: Sequence[str], role: Role, validity_days: int, address: str = ""
     ) -> None:
         """Add members of one role with one roster. Raises LeewayError before any change."""
-        self._require_address_matches_role(role, address)
+        if address and role not in SERVERS:
+            raise LeewayError(f"--address: a {role.value} has no address, expected none")
+        if role is Role.ROUTER and not address:
+            raise LeewayError("--address: expected HOST:PORT of the router")
         if address and len(names) > 1:
             raise LeewayError(f"--address {address}: expected one member at an address")
         for at, name in enumerate(names):
@@ -202,12 +205,6 @@ class PkiFolder:
         if found is None or found.revoked:
             raise LeewayError(f"{name}: {'revoked' if found else 'not on the roster'}")
         return found
-
-    def _require_address_matches_role(self, role: Role, address: str) -> None:
-        if address and role not in SERVERS:
-            raise LeewayError(f"--address: a {role.value} has no address, expected none")
-        if role is Role.ROUTER and not address:
-            raise LeewayError("--address: expected HOST:PORT of the router")
 
     def _expiry_after(self, days: int) -> datetime:
         return (self.now + timedelta(days=days)).replace(microsecond=0)

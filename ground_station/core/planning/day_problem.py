@@ -170,7 +170,8 @@ def build_day_problem(
     problem = TruckAndDrones(
         travel_s=_truck_travel_matrix_s(data, orders, ned_m, start_name),
         deliver_s=np.where(_flags_by_node(orders, [True] * len(orders)), truck.deliver_s, 0.0),
-        kinds=kinds or (_empty_drone_kind(len(positions_ned_m)),),
+        kinds=kinds  # a fleet without drones has one kind of none
+        or (DroneKind(0, 1.0, 1.0, np.zeros(len(positions_ned_m), dtype=np.bool_)),),
         leg_tables=tuple(
             replace(legs, out_s=legs.out_s + truck.ready_s)
             for legs in map(sorties.leg_tables, range(len(classes)))
@@ -199,11 +200,6 @@ def build_day_problem(
     )
     cruise_m = mission.cruise_height_m
     return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m)
-
-
-def _empty_drone_kind(node_count: int) -> DroneKind:
-    """Return the placeholder kind of a fleet without drones."""
-    return DroneKind(0, 1.0, 1.0, np.zeros(node_count, dtype=np.bool_))
 
 
 def _infeasible_leg_tables(node_count: int) -> LegTables:

@@ -116,7 +116,7 @@ def find_duplicate_orders(file_rows: list[tuple[str, int, Order]]) -> list[FileP
         same = next(
             (where for other, where in nearby_orders if _is_same_parcel(order, other)), None
         )
-        if same is not None and not has_problem_at(problems, file, row):
+        if same is not None and not any((one.file, one.row) == (file, row) for one in problems):
             message = f"the same parcel to the same place as {same}: remove one, or"
             message += " add a note that distinguishes them"
             problems.append(FileProblem(file, row, None, message))
@@ -147,11 +147,6 @@ def _is_same_parcel(first_order: Order, second_order: Order) -> bool:
         second_order.mass_kg,
         second_order.note,
     )
-
-
-def has_problem_at(problems: list[FileProblem], file: str, row: int) -> bool:
-    """Return True if an error of this row has been reported already."""
-    return any(problem.file == file and problem.row == row for problem in problems)
 
 
 def _ground_amsl_m(
