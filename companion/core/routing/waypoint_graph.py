@@ -66,11 +66,6 @@ class WaypointGraph:
     rally: tuple[int, ...]
     home: int = 0
 
-    def vertex_ned_m(self, vertex: int) -> Ned:
-        """Return the position of a vertex."""
-        north, east, down = self.vertices_ned_m[vertex]
-        return float(north), float(east), float(down)
-
     def edge_lengths_m(self) -> Floats:
         """Return the length L_geo of every edge."""
         steps = self.vertices_ned_m[self.head] - self.vertices_ned_m[self.tail]

@@ -10,7 +10,6 @@ import numpy as np
 
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.operation_plan import AnnealingSearch
-from ground_station.core.truck_drones.policy import Policy
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Schedule, simulate_schedule
 from ground_station.core.truck_drones.search import (
@@ -92,11 +91,7 @@ def plan_and_measure_cpu_time(
 
     `cpu_budget_s`: time limit of the search; None: its default number of trials.
     """
-    policy_table: dict[str, Policy] = {
-        "search": SearchPolicy(),
-        "dynamic-assignment": DynamicAssignment(),
-    }
-    policy = policy_table[policy_name]
+    policy = SearchPolicy() if policy_name == "search" else DynamicAssignment()
     SearchPolicy(trials=COMPILE_TRIALS).plan(problem, np.random.default_rng(0))
     begin_s = time.process_time()
     if cpu_budget_s is not None and policy_name == "search":

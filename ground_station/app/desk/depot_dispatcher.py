@@ -132,7 +132,7 @@ class DepotDispatcher:
             )
 
     def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
-        """Assign open orders to free drones."""
+        """Assign open orders to free drones. `has_new_messages`: since the last cycle."""
         del has_new_messages
         self._pacing.store_fleet_status(status)
         withdrawn = self._withdraw_forecast_closed_assignments()

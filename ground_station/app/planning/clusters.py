@@ -1,6 +1,7 @@
 """Clustering of a day: the problem from its data, the methods by name, and the LLM's proposal."""
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,6 @@ from ground_station.core.clustering.methods import (
 from ground_station.core.clustering.problem import (
     Clustering,
     ClusteringConditions,
-    ClusteringMethod,
     ClusteringProblem,
     describe_cluster_violations,
     repair_clusters,
@@ -36,7 +36,7 @@ from ground_station.core.feasibility.reach import DayFeasibility, SortieFeasibil
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
 
-METHODS: dict[str, ClusteringMethod] = {
+METHODS: dict[str, Callable[[ClusteringProblem], Clustering]] = {
     "none": single_cluster,
     "kmeans": cluster_by_distance,
     "ours": cluster_by_energy,

@@ -325,7 +325,7 @@ def plan_for_larger_fleet(
 
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
-    """`Policy`: a search for each number of drones, fewest first, each with the previous plan as a
+    """Policy: a search for each number of drones, fewest first, each with the previous plan as a
     start. With the same seed and trials more drones therefore never increase the makespan.
     `trials`: of a search; None: by the number of customers.
     """

@@ -71,7 +71,9 @@ def test_every_line_of_the_graph_keeps_clear_and_every_other_does_not() -> None:
     seen = set(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
     for a, b in permutations(range(len(graph.vertices_ned_m)), 2):
         clear = (
-            where.obstacles.first_blocking_obstacle(graph.vertex_ned_m(a), graph.vertex_ned_m(b))
+            where.obstacles.first_blocking_obstacle(
+                graph.vertices_ned_m[a], graph.vertices_ned_m[b]
+            )
             is None
         )
         assert ((a, b) in seen) == clear
@@ -105,7 +107,7 @@ def test_the_planners_graph_is_the_sites() -> None:
     planned = graph.to_energy_graph(ROUTE, 0.5)
     np.testing.assert_allclose(planned.edge_length_m, graph.edge_lengths_m())
     first = planned.vertices_m[0]
-    north, east, down = graph.vertex_ned_m(0)
+    north, east, down = graph.vertices_ned_m[0]
     assert tuple(first) == (east, north, -down)
     assert (np.diff(graph.tail) >= 0).all()  # what EnergyGraph's slices rest on
 
@@ -118,7 +120,7 @@ def test_the_shortest_path_is_networkxs() -> None:
         in_networkx(graph), graph.depot, graph.customer, weight="length_m"
     )
     flown = sum(
-        horizontal_distance_m(graph.vertex_ned_m(a), graph.vertex_ned_m(b))
+        horizontal_distance_m(graph.vertices_ned_m[a], graph.vertices_ned_m[b])
         for a, b in pairwise(path)
     )
     assert flown == pytest.approx(oracle)
@@ -130,7 +132,7 @@ def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
     graph = SightLines(site(SHED), 40.0).cached_visibility_graph()
     path = shortest(graph)
     assert path is not None
-    assert all(abs(graph.vertex_ned_m(v)[0]) < 1e-9 for v in path)
+    assert all(abs(graph.vertices_ned_m[v][0]) < 1e-9 for v in path)
 
 
 def test_a_customer_inside_an_obstacle_is_refused_by_name() -> None:
