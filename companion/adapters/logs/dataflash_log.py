@@ -177,7 +177,10 @@ class _DataflashReader:
                 self._has_ekf_velocity = True
                 self._append_position_event(t_s, (message.VN, message.VE, message.VD))
             case "XKF2":
-                self._append_wind_event(t_s, message)
+                # EKF3's wind states (direction TO) are valid only with drag fusion
+                north, east = float(message.VWN), float(message.VWE)
+                if math.isfinite(north + east) and (north, east) != (0.0, 0.0):
+                    self.events.append(AutopilotWind(t_s, north, east))
             case "XKF4":
                 self._ekf_core = getattr(message, "PI", 0)
             case "POS" | "GPS":
@@ -185,7 +188,9 @@ class _DataflashReader:
             case "BAT" | "CURR":
                 self._append_battery_event(t_s, message)
             case "ARSP":
-                self._append_airspeed_event(t_s, message)
+                speed = float(message.Airspeed)
+                if getattr(message, "H", 1) and math.isfinite(speed):
+                    self.events.append(Airspeed(t_s, max(speed, 0.0)))
             case _:
                 self._store_state_change(kind, message, t_s)
 
@@ -246,12 +251,6 @@ class _DataflashReader:
         if all(map(math.isfinite, (*self._last_position, *velocity))):
             self.events.append(Position(t_s, *self._last_position[1:], *map(float, velocity)))
 
-    def _append_wind_event(self, t_s: float, message: Any) -> None:
-        """Convert EKF3's wind states (direction TO), which are valid only with drag fusion."""
-        north, east = float(message.VWN), float(message.VWE)
-        if math.isfinite(north + east) and (north, east) != (0.0, 0.0):
-            self.events.append(AutopilotWind(t_s, north, east))
-
     def _append_battery_event(self, t_s: float, message: Any) -> None:
         voltage, current = float(message.Volt), float(message.Curr)
         used_mah, used_wh = float(message.CurrTot), float(getattr(message, "EnrgTot", math.nan))
@@ -271,12 +270,6 @@ class _DataflashReader:
                 pack=_instance_number(message),
             )
         )
-
-    def _append_airspeed_event(self, t_s: float, message: Any) -> None:
-        speed = float(message.Airspeed)
-        healthy = bool(getattr(message, "H", 1))
-        if healthy and math.isfinite(speed):
-            self.events.append(Airspeed(t_s, max(speed, 0.0)))
 
     def _store_state_change(self, kind: str, message: Any, t_s: float) -> None:
         if kind == "ORGN":
