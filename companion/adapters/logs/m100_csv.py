@@ -84,7 +84,10 @@ def read_m100_table(path: Path) -> CsvTable:
                 np.flatnonzero(bad).tolist(), table.line_text, description, "discarded"
             )
         )
-    table.findings += _rotor_wash_issues(columns)
+    is_airborne, air = columns.get("armed"), columns.get("airspeed_mps")
+    if is_airborne is not None and air is not None and not is_airborne.all():
+        description = "wind_speed on the ground is the rotor wash or the wind at 1 m"
+        table.findings.append(LogIssue("log", description, "discarded"))
     return CsvTable(columns, table.lines, table.findings)
 
 
@@ -199,14 +202,6 @@ def _lag_corrected_airspeed_mps(raw: Columns, airborne: Floats | None) -> Floats
     stale = later - before_s > _MAX_READING_AGE_S
     speed[stale | (airborne is not None and airborne < 0.5)] = np.nan
     return speed
-
-
-def _rotor_wash_issues(columns: Columns) -> list[LogIssue]:
-    is_airborne, air = columns.get("armed"), columns.get("airspeed_mps")
-    if is_airborne is None or air is None or is_airborne.all():
-        return []
-    description = "wind_speed on the ground is the rotor wash or the wind at 1 m"
-    return [LogIssue("log", description, "discarded")]
 
 
 def _interpolate_unknown(values: Floats) -> Floats:

@@ -253,16 +253,14 @@ class PkiFolder:
         write_file_atomically(
             home / TLS_CA, b"".join(a.tls.certificate_pem for a in self.authority_list), PUBLIC_MODE
         )
-        write_file_atomically(home / IDENTITY, self._identity_toml(member).encode(), PUBLIC_MODE)
+        keys = ", ".join(f'"{authority.public_key}"' for authority in self.authority_list)
+        lines = ['format = "identity/1"', f'fleet = "{self.roster.fleet}"']
+        lines += [f'name = "{member.name}"', f"authorities = [{keys}]", ""]
+        write_file_atomically(home / IDENTITY, "\n".join(lines).encode(), PUBLIC_MODE)
         write_file_atomically(
             home / ZENOH, member_zenoh_config_json(self.roster, member).encode(), PUBLIC_MODE
         )
         write_file_atomically(home / ROSTER, signed_roster_bytes, PUBLIC_MODE)
-
-    def _identity_toml(self, member: RosterMember) -> str:
-        keys = ", ".join(f'"{authority.public_key}"' for authority in self.authority_list)
-        lines = ['format = "identity/1"', f'fleet = "{self.roster.fleet}"']
-        return "\n".join([*lines, f'name = "{member.name}"', f"authorities = [{keys}]", ""])
 
     def _sign_roster(self, roster_text: str) -> SignedRoster:
         raw, fleet = roster_text.encode(), self.roster.fleet

@@ -101,14 +101,19 @@ class PastStore:
         with database.read() as db:
             self.events = _read_past_events(db)
             audit = audit_steps.read_audit_rows(db)
-            self.start_us = _read_start_us(db)
+            begun = sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)
+            start = db.execute(begun).scalar()
+            self.start_us = None if start is None else int(start)
             self.plans = _read_past_plans(db)
             self.visits = [
                 StopTimes(row.stop, row.arrived_us, row.left_us)
                 for row in db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us))
             ]
             self._drives = _read_drive_orders(db)
-            self._hold_history = _read_hold_history(db)
+            self._hold_history = [
+                PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
+                for row in db.execute(sa.select(t.hold_table).order_by(t.hold_table.c.n))
+            ]
             orders = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
             records = db.execute(sa.select(t.assignments).order_by(t.assignments.c.n)).all()
             self._sorties = day_steps.read_sorties_without_responses(db)
@@ -297,11 +302,6 @@ def _read_past_events(db: sa.Connection) -> list[PastEvent]:
     ]
 
 
-def _read_start_us(db: sa.Connection) -> int | None:
-    found = db.execute(sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)).scalar()
-    return None if found is None else int(found)
-
-
 def _read_past_plans(db: sa.Connection) -> list[PastPlan]:
     found = db.execute(sa.select(t.plans).order_by(t.plans.c.made_us, t.plans.c.revision))
     return [
@@ -321,11 +321,3 @@ def _read_drive_orders(db: sa.Connection) -> list[tuple[int, str]]:
         for row in db.execute(query)
     )
     return [(created_us, action.stop) for created_us, action in found if isinstance(action, Drive)]
-
-
-def _read_hold_history(db: sa.Connection) -> list[PastHold]:
-    found = db.execute(sa.select(t.hold_table).order_by(t.hold_table.c.n))
-    return [
-        PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
-        for row in found
-    ]

@@ -18,7 +18,6 @@ from ground_station.app.views.day_content import (
     MAX_NEXT_SORTIES,
     DayShown,
     DisplayRows,
-    format_minutes_and_seconds,
 )
 from ground_station.app.views.operator_alerts import (
     prelaunch_silence_reason,
@@ -29,6 +28,7 @@ from ground_station.app.views.terminal import plain_table
 from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import EN_ROUTE, TRUCK
+from ground_station.core.schema.day_plan import format_minutes_and_seconds
 from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
