@@ -8,6 +8,7 @@ decides whether to continue along the route.
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 
@@ -160,6 +161,14 @@ class PlanRequest:
     def lower_route_height_m(self) -> float:
         """Lower of the two heights: a line clear there is also clear during the height change."""
         return min(self.cruise_height_m, self.effective_return_height_m)
+
+
+class Planner(Protocol):
+    """Planner of an outbound and a return route."""
+
+    def plan(self, request: PlanRequest) -> Plan | NoRoute:
+        """Return a plan that passes ReturnOK in the estimated wind, or the reason for none."""
+        ...
 
 
 class BerPlanner:
