@@ -1,13 +1,12 @@
 """The running desk: receives the fleet's messages, runs its dispatcher, sends commands."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from companion.core.mission.event_text import PhaseEvent
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import FINAL_STATUSES, CommandStatus, EventKind, Launch, State
 from ground_station.adapters.store.order_store import Store
-from ground_station.app.desk.dispatcher import CycleResult
+from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.exchange import FleetExchange
 from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.wind_publisher import WindPublisher
@@ -19,10 +18,6 @@ from ground_station.core.schema.orders import (
     OrderRow,
     OrderState,
 )
-
-if TYPE_CHECKING:
-    from ground_station.app.desk.depot_dispatcher import DepotDispatcher
-    from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 
 MAX_CYCLE_INTERVAL_S = 0.5
 """Maximum interval of cycles without new messages; limits the load by states of a large fleet."""
@@ -37,7 +32,7 @@ class Desk:
     """
 
     exchange: FleetExchange
-    dispatcher: "DepotDispatcher | TruckDispatcher"
+    dispatcher: Dispatcher
     wind: SiteMonitor | None = None
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
