@@ -24,12 +24,9 @@ def check_report_lines_and_is_ready(pilot: Pilot) -> tuple[list[str], bool]:
     ]
     lines += [f"DOUBT    {words}" for words in pilot.monitor_corrections.prefixed_findings]
     lines += _certificate_and_envelope_exit_lines(pilot)
-    lines += (
-        _battery_lines(pilot)
-        + _air_lines(pilot)
-        + _route_lines(pilot)
-        + _truck_stop_and_rtl_lines(pilot)
-    )
+    air = pilot.context.estimates.air
+    lines += _battery_lines(pilot) + ([] if air is None else [f"ok       {air}"])
+    lines += _route_lines(pilot) + _truck_stop_and_rtl_lines(pilot)
     blocked = any(issue.blocks for issue in findings)
     if any(issue.blocks and issue.name[0].isupper() for issue in findings):
         lines.append("set the MISSING parameters, or fly with --configure (for that flight only)")
@@ -69,11 +66,6 @@ def _battery_lines(pilot: Pilot) -> list[str]:
         f"ok       battery: {energy.mean_wh:.0f} Wh usable, one sigma {energy.std_wh:.0f} Wh"
         f" (by {energy.source})"
     ]
-
-
-def _air_lines(pilot: Pilot) -> list[str]:
-    air = pilot.context.estimates.air
-    return [] if air is None else [f"ok       {air}"]
 
 
 def _route_lines(pilot: Pilot) -> list[str]:

@@ -1,6 +1,6 @@
 """`companion calibrate`: fit an airframe file to flight logs."""
 
-import datetime
+import datetime as dt
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -304,7 +304,8 @@ def _write_airframe_file(
 ) -> None:
     fitted = msgspec.structs.replace(calibration.airframe, name=out_path.stem)
     flown = ", ".join(
-        f"{p.name} ({_file_date_text(p)}, {kg:g} kg)"
+        f"{p.name} ({dt.datetime.fromtimestamp(p.stat().st_mtime, dt.UTC):file of %Y-%m-%d},"
+        f" {kg:g} kg)"
         for p, kg in zip(log_paths, payloads_kg, strict=True)
     )
     header = [
@@ -324,11 +325,6 @@ def _write_airframe_file(
             + ", ".join(q.name for q in calibration.unidentified_required_quantities)
         )
     write_airframe(out_path, fitted, header, _source_comment_by_parameter(calibration))
-
-
-def _file_date_text(path: Path) -> str:
-    stamp = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
-    return stamp.strftime("file of %Y-%m-%d")
 
 
 def _source_comment_by_parameter(calibration: Calibration) -> dict[tuple[str, str], str]:

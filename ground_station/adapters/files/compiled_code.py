@@ -36,7 +36,9 @@ def enable_compile_cache_and_check_if_known() -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         folder.touch()
-        _delete_oldest_cache_folders(root)
+        states = sorted(root.glob("truck_drones-*"), key=lambda path: path.stat().st_mtime)
+        for path in states[:-MAX_CACHED_STATES]:
+            shutil.rmtree(path, ignore_errors=True)
     except OSError:
         return False  # a read-only home: each process compiles again
     config.CACHE_DIR = str(folder)  # pyright: ignore[reportAttributeAccessIssue]
@@ -55,9 +57,3 @@ def digest_of_text_and_files(text: str, paths: Iterable[Path]) -> str:
     for path in paths:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
-
-
-def _delete_oldest_cache_folders(root: Path) -> None:
-    states = sorted(root.glob("truck_drones-*"), key=lambda path: path.stat().st_mtime)
-    for path in states[:-MAX_CACHED_STATES]:
-        shutil.rmtree(path, ignore_errors=True)

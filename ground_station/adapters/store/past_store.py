@@ -99,7 +99,11 @@ class PastStore:
     def __init__(self, database: Database) -> None:
         """Raises StoreError."""
         with database.read() as db:
-            self.events = _read_past_events(db)
+            events = sa.select(t.events.c.heard_us, t.events.c.content).order_by(t.events.c.n)
+            self.events = [
+                PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
+                for row in db.execute(events)
+            ]
             audit = audit_steps.read_audit_rows(db)
             begun = sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)
             start = db.execute(begun).scalar()
@@ -292,14 +296,6 @@ def _operator_order_state_changes(order_id: str, audit: list[AuditRow]) -> Itera
             yield _StateChange(
                 entry.at_us, assignment_and_order_state_after_outcome(settled)[1], entry.answer
             )
-
-
-def _read_past_events(db: sa.Connection) -> list[PastEvent]:
-    query = sa.select(t.events.c.heard_us, t.events.c.content).order_by(t.events.c.n)
-    return [
-        PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
-        for row in db.execute(query)
-    ]
 
 
 def _read_past_plans(db: sa.Connection) -> list[PastPlan]:

@@ -35,7 +35,6 @@ from ground_station.core.planning.unplanned import (
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, UnplannedOrder
 from ground_station.core.schema.day_state import DayState
-from ground_station.core.schema.orders import Order
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.search import (
@@ -162,8 +161,11 @@ class _DayPlanner:
     def build_problem_and_record_unplanned(self) -> DayProblem:
         by_id = {order.id: order for order in self._data.orders}
         orders = [by_id[id_] for id_ in self._start.open_orders]
+        ids = [id_ for stop in self._start.stops for id_ in stop.serves]
+        ids += [sortie.order for sortie in self._start.airborne]
+        committed_kg = sum(by_id[id_].mass_kg for id_ in ids if id_ in by_id)
         full = heaviest_orders_over_capacity(
-            orders, self._data.day.truck.capacity_kg - self._committed_orders_mass_kg(by_id)
+            orders, self._data.day.truck.capacity_kg - committed_kg
         )
         left = {line.order for line in full}
         nodes = build_day_problem(
@@ -178,12 +180,6 @@ class _DayPlanner:
         far = unreachable_drone_only_orders(nodes)
         self._unplanned += [*full, *far]
         return without_orders(nodes, {line.order for line in far}) if far else nodes
-
-    def _committed_orders_mass_kg(self, order_by_id: dict[str, Order]) -> float:
-        """Return the mass of the orders that promised stops and airborne sorties serve."""
-        ids = [id_ for stop in self._start.stops for id_ in stop.serves]
-        ids += [sortie.order for sortie in self._start.airborne]
-        return sum(order_by_id[id_].mass_kg for id_ in ids if id_ in order_by_id)
 
     def _promised_stay_at_first_stop_s(self) -> float:
         """Return the promised duration of the truck's stay at the first stop of the plan."""
