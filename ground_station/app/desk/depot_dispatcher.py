@@ -217,12 +217,10 @@ class DepotDispatcher:
 
     def _assign_orders(self, free_drones: list[FreeDrone]) -> bool:
         has_changed, rows = False, self.store.assignments()
-        were_full, self._layers_are_full = (
-            self._layers_are_full,
-            self.assigner.are_all_depot_layers_occupied(rows),
-        )
-        if self._layers_are_full and not were_full:
+        is_full = self.assigner.are_all_depot_layers_occupied(rows)
+        if is_full and not self._layers_are_full:
             self.log("all altitude layers over the depot are in use: drones wait")
+        self._layers_are_full = is_full
         if self._layers_are_full:  # skip reading the orders: there may be thousands
             return False
         waiting, priority_orders = self.store.orders(OrderState.OPEN), list[str]()
