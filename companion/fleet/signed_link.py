@@ -96,9 +96,10 @@ class SignedLink:
         if is_due(self._warned_s, DAY_S, now_s):
             self._add_certificate_warning_notice(now_s)
         report = self.rejections.pop_report_if_due(now_s)
-        notices = [*self._notices, *([report] if report is not None else [])]
+        for text in (*self._notices, *([report] if report is not None else [])):
+            found.append(MemberRequest(RequestKind.TEXT, lambda replies: None, text.encode()))
         self._notices.clear()
-        return [*found, *(_create_text_request(text) for text in notices)]
+        return found
 
     def _verify_or_wrap_request(self, request: MemberRequest) -> MemberRequest | None:
         match request.kind:
@@ -121,7 +122,10 @@ class SignedLink:
         name = unverified_commander_name_or_empty(self.trust, request.payload)
         if not self._is_verification_within_limit(name):
             return None
-        reply = self._wrap_reply_with_signing("result", request.reply)
+
+        def reply(replies: list[bytes]) -> None:
+            request.reply([self.trust.sign_in_envelope("result", raw) for raw in replies])
+
         found = self.trust.verify_command(request.payload)
         if isinstance(found, Refused):
             self._count_rejected_message_of_sender(name, found.reason)
@@ -264,11 +268,6 @@ class SignedLink:
 
         return send_events
 
-    def _wrap_reply_with_signing(
-        self, kind: str, reply: Callable[[list[bytes]], None]
-    ) -> Callable[[list[bytes]], None]:
-        return lambda replies: reply([self.trust.sign_in_envelope(kind, raw) for raw in replies])
-
     def close(self) -> None:
         """Send what is queued, then leave the network."""
         self.link.close()
@@ -284,7 +283,3 @@ def unverified_commander_name_or_empty(trust: MemberTrust, raw: bytes) -> str:
     member = trust.roster.member_by_name.get(envelope.signer)
     is_commander = member is not None and not member.revoked and member.role in COMMANDERS
     return envelope.signer if is_commander else ""
-
-
-def _create_text_request(text: str) -> MemberRequest:
-    return MemberRequest(RequestKind.TEXT, lambda replies: None, text.encode())

@@ -114,23 +114,16 @@ def open_network_reason_or_empty(config: zenoh.Config) -> str:
         return "found by multicast"
     for end in _endpoints_of_mode(config, "listen", mode):
         if not _is_loopback(end):
-            reason = _open_listener_reason_or_empty(config, end)
-            if reason:
-                return reason
+            if not _is_tls(end):
+                return f"listens on {end} without TLS"
+            if _config_value(config, "transport/link/tls/enable_mtls") is not True:
+                return f"listens on {end} without requiring a client certificate"
     without_tls = [
         e
         for e in _endpoints_of_mode(config, "connect", mode)
         if not (_is_loopback(e) or _is_tls(e))
     ]
     return f"connects to {without_tls[0]} without TLS" if without_tls else ""
-
-
-def _open_listener_reason_or_empty(config: zenoh.Config, endpoint: str) -> str:
-    if not _is_tls(endpoint):
-        return f"listens on {endpoint} without TLS"
-    if _config_value(config, "transport/link/tls/enable_mtls") is not True:
-        return f"listens on {endpoint} without requiring a client certificate"
-    return ""
 
 
 def _endpoints_of_mode(config: zenoh.Config, section: str, mode: str) -> list[str]:

@@ -262,7 +262,11 @@ class ZenohLink:
         self._tracks.begin_session(session)
         self.session_thread.error_text = ""
         while not (self.session_thread.stop.is_set() and self._outgoing.empty()):
-            if self._is_rejoin_due(session):
+            if (
+                self._is_client
+                and wall_s() - self._queries.last_request_s > self._rejoin_s
+                and is_connected(session)
+            ):
                 self.session_thread.error_text = (
                     f"no request for {self._rejoin_s:.0f} s: joining again"
                 )
@@ -311,13 +315,6 @@ class ZenohLink:
             liveliness.declare_token(keys.alive_key(self._instance_id)),
         ]
         return rosters
-
-    def _is_rejoin_due(self, session: zenoh.Session) -> bool:
-        return (
-            self._is_client
-            and wall_s() - self._queries.last_request_s > self._rejoin_s
-            and is_connected(session)
-        )
 
     def _send_or_record_error(self, send: Send, session: zenoh.Session) -> None:
         try:

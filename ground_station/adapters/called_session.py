@@ -116,17 +116,14 @@ class ServerSession:
             config.insert_json5(
                 RULES_KEY, json.dumps(access_control_config(self.identity.trust.roster))
             )
-        files = [_read_optional_text(folder / name) for name in IDENTITY_FILES[1:]]
+        paths = [folder / name for name in IDENTITY_FILES[1:]]
+        files = [path.read_text() if path.exists() else "" for path in paths]
         return config, (str(config), *files)
 
 
 def session_reopened_message(roster: Roster) -> str:
     """Return the log message for a reopened session."""
     return f"session reopened for roster {roster.number}: members reconnect"
-
-
-def _read_optional_text(file: Path) -> str:
-    return file.read_text() if file.exists() else ""
 
 
 def _require_matching_key_pair(folder: Path) -> None:

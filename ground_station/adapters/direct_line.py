@@ -1,7 +1,6 @@
 """Direct MAVSDK connection to an autopilot whose companion is silent: commands return to launch."""
 
 import asyncio
-from dataclasses import dataclass
 
 from companion.core.base.errors import LeewayError
 
@@ -9,22 +8,15 @@ CONNECT_TIMEOUT_S = 20.0
 """Connection time-out. MAVSDK takes up to 10 s to find a system."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReturnAccepted:
-    """The autopilot accepted return to launch."""
-
-    system: int
-
-
-def connect_and_command_return_to_launch(url: str) -> ReturnAccepted:
+def connect_and_command_return_to_launch(url: str) -> int:
     """Command the autopilot at `url` (udpin://HOST:PORT, tcpout://...) to return to launch (RTL).
 
-    Raises LeewayError if no autopilot is found or it rejects the command.
+    Returns its MAVLink system id. Raises LeewayError if none is found or it rejects the command.
     """
     return asyncio.run(_connect_and_command_return_to_launch(url))
 
 
-async def _connect_and_command_return_to_launch(url: str) -> ReturnAccepted:
+async def _connect_and_command_return_to_launch(url: str) -> int:
     try:  # loads a native library: imported only when used
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
         from mavsdk.asyncio.plugins.action import ActionAsync
@@ -41,6 +33,6 @@ async def _connect_and_command_return_to_launch(url: str) -> ReturnAccepted:
             if system is None:
                 raise LeewayError(f"{url}: no autopilot found in {CONNECT_TIMEOUT_S:.0f} s")
             await ActionAsync(system).return_to_launch()
-            return ReturnAccepted(await system.get_system_id())
+            return await system.get_system_id()
     except MavsdkError as error:
         raise LeewayError(f"{url}: {error}") from error

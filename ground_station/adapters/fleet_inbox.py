@@ -306,7 +306,10 @@ class FleetInbox:
             events, states = self._pop_events_and_states(pending)
             stations, self._stations = self._stations, {}
         for vehicle, raws in replays:
-            found += self._event_inputs_of_query_reply(vehicle, raws)
+            decoded = [self._verify_and_decode_or_reject(vehicle, "event", raw) for raw in raws]
+            known = [event for event in decoded if isinstance(event, FleetEvent)]
+            known.sort(key=lambda event: event.seq)
+            found += [EventsReceived(vehicle, known, replayed=True)] if known else []
         for vehicle, raw in events:
             event = self._verify_and_decode_or_reject(vehicle, "event", raw)
             if isinstance(event, FleetEvent):
@@ -380,12 +383,6 @@ class FleetInbox:
                 counted, box.rejected = box.rejected, Counter()
                 found += [MessageRejected(vehicle, reason, n) for reason, n in counted.items()]
         return found
-
-    def _event_inputs_of_query_reply(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
-        decoded = [self._verify_and_decode_or_reject(vehicle, "event", raw) for raw in raws]
-        events = [event for event in decoded if isinstance(event, FleetEvent)]
-        events.sort(key=lambda event: event.seq)
-        return [EventsReceived(vehicle, events, replayed=True)] if events else []
 
     def _verify_and_decode_or_reject(
         self, vehicle: str, message_kind: str, raw: bytes

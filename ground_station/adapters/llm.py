@@ -7,6 +7,8 @@ from typing import Any
 
 import httpx
 
+from companion.core.base.errors import LeewayError
+
 MAX_RESPONSE_BYTES = 1 << 20
 
 
@@ -20,24 +22,13 @@ class LlmParams:
     timeout_s: float = 30.0
 
 
-@dataclass(frozen=True, slots=True)
-class LlmResponse:
-    """Text of the model's response."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class NoLlmResponse:
-    """Reason for a missing response."""
-
-    reason: str
-
-
 def request_completion(
     params: LlmParams, system_prompt: str, user_prompt: str, response_schema: dict[str, Any]
-) -> LlmResponse | NoLlmResponse:
-    """Send one request. Bounded by `timeout_s` and 1 MiB, whatever the server does."""
+) -> str:
+    """Send one request; return the text of the model's response.
+
+    Bounded by `timeout_s` and 1 MiB, whatever the server does. Raises LeewayError without one.
+    """
     body = {
         "model": params.model,
         "temperature": 0,
@@ -53,15 +44,19 @@ def request_completion(
     try:
         raw = asyncio.run(_fetch_response_within_limits(params, body))
     except (TimeoutError, httpx.TimeoutException):
-        return NoLlmResponse(f"no complete response in {params.timeout_s:g} s")
+        raise LeewayError(f"no complete response in {params.timeout_s:g} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, UnicodeError) as error:
-        return NoLlmResponse(f"{type(error).__name__}: {error}"[:200])
-    return raw if isinstance(raw, NoLlmResponse) else _parse_response(raw)
+        raise LeewayError(f"{type(error).__name__}: {error}"[:200]) from error
+    try:
+        text = json.loads(raw)["choices"][0]["message"]["content"]
+    except (ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
+        raise LeewayError("not an OpenAI-compatible response") from error
+    if not isinstance(text, str):
+        raise LeewayError("response without content")
+    return text
 
 
-async def _fetch_response_within_limits(
-    params: LlmParams, body: dict[str, Any]
-) -> bytes | NoLlmResponse:
+async def _fetch_response_within_limits(params: LlmParams, body: dict[str, Any]) -> bytes:
     """Return the raw response body, within the bounds.
 
     httpx bounds each read only, and a server that sends its headers byte by byte never exceeds
@@ -78,18 +73,10 @@ async def _fetch_response_within_limits(
         client.stream("POST", url, json=body, headers=headers) as response,
     ):
         if response.status_code != httpx.codes.OK:
-            return NoLlmResponse(f"HTTP status {response.status_code}, expected 200")
+            raise LeewayError(f"HTTP status {response.status_code}, expected 200")
         raw = b""
         async for chunk in response.aiter_raw():
             raw += chunk
             if len(raw) > MAX_RESPONSE_BYTES:
-                return NoLlmResponse(f"response of more than {MAX_RESPONSE_BYTES} bytes")
+                raise LeewayError(f"response of more than {MAX_RESPONSE_BYTES} bytes")
         return raw
-
-
-def _parse_response(raw: bytes) -> LlmResponse | NoLlmResponse:
-    try:
-        text = json.loads(raw)["choices"][0]["message"]["content"]
-    except (ValueError, KeyError, IndexError, TypeError, RecursionError):
-        return NoLlmResponse("not an OpenAI-compatible response")
-    return LlmResponse(text) if isinstance(text, str) else NoLlmResponse("response without content")

@@ -42,10 +42,19 @@ class ZenohRouter:
         Raises LeewayError if the folder is not a router's or the address cannot be bound.
         """
         identity = read_and_verify_identity(identity_folder)
-        _require_active_router_role(identity)
+        trust = identity.trust
+        entry = trust.own_roster_entry
+        if entry is None or entry.revoked:
+            raise LeewayError(f"{identity.folder}: {trust.certificate_warning_or_empty()}")
+        if entry.role is not Role.ROUTER:
+            raise LeewayError(
+                f"{identity.folder}: {trust.name} is a {entry.role.value}, expected a router"
+            )
         if identity.trust.validity.own_end_us is None:
             raise LeewayError(f"{identity_folder / TLS_CERTIFICATE}: No such file or directory")
-        _require_router_mode(identity.zenoh_config_path)
+        mode = config_mode(read_and_check_zenoh_config(identity.zenoh_config_path))
+        if mode != "router":
+            raise LeewayError(f"{identity.zenoh_config_path}: mode {mode}, expected router")
         called = ServerSession(identity)
         session = called.open_session()
         share = RosterShare(session, identity, report_roster_refusal)
@@ -73,18 +82,3 @@ class ZenohRouter:
     def close(self) -> None:
         """Leave the network: connected members connect to another router."""
         self.session.close()
-
-
-def _require_active_router_role(identity: MemberIdentity) -> None:
-    trust = identity.trust
-    if trust.own_roster_entry is None or trust.own_roster_entry.revoked:
-        raise LeewayError(f"{identity.folder}: {trust.certificate_warning_or_empty()}")
-    if trust.own_roster_entry.role is not Role.ROUTER:
-        role = trust.own_roster_entry.role.value
-        raise LeewayError(f"{identity.folder}: {trust.name} is a {role}, expected a router")
-
-
-def _require_router_mode(zenoh_config_file: Path) -> None:
-    mode = config_mode(read_and_check_zenoh_config(zenoh_config_file))
-    if mode != "router":
-        raise LeewayError(f"{zenoh_config_file}: mode {mode}, expected router")

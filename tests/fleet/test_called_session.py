@@ -151,7 +151,7 @@ def test_a_renewed_certificate_is_shown_by_what_runs(tmp_path, monkeypatch, call
         name = "r1" if called == "router" else "desk"
         before_s = shown_end(fleet.site, name)
         fleet.site.pki.now = utc_datetime(epoch_us()) + timedelta(seconds=1)
-        fleet.site.pki.renew_member_certificate(name, 500)
+        fleet.site.pki.renew_member_certificates([name], 500)
 
         def is_new() -> bool:
             return shown_end(fleet.site, name) > before_s + 100 * 86400.0
@@ -182,7 +182,7 @@ def test_a_folder_that_is_half_carried_changes_nothing(tmp_path):
         assert not is_old(), "no network file"
         (home / "zenoh.json5").write_bytes(config)
         assert not is_old(), "all as it was"
-        site.pki.renew_member_certificate("desk", 700)
+        site.pki.renew_member_certificates(["desk"], 700)
         assert is_old(), "canary: whole, and new"
 
 
@@ -191,10 +191,10 @@ def test_a_second_change_waits_until_all_have_had_time_to_call(tmp_path):
     called = ServerSession(site.identity("desk"))
     session = called.open_session()
     try:
-        site.pki.renew_member_certificate("desk", 500)
+        site.pki.renew_member_certificates(["desk"], 500)
         assert called.poll_and_check_if_reopen_due(10.0), "the first at once"
         session = called.close_and_reopen_session(session, 10.0)
-        site.pki.renew_member_certificate("desk", 600)
+        site.pki.renew_member_certificates(["desk"], 600)
         assert not called.poll_and_check_if_reopen_due(10.0 + MIN_REOPEN_INTERVAL_S - 1.0)
         assert called.poll_and_check_if_reopen_due(10.0 + MIN_REOPEN_INTERVAL_S + 1.0)
     finally:

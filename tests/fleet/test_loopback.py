@@ -179,7 +179,7 @@ def test_each_line_of_a_companion_on_an_open_network_says_so(tmp_path, monkeypat
 
     monkeypatch.setattr(fleet_run, "_wait_for_assignment", lambda *given: True)
     monkeypatch.setattr(fleet_run, "_fly_assignment", one_flight)
-    line = flying.FleetCommandLine(FLEET, "d1", zenoh_file, None, told)
+    line = fleet_run.FleetOptions(FLEET, "d1", zenoh_file, JoinOptions(None, told))
     flying.fly_in_fleet_and_return_exit_code(
         line, RunOptions("memory", "m100", Path(), tmp_path), one_mission=False
     )

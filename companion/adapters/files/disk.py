@@ -10,7 +10,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 MAX_QUEUED_JOBS = 20_000
 """Maximum of queued jobs: minutes of a flight's record at some 100 rows and frames a second."""
@@ -21,13 +20,18 @@ CLOSE_TIMEOUT_S = 30.0
 WriteJob = Callable[[], None]
 
 
-class RecordWriter(Protocol):
-    """Executes write jobs, each for a named record, in order.
+class ImmediateRecordWriter:
+    """Executes write jobs, each for a named record, before it returns.
 
     A record is abandoned at its first error, since rows after an incomplete one are unreadable; a
     `is_replaced_at_each_write` one, replaced at each write, is retried. `on_error` gets a record's
     first error.
     """
+
+    def __init__(self, on_error: Callable[[str], None]) -> None:
+        self._on_error = on_error
+        self._abandoned_records: set[str] = set()
+        self._reported_records: set[str] = set()
 
     def submit_write_job(
         self,
@@ -42,26 +46,19 @@ class RecordWriter(Protocol):
 
         Returns False if the job is rejected and will not be executed.
         """
-        ...
+        del replace_queued_job  # no job is ever queued
+        self._run_job_unless_record_abandoned(
+            record_name, job, is_replaced_at_each_write=is_replaced_at_each_write
+        )
+        return True
 
     def wait_until_done(self) -> None:
         """Return once all submitted jobs are done."""
-        ...
 
     def close(self) -> None:
         """Wait for all jobs, then accept no more."""
-        ...
 
-
-class _RecordErrors:
-    """Executes jobs and abandons the records that fail."""
-
-    def __init__(self, on_error: Callable[[str], None]) -> None:
-        self._on_error = on_error
-        self._abandoned_records: set[str] = set()
-        self._reported_records: set[str] = set()
-
-    def run_job_unless_record_abandoned(
+    def _run_job_unless_record_abandoned(
         self, record_name: str, job: WriteJob, *, is_replaced_at_each_write: bool
     ) -> None:
         if record_name in self._abandoned_records:
@@ -72,40 +69,17 @@ class _RecordErrors:
             if not is_replaced_at_each_write:
                 self._abandoned_records.add(record_name)
             message = getattr(error, "strerror", None) or repr(error)
-            self.report_first_error_of_record(record_name, f"{record_name}: {message}")
+            self._report_first_error_of_record(record_name, f"{record_name}: {message}")
 
-    def report_first_error_of_record(self, record_name: str, message: str) -> None:
+    def _report_first_error_of_record(self, record_name: str, message: str) -> None:
         if record_name not in self._reported_records:
             self._reported_records.add(record_name)
             with contextlib.suppress(Exception):
                 self._on_error(message)
 
 
-class ImmediateRecordWriter:
-    """Executes every job before it returns."""
-
-    def __init__(self, on_error: Callable[[str], None]) -> None:
-        self._record_errors = _RecordErrors(on_error)
-
-    def submit_write_job(
-        self,
-        record_name: str,
-        job: WriteJob,
-        *,
-        is_replaced_at_each_write: bool = False,
-        replace_queued_job: bool = False,
-    ) -> bool:
-        """See `RecordWriter`."""
-        self._record_errors.run_job_unless_record_abandoned(
-            record_name, job, is_replaced_at_each_write=is_replaced_at_each_write
-        )
-        return True
-
-    def wait_until_done(self) -> None:
-        """No effect: no job is ever queued."""
-
-    def close(self) -> None:
-        """No effect: no job is ever queued."""
+RecordWriter = ImmediateRecordWriter
+"""Either writer."""
 
 
 @dataclass(slots=True)
@@ -115,7 +89,7 @@ class _QueuedJob:
     whole: bool
 
 
-class ThreadedRecordWriter:
+class ThreadedRecordWriter(ImmediateRecordWriter):
     """Executes jobs on its own thread. If the queue is full, new jobs are lost (reported once).
 
     If no thread can be started, every record is abandoned.
@@ -124,7 +98,7 @@ class ThreadedRecordWriter:
     def __init__(
         self, on_error: Callable[[str], None], *, max_queued: int = MAX_QUEUED_JOBS
     ) -> None:
-        self._record_errors = _RecordErrors(on_error)
+        super().__init__(on_error)
         self._limit = max_queued
         self._job_queue: deque[_QueuedJob] = deque()
         self._newest_by_record: dict[str, _QueuedJob] = {}
@@ -138,7 +112,7 @@ class ThreadedRecordWriter:
             self._thread.start()
         except RuntimeError as error:  # no memory, or too many processes
             self._closed = True
-            self._record_errors.report_first_error_of_record("records", f"records: {error}")
+            self._report_first_error_of_record("records", f"records: {error}")
 
     def submit_write_job(
         self,
@@ -148,7 +122,7 @@ class ThreadedRecordWriter:
         is_replaced_at_each_write: bool = False,
         replace_queued_job: bool = False,
     ) -> bool:
-        """See `RecordWriter`."""
+        """See the base class."""
         with self._changed:
             if self._closed:
                 return False
@@ -160,9 +134,7 @@ class ThreadedRecordWriter:
             if replace_queued_job and queued_job is not None:
                 queued_job.job = job
             elif len(self._job_queue) >= self._limit:
-                self._record_errors.report_first_error_of_record(
-                    "speed", "records: disk too slow, rows are lost"
-                )
+                self._report_first_error_of_record("speed", "records: disk too slow, rows are lost")
                 return False
             else:
                 self._enqueue(
@@ -178,7 +150,7 @@ class ThreadedRecordWriter:
         self._changed.notify_all()
 
     def wait_until_done(self) -> None:
-        """See `RecordWriter`; gives up after CLOSE_TIMEOUT_S on a disk that does not respond."""
+        """See the base class; gives up after CLOSE_TIMEOUT_S on a disk that does not respond."""
         with self._changed:
             self._changed.wait_for(self._is_idle, CLOSE_TIMEOUT_S)
 
@@ -186,11 +158,11 @@ class ThreadedRecordWriter:
         return self._closed or (not self._job_queue and not self._is_active)
 
     def close(self) -> None:
-        """See `RecordWriter`."""
+        """See the base class."""
         self.wait_until_done()
         with self._changed:
             if not self._is_idle():
-                self._record_errors.report_first_error_of_record(
+                self._report_first_error_of_record(
                     "speed", "records: disk does not respond, end of record lost"
                 )
             self._closed = True
@@ -198,7 +170,7 @@ class ThreadedRecordWriter:
 
     def _run_jobs_until_closed(self) -> None:
         while (entry := self._wait_for_next_job()) is not None:
-            self._record_errors.run_job_unless_record_abandoned(
+            self._run_job_unless_record_abandoned(
                 entry.record, entry.job, is_replaced_at_each_write=entry.whole
             )
 

@@ -30,7 +30,8 @@ class FolderLock:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            holder = _read_holder_process_id(file)
+            file.seek(0)
+            holder = file.read().strip() or "unknown"
             file.close()
             if holder == str(os.getpid()):
                 return cls(None)  # one process simulates many companions and restarts one of them
@@ -44,11 +45,6 @@ class FolderLock:
         if self._file is not None:
             self._file.close()
             self._file = None
-
-
-def _read_holder_process_id(file: IO[str]) -> str:
-    file.seek(0)
-    return file.read().strip() or "unknown"
 
 
 def _try_write_process_id(file: IO[str]) -> None:

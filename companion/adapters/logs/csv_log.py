@@ -87,7 +87,9 @@ def _recorded_flight(path: Path, table: CsvTable, source: str) -> RecordedFlight
     if time.t_s.size < 2:
         raise LeewayError(f"{path}: {time.t_s.size} rows with a time, expected 2 or more")
     events, measured = _events_and_is_position_measured(rows, findings)
-    findings += _missing_attitude_column_issues(rows)
+    missing = [name for name in ATTITUDE if not np.isfinite(_column_or_nan(rows, name)).any()]
+    if missing:  # the replay reports the other ones
+        findings.append(LogIssue("log", f"no {', '.join(missing)}", "no wind from the tilt"))
     return RecordedFlight(
         source=source,
         events=tuple(events),
@@ -95,14 +97,6 @@ def _recorded_flight(path: Path, table: CsvTable, source: str) -> RecordedFlight
         position_measured=measured,
         reference=_wind_reference(rows),
     )
-
-
-def _missing_attitude_column_issues(rows: Columns) -> list[LogIssue]:
-    """Report missing attitude columns; the replay reports the other ones."""
-    missing = [name for name in ATTITUDE if not np.isfinite(_column_or_nan(rows, name)).any()]
-    if not missing:
-        return []
-    return [LogIssue("log", f"no {', '.join(missing)}", "no wind from the tilt")]
 
 
 def _events_and_is_position_measured(

@@ -89,7 +89,7 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
             raise LeewayError(f"{path}: DFReader cannot read this file: {error!r}") from error
         description = f"DFReader stops: {error!r}"
         reader.findings.append(
-            LogIssue.at_time(reader.log_time_s, description, "data before this are used")
+            LogIssue.at_time(reader.clock.t_s or 0.0, description, "data before this are used")
         )
     for line in list(dict.fromkeys(captured_output.getvalue().splitlines()))[:5]:
         reader.findings.append(LogIssue("file", line.strip(), "whole messages are used"))
@@ -149,7 +149,7 @@ class _DataflashReader:
         self.firmware: str | None = None
         self._values: dict[str, float] = {}
         self._profile = ArduPilot()
-        self._clock = LogClock()
+        self.clock = LogClock()
         self._last_used_s: dict[str, float] = {}
         self._ekf_core = 0
         self._last_position: tuple[float, float, float, float, float] | None = None
@@ -158,11 +158,6 @@ class _DataflashReader:
         self._state_changes: list[tuple[float, bool | None, int | None]] = []
         self._landed_states: list[tuple[float, bool]] = []
 
-    @property
-    def log_time_s(self) -> float:
-        """Current time of the log's clock."""
-        return self._clock.t_s or 0.0
-
     def on_message(self, message: Any) -> None:
         """Process one message."""
         kind = message.get_type()
@@ -170,7 +165,7 @@ class _DataflashReader:
             self._store_vehicle_and_firmware(kind, message)
             return
         stamp_us = getattr(message, "TimeUS", None)
-        t_s = None if stamp_us is None else self._clock.update_from_stamp(kind, stamp_us / 1e6)
+        t_s = None if stamp_us is None else self.clock.update_from_stamp(kind, stamp_us / 1e6)
         if t_s is None or not self._record_if_used(kind, message, t_s):
             return
         match kind:
@@ -182,7 +177,10 @@ class _DataflashReader:
                 self._has_ekf_velocity = True
                 self._append_position_event(t_s, (message.VN, message.VE, message.VD))
             case "XKF2":
-                self._append_wind_event(t_s, message)
+                # EKF3's wind states (direction TO) are valid only with drag fusion
+                north, east = float(message.VWN), float(message.VWE)
+                if math.isfinite(north + east) and (north, east) != (0.0, 0.0):
+                    self.events.append(AutopilotWind(t_s, north, east))
             case "XKF4":
                 self._ekf_core = getattr(message, "PI", 0)
             case "POS" | "GPS":
@@ -190,7 +188,9 @@ class _DataflashReader:
             case "BAT" | "CURR":
                 self._append_battery_event(t_s, message)
             case "ARSP":
-                self._append_airspeed_event(t_s, message)
+                speed = float(message.Airspeed)
+                if getattr(message, "H", 1) and math.isfinite(speed):
+                    self.events.append(Airspeed(t_s, max(speed, 0.0)))
             case _:
                 self._store_state_change(kind, message, t_s)
 
@@ -214,13 +214,11 @@ class _DataflashReader:
 
     def types_to_decode(self) -> list[str]:
         """Return the message types to decode, without those known to hold invalid values."""
-        idle = set() if self._fuses_drag() else {"XKF2"}
+        drag = self._values.get("EK3_DRAG_BCOEF_X") or self._values.get("EK3_DRAG_BCOEF_Y")
+        idle = set() if drag else {"XKF2"}
         if not self._profile.has_pitot(self._values):
             idle.add("ARSP")
         return [kind for kind in DECODED_TYPES if kind not in idle]
-
-    def _fuses_drag(self) -> bool:
-        return bool(self._values.get("EK3_DRAG_BCOEF_X") or self._values.get("EK3_DRAG_BCOEF_Y"))
 
     def _store_vehicle_and_firmware(self, kind: str, message: Any) -> None:
         if kind == "VER":
@@ -253,12 +251,6 @@ class _DataflashReader:
         if all(map(math.isfinite, (*self._last_position, *velocity))):
             self.events.append(Position(t_s, *self._last_position[1:], *map(float, velocity)))
 
-    def _append_wind_event(self, t_s: float, message: Any) -> None:
-        """Convert EKF3's wind states (direction TO), which are valid only with drag fusion."""
-        north, east = float(message.VWN), float(message.VWE)
-        if math.isfinite(north + east) and (north, east) != (0.0, 0.0):
-            self.events.append(AutopilotWind(t_s, north, east))
-
     def _append_battery_event(self, t_s: float, message: Any) -> None:
         voltage, current = float(message.Volt), float(message.Curr)
         used_mah, used_wh = float(message.CurrTot), float(getattr(message, "EnrgTot", math.nan))
@@ -278,12 +270,6 @@ class _DataflashReader:
                 pack=_instance_number(message),
             )
         )
-
-    def _append_airspeed_event(self, t_s: float, message: Any) -> None:
-        speed = float(message.Airspeed)
-        healthy = bool(getattr(message, "H", 1))
-        if healthy and math.isfinite(speed):
-            self.events.append(Airspeed(t_s, max(speed, 0.0)))
 
     def _store_state_change(self, kind: str, message: Any, t_s: float) -> None:
         if kind == "ORGN":
@@ -311,7 +297,7 @@ class _DataflashReader:
 
         With LOG_DISARMED 0 it starts with the vehicle already armed and does not record this.
         """
-        self.findings += self._clock.clock_issues()
+        self.findings += self.clock.clock_issues()
         if not self.events:
             return
         start_s = min(event.t_s for event in self.events)

@@ -10,7 +10,7 @@ only its index: streaming readers, and `mcap recover`, get every message.
 
 import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from io import BytesIO
 from pathlib import Path
@@ -256,11 +256,6 @@ class LogRows:
     rows: list[tuple[str, dict[str, Any]]]
     error_text: str | None = None
     utc_at_zero_s: float | None = None
-
-
-def iterate_mcap_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield (topic, row) of every whole message, from a file that may be truncated."""
-    yield from read_mcap_rows(path).rows
 
 
 def read_mcap_rows(path: Path) -> LogRows:

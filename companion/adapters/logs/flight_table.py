@@ -80,9 +80,10 @@ def _parse_row(folder: Path, error_prefix: str, row: dict[str, str | None]) -> F
     if not name or any(mark in name for mark in "/\\"):
         raise LeewayError(f"{error_prefix}: flight = {name!r}, a name or number expected")
     temperature = (row.get("temperature_c") or "").strip()
+    plain = folder / f"{name}.csv"
     return FlightTableRow(
         name=name,
-        path=_log_path(folder, name),
+        path=plain if plain.exists() else folder / f"{name}.csv.gz",
         speed_mps=_parse_number_in_range(error_prefix, "speed", row["speed"], _FASTEST_MPS),
         payload_kg=_parse_number_in_range(
             error_prefix, "payload", row["payload"], 1000.0 * _MOST_KG
@@ -101,11 +102,6 @@ def _parse_row(folder: Path, error_prefix: str, row: dict[str, str | None]) -> F
         if temperature
         else None,
     )
-
-
-def _log_path(folder: Path, name: str) -> Path:
-    plain = folder / f"{name}.csv"
-    return plain if plain.exists() else folder / f"{name}.csv.gz"
 
 
 def _parse_number_in_range(

@@ -84,7 +84,10 @@ def read_m100_table(path: Path) -> CsvTable:
                 np.flatnonzero(bad).tolist(), table.line_text, description, "discarded"
             )
         )
-    table.findings += _rotor_wash_issues(columns)
+    is_airborne, air = columns.get("armed"), columns.get("airspeed_mps")
+    if is_airborne is not None and air is not None and not is_airborne.all():
+        description = "wind_speed on the ground is the rotor wash or the wind at 1 m"
+        table.findings.append(LogIssue("log", description, "discarded"))
     return CsvTable(columns, table.lines, table.findings)
 
 
@@ -151,19 +154,16 @@ def _airborne_mask(raw: Columns) -> Bools:
     height = _interpolate_unknown(raw["position_z"])
     lifted = np.abs(height - height[0]) > _LIFTED_M
     is_airborne = np.zeros_like(powered)
+    t_s = raw["time"]
+    initial = t_s <= t_s[np.isfinite(t_s)][0] + _TAKE_OFF_S
+    begins_in_flight = not np.ptp(height[initial]) > _TAKE_OFF_M  # in a hover, not a take-off
     for first, last in _true_intervals(powered):
         off = np.flatnonzero(lifted[first : last + 1])
-        if first == 0 and not _does_log_begin_with_takeoff(raw["time"], height):
+        if first == 0 and begins_in_flight:
             off = np.array([0])
         if off.size:
             is_airborne[first + off[0] : last + 1] = True
     return is_airborne
-
-
-def _does_log_begin_with_takeoff(t_s: Floats, height_m: Floats) -> bool:
-    """Return True if a log begins with a take-off, not in a hover."""
-    initial = t_s <= t_s[np.isfinite(t_s)][0] + _TAKE_OFF_S
-    return bool(np.ptp(height_m[initial]) > _TAKE_OFF_M)
 
 
 def _bridge_power_pauses(t_s: Floats, powered: Bools) -> Bools:
@@ -199,14 +199,6 @@ def _lag_corrected_airspeed_mps(raw: Columns, airborne: Floats | None) -> Floats
     stale = later - before_s > _MAX_READING_AGE_S
     speed[stale | (airborne is not None and airborne < 0.5)] = np.nan
     return speed
-
-
-def _rotor_wash_issues(columns: Columns) -> list[LogIssue]:
-    is_airborne, air = columns.get("armed"), columns.get("airspeed_mps")
-    if is_airborne is None or air is None or is_airborne.all():
-        return []
-    description = "wind_speed on the ground is the rotor wash or the wind at 1 m"
-    return [LogIssue("log", description, "discarded")]
 
 
 def _interpolate_unknown(values: Floats) -> Floats:

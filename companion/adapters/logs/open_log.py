@@ -49,7 +49,9 @@ def _reader_by_file_content(path: Path, first_bytes: bytes) -> Callable[[Path], 
     if first_bytes.startswith(MCAP):
         return read_mcap_log
     if first_bytes.startswith(GZIP):  # before dataflash: compressed data may contain its two bytes
-        return _compressed_csv_reader(path)
+        if _is_text(read_file_decompressing_gzip(path)[:HEAD_BYTES]):
+            return read_csv_log
+        raise LeewayError(f"{path}: compressed file (gzip), not CSV: unpack it first")
     if DATAFLASH in first_bytes[:512]:
         return read_dataflash_log
     for magic, name in ARCHIVE_MAGIC.items():
@@ -62,13 +64,6 @@ def _reader_by_file_content(path: Path, first_bytes: bytes) -> Callable[[Path], 
     if is_tlog(first_bytes):
         return read_tlog
     raise LeewayError(f"{path}: unknown log format: expected {KNOWN_FORMATS}")
-
-
-def _compressed_csv_reader(path: Path) -> Callable[[Path], RecordedFlight]:
-    """Return the reader for compressed CSV; other formats must be decompressed first."""
-    if _is_text(read_file_decompressing_gzip(path)[:HEAD_BYTES]):
-        return read_csv_log
-    raise LeewayError(f"{path}: compressed file (gzip), not CSV: unpack it first")
 
 
 def _is_text(head: bytes) -> bool:

@@ -60,14 +60,10 @@ def drop_implausible_events(flight: RecordedFlight, error_prefix: str) -> Record
     if not events:
         raise LeewayError(f"{error_prefix}: no plausible telemetry in this {flight.source}")
     found = [
-        summarise_rows_as_issue(rows, _sample_text, description, "discarded")
+        summarise_rows_as_issue(rows, "sample {}".format, description, "discarded")
         for description, rows in wrong.items()
     ]
     return replace(flight, events=tuple(events), findings=(*flight.findings, *found))
-
-
-def _sample_text(number: int) -> str:
-    return f"sample {number}"
 
 
 def _earliest_start_s(events: tuple[Event, ...]) -> float:

@@ -85,7 +85,7 @@ def read_tlog(path: Path) -> RecordedFlight:
     if damaged_at:
         findings.append(
             summarise_rows_as_issue(
-                damaged_at, _byte_text, "bytes of no whole frame (truncated?)", "discarded"
+                damaged_at, "byte {}".format, "bytes of no whole frame (truncated?)", "discarded"
             )
         )
     others = sorted({f.system for f in frames if f.component == AUTOPILOT} - {system})
@@ -135,15 +135,10 @@ class _TlogReader:
             raw = message.flight_sw_version
             self.firmware = f"{raw >> 24 & 255}.{raw >> 16 & 255}.{raw >> 8 & 255}"
             return
-        t_s = self._advance_clock_and_get_time_s(message)
+        stamp_s = message_time_since_boot_s(message)
+        t_s = self.clock.t_s if stamp_s is None else self.clock.update_from_stamp(kind, stamp_s)
         if t_s is not None:
             self.events += events_from_message(message, self.profile, self._values, t_s)
-
-    def _advance_clock_and_get_time_s(self, message: Any) -> float | None:
-        stamp_s = message_time_since_boot_s(message)
-        if stamp_s is None:
-            return self.clock.t_s
-        return self.clock.update_from_stamp(message.get_type(), stamp_s)
 
 
 def _find_autopilot(path: Path, frames: list[Frame], codec: MavlinkCodec) -> tuple[int, Any]:
@@ -219,7 +214,3 @@ def _next_frame_start(raw: bytes, at: int) -> int:
             return at
         at += 1
     return len(raw)
-
-
-def _byte_text(at: int) -> str:
-    return f"byte {at}"

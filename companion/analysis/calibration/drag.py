@@ -14,7 +14,6 @@ The wind over the flight is the best linear prediction from the same residuals (
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -202,8 +201,9 @@ def _fit_drag_and_wind(
         x = solution.x
     assert solution is not None
     drag, own = split_drag_and_nuisances(x)
+    jacobian = solution.jac.toarray() if issparse(solution.jac) else solution.jac
     cov = covariance_widened_by_cluster_scatter(
-        _to_dense(solution.jac), solution.fun, _row_indices_by_minute(models), _STD_INFLATION
+        jacobian, solution.fun, _row_indices_by_minute(models), _STD_INFLATION
     )
     cov = cov[:globals_, :globals_]
     winds = tuple(
@@ -233,11 +233,6 @@ def _jacobian_sparsity(
         ]
     )
     return csr_array(vstack([hstack([shared, own]), *priors, drag]))
-
-
-def _to_dense(jac: Any) -> Floats:
-    """Convert the Jacobian to dense: least_squares returns a sparse one with a pattern."""
-    return jac.toarray() if issparse(jac) else jac
 
 
 def _row_indices_by_minute(models: list["_FlightModel"]) -> Iterator[Ints]:

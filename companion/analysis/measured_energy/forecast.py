@@ -130,7 +130,7 @@ def fit_energy_forecast(airframe: Airframe, flights: Sequence[TrainingFlight]) -
     points = {
         n: _fit_point_scatter(rows, flights)
         for n, rows in logs.items()
-        if _has_enough_flights_and_days(rows, flights)
+        if len(rows) >= _MIN_FLIGHTS and len({flights[i].day for i, *_ in rows}) >= _MIN_DAYS
     }
     return EnergyForecast(final, times, flown, points)
 
@@ -195,12 +195,6 @@ def _log_consumed_energy_ratio(track: FlownTrack, power_w: Floats, point: RouteP
     modelled = float(power_w[seen].sum()) * STEP_S / 3600.0
     measured = float(track.power_w[seen].sum()) * STEP_S / 3600.0
     return float(np.log(measured / modelled)) if modelled > _MIN_CONSUMED_WH else 0.0
-
-
-def _has_enough_flights_and_days(
-    rows: list[tuple[int, float, float]], flights: Sequence[TrainingFlight]
-) -> bool:
-    return len(rows) >= _MIN_FLIGHTS and len({flights[i].day for i, *_ in rows}) >= _MIN_DAYS
 
 
 def _fit_point_scatter(

@@ -28,7 +28,7 @@ class RoutePoint:
 def takeoff_corner_and_midpoint(track: FlownTrack, route: FlownRoute) -> Iterator[RoutePoint]:
     """Yield take-off, each corner, and the point at half of the total leg length."""
     yield RoutePoint("takeoff", 0, 0.0)
-    for number, index in enumerate(route.corner_grid_indices, start=1):
+    for number, index in enumerate(route.marks[2:-1], start=1):
         yield RoutePoint(f"corner_{number}", index, float(number))
     yield _half_length_point(track, route)
 

@@ -45,11 +45,6 @@ class FlownRoute:
     leg_s: tuple[float, ...]
     descent_s: float
 
-    @property
-    def corner_grid_indices(self) -> tuple[int, ...]:
-        """Grid indices of the corners."""
-        return self.marks[2:-1]
-
 
 @dataclass(frozen=True, slots=True)
 class RouteTimes:

@@ -176,22 +176,13 @@ def _direction_flip_indices(samples: Samples) -> list[int]:
     flips: list[int] = []
     window = max(round(_FLIP_WINDOW_S / step_s), 3)
     for k in np.flatnonzero(turn >= _FLIP_RAD):
-        i = (
-            int(k) + 1
-            if _is_large_direction_change(samples, int(k), int(k) + 1)
-            else int(k) + _FLIP_SAMPLES
-        )
+        first_turn = abs(wrap_pi(samples.from_rad[k + 1] - samples.from_rad[k]))
+        i = int(k) + (1 if first_turn >= 0.5 * _FLIP_RAD else _FLIP_SAMPLES)
         if flips and i - flips[-1] < window:
             continue
         if _is_direction_flip(samples, i, window):
             flips.append(i)
     return flips
-
-
-def _is_large_direction_change(samples: Samples, index_a: int, index_b: int) -> bool:
-    return bool(
-        abs(wrap_pi(samples.from_rad[index_b] - samples.from_rad[index_a])) >= 0.5 * _FLIP_RAD
-    )
 
 
 def _is_direction_flip(samples: Samples, sample_index: int, window_samples: int) -> bool:

@@ -11,9 +11,9 @@ def check_report_lines_and_is_ready(pilot: Pilot) -> tuple[list[str], bool]:
     if preflight.abort_reason:
         return [f"MISSING  {preflight.abort_reason}", "NOT READY"], False
     findings = preflight.findings
-    lines = [
-        f"{_issue_label(issue)}  {issue.words}" for issue in sorted(findings, key=_severity_rank)
-    ]
+    labelled = [(_issue_label(issue), issue.words) for issue in findings]
+    labelled.sort(key=lambda one: ("MISSING", "WAITING", "WARNING").index(one[0]))
+    lines = [f"{label}  {words}" for label, words in labelled]
     met = preflight.settings_met
     if met > 0:
         lines.append(f"ok       {met} autopilot parameters are as required")
@@ -24,12 +24,9 @@ def check_report_lines_and_is_ready(pilot: Pilot) -> tuple[list[str], bool]:
     ]
     lines += [f"DOUBT    {words}" for words in pilot.monitor_corrections.prefixed_findings]
     lines += _certificate_and_envelope_exit_lines(pilot)
-    lines += (
-        _battery_lines(pilot)
-        + _air_lines(pilot)
-        + _route_lines(pilot)
-        + _truck_stop_and_rtl_lines(pilot)
-    )
+    air = pilot.context.estimates.air
+    lines += _battery_lines(pilot) + ([] if air is None else [f"ok       {air}"])
+    lines += _route_lines(pilot) + _truck_stop_and_rtl_lines(pilot)
     blocked = any(issue.blocks for issue in findings)
     if any(issue.blocks and issue.name[0].isupper() for issue in findings):
         lines.append("set the MISSING parameters, or fly with --configure (for that flight only)")
@@ -48,10 +45,6 @@ def reason_no_check_ran(pilot: Pilot) -> str:
 
 def _issue_label(issue: PreflightIssue) -> str:
     return "WAITING" if issue.waits else "MISSING" if issue.blocks else "WARNING"
-
-
-def _severity_rank(issue: PreflightIssue) -> int:
-    return ("MISSING", "WAITING", "WARNING").index(_issue_label(issue))
 
 
 def _certificate_and_envelope_exit_lines(pilot: Pilot) -> list[str]:
@@ -73,11 +66,6 @@ def _battery_lines(pilot: Pilot) -> list[str]:
         f"ok       battery: {energy.mean_wh:.0f} Wh usable, one sigma {energy.std_wh:.0f} Wh"
         f" (by {energy.source})"
     ]
-
-
-def _air_lines(pilot: Pilot) -> list[str]:
-    air = pilot.context.estimates.air
-    return [] if air is None else [f"ok       {air}"]
 
 
 def _route_lines(pilot: Pilot) -> list[str]:

@@ -2,59 +2,49 @@
 
 import shlex
 import sys
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from companion.adapters.autopilots.codec import MavlinkCodec
 from companion.adapters.autopilots.link import open_link
+from companion.adapters.files.monitor_file import service_monitor_folder
 from companion.adapters.files.params import flight_file_path, read_flight
 from companion.adapters.files.signing_files import read_signing_key
+from companion.adapters.files.vehicle_settings import default_settings_folder
 from companion.app.cli.check_report import check_report_lines_and_is_ready, reason_no_check_ran
 from companion.app.flight.loaded_flight import RunOptions
 from companion.app.flight.run import DONE, GROUNDED, NO_LINK, UNCHECKABLE_PHASES, fly_mission
 from companion.core.mission.actions import Action, AlertReport, Decision, LogNote, PhaseChanged
-from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from companion.fleet.network import OPEN_MARK
 
+if TYPE_CHECKING:
+    from companion.app.flight.fleet_run import FleetOptions
 
-@dataclass(frozen=True, slots=True)
-class CommandLine:
-    """Options that `run` and `check` share: vehicle, flight, folders."""
 
-    link: str
-    mission: Path | None
-    airframe: str | None
-    wind_process: str | None
-    run_dir: Path
-    params: Path | None
-    signing_key: Path | None
-    system: int | None
-    silence_limit_s: float
-
-    def to_run_options(
-        self, pilot_options: PilotOptions, *, policy: str | None = None
-    ) -> RunOptions:
-        """Return the run's options. The default airframe is that of the flight file."""
-        mission = None if self.mission is None else flight_file_path(self.mission, self.params)
-        airframe = self.airframe
-        if airframe is None and mission is not None:
-            airframe = read_flight(mission).vehicle.airframe
-        return RunOptions(
-            link=self.link,
-            airframe=airframe or "",
-            wind_process=self.wind_process,
-            mission=mission or Path(),
-            run_dir=self.run_dir,
-            params=self.params,
-            signing_key=self.signing_key,
-            system_id=self.system,
-            silence_limit_s=self.silence_limit_s,
-            policy=policy,
-            pilot=pilot_options,
-        )
+def run_options(
+    *,
+    mission: Path | None,
+    airframe: str | None,
+    params: Path | None,
+    settings_folder: Path | None,
+    monitor_folder: Path | None,
+    **others: Any,
+) -> RunOptions:
+    """Return a run's options with their defaults: the airframe is that of the flight file."""
+    flight = None if mission is None else flight_file_path(mission, params)
+    if airframe is None and flight is not None:
+        airframe = read_flight(flight).vehicle.airframe
+    return RunOptions(
+        airframe=airframe or "",
+        mission=flight or Path(),
+        params=params,
+        settings_folder=settings_folder or default_settings_folder(),
+        monitor_folder=monitor_folder or service_monitor_folder(),
+        **others,
+    )
 
 
 def fly_and_return_exit_code(options: RunOptions) -> int:
@@ -86,19 +76,8 @@ def no_autopilot_message(link: str) -> str:
     return f"no answer from an autopilot on {link}" + (f" ({hint})" if hint else "")
 
 
-@dataclass(frozen=True, slots=True)
-class FleetCommandLine:
-    """Fleet options of `run`."""
-
-    fleet: str
-    vehicle: str
-    zenoh: Path | None
-    identity: Path | None
-    open_network: bool
-
-
 def fly_in_fleet_and_return_exit_code(
-    command_line: FleetCommandLine, options: RunOptions, *, one_mission: bool
+    fleet: "FleetOptions", options: RunOptions, *, one_mission: bool
 ) -> int:
     """Fly one mission that the desk monitors, or fly the desk's missions until the process ends.
 
@@ -106,29 +85,28 @@ def fly_in_fleet_and_return_exit_code(
     `companion.fleet.zenoh_link.flush_and_exit_process_immediately`.
     """
     from companion.app.flight.fleet_run import (
-        FleetOptions,
         fly_fleet_assignments_until_stopped,
         fly_local_mission_in_fleet,
     )
-    from companion.fleet.membership import JoinOptions
 
-    join = JoinOptions(command_line.identity, command_line.open_network)
-    fleet = FleetOptions(command_line.fleet, command_line.vehicle, command_line.zenoh, join)
-    show = print_action_with_open_network_mark if command_line.open_network else print_action
+    is_open = fleet.join.open_network
+    show = print_action_with_open_network_mark if is_open else print_action
     if one_mission:
         return fly_local_mission_in_fleet(fleet, options, show)
     return fly_fleet_assignments_until_stopped(
         fleet,
         options,
-        print_line=_print_line_prefixed_open_network
-        if command_line.open_network
-        else _print_nonempty_line,
+        print_line=_print_line_prefixed_open_network if is_open else _print_nonempty_line,
         on_action=show,
     )
 
 
 def restore_settings_and_return_exit_code(
-    link: str, folder: Path, signing_key: Path | None, system: int | None, silence_limit_s: float
+    link: str,
+    folder: Path | None,
+    signing_key: Path | None,
+    system: int | None,
+    silence_limit_s: float,
 ) -> int:
     """Restore the settings that a flight left changed on the vehicle. Returns the exit code."""
     from companion.app.flight.autopilot_client import AutopilotClient
@@ -139,7 +117,9 @@ def restore_settings_and_return_exit_code(
     try:
         codec = MavlinkCodec(datagrams=connection.datagrams, signing_key=key)
         caller = AutopilotClient(connection, codec, system)
-        done = restore_stored_vehicle_settings(caller, folder, silence_limit_s, typer.echo)
+        done = restore_stored_vehicle_settings(
+            caller, folder or default_settings_folder(), silence_limit_s, typer.echo
+        )
     finally:
         connection.close()
     if done is None:

@@ -315,10 +315,9 @@ def run_command(
         )
 
     from companion.app.cli.flying import (
-        CommandLine,
-        FleetCommandLine,
         fly_and_return_exit_code,
         fly_in_fleet_and_return_exit_code,
+        run_options,
     )
     from companion.core.pilot.context import PilotOptions, UnansweredHoldAction
 
@@ -335,24 +334,36 @@ def run_command(
         max_loss_per_hour=max_loss_per_hour,
         without_operator=no_operator,
     )
-    requested = CommandLine(
-        link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
-    ).to_run_options(pilot, policy=policy)
-    requested = replace(requested, plan_synchronously=lockstep, record_synchronously=record_at_once)
-    requested = replace(requested, settings_folder=resolve_settings_folder(vehicle_settings))
-    requested = replace(requested, monitor_folder=resolve_monitor_folder(monitor_folder), pack=pack)
+    requested = run_options(
+        link=link,
+        mission=mission,
+        airframe=airframe,
+        wind_process=wind_process,
+        run_dir=run_dir,
+        params=params,
+        signing_key=signing_key,
+        system_id=system,
+        silence_limit_s=silence_limit,
+        settings_folder=vehicle_settings,
+        monitor_folder=monitor_folder,
+        pack=pack,
+        policy=policy,
+        plan_synchronously=lockstep,
+        record_synchronously=record_at_once,
+        pilot=pilot,
+    )
     if operator:
         requested = replace(requested, operators=tuple(operator))
     if fleet is None or vehicle is None:
         raise typer.Exit(fly_and_return_exit_code(requested))
 
+    from companion.app.flight.fleet_run import FleetOptions
+    from companion.fleet.membership import JoinOptions
     from companion.fleet.zenoh_link import flush_and_exit_process_immediately
 
-    fleet_command_line = FleetCommandLine(fleet, vehicle, zenoh, identity, open_network)
+    options = FleetOptions(fleet, vehicle, zenoh, JoinOptions(identity, open_network))
     flush_and_exit_process_immediately(
-        fly_in_fleet_and_return_exit_code(
-            fleet_command_line, requested, one_mission=mission is not None
-        )
+        fly_in_fleet_and_return_exit_code(options, requested, one_mission=mission is not None)
     )
 
 
@@ -373,15 +384,25 @@ def check(
     pack: Pack = "unnamed",
 ) -> None:
     """Check the vehicle for a mission without changing the autopilot."""
-    from companion.app.cli.flying import CommandLine
     from companion.app.cli.flying import check_vehicle_and_return_exit_code as check_now
+    from companion.app.cli.flying import run_options
     from companion.core.pilot.context import PilotOptions
 
-    requested = CommandLine(
-        link, mission, airframe, wind_process, run_dir, params, signing_key, system, silence_limit
-    ).to_run_options(PilotOptions(check_only=True, centre_on_vehicle=here))
-    requested = replace(requested, settings_folder=resolve_settings_folder(vehicle_settings))
-    requested = replace(requested, monitor_folder=resolve_monitor_folder(monitor_folder), pack=pack)
+    requested = run_options(
+        link=link,
+        mission=mission,
+        airframe=airframe,
+        wind_process=wind_process,
+        run_dir=run_dir,
+        params=params,
+        signing_key=signing_key,
+        system_id=system,
+        silence_limit_s=silence_limit,
+        settings_folder=vehicle_settings,
+        monitor_folder=monitor_folder,
+        pack=pack,
+        pilot=PilotOptions(check_only=True, centre_on_vehicle=here),
+    )
     raise typer.Exit(check_now(requested))
 
 
@@ -399,24 +420,11 @@ def restore(
     """
     from companion.app.cli.flying import restore_settings_and_return_exit_code
 
-    folder = resolve_settings_folder(vehicle_settings)
     raise typer.Exit(
-        restore_settings_and_return_exit_code(link, folder, signing_key, system, silence_limit)
+        restore_settings_and_return_exit_code(
+            link, vehicle_settings, signing_key, system, silence_limit
+        )
     )
-
-
-def resolve_settings_folder(folder_option: Path | None) -> Path:
-    """Return the folder for the original values of changed settings."""
-    from companion.adapters.files.vehicle_settings import default_settings_folder
-
-    return folder_option or default_settings_folder()
-
-
-def resolve_monitor_folder(folder_option: Path | None) -> Path | None:
-    """Return the folder of the monitor's records, or None without a monitor."""
-    from companion.adapters.files.monitor_file import service_monitor_folder
-
-    return folder_option or service_monitor_folder()
 
 
 for part in (replay.app, export.app, fit_wind.app, calibrate.app, certify.app, monitor.app):

@@ -1,8 +1,7 @@
 """`companion calibrate`: fit an airframe file to flight logs."""
 
-import datetime
+import datetime as dt
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -76,76 +75,67 @@ class CalibrateOptions:
 
 
 def fit_airframe_to_logs_and_write(options: CalibrateOptions) -> None:
-    """Read, fit, print and write; raises typer.Exit with code 2 or 3 on failure."""
+    """Read, fit, print and write; raises LeewayError, or typer.Exit with code 3."""
     console = Console(highlight=False, soft_wrap=True)
-    try:
-        start = read_airframe(options.airframe)
-        loads = _parse_payloads_kg(options.payload_kg, options.logs)
-        with console.status("reading") as status:
-            logs = [
-                _read_flight_or_ground_test(console, path, load, start, options.temperature_c)
-                for path, load in zip(options.logs, loads, strict=True)
-            ]
-            validation_logs = [
-                _read_flight_or_ground_test(console, path, load, start, options.temperature_c)
-                for path, load in map(_parse_holdout_log_and_payload_kg, options.holdouts)
-            ]
-            ground = [log for log in logs if isinstance(log, StandingPower)]
-            read = [log for log in logs if isinstance(log, FlightMeasurements)]
-            flights = [log.prepared.blocks for log in read]
-            if not flights:
-                raise LeewayError("all logs are on the ground; expected at least one flight")
-            for words in describe_ground_tests(ground, PowerPriors().current_offset_std_a):
-                console.print(f"  {words}")
-            priors = DragPriors.for_symmetric_airframe() if options.symmetric else None
-            calibration = fit_airframe_to_flights(
-                flights,
-                start,
-                lambda words: status.update(f"fitting: {words}"),
-                priors=priors,
-                standing_power_tests=ground,
-            )
-            calibration = _with_power_ratio_by_phase(calibration, read)
-            validation_flights = [
-                predict_flight_energy(log.prepared.blocks, calibration.airframe)
-                for log in validation_logs
-                if isinstance(log, FlightMeasurements)
-            ]
-        _print_calibration(console, calibration, validation_flights)
-        if options.json_out is not None:
-            options.json_out.write_text(
-                json.dumps(_calibration_to_json_dict(calibration, validation_flights), indent=1)
-                + "\n"
-            )
-        if calibration.unidentified_required_quantities and not options.allow_priors:
-            raise typer.Exit(EXIT_UNIDENTIFIED)
-        _write_airframe_file(
-            options.out,
+    start = read_airframe(options.airframe)
+    loads = _parse_payloads_kg(options.payload_kg, options.logs)
+    with console.status("reading") as status:
+        logs = [
+            _read_flight_or_ground_test(console, path, load, start, options.temperature_c)
+            for path, load in zip(options.logs, loads, strict=True)
+        ]
+        validation_logs = [
+            _read_flight_or_ground_test(console, path, load, start, options.temperature_c)
+            for path, load in map(_parse_holdout_log_and_payload_kg, options.holdouts)
+        ]
+        ground = [log for log in logs if isinstance(log, StandingPower)]
+        read = [log for log in logs if isinstance(log, FlightMeasurements)]
+        flights = [log.prepared.blocks for log in read]
+        if not flights:
+            raise LeewayError("all logs are on the ground; expected at least one flight")
+        for words in describe_ground_tests(ground, PowerPriors().current_offset_std_a):
+            console.print(f"  {words}")
+        priors = DragPriors.for_symmetric_airframe() if options.symmetric else None
+        calibration = fit_airframe_to_flights(
+            flights,
             start,
-            calibration,
-            validation_flights,
-            options.logs,
-            loads,
-            options.temperature_c,
+            lambda words: status.update(f"fitting: {words}"),
+            priors=priors,
+            standing_power_tests=ground,
         )
-        read_airframe(str(options.out))
-        console.print(f"{options.out}: written; fly it with --airframe {options.out}")
-    except LeewayError as error:
-        typer.echo(f"companion: {error}", err=True)
-        raise typer.Exit(2) from error
+        calibration = _with_power_ratio_by_phase(calibration, read)
+        validation_flights = [
+            predict_flight_energy(log.prepared.blocks, calibration.airframe)
+            for log in validation_logs
+            if isinstance(log, FlightMeasurements)
+        ]
+    _print_calibration(console, calibration, validation_flights)
+    if options.json_out is not None:
+        options.json_out.write_text(
+            json.dumps(_calibration_to_json_dict(calibration, validation_flights), indent=1) + "\n"
+        )
+    if calibration.unidentified_required_quantities and not options.allow_priors:
+        raise typer.Exit(EXIT_UNIDENTIFIED)
+    _write_airframe_file(
+        options.out,
+        start,
+        calibration,
+        validation_flights,
+        options.logs,
+        loads,
+        options.temperature_c,
+    )
+    read_airframe(str(options.out))
+    console.print(f"{options.out}: written; fly it with --airframe {options.out}")
 
 
 def write_calibration_flight_plan(
     out_path: Path, home_lat_lon_alt: str, airframe_name: str, autopilot: str, options: PlanOptions
 ) -> None:
     """Write the calibration flight of an airframe as a QGroundControl plan."""
-    prior_airframe = _read_airframe_and_write_plan(
-        out_path,
-        home_lat_lon_alt,
-        airframe_name,
-        autopilot,
-        lambda a: calibration_mission_items(a, options),
-    )
+    prior_airframe = read_airframe(airframe_name)
+    items = calibration_mission_items(prior_airframe, options)
+    _write_plan(out_path, items, home_lat_lon_alt, prior_airframe, autopilot)
     options = with_side_long_enough_for_fast_legs(prior_airframe, options)
     typer.echo(
         f"{out_path}: written; it climbs to {options.height_m + 30.0:.0f} m within a"
@@ -157,13 +147,9 @@ def write_discharge_hover_plan(
     out_path: Path, home_lat_lon_alt: str, airframe_name: str, autopilot: str, payload_kg: float
 ) -> None:
     """Write the hover that measures usable energy, and print the failsafe that must end it."""
-    prior_airframe = _read_airframe_and_write_plan(
-        out_path,
-        home_lat_lon_alt,
-        airframe_name,
-        autopilot,
-        lambda a: discharge_mission_items(a, payload_kg),
-    )
+    prior_airframe = read_airframe(airframe_name)
+    items = discharge_mission_items(prior_airframe, payload_kg)
+    _write_plan(out_path, items, home_lat_lon_alt, prior_airframe, autopilot)
     stop_v = discharge_stop_voltage_v(prior_airframe, payload_kg)
     typer.echo(
         f"{out_path}: written; it hovers at {DISCHARGE_HEIGHT_M:g} m until {stop_v:.1f} V under"
@@ -173,29 +159,17 @@ def write_discharge_hover_plan(
     )
 
 
-def _read_airframe_and_write_plan(
+def _write_plan(
     out_path: Path,
+    items: list[PlanItem],
     home_lat_lon_alt: str,
-    airframe_name: str,
+    prior_airframe: Airframe,
     autopilot: str,
-    build_items: Callable[[Airframe], list[PlanItem]],
-) -> Airframe:
-    try:
-        frame = _parse_home_frame(home_lat_lon_alt)
-        if autopilot not in ("px4", "ardupilot"):
-            raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected")
-        prior_airframe = read_airframe(airframe_name)
-        write_plan(
-            out_path,
-            build_items(prior_airframe),
-            frame,
-            autopilot,
-            square_speeds_mps(prior_airframe)[1],
-        )
-    except LeewayError as error:
-        typer.echo(f"companion: {error}", err=True)
-        raise typer.Exit(2) from error
-    return prior_airframe
+) -> None:
+    frame = _parse_home_frame(home_lat_lon_alt)
+    if autopilot not in ("px4", "ardupilot"):
+        raise LeewayError(f"--autopilot {autopilot}: px4 or ardupilot expected")
+    write_plan(out_path, items, frame, autopilot, square_speeds_mps(prior_airframe)[1])
 
 
 def _parse_home_frame(home_lat_lon_alt: str) -> LocalFrame:
@@ -330,7 +304,8 @@ def _write_airframe_file(
 ) -> None:
     fitted = msgspec.structs.replace(calibration.airframe, name=out_path.stem)
     flown = ", ".join(
-        f"{p.name} ({_file_date_text(p)}, {kg:g} kg)"
+        f"{p.name} ({dt.datetime.fromtimestamp(p.stat().st_mtime, dt.UTC):file of %Y-%m-%d},"
+        f" {kg:g} kg)"
         for p, kg in zip(log_paths, payloads_kg, strict=True)
     )
     header = [
@@ -338,7 +313,9 @@ def _write_airframe_file(
         f" {prior_airframe.name}; numbers without a comment are unchanged.",
     ]
     header += [
-        f"Predicted unseen: {_prediction_text(h)}"
+        f"Predicted unseen: {h.name}: {h.predicted_wh:.1f} Wh of {h.measured_wh:.1f} measured"
+        f" ({100.0 * h.relative_energy_error:+.1f} %), {h.wind_mps:.1f} m/s of wind,"
+        f" {h.payload_kg:g} kg"
         for h in (*calibration.holdouts, *validation_flights)
     ]
     header += calibration.notes
@@ -348,20 +325,6 @@ def _write_airframe_file(
             + ", ".join(q.name for q in calibration.unidentified_required_quantities)
         )
     write_airframe(out_path, fitted, header, _source_comment_by_parameter(calibration))
-
-
-def _prediction_text(validation_flight: ValidationFlight) -> str:
-    return (
-        f"{validation_flight.name}: {validation_flight.predicted_wh:.1f} Wh of"
-        f" {validation_flight.measured_wh:.1f} measured"
-        f" ({100.0 * validation_flight.relative_energy_error:+.1f} %),"
-        f" {validation_flight.wind_mps:.1f} m/s of wind, {validation_flight.payload_kg:g} kg"
-    )
-
-
-def _file_date_text(path: Path) -> str:
-    stamp = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC)
-    return stamp.strftime("file of %Y-%m-%d")
 
 
 def _source_comment_by_parameter(calibration: Calibration) -> dict[tuple[str, str], str]:

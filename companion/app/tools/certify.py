@@ -93,7 +93,8 @@ def evaluate_logs_and_write_certificate(options: CertifyOptions) -> None:
             try:
                 flown.append(_measure_and_predict_flight(log, airframe))
             except LeewayError as error:
-                left_out.append(_prefix_with_log_name(log.path.name, str(error)))
+                name, text = log.path.name, str(error)
+                left_out.append(text if text.startswith(name) else f"{name}: {text}")
     for words in left_out:
         console.print(f"  excluded: {words}")
     flown.sort(key=lambda one: (one.flight.date, one.hour))
@@ -110,10 +111,6 @@ def evaluate_logs_and_write_certificate(options: CertifyOptions) -> None:
     console.print(
         f"{write_certificate(options.airframe, certificate)}: written; flights with it are checked"
     )
-
-
-def _prefix_with_log_name(log_name: str, text: str) -> str:
-    return text if text.startswith(log_name) else f"{log_name}: {text}"
 
 
 def _read_log_metadata(options: CertifyOptions) -> list[_LogMetadata]:

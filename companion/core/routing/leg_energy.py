@@ -351,13 +351,10 @@ class RouteEnergy:
         time = np.maximum(group.length_m / ground, group.vertical_s)
         time += ground * (group.stops / self.airframe.speeds.accel_mps2)
         draw *= time
-        draw += self._extra_climb_energy_j(group)
+        weight_n = self.airframe.flying_mass_kg(group.payload_kg) * GRAVITY_MPS2
+        draw += weight_n * group.climb_m / self.airframe.power_rotor.drive_efficiency
         draw /= 3600.0
         return draw, time, feasible
-
-    def _extra_climb_energy_j(self, group: _LegGroup) -> Floats:
-        weight_n = self.airframe.flying_mass_kg(group.payload_kg) * GRAVITY_MPS2
-        return weight_n * group.climb_m / self.airframe.power_rotor.drive_efficiency
 
     def _vertical_or_hover_costs(
         self, group: _LegGroup, wind_n_mps: Floats, wind_e_mps: Floats

@@ -11,7 +11,7 @@ import numpy as np
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import LocalFrame, Ned, Obstacle, ObstacleMap, horizontal_distance_m
+from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, horizontal_distance_m
 from companion.core.ground.clearance import GroundClearance
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.leg_energy import RouteEnergy
@@ -66,11 +66,6 @@ class WaypointGraph:
     rally: tuple[int, ...]
     home: int = 0
 
-    def vertex_ned_m(self, vertex: int) -> Ned:
-        """Return the position of a vertex."""
-        north, east, down = self.vertices_ned_m[vertex]
-        return float(north), float(east), float(down)
-
     def edge_lengths_m(self) -> Floats:
         """Return the length L_geo of every edge."""
         steps = self.vertices_ned_m[self.head] - self.vertices_ned_m[self.tail]
@@ -115,7 +110,10 @@ class SightLines:
             over = (north, east, -cruise_height_m)
             blocking = site.obstacles.first_blocking_obstacle(over, over)
             if blocking is not None:
-                raise LeewayError(_inside_clearance_message(name, blocking, site.obstacles))
+                raise LeewayError(
+                    f"{name}: within {site.obstacles.clearance_m:g} m of {blocking.name}, which is"
+                    f" {blocking.height_m:g} m high; expected outside its clearance"
+                )
         self._blocking_obstacles = site.obstacles.level_obstacles_at(cruise_height_m)
         rings = site.obstacles.corner_rings_around_obstacles_ne_m(cruise_height_m, corner_margin_m)
         corners = np.array([corner for ring in rings for corner in ring]).reshape(-1, 2)
@@ -171,13 +169,6 @@ class SightLines:
         return np.concatenate(tail_arrays), np.concatenate(head_arrays)
 
 
-def build_visibility_graph(
-    site: SiteMap, cruise_height_m: float, corner_margin_m: float = _CORNER_MARGIN_M
-) -> WaypointGraph:
-    """Return the visibility graph of a site at one height. Raises LeewayError as `SightLines`."""
-    return SightLines(site, cruise_height_m, corner_margin_m).cached_visibility_graph()
-
-
 def split_route_into_legs(points: list[Ned], max_leg_length_m: float) -> list[Ned]:
     """Split each line into equal legs of at most `max_leg_length_m`; return the waypoints."""
     cut = points[:1]
@@ -189,10 +180,3 @@ def split_route_into_legs(points: list[Ned], max_leg_length_m: float) -> list[Ne
             cut.append((float(north), float(east), float(down)))
         cut.append(b)
     return cut
-
-
-def _inside_clearance_message(name: str, obstacle: Obstacle, obstacles: ObstacleMap) -> str:
-    return (
-        f"{name}: within {obstacles.clearance_m:g} m of {obstacle.name}, which is"
-        f" {obstacle.height_m:g} m high; expected outside its clearance"
-    )

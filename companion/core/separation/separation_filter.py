@@ -285,7 +285,7 @@ def _is_separation_violated_despite_braking(blocked_vehicles: _BlockedVehicles) 
     away = blocked_vehicles.braking[:, :, None] - metre * reports.braking
     flat = (horizontal_norm(away) + metre[0] * reports.uncertainty[0]) / p.horizontal_m
     high = (np.abs(away[2]) + metre[2] * reports.uncertainty[1]) / p.vertical_m
-    close = (np.maximum(flat, high) < 1.0).any(axis=-1) & reports.is_present
+    close = (np.maximum(flat, high) < 1.0).any(axis=-1) & (reports.uncertainty[0, ..., 0] >= 0.0)
     return np.asarray(close.any(axis=1))
 
 

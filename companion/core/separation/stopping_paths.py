@@ -158,10 +158,6 @@ class NeighbourPaths:
             self.braking[:, vehicle_indices], self.uncertainty[:, vehicle_indices]
         )
 
-    @property
-    def is_present(self) -> Bools:
-        return self.uncertainty[0, ..., 0] >= 0.0
-
 
 def column_order_kept_first(is_kept: Bools) -> Ints | None:
     """Return the column order (A, most) with the kept entries first; None if all are kept."""

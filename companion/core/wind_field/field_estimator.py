@@ -133,7 +133,8 @@ class FieldEstimator:
         air = AirState(1.0, self._terrain.share, front)
         if air != judged:
             estimate = self._estimate_scaled_by_misfit(kept, now_s, air, estimate)
-        return estimate.set_excluded_and_return_self(out)
+        estimate.excluded = dict(out)
+        return estimate
 
     def _update_terrain_share(
         self,

@@ -89,7 +89,8 @@ class FieldProcess:
         """Return the covariance (n, m) between two point sets; arguments as `covariance_within`."""
         separation_s = euclidean_distances(first_coordinates_s, second_coordinates_s)
         total = np.zeros(separation_s.shape)
-        for part, (memory_s, variance) in enumerate(self._memories_and_variances()):
+        parts = zip(self.process.memory_s, self.process.variance_m2ps2, strict=True)
+        for part, (memory_s, variance) in enumerate(parts):
             share = variance * np.outer(
                 first_averaging_factors[:, part], second_averaging_factors[:, part]
             )
@@ -110,7 +111,3 @@ class FieldProcess:
         """Return the ratio of the wind at heights to that at a reference height, and its error."""
         logs = np.log(np.maximum(height_m, 1.0) / max(reference_height_m, 1.0))
         return np.exp(self.shear_exponent * logs), self.shear_exponent_std * np.abs(logs)
-
-    def _memories_and_variances(self) -> list[tuple[float, float]]:
-        p = self.process
-        return list(zip(p.memory_s, p.variance_m2ps2, strict=True))

@@ -188,11 +188,6 @@ class FieldEstimate:
         """Accepted members."""
         return tuple(self._segments.members[k] for k in np.unique(self._segments.member))
 
-    def set_excluded_and_return_self(self, exclusions: dict[str, str]) -> "FieldEstimate":
-        """Store the excluded members and return the field itself."""
-        self.excluded = dict(exclusions)
-        return self
-
     def forecast_at_points(
         self,
         points: FieldPoints,
@@ -262,9 +257,9 @@ class FieldEstimate:
         count = self._segments.count.size
         if not count:
             return 1.0
-        return (0.5 * self._covariance_weighted_residual_square() + _MISFIT_PRIOR) / (
-            count + _MISFIT_PRIOR
-        )
+        off = self._residuals
+        square = sum(float(off[:, k] @ weighed) for k, (_, weighed) in enumerate(self._factors))
+        return (0.5 * square + _MISFIT_PRIOR) / (count + _MISFIT_PRIOR)
 
     def segment_log_likelihoods(self) -> Floats:
         """Return the log likelihood of each segment (n,) given the earlier ones, up to a constant.
@@ -277,11 +272,6 @@ class FieldEstimate:
             white = solve_lower_triangular(lower, self._residuals[:, axis])
             total -= 0.5 * white**2 + np.log(np.diag(lower))
         return total
-
-    def _covariance_weighted_residual_square(self) -> float:
-        """Return r' K^-1 r of both axes together."""
-        off = self._residuals
-        return sum(float(off[:, k] @ weighed) for k, (_, weighed) in enumerate(self._factors))
 
     def mean_shift_chi_squares(self, group_indicators: Floats) -> Floats:
         """Return the significance of a mean shift in each group (n, groups) of values.

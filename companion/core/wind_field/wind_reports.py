@@ -139,10 +139,12 @@ class MemberReports:
                 return ""
             if (
                 report.t_s - before.t_s < REPORT_AVERAGING_S - 0.5
-                and not self._are_all_segments_expired(report.t_s)
+                and self.segments
+                and report.t_s - self.segments[-1].last[0] <= KEPT_S
             ):
                 return ""
-            if _speed_between_reports_mps(before, report) > MAX_SPEED_MPS:
+            moved_m = math.dist(before.position_ne_m, report.position_ne_m)
+            if moved_m / max(report.t_s - before.t_s, 1e-3) > MAX_SPEED_MPS:
                 self.segments.clear()
                 self.newest = report
                 return f"position moved faster than {MAX_SPEED_MPS:g} m/s"
@@ -178,9 +180,6 @@ class MemberReports:
                 kept.append(one)
         self.segments = kept[-max_segments:]
 
-    def _are_all_segments_expired(self, t_s: float) -> bool:
-        return not self.segments or t_s - self.segments[-1].last[0] > KEPT_S
-
     def _update_constant_wind_and_reject(self, report: MemberWindReport) -> str:
         """Return a reason if the wind is constant for too long; drops the reports of that time."""
         before = self.newest
@@ -194,13 +193,6 @@ class MemberReports:
         self.segments = [one for one in self.segments if one.last[0] < constant_since_s]
         self.newest = report
         return f"reported the same wind for {report.t_s - constant_since_s:.0f} s"
-
-
-def _speed_between_reports_mps(
-    earlier_report: MemberWindReport, later_report: MemberWindReport
-) -> float:
-    (n0, e0), (n1, e1) = earlier_report.position_ne_m, later_report.position_ne_m
-    return math.hypot(n1 - n0, e1 - e0) / max(later_report.t_s - earlier_report.t_s, 1e-3)
 
 
 @dataclass(frozen=True, slots=True)

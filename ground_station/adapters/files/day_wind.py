@@ -5,10 +5,8 @@ from collections.abc import Callable
 from companion.core.base.errors import LeewayError
 from companion.core.wind.process import WindProcessParams
 from ground_station.adapters.files.params import read_wind_process
-from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_stations import StationRegistry
 
 DEFAULT_PROCESS = "coast"
 """Wind process if no day specifies one: the default of a flight file."""
@@ -33,22 +31,6 @@ def create_site_wind(
     return SiteWind(
         process, site_deg, data.day.forecast, mission.cruise_height_m, watches_fronts=watches
     )
-
-
-def create_station_registry(wind: SiteWind, data: DayData | None) -> StationRegistry:
-    """Return the wind stations of the day; without a day, accept all that report a position."""
-    return (
-        StationRegistry(wind) if data is None else StationRegistry.from_day(wind, data.day.stations)
-    )
-
-
-def station_files(data: DayData) -> list[StationFile]:
-    """Return the files of wind stations that have one, relative to the day's folder."""
-    return [
-        StationFile(station.id, data.folder / station.file)
-        for station in data.day.stations
-        if station.file is not None
-    ]
 
 
 def _read_wind_process_or_default(

@@ -171,16 +171,13 @@ def _cached_window_around_position(
     index = np.full((lats.size, lons.size), -1)
     index[row, column] = np.arange(row.size)
     cut = _Window(lats[rows], lons[columns], index[rows, columns])
-    if grid_content.windows and not _is_same_grid(cut, grid_content.first_window):
+    if grid_content.windows and not all(
+        np.array_equal(getattr(cut, axis), getattr(grid_content.first_window, axis))
+        for axis in ("lat_deg", "lon_deg")
+    ):
         raise LeewayError("grid differs from the first message's, expected one grid per file")
     grid_content.windows[name] = cut
     return cut
-
-
-def _is_same_grid(first_window: _Window, second_window: _Window) -> bool:
-    return np.array_equal(first_window.lat_deg, second_window.lat_deg) and np.array_equal(
-        first_window.lon_deg, second_window.lon_deg
-    )
 
 
 def _axis_slice_around_position(axis_deg: Floats, position_deg: float, axis_name: str) -> slice:

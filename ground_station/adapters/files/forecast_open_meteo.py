@@ -140,7 +140,11 @@ def _build_forecast_field(document: dict[str, Any]) -> ForecastField:
         height_m=np.stack([level[0] for level in levels], axis=1)[:, :, None, None],
         to_ne_mps=np.stack([level[1] for level in levels], axis=1)[:, :, None, None, :],
         std_mps=np.stack([level[2] for level in levels], axis=1)[:, :, None, None],
-        spread=f"{count} members" if count > 1 else _spread_source_text_without_members(hourly),
+        spread=f"{count} members"
+        if count > 1
+        else "the default"
+        if _gust_minus_mean_wind_mps(hourly) is None
+        else "gusts, at least the default",
     )
 
 
@@ -219,12 +223,4 @@ def _gust_minus_mean_wind_mps(hourly: _Hourly) -> Floats | None:
         return None
     return hourly.column_in_si_units(GUSTS, MPS_OF) - hourly.column_in_si_units(
         "wind_speed_10m", MPS_OF
-    )
-
-
-def _spread_source_text_without_members(hourly: _Hourly) -> str:
-    return (
-        "gusts, at least the default"
-        if _gust_minus_mean_wind_mps(hourly) is not None
-        else "the default"
     )

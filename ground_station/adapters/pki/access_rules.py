@@ -34,7 +34,11 @@ Rule = dict[str, Any]
 def member_zenoh_config_json(roster: Roster, member: RosterMember) -> str:
     """Return a member's configuration; file names are relative to it."""
     listens = member.role in SERVERS and bool(member.address)
-    table = _listener_config(roster, member) if listens else _client_config(roster)
+    table = (
+        _listener_config(roster, member)
+        if listens
+        else {"mode": "client", "connect": _connect_config(_active_listeners(roster))}
+    )
     table["scouting"] = {"multicast": {"enabled": False}}
     table["transport"] = {
         "link": {
@@ -49,10 +53,6 @@ def member_zenoh_config_json(roster: Roster, member: RosterMember) -> str:
     if listens:
         table["transport"]["unicast"] = CONNECTION_LIMITS
     return json.dumps(table, indent=2) + "\n"
-
-
-def _client_config(roster: Roster) -> dict[str, Any]:
-    return {"mode": "client", "connect": _connect_config(_active_listeners(roster))}
 
 
 def _listener_config(roster: Roster, member: RosterMember) -> dict[str, Any]:

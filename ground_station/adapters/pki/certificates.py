@@ -98,9 +98,10 @@ class TlsAuthority:
             x509.BasicConstraints(ca=False, path_length=None), critical=True
         )
         builder = builder.add_extension(_key_usage(is_authority=False), critical=True)
-        builder = builder.add_extension(
-            x509.ExtendedKeyUsage(_extended_key_usages(member)), critical=False
-        )
+        usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
+        if member.role in SERVERS:
+            usages.insert(0, ExtendedKeyUsageOID.SERVER_AUTH)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
         names = x509.SubjectAlternativeName(_alternative_names(fleet, member))
         builder = builder.add_extension(names, critical=False)
         return builder.sign(self.key.private, hashes.SHA256()).public_bytes(
@@ -171,11 +172,6 @@ def _key_usage(*, is_authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-def _extended_key_usages(member: RosterMember) -> list[x509.ObjectIdentifier]:
-    client = [ExtendedKeyUsageOID.CLIENT_AUTH]
-    return [ExtendedKeyUsageOID.SERVER_AUTH, *client] if member.role in SERVERS else client
 
 
 def _alternative_names(fleet: str, member: RosterMember) -> list[x509.GeneralName]:

@@ -113,7 +113,10 @@ class PkiFolder:
         self, names: Sequence[str], role: Role, validity_days: int, address: str = ""
     ) -> None:
         """Add members of one role with one roster. Raises LeewayError before any change."""
-        self._require_address_matches_role(role, address)
+        if address and role not in SERVERS:
+            raise LeewayError(f"--address: a {role.value} has no address, expected none")
+        if role is Role.ROUTER and not address:
+            raise LeewayError("--address: expected HOST:PORT of the router")
         if address and len(names) > 1:
             raise LeewayError(f"--address {address}: expected one member at an address")
         for at, name in enumerate(names):
@@ -150,12 +153,8 @@ class PkiFolder:
         self._sign_and_write_certificate(member, tls.private.public_key())
         return member
 
-    def renew_member_certificate(self, name: str, validity_days: int) -> None:
-        """Extend a member's certificate with the same keys; open connections continue."""
-        self.renew_member_certificates([name], validity_days)
-
     def renew_member_certificates(self, names: Sequence[str], validity_days: int) -> None:
-        """Extend several members' certificates with one roster."""
+        """Extend members' certificates with the same keys and one roster; connections continue."""
         new: dict[str, RosterMember] = {}
         for old in [self._require_active_member(name) for name in names]:
             member = msgspec.structs.replace(old, not_after=self._expiry_after(validity_days))
@@ -207,12 +206,6 @@ class PkiFolder:
             raise LeewayError(f"{name}: {'revoked' if found else 'not on the roster'}")
         return found
 
-    def _require_address_matches_role(self, role: Role, address: str) -> None:
-        if address and role not in SERVERS:
-            raise LeewayError(f"--address: a {role.value} has no address, expected none")
-        if role is Role.ROUTER and not address:
-            raise LeewayError("--address: expected HOST:PORT of the router")
-
     def _expiry_after(self, days: int) -> datetime:
         return (self.now + timedelta(days=days)).replace(microsecond=0)
 
@@ -260,16 +253,14 @@ class PkiFolder:
         write_file_atomically(
             home / TLS_CA, b"".join(a.tls.certificate_pem for a in self.authority_list), PUBLIC_MODE
         )
-        write_file_atomically(home / IDENTITY, self._identity_toml(member).encode(), PUBLIC_MODE)
+        keys = ", ".join(f'"{authority.public_key}"' for authority in self.authority_list)
+        lines = ['format = "identity/1"', f'fleet = "{self.roster.fleet}"']
+        lines += [f'name = "{member.name}"', f"authorities = [{keys}]", ""]
+        write_file_atomically(home / IDENTITY, "\n".join(lines).encode(), PUBLIC_MODE)
         write_file_atomically(
             home / ZENOH, member_zenoh_config_json(self.roster, member).encode(), PUBLIC_MODE
         )
         write_file_atomically(home / ROSTER, signed_roster_bytes, PUBLIC_MODE)
-
-    def _identity_toml(self, member: RosterMember) -> str:
-        keys = ", ".join(f'"{authority.public_key}"' for authority in self.authority_list)
-        lines = ['format = "identity/1"', f'fleet = "{self.roster.fleet}"']
-        return "\n".join([*lines, f'name = "{member.name}"', f"authorities = [{keys}]", ""])
 
     def _sign_roster(self, roster_text: str) -> SignedRoster:
         raw, fleet = roster_text.encode(), self.roster.fleet

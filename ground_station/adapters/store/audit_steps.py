@@ -4,6 +4,7 @@ The last step, because it locks the newest row (PostgreSQL): no transaction wait
 transaction's rows while it holds that lock.
 """
 
+from dataclasses import fields
 from typing import Any
 
 import msgspec
@@ -74,12 +75,5 @@ def _audit_column_values(row: AuditRow) -> dict[str, Any]:
 
 
 def _audit_row(database_row: Any) -> AuditRow:
-    entry = AuditEntry(
-        database_row.at_us,
-        database_row.who,
-        database_row.login,
-        database_row.deed,
-        database_row.subject,
-        database_row.answer,
-    )
+    entry = AuditEntry(*(getattr(database_row, field.name) for field in fields(AuditEntry)))
     return AuditRow(database_row.n, entry, database_row.before, database_row.digest)

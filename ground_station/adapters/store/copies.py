@@ -22,20 +22,17 @@ def back_up_store(store_url: str, backup_file: Path) -> None:
         raise StoreError(f"{backup_file}: exists already, expected a new file")
     try:
         os.close(os.open(part, os.O_CREAT | os.O_TRUNC | os.O_WRONLY, 0o600))
-        _write_store_copy(sa.make_url(store_url), part)
+        url = sa.make_url(store_url)
+        path = sqlite_file_path(url)
+        if path is None:
+            _run_postgres_program(url, "pg_dump", "--format=custom", f"--file={part}")
+        else:
+            _copy_sqlite_database(path, part)
         part.rename(backup_file)
     except OSError as error:
         raise StoreError(f"{backup_file}: {error.strerror}") from error
     finally:
         part.unlink(missing_ok=True)
-
-
-def _write_store_copy(store_url: sa.URL, target: Path) -> None:
-    path = sqlite_file_path(store_url)
-    if path is None:
-        _run_postgres_program(store_url, "pg_dump", "--format=custom", f"--file={target}")
-    else:
-        _copy_sqlite_database(path, target)
 
 
 def restore(store_url: str, backup_file: Path) -> None:

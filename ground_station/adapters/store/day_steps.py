@@ -13,6 +13,12 @@ from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_plan import PlannedSortie
 from ground_station.core.schema.sortie_rows import SortieRow
 
+SORTIES = (
+    sa.select(t.assignments, t.sorties)
+    .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
+    .order_by(t.assignments.c.n)
+)
+
 
 def read_drive_commands_not_refused(db: sa.Connection) -> list[tuple[Drive, CommandStatus | None]]:
     """Return the truck's drive commands that it has not refused, oldest first."""
@@ -34,10 +40,7 @@ def last_ordered_truck_stop(db: sa.Connection) -> str | None:
 
 def read_sorties_without_responses(db: sa.Connection) -> list[SortieRow]:
     """Return all sorties, to determine at which stops the truck must wait."""
-    query = sa.select(t.assignments, t.sorties).join(
-        t.sorties, t.sorties.c.assignment == t.assignments.c.id
-    )
-    return [sortie_from_database_row(row, ()) for row in db.execute(query)]
+    return [sortie_from_database_row(row, ()) for row in db.execute(SORTIES)]
 
 
 def ordered_and_promised_landing_stops(db: sa.Connection) -> set[str]:

@@ -319,17 +319,12 @@ class DayStore:
 
     def sorties(self) -> list[SortieRow]:
         """Return all sorties from the truck, in the order of their assignment."""
-        query = (
-            sa.select(t.assignments, t.sorties)
-            .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
-            .order_by(t.assignments.c.n)
-        )
         columns = (t.commands.c.answer, t.commands.c.life, t.commands.c.answered_us)
         drive_commands = sa.select(t.commands.c.id, *columns).where(
             sa.or_(*(t.commands.c.id.like(f"%:{word}") for word in ("launch%", "home%", "recover")))
         )
         with self._database.read() as db:
-            found = db.execute(query).all()
+            found = db.execute(steps.SORTIES).all()
             responses = db.execute(drive_commands).all()
         return [steps.sortie_from_database_row(row, responses) for row in found]
 

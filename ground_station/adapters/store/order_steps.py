@@ -1,6 +1,7 @@
 """Steps of the store's transactions; each runs inside the caller's transaction."""
 
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -341,11 +342,13 @@ def apply_response_to_assignment(
             end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason)
         case Launch(), CommandStatus.DONE | CommandStatus.INTERRUPTED:
             set_assignment_state(db, row.id, AssignmentState.IN_FLIGHT, reason)
-            _set_launch_time_once(db, now_us, row.id)
+            here = (t.sorties.c.assignment == row.id, t.sorties.c.launched_us.is_(None))
+            db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
         case Launch(), CommandStatus.REFUSED if row.state is not AssignmentState.IN_FLIGHT:
             set_assignment_state(db, row.id, AssignmentState.UPLOADED, f"launch refused: {reason}")
         case MoveHome(), CommandStatus.REFUSED | CommandStatus.INTERRUPTED:
-            _clear_requested_landing_stop(db, row.id, command.command.home)
+            here = (t.sorties.c.assignment == row.id, t.sorties.c.asked == command.command.home)
+            db.execute(sa.update(t.sorties).where(*here).values(asked=None))
         case Withdraw(), _ if (
             command.vehicle != row.vehicle or command.command.assignment != row.id
         ):
@@ -359,45 +362,21 @@ def apply_response_to_assignment(
             return
 
 
-def _set_launch_time_once(db: sa.Connection, now_us: int, assignment: str) -> None:
-    here = (t.sorties.c.assignment == assignment, t.sorties.c.launched_us.is_(None))
-    db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
-
-
-def _clear_requested_landing_stop(db: sa.Connection, assignment: str, landing_stop: str) -> None:
-    here = (t.sorties.c.assignment == assignment, t.sorties.c.asked == landing_stop)
-    db.execute(sa.update(t.sorties).where(*here).values(asked=None))
-
-
 def assignment_from_database_row(database_row: Any) -> AssignmentRow:
     """Convert a database row to the core's type."""
-    return _cached_assignment_row(
-        database_row.id,
-        database_row.order_id,
-        database_row.vehicle,
-        database_row.state,
-        database_row.delivered,
-        database_row.why,
-        database_row.confirmed_by,
-        database_row.layer,
-    )
+    return _cached_assignment_row(_ASSIGNMENT_COLUMNS(database_row))
+
+
+_ASSIGNMENT_COLUMNS = attrgetter(
+    "id", "order_id", "vehicle", "state", "delivered", "why", "confirmed_by", "layer"
+)
 
 
 @lru_cache(maxsize=20_000)
-def _cached_assignment_row(
-    id_: str,
-    order_id: str,
-    vehicle: str,
-    state: str,
-    delivered: bool,
-    reason_text: str,
-    confirmed_by: str | None,
-    layer: int | None,
-) -> AssignmentRow:
+def _cached_assignment_row(column_values: tuple[Any, ...]) -> AssignmentRow:
     """Cached: a desk reads assignments in force several times per second, and few change."""
-    return AssignmentRow(
-        id_, order_id, vehicle, AssignmentState(state), delivered, reason_text, confirmed_by, layer
-    )
+    id_, order_id, vehicle, state, *others = column_values
+    return AssignmentRow(id_, order_id, vehicle, AssignmentState(state), *others)
 
 
 def command_from_database_row(database_row: Any) -> CommandRow:

@@ -54,11 +54,7 @@ _LAUNCHED = _ASSIGNMENTS_IN_FORCE.where(
         ),
     )
 )
-_OUTBOX = (
-    sa.select(t.commands)
-    .where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
-    .order_by(t.commands.c.n)
-)
+_OUTBOX = sa.select(t.commands).where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
 
 
 @lru_cache(maxsize=20_000)
@@ -368,15 +364,11 @@ class Store:
 
     def outbox(self) -> list[CommandRow]:
         """Return the commands to send: not withheld, without a final response; oldest first."""
-        with self._database.read() as db:
-            found = db.execute(_OUTBOX).all()
-        return [rows.command_from_database_row(row) for row in found]
+        return self._read_commands(_OUTBOX)
 
     def commands(self) -> list[CommandRow]:
         """Return all commands, oldest first."""
-        with self._database.read() as db:
-            found = db.execute(sa.select(t.commands).order_by(t.commands.c.n)).all()
-        return [rows.command_from_database_row(row) for row in found]
+        return self._read_commands(sa.select(t.commands))
 
     def cancel_command(self, command_id: str, reason: str) -> bool:
         """Remove a command from the outbox; False if it has a response."""
@@ -390,16 +382,13 @@ class Store:
                 audit.add_entry(db, self._epoch_us(), "desk", "give_up", command_id, reason)
         return done.rowcount == 1
 
-    def final_responses(self, command_ids: list[str]) -> dict[str, CommandStatus | None]:
-        """Return the final responses to these commands; None while there is none."""
-        query = sa.select(t.commands.c.id, t.commands.c.answer)
-        with self._database.read() as db:
-            found = db.execute(query.where(t.commands.c.id.in_(command_ids))).all()
-        return {row.id: None if row.answer is None else CommandStatus(row.answer) for row in found}
-
     def commands_of_assignment(self, assignment: str) -> list[CommandRow]:
         """Return an assignment's commands, oldest first."""
-        query = sa.select(t.commands).where(t.commands.c.assignment == assignment)
+        return self._read_commands(
+            sa.select(t.commands).where(t.commands.c.assignment == assignment)
+        )
+
+    def _read_commands(self, query: "sa.Select[Any]") -> list[CommandRow]:
         with self._database.read() as db:
             found = db.execute(query.order_by(t.commands.c.n)).all()
         return [rows.command_from_database_row(row) for row in found]
@@ -431,34 +420,26 @@ class Store:
 
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
         """Return all assignments, oldest first; with `in_force` only those that are not over."""
-        query = _ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS
-        with self._database.read() as db:
-            found = db.execute(query).all()
-        return [rows.assignment_from_database_row(row) for row in found]
+        return self._read_assignments(_ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS)
 
     def airborne_or_launch_pending(self) -> list[AssignmentRow]:
         """Return the assignments that are airborne, or whose launch is ordered and unanswered."""
+        return self._read_assignments(_LAUNCHED)
+
+    def _read_assignments(self, query: "sa.Select[Any]") -> list[AssignmentRow]:
         with self._database.read() as db:
-            found = db.execute(_LAUNCHED).all()
-        return [rows.assignment_from_database_row(row) for row in found]
+            return [rows.assignment_from_database_row(row) for row in db.execute(query)]
 
     # --- events --------------------------------------------------------------------------------
-
-    def record_and_apply_events(
-        self, events: list[FleetEvent], *, is_full_replay: bool = False
-    ) -> list[FleetEvent]:
-        """Record and apply events, each once; returns the new ones.
-
-        `is_full_replay`: they are all events that the member still keeps after
-        `last_gapless_event_number`, so no available event is missing before the last.
-        """
-        return self.record_event_batches([(events, is_full_replay)])
 
     def record_event_batches(
         self, batches: list[tuple[list[FleetEvent], bool]]
     ) -> list[FleetEvent]:
-        """Do the same for several batches (events, replayed) in one transaction: a flood of events
-        waits for the disk only once.
+        """Record and apply batches (events, is_full_replay) in one transaction, each event once;
+        returns the new ones. A flood of events waits for the disk only once.
+
+        `is_full_replay`: they are all events that the member still keeps after
+        `last_gapless_event_number`, so no available event is missing before the last.
         """
         try:
             return self._record_event_batches_in_transaction(batches)

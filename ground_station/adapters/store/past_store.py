@@ -99,19 +99,28 @@ class PastStore:
     def __init__(self, database: Database) -> None:
         """Raises StoreError."""
         with database.read() as db:
-            self.events = _read_past_events(db)
+            events = sa.select(t.events.c.heard_us, t.events.c.content).order_by(t.events.c.n)
+            self.events = [
+                PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
+                for row in db.execute(events)
+            ]
             audit = audit_steps.read_audit_rows(db)
-            self.start_us = _read_start_us(db)
+            begun = sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)
+            start = db.execute(begun).scalar()
+            self.start_us = None if start is None else int(start)
             self.plans = _read_past_plans(db)
             self.visits = [
                 StopTimes(row.stop, row.arrived_us, row.left_us)
                 for row in db.execute(sa.select(t.visits).order_by(t.visits.c.arrived_us))
             ]
             self._drives = _read_drive_orders(db)
-            self._hold_history = _read_hold_history(db)
+            self._hold_history = [
+                PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
+                for row in db.execute(sa.select(t.hold_table).order_by(t.hold_table.c.n))
+            ]
             orders = db.execute(sa.select(t.orders).order_by(t.orders.c.n)).all()
             records = db.execute(sa.select(t.assignments).order_by(t.assignments.c.n)).all()
-            self._sorties = _read_sorties(db)
+            self._sorties = day_steps.read_sorties_without_responses(db)
         self.assignments = self._timed_assignments(records, audit)
         self._orders = [
             (
@@ -131,7 +140,10 @@ class PastStore:
         }
         flew = {row.id: row.launched_us for row in self._sorties}
         for past_event in reversed(self.events):
-            if past_event.event.kind is EventKind.PHASE and _is_take_off(past_event.event):
+            if (
+                past_event.event.kind is EventKind.PHASE
+                and PhaseEvent.parse(past_event.event.text).now == Phase.CLIMB.value
+            ):
                 flew[past_event.event.assignment or ""] = past_event.received_us
         return [
             PastAssignment(
@@ -286,23 +298,6 @@ def _operator_order_state_changes(order_id: str, audit: list[AuditRow]) -> Itera
             )
 
 
-def _read_past_events(db: sa.Connection) -> list[PastEvent]:
-    query = sa.select(t.events.c.heard_us, t.events.c.content).order_by(t.events.c.n)
-    return [
-        PastEvent(row.heard_us, msgspec.json.decode(row.content, type=FleetEvent))
-        for row in db.execute(query)
-    ]
-
-
-def _is_take_off(event: FleetEvent) -> bool:
-    return PhaseEvent.parse(event.text).now == Phase.CLIMB.value
-
-
-def _read_start_us(db: sa.Connection) -> int | None:
-    found = db.execute(sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)).scalar()
-    return None if found is None else int(found)
-
-
 def _read_past_plans(db: sa.Connection) -> list[PastPlan]:
     found = db.execute(sa.select(t.plans).order_by(t.plans.c.made_us, t.plans.c.revision))
     return [
@@ -322,20 +317,3 @@ def _read_drive_orders(db: sa.Connection) -> list[tuple[int, str]]:
         for row in db.execute(query)
     )
     return [(created_us, action.stop) for created_us, action in found if isinstance(action, Drive)]
-
-
-def _read_hold_history(db: sa.Connection) -> list[PastHold]:
-    found = db.execute(sa.select(t.hold_table).order_by(t.hold_table.c.n))
-    return [
-        PastHold(Hold(row.scope, row.reason, row.set_by, row.set_us), row.lifted_us)
-        for row in found
-    ]
-
-
-def _read_sorties(db: sa.Connection) -> list[SortieRow]:
-    query = (
-        sa.select(t.assignments, t.sorties)
-        .join(t.sorties, t.sorties.c.assignment == t.assignments.c.id)
-        .order_by(t.assignments.c.n)
-    )
-    return [day_steps.sortie_from_database_row(row, ()) for row in db.execute(query)]

@@ -13,14 +13,10 @@ def merge_patch(before: Table, after: Table) -> Table:
     """
     removed: Table = {key: None for key in before if key not in after}
     changed = {
-        key: _patched_value(before.get(key), value)
+        key: merge_patch(before[key], value)
+        if isinstance(value, dict) and isinstance(before.get(key), dict)
+        else value
         for key, value in after.items()
         if key not in before or before[key] != value
     }
     return removed | changed
-
-
-def _patched_value(before: Any, after: Any) -> Any:
-    if isinstance(before, dict) and isinstance(after, dict):
-        return merge_patch(before, after)
-    return after

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.answers import (
@@ -25,25 +25,8 @@ from ground_station.core.fleet.fleet_link import Clock
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
-_Item = TypeVar("_Item", contravariant=True)
 
 JOIN_TIMEOUT_S = 5.0
-
-
-class ItemWorker(Protocol[_Item, Result]):
-    """Runs one work item at a time."""
-
-    def start_item(self, item: _Item) -> None:
-        """Start a work item; a previous one is cancelled."""
-        ...
-
-    def take_outcome(self) -> WorkOutcome[Result] | None:
-        """Return the outcome once; None without a work item or while it runs."""
-        ...
-
-    def close(self) -> None:
-        """Cancel the running work item."""
-        ...
 
 
 @dataclass(slots=True)
@@ -131,6 +114,10 @@ class ProcessWorker(Generic[Work, Result]):
             self.process.kill()
             self.process.join(JOIN_TIMEOUT_S)
             self.process = None
+
+
+ItemWorker = InlineWorker[Work, Result] | ProcessWorker[Work, Result]
+"""Runs one work item at a time."""
 
 
 def _run_item_and_send_outcome(

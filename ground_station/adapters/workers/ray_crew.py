@@ -46,7 +46,7 @@ class ClusterPool(Generic[Work, Result]):
     def start_item(self, index: int, item: Work) -> None:
         """Send a work item to a worker."""
         worker = self._idle.pop() if self._idle else self._worker.remote(self._do, os.getcwd())
-        self._active[worker.answer.remote(item)] = index, worker
+        self._active[worker.run_work_item.remote(item)] = index, worker
 
     def wait_outcomes(self) -> list[tuple[int, WorkOutcome[Result]]]:
         """Wait for an outcome or a death."""

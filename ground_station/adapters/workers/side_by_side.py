@@ -3,13 +3,16 @@
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-from ground_station.adapters.workers.answers import WorkOutcome, WorkRaised, WorkReturned
+from ground_station.adapters.workers.answers import WorkRaised, WorkReturned
+
+if TYPE_CHECKING:
+    from ground_station.adapters.workers.process_crew import ProcessPool
+    from ground_station.adapters.workers.ray_crew import ClusterPool
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
-ItemInput = TypeVar("ItemInput", contravariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,27 +41,6 @@ class ItemLost(Generic[Work]):
     index: int
     item: Work
     reason: str
-
-
-class WorkerPool(Protocol[ItemInput, Result]):
-    """Workers that run the same function on every work item."""
-
-    @property
-    def max_concurrent_items(self) -> int:
-        """Maximum number of work items in progress."""
-        ...
-
-    def start_item(self, index: int, item: ItemInput) -> None:
-        """Send a work item to an idle worker, or to a new one."""
-        ...
-
-    def wait_outcomes(self) -> list[tuple[int, WorkOutcome[Result]]]:
-        """Wait until a work item has ended; return the outcome and index of all that have."""
-        ...
-
-    def close(self) -> None:
-        """End all workers, including busy ones."""
-        ...
 
 
 def run_parallel(
@@ -90,7 +72,7 @@ def run_parallel(
 
 def _create_pool(
     work_function: Callable[[Work], Result], worker_options: WorkerOptions
-) -> WorkerPool[Work, Result]:
+) -> "ProcessPool[Work, Result] | ClusterPool[Work, Result]":
     if worker_options.cluster is not None:
         from ground_station.adapters.workers.ray_crew import ClusterPool
 
@@ -102,7 +84,7 @@ def _create_pool(
 
 def _run_items_with_one_retry(
     pending_items: Iterator[tuple[int, Work]],
-    pool: WorkerPool[Work, Result],
+    pool: "ProcessPool[Work, Result] | ClusterPool[Work, Result]",
     log_message: Callable[[str], None],
 ) -> Iterator[ItemDone[Result] | ItemLost[Work]]:
     in_progress: dict[int, Work] = {}

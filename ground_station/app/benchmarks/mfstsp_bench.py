@@ -13,12 +13,16 @@ from typing import Any
 
 import numpy as np
 
-import ground_station.core
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
+from ground_station.adapters.files.compiled_code import (
+    digest_of_text_and_files,
+    enable_compile_cache_and_check_if_known,
+    planner_sources,
+)
 from ground_station.adapters.files.mfstsp_files import read_problem, read_vehicles
 from ground_station.adapters.workers.journal import ProgressLog
 from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
+from ground_station.core.benchmark import mfstsp
 from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone, truck_and_drones_problem
 from ground_station.core.benchmark.schedule_check import (
     CheckedDrone,
@@ -61,14 +65,11 @@ def rows_to_plan(folders: list[Path], vehicles: list[str], drones: list[int]) ->
 
 def inputs_and_planner_source_digest(rows: list[BenchRow], params: BenchParams) -> str:
     """Return a digest of all inputs of the rows: files, parameters and the planner's sources."""
-    digest = hashlib.sha256(repr((params, [str(row) for row in rows])).encode())
     folders = sorted({row.folder for row in rows})
     inputs = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
-    core = Path(next(iter(ground_station.core.__path__)))
-    inputs += [core / "benchmark" / "mfstsp.py", *sorted((core / "truck_drones").rglob("*.py"))]
-    for path in [*inputs, *sorted(folders[0].parent.glob("tbl_vehicles_*.csv"))]:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    inputs += [Path(mfstsp.__file__), *planner_sources()]
+    inputs += sorted(folders[0].parent.glob("tbl_vehicles_*.csv"))
+    return digest_of_text_and_files(repr((params, [str(row) for row in rows])), inputs)
 
 
 def solve_row(row: BenchRow, params: BenchParams) -> Row:

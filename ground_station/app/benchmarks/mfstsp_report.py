@@ -36,7 +36,9 @@ def print_report(
             _format_mean_with_interval(makespan_gaps_percent(group, heuristic_results)),
             _format_share_of_rows_above(group, heuristic_results),
             _format_mean_with_interval(
-                makespan_gaps_percent(group, _optimal_results(solver_results))
+                makespan_gaps_percent(
+                    group, {key: found for key, found in solver_results.items() if found.is_optimal}
+                )
             ),
             f"{statistics.fmean(seconds):.1f}",
             f"{max(seconds):.1f}",
@@ -62,10 +64,6 @@ def makespan_gaps_percent(rows: Iterable[Row], reference: Results) -> list[float
 
 def _reference_key(row: Row) -> ReferenceKey:
     return row["problem"], row["vehicles"], row["drones"]
-
-
-def _optimal_results(solver_results: Results) -> Results:
-    return {key: found for key, found in solver_results.items() if found.is_optimal}
 
 
 def _group_rows(rows: list[Row], group_name: Callable[[Row], str]) -> list[tuple[str, list[Row]]]:

@@ -10,12 +10,10 @@ import numpy as np
 
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.operation_plan import AnnealingSearch
-from ground_station.core.truck_drones.policy import Policy
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.schedule import Schedule, simulate_schedule
 from ground_station.core.truck_drones.search import (
     PlanSearch,
-    SearchParams,
     SearchPolicy,
     best_plan_over_growing_fleets,
     default_coolings,
@@ -33,7 +31,7 @@ RESERVE_FRAC = 0.01
 
 
 def plan_within_cpu_time(
-    problem: TruckAndDrones, rng: np.random.Generator, params: SearchParams, cpu_budget_s: float
+    problem: TruckAndDrones, rng: np.random.Generator, cpu_budget_s: float
 ) -> Plan:
     """Return the best plan within this time, divided equally among the numbers of drones. May end
     early: see MOST_TRIALS_PER_CUSTOMER.
@@ -58,7 +56,7 @@ def plan_within_cpu_time(
                 search, time.process_time(), until_s, rate, cooling.begin_frac
             )
 
-    return best_plan_over_growing_fleets(problem, rng, params, run_search_within_budget)
+    return best_plan_over_growing_fleets(problem, rng, run_search_within_budget)
 
 
 def run_cooling_until_cpu_time(
@@ -93,15 +91,11 @@ def plan_and_measure_cpu_time(
 
     `cpu_budget_s`: time limit of the search; None: its default number of trials.
     """
-    policy_table: dict[str, Policy] = {
-        "search": SearchPolicy(),
-        "dynamic-assignment": DynamicAssignment(),
-    }
-    policy = policy_table[policy_name]
+    policy = SearchPolicy() if policy_name == "search" else DynamicAssignment()
     SearchPolicy(trials=COMPILE_TRIALS).plan(problem, np.random.default_rng(0))
     begin_s = time.process_time()
     if cpu_budget_s is not None and policy_name == "search":
-        plan = plan_within_cpu_time(problem, rng, SearchParams(), cpu_budget_s)
+        plan = plan_within_cpu_time(problem, rng, cpu_budget_s)
     else:
         plan = policy.plan(problem, rng)
     cpu_s = time.process_time() - begin_s

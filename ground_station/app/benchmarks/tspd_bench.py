@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ground_station.core
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.compiled_code import digest_of_text_and_files, planner_sources
 from ground_station.adapters.files.tspd_files import (
     ReferenceCosts,
     ReferenceKey,
@@ -24,7 +24,6 @@ from ground_station.adapters.files.tspd_files import (
 from ground_station.adapters.workers.journal import ProgressLog
 from ground_station.app.benchmarks.timed_search import run_cooling_until_cpu_time
 from ground_station.core.benchmark.operations_check import NO_DRONE_NODE, plan_violations
-from ground_station.core.truck_drones.operation_plan import Operation
 from ground_station.core.truck_drones.operation_planner import OperationPlanner, default_coolings
 
 Row = dict[str, Any]
@@ -47,11 +46,7 @@ class TspdParams:
 
 def inputs_and_planner_source_digest(files: list[Path], params: TspdParams) -> str:
     """Return a digest of all inputs of the rows: files, parameters and the planner's sources."""
-    digest = hashlib.sha256(repr(params).encode())
-    core = Path(next(iter(ground_station.core.__path__)))
-    for path in [*files, *sorted((core / "truck_drones").rglob("*.py"))]:
-        digest.update(str(path).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    return digest_of_text_and_files(repr((params, files)), [*files, *planner_sources()])
 
 
 def reference_key(instance: TspdInstance) -> ReferenceKey:
@@ -95,7 +90,10 @@ def plan_and_check_instance(instance: TspdInstance, cpu_budget_s: float | None, 
     begin_s = time.process_time()
     planner = _run_all_coolings(drive, fly, rng, cpu_budget_s)
     cpu_s = time.process_time() - begin_s
-    operations = [_operation_record(operation) for operation in planner.best_operations()]
+    operations = [
+        (one.start, one.stop, NO_DRONE_NODE if one.fly is None else one.fly, list(one.between))
+        for one in planner.best_operations()
+    ]
     faults = plan_violations(
         instance.points,
         instance.truck_cost,
@@ -136,8 +134,3 @@ def _run_all_coolings(
             search, from_s, until_s, INITIAL_TRIALS_PER_S, cooling.begin_frac
         )
     return planner
-
-
-def _operation_record(operation: Operation) -> tuple[int, int, int, list[int]]:
-    fly = NO_DRONE_NODE if operation.fly is None else operation.fly
-    return operation.start, operation.stop, fly, list(operation.between)

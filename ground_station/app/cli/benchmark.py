@@ -1,6 +1,8 @@
 """`ground-station benchmark`: the planner against published results, and its speed."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +21,39 @@ if TYPE_CHECKING:
 benchmark = typer.Typer(no_args_is_help=True, help="Compare the planner with published results.")
 POLICY_NAMES = ("search", "dynamic-assignment")
 
+Seconds = Annotated[
+    float | None,
+    typer.Option(
+        min=0.05,
+        help="Processor seconds for each row. Default: a fixed number of trials, which gives "
+        "the same plan every time.",
+    ),
+]
+JsonFile = Annotated[
+    Path | None,
+    typer.Option("--json", help="Write the rows into this file; also makes the run resumable."),
+]
+Seed = Annotated[int, typer.Option(help="Seed of the search.")]
+
+
+@contextmanager
+def _resumable(console: "Console", json_out: Path | None) -> Iterator[None]:
+    """Exit with code 130 at Ctrl-C, and print whether the same command continues."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        resume_hint = (
+            "the same command continues from there" if json_out else "nothing kept without --json"
+        )
+        console.print(f"stopped; {resume_hint}", highlight=False)
+        raise typer.Exit(130) from None
+
+
+def _write_rows(json_out: Path | None, rows: "list[Row]", progress_log: "ProgressLog[Row]") -> None:
+    if json_out is not None:
+        write_file_atomically(json_out, f"{json.dumps({'rows': rows})}\n".encode())
+        progress_log.remove_file()
+
 
 @benchmark.command()
 def mfstsp(
@@ -30,20 +65,10 @@ def mfstsp(
     ],
     vehicles: Annotated[str, typer.Option(help="Vehicle files.")] = "101,102,103,104",
     drones: Annotated[str, typer.Option(help="Numbers of drones.")] = "1,2,3,4",
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            min=0.05,
-            help="Processor seconds for each row. Default: a fixed number of trials, which gives "
-            "the same plan every time.",
-        ),
-    ] = None,
-    json_out: Annotated[
-        Path | None,
-        typer.Option("--json", help="Write the rows into this file; also makes the run resumable."),
-    ] = None,
+    seconds: Seconds = None,
+    json_out: JsonFile = None,
     jobs: Annotated[int, typer.Option(min=1, help="Rows at a time, each on one core.")] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
+    seed: Seed = 0,
     policy: Annotated[str, typer.Option(help=f"One of {', '.join(POLICY_NAMES)}.")] = "search",
     problems: Annotated[
         str | None, typer.Option(help="Only these problems: names, or first:step as in 1:3.")
@@ -61,10 +86,7 @@ def mfstsp(
 
     from rich.console import Console
 
-    from ground_station.adapters.files.compiled_code import (
-        FIRST_COMPILATION_NOTICE,
-        enable_compile_cache_and_check_if_known,
-    )
+    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
     from ground_station.adapters.files.mfstsp_files import (
         RESULTS_FILE,
         find_problem_folders,
@@ -84,23 +106,15 @@ def mfstsp(
     rows = rows_to_plan(folders, _split_comma_separated(vehicles), _parse_drone_counts(drones))
     params = BenchParams(seconds, seed, policy)
     heuristic, program = read_reference_results(folder / RESULTS_FILE)
-    if not enable_compile_cache_and_check_if_known():
-        console.print(FIRST_COMPILATION_NOTICE, highlight=False)
+    enable_compile_cache_and_print_notice(console)
     progress_log = row_progress_log(json_out, inputs_and_planner_source_digest(rows, params))
     try:
-        done = _plan_rows_with_progress(console, rows, params, jobs, progress_log)
-    except KeyboardInterrupt:
-        resume_hint = (
-            "the same command continues from there" if json_out else "nothing kept without --json"
-        )
-        console.print(f"stopped; {resume_hint}", highlight=False)
-        raise typer.Exit(130) from None
+        with _resumable(console, json_out):
+            done = _plan_rows_with_progress(console, rows, params, jobs, progress_log)
     except RowsLostError as error:
         console.print(str(error), highlight=False, markup=False)
         raise typer.Exit(1) from None
-    if json_out is not None:
-        write_file_atomically(json_out, f"{json.dumps({'rows': done})}\n".encode())
-        progress_log.remove_file()
+    _write_rows(json_out, done, progress_log)
     print_report(console, done, heuristic, program)
 
 
@@ -168,14 +182,7 @@ def tspd(
         Path,
         typer.Argument(metavar="DIR", help="Instances (*.txt), reference_means.csv."),
     ],
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            min=0.05,
-            help="Processor seconds for each row. Default: a fixed number of trials, which gives "
-            "the same plan every time.",
-        ),
-    ] = None,
+    seconds: Seconds = None,
     published_times: Annotated[
         float | None,
         typer.Option(
@@ -183,11 +190,8 @@ def tspd(
             help="Seconds for each row as a multiple of the published solver's (ICP), where known.",
         ),
     ] = None,
-    json_out: Annotated[
-        Path | None,
-        typer.Option("--json", help="Write the rows into this file; also makes the run resumable."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
+    json_out: JsonFile = None,
+    seed: Seed = 0,
     instances: Annotated[
         str | None,
         typer.Option(
@@ -206,10 +210,7 @@ def tspd(
     from rich.console import Console
     from rich.progress import track
 
-    from ground_station.adapters.files.compiled_code import (
-        FIRST_COMPILATION_NOTICE,
-        enable_compile_cache_and_check_if_known,
-    )
+    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
     from ground_station.adapters.files.tspd_files import (
         REFERENCE_FILE,
         find_instance_files,
@@ -226,8 +227,7 @@ def tspd(
     optima = {
         path.stem: cost for path in files if (cost := read_optimum_cost_or_none(path)) is not None
     }
-    if not enable_compile_cache_and_check_if_known():
-        console.print(FIRST_COMPILATION_NOTICE, highlight=False)
+    enable_compile_cache_and_print_notice(console)
     from ground_station.app.benchmarks.mfstsp_bench import row_progress_log
     from ground_station.app.benchmarks.tspd_bench import (
         TspdParams,
@@ -240,18 +240,10 @@ def tspd(
     params = TspdParams(seconds, published_times, seed)
     read = read_instances(files)
     progress_log = row_progress_log(json_out, inputs_and_planner_source_digest(files, params))
-    try:
+    with _resumable(console, json_out):
         solved = plan_or_load_instance_rows(read, mean_costs, params, progress_log)
         rows = list(track(solved, "planning", total=len(files), console=console))
-    except KeyboardInterrupt:
-        resume_hint = (
-            "the same command continues from there" if json_out else "nothing kept without --json"
-        )
-        console.print(f"stopped; {resume_hint}", highlight=False)
-        raise typer.Exit(130) from None
-    if json_out is not None:
-        write_file_atomically(json_out, f"{json.dumps({'rows': rows})}\n".encode())
-        progress_log.remove_file()
+    _write_rows(json_out, rows, progress_log)
     print_tspd_report(console, rows, mean_costs, optima)
 
 

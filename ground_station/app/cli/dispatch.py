@@ -21,12 +21,12 @@ from ground_station.app.cli.order import (
 from ground_station.app.options.desk_options import (
     DayArgument,
     desk_options,
+    echo_with_time_of_day,
     open_store_when_reachable,
     open_store_with_short_timeout,
     read_day_and_warn,
 )
 from ground_station.app.options.program_options import command_class_with_options
-from ground_station.app.views.times import format_time_of_day
 
 if TYPE_CHECKING:
     from companion.fleet.messages import State
@@ -106,7 +106,7 @@ def dispatch(
     day_plan = None if plan is None else read_day_plan(plan)
     open_desk_store = partial(options.open_store, create=True, tolerate_outage=True)
     with closing(
-        open_store_when_reachable(open_desk_store, _log_timestamped_line, Event().wait)
+        open_store_when_reachable(open_desk_store, echo_with_time_of_day, Event().wait)
     ) as order_store:
         add_orders_and_print_count(order_store, data.orders, operator.name)
         assigner = depot_assigner(data)
@@ -114,7 +114,7 @@ def dispatch(
         by = desk_signing_name(operator)
         params = DepotParams(by, assign, launch, launch_gap, confirm_launch)
         log_line = (
-            _log_line_with_open_network_mark if options.open_network else _log_timestamped_line
+            _log_line_with_open_network_mark if options.open_network else echo_with_time_of_day
         )
         network = options.open_fleet_network(data.day.fleet, log_line, data.day.neighbours)
         with closing(network) as fleet:
@@ -327,8 +327,8 @@ def recall(
             partial(open_store_with_short_timeout, url),
             vehicle,
             operator.name,
-            _log_timestamped_line,
-            _print_error,
+            echo_with_time_of_day,
+            partial(typer.echo, err=True),
             wait,
             recall_without_companion,
         )
@@ -359,13 +359,5 @@ def report(
         json_file.write_text(json.dumps(statistics, indent=1))
 
 
-def _print_error(message: str) -> None:
-    typer.echo(message, err=True)
-
-
 def _log_line_with_open_network_mark(message: str) -> None:
-    _log_timestamped_line(f"{OPEN_MARK} {message}")
-
-
-def _log_timestamped_line(message: str) -> None:
-    typer.echo(f"{format_time_of_day(epoch_us())} {message}")
+    echo_with_time_of_day(f"{OPEN_MARK} {message}")

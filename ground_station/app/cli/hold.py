@@ -1,6 +1,5 @@
 """`ground-station hold | release`: launch holds of single vehicles or of all."""
 
-from contextlib import closing
 from typing import Annotated
 
 import typer
@@ -35,10 +34,9 @@ def hold(
     """
     from ground_station.app.desk import operator_commands
 
-    scopes, desk = hold_scopes("hold", vehicles, everybody), desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store()) as order_store:
-        result = operator_commands.place_holds(order_store, epoch_us, scopes, reason, operator.name)
+    scopes = hold_scopes("hold", vehicles, everybody)
+    with desk_options().operator_and_store() as (by, order_store):
+        result = operator_commands.place_holds(order_store, epoch_us, scopes, reason, by)
     for message in result.messages:
         typer.echo(message)
     for message in result.checks:
@@ -60,10 +58,9 @@ def release(
     """
     from ground_station.app.desk import operator_commands
 
-    scopes, desk = hold_scopes("release", vehicles, everybody), desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store()) as order_store:
-        result = operator_commands.clear_holds(order_store, epoch_us, scopes, operator.name)
+    scopes = hold_scopes("release", vehicles, everybody)
+    with desk_options().operator_and_store() as (by, order_store):
+        result = operator_commands.clear_holds(order_store, epoch_us, scopes, by)
     for message in result.messages:
         typer.echo(message)
     if result.checks:

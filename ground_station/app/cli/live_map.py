@@ -142,11 +142,7 @@ def show_map(
         network = resources.enter_context(closing(options.open_fleet_network(name)))
 
         from ground_station.adapters.clock import WallClock
-        from ground_station.adapters.files.day_wind import (
-            create_site_wind,
-            create_station_registry,
-            station_files,
-        )
+        from ground_station.adapters.files.day_wind import create_site_wind
         from ground_station.adapters.web.map_server import MapDataSources
         from ground_station.app.desk.site.station_desk import StationMonitor
         from ground_station.app.map.fleet_receiver import FleetListener
@@ -158,10 +154,7 @@ def show_map(
         status = FleetStatus({} if data is None else data.airframes)
         notes = (OPEN_WARNING,) if options.open_network else ()
         wind = create_site_wind(data)
-        files = [] if data is None else station_files(data)
-        stations = StationMonitor(
-            create_station_registry(wind, data), files, clock, lambda message: None
-        )
+        stations = StationMonitor.of_day(wind, data, clock, lambda message: None)
         listener = FleetListener(network, clock, status, wind, stations)
         view = MapView(name, data, notes, basemap is not None, download_outline_if_missing(basemap))
         map_source = MapPublisher(

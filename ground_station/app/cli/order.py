@@ -64,10 +64,8 @@ def add(
         order = msgspec.convert(table, Order)
     except msgspec.ValidationError as error:
         raise LeewayError(f"order {order_id!r}: {error}") from error
-    desk = desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store(create=True)) as order_store:
-        add_orders_and_print_count(order_store, [order], operator.name)
+    with desk_options().operator_and_store(create=True) as (by, order_store):
+        add_orders_and_print_count(order_store, [order], by)
 
 
 @app.command(name="import", cls=SIGNED_OPTIONS)
@@ -88,10 +86,8 @@ def import_(
     path = Path(file)
     data = None if path.suffix and path.suffix != ".toml" else read_day_and_warn(file)
     orders = read_orders(path, None) if data is None else data.orders
-    desk = desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store(create=True)) as order_store:
-        add_orders_and_print_count(order_store, orders, operator.name)
+    with desk_options().operator_and_store(create=True) as (by, order_store):
+        add_orders_and_print_count(order_store, orders, by)
     if data is not None:
         print_infeasible_orders(data, depot_assigner(data))
 
@@ -123,10 +119,8 @@ def cancel(
     from ground_station.app.desk.operator_commands import order_state_error
 
     before = (OrderState.OPEN, OrderState.STUCK)
-    desk = desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store()) as store:
-        if not store.change_order_state(order_id, before, OrderState.CANCELLED, operator.name):
+    with desk_options().operator_and_store() as (by, store):
+        if not store.change_order_state(order_id, before, OrderState.CANCELLED, by):
             raise order_state_error(store, order_id, before)
     typer.echo(f"{order_id}: {OrderState.CANCELLED.value}")
 
@@ -143,10 +137,8 @@ def launch(
     """
     from ground_station.app.desk import operator_commands
 
-    desk = desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store()) as order_store:
-        result = operator_commands.record_launch_confirmation(order_store, order_id, operator.name)
+    with desk_options().operator_and_store() as (by, order_store):
+        result = operator_commands.record_launch_confirmation(order_store, order_id, by)
     for text in result.messages:
         typer.echo(text)
 
@@ -183,11 +175,9 @@ def settle(
     selected = [one for one, is_set in outcomes.items() if is_set]
     if len(selected) != 1:
         raise LeewayError("settle: expected one of --delivered, --lost, --back")
-    desk = desk_options()
-    operator = desk.current_operator()
-    with closing(desk.open_store()) as order_store:
+    with desk_options().operator_and_store() as (by, order_store):
         result = operator_commands.close_order_as_operator(
-            order_store, epoch_us, order_id, selected[0], reason, operator.name
+            order_store, epoch_us, order_id, selected[0], reason, by
         )
     for text in result.messages:
         typer.echo(text)

@@ -79,9 +79,13 @@ def add(
     """
     folder = _read_pki_folder(_pki_path())
     if role is Role.NEIGHBOUR and all(Path(name).is_dir() for name in names):
-        _make_neighbours_and_print_folders(
-            [folder, *(_read_pki_folder(Path(name)) for name in names)], days
-        )
+        from ground_station.adapters.pki.neighbours import add_mutual_neighbour_identities
+
+        fleets = [folder, *(_read_pki_folder(Path(name)) for name in names)]
+        for member_folder_path in add_mutual_neighbour_identities(fleets, days):
+            typer.echo(f"{member_folder_path}: copy it to that desk only")
+        for fleet in fleets:
+            typer.echo(f"{fleet.folder}: {fleet.roster.fleet}, roster {fleet.roster.number}")
         return
     folder.add_members(names, role, days, address)
     for name in names:
@@ -125,15 +129,6 @@ def revoke(names: Names) -> None:
     typer.echo(f"roster {folder.roster.number} revokes {revoked_names}")
     typer.echo(f"copy {roster_path} to a desk's identity folder: the desk distributes it")
     typer.echo(f"each member accepts {revoked_names} until it receives that roster")
-
-
-def _make_neighbours_and_print_folders(pki_folders: "list[PkiFolder]", validity_days: int) -> None:
-    from ground_station.adapters.pki.neighbours import add_mutual_neighbour_identities
-
-    for member_folder_path in add_mutual_neighbour_identities(pki_folders, validity_days):
-        typer.echo(f"{member_folder_path}: copy it to that desk only")
-    for fleet in pki_folders:
-        typer.echo(f"{fleet.folder}: {fleet.roster.fleet}, roster {fleet.roster.number}")
 
 
 @app.command(cls=command_class_with_options("pki"))

@@ -105,10 +105,7 @@ def plan(
     """
     from rich.console import Console
 
-    from ground_station.adapters.files.compiled_code import (
-        FIRST_COMPILATION_NOTICE,
-        enable_compile_cache_and_check_if_known,
-    )
+    from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
     from ground_station.adapters.files.day_files import write_day_plan
     from ground_station.adapters.workers.side_by_side import WorkerOptions
     from ground_station.app.cli.regions import divide_and_plan_days
@@ -130,8 +127,7 @@ def plan(
         raise LeewayError("plan: expected one DAY, or --trucks for each")
     data = _read_day_with_forecast(days[0], forecast, at)
     warn_if_features_out_of_reach(data)
-    if not enable_compile_cache_and_check_if_known():
-        console.print(FIRST_COMPILATION_NOTICE, highlight=False)
+    enable_compile_cache_and_print_notice(console)
     day_plan = _run_planner(console, data, policy, trials, seed)
     print_plan_tables(console, data, day_plan)
     if data.forecast is not None:

@@ -8,10 +8,9 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.fleet.service_manager import record_stop_signals
-from ground_station.adapters.clock import epoch_us, monotonic_s
-from ground_station.app.options.desk_options import desk_options
+from ground_station.adapters.clock import monotonic_s
+from ground_station.app.options.desk_options import desk_options, echo_with_time_of_day
 from ground_station.app.options.program_options import command_class_with_options
-from ground_station.app.views.times import format_time_of_day
 
 if TYPE_CHECKING:
     from ground_station.adapters.zenoh_router import ZenohRouter
@@ -45,7 +44,7 @@ def router() -> None:
         raise LeewayError(
             "router: expected --identity, a folder of `ground-station pki add NAME --role router`"
         )
-    zenoh_router = ZenohRouter.open_router(identity, _log_timestamped_line, _log_timestamped_line)
+    zenoh_router = ZenohRouter.open_router(identity, echo_with_time_of_day, echo_with_time_of_day)
     with closing(zenoh_router):
         fleet = zenoh_router.identity.trust.roster.fleet
         typer.echo(
@@ -72,8 +71,4 @@ def _run_router_until_signal(zenoh_router: "ZenohRouter") -> None:
 def _log_message_once(message: str, logged_messages: set[str]) -> None:
     if message and message not in logged_messages:
         logged_messages.add(message)
-        _log_timestamped_line(message)
-
-
-def _log_timestamped_line(message: str) -> None:
-    typer.echo(f"{format_time_of_day(epoch_us())} {message}")
+        echo_with_time_of_day(message)

@@ -189,7 +189,10 @@ class DayTracker:
     def _read_store_rows(self, now_s: float) -> _StoreRows:
         orders = self.store.orders()
         self.active.replace_orders_if_count_changed(orders)
-        plan_stored_us = self._adopt_stored_plan_if_changed_and_return_stored_us()
+        plan_stored_us = self.day.active_plan_stored_at_us()
+        if plan_stored_us != self._plan_stored_us:
+            self.active.adopt_later_plan(self.day.active_plan())
+            self._plan_stored_us = plan_stored_us
         return _StoreRows(
             read_s=now_s,
             open_orders=_open_order_ids(orders),
@@ -200,14 +203,6 @@ class DayTracker:
             plan_stored_us=plan_stored_us,
             hold_list=tuple(self.store.holds_in_force()),
         )
-
-    def _adopt_stored_plan_if_changed_and_return_stored_us(self) -> int:
-        """Return when the latest plan was stored; read the plan if it has changed."""
-        stored_us = self.day.active_plan_stored_at_us()
-        if stored_us != self._plan_stored_us:
-            self.active.adopt_later_plan(self.day.active_plan())
-            self._plan_stored_us = stored_us
-        return stored_us
 
     def _update_pad_waiting_times_s(
         self, sorties: tuple[SortieRow, ...], drones: dict[str, DroneStatus], now_s: float

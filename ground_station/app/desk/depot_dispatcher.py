@@ -132,7 +132,7 @@ class DepotDispatcher:
             )
 
     def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
-        """Assign open orders to free drones."""
+        """Assign open orders to free drones. `has_new_messages`: since the last cycle."""
         del has_new_messages
         self._pacing.store_fleet_status(status)
         withdrawn = self._withdraw_forecast_closed_assignments()
@@ -217,7 +217,10 @@ class DepotDispatcher:
 
     def _assign_orders(self, free_drones: list[FreeDrone]) -> bool:
         has_changed, rows = False, self.store.assignments()
-        self._record_and_log_full_layers(self.assigner.are_all_depot_layers_occupied(rows))
+        is_full = self.assigner.are_all_depot_layers_occupied(rows)
+        if is_full and not self._layers_are_full:
+            self.log("all altitude layers over the depot are in use: drones wait")
+        self._layers_are_full = is_full
         if self._layers_are_full:  # skip reading the orders: there may be thousands
             return False
         waiting, priority_orders = self.store.orders(OrderState.OPEN), list[str]()
@@ -242,12 +245,6 @@ class DepotDispatcher:
                 height_text = f"{height_m:.0f} m above the depot"
                 self.log(f"{vehicle}: assigned {order} ({id_}), outbound at {height_text}")
         return has_changed
-
-    def _record_and_log_full_layers(self, is_full: bool) -> None:
-        """Log the start of each period in which drones wait for an altitude layer."""
-        if is_full and not self._layers_are_full:
-            self.log("all altitude layers over the depot are in use: drones wait")
-        self._layers_are_full = is_full
 
     @property
     def is_done(self) -> bool:

@@ -145,7 +145,11 @@ class Desk:
                 self.store.revert_launch_to_uploaded(
                     row.id, "its companion restarted before take-off"
                 )
-        elif row.state is AssignmentState.UPLOADED and _is_in_flight(state, row):
+        elif (
+            row.state is AssignmentState.UPLOADED
+            and state.assignment == row.id
+            and state.phase in FLIGHT_PHASE_NAMES
+        ):
             self._record_take_off(row, state)
         elif row.state is AssignmentState.UPLOADED and ready and not vehicle_status.doubts:
             self.dispatcher.on_vehicle_ready(row)
@@ -224,7 +228,3 @@ class Desk:
             if assignment.order_id == row.order.id and assignment.state in IN_FORCE:
                 return f"{assignment.state.value} with {assignment.vehicle}"
         return self.dispatcher.undelivered_reason(row.order.id) or "no drone was available"
-
-
-def _is_in_flight(state: State, row: AssignmentRow) -> bool:
-    return state.assignment == row.id and state.phase in FLIGHT_PHASE_NAMES

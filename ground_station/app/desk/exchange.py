@@ -17,7 +17,6 @@ from companion.core.base.rate_limit import RateLimit
 from companion.fleet.messages import (
     FINAL_STATUSES,
     Command,
-    FleetEvent,
     Launch,
     Recall,
     Result,
@@ -177,7 +176,9 @@ class FleetExchange:
                 now_s = self.clock.monotonic_s()
                 replays.consume_tokens_beyond_limit(now_s, len(received.events))
         for event in new:
-            self._log_event(event)
+            order = f" [{event.order}]" if event.order else ""
+            outcome = f"{event.outcome} " if event.outcome else ""
+            self.log(f"{event.vehicle}{order}: {event.kind.value}: {outcome}{event.text}")
         self.changed = self.changed or bool(new)
 
     def _process_state(self, state: State) -> None:
@@ -228,23 +229,15 @@ class FleetExchange:
             if received.result is not None and received.result.status in FINAL_STATUSES:
                 final.append(received.result)
             else:
-                self._schedule_command_retry(received)
+                id_, result = received.command_id, received.result
+                answer = f"{result.status.value}: {result.reason}" if result else "no answer"
+                self._next_attempt_s[id_] = self.clock.monotonic_s() + RETRY_DELAY_S
+                self.store.record_send_attempt(id_, answer)
         new = self.store.record_and_apply_responses(final) if final else set[str]()
         for result in final:
             if result.id in new:
                 self.log(f"{result.vehicle}: {result.id}: {result.status.value} {result.reason}")
                 self.changed = True
-
-    def _schedule_command_retry(self, received: CommandResponse) -> None:
-        result = received.result
-        reason = "no answer" if result is None else f"{result.status.value}: {result.reason}"
-        self._next_attempt_s[received.command_id] = self.clock.monotonic_s() + RETRY_DELAY_S
-        self.store.record_send_attempt(received.command_id, reason)
-
-    def _log_event(self, event: FleetEvent) -> None:
-        order = f" [{event.order}]" if event.order else ""
-        outcome = f"{event.outcome} " if event.outcome else ""
-        self.log(f"{event.vehicle}{order}: {event.kind.value}: {outcome}{event.text}")
 
     def _request_missing_events(self) -> None:
         """Check members with new states or events, and those that were incomplete before."""

@@ -1,11 +1,11 @@
 """Opens a desk over a store, with the dispatcher for the type of day."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import WallClock
-from ground_station.adapters.files.day_wind import create_site_wind, station_files
+from ground_station.adapters.files.day_wind import create_site_wind
 from ground_station.adapters.files.watched_file import (
     READ_TIMEOUT_S,
     ForecastFileMonitor,
@@ -32,9 +32,9 @@ from ground_station.core.fleet.fleet_link import Clock, FleetLink, OffsetClock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan
+from ground_station.core.schema.sortie_rows import SortieRow
 from ground_station.core.site_wind.corrected_forecast import ForecastTracker
 from ground_station.core.site_wind.site_wind import SiteWind
-from ground_station.core.site_wind.wind_stations import StationRegistry
 
 LogMessage = Callable[[str], None]
 
@@ -61,17 +61,12 @@ def open_depot_desk(
         raise LeewayError("this store holds a day with a truck: give its plan with --plan")
     assigner = assigner or DepotAssigner(data.day, data.airframes)
     wind = create_site_wind(data, log)
-    reader = forecast_reader or ProcessWorker(read_forecast_at, clock, READ_TIMEOUT_S)
-    watch = _open_forecast_monitor(data, wind, store, clock, log, reader, at_depot=True)
+    watch = _open_forecast_monitor(data, wind, store, clock, log, forecast_reader, at_depot=True)
     dispatcher = DepotDispatcher(
         store, data, assigner, clock, log, params, infeasible_orders, wind, watch
     )
     dispatcher.neighbour_keys = fleet.neighbour_keys
-    limits = WindHoldRules(wind, launch_wind_limit_mps(data))
-    stations = _open_station_monitor(data, wind, clock, log)
-    monitor = SiteMonitor(
-        store, data, limits, clock, log, forecast_monitor=watch, stations=stations
-    )
+    monitor = _open_site_monitor(data, store, wind, watch, clock, log)
     exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
     return Desk(exchange, dispatcher, monitor)
 
@@ -107,13 +102,12 @@ def open_truck_desk(
         day, data, in_force, replanner or Replanner(create_process_planner(clock)), log
     )
     wind = create_site_wind(data, log)
-    reader = forecast_reader or ProcessWorker(read_forecast_at, clock, READ_TIMEOUT_S)
-    watch = _open_forecast_monitor(data, wind, store, day_clock, log, reader, at_depot=False)
+    watch = _open_forecast_monitor(
+        data, wind, store, day_clock, log, forecast_reader, at_depot=False
+    )
     dispatcher = TruckDispatcher(store, day, active, day_clock, log, issuer, wind, watch)
     dispatcher.neighbour_keys = fleet.neighbour_keys
-    limits = WindHoldRules(wind, launch_wind_limit_mps(data))
-    stations = _open_station_monitor(data, wind, day_clock, log)
-    monitor = SiteMonitor(store, data, limits, day_clock, log, day.sorties, watch, stations)
+    monitor = _open_site_monitor(data, store, wind, watch, day_clock, log, day.sorties)
     exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
     return Desk(exchange, dispatcher, monitor)
 
@@ -124,7 +118,7 @@ def _open_forecast_monitor(
     store: Store,
     clock: Clock,
     log: LogMessage,
-    reader: ForecastReader,
+    forecast_reader: ForecastReader | None,
     *,
     at_depot: bool,
 ) -> ForecastMonitor | None:
@@ -136,19 +130,24 @@ def _open_forecast_monitor(
     file = None
     if forecast.file:
         location = ForecastLocation(Path(forecast.file), forecast.lat_deg, forecast.lon_deg)
+        reader = forecast_reader or ProcessWorker(read_forecast_at, clock, READ_TIMEOUT_S)
         file = ForecastFileMonitor(location, reader)
     return ForecastMonitor(tracker, file, data, wind, store, clock, log, at_depot)
 
 
-def _open_station_monitor(
-    data: DayData, wind: SiteWind, clock: Clock, log: LogMessage
-) -> StationMonitor | None:
-    """Return the desk's wind stations; None: the day names none, and reports are ignored."""
-    if not data.day.stations:
-        return None
-    return StationMonitor(
-        StationRegistry.from_day(wind, data.day.stations), station_files(data), clock, log
-    )
+def _open_site_monitor(
+    data: DayData,
+    store: Store,
+    wind: SiteWind,
+    forecast_monitor: ForecastMonitor | None,
+    clock: Clock,
+    log: LogMessage,
+    find_sorties: Callable[[], Sequence[SortieRow]] = lambda: (),
+) -> SiteMonitor:
+    """Return the monitor of the site. Reports of wind stations are ignored if the day has none."""
+    stations = StationMonitor.of_day(wind, data, clock, log) if data.day.stations else None
+    limits = WindHoldRules(wind, launch_wind_limit_mps(data))
+    return SiteMonitor(store, data, limits, clock, log, find_sorties, forecast_monitor, stations)
 
 
 def _clock_not_before_store_entries(clock: Clock, store: Store, log: LogMessage) -> Clock:

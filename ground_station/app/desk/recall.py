@@ -151,8 +151,8 @@ def recall_and_hold_vehicles(
         recaller.send_recall_if_due(id_, name)
     record.place_hold_and_store_commands(ALL_DRONES if vehicle is None else vehicle, commands)
     until_s = recaller.clock.monotonic_s() + wait_s
-    while (
-        _is_recall_incomplete(recaller, record, commands) and recaller.clock.monotonic_s() < until_s
+    while recaller.clock.monotonic_s() < until_s and not (
+        record.is_hold_placed_and_commands_stored and commands.keys() <= recaller.responses.keys()
     ):
         recaller.receive_and_process_messages()
         for id_, name in commands.items():
@@ -169,14 +169,6 @@ def recall_and_hold_vehicles(
         for id_, name in commands.items()
         if recaller.responses.get(id_) is not CommandStatus.DONE
     }
-
-
-def _is_recall_incomplete(
-    recaller: Recaller, record: RecallRecord, commands: dict[str, str]
-) -> bool:
-    return not record.is_hold_placed_and_commands_stored or any(
-        id_ not in recaller.responses for id_ in commands
-    )
 
 
 def command_return_to_launch_if_silent(
@@ -196,6 +188,6 @@ def command_return_to_launch_if_silent(
         ):
             recaller.log(f"{vehicle}: its companion is connected: direct RTL not sent")
             return set()
-    done = connect_and_command_return_to_launch(autopilot_url)
-    recaller.log(f"{vehicle}: autopilot {done.system} returns to launch, commanded directly")
+    system = connect_and_command_return_to_launch(autopilot_url)
+    recaller.log(f"{vehicle}: autopilot {system} returns to launch, commanded directly")
     return {vehicle}

@@ -40,19 +40,15 @@ class RecallRecord:
     def _store_missing_hold_and_commands(self) -> None:
         self._store = self._store or self.open_store()
         if not self._hold_is_set:
-            self._place_hold_and_log_sent_launches(
-                HoldStore(self._store.database, self.clock.epoch_us)
-            )
+            hold_store = HoldStore(self._store.database, self.clock.epoch_us)
+            sent = hold_store.place_holds([self._scope], "recalled", self.issuer)
+            self._hold_is_set = True
+            for one in sent:
+                self.log(f"WARNING: {one} may take off, launch already sent: keep pad clear")
         for id_ in list(self._unstored_commands):
             self._store.enqueue_command(id_, self._unstored_commands[id_], Recall(), self.issuer)
             self._unanswered.add(id_)
             del self._unstored_commands[id_]
-
-    def _place_hold_and_log_sent_launches(self, hold_store: HoldStore) -> None:
-        sent = hold_store.place_holds([self._scope], "recalled", self.issuer)
-        self._hold_is_set = True
-        for assignment in sent:
-            self.log(f"WARNING: {assignment} may take off, launch already sent: keep pad clear")
 
     def store_responses_and_missed_entries(self, responses: Mapping[str, CommandStatus]) -> None:
         """Store received responses, and all entries that an unreachable store has missed."""
@@ -76,9 +72,11 @@ class RecallRecord:
         store = self._store
         if store is not None:
             for id_ in sorted(self._unanswered):
-                self._try_write_and_record_error(lambda id_=id_: _void_command(store, id_))
+                self._try_write_and_record_error(
+                    lambda id_=id_: store.cancel_command(id_, "not answered in time")
+                )
 
-    def _try_write_and_record_error(self, write: Callable[[], None]) -> None:
+    def _try_write_and_record_error(self, write: Callable[[], object]) -> None:
         try:
             write()
             self.store_error = None
@@ -94,7 +92,3 @@ class RecallRecord:
         """Close the store."""
         if self._store is not None:
             self._store.close()
-
-
-def _void_command(store: Store, id_: str) -> None:
-    store.cancel_command(id_, "not answered in time")

@@ -38,7 +38,7 @@ from ground_station.core.dispatch.flight_tables import (
     with_neighbour_keys,
 )
 from ground_station.core.dispatch.replanning import candidate_landing_pads_by_stop
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import DayFeasibility
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
@@ -70,7 +70,7 @@ class TruckDispatcher:
     _tracker: DayTracker = field(init=False)
     _cached_version: int | None = None
     _airspace: Airspace | None = None
-    _feasibility_models: dict[str, SortieFeasibility] = field(default_factory=dict)
+    _feasibility: DayFeasibility | None = None
 
     def __post_init__(self) -> None:
         self._tracker = DayTracker(
@@ -115,7 +115,8 @@ class TruckDispatcher:
         )
         actions = rules.due_actions(snapshot)
         for action in actions:
-            self._execute_and_log_action(action)
+            if message := self._store_action_and_format_result(action):
+                self.log(message)
         if actions:
             tracker.discard_store_rows()
         self.departure_blockers = rules.departure_blockers(snapshot)
@@ -129,7 +130,7 @@ class TruckDispatcher:
         """Discard values that were computed for an earlier plan."""
         if self._cached_version != self.active.version:
             self._cached_version, self._airspace = self.active.version, None
-            self._feasibility_models.clear()
+            self._feasibility = None
             self._tracker.discard_store_rows()
 
     def _store_energy_of_finished_sorties(self, snapshot: DaySnapshot) -> None:
@@ -137,12 +138,6 @@ class TruckDispatcher:
             used_wh = self._tracker.pop_energy_used_wh(row.id) if row.is_finished else None
             if used_wh is not None:
                 self.day.update_sortie_columns(row.id, used_wh=used_wh)
-
-    def _execute_and_log_action(self, action: DispatchAction) -> None:
-        """Execute an action as one transaction, and log its result for the operator."""
-        message = self._store_action_and_format_result(action)
-        if message:
-            self.log(message)
 
     def _store_action_and_format_result(self, action: DispatchAction) -> str | None:
         day, by = self.day, self.issuer
@@ -209,10 +204,13 @@ class TruckDispatcher:
             return f"unknown pad {pad_name}"
 
     def _has_sufficient_charge(self, sortie: PlannedSortie, charge_frac: float) -> bool:
-        feasibility = self._feasibility_models.get(sortie.vehicle) or self._feasibility_of(
-            sortie.vehicle
-        )
-        order = next((o for o in self.active.data.orders if o.id == sortie.order), None)
+        data = self.active.data
+        drone = data.day.find_drone(sortie.vehicle)
+        assert drone is not None
+        if self._feasibility is None:
+            self._feasibility = DayFeasibility(data.day, data.airframes)
+        feasibility = self._feasibility.of_drone(drone)
+        order = next((o for o in data.orders if o.id == sortie.order), None)
         if order is None:
             return False
         read_frac = min(1.0, charge_frac + CHARGE_ERROR_FRAC)
@@ -220,17 +218,6 @@ class TruckDispatcher:
             feasibility.usable_above_reserve_wh_and_std(order.mass_kg, read_frac)[0]
             >= sortie.required_wh
         )
-
-    def _feasibility_of(self, vehicle: str) -> SortieFeasibility:
-        data = self.active.data
-        day, drone = data.day, data.day.find_drone(vehicle)
-        assert drone is not None
-        airframe = data.airframes[drone.airframe]
-        energy = route_energy_model_for_day(day, airframe)
-        self._feasibility_models[vehicle] = SortieFeasibility(
-            drone, airframe, day.mission, day.forecast, energy
-        )
-        return self._feasibility_models[vehicle]
 
     @property
     def is_done(self) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.core.mission.event_text import DIVERT, DecisionEvent
-from companion.fleet.messages import FleetEvent, State
+from companion.fleet.messages import State
 from ground_station.adapters.store.decision_reader import ReceivedDecision
 
 LANDING_DECISION_KINDS = (
@@ -32,7 +32,7 @@ class FlightDecisions:
     def record_decision(self, received: ReceivedDecision) -> None:
         """Record a decision; calls are in time order."""
         self._latest_decisions[received.event.vehicle] = received
-        if _decision_kind(received.event) in LANDING_DECISION_KINDS:
+        if DecisionEvent.parse(received.event.text).kind in LANDING_DECISION_KINDS:
             self._landing_decisions[received.event.vehicle] = received
 
     def latest_decision_on_flight(self, state: State | None) -> ReceivedDecision | None:
@@ -45,10 +45,6 @@ class FlightDecisions:
         if state is None or state.phase not in DIVERTED_PHASES or decision is None:
             return None
         return DecisionEvent.parse(decision.event.text).diversion_site
-
-
-def _decision_kind(event: FleetEvent) -> str:
-    return DecisionEvent.parse(event.text).kind
 
 
 def _decision_on_flight(

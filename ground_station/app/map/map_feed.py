@@ -71,7 +71,11 @@ class MapPublisher:
         if now_s >= self._next_store_read_s:
             self._next_store_read_s = now_s + STORE_INTERVAL_S
             self._update_store_snapshot()
-        self._publish_picture_if_changed(now_s)
+        picture, before = self.build_picture(now_s), self.stream.latest_frame
+        is_due = now_s - self._last_picture_s >= MAX_PICTURE_INTERVAL_S
+        if is_due or before is None or before.picture != picture:
+            self._last_picture_s = now_s
+            self.stream.publish(picture, self._clock.epoch_us())
 
     # --- the store -----------------------------------------------------------------------------
 
@@ -101,14 +105,6 @@ class MapPublisher:
             )
 
     # --- the picture ---------------------------------------------------------------------------
-
-    def _publish_picture_if_changed(self, now_s: float) -> None:
-        picture = self.build_picture(now_s)
-        before = self.stream.latest_frame
-        is_due = now_s - self._last_picture_s >= MAX_PICTURE_INTERVAL_S
-        if is_due or before is None or before.picture != picture:
-            self._last_picture_s = now_s
-            self.stream.publish(picture, self._clock.epoch_us())
 
     def build_picture(self, now_s: float) -> dict[str, Any]:
         """Return the picture at this time of the monotonic clock, as JSON types."""

@@ -102,7 +102,9 @@ class MapView:
             name: drone_shown(self._drone_snapshot(snapshot, name), snapshot.t_s)
             for name in self._displayed_drone_names(snapshot)
         }
-        truck = _truck_of_snapshot(snapshot)
+        day, truck = snapshot.store.rows.day, None
+        if day is not None or TRUCK in snapshot.status.vehicles:
+            truck = truck_shown(snapshot.status.status_of(TRUCK), day, snapshot.t_s)
         shown = MapPicture(
             fleet=self._fleet,
             alerts=list(self._day_and_vehicle_alerts(snapshot, truck, drones)),
@@ -185,13 +187,6 @@ class MapView:
             yield from (AlertShown(subject=name, text=words) for words in shown.alarms)
         for order, words in stuck_order_texts(snapshot.store.rows.orders):
             yield AlertShown(subject=order, text=words)
-
-
-def _truck_of_snapshot(snapshot: MapSnapshot) -> TruckShown | None:
-    day = snapshot.store.rows.day
-    if day is None and TRUCK not in snapshot.status.vehicles:
-        return None
-    return truck_shown(snapshot.status.status_of(TRUCK), day, snapshot.t_s)
 
 
 def _hold_and_confirmation_notes(rows: DisplayRows) -> Iterator[str]:

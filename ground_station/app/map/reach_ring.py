@@ -11,10 +11,10 @@ from companion.core.routing.leg_energy import Leg, LegKind
 from companion.fleet.messages import State
 from ground_station.app.map.picture import Point
 from ground_station.core.feasibility.reach import (
+    DayFeasibility,
     SortieFeasibility,
     find_max_feasible_distance_m,
     round_up_payload_kg,
-    route_energy_model_for_day,
 )
 from ground_station.core.schema.day_data import DayData
 
@@ -30,7 +30,10 @@ class ReachableAreas:
     """Reach rings of one day's drones."""
 
     data: DayData
-    _models: dict[str, SortieFeasibility] = field(default_factory=dict)
+    _models: DayFeasibility = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._models = DayFeasibility(self.data.day, self.data.airframes)
 
     def reachable_boundary_points(self, state: State, payload_kg: float) -> list[Point] | None:
         """Return points in all directions where it can land on its reserve at the accepted loss.
@@ -38,30 +41,22 @@ class ReachableAreas:
         Assumes a straight line at its height in the wind that it reports (else the forecast), with
         the forecast's error; ignores obstacles. None: its state lacks required fields.
         """
-        model, remaining_wh = self._feasibility_of(state.vehicle), state.energy_left_wh
-        if model is None or remaining_wh is None or state.lat_deg is None or state.lon_deg is None:
+        drone, remaining_wh = self.data.day.find_drone(state.vehicle), state.energy_left_wh
+        if drone is None or remaining_wh is None or state.lat_deg is None or state.lon_deg is None:
             return None
         bearings = np.linspace(0.0, 2.0 * math.pi, BEARING_COUNT, endpoint=False)
         directions_ne = np.column_stack([np.cos(bearings), np.sin(bearings)])
         distance_m = _reachable_radii_m(
-            model, state, round_up_payload_kg(payload_kg), remaining_wh, directions_ne
+            self._models.of_drone(drone),
+            state,
+            round_up_payload_kg(payload_kg),
+            remaining_wh,
+            directions_ne,
         )
         lat, lon = offset_position_deg(
             state.lat_deg, state.lon_deg, *(distance_m * directions_ne.T)
         )
         return list(zip(map(float, lat), map(float, lon), strict=True))
-
-    def _feasibility_of(self, vehicle: str) -> SortieFeasibility | None:
-        drone = self.data.day.find_drone(vehicle)
-        if drone is None:
-            return None
-        if vehicle not in self._models:
-            day, airframe = self.data.day, self.data.airframes[drone.airframe]
-            energy = route_energy_model_for_day(day, airframe)
-            self._models[vehicle] = SortieFeasibility(
-                drone, airframe, day.mission, day.forecast, energy
-            )
-        return self._models[vehicle]
 
 
 def _reachable_radii_m(
@@ -73,7 +68,9 @@ def _reachable_radii_m(
 ) -> Floats:
     """Return the radius in each direction, (n, 2) unit vectors, metres."""
     up = -(state.height_rel_m or 0.0)
-    wind = _reported_or_forecast_wind_ne_mps(model, state)
+    wind = model.wind_to_ne_mps
+    if state.wind_to_n_mps is not None and state.wind_to_e_mps is not None:
+        wind = np.array([state.wind_to_n_mps, state.wind_to_e_mps])
     cruises = tuple(
         Leg(
             LegKind.CRUISE,
@@ -115,12 +112,6 @@ def _reachable_radii_m(
         )
 
     return np.array([radius_m(k) for k in range(len(directions_ne))])
-
-
-def _reported_or_forecast_wind_ne_mps(model: SortieFeasibility, state: State) -> Floats:
-    if state.wind_to_n_mps is None or state.wind_to_e_mps is None:
-        return model.wind_to_ne_mps
-    return np.array([state.wind_to_n_mps, state.wind_to_e_mps])
 
 
 def _energy_above_reserve_wh(

@@ -1,6 +1,7 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -15,6 +16,7 @@ from ground_station.app.options.program_options import (
     current_group_option_values,
     names_of_typed_options,
 )
+from ground_station.app.views.times import format_time_of_day
 
 if TYPE_CHECKING:
     from companion.fleet.membership import JoinOptions
@@ -141,6 +143,13 @@ class DeskOptions:
         outage = Outage(monotonic_s) if tolerate_outage else None
         return Store(Database(self.store_url, create=create, outage=outage), WallClock().epoch_us)
 
+    @contextmanager
+    def operator_and_store(self, *, create: bool = False) -> "Iterator[tuple[str, Store]]":
+        """Yield the name of the person who runs the command, and the open store."""
+        operator = self.current_operator()
+        with closing(self.open_store(create=create)) as store:
+            yield operator.name, store
+
     def open_fleet_network(
         self,
         fleet: str,
@@ -205,6 +214,11 @@ def warn_if_features_out_of_reach(data: "DayData") -> None:
     """Warn on stderr where zones or obstacles of the day lie beyond the depot's reach."""
     if note := data.nearby_feature_note():
         typer.echo(note, err=True)
+
+
+def echo_with_time_of_day(message: str) -> None:
+    """Print a line of the log."""
+    typer.echo(f"{format_time_of_day(epoch_us())} {message}")
 
 
 def open_store_when_reachable(

@@ -6,6 +6,7 @@ help lists them, and an option that the command does not use is an error.
 
 from collections.abc import Collection, Iterator, Mapping
 from contextvars import ContextVar
+from itertools import islice
 from typing import Any, ClassVar
 
 import typer
@@ -47,7 +48,7 @@ class GroupWithOptions(TyperGroup):
             ):
                 own += [
                     arg,
-                    *([] if equals or not expects_value[name] else _take_next_argument(remaining)),
+                    *([] if equals or not expects_value[name] else islice(remaining, 1)),
                 ]
             else:
                 command = getattr(command, "commands", {}).get(arg, command)
@@ -58,11 +59,6 @@ class GroupWithOptions(TyperGroup):
 def _expects_value_by_option_name(command: Any) -> dict[str, bool]:
     options = [one for one in command.params if isinstance(one, TyperOption)]
     return {name: not one.is_flag for one in options for name in (*one.opts, *one.secondary_opts)}
-
-
-def _take_next_argument(remaining: Iterator[str]) -> list[str]:
-    value = next(remaining, None)
-    return [] if value is None else [value]
 
 
 class CommandWithOptions(TyperCommand):

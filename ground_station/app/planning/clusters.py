@@ -1,15 +1,17 @@
 """Clustering of a day: the problem from its data, the methods by name, and the LLM's proposal."""
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from companion.core.base.errors import LeewayError
 from companion.core.base.geo import Ned, ObstacleMap
 from companion.core.mission.flight_plan import CLEARANCE_M, VERTICAL_CLEARANCE_M, depot_frame
-from ground_station.adapters.llm import LlmParams, NoLlmResponse, request_completion
+from ground_station.adapters.llm import LlmParams, request_completion
 from ground_station.core.clustering.energies import delivery_energy_matrix_wh
 from ground_station.core.clustering.methods import (
     cluster_by_distance,
@@ -19,7 +21,6 @@ from ground_station.core.clustering.methods import (
 from ground_station.core.clustering.problem import (
     Clustering,
     ClusteringConditions,
-    ClusteringMethod,
     ClusteringProblem,
     describe_cluster_violations,
     repair_clusters,
@@ -31,12 +32,11 @@ from ground_station.core.clustering.prompt import (
     decode_clusters_or_rejection_reason,
 )
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
-from ground_station.core.feasibility.hills import hills_of
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import DayFeasibility, SortieFeasibility
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.orders import Order, Service
 
-METHODS: dict[str, ClusteringMethod] = {
+METHODS: dict[str, Callable[[ClusteringProblem], Clustering]] = {
     "none": single_cluster,
     "kmeans": cluster_by_distance,
     "ours": cluster_by_energy,
@@ -55,14 +55,11 @@ def build_clustering_problem(
     assigner = DepotAssigner(data.day, data.airframes, data.elevation)
     positions = [assigner.order_ground_ned(order) for order in orders]
     drone = min(data.day.drones, key=lambda d: (d.charge_frac, d.id))
-    airframe = data.airframes[drone.airframe]
-    energy = route_energy_model_for_day(data.day, airframe)
-    hills = hills_of(data.day, data.elevation)
-    feasibility = SortieFeasibility(
-        drone, airframe, data.day.mission, data.day.forecast, energy, hills
-    )
+    feasibility = DayFeasibility(data.day, data.airframes, data.elevation).of_drone(drone)
     charge = (
-        None if voltage_v is None else airframe.battery.charge_frac_from_resting_voltage(voltage_v)
+        None
+        if voltage_v is None
+        else feasibility.airframe.battery.charge_frac_from_resting_voltage(voltage_v)
     )
     positions_ne_m = np.array([position[:2] for position in positions]).reshape(-1, 2)
     mass_kg = np.array([order.mass_kg for order in orders])
@@ -94,13 +91,12 @@ def cluster_by_llm_or_energy(
     Prompt, response and result are appended to `log_file`, one JSON line for each call.
     """
     user = clustering_prompt_json(problem)
-    reply = request_completion(params, SYSTEM, user, SCHEMA)
-    reply_text = "" if isinstance(reply, NoLlmResponse) else reply.text
-    clusters_or_reason = (
-        reply.reason
-        if isinstance(reply, NoLlmResponse)
-        else decode_clusters_or_rejection_reason(reply.text, problem)
-    )
+    reply_text = ""
+    try:
+        reply_text = request_completion(params, SYSTEM, user, SCHEMA)
+        clusters_or_reason = decode_clusters_or_rejection_reason(reply_text, problem)
+    except LeewayError as error:
+        clusters_or_reason = str(error)
     if isinstance(clusters_or_reason, str):
         result = cluster_by_energy(problem).with_notes(
             f"the LLM proposed no valid clusters: {clusters_or_reason}"

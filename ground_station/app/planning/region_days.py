@@ -18,7 +18,6 @@ import numpy as np
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import location_to_ground_ned_m
-from companion.core.base.location import Location
 from companion.core.mission.flight_file import check_neighbour_fleets
 from companion.core.mission.flight_plan import depot_frame
 from ground_station.adapters.files.atomic_file import write_file_atomically
@@ -129,7 +128,11 @@ def _with_neighbour_fleets(
         np.array(
             [
                 location_to_ground_ned_m(frame, location)[:2]
-                for location in _flight_locations(region.data)
+                for location in (
+                    region.data.day.depot.location,
+                    *region.data.day.rally,
+                    *map(order_location, region.data.orders),
+                )
             ]
         )
         for region in regions
@@ -145,15 +148,6 @@ def _with_neighbour_fleets(
         check_neighbour_fleets(f"{day.name}: neighbours", day.neighbours)
         found.append(replace(region, data=replace(region.data, day=day)))
     return found
-
-
-def _flight_locations(data: DayData) -> list[Location]:
-    """Return the positions where its drones take off, deliver and may land."""
-    return [
-        data.day.depot.location,
-        *data.day.rally,
-        *(order_location(order) for order in data.orders),
-    ]
 
 
 def _check_days_can_be_split_by_truck(days: Sequence[DayData], truck_counts: Sequence[int]) -> None:

@@ -7,7 +7,7 @@ from companion.core.base.location import Location
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.tables import DEPOT_KEY
-from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
+from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentRow, OrderRow
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
@@ -57,14 +57,6 @@ class DayShown:
         return [reason for row in self.sorties if (reason := row.binding_reason(stop)) is not None]
 
 
-def read_day_shown(day: DayStore, now_us: int) -> DayShown | None:
-    """Return the day with a truck in the store; None: the store has none."""
-    plan = day.active_plan()
-    if plan is None:
-        return None
-    return DayShown(plan, day.sorties(), day.day_start_us(), now_us, day.truck_stop_visits())
-
-
 @dataclass(frozen=True, slots=True)
 class DisplayRows:
     """Rows of the store on the day, read at one moment."""
@@ -78,12 +70,9 @@ class DisplayRows:
 
 def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
     """Read the displayed rows."""
-    assignments, shown = store.assignments(in_force=True), read_day_shown(day, now_us)
+    assignments, plan, shown = store.assignments(in_force=True), day.active_plan(), None
+    if plan is not None:  # else the store has no day with a truck
+        visits = day.truck_stop_visits()
+        shown = DayShown(plan, day.sorties(), day.day_start_us(), now_us, visits)
     depot = store.database.about_value(DEPOT_KEY, Location)
     return DisplayRows(assignments, store.orders(), shown, store.holds_in_force(), depot)
-
-
-def format_minutes_and_seconds(seconds: float) -> str:
-    """Format as 12:05."""
-    whole, rest = divmod(max(0, round(seconds)), 60)
-    return f"{whole}:{rest:02d}"

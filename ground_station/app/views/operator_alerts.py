@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 
-from companion.fleet.messages import State
 from companion.fleet.roster import WARN_DAYS
 from ground_station.app.views.day_content import DayShown
 from ground_station.core.fleet.certificate_ends import CertificateExpiry, days_until_expiry
@@ -43,13 +42,8 @@ def vehicle_alarm_texts(
         and state is not None
     ):
         yield f"silent for {vehicle_status.seconds_since_last_state(t_s) or 0.0:.0f} s"
-    if state is not None and is_armed_with_assignment(state) and (state.margin_wh or 0.0) < 0.0:
+    if state and state.armed and state.assignment and (state.margin_wh or 0.0) < 0.0:
         yield f"{-(state.margin_wh or 0.0):.1f} Wh short of its promise"
-
-
-def is_armed_with_assignment(state: State) -> bool:
-    """Whether its motors may run for an assignment."""
-    return bool(state.armed and state.assignment)
 
 
 def stuck_order_texts(orders: Sequence[OrderRow]) -> Iterator[tuple[str, str]]:
@@ -70,12 +64,12 @@ def expiring_certificates_text(certificates: CertificateExpiry | None, now_us: i
         (owner, days_until_expiry(end_us, now_us))
         for owner, end_us in [*own, *certificates.member_expiries_us]
     ]
-    expiring = [_expiry_text(owner, days) for owner, days in ends if days <= WARN_DAYS]
+    expiring = [
+        f"{owner} has ended" if days < 0.0 else f"{owner} ends in {days:.0f} days"
+        for owner, days in ends
+        if days <= WARN_DAYS
+    ]
     if not expiring:
         return ""
     others = f" and {len(expiring) - MAX_NAMED} others" if len(expiring) > MAX_NAMED else ""
     return f"{', '.join(expiring[:MAX_NAMED])}{others} (ground-station pki renew)"
-
-
-def _expiry_text(owner: str, days: float) -> str:
-    return f"{owner} has ended" if days < 0.0 else f"{owner} ends in {days:.0f} days"

@@ -18,7 +18,6 @@ from ground_station.app.views.day_content import (
     MAX_NEXT_SORTIES,
     DayShown,
     DisplayRows,
-    format_minutes_and_seconds,
 )
 from ground_station.app.views.operator_alerts import (
     prelaunch_silence_reason,
@@ -29,6 +28,7 @@ from ground_station.app.views.terminal import plain_table
 from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import EN_ROUTE, TRUCK
+from ground_station.core.schema.day_plan import format_minutes_and_seconds
 from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
@@ -60,7 +60,9 @@ def watch_view(
         if state and rows.depot and is_free and is_expected:
             text = off_pad_text(state.lat_deg, state.lon_deg, rows.depot)
             alarm_lines += [f"{name}: no order: {text}"] if text else []
-    table = _vehicle_table(_table_title(orders, day), lines)
+    counts = Counter(row.state.value for row in orders)
+    title = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
+    table = _vehicle_table(f"{title}; {day.plan_and_time_title}" if day else title, lines)
     lines_below = [
         *notes,
         *(hold.text for hold in rows.hold_list),
@@ -102,12 +104,6 @@ def _wrap_cell(cell: str, width: int) -> str:
 def _column_widths(rows: list[tuple[str, ...]]) -> list[int]:
     columns = [[name, *(row[k] for row in rows)] for k, name in enumerate(COLUMNS)]
     return [max(len(part) for text in texts for part in text.split("\n")) for texts in columns]
-
-
-def _table_title(orders: Sequence[OrderRow], day: DayShown | None) -> str:
-    counts = Counter(row.state.value for row in orders)
-    counted = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
-    return counted if day is None else f"{counted}; {day.plan_and_time_title}"
 
 
 def _confirmed_launch_lines(rows: DisplayRows) -> Iterator[str]:

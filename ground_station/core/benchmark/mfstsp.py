@@ -113,7 +113,7 @@ def haversine_distances_m(lat_deg: Floats, lon_deg: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class EtypeOneEndurance:
-    """The authors' non-linear endurance as a `SortieModel`: one kind of drone."""
+    """The authors' non-linear endurance as a sortie model: one kind of drone."""
 
     drone: MfstspDrone
     parcel_kg: Floats

@@ -9,7 +9,12 @@ import math
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from ground_station.core.feasibility.reach import PAYLOAD_STEP_KG, SortieFeasibility, SortieNeed
+from ground_station.core.feasibility.reach import (
+    PAYLOAD_STEP_KG,
+    SortieFeasibility,
+    SortieGeometry,
+    SortieNeed,
+)
 
 COURSES = 36
 """One course every 10 degrees; the rate is interpolated between courses."""
@@ -76,7 +81,8 @@ def _sortie_need(
     feasibility: SortieFeasibility, payload_kg: float, length_m: float, course_rad: float
 ) -> SortieNeed:
     customer_ned_m = (length_m * math.cos(course_rad), length_m * math.sin(course_rad), 0.0)
-    return feasibility.sortie_need(payload_kg, (0.0, 0.0, 0.0), customer_ned_m, (0.0, 0.0, 0.0))
+    depot = (0.0, 0.0, 0.0)
+    return feasibility.sortie_need(SortieGeometry(payload_kg, depot, customer_ned_m, depot))
 
 
 def _interpolate_sortie_need(

@@ -1,7 +1,6 @@
 """The clustering problem, its solution, and check and repair of a solution."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,12 +66,6 @@ class Clustering:
     def with_notes(self, *notes: str) -> "Clustering":
         """Return a copy with additional notes."""
         return replace(self, notes=(*self.notes, *notes))
-
-
-class ClusteringMethod(Protocol):
-    """A deterministic clustering method."""
-
-    def __call__(self, problem: ClusteringProblem) -> Clustering: ...
 
 
 def describe_cluster_violations(

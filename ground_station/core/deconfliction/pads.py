@@ -46,12 +46,6 @@ class StopPads:
     positions: list[Ned]
     pad_by_drone: dict[str, Ned] = field(default_factory=dict[str, Ned])
 
-    def best_pad_with_route_angle_rad(
-        self, drone: str, destination_ned_m: Ned
-    ) -> tuple[float, Ned] | None:
-        """Return the first of `pads_ranked_by_route_angle_rad`: angle, pad; None: no pad."""
-        return next(iter(self.pads_ranked_by_route_angle_rad(drone, destination_ned_m)), None)
-
     def pads_ranked_by_route_angle_rad(
         self, drone: str, destination_ned_m: Ned
     ) -> list[tuple[float, Ned]]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, AssignmentState
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 CLOSED_PREFIX = "closed by the forecast"
@@ -165,10 +165,6 @@ class DaySnapshot:
 
     def _earliest_landing_s(self, sortie: PlannedSortie) -> float:
         return max(self.now_s, sortie.launch_s) + sortie.land_s - sortie.launch_s
-
-    def is_driver_delivering(self) -> bool:
-        """Return True if the driver is delivering an order."""
-        return any(row.state in IN_FORCE for row in self.truck_assignments)
 
     def departure_delay_for_landings_s(self) -> float:
         """Return the delay of the truck at its stop due to drones that still land there (in the

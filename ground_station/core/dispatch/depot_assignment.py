@@ -19,13 +19,13 @@ from companion.core.vehicle.airframe import Airframe
 from ground_station.core.deconfliction.depot_layers import DepotLayers
 from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
-from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.reach import (
+    DayFeasibility,
     Feasible,
     Infeasible,
     SortieFeasibility,
+    SortieGeometry,
     SortieNeed,
-    route_energy_model_for_day,
 )
 from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M
 from ground_station.core.schema.day import Day, Drone, Forecast
@@ -84,16 +84,8 @@ class DepotAssigner:
         self._day = day
         self._elevation = elevation
         self._frame = depot_frame(day.depot.location)
-        energies = {
-            name: route_energy_model_for_day(day, airframe) for name, airframe in airframes.items()
-        }
-        hills = hills_of(day, elevation)
-        self._feasibility = {
-            d.id: SortieFeasibility(
-                d, airframes[d.airframe], day.mission, day.forecast, energies[d.airframe], hills
-            )
-            for d in day.drones
-        }
+        models = DayFeasibility(day, airframes, elevation)
+        self._feasibility = {d.id: models.of_drone(d) for d in day.drones}
         self._feasibility_by_kind: dict[_DroneKind, SortieFeasibility] = {
             _kind_of(r.drone): r for r in self._feasibility.values()
         }
@@ -213,7 +205,7 @@ class DepotAssigner:
             depot, customer_ned = (0.0, 0.0, 0.0), self.order_ground_ned(order)
             up_m = self.layers.mission_in_layer(layer).cruise_height_m
             self._sortie_needs[key] = feasibility.sortie_need(
-                order.mass_kg, depot, customer_ned, depot, up_m
+                SortieGeometry(order.mass_kg, depot, customer_ned, depot, up_m)
             )
         return self._sortie_needs[key]
 

@@ -30,7 +30,7 @@ from ground_station.core.dispatch.dispatch_actions import (
     WithdrawAssignment,
 )
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import AssignmentState
+from ground_station.core.schema.orders import IN_FORCE, AssignmentState
 from ground_station.core.schema.sortie_rows import SortieRow
 
 ON_PAD_M = 30.0
@@ -306,7 +306,7 @@ class DispatchRules:
             for row in day.sorties
             if row.sortie.launch == here.id and self._is_launched_but_not_airborne(row, day)
         ]
-        if day.is_driver_delivering():
+        if any(row.state in IN_FORCE for row in day.truck_assignments):
             blockers.append("the driver is delivering an order")
         blockers += [f"{o} is still to be delivered" for o in here.serves if o in day.open_orders]
         blockers += [

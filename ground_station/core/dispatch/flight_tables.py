@@ -7,14 +7,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.location import Location
-from companion.core.mission.flight_file import (
-    Flight,
-    Mission,
-    NeighbourFleet,
-    Site,
-    Vehicle,
-    with_terrain_heights,
-)
+from companion.core.mission.flight_file import Flight, Mission
 from ground_station.core.schema.day import Day, Drone
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie
@@ -110,45 +103,21 @@ def flight_from_planned_sortie(data: DayData, plan: DayPlan, sortie: PlannedSort
     Its uploaded stops are the pads at home and at `alternative_stops`. Obstacles are sent
     separately.
     """
-    day, elevation = data.day, data.elevation
-    drone = day.find_drone(sortie.vehicle)
+    drone = data.day.find_drone(sortie.vehicle)
     order = next((order for order in data.orders if order.id == sortie.order), None)
     if drone is None or order is None:
         raise LeewayError(f"{sortie.vehicle} with {sortie.order}: not in the day's files")
-    pads = [
-        (id_, plan.get_stop(id_).pads[sortie.vehicle])
-        for id_ in (sortie.home, *sortie.alternative_stops)
-    ]
-    launch = plan.get_stop(sortie.launch).pads[sortie.vehicle]
-    locations = [order_location(order), *day.rally, *(pad for _, pad in pads)]
-    flight = Flight(
-        format="flight/1",
-        name=order.id,
-        neighbours=[NeighbourFleet(fleet=name) for name in day.neighbours],
-        site=Site(
-            depot=msgspec.structs.replace(launch, name=""),
-            customer=order_location(order),
-            rally=day.rally,
-            stops=[msgspec.structs.replace(pad, name=id_) for id_, pad in pads],
-            home=sortie.home,
-            air_temperature_c=day.forecast.air_temperature_c,
-        ),
-        vehicle=Vehicle(
-            airframe=drone.airframe,
-            payload_kg=order.mass_kg,
-            charge_frac=UNKNOWN_CHARGE_RANGE,
-            temperature_c=drone.temperature_c,
-            battery_health_frac=drone.battery_health_frac,
-        ),
-        mission=msgspec.structs.replace(
-            day.mission,
-            cruise_height_m=sortie.outbound_height_m,
-            return_height_m=sortie.return_height_m,
-        ),
+    stops = (sortie.home, *sortie.alternative_stops)
+    pads = {id_: plan.get_stop(id_).pads[sortie.vehicle] for id_ in (sortie.launch, *stops)}
+    table = sortie_flight_table(data.day, drone, order, sortie, pads, data.elevation)
+    flight = msgspec.convert(table, Flight)
+    assert flight.site.depot is not None
+    site = msgspec.structs.replace(
+        flight.site,
+        depot=msgspec.structs.replace(flight.site.depot, name=""),
+        stops=[msgspec.structs.replace(pads[id_], name=id_) for id_ in stops],
     )
-    return with_terrain_heights(
-        flight, None if elevation is None else elevation.ground_table_along_route(launch, locations)
-    )
+    return msgspec.structs.replace(flight, site=site)
 
 
 def _terrain_table(

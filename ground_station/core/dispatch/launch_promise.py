@@ -9,15 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.base.geo import Ned, ObstacleMap
+from companion.core.base.geo import Ned
 from companion.core.base.location import Location
 from ground_station.core.deconfliction.depot_layers import DepotLayers
-from ground_station.core.feasibility.hills import hills_of
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import DayFeasibility, SortieGeometry
 from ground_station.core.feasibility.wind_limit import launch_wind_limit_mps
-from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M, obstacle_map
-from ground_station.core.planning.forecast_check import SortieGeometry
-from ground_station.core.planning.launch_windows import SortieInForecast, geometry_of_planned_sortie
+from ground_station.core.planning.airspace import Airspace
+from ground_station.core.planning.day_problem import MAX_HEIGHT_AGL_M
+from ground_station.core.planning.launch_windows import SortieInForecast
 from ground_station.core.schema.day import Drone, Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_forecast import DayForecast
@@ -63,11 +62,8 @@ class ForecastSorties:
         self._data = data
         self.limit_mps = launch_wind_limit_mps(data)
         self._layers = DepotLayers(data.day.mission, MAX_HEIGHT_AGL_M)
-        self._energies = {
-            name: route_energy_model_for_day(data.day, one) for name, one in data.airframes.items()
-        }
-        self._hills = hills_of(data.day, data.elevation)
-        self._obstacles: ObstacleMap | None = None
+        self._feasibility = DayFeasibility(data.day, data.airframes, data.elevation)
+        self._airspace: Airspace | None = None
         self._flown: dict[tuple[str, str, str, str], SortieGeometry] = {}
 
     def depot_sortie_in_forecast(
@@ -82,9 +78,9 @@ class ForecastSorties:
         """Return a sortie in a layer; `duration_estimate_wind` gives its rough duration."""
         depot = (0.0, 0.0, 0.0)
         height_m = self._layers.mission_in_layer(layer).cruise_height_m
-        feasibility = self._feasibility_of(drone, duration_estimate_wind)
+        feasibility = self._feasibility.of_drone(drone, duration_estimate_wind)
         flown = SortieGeometry(order.mass_kg, depot, customer_ned_m, depot, height_m)
-        need = feasibility.sortie_need(order.mass_kg, depot, customer_ned_m, depot, height_m)
+        need = feasibility.sortie_need(flown)
         duration_s = min(need.time_s, MAX_FLIGHT_S) if need.flyable else MAX_FLIGHT_S
         return SortieInForecast(
             order.id, feasibility, flown, day_forecast, duration_s, self.limit_mps
@@ -103,21 +99,13 @@ class ForecastSorties:
             return None
         key = (sortie.order, sortie.vehicle, sortie.launch, sortie.home)
         if key not in self._flown:
-            self._obstacles = self._obstacles or obstacle_map(self._data)
-            flown = geometry_of_planned_sortie(
-                self._data, order, launch_and_home_pads, sortie, self._obstacles
-            )
-            self._flown[key] = flown
+            self._airspace = self._airspace or Airspace(self._data)
+            self._flown[key] = self._airspace.sortie_geometry(order, sortie, launch_and_home_pads)
         duration_s = sortie.land_s - sortie.launch_s
-        feasibility = self._feasibility_of(drone, self._data.day.forecast)
+        feasibility = self._feasibility.of_drone(drone)
         return SortieInForecast(
             order.id, feasibility, self._flown[key], day_forecast, duration_s, self.limit_mps
         )
-
-    def _feasibility_of(self, drone: Drone, wind: Forecast) -> SortieFeasibility:
-        airframe = self._data.airframes[drone.airframe]
-        energy = self._energies[drone.airframe]
-        return SortieFeasibility(drone, airframe, self._data.day.mission, wind, energy, self._hills)
 
 
 def find_launch_closing(

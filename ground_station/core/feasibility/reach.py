@@ -8,7 +8,7 @@ delivery, with a reason.
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,8 +21,9 @@ from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import DROP_TOTAL_S, SETTLE_MARGIN_S
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.airframe import Airframe
-from ground_station.core.feasibility.hills import Hills
+from ground_station.core.feasibility.hills import Hills, hills_of
 from ground_station.core.schema.day import Day, Drone, Forecast
+from ground_station.core.schema.elevation import SiteElevation
 
 Waypoints = tuple[tuple[float, float], ...]
 """Points (north, east) of a route around obstacles."""
@@ -32,6 +33,37 @@ DISTANCE_TOLERANCE_M = 1.0
 
 PAYLOAD_STEP_KG = 0.1
 """Payloads are rounded up to this step, to limit the number of power tables."""
+
+
+@dataclass(frozen=True, slots=True)
+class SortieGeometry:
+    """A delivery: ground points NED about the depot (`start` and `end`: the depot, or stops of the
+    truck), route corners (north, east), and flight height above the depot (None: the mission's
+    cruise height), which is higher over hills.
+    """
+
+    payload_kg: float
+    start: Ned
+    customer: Ned
+    end: Ned
+    height_m: float | None = None
+    outbound_waypoints: Waypoints = ()
+    return_waypoints: Waypoints = ()
+
+    def height_above_depot_m(self, mission: Mission) -> float:
+        """Return `height_m`, by default the mission's cruise height."""
+        return mission.cruise_height_m if self.height_m is None else self.height_m
+
+    @property
+    def ground_ne_m(self) -> Waypoints:
+        """Ground points and route corners, (north, east)."""
+        points = (self.start[:2], self.customer[:2], self.end[:2])
+        return points + self.outbound_waypoints + self.return_waypoints
+
+    @property
+    def columns_ne_m(self) -> Waypoints:
+        """Points above which the vehicle climbs and descends, (north, east)."""
+        return tuple(p[:2] for p in dict.fromkeys((self.start, self.customer, self.end)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,37 +144,15 @@ class SortieFeasibility:
             draw_w, self.drone.temperature_c, self.drone.battery_health_frac
         )
 
-    def sortie_need(
-        self,
-        payload_kg: float,
-        start: Ned,
-        customer: Ned,
-        end: Ned,
-        height_above_depot_m: float | None = None,
-        outbound_waypoints: Waypoints = (),
-        return_waypoints: Waypoints = (),
-    ) -> SortieNeed:
-        """Compute energy and time of a delivery. `customer` is its ground point, NED about the
-        depot.
-
-        `start` and `end` are ground points too: the depot, or stops of the truck. The flight is
-        `height_above_depot_m` above the depot (None: the mission's cruise height), or higher over
-        hills, along the given waypoints (north, east).
-        """
-        level_m = (
-            self.mission.cruise_height_m if height_above_depot_m is None else height_above_depot_m
-        )
+    def sortie_need(self, geometry: SortieGeometry) -> SortieNeed:
+        """Compute energy and time of a delivery."""
+        out, back = geometry.outbound_waypoints, geometry.return_waypoints
+        level_m = geometry.height_above_depot_m(self.mission)
         up_m = (
-            self._flight_height_over_hills_m(level_m, (start, *outbound_waypoints, customer)),
-            self._flight_height_over_hills_m(level_m, (customer, *return_waypoints, end)),
+            self._flight_height_over_hills_m(level_m, (geometry.start, *out, geometry.customer)),
+            self._flight_height_over_hills_m(level_m, (geometry.customer, *back, geometry.end)),
         )
-        leg_list = self._delivery_legs(
-            round_up_payload_kg(payload_kg),
-            (start, customer, end),
-            up_m,
-            outbound_waypoints,
-            return_waypoints,
-        )
+        leg_list = self._delivery_legs(geometry, up_m)
         costs = self.energy.leg_costs_wind_major(leg_list, self.wind_to_ne_mps[None, :])
         mean_wh = float(costs.energy_wh.sum())
         wind_wh = self.energy.route_energy_std_wh(
@@ -173,7 +183,7 @@ class SortieFeasibility:
             )
         if lift_error := self.energy.overload_reason_or_empty(payload_kg):
             return Infeasible(lift_error, "a lighter parcel, cooler air, or the truck")
-        need = need or self.sortie_need(payload_kg, start, customer, end)
+        need = need or self.sortie_need(SortieGeometry(payload_kg, start, customer, end))
         spare_wh = self._energy_margin_wh(need, payload_kg, charge_frac)
         if need.flyable and spare_wh >= 0.0:
             return Feasible(spare_wh, need.time_s)
@@ -190,23 +200,10 @@ class SortieFeasibility:
         """Return whether a pack with this charge suffices at the accepted loss."""
         return need.flyable and self._energy_margin_wh(need, payload_kg, charge_frac) >= 0.0
 
-    def sortie_need_if_feasible(
-        self,
-        payload_kg: float,
-        start: Ned,
-        customer: Ned,
-        end: Ned,
-        height_m: float,
-        outbound_waypoints: Waypoints = (),
-        return_waypoints: Waypoints = (),
-    ) -> SortieNeed | None:
+    def sortie_need_if_feasible(self, geometry: SortieGeometry) -> SortieNeed | None:
         """Return energy and time of a delivery; None if infeasible at the accepted loss."""
-        need = self.sortie_need(
-            payload_kg, start, customer, end, height_m, outbound_waypoints, return_waypoints
-        )
-        return (
-            need if need.flyable and self._energy_margin_wh(need, payload_kg, None) >= 0.0 else None
-        )
+        need = self.sortie_need(geometry)
+        return need if self.is_within_energy_budget(need, geometry.payload_kg, None) else None
 
     def _energy_margin_wh(
         self, need: SortieNeed, payload_kg: float, charge_frac: float | None
@@ -254,7 +251,7 @@ class SortieFeasibility:
         def energy_margin_at_wh(stop_distance_m: float) -> float:
             share = 1.0 - stop_distance_m / far_m
             stop = (share * customer[0], share * customer[1], customer[2])
-            need = self.sortie_need(payload_kg, stop, customer, stop)
+            need = self.sortie_need(SortieGeometry(payload_kg, stop, customer, stop))
             return (
                 self._energy_margin_wh(need, payload_kg, charge_frac) if need.flyable else -math.inf
             )
@@ -262,15 +259,11 @@ class SortieFeasibility:
         return find_max_feasible_distance_m(energy_margin_at_wh, far_m) if far_m > 0.0 else 0.0
 
     def _delivery_legs(
-        self,
-        payload_kg: float,
-        start_customer_end_ned_m: tuple[Ned, Ned, Ned],
-        outbound_and_return_height_m: tuple[float, float],
-        outbound_waypoints: Waypoints,
-        return_waypoints: Waypoints,
+        self, geometry: SortieGeometry, outbound_and_return_height_m: tuple[float, float]
     ) -> tuple[Leg, ...]:
         """`outbound_and_return_height_m`: outbound and return heights above the depot."""
-        start, customer, end = start_customer_end_ned_m
+        start, customer, end = geometry.start, geometry.customer, geometry.end
+        payload_kg = round_up_payload_kg(geometry.payload_kg)
         out, back = (-height_m for height_m in outbound_and_return_height_m)
         drop = customer[2] - self.mission.drop_height_m
         over_start, over = (start[0], start[1], out), (customer[0], customer[1], out)
@@ -285,11 +278,11 @@ class SortieFeasibility:
                 payload_kg,
                 duration_s=self.loiter_before_departure_s,
             ),
-            *_cruise_legs(over_start, outbound_waypoints, over, payload_kg),
+            *_cruise_legs(over_start, geometry.outbound_waypoints, over, payload_kg),
             Leg(LegKind.DESCEND, over, low, payload_kg),
             Leg(LegKind.HOVER, low, low, payload_kg, duration_s=DROP_TOTAL_S),
             Leg(LegKind.CLIMB, low, over_again, 0.0),
-            *_cruise_legs(over_again, return_waypoints, over_end, 0.0),
+            *_cruise_legs(over_again, geometry.return_waypoints, over_end, 0.0),
             Leg(LegKind.LAND, over_end, end, 0.0),
         )
 
@@ -307,6 +300,25 @@ class SortieFeasibility:
     def loiter_before_departure_s(self) -> float:
         """Loiter time over the pad before departure."""
         return self.mission.wind_settle_s + SETTLE_MARGIN_S
+
+
+class DayFeasibility:
+    """Creates `SortieFeasibility` for a day's drones; energy models and terrain are cached."""
+
+    def __init__(
+        self, day: Day, airframes: Mapping[str, Airframe], elevation: SiteElevation | None = None
+    ) -> None:
+        self._day, self._airframes, self._hills = day, airframes, hills_of(day, elevation)
+        self._energies: dict[str, RouteEnergy] = {}
+
+    def of_drone(self, drone: Drone, wind: Forecast | None = None) -> SortieFeasibility:
+        """Return the feasibility for a drone in this wind; None: the day's forecast."""
+        day, airframe = self._day, self._airframes[drone.airframe]
+        if drone.airframe not in self._energies:
+            self._energies[drone.airframe] = route_energy_model_for_day(day, airframe)
+        energy = self._energies[drone.airframe]
+        wind = wind or day.forecast
+        return SortieFeasibility(drone, airframe, day.mission, wind, energy, self._hills)
 
 
 def flight_height_over_hills_m(

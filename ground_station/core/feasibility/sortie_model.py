@@ -76,7 +76,7 @@ class _PhaseRates:
 
 
 class WindSortieModel:
-    """`SortieModel` over ground positions (NED about the depot), one `SortieFeasibility` per drone
+    """Sortie model over ground positions (NED about the depot), one `SortieFeasibility` per drone
     kind.
     """
 

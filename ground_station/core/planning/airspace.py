@@ -1,17 +1,19 @@
 """Operational volumes of planned sorties, for the planner and the desk's launch check."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from companion.core.base.geo import Ned, location_to_ground_ned_m
+from companion.core.base.geo import location_to_ground_ned_m
+from companion.core.base.location import Location
 from companion.core.mission.flight_plan import depot_frame
 from ground_station.core.deconfliction.separation import OperationalVolume, launch_conflict_reason
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
+from ground_station.core.feasibility.reach import SortieGeometry
 from ground_station.core.planning.day_problem import obstacle_map
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_plan import PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import order_location
+from ground_station.core.schema.orders import Order, order_location
 
 
 class Airspace:
@@ -23,28 +25,38 @@ class Airspace:
         self._obstacles = obstacle_map(data)
         self._cruise_m = data.day.mission.cruise_height_m
 
+    def sortie_geometry(
+        self, order: Order, sortie: PlannedSortie, launch_and_landing_pads: Sequence[Location]
+    ) -> SortieGeometry:
+        """Return a planned sortie's route: launch pad, customer, landing pad."""
+        start, end = (location_to_ground_ned_m(self.frame, pad) for pad in launch_and_landing_pads)
+        customer = location_to_ground_ned_m(self.frame, order_location(order))
+        points_ne_m = np.array([start, customer, end])[:, :2]
+        routes = ObstacleRoutes(self._obstacles, points_ne_m, self._cruise_m)
+        return SortieGeometry(
+            order.mass_kg,
+            start,
+            customer,
+            end,
+            sortie.outbound_height_m - start[2],
+            routes.waypoints_between(0, 1),
+            routes.waypoints_between(1, 2),
+        )
+
     def operational_volume(
         self, sortie: PlannedSortie, stop_by_id: Mapping[str, PlannedStop]
     ) -> OperationalVolume:
         """Return the operational volume of a sortie: all routes between pads and customer."""
-        here, home = (
-            location_to_ground_ned_m(self.frame, stop_by_id[id_].pads[sortie.vehicle])
-            for id_ in (sortie.launch, sortie.home)
-        )
-        customer = location_to_ground_ned_m(self.frame, order_location(self._orders[sortie.order]))
-        points = [here, customer, home]
-        routes = ObstacleRoutes(self._obstacles, np.array(points)[:, :2], self._cruise_m)
-        ground = [
-            *map(_north_east_m, points),
-            *routes.waypoints_between(0, 1),
-            *routes.waypoints_between(1, 2),
+        pads = [stop_by_id[id_].pads[sortie.vehicle] for id_ in (sortie.launch, sortie.home)]
+        geometry = self.sortie_geometry(self._orders[sortie.order], sortie, pads)
+        heights_m = [
+            h - geometry.start[2] for h in (sortie.outbound_height_m, sortie.return_height_m)
         ]
-        heights_m = [-here[2] + h for h in (sortie.outbound_height_m, sortie.return_height_m)]
         return OperationalVolume(
             sortie.vehicle,
             sortie.order,
-            tuple(ground),
-            tuple(_north_east_m(point) for point in dict.fromkeys(points)),
+            geometry.ground_ne_m,
+            geometry.columns_ne_m,
             min(heights_m),
             max(heights_m),
             sortie.launch_s,
@@ -67,7 +79,3 @@ class Airspace:
         return launch_conflict_reason(
             own_volume, [self.operational_volume(other, stop_by_id) for other in airborne_sorties]
         )
-
-
-def _north_east_m(point: Ned) -> tuple[float, float]:
-    return point[0], point[1]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -34,7 +35,6 @@ from ground_station.core.planning.unplanned import (
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, UnplannedOrder
 from ground_station.core.schema.day_state import DayState
-from ground_station.core.schema.orders import Order
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.problem import TruckAndDrones
 from ground_station.core.truck_drones.search import (
@@ -104,12 +104,6 @@ def plan_day(
     return _DayPlanner(data, start, params, on_progress).compute_plan_and_record_unplanned()
 
 
-def truck_and_drones_problem_of_day(data: DayData, start: DayState) -> TruckAndDrones:
-    """Return the truck-and-drones problem of the policies, without layers."""
-    planner = _DayPlanner(data, start, PlanParams(), lambda done_frac, best_s: None)
-    return replace(planner.build_problem_and_record_unplanned().problem, air=None)
-
-
 class _DayPlanner:
     """Computes one plan."""
 
@@ -158,7 +152,7 @@ class _DayPlanner:
         search's times. The truck serves customers without a slot, if permitted.
         """
         plan_request = forward_pass.request_from_plan(problem, plan)
-        both = (plan_request.without_timing(), plan_request)
+        both = (ForwardPassRequest(plan_request.route, plan_request.requests), plan_request)
         return min(
             (_schedule_with_lost_served_by_truck(nodes, forward_pass, one) for one in both),
             key=lambda one: _schedule_rank(one[1]),
@@ -167,15 +161,18 @@ class _DayPlanner:
     def build_problem_and_record_unplanned(self) -> DayProblem:
         by_id = {order.id: order for order in self._data.orders}
         orders = [by_id[id_] for id_ in self._start.open_orders]
+        ids = [id_ for stop in self._start.stops for id_ in stop.serves]
+        ids += [sortie.order for sortie in self._start.airborne]
+        committed_kg = sum(by_id[id_].mass_kg for id_ in ids if id_ in by_id)
         full = heaviest_orders_over_capacity(
-            orders, self._data.day.truck.capacity_kg - self._committed_orders_mass_kg(by_id)
+            orders, self._data.day.truck.capacity_kg - committed_kg
         )
         left = {line.order for line in full}
         nodes = build_day_problem(
             self._data,
             [order for order in orders if order.id not in left],
             location_to_ground_ned_m(self._airspace.frame, self._start_stop.location),
-            self._start_name_in_road_matrix(),
+            self._start_stop.serves[0] if self._start_stop.serves else DEPOT,
             {id_: max(0.0, at - self._t0_s) for id_, at in self._start.available_from_s.items()},
             self._promised_stay_at_first_stop_s(),
             first_ring_radius_m(),
@@ -183,15 +180,6 @@ class _DayPlanner:
         far = unreachable_drone_only_orders(nodes)
         self._unplanned += [*full, *far]
         return without_orders(nodes, {line.order for line in far}) if far else nodes
-
-    def _committed_orders_mass_kg(self, order_by_id: dict[str, Order]) -> float:
-        """Return the mass of the orders that promised stops and airborne sorties serve."""
-        ids = [id_ for stop in self._start.stops for id_ in stop.serves]
-        ids += [sortie.order for sortie in self._start.airborne]
-        return sum(order_by_id[id_].mass_kg for id_ in ids if id_ in order_by_id)
-
-    def _start_name_in_road_matrix(self) -> str:
-        return self._start_stop.serves[0] if self._start_stop.serves else DEPOT
 
     def _promised_stay_at_first_stop_s(self) -> float:
         """Return the promised duration of the truck's stay at the first stop of the plan."""
@@ -259,10 +247,10 @@ class _DayPlanner:
             search = PlanSearch(problem, rng, params, start)
             if search.best_makespan_s == math.inf:  # the offered plan has no feasible layer
                 search = PlanSearch(problem, rng, params)
-            until = done + (progress_range_frac[1] - progress_range_frac[0]) * cooling.share
-            of_cooling = max(1, int(trials * cooling.share))
-            self._run_cooling(search, of_cooling, cooling.begin_frac, (done, until))
-            done = until
+            share = (progress_range_frac[1] - progress_range_frac[0]) * cooling.share
+            report = partial(self._report_progress, search, done, share)
+            search.run_cooling(max(1, int(trials * cooling.share)), cooling.begin_frac, report)
+            done += share
             if not any((search.best == plan).all() for _, plan in found):
                 found.append((search.best_makespan_s, search.best))
         found.sort(key=lambda one: one[0])
@@ -270,20 +258,8 @@ class _DayPlanner:
             return [PlanSearch(problem, rng, SearchParams()).best]
         return [plan for _, plan in found]
 
-    def _run_cooling(
-        self,
-        search: PlanSearch,
-        trials: int,
-        begin_frac: float,
-        progress_range_frac: tuple[float, float],
-    ) -> None:
-        """Run one cooling, from this fraction of the schedule to its end."""
-        first, last = progress_range_frac
-        search.run_cooling(
-            trials,
-            begin_frac,
-            lambda done: self._on_progress(first + (last - first) * done, search.best_makespan_s),
-        )
+    def _report_progress(self, search: PlanSearch, first: float, share: float, done: float) -> None:
+        self._on_progress(first + share * done, search.best_makespan_s)
 
     def _build_forward_pass(self, nodes: DayProblem) -> ForwardPass:
         stops = {stop.id: stop for stop in self._start.stops}
@@ -370,20 +346,20 @@ class _DayPlanner:
         after = route[route.index(request.rendezvous) + 1 :][:1]
         found: list[str] = []
         for node in [request.launch, *after]:
-            pad = schedule.pads[node].best_pad_with_route_angle_rad(
+            ranked = schedule.pads[node].pads_ranked_by_route_angle_rad(
                 slot.drone, nodes.ground_ned_m(request.customer)
             )
+            pad = next(iter(ranked), None)
             if node == request.rendezvous or pad is None:
                 continue
-            need = nodes.classes[request.kind].feasibility.sortie_need_if_feasible(
-                nodes.orders[request.customer - 1].mass_kg,
+            geometry = nodes.sortie_geometry(
+                (request.launch, request.customer, node),
                 slot.from_pad_ned_m,
-                nodes.ground_ned_m(request.customer),
                 pad[1],
                 slot.volume.high_m,
-                nodes.routes.waypoints_between(request.launch, request.customer),
-                nodes.routes.waypoints_between(request.customer, node),
             )
+            feasibility = nodes.classes[request.kind].feasibility
+            need = feasibility.sortie_need_if_feasible(geometry)
             if need is not None:
                 schedule.pads[node].pad_by_drone[slot.drone] = pad[1]
                 found.append(ids[node])

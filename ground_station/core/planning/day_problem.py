@@ -6,6 +6,7 @@ the depot at the end of the day.
 
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +19,12 @@ from ground_station.core.deconfliction.separation import (
     LATE_MARGIN_S,
     LAYER_GAP_M,
 )
-from ground_station.core.feasibility.hills import hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import (
+    DayFeasibility,
+    SortieFeasibility,
+    SortieGeometry,
+)
 from ground_station.core.feasibility.sortie_model import WindSortieModel
 from ground_station.core.schema.day import Drone
 from ground_station.core.schema.day_data import DEPOT, DayData
@@ -69,6 +73,25 @@ class DayProblem:
         north, east, down = self.ned_m[node].tolist()
         return north, east, down
 
+    def sortie_geometry(
+        self,
+        launch_customer_rendezvous: tuple[int, int, int],
+        start: Ned,
+        end: Ned,
+        height_m: float,
+    ) -> SortieGeometry:
+        """Return the geometry of a delivery between pads at two nodes."""
+        launch, customer, rendezvous = launch_customer_rendezvous
+        return SortieGeometry(
+            self.orders[customer - 1].mass_kg,
+            start,
+            self.ground_ned_m(customer),
+            end,
+            height_m,
+            self.routes.waypoints_between(launch, customer),
+            self.routes.waypoints_between(customer, rendezvous),
+        )
+
 
 def obstacle_map(data: DayData) -> ObstacleMap:
     """Return the day's obstacles with the companion's clearances. Geo-zones extend from the ground:
@@ -86,39 +109,15 @@ def group_identical_drones(
 ) -> tuple[DroneClass, ...]:
     """Group the available drones into identical ones."""
     day = data.day
-    energies = {
-        name: route_energy_model_for_day(day, airframe) for name, airframe in data.airframes.items()
-    }
-    hills = hills_of(day, data.elevation)
+    feasibility = DayFeasibility(day, data.airframes, data.elevation)
     grouped: dict[tuple[Drone, float], list[str]] = {}
     for drone in day.drones:
         if drone.id in available_from_s_by_drone:
-            key = (_anonymous_drone(drone), available_from_s_by_drone[drone.id])
+            key = (msgspec.structs.replace(drone, id="any"), available_from_s_by_drone[drone.id])
             grouped.setdefault(key, []).append(drone.id)
     return tuple(
-        DroneClass(
-            tuple(ids),
-            SortieFeasibility(
-                drone,
-                data.airframes[drone.airframe],
-                day.mission,
-                day.forecast,
-                energies[drone.airframe],
-                hills,
-            ),
-            from_s,
-        )
+        DroneClass(tuple(ids), feasibility.of_drone(drone), from_s)
         for (drone, from_s), ids in grouped.items()
-    )
-
-
-def _anonymous_drone(drone: Drone) -> Drone:
-    return Drone(
-        id="any",
-        airframe=drone.airframe,
-        charge_frac=drone.charge_frac,
-        temperature_c=drone.temperature_c,
-        battery_health_frac=drone.battery_health_frac,
     )
 
 
@@ -171,10 +170,11 @@ def build_day_problem(
     problem = TruckAndDrones(
         travel_s=_truck_travel_matrix_s(data, orders, ned_m, start_name),
         deliver_s=np.where(_flags_by_node(orders, [True] * len(orders)), truck.deliver_s, 0.0),
-        kinds=kinds or (_empty_drone_kind(len(positions_ned_m)),),
+        kinds=kinds  # a fleet without drones has one kind of none
+        or (DroneKind(0, 1.0, 1.0, np.zeros(len(positions_ned_m), dtype=np.bool_)),),
         leg_tables=tuple(
-            _with_ready_time(sorties.leg_tables(number), truck.ready_s)
-            for number in range(len(classes))
+            replace(legs, out_s=legs.out_s + truck.ready_s)
+            for legs in map(sorties.leg_tables, range(len(classes)))
         )
         or (_infeasible_leg_tables(len(positions_ned_m)),),
         truck_can_serve=by_truck,
@@ -202,19 +202,9 @@ def build_day_problem(
     return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m)
 
 
-def _empty_drone_kind(node_count: int) -> DroneKind:
-    """Return the placeholder kind of a fleet without drones."""
-    return DroneKind(0, 1.0, 1.0, np.zeros(node_count, dtype=np.bool_))
-
-
 def _infeasible_leg_tables(node_count: int) -> LegTables:
     infinite = np.full((node_count, node_count), np.inf)
     return LegTables(infinite, infinite, infinite, infinite, 0.0)
-
-
-def _with_ready_time(leg_tables: LegTables, ready_s: float) -> LegTables:
-    """Add the time on the pad before each flight."""
-    return replace(leg_tables, out_s=leg_tables.out_s + ready_s)
 
 
 def without_orders(nodes: DayProblem, order_ids: set[str]) -> DayProblem:

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.core.base.geo import Ned
-from ground_station.core.feasibility.reach import SortieFeasibility, SortieNeed, Waypoints
+from ground_station.core.feasibility.reach import SortieFeasibility, SortieGeometry, SortieNeed
 from ground_station.core.feasibility.wind_limit import launch_wind_limit_mps
 from ground_station.core.planning.day_problem import DayProblem, without_orders
 from ground_station.core.planning.launch_slots import LaunchSlot, SortieRequest
@@ -16,19 +15,6 @@ from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.day_plan import UnplannedOrder
 from ground_station.core.weather.forecast_field import OutsideForecast
-
-
-@dataclass(frozen=True, slots=True)
-class SortieGeometry:
-    """The geometry of a delivery: ground points and height about the depot, route corners."""
-
-    payload_kg: float
-    start: Ned
-    customer: Ned
-    end: Ned
-    height_m: float
-    outbound_waypoints: Waypoints = ()
-    return_waypoints: Waypoints = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +50,13 @@ def price_in_most_demanding_forecast_wind(
     if forecast is None:
         return _price_sortie(feasibility, geometry)
     found: list[PricedSortie] = []
+    height_m = geometry.height_above_depot_m(feasibility.mission)
     positions_ned_m = (geometry.start, geometry.customer, geometry.end)
     for position_ned_m, t_s in zip(
         positions_ned_m, (launch_s, 0.5 * (launch_s + landing_s), landing_s), strict=True
     ):
         wind = forecast.constant_wind_at_day_time(
-            t_s, geometry.height_m, (position_ned_m[0], position_ned_m[1])
+            t_s, height_m, (position_ned_m[0], position_ned_m[1])
         )
         if isinstance(wind, OutsideForecast):
             return wind
@@ -82,32 +69,10 @@ def price_in_most_demanding_forecast_wind(
 def _price_sortie(
     feasibility: SortieFeasibility, geometry: SortieGeometry, wind: Forecast | None = None
 ) -> PricedSortie:
-    need = feasibility.sortie_need(
-        geometry.payload_kg,
-        geometry.start,
-        geometry.customer,
-        geometry.end,
-        geometry.height_m,
-        geometry.outbound_waypoints,
-        geometry.return_waypoints,
-    )
+    need = feasibility.sortie_need(geometry)
     usable_wh, battery_std_wh = feasibility.usable_above_reserve_wh_and_std(geometry.payload_kg)
     required_wh = need.mean_wh + feasibility.sigmas * math.hypot(need.std_wh, battery_std_wh)
     return PricedSortie(need, required_wh, usable_wh, wind)
-
-
-def geometry_of_slot(nodes: DayProblem, slot: LaunchSlot) -> SortieGeometry:
-    """Return the geometry of a launch slot's delivery."""
-    request = slot.request
-    return SortieGeometry(
-        payload_kg=nodes.orders[request.customer - 1].mass_kg,
-        start=slot.from_pad_ned_m,
-        customer=nodes.ground_ned_m(request.customer),
-        end=slot.to_pad_ned_m,
-        height_m=slot.volume.high_m,
-        outbound_waypoints=nodes.routes.waypoints_between(request.launch, request.customer),
-        return_waypoints=nodes.routes.waypoints_between(request.customer, request.rendezvous),
-    )
 
 
 def price_slot_in_forecast(
@@ -117,10 +82,11 @@ def price_slot_in_forecast(
     time).
     """
     feasibility = nodes.classes[slot.request.kind].feasibility
-    times = (truck_start_day_s + slot.launched_s, truck_start_day_s + slot.landed_s)
-    return price_in_most_demanding_forecast_wind(
-        feasibility, geometry_of_slot(nodes, slot), data.forecast, *times
+    geometry = nodes.sortie_geometry(
+        slot.request.nodes, slot.from_pad_ned_m, slot.to_pad_ned_m, slot.volume.high_m
     )
+    times = (truck_start_day_s + slot.launched_s, truck_start_day_s + slot.landed_s)
+    return price_in_most_demanding_forecast_wind(feasibility, geometry, data.forecast, *times)
 
 
 def reason_by_forbidden_sortie(

@@ -49,25 +49,18 @@ POLISH_ORDERS = 2_000
 """Limits of polishing passes; fewer with more orders, since each pass takes longer."""
 
 
+@dataclass(frozen=True, slots=True)
 class ForwardPass:
-    """Executes one plan of the search; no drone lands before the truck."""
+    """Executes plans of the search; no drone lands before the truck.
 
-    def __init__(
-        self,
-        nodes: DayProblem,
-        finder: SlotFinder,
-        airborne_volumes: list[OperationalVolume],
-        t0_s: float,
-        ready_s: float,
-    ) -> None:
-        """`airborne_volumes`: of airborne sorties (day time; the truck starts at `t0_s`)."""
-        self._nodes, self._finder, self._airborne_volumes, self._t0_s = (
-            nodes,
-            finder,
-            airborne_volumes,
-            t0_s,
-        )
-        self._ready_s = ready_s
+    `airborne_volumes`: of airborne sorties (day time; the truck starts at `t0_s`).
+    """
+
+    nodes: DayProblem
+    finder: SlotFinder
+    airborne_volumes: list[OperationalVolume]
+    t0_s: float
+    ready_s: float
 
     def request_from_plan(self, problem: TruckAndDrones, plan: Plan) -> ForwardPassRequest:
         """Extract the requests of a plan: route, sorties in launch order, and the time at which the
@@ -83,8 +76,7 @@ class ForwardPass:
 
     def build_schedule(self, plan_request: ForwardPassRequest) -> ForwardSchedule:
         """Return the schedule; the truck is at each rendezvous `lead_s` before its drones."""
-        road = (self._nodes, self._finder, self._airborne_volumes, self._t0_s, self._ready_s)
-        return _Pass(*road, plan_request).build_schedule()
+        return _Pass(self, plan_request).build_schedule()
 
 
 def shorten_by_recovery_at_next_stop(
@@ -131,18 +123,9 @@ class _PassState:
 class _Pass:
     """One pass along the route, with backtracking to launches that are too early."""
 
-    def __init__(
-        self,
-        nodes: DayProblem,
-        finder: SlotFinder,
-        airborne_volumes: list[OperationalVolume],
-        t0_s: float,
-        ready_s: float,
-        plan_request: ForwardPassRequest,
-    ) -> None:
-        self._nodes, self._finder, self._route = nodes, finder, plan_request.route
-        self._problem, self._t0_s = nodes.problem, t0_s
-        self._airborne_volumes, self._ready_s = airborne_volumes, ready_s
+    def __init__(self, road: ForwardPass, plan_request: ForwardPassRequest) -> None:
+        nodes, self._road = road.nodes, road
+        self._problem, self._route = nodes.problem, plan_request.route
         self._route_index = {node: number for number, node in enumerate(plan_request.route)}
         self._requests = list(plan_request.requests)
         self._layers = plan_request.layers
@@ -175,7 +158,7 @@ class _Pass:
         and such a sortie is never too early.
         """
         for number, node in enumerate(self._route):
-            self._day.pads[node] = self._finder.stop_pads_at_node(node, is_start=number == 0)
+            self._day.pads[node] = self._road.finder.stop_pads_at_node(node, is_start=number == 0)
         number = 0
         while number < len(self._route):
             early = self._early_landings_with_lead_s(self._route[number])
@@ -242,7 +225,9 @@ class _Pass:
             return number
         for slot, by_s in early_landings:
             request, customer = slot.request, slot.request.customer
-            start_s = slot.launched_s - self._ready_s - self._problem.kinds[request.kind].launch_s
+            start_s = (
+                slot.launched_s - self._road.ready_s - self._problem.kinds[request.kind].launch_s
+            )
             self._release_s[customer] = start_s + by_s + EPSILON_S
             self._delay_counts[customer] += 1
             if by_s > MAX_DELAY_S or self._delay_counts[customer] > MAX_DELAYS:
@@ -343,16 +328,19 @@ class _Pass:
                     s for s in self._available_from_s[request.kind].values() if s > self._now_s
                 ]
                 until_s += later_s
-                if not later_s and not self._is_recovery_expected(request.kind, node):
+                if not later_s and not any(
+                    (slot.request.rendezvous, slot.request.kind) == (node, request.kind)
+                    for slot in self._airborne
+                ):
                     self._defer_waiting_request_or_mark_lost(
                         request, waiting, moved_requests, is_last_stop=is_last_stop
                     )
                 continue
             put_out_s = self._now_s + self._problem.kinds[request.kind].launch_s
-            launched_s = put_out_s + self._ready_s
+            launched_s = put_out_s + self._road.ready_s
             in_air = self._volumes_possibly_in_use_from(launched_s)
             layer = self._layers.get(request.customer)
-            found = self._finder.find_slot(
+            found = self._road.finder.find_slot(
                 request, launched_s, drones, self._day.pads, in_air, layer
             )
             if isinstance(found, LaunchSlot):
@@ -388,7 +376,7 @@ class _Pass:
     ) -> None:
         waiting, moved_requests, until_s = waiting_moved_retry_lists
         if no_slot.until_s is not None:
-            free_s = no_slot.until_s - self._t0_s + LATE_MARGIN_S + EPSILON_S
+            free_s = no_slot.until_s - self._road.t0_s + LATE_MARGIN_S + EPSILON_S
             wait_s = free_s - (launched_s - self._now_s)
             home_here = [s.landed_s for s in self._airborne if s.request.rendezvous == node]
             other_landings_s = [s.landed_s for s in self._airborne if s.request.rendezvous != node]
@@ -403,12 +391,6 @@ class _Pass:
                 return
         self._defer_waiting_request_or_mark_lost(
             request, waiting, moved_requests, is_last_stop=is_last_stop
-        )
-
-    def _is_recovery_expected(self, kind: int, node: int) -> bool:
-        """Return whether a drone of this kind will be recovered here."""
-        return any(
-            slot.request.rendezvous == node and slot.request.kind == kind for slot in self._airborne
         )
 
     def _defer_waiting_request_or_mark_lost(
@@ -427,6 +409,6 @@ class _Pass:
 
     def _volumes_possibly_in_use_from(self, at_s: float) -> list[OperationalVolume]:
         """Return the volumes that may be in use at this time or later."""
-        until_s = self._t0_s + at_s - LATE_MARGIN_S
+        until_s = self._road.t0_s + at_s - LATE_MARGIN_S
         volume = [slot.volume for slot in self._day.slots]
-        return [one for one in (*self._airborne_volumes, *volume) if one.to_s > until_s]
+        return [one for one in (*self._road.airborne_volumes, *volume) if one.to_s > until_s]

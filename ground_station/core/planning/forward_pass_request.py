@@ -19,10 +19,6 @@ class ForwardPassRequest:
     earliest_launch_s: Mapping[int, float] = field(default_factory=dict[int, float])
     layers: Mapping[int, int] = field(default_factory=dict[int, int])
 
-    def without_timing(self) -> "ForwardPassRequest":
-        """Return a copy without launch times and layers: earliest launch, lowest layer."""
-        return ForwardPassRequest(self.route, self.requests)
-
     def with_customer_served_by_truck(self, customer_node: int) -> "ForwardPassRequest":
         """Return a copy in which the truck serves this customer before the recovery stop."""
         rendezvous = next(

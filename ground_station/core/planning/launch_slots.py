@@ -12,7 +12,7 @@ import numpy as np
 from companion.core.base.geo import Ned
 from ground_station.core.deconfliction.pads import StopPads, unobstructed_pad_positions
 from ground_station.core.deconfliction.separation import OperationalVolume, Proximity, proximity
-from ground_station.core.feasibility.reach import SortieNeed
+from ground_station.core.feasibility.reach import SortieGeometry, SortieNeed
 from ground_station.core.planning.day_problem import (
     DayProblem,
     layer_height_m,
@@ -33,6 +33,11 @@ class SortieRequest:
     kind: int
     launch: int
     rendezvous: int
+
+    @property
+    def nodes(self) -> tuple[int, int, int]:
+        """Launch, customer and rendezvous."""
+        return self.launch, self.customer, self.rendezvous
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +68,7 @@ class SlotFinder:
         self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
         self._cruise_m = nodes.cruise_height_m
         self._proximities: dict[tuple[Points, Points, Points, Points], Proximity] = {}
-        self._needs: dict[tuple[SortieRequest, Ned, Ned, int], SortieNeed | None] = {}
+        self._needs: dict[tuple[int, SortieGeometry], SortieNeed | None] = {}
         self._pad_positions: dict[int, list[Ned]] = {}
 
     def stop_pads_at_node(self, node: int, *, is_start: bool) -> StopPads:
@@ -110,7 +115,17 @@ class SlotFinder:
         preferred_layer: int | None,
     ) -> LaunchSlot | NoSlot:
         drone, start_pad, end_pad = drone_and_pads
-        shape = self._volume_without_layer_and_times(request, drone, start_pad, end_pad)
+        geometry = self._nodes.sortie_geometry(request.nodes, start_pad, end_pad, 0.0)
+        shape = OperationalVolume(  # without layer and times
+            vehicle=drone,
+            order=self._nodes.orders[request.customer - 1].id,
+            ground_ne_m=geometry.ground_ne_m,
+            columns_ne_m=geometry.columns_ne_m,
+            low_m=0.0,
+            high_m=0.0,
+            from_s=0.0,
+            to_s=0.0,
+        )
         proximities = [(other, self._cached_proximity(shape, other)) for other in airborne_volumes]
         until_s: float | None = None
         for layer in self._candidate_layers(request, start_pad, end_pad, preferred_layer):
@@ -124,7 +139,9 @@ class SlotFinder:
                 free_s = max(blocking)
                 until_s = free_s if until_s is None else min(until_s, free_s)
                 continue
-            need = self._cached_sortie_need_if_feasible(request, start_pad, end_pad, layer)
+            need = self._cached_sortie_need_if_feasible(
+                request.kind, replace(geometry, height_m=up_m)
+            )
             if need is None:
                 continue
             from_s, landed_s = self._t0_s + launched_s, launched_s + need.time_s
@@ -175,42 +192,14 @@ class SlotFinder:
         yield from (layer for layer in fit if layer != preferred_layer)
 
     def _cached_sortie_need_if_feasible(
-        self, request: SortieRequest, start_pad: Ned, end_pad: Ned, layer: int
+        self, kind: int, geometry: SortieGeometry
     ) -> SortieNeed | None:
-        """Return the sortie's need in this layer; None if the energy is insufficient."""
-        key = (request, start_pad, end_pad, layer)
+        """Return the sortie's need; None if the energy is insufficient."""
+        key = (kind, geometry)
         if key not in self._needs:
-            nodes = self._nodes
-            feasibility = nodes.classes[request.kind].feasibility
-            self._needs[key] = feasibility.sortie_need_if_feasible(
-                nodes.orders[request.customer - 1].mass_kg,
-                start_pad,
-                nodes.ground_ned_m(request.customer),
-                end_pad,
-                layer_height_m(self._cruise_m, layer),
-                nodes.routes.waypoints_between(request.launch, request.customer),
-                nodes.routes.waypoints_between(request.customer, request.rendezvous),
-            )
+            feasibility = self._nodes.classes[kind].feasibility
+            self._needs[key] = feasibility.sortie_need_if_feasible(geometry)
         return self._needs[key]
-
-    def _volume_without_layer_and_times(
-        self, request: SortieRequest, drone: str, start_pad: Ned, end_pad: Ned
-    ) -> OperationalVolume:
-        """Return the sortie's ground shape as a volume without layer and times."""
-        nodes = self._nodes
-        points = (start_pad, nodes.ground_ned_m(request.customer), end_pad)
-        out = nodes.routes.waypoints_between(request.launch, request.customer)
-        back = nodes.routes.waypoints_between(request.customer, request.rendezvous)
-        return OperationalVolume(
-            vehicle=drone,
-            order=nodes.orders[request.customer - 1].id,
-            ground_ne_m=tuple(p[:2] for p in points) + out + back,
-            columns_ne_m=tuple(p[:2] for p in dict.fromkeys(points)),
-            low_m=0.0,
-            high_m=0.0,
-            from_s=0.0,
-            to_s=0.0,
-        )
 
     def _cached_proximity(self, one: OperationalVolume, other: OperationalVolume) -> Proximity:
         key = (one.ground_ne_m, one.columns_ne_m, other.ground_ne_m, other.columns_ne_m)

@@ -2,48 +2,12 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from companion.core.base.geo import Ned, ObstacleMap, location_to_ground_ned_m
-from companion.core.base.location import Location
-from companion.core.mission.flight_plan import depot_frame
-from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
-from ground_station.core.feasibility.reach import SortieFeasibility
+from ground_station.core.feasibility.reach import SortieFeasibility, SortieGeometry
 from ground_station.core.planning.forecast_check import (
-    PricedSortie,
-    SortieGeometry,
     price_in_most_demanding_forecast_wind,
 )
-from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.day_forecast import DayForecast
-from ground_station.core.schema.day_plan import PlannedSortie
-from ground_station.core.schema.orders import Order, order_location
 from ground_station.core.weather.forecast_field import OutsideForecast
-
-
-def geometry_of_planned_sortie(
-    data: DayData,
-    order: Order,
-    launch_and_landing_pads: tuple[Location, Location],
-    sortie: PlannedSortie,
-    obstacles: ObstacleMap,
-) -> SortieGeometry:
-    """Return a planned sortie's route: launch pad, customer, landing pad."""
-    frame = depot_frame(data.day.depot.location)
-    start, end = (location_to_ground_ned_m(frame, pad) for pad in launch_and_landing_pads)
-    customer = location_to_ground_ned_m(frame, order_location(order))
-    points: list[Ned] = [start, customer, end]
-    height_m = sortie.outbound_height_m - start[2]
-    routes = ObstacleRoutes(obstacles, np.array(points)[:, :2], data.day.mission.cruise_height_m)
-    return SortieGeometry(
-        order.mass_kg,
-        start,
-        customer,
-        end,
-        height_m,
-        routes.waypoints_between(0, 1),
-        routes.waypoints_between(1, 2),
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +24,17 @@ class SortieInForecast:
     duration_s: float
     limit_mps: float
 
-    def price_at_launch_time(self, launch_s: float) -> PricedSortie | OutsideForecast:
-        """Price the sortie for a launch at day time `launch_s`."""
-        to_s = launch_s + self.duration_s
-        return price_in_most_demanding_forecast_wind(
-            self.feasibility, self.geometry, self.forecast, launch_s, to_s
-        )
-
     def launch_restriction_text(self, launch_s: float) -> str | None:
         """Return a text with the wind that forbids a launch at `launch_s`; empty if the launch is
         permitted; None outside the forecast.
         """
-        priced = self.price_at_launch_time(launch_s)
+        priced = price_in_most_demanding_forecast_wind(
+            self.feasibility,
+            self.geometry,
+            self.forecast,
+            launch_s,
+            launch_s + self.duration_s,
+        )
         if isinstance(priced, OutsideForecast):
             return None
         height_m = self.geometry.height_m

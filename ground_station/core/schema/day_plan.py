@@ -120,5 +120,5 @@ class DayPlan(_StrictStruct, frozen=True, kw_only=True):
 
 def format_minutes_and_seconds(plan_time_s: float) -> str:
     """Format a time of the plan: minutes and seconds since its start, as 4:05."""
-    minutes, seconds = divmod(round(plan_time_s), 60)
+    minutes, seconds = divmod(max(0, round(plan_time_s)), 60)
     return f"{minutes}:{seconds:02d}"

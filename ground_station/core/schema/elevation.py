@@ -76,8 +76,9 @@ class SiteElevation:
             )
             raise LeewayError(f"the strip of ground about the flight's places has {size}")
         forward_grid, lateral_grid = np.meshgrid(forward_axis, lateral_axis, indexing="ij")
-        lat_deg, lon_deg = _offsets_to_lat_lon_deg(
-            depot,
+        lat_deg, lon_deg = offset_position_deg(
+            depot.lat_deg or 0.0,
+            depot.lon_deg or 0.0,
             (forward_grid * cos - lateral_grid * sin).ravel(),
             (forward_grid * sin + lateral_grid * cos).ravel(),
         )
@@ -99,12 +100,6 @@ def _grid_axis_with_margin_m(values_m: Floats) -> Floats:
     low, high = float(values_m.min()) - STRIP_MARGIN_M, float(values_m.max()) + STRIP_MARGIN_M
     first = math.floor(low / GRID_SPACING_M)
     return GRID_SPACING_M * np.arange(first, math.ceil(high / GRID_SPACING_M) + 1.0)
-
-
-def _offsets_to_lat_lon_deg(
-    depot: Location, north_m: Floats, east_m: Floats
-) -> tuple[Floats, Floats]:
-    return offset_position_deg(depot.lat_deg or 0.0, depot.lon_deg or 0.0, north_m, east_m)
 
 
 def stated_and_known_ground_heights(

@@ -1,6 +1,7 @@
 """Orders from rows of text: every invalid cell is reported, and no value is guessed."""
 
 import math
+import re
 from collections.abc import Mapping
 
 from companion.core.base.geo import EARTH_RADIUS_M
@@ -88,7 +89,7 @@ def parse_order_or_problems(
         else:
             numbers["alt_amsl_m"] = known
     id_ = cell_by_column.get("id", "").strip()
-    if not _is_valid_order_id(id_):
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}", id_):
         add_problem("id", f"{id_!r}: expected 1 to 40 letters, digits, '.', '_' or '-'")
     note = cell_by_column.get("note", "")
     if len(note) > 500:
@@ -115,7 +116,7 @@ def find_duplicate_orders(file_rows: list[tuple[str, int, Order]]) -> list[FileP
         same = next(
             (where for other, where in nearby_orders if _is_same_parcel(order, other)), None
         )
-        if same is not None and not has_problem_at(problems, file, row):
+        if same is not None and not any((one.file, one.row) == (file, row) for one in problems):
             message = f"the same parcel to the same place as {same}: remove one, or"
             message += " add a note that distinguishes them"
             problems.append(FileProblem(file, row, None, message))
@@ -146,11 +147,6 @@ def _is_same_parcel(first_order: Order, second_order: Order) -> bool:
         second_order.mass_kg,
         second_order.note,
     )
-
-
-def has_problem_at(problems: list[FileProblem], file: str, row: int) -> bool:
-    """Return True if an error of this row has been reported already."""
-    return any(problem.file == file and problem.row == row for problem in problems)
 
 
 def _ground_amsl_m(
@@ -185,12 +181,3 @@ def _parse_finite_number(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) and "_" not in text else None
-
-
-def _is_valid_order_id(text: str) -> bool:
-    return (
-        0 < len(text) <= 40
-        and text.isascii()
-        and text[0].isalnum()
-        and all(c.isalnum() or c in "._-" for c in text)
-    )

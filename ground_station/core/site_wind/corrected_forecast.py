@@ -6,7 +6,6 @@ from companion.core.base.errors import LeewayError
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_forecast import DayForecast
-from ground_station.core.site_wind.estimated_wind import SiteWindEstimate
 from ground_station.core.site_wind.forecast_record import (
     ForecastComparison,
     ForecastRecord,
@@ -126,14 +125,8 @@ class ForecastTracker:
             now_s, height_m
         )
         if not isinstance(plain, OutsideForecast):
-            self.record.add_comparison(_comparison(now_s, measured, plain.to_ne_mps, plain.std_mps))
-
-
-def _comparison(
-    now_s: float,
-    measured: SiteWindEstimate,
-    forecast_to_ne_mps: tuple[float, float],
-    forecast_std_mps: float,
-) -> ForecastComparison:
-    north, east = (a - b for a, b in zip(measured.to_ne_mps, forecast_to_ne_mps, strict=True))
-    return ForecastComparison(now_s, (north, east), measured.larger_axis_std_mps, forecast_std_mps)
+            (n, e), (n0, e0) = measured.to_ne_mps, plain.to_ne_mps
+            std_mps = measured.larger_axis_std_mps
+            self.record.add_comparison(
+                ForecastComparison(now_s, (n - n0, e - e0), std_mps, plain.std_mps)
+            )

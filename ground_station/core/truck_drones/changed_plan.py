@@ -14,28 +14,28 @@ from ground_station.core.truck_drones.layers.changed_air import (
     sortie_differs,
 )
 from ground_station.core.truck_drones.simulate import (
-    GROUND_WAIT_S,
     INFEASIBLE_S,
+    accumulate_remaining_work,
+    index_route,
+    index_sortie,
     initialise_drones_on_truck,
     simulate_makespan_s,
     simulate_stop_and_next_arrival,
+    store_flight_if_feasible,
 )
 from ground_station.core.truck_drones.tables import (
     ARRIVE,
     DELAYS,
     DEPART,
     FIRST_LAUNCH,
-    FIRST_RECOVERY,
     FLY,
     FURTHEST,
     HOVER_LEFT,
     IDLE,
-    KIND,
     LAUNCH,
     LAUNCHED,
     LEVEL,
     NEXT_LAUNCH,
-    NEXT_RECOVERY,
     NOWHERE,
     POSITION,
     RECOVERED,
@@ -47,6 +47,9 @@ from ground_station.core.truck_drones.tables import (
     SPARE,
     WORK_AFTER,
 )
+
+UNCHANGED = (0, 0, 0.0)
+"""The simulated part if there is none."""
 
 
 @compiled_inner
@@ -92,55 +95,29 @@ def _store_restart_and_span_rows(plan, int_rows):
 
 
 @compiled_inner
-def _recovery_time_of_customer_s(
-    plan,
-    base_work_arrays,
-    work_arrays,
-    first_simulated_index,
-    end_simulated_index,
-    shift_s,
-    customer,
-):
-    """Return the recovery time of a customer's drone after `incremental_makespan_s`."""
-    rendezvous = work_arrays.whole[POSITION, plan[RENDEZVOUS, customer]]
-    if rendezvous < first_simulated_index:
-        return base_work_arrays.times_s[RECOVERED, customer]
-    return (
-        work_arrays.times_s[RECOVERED, customer]
-        if rendezvous < end_simulated_index
-        else base_work_arrays.times_s[RECOVERED, customer] + shift_s
-    )
+def _time_after_change_s(change, row, customer, route_index, simulated):
+    """Return a time of a customer's sortie at this position, after `incremental_makespan_s`."""
+    first, end, shift_s = simulated
+    if route_index < first:
+        return change.work.times_s[row, customer]
+    if route_index < end:
+        return change.new_work.times_s[row, customer]
+    return change.work.times_s[row, customer] + shift_s
 
 
 @compiled_inner
-def changed_drone_time_away_s(
-    plan, base_work_arrays, work_arrays, first_simulated_index, end_simulated_index, shift_s
-):
+def changed_drone_time_away_s(change, simulated):
     """Return the total time of all drones away from the truck, after `incremental_makespan_s`."""
-    away_s = 0.0
+    away_s, plan, whole = 0.0, change.new_plan, change.new_work.whole
     for customer in range(1, plan.shape[1] - 1):
-        launch = plan[LAUNCH, customer]
-        if launch == NOWHERE:
+        if plan[LAUNCH, customer] == NOWHERE:
             continue
-        position = work_arrays.whole[POSITION, launch]
-        if position < first_simulated_index:
-            launched_s = base_work_arrays.times_s[LAUNCHED, customer]
-        elif position < end_simulated_index:
-            launched_s = work_arrays.times_s[LAUNCHED, customer]
-        else:
-            launched_s = base_work_arrays.times_s[LAUNCHED, customer] + shift_s
-        away_s += (
-            _recovery_time_of_customer_s(
-                plan,
-                base_work_arrays,
-                work_arrays,
-                first_simulated_index,
-                end_simulated_index,
-                shift_s,
-                customer,
-            )
-            - launched_s
+        at, to = (
+            whole[POSITION, plan[LAUNCH, customer]],
+            whole[POSITION, plan[RENDEZVOUS, customer]],
         )
+        launched_s = _time_after_change_s(change, LAUNCHED, customer, at, simulated)
+        away_s += _time_after_change_s(change, RECOVERED, customer, to, simulated) - launched_s
     return away_s
 
 
@@ -157,19 +134,14 @@ def total_drone_time_away_s(plan, work_arrays):
 
 
 @compiled_inner
-def commit_changed_simulation(
-    tables, plan, base_work_arrays, work_arrays, first_simulated_index, end_simulated_index, shift_s
-):
-    """Commit a simulation of `incremental_makespan_s`, which covered positions
-    `first_simulated_index` to `end_simulated_index` - 1, to `base_work_arrays`: earlier positions
-    are unchanged, later ones shifted.
+def commit_changed_simulation(change, simulated):
+    """Commit a simulation of `incremental_makespan_s` to the work arrays of the plan: earlier
+    positions than `simulated` are unchanged, later ones shifted.
     """
-    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
-    old_whole, old_times_s, old_free = (
-        base_work_arrays.whole,
-        base_work_arrays.times_s,
-        base_work_arrays.free,
-    )
+    plan, new, old = change.new_plan, change.new_work, change.work
+    whole, times_s, free = new.whole, new.times_s, new.free
+    old_whole, old_times_s, old_free = old.whole, old.times_s, old.free
+    first_simulated_index, end_simulated_index, shift_s = simulated
     end = plan.shape[1] - 1
     position_count = whole[POSITION, end] + 1
     added_positions = position_count - 1 - old_whole[POSITION, end]
@@ -194,23 +166,13 @@ def commit_changed_simulation(
             whole[DELAYS, customer] = old_whole[DELAYS, customer]
             if old_whole[DELAYS, customer] > 0:
                 times_s[RELEASE, customer] = old_times_s[RELEASE, customer] + shift_s
-        times_s[RECOVERED, customer] = _recovery_time_of_customer_s(
-            plan,
-            base_work_arrays,
-            work_arrays,
-            first_simulated_index,
-            end_simulated_index,
-            shift_s,
-            customer,
+        to = whole[POSITION, plan[RENDEZVOUS, customer]]
+        times_s[RECOVERED, customer] = _time_after_change_s(
+            change, RECOVERED, customer, to, simulated
         )
-    if tables.air.priced:
+    if change.tables.air.priced:
         merge_launch_log_into_base(
-            plan,
-            base_work_arrays,
-            work_arrays,
-            first_simulated_index,
-            end_simulated_index,
-            position_count,
+            plan, old, new, first_simulated_index, end_simulated_index, position_count
         )
     for node in range(end + 1):
         for row in (POSITION, DELAYS, FIRST_LAUNCH, NEXT_LAUNCH):
@@ -223,155 +185,78 @@ def commit_changed_simulation(
 
 
 @compiled_inner
-def _index_changed_sorties(
-    tables,
-    base_plan,
-    base_int_rows,
-    base_times_s,
-    plan,
-    int_rows,
-    times_s,
-    first_changed_index,
-    last_changed_index,
-):
-    """Index sorties by node, as simulate.py does, but copy unchanged flights.
+def _index_changed_sorties(change, first_changed_index, last_changed_index):
+    """Index sorties by node, but copy unchanged flights.
 
     `first_changed_index`, `last_changed_index`: first and last changed route positions. Returns
     them extended by the changed sorties; (-1, -1) if a sortie is infeasible.
     """
-    launch_s, recover_s, out_s, back_s = (
-        tables.launch_s,
-        tables.recover_s,
-        tables.out_s,
-        tables.back_s,
-    )
-    out_hover_s, back_hover_s, endurance_s = (
-        tables.out_hover_s,
-        tables.back_hover_s,
-        tables.endurance_hover_s,
-    )
-    release_s, from_s = tables.release_s, tables.from_s
+    tables, plan, base_plan = change.tables, change.new_plan, change.plan
+    whole, times_s, old_whole = change.new_work.whole, change.new_work.times_s, change.work.whole
     end = plan.shape[1] - 1
-    added_positions = int_rows[POSITION, end] - base_int_rows[POSITION, end]
+    added_positions = whole[POSITION, end] - old_whole[POSITION, end]
     for customer in range(1, end):
-        launch = plan[LAUNCH, customer]
         changed = sortie_differs(base_plan, plan, customer)
         if changed and base_plan[LAUNCH, customer] != NOWHERE:
-            first_changed_index = min(
-                first_changed_index, base_int_rows[POSITION, base_plan[LAUNCH, customer]]
-            )
-            last_changed_index = max(
-                last_changed_index,
-                base_int_rows[POSITION, base_plan[RENDEZVOUS, customer]] + added_positions,
-            )
-        if launch == NOWHERE:
+            at = old_whole[POSITION, base_plan[LAUNCH, customer]]
+            to = old_whole[POSITION, base_plan[RENDEZVOUS, customer]] + added_positions
+            first_changed_index = min(first_changed_index, at)
+            last_changed_index = max(last_changed_index, to)
+        if plan[LAUNCH, customer] == NOWHERE:
             continue
-        rendezvous, kind = plan[RENDEZVOUS, customer], plan[KIND, customer]
-        at, to = int_rows[POSITION, launch], int_rows[POSITION, rendezvous]
+        at, to = (
+            whole[POSITION, plan[LAUNCH, customer]],
+            whole[POSITION, plan[RENDEZVOUS, customer]],
+        )
         if at < 0 or to < at:
             return -1, -1
         if changed:
-            first_changed_index, last_changed_index = (
-                min(first_changed_index, at),
-                max(last_changed_index, to),
-            )
-            if (launch == rendezvous and not tables.pads) or (
-                launch != rendezvous and tables.loops_only
-            ):
+            first_changed_index = min(first_changed_index, at)
+            last_changed_index = max(last_changed_index, to)
+            if not store_flight_if_feasible(tables, plan, times_s, customer):
                 return -1, -1
-            spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
-                kind, customer, rendezvous
-            ]
-            if not spare_s >= 0.0:
-                return -1, -1
-            times_s[SPARE, customer] = GROUND_WAIT_S if tables.pads else spare_s
-            times_s[FLY, customer] = (
-                out_s[kind, launch, customer] + back_s[kind, customer, rendezvous]
-            )
-            times_s[LEVEL, customer], times_s[HOVER_LEFT, customer] = (
-                times_s[FLY, customer],
-                spare_s,
-            )
         else:
-            times_s[SPARE, customer] = base_times_s[SPARE, customer]
-            times_s[FLY, customer] = base_times_s[FLY, customer]
-            times_s[LEVEL, customer] = base_times_s[LEVEL, customer]
-            times_s[HOVER_LEFT, customer] = base_times_s[HOVER_LEFT, customer]
-        int_rows[DELAYS, customer] = 0
-        times_s[RELEASE, customer] = max(release_s[customer], from_s[kind])
-        int_rows[NEXT_LAUNCH, customer] = int_rows[FIRST_LAUNCH, launch]
-        int_rows[FIRST_LAUNCH, launch] = customer
-        int_rows[NEXT_RECOVERY, customer] = int_rows[FIRST_RECOVERY, rendezvous]
-        int_rows[FIRST_RECOVERY, rendezvous] = customer
-        times_s[WORK_AFTER, at] += launch_s[kind]
-        times_s[WORK_AFTER, to] += recover_s[kind]
+            for row in (SPARE, FLY, LEVEL, HOVER_LEFT):
+                times_s[row, customer] = change.work.times_s[row, customer]
+        index_sortie(tables, plan, whole, times_s, customer)
     return first_changed_index, last_changed_index
 
 
 @compiled_inner
-def _index_route_and_changed_range(tables, base_plan, base_int_rows, plan, int_rows, times_s):
-    """Index node positions, as simulate.py does. Returns the number of positions, the length of the
-    prefix equal to the old plan's, and the last position before the equal suffix.
+def _changed_route_range(base_plan, base_position_count, plan, position_count):
+    """Return the length of the prefix of the route equal to the old plan's, and the last position
+    before the equal suffix.
     """
-    deliver_s = tables.deliver_s
-    end = plan.shape[1] - 1
-    for node in range(end + 1):
-        int_rows[POSITION, node] = NOWHERE
-        int_rows[FIRST_LAUNCH, node] = NOWHERE
-        int_rows[FIRST_RECOVERY, node] = NOWHERE
-    at, first = 0, 0
-    while True:
-        node = plan[ROUTE, at]
-        int_rows[POSITION, node] = at
-        times_s[WORK_AFTER, at] = deliver_s[node]
-        if first == at and base_plan[ROUTE, at] == node:
-            first = at + 1
-        if node == end:
-            break
-        at += 1
-    if first > at:
-        return at + 1, first, NOWHERE
-    last, before = at, base_int_rows[POSITION, end]
+    first = 0
+    while first < position_count and base_plan[ROUTE, first] == plan[ROUTE, first]:
+        first += 1
+    if first == position_count:
+        return first, NOWHERE
+    last, before = position_count - 1, base_position_count - 1
     while plan[ROUTE, last] == base_plan[ROUTE, before]:
         last -= 1
         before -= 1
-    return at + 1, first, last
+    return first, last
 
 
 @compiled_inner
-def _accumulate_remaining_work(tables, plan, times_s, first_index, last_index):
-    """Accumulate the remaining work from each of these positions."""
-    travel_s = tables.travel_s
-    for at in range(last_index, first_index - 1, -1):
-        hop_s = travel_s[plan[ROUTE, at], plan[ROUTE, at + 1]]
-        times_s[WORK_AFTER, at] += times_s[WORK_AFTER, at + 1] + hop_s
-
-
-@compiled_inner
-def _restore_base_state_in_range(
-    tables, base_work_arrays, plan, work_arrays, first_index, end_index
-):
+def _restore_base_state_in_range(change, first_index, end_index):
     """Restore the old state before `end_index`, since a launch before it is delayed."""
-    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
-    old_whole, old_times_s, old_free = (
-        base_work_arrays.whole,
-        base_work_arrays.times_s,
-        base_work_arrays.free,
-    )
+    plan, new, old = change.new_plan, change.new_work, change.work
     for at in range(first_index, end_index):
-        times_s[ARRIVE, at] = old_times_s[ARRIVE, at]
-        for kind in range(free.shape[1]):
-            free[at, kind] = old_free[at, kind]
-    if tables.air.priced:
-        copy_earlier_launch_log(tables.air, base_work_arrays, work_arrays, first_index)
-    _accumulate_remaining_work(tables, plan, times_s, first_index, end_index - 1)
+        new.times_s[ARRIVE, at] = old.times_s[ARRIVE, at]
+        for kind in range(new.free.shape[1]):
+            new.free[at, kind] = old.free[at, kind]
+    if change.tables.air.priced:
+        copy_earlier_launch_log(change.tables.air, old, new, first_index)
+    accumulate_remaining_work(change.tables, plan, new.times_s, first_index, end_index - 1)
     for customer in range(1, plan.shape[1] - 1):
         if (
             plan[LAUNCH, customer] != NOWHERE
-            and whole[POSITION, plan[RENDEZVOUS, customer]] < end_index
+            and new.whole[POSITION, plan[RENDEZVOUS, customer]] < end_index
         ):
-            whole[DELAYS, customer] = old_whole[DELAYS, customer]
-            times_s[RELEASE, customer] = old_times_s[RELEASE, customer]
+            new.whole[DELAYS, customer] = old.whole[DELAYS, customer]
+            new.times_s[RELEASE, customer] = old.times_s[RELEASE, customer]
 
 
 @compiled_inner
@@ -388,38 +273,32 @@ def _has_same_available_drones(
 
 
 @compiled_inner
-def incremental_makespan_s(
-    tables, base_plan, base_work_arrays, base_makespan_s, plan, work_arrays, makespan_limit_s
-):
-    """Simulate a plan near `base_plan`, whose makespan is `base_makespan_s`, simulation in
-    `base_work_arrays` (by `simulate_and_store` or `commit_changed_simulation`).
+def incremental_makespan_s(change, makespan_limit_s):
+    """Simulate the changed plan, starting from the simulation of the plan.
 
-    Returns the makespan, and for `commit_changed_simulation` the first simulated position, the one
-    after the last, and the time shift there. The positions are 0 if nothing has changed.
+    Returns the makespan, and for `commit_changed_simulation` the simulated part: its first
+    position, the one after the last, and the time shift there. The positions are 0 if nothing has
+    changed.
     """
-    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
-    old_whole, old_times_s, old_free = (
-        base_work_arrays.whole,
-        base_work_arrays.times_s,
-        base_work_arrays.free,
+    tables, plan, base_plan = change.tables, change.new_plan, change.plan
+    new, old, base_makespan_s = change.new_work, change.work, change.makespans_s[0]
+    whole, times_s, free = new.whole, new.times_s, new.free
+    old_whole, old_times_s, old_free = old.whole, old.times_s, old.free
+    position_count = index_route(tables, plan, whole, times_s)
+    first, last = _changed_route_range(
+        base_plan, old_whole[POSITION, plan.shape[1] - 1] + 1, plan, position_count
     )
-    launch_s, recover_s = tables.launch_s, tables.recover_s
-    position_count, first, last = _index_route_and_changed_range(
-        tables, base_plan, old_whole, plan, whole, times_s
-    )
-    first, last = _index_changed_sorties(
-        tables, base_plan, old_whole, old_times_s, plan, whole, times_s, first, last
-    )
+    first, last = _index_changed_sorties(change, first, last)
     if first < 0:
-        return INFEASIBLE_S, 0, 0, 0.0
+        return INFEASIBLE_S, UNCHANGED
     end = plan.shape[1] - 1
     for kind in range(min(free.shape[1], end + 1)):
         if plan[IDLE, kind] != base_plan[IDLE, kind]:
             first, last = 0, position_count
     if first == position_count:
-        return base_makespan_s, 0, 0, 0.0
+        return base_makespan_s, UNCHANGED
     begin = old_whole[RESTART, first]
-    _accumulate_remaining_work(tables, plan, times_s, begin, position_count - 2)
+    accumulate_remaining_work(tables, plan, times_s, begin, position_count - 2)
     if begin == 0:
         times_s[ARRIVE, 0] = 0.0
         initialise_drones_on_truck(tables, plan, free)
@@ -431,7 +310,7 @@ def incremental_makespan_s(
         for customer in range(1, end):
             times_s[LAUNCHED, customer] = old_times_s[LAUNCHED, customer]
     if tables.air.priced:
-        copy_earlier_launch_log(tables.air, base_work_arrays, work_arrays, begin)
+        copy_earlier_launch_log(tables.air, old, new, begin)
 
     # A drone airborne at the tail of the route was launched with a time shift. `uniform` is the
     # furthest rendezvous of drones with the latest shift, `others` of drones with another one.
@@ -445,7 +324,7 @@ def incremental_makespan_s(
     at = begin
     while at < position_count:
         if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > makespan_limit_s:
-            return INFEASIBLE_S, 0, 0, 0.0
+            return INFEASIBLE_S, UNCHANGED
         if at > last:
             arrived_s = old_times_s[ARRIVE, at - added_positions]
             now_s = times_s[ARRIVE, at] - arrived_s
@@ -458,28 +337,16 @@ def incremental_makespan_s(
                 and _has_same_available_drones(free, at, old_free, at - added_positions)
                 and (
                     not tables.air.priced
-                    or has_same_airborne_sorties(
-                        tables.air,
-                        base_plan,
-                        base_work_arrays,
-                        plan,
-                        work_arrays,
-                        at,
-                        at - added_positions,
-                    )
+                    or has_same_airborne_sorties(change, at, at - added_positions)
                 )
             ):
-                return base_makespan_s + now_s, begin, at, now_s
-        next_position = simulate_stop_and_next_arrival(
-            tables, plan, whole, times_s, free, launch_s, recover_s, at
-        )
+                return base_makespan_s + now_s, (begin, at, now_s)
+        next_position = simulate_stop_and_next_arrival(tables, plan, new, at)
         if next_position < 0:
-            return INFEASIBLE_S, 0, 0, 0.0
+            return INFEASIBLE_S, UNCHANGED
         if next_position <= at:
             if next_position < begin:
-                _restore_base_state_in_range(
-                    tables, base_work_arrays, plan, work_arrays, next_position, begin
-                )
+                _restore_base_state_in_range(change, next_position, begin)
                 begin = next_position
             others, uniform = max(others, furthest), NOWHERE
         else:
@@ -495,4 +362,4 @@ def incremental_makespan_s(
                         uniform = max(uniform, to)
                 customer = whole[NEXT_LAUNCH, customer]
         at = next_position
-    return times_s[DEPART, position_count - 1], begin, position_count, 0.0
+    return times_s[DEPART, position_count - 1], (begin, position_count, 0.0)

@@ -34,7 +34,7 @@ from ground_station.core.truck_drones.tour import truck_only_plan
 
 @dataclass(frozen=True, slots=True)
 class DynamicAssignment:
-    """`Policy`: nearest customer to the truck, fastest free drone."""
+    """Policy: nearest customer to the truck, fastest free drone."""
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
         """Return the plan of the completed tour. Draws no random numbers."""

@@ -26,9 +26,18 @@ class Operation:
 
 
 class AnnealingSearch(ABC):
-    """A simulated annealing search in steps of at most `step_trials`."""
+    """A simulated annealing search in steps of at most `step_trials`, cooling from hot to cold."""
 
     step_trials: int
+    start_temperature_frac: float
+    end_temperature_frac: float
+    """Temperatures as shares of the mean leg of the initial plan."""
+    mean_leg: float
+
+    def temperature_at(self, schedule_frac: float) -> float:
+        """Return the temperature at this part of the schedule (0: its start, 1: its end)."""
+        start = self.start_temperature_frac
+        return self.mean_leg * start * (self.end_temperature_frac / start) ** schedule_frac
 
     @abstractmethod
     def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:

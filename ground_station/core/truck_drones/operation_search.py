@@ -1,7 +1,6 @@
 """Simulated annealing over chains of operations: one truck, one drone of unlimited range."""
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -29,16 +28,6 @@ from ground_station.core.truck_drones.random_stream import (
     draw_uniform,
     seeded_stream_from_generator,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class OperationParams:
-    """Temperatures as shares of the initial tour's mean leg; cooling from hot to cold."""
-
-    start_temperature_frac: float = 0.4
-    end_temperature_frac: float = 0.01
-    step_trials: int = 200_000
-
 
 NODES_PER_SPARE = 25
 """Second visits are rarely optimal: in two of 70 proven optima of 11 to 17 nodes."""
@@ -71,17 +60,18 @@ def anneal_chain_in_place(
 class OperationSearch(AnnealingSearch):
     """A resumable search: `run_trials` repeatedly; `best_cost` is always valid."""
 
+    step_trials = 200_000
+    start_temperature_frac, end_temperature_frac = 0.4, 0.01
+
     def __init__(
         self,
         drive: NDArray[np.float64],
         fly: NDArray[np.float64],
         rng: np.random.Generator,
-        params: OperationParams = OperationParams(),
     ) -> None:
         """`drive`, `fly`: costs between nodes, (n, n), symmetric; node 0 is the depot."""
         nodes = len(drive)
-        self._drive, self._fly, self._nodes, self._params = drive, fly, nodes, params
-        self.step_trials = params.step_trials
+        self._drive, self._fly, self._nodes = drive, fly, nodes
         spare = 2 + nodes // NODES_PER_SPARE
         tour = build_short_tour(drive)
         visits = np.array([*tour[:-1], *range(nodes + 1, nodes + 1 + spare), nodes], dtype=np.int64)
@@ -101,7 +91,7 @@ class OperationSearch(AnnealingSearch):
         self._best, self._best_role, self._best_same = visits.copy(), role.copy(), same_as.copy()
         cost = self._chain_cost()
         self._costs = np.full(2, cost)
-        self._leg = cost / nodes
+        self.mean_leg = cost / nodes
         self._stream = seeded_stream_from_generator(rng)
 
     def begin_from_plan(self, operations: list[Operation]) -> None:
@@ -125,10 +115,8 @@ class OperationSearch(AnnealingSearch):
             self._best_same[:] = chain.same_as
 
     def _chain_cost(self) -> float:
-        c = self._chain
-        return float(
-            operations_cost_between_syncs(c.drive, c.fly, c.role, c.visits, 0, len(c.visits) - 1)
-        )
+        visits = self._chain.visits
+        return float(operations_cost_between_syncs(self._chain, visits, 0, len(visits) - 1))
 
     @property
     def best_cost(self) -> float:
@@ -137,8 +125,6 @@ class OperationSearch(AnnealingSearch):
 
     def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
         """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
-        start_temperature = self._params.start_temperature_frac
-        end_temperature = self._params.end_temperature_frac
         anneal_chain_in_place(
             self._chain,
             self._best,
@@ -147,12 +133,8 @@ class OperationSearch(AnnealingSearch):
             self._costs,
             self._stream,
             trials,
-            self._leg
-            * start_temperature
-            * (end_temperature / start_temperature) ** schedule_from_frac,
-            self._leg
-            * start_temperature
-            * (end_temperature / start_temperature) ** schedule_to_frac,
+            self.temperature_at(schedule_from_frac),
+            self.temperature_at(schedule_to_frac),
         )
         self._costs[0] = self._chain_cost()  # sums of changes drift by rounding errors
 

@@ -59,8 +59,9 @@ def _loop_visits_cost(fly, role, visits, first, last):
 
 
 @compiled
-def operations_cost_between_syncs(drive, fly, role, visits, first_index, last_index):
+def operations_cost_between_syncs(chain, visits, first_index, last_index):
     """Return the cost of the operations between two SYNC positions; inf if one flies twice."""
+    drive, fly, role = chain.drive, chain.fly, chain.role
     cost, truck, loops = 0.0, 0.0, False
     start_at, flown = first_index, -1
     start = stop = visits[first_index]
@@ -222,13 +223,9 @@ def try_random_move_of_visits(chain, stream, allowed_cost_increase):
         joined = low < high_to and low_to < high
         if joined:
             low, high = min(low, low_to), max(high, high_to)
-    cost = operations_cost_between_syncs(
-        chain.drive, chain.fly, chain.role, chain.visits, low, high
-    )
+    cost = operations_cost_between_syncs(chain, chain.visits, low, high)
     if not joined:
-        cost += operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
-        )
+        cost += operations_cost_between_syncs(chain, chain.visits, low_to, high_to)
 
     role = chain.role[node]
     if count == 1 and draw_integer_below(stream, 4):
@@ -249,19 +246,13 @@ def try_random_move_of_visits(chain, stream, allowed_cost_increase):
 
     if joined:
         stop = _write_moved_range_to_spare(chain, low, high, first, last, to, back, 0)
-        now = operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
-        )
+        now = operations_cost_between_syncs(chain, chain.spare, 0, stop - 1)
     else:
         stop = _write_moved_range_to_spare(chain, low, high, first, last, -1, back, 0)
-        now = operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
-        )
+        now = operations_cost_between_syncs(chain, chain.spare, 0, stop - 1)
         if now - cost <= allowed_cost_increase:
             stop = _write_moved_range_to_spare(chain, low_to, high_to, first, last, to, back, 0)
-            now += operations_cost_between_syncs(
-                chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
-            )
+            now += operations_cost_between_syncs(chain, chain.spare, 0, stop - 1)
     if not now - cost <= allowed_cost_increase:
         chain.role[others[1]] = roles[1]
         chain.role[others[0]] = roles[0]
@@ -314,19 +305,13 @@ def try_random_swap_of_visits(chain, stream, allowed_cost_increase):
     if joined:
         high = max(high, high_to)
     with_roles = draw_integer_below(stream, 3) > 0 and not _is_spare(chain, one)
-    cost = operations_cost_between_syncs(
-        chain.drive, chain.fly, chain.role, chain.visits, low, high
-    )
+    cost = operations_cost_between_syncs(chain, chain.visits, low, high)
     if not joined:
-        cost += operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
-        )
+        cost += operations_cost_between_syncs(chain, chain.visits, low_to, high_to)
     _swap_nodes(chain, one, other, with_roles)
-    now = operations_cost_between_syncs(chain.drive, chain.fly, chain.role, chain.visits, low, high)
+    now = operations_cost_between_syncs(chain, chain.visits, low, high)
     if not joined:
-        now += operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
-        )
+        now += operations_cost_between_syncs(chain, chain.visits, low_to, high_to)
     if not now - cost <= allowed_cost_increase:
         _swap_nodes(chain, one, other, with_roles)
         return REJECTED
@@ -355,13 +340,9 @@ def try_random_reversal_of_visits(chain, stream, allowed_cost_increase):
     low, high = _last_sync_index_until(chain, first - 1), _first_sync_index_from(chain, first)
     low_to, high_to = _last_sync_index_until(chain, last), _first_sync_index_from(chain, last + 1)
     joined = high > low_to
-    cost = operations_cost_between_syncs(
-        chain.drive, chain.fly, chain.role, chain.visits, low, high_to if joined else high
-    )
+    cost = operations_cost_between_syncs(chain, chain.visits, low, high_to if joined else high)
     if not joined:
-        cost += operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.visits, low_to, high_to
-        )
+        cost += operations_cost_between_syncs(chain, chain.visits, low_to, high_to)
     drawn = draw_integer_below(stream, 8)
     seam = first - 1 if drawn == 0 else first if drawn == 1 else last if drawn == 2 else last + 1
     node = chain.visits[seam]
@@ -372,20 +353,14 @@ def try_random_reversal_of_visits(chain, stream, allowed_cost_increase):
     if joined:
         stop = _write_range_to_spare(chain, last, first, stop)
         stop = _write_range_to_spare(chain, last + 1, high_to, stop)
-        now = operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
-        )
+        now = operations_cost_between_syncs(chain, chain.spare, 0, stop - 1)
     else:
         stop = _write_range_to_spare(chain, last, low_to, stop)
-        now = operations_cost_between_syncs(
-            chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
-        )
+        now = operations_cost_between_syncs(chain, chain.spare, 0, stop - 1)
         if now - cost <= allowed_cost_increase:
             stop = _write_range_to_spare(chain, high, first, 0)
             stop = _write_range_to_spare(chain, last + 1, high_to, stop)
-            now += operations_cost_between_syncs(
-                chain.drive, chain.fly, chain.role, chain.spare, 0, stop - 1
-            )
+            now += operations_cost_between_syncs(chain, chain.spare, 0, stop - 1)
     if not now - cost <= allowed_cost_increase:
         chain.role[node] = role
         return REJECTED
@@ -415,9 +390,7 @@ def try_random_merge_of_visits(chain, stream, allowed_cost_increase):
     first = 1 + draw_integer_below(stream, end - 1)
     last = min(first + 1 + draw_integer_below(stream, 5), end - 1)
     low, high = _last_sync_index_until(chain, first - 1), _first_sync_index_from(chain, last + 1)
-    cost = operations_cost_between_syncs(
-        chain.drive, chain.fly, chain.role, chain.visits, low, high
-    )
+    cost = operations_cost_between_syncs(chain, chain.visits, low, high)
     for at in range(first, last + 1):
         chain.spare[at] = chain.role[chain.visits[at]]
     flown = _merge_roles_and_count_flown(
@@ -430,7 +403,7 @@ def try_random_merge_of_visits(chain, stream, allowed_cost_increase):
     node = chain.visits[first + draw_integer_below(stream, last - first + 1)]
     if flown == 0 and not _is_spare(chain, node):
         chain.role[node] = FLOWN
-    now = operations_cost_between_syncs(chain.drive, chain.fly, chain.role, chain.visits, low, high)
+    now = operations_cost_between_syncs(chain, chain.visits, low, high)
     if not now - cost <= allowed_cost_increase:
         for at in range(first, last + 1):
             chain.role[chain.visits[at]] = chain.spare[at]

@@ -7,7 +7,6 @@ only the chain allows second visits and loops.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,16 +28,8 @@ from ground_station.core.truck_drones.random_stream import (
 )
 from ground_station.core.truck_drones.tuple_reference import passed_by_reference
 
-
-@dataclass(frozen=True, slots=True)
-class OrderParams:
-    """Temperatures as shares of a short tour's mean leg; cooling from hot to cold."""
-
-    start_temperature_frac: float = 0.3
-    end_temperature_frac: float = 0.02
-    step_trials: int = 50_000
-    max_operation_length: int = 25
-    """Maximum length of an operation, in legs along the order."""
+MAX_OPERATION_LENGTH = 25
+"""Maximum length of an operation, in legs along the order."""
 
 
 @passed_by_reference
@@ -73,7 +64,7 @@ def create_uncomputed_split(order: NDArray[np.int64]) -> SplitOrder:
 
 
 @compiled
-def update_best_split_cost(drive, fly, split, first_changed_index, max_operation_length):
+def update_best_split_cost(drive, fly, split, first_changed_index):
     """Return the cost of the best split, valid before position `first_changed_index`."""
     order, cumulative, saved, cost = split.order, split.cumulative_cost, split.saved, split.cost
     end = len(order) - 1
@@ -86,7 +77,7 @@ def update_best_split_cost(drive, fly, split, first_changed_index, max_operation
         from_position, flown = stop - 1, -1
         node = order[stop]
         most_saved = -np.inf
-        for start in range(stop - 2, max(stop - max_operation_length, 0) - 1, -1):
+        for start in range(stop - 2, max(stop - MAX_OPERATION_LENGTH, 0) - 1, -1):
             most_saved = max(most_saved, saved[start + 1])
             allowed = least - cost[start]
             driven = cumulative[stop] - cumulative[start]
@@ -190,7 +181,6 @@ def anneal_order_in_place(
     trials,
     start_temperature,
     end_temperature,
-    max_operation_length,
 ):
     """Try `trials` changes, temperature from `start_temperature` to `end_temperature`, units of
     cost.
@@ -207,7 +197,7 @@ def anneal_order_in_place(
         )
         if first >= last:
             continue
-        cost = update_best_split_cost(drive, fly, candidate_split, first, max_operation_length)
+        cost = update_best_split_cost(drive, fly, candidate_split, first)
         if cost - costs[0] > -temperature * math.log(1.0 - draw_uniform(stream)):
             _copy_split(split, candidate_split, first, last)
             continue
@@ -224,20 +214,21 @@ def anneal_order_in_place(
 class OrderSearch(AnnealingSearch):
     """A resumable search: `run_trials` repeatedly; `best_operations` is always valid."""
 
+    step_trials = 50_000
+    start_temperature_frac, end_temperature_frac = 0.3, 0.02
+
     def __init__(
         self,
         drive: NDArray[np.float64],
         fly: NDArray[np.float64],
         rng: np.random.Generator,
-        params: OrderParams = OrderParams(),
     ) -> None:
         """`drive`, `fly`: costs between nodes, (n, n), symmetric; node 0 is the depot."""
-        self._drive, self._fly, self._rng, self._params = drive, fly, rng, params
-        self.step_trials = params.step_trials
+        self._drive, self._fly, self._rng = drive, fly, rng
         self._costs_of = with_depot_copy(drive), with_depot_copy(fly)
         self._near = nearest_nodes_by_node(drive)
         tour = build_short_tour(drive)
-        self._leg = float(self._costs_of[0][tour[:-1], tour[1:]].mean())
+        self.mean_leg = float(self._costs_of[0][tour[:-1], tour[1:]].mean())
         self._best = tour.copy()
         self._costs = np.full(2, np.inf)
         self._stream = seeded_stream_from_generator(rng)
@@ -246,9 +237,8 @@ class OrderSearch(AnnealingSearch):
     def _begin_from_order(self, order: NDArray[np.int64]) -> None:
         """Continue from this order."""
         self.current, self._new = create_uncomputed_split(order), create_uncomputed_split(order)
-        max_operation_length = self._params.max_operation_length
-        update_best_split_cost(*self._costs_of, self._new, 0, max_operation_length)
-        cost = float(update_best_split_cost(*self._costs_of, self.current, 0, max_operation_length))
+        update_best_split_cost(*self._costs_of, self._new, 0)
+        cost = float(update_best_split_cost(*self._costs_of, self.current, 0))
         self._position = np.argsort(order).astype(np.int64)
         self._costs[0] = cost
         if cost < self._costs[1]:
@@ -268,8 +258,6 @@ class OrderSearch(AnnealingSearch):
 
     def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
         """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
-        start_temperature = self._params.start_temperature_frac
-        end_temperature = self._params.end_temperature_frac
         anneal_order_in_place(
             *self._costs_of,
             self._near,
@@ -280,19 +268,14 @@ class OrderSearch(AnnealingSearch):
             self._costs,
             self._stream,
             trials,
-            self._leg
-            * start_temperature
-            * (end_temperature / start_temperature) ** schedule_from_frac,
-            self._leg
-            * start_temperature
-            * (end_temperature / start_temperature) ** schedule_to_frac,
-            self._params.max_operation_length,
+            self.temperature_at(schedule_from_frac),
+            self.temperature_at(schedule_to_frac),
         )
 
     def best_operations(self) -> list[Operation]:
         """Return the best plan found."""
         split = create_uncomputed_split(self._best)
-        update_best_split_cost(*self._costs_of, split, 0, self._params.max_operation_length)
+        update_best_split_cost(*self._costs_of, split, 0)
         return operations_of_split(split)
 
 

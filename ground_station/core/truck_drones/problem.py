@@ -6,7 +6,6 @@ model fits, including direction-dependent costs due to wind.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +28,6 @@ class LegTables:
     out_hover_s: Floats
     back_hover_s: Floats
     endurance_hover_s: float
-
-
-class SortieModel(Protocol):
-    """An energy model for the day's planner."""
-
-    def leg_tables(self, drone_kind: int) -> LegTables:
-        """Return times and energies of this kind of drone between all nodes."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

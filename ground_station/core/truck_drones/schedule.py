@@ -90,16 +90,51 @@ def stops_and_flights_in_launch_order(
     problem: TruckAndDrones, plan: Plan
 ) -> tuple[tuple[TruckStop, ...], list[FlightTimes]]:
     """Return the truck's stops, and the flights in order of launch."""
+    return _stops_and_flights(problem, plan, _simulated_work(problem, plan))
+
+
+def simulate_schedule(problem: TruckAndDrones, plan: Plan) -> Schedule:
+    """Return the times of all tasks of a plan, and the drone of each sortie."""
+    work = _simulated_work(problem, plan)
+    stops, flights = _stops_and_flights(problem, plan, work)
+    tasks: list[DriverTask] = []
+    for stop in stops:
+        duration_s = float(problem.deliver_s[stop.node])
+        if duration_s > 0.0:
+            start_s = float(work.times_s[DELIVERED, stop.node])
+            tasks.append(DriverTask("deliver", stop.node, None, start_s, start_s + duration_s))
+    sorties: list[Sortie] = []
+    for flight, drone in zip(flights, _drone_by_flight(problem, flights), strict=True):
+        kind = problem.kinds[flight.kind]
+        sorties.append(Sortie(drone, flight.launch, flight.customer, flight.rendezvous))
+        launch_start_s = flight.launched_s - kind.launch_s
+        recovery_end_s = flight.recovered_s + kind.recover_s
+        tasks += (
+            DriverTask("launch", flight.launch, drone, launch_start_s, flight.launched_s),
+            DriverTask("recover", flight.rendezvous, drone, flight.recovered_s, recovery_end_s),
+        )
+    tasks.sort(key=lambda task: (task.start_s, task.end_s))
+    return Schedule(stops[-1].depart_s, stops, tuple(sorties), tuple(tasks))
+
+
+def _simulated_work(problem: TruckAndDrones, plan: Plan) -> WorkArrays:
+    """Return the arrays of a simulation. Raises LeewayError if the plan is infeasible."""
     tables = tables_of(problem)
     work = allocate_work_arrays(tables)
     if simulate_makespan_s(tables, plan, work, INFEASIBLE_S) == INFEASIBLE_S:
         raise LeewayError("truck and drones: infeasible plan")
-    found: list[FlightTimes] = []
+    return work
+
+
+def _stops_and_flights(
+    problem: TruckAndDrones, plan: Plan, work: WorkArrays
+) -> tuple[tuple[TruckStop, ...], list[FlightTimes]]:
+    times_s, found = work.times_s, list[FlightTimes]()
     for customer in range(1, problem.end_node):
         if plan[LAUNCH, customer] == NOWHERE:
             continue
         launched_s, fly_s, recovered_s = (
-            float(work.times_s[row, customer]) for row in (LAUNCHED, FLY, RECOVERED)
+            float(times_s[row, customer]) for row in (LAUNCHED, FLY, RECOVERED)
         )
         kind, launch, rendezvous = (int(plan[row, customer]) for row in (KIND, LAUNCH, RENDEZVOUS))
         layer = int(work.whole[LAYER, customer]) if problem.air is not None else None
@@ -108,87 +143,26 @@ def stops_and_flights_in_launch_order(
         )
         found.append(flight)
     found.sort(key=lambda flight: (flight.launched_s, flight.customer))
-    return _truck_stops(plan, work, problem.end_node), found
-
-
-def simulate_schedule(problem: TruckAndDrones, plan: Plan) -> Schedule:
-    """Return the times of all tasks of a plan, and the drone of each sortie."""
-    tables = tables_of(problem)
-    work = allocate_work_arrays(tables)
-    makespan_s = float(simulate_makespan_s(tables, plan, work, INFEASIBLE_S))
-    if makespan_s == INFEASIBLE_S:
-        raise LeewayError("truck and drones: infeasible plan")
-    stops = _truck_stops(plan, work, problem.end_node)
-    drone_of = _drone_by_customer(problem, plan, work)
-    sorties = tuple(
-        Sortie(drone, int(plan[LAUNCH, customer]), customer, int(plan[RENDEZVOUS, customer]))
-        for customer, drone in drone_of.items()
-    )
-    tasks = [
-        *_delivery_tasks(problem, stops, work),
-        *_launch_and_recovery_tasks(problem, plan, work, drone_of),
-    ]
-    tasks.sort(key=lambda task: (task.start_s, task.end_s))
-    return Schedule(makespan_s, stops, sorties, tuple(tasks))
-
-
-def _truck_stops(plan: Plan, work: WorkArrays, end: int) -> tuple[TruckStop, ...]:
-    times_s = work.times_s
-    return tuple(
+    stops = tuple(
         TruckStop(int(plan[ROUTE, at]), float(times_s[ARRIVE, at]), float(times_s[DEPART, at]))
-        for at in range(int(work.whole[POSITION, end]) + 1)
+        for at in range(int(work.whole[POSITION, problem.end_node]) + 1)
     )
+    return stops, found
 
 
-def _delivery_tasks(
-    problem: TruckAndDrones, stops: tuple[TruckStop, ...], work: WorkArrays
-) -> list[DriverTask]:
-    found = []
-    for stop in stops:
-        duration_s = float(problem.deliver_s[stop.node])
-        if duration_s > 0.0:
-            start_s = float(work.times_s[DELIVERED, stop.node])
-            found.append(DriverTask("deliver", stop.node, None, start_s, start_s + duration_s))
-    return found
-
-
-def _launch_and_recovery_tasks(
-    problem: TruckAndDrones, plan: Plan, work: WorkArrays, drone_by_customer: dict[int, int]
-) -> list[DriverTask]:
-    found = []
-    for customer, drone in drone_by_customer.items():
-        kind = problem.kinds[int(plan[KIND, customer])]
-        launched_s = float(work.times_s[LAUNCHED, customer])
-        recovered_s = float(work.times_s[RECOVERED, customer])
-        launch, rendezvous = int(plan[LAUNCH, customer]), int(plan[RENDEZVOUS, customer])
-        start_s = launched_s - kind.launch_s
-        found.append(DriverTask("launch", launch, drone, start_s, launched_s))
-        found.append(
-            DriverTask("recover", rendezvous, drone, recovered_s, recovered_s + kind.recover_s)
-        )
-    return found
-
-
-def _drone_by_customer(problem: TruckAndDrones, plan: Plan, work: WorkArrays) -> dict[int, int]:
-    """Assign to each customer the available drone with the lowest number.
-
-    In order of launch; a drone is available again after its recovery.
+def _drone_by_flight(problem: TruckAndDrones, flights: list[FlightTimes]) -> list[int]:
+    """Assign to each flight, in order of launch, the available drone with the lowest number; it is
+    available again after its recovery.
     """
-    first = 0
-    idle: list[list[tuple[int, float]]] = []
+    free_from_s: list[dict[int, float]] = []
     for kind in problem.kinds:
-        idle.append([(first + number, 0.0) for number in range(kind.count)])
-        first += kind.count
-    flown = [int(j) for j in range(1, problem.end_node) if plan[LAUNCH, j] != NOWHERE]
-    flown.sort(key=lambda j: (work.times_s[LAUNCHED, j], j))
-    drone_of: dict[int, int] = {}
-    for customer in flown:
-        kind_number = int(plan[KIND, customer])
-        kind, drones = problem.kinds[kind_number], idle[kind_number]
-        start_s = work.times_s[LAUNCHED, customer] - kind.launch_s
-        drone, since_s = next(one for one in drones if one[1] <= start_s + 1e-6)
-        drones.remove((drone, since_s))
-        drones.append((drone, float(work.times_s[RECOVERED, customer]) + kind.recover_s))
-        drones.sort()
-        drone_of[customer] = drone
-    return drone_of
+        first = sum(len(drones) for drones in free_from_s)
+        free_from_s.append(dict.fromkeys(range(first, first + kind.count), 0.0))
+    found: list[int] = []
+    for flight in flights:
+        kind, drones = problem.kinds[flight.kind], free_from_s[flight.kind]
+        start_s = flight.launched_s - kind.launch_s + 1e-6
+        drone = next(number for number, since_s in drones.items() if since_s <= start_s)
+        drones[drone] = flight.recovered_s + kind.recover_s
+        found.append(drone)
+    return found

@@ -11,6 +11,7 @@ from ground_station.core.truck_drones.building.built_plans import construct_plan
 from ground_station.core.truck_drones.building.insertion import InsertionParams
 from ground_station.core.truck_drones.building.rebuild import try_random_removal_and_reinsertion
 from ground_station.core.truck_drones.changed_plan import (
+    UNCHANGED,
     changed_drone_time_away_s,
     commit_changed_simulation,
     incremental_makespan_s,
@@ -28,7 +29,13 @@ from ground_station.core.truck_drones.random_stream import (
     seeded_stream_from_generator,
 )
 from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
-from ground_station.core.truck_drones.tables import IDLE, Plan, allocate_work_arrays, tables_of
+from ground_station.core.truck_drones.tables import (
+    IDLE,
+    ChangeArrays,
+    Plan,
+    allocate_work_arrays,
+    tables_of,
+)
 
 INSERTION = InsertionParams(
     near_stops=4, launch_range=3, rendezvous_range=3, skip_frac=0.02, air_price=0.03
@@ -37,15 +44,8 @@ INSERTION = InsertionParams(
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """Temperatures as shares of the initial plan's time per node; cooling from hot to cold.
+    """Large changes of a plan."""
 
-    Above 0.4 a plan becomes permanently worse than the initial one; below 0.04 it no longer
-    changes (docs/explanation/truck-and-drones.md).
-    """
-
-    start_temperature_frac: float = 0.4
-    end_temperature_frac: float = 0.04
-    step_trials: int = 20_000
     rebuild_frac: float = 0.05
     """Share of the changes that remove several customers and reinsert them."""
     insertion: InsertionParams = INSERTION
@@ -126,16 +126,9 @@ def _copy_array(source, target):
 
 @compiled
 def anneal_plan_in_place(
-    tables,
-    base_work_arrays,
-    work_arrays,
-    plan,
+    change,
     best,
     route_index_by_node,
-    candidate_plan,
-    candidate_position,
-    costs_s,
-    stream,
     trials,
     start_temperature_s,
     end_temperature_s,
@@ -145,141 +138,124 @@ def anneal_plan_in_place(
     """Try changes while the temperature falls from `start_temperature_s` to `end_temperature_s`, s
     of makespan; a rebuild counts as one trial per simulated plan.
 
-    Changes `plan`, `best`, `route_index_by_node` and `costs_s` (of plan and best). A change is
-    accepted if the makespan plus a small share of the drones' time away rises by at most
-    temperature x Exp(1), so bad simulations stop early. With priced layers only small moves are
-    made. `base_work_arrays`: work arrays of the current plan's simulation; `work_arrays`: of the
-    changed plan's.
+    Changes `change`, `best` and `route_index_by_node`. A change is accepted if the makespan plus a
+    small share of the drones' time away rises by at most temperature x Exp(1), so bad simulations
+    stop early. With priced layers only small moves are made.
     """
+    tables, plan, new_plan, costs_s = (
+        change.tables,
+        change.plan,
+        change.new_plan,
+        change.makespans_s,
+    )
+    new_work, new_route_index, stream = change.new_work, change.new_route_index, change.stream
     whole_only = costs_s[0] == INFEASIBLE_S
     now_away_s, price = 0.0, 0.0
-    if not whole_only:
-        costs_s[0] = simulate_and_store(
-            tables, plan, base_work_arrays
-        )  # sums of shifts drift by rounding errors
-        now_away_s, price = total_drone_time_away_s(plan, base_work_arrays), insertion.air_price
+    if not whole_only:  # sums of shifts drift by rounding errors
+        costs_s[0] = simulate_and_store(tables, plan, change.work)
+        now_away_s, price = total_drone_time_away_s(plan, change.work), insertion.air_price
     cooling = math.log(end_temperature_s / start_temperature_s) / trials
-    begin, at, shift_s, new_away_s = 0, 0, 0.0, 0.0
-    done = 0
+    simulated, new_away_s, done = UNCHANGED, 0.0, 0
     while done < trials:
         allowed_s = (
             -start_temperature_s * math.exp(cooling * done) * math.log(1.0 - draw_uniform(stream))
         )
         done += 1
-        _copy_array(plan, candidate_plan)
+        _copy_array(plan, new_plan)
         for node in range(len(route_index_by_node)):
-            candidate_position[node] = route_index_by_node[node]
+            new_route_index[node] = route_index_by_node[node]
         makespan_limit_s = costs_s[0] + allowed_s + price * min(now_away_s, MAX_SAVED_TIME_AWAY_S)
         if not (whole_only or tables.air.priced) and draw_uniform(stream) < rebuild_frac:
             changed, evaluated = try_random_removal_and_reinsertion(
-                tables,
-                plan,
-                base_work_arrays,
-                costs_s[0],
-                candidate_plan,
-                candidate_position,
-                work_arrays,
-                makespan_limit_s,
-                insertion,
-                stream,
+                change, makespan_limit_s, insertion
             )
             done += evaluated
         else:
-            changed = try_random_move(tables, candidate_plan, candidate_position, stream)
+            changed = try_random_move(tables, new_plan, new_route_index, stream)
         if not changed:
             continue
         if whole_only:
-            makespan_s = simulate_makespan_s(tables, candidate_plan, work_arrays, makespan_limit_s)
+            makespan_s = simulate_makespan_s(tables, new_plan, new_work, makespan_limit_s)
         else:
-            makespan_s, begin, at, shift_s = incremental_makespan_s(
-                tables,
-                plan,
-                base_work_arrays,
-                costs_s[0],
-                candidate_plan,
-                work_arrays,
-                makespan_limit_s,
-            )
-            if at == 0:
+            makespan_s, simulated = incremental_makespan_s(change, makespan_limit_s)
+            if simulated[1] == 0:
                 continue
         if makespan_s > makespan_limit_s:
             continue
         if not whole_only:
-            new_away_s = changed_drone_time_away_s(
-                candidate_plan, base_work_arrays, work_arrays, begin, at, shift_s
-            )
+            new_away_s = changed_drone_time_away_s(change, simulated)
             if makespan_s - costs_s[0] + price * (new_away_s - now_away_s) > allowed_s:
                 continue
-        _copy_array(candidate_plan, plan)
+        _copy_array(new_plan, plan)
         store_route_index_by_node(plan, route_index_by_node)
         if not whole_only:
-            commit_changed_simulation(
-                tables, plan, base_work_arrays, work_arrays, begin, at, shift_s
-            )
+            commit_changed_simulation(change, simulated)
             now_away_s = new_away_s
         costs_s[0] = makespan_s
         if makespan_s < costs_s[1] - 1e-9:
             if not whole_only:
-                makespan_s = simulate_makespan_s(tables, plan, work_arrays, INFEASIBLE_S)
+                makespan_s = simulate_makespan_s(tables, plan, new_work, INFEASIBLE_S)
             if makespan_s < costs_s[1]:
                 costs_s[1] = makespan_s
                 _copy_array(plan, best)
 
 
 class PlanSearch(AnnealingSearch):
-    """A resumable search: `run_trials` repeatedly; `best` is always valid."""
+    """A resumable search: `run_trials` repeatedly; `best` is always valid.
+
+    Above a temperature share of 0.4 a plan becomes permanently worse than the initial one; below
+    0.04 it no longer changes (docs/explanation/truck-and-drones.md).
+    """
+
+    step_trials = 20_000
+    start_temperature_frac, end_temperature_frac = 0.4, 0.04
 
     def __init__(
         self,
         problem: TruckAndDrones,
         rng: np.random.Generator,
-        params: SearchParams,
+        params: SearchParams = SearchParams(),
         start: Plan | None = None,
     ) -> None:
         """`start`: initial plan, instead of `build_first_plan`."""
         self._problem, self._params = problem, params
-        self.step_trials = params.step_trials
-        self._tables = tables_of(problem)
-        self._plan_work, self._work = (
-            allocate_work_arrays(self._tables),
-            allocate_work_arrays(self._tables),
-        )
-        first = build_first_plan(problem, self._tables, self._work) if start is None else start
-        self._plan = first.copy()
+        tables, stream = tables_of(problem), seeded_stream_from_generator(rng)
+        work, new_work = allocate_work_arrays(tables), allocate_work_arrays(tables)
+        first = build_first_plan(problem, tables, new_work) if start is None else start
         self._position = np.zeros(problem.nodes, dtype=np.int64)
-        store_route_index_by_node(self._plan, self._position)
-        self._candidate_plan, self._candidate_position = self._plan.copy(), self._position.copy()
-        self.best: Plan = self._plan.copy()
-        first_s = simulate_makespan_s(self._tables, self._plan, self._work, INFEASIBLE_S)
-        self._first: Plan = self._plan.copy()
-        self._costs_s = np.full(2, first_s)
-        self._mean_leg_s = first_s / problem.nodes
-        self._stream = seeded_stream_from_generator(rng)
+        store_route_index_by_node(first, self._position)
+        first_s = simulate_makespan_s(tables, first, new_work, INFEASIBLE_S)
+        self.best: Plan = first.copy()
+        self._first: Plan = first.copy()
+        self._change = ChangeArrays(
+            tables,
+            stream,
+            first.copy(),
+            work,
+            np.full(2, first_s),
+            first.copy(),
+            new_work,
+            self._position.copy(),
+        )
+        self.mean_leg = first_s / problem.nodes
         self._constructed: list[Plan] | None = None
         self._start_plan: Plan | None = None
 
     @property
     def best_makespan_s(self) -> float:
         """Makespan of the best plan found."""
-        return float(self._costs_s[1])
+        return float(self._change.makespans_s[1])
 
     def run_trials(self, trials: int, schedule_from_frac: float, schedule_to_frac: float) -> None:
         """Run trials, cooling over this part of the schedule (0: its start, 1: its end)."""
         params = self._params
         anneal_plan_in_place(
-            self._tables,
-            self._plan_work,
-            self._work,
-            self._plan,
+            self._change,
             self.best,
             self._position,
-            self._candidate_plan,
-            self._candidate_position,
-            self._costs_s,
-            self._stream,
             trials,
-            self._mean_leg_s * _temperature_frac_at(params, schedule_from_frac),
-            self._mean_leg_s * _temperature_frac_at(params, schedule_to_frac),
+            self.temperature_at(schedule_from_frac),
+            self.temperature_at(schedule_to_frac),
             params.insertion,
             params.rebuild_frac,
         )
@@ -287,22 +263,24 @@ class PlanSearch(AnnealingSearch):
     def add_start_plan(self, plan: Plan) -> None:
         """Add an external plan as a start of coolings; it becomes `best` if it is better."""
         self._start_plan = plan.copy()
-        makespan_s = simulate_makespan_s(self._tables, plan, self._work, INFEASIBLE_S)
-        if makespan_s < self.best_makespan_s:
-            self._costs_s[1] = makespan_s
-            self.best[:] = plan
+        self._simulate_and_keep_if_best(plan)
 
     def start_from_plan_of_cooling(self, cooling: Cooling) -> None:
         """Continue from the initial plan of this cooling."""
         if cooling.start == "here":
             return
         plan = self._start_plan_of_cooling(cooling)
-        self._plan[:] = plan
-        store_route_index_by_node(self._plan, self._position)
-        self._costs_s[0] = simulate_makespan_s(self._tables, self._plan, self._work, INFEASIBLE_S)
-        if self._costs_s[0] < self._costs_s[1]:
-            self._costs_s[1] = self._costs_s[0]
+        self._change.plan[:] = plan
+        store_route_index_by_node(plan, self._position)
+        self._change.makespans_s[0] = self._simulate_and_keep_if_best(plan)
+
+    def _simulate_and_keep_if_best(self, plan: Plan) -> float:
+        change = self._change
+        makespan_s = simulate_makespan_s(change.tables, plan, change.new_work, INFEASIBLE_S)
+        if makespan_s < self.best_makespan_s:
+            change.makespans_s[1] = makespan_s
             self.best[:] = plan
+        return makespan_s
 
     def _start_plan_of_cooling(self, cooling: Cooling) -> Plan:
         if cooling.start == "first":
@@ -318,16 +296,7 @@ class PlanSearch(AnnealingSearch):
 
     def construct_plans(self) -> list[Plan]:
         """Return initial plans with different tours, best first."""
-        return construct_plan_per_flight_price(
-            self._problem, self._tables, self._plan_work, self._work, self._mean_leg_s, self._stream
-        )
-
-
-def _temperature_frac_at(params: SearchParams, schedule_frac: float) -> float:
-    return (
-        params.start_temperature_frac
-        * (params.end_temperature_frac / params.start_temperature_frac) ** schedule_frac
-    )
+        return construct_plan_per_flight_price(self._problem, self._change, self.mean_leg)
 
 
 def problems_with_growing_fleets(problem: TruckAndDrones) -> list[TruckAndDrones]:
@@ -356,12 +325,11 @@ def plan_for_larger_fleet(
 
 @dataclass(frozen=True, slots=True)
 class SearchPolicy:
-    """`Policy`: a search for each number of drones, fewest first, each with the previous plan as a
+    """Policy: a search for each number of drones, fewest first, each with the previous plan as a
     start. With the same seed and trials more drones therefore never increase the makespan.
     `trials`: of a search; None: by the number of customers.
     """
 
-    params: SearchParams = SearchParams()
     trials: int | None = None
 
     def plan(self, problem: TruckAndDrones, rng: np.random.Generator) -> Plan:
@@ -374,20 +342,19 @@ class SearchPolicy:
                 search.start_from_plan_of_cooling(cooling)
                 search.run_cooling(max(1, int(share * cooling.share)), cooling.begin_frac)
 
-        return best_plan_over_growing_fleets(problem, rng, self.params, run_search)
+        return best_plan_over_growing_fleets(problem, rng, run_search)
 
 
 def best_plan_over_growing_fleets(
     problem: TruckAndDrones,
     rng: np.random.Generator,
-    params: SearchParams,
     run_search: Callable[[PlanSearch, bool], None],
 ) -> Plan:
     """Call `run_search(search, is_smaller_fleet_searched)` per fleet size; return the best plan."""
     fleets = problems_with_growing_fleets(problem)
     plan: Plan | None = None
     for number, fleet in enumerate(fleets):
-        search = PlanSearch(fleet, rng, params)
+        search = PlanSearch(fleet, rng)
         if plan is not None:
             search.add_start_plan(plan_for_larger_fleet(plan, fleets[number - 1], fleet))
         run_search(search, plan is not None)

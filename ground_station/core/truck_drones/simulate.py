@@ -59,56 +59,41 @@ GROUND_WAIT_S = 1e7
 
 
 @compiled_inner
-def _index_sorties_if_feasible(tables, plan, int_rows, times_s):
-    """Index sorties by node with flight and spare times; return False if one is infeasible."""
-    launch_s, recover_s, out_s, back_s = (
-        tables.launch_s,
-        tables.recover_s,
-        tables.out_s,
-        tables.back_s,
-    )
-    out_hover_s, back_hover_s, endurance_s = (
-        tables.out_hover_s,
-        tables.back_hover_s,
-        tables.endurance_hover_s,
-    )
-    release_s, from_s = tables.release_s, tables.from_s
-    for customer in range(1, plan.shape[1] - 1):
-        launch = plan[LAUNCH, customer]
-        if launch == NOWHERE:
-            continue
-        recovery, kind = plan[RENDEZVOUS, customer], plan[KIND, customer]
-        if (
-            int_rows[POSITION, launch] < 0
-            or int_rows[POSITION, recovery] < int_rows[POSITION, launch]
-        ):
-            return False
-        if (launch == recovery and not tables.pads) or (launch != recovery and tables.loops_only):
-            return False
-        spare_s = (endurance_s[kind] - out_hover_s[kind, launch, customer]) - back_hover_s[
-            kind, customer, recovery
-        ]
-        if not spare_s >= 0.0:
-            return False
-        times_s[SPARE, customer] = GROUND_WAIT_S if tables.pads else spare_s
-        times_s[FLY, customer] = out_s[kind, launch, customer] + back_s[kind, customer, recovery]
-        times_s[RELEASE, customer] = max(release_s[customer], from_s[kind])
-        int_rows[DELAYS, customer] = 0
-        int_rows[NEXT_LAUNCH, customer] = int_rows[FIRST_LAUNCH, launch]
-        int_rows[FIRST_LAUNCH, launch] = customer
-        int_rows[NEXT_RECOVERY, customer] = int_rows[FIRST_RECOVERY, recovery]
-        int_rows[FIRST_RECOVERY, recovery] = customer
-        times_s[WORK_AFTER, int_rows[POSITION, launch]] += launch_s[kind]
-        times_s[WORK_AFTER, int_rows[POSITION, recovery]] += recover_s[kind]
-        times_s[LEVEL, customer] = times_s[FLY, customer]
-        times_s[HOVER_LEFT, customer] = spare_s
+def store_flight_if_feasible(tables, plan, times_s, customer):
+    """Store flight and spare times of a sortie; return False if it is infeasible."""
+    launch, rendezvous = plan[LAUNCH, customer], plan[RENDEZVOUS, customer]
+    kind = plan[KIND, customer]
+    if (launch == rendezvous and not tables.pads) or (launch != rendezvous and tables.loops_only):
+        return False
+    left_s = tables.endurance_hover_s[kind] - tables.out_hover_s[kind, launch, customer]
+    spare_s = left_s - tables.back_hover_s[kind, customer, rendezvous]
+    if not spare_s >= 0.0:
+        return False
+    fly_s = tables.out_s[kind, launch, customer] + tables.back_s[kind, customer, rendezvous]
+    times_s[FLY, customer] = times_s[LEVEL, customer] = fly_s
+    times_s[SPARE, customer] = GROUND_WAIT_S if tables.pads else spare_s
+    times_s[HOVER_LEFT, customer] = spare_s
     return True
 
 
 @compiled_inner
-def index_plan(tables, plan, int_rows, times_s):
-    """Index positions, sorties and work; return the position count, 0 if a sortie is infeasible."""
-    travel_s, deliver_s = tables.travel_s, tables.deliver_s
+def index_sortie(tables, plan, int_rows, times_s, customer):
+    """Add a sortie to the launches and recoveries of its stops, and to the driver's work there."""
+    launch, rendezvous = plan[LAUNCH, customer], plan[RENDEZVOUS, customer]
+    kind = plan[KIND, customer]
+    int_rows[DELAYS, customer] = 0
+    times_s[RELEASE, customer] = max(tables.release_s[customer], tables.from_s[kind])
+    int_rows[NEXT_LAUNCH, customer] = int_rows[FIRST_LAUNCH, launch]
+    int_rows[FIRST_LAUNCH, launch] = customer
+    int_rows[NEXT_RECOVERY, customer] = int_rows[FIRST_RECOVERY, rendezvous]
+    int_rows[FIRST_RECOVERY, rendezvous] = customer
+    times_s[WORK_AFTER, int_rows[POSITION, launch]] += tables.launch_s[kind]
+    times_s[WORK_AFTER, int_rows[POSITION, rendezvous]] += tables.recover_s[kind]
+
+
+@compiled_inner
+def index_route(tables, plan, int_rows, times_s):
+    """Index node positions and the work of deliveries; return the position count."""
     end = plan.shape[1] - 1
     for node in range(end + 1):
         int_rows[POSITION, node] = NOWHERE
@@ -118,16 +103,35 @@ def index_plan(tables, plan, int_rows, times_s):
     while True:
         node = plan[ROUTE, at]
         int_rows[POSITION, node] = at
-        times_s[WORK_AFTER, at] = deliver_s[node]
-        if node == end:
-            break
+        times_s[WORK_AFTER, at] = tables.deliver_s[node]
         at += 1
-    if not _index_sorties_if_feasible(tables, plan, int_rows, times_s):
-        return 0
-    for before in range(at - 1, -1, -1):
-        hop_s = travel_s[plan[ROUTE, before], plan[ROUTE, before + 1]]
-        times_s[WORK_AFTER, before] += times_s[WORK_AFTER, before + 1] + hop_s
-    return at + 1
+        if node == end:
+            return at
+
+
+@compiled_inner
+def accumulate_remaining_work(tables, plan, times_s, first_index, last_index):
+    """Accumulate the remaining work from each of these positions."""
+    for at in range(last_index, first_index - 1, -1):
+        hop_s = tables.travel_s[plan[ROUTE, at], plan[ROUTE, at + 1]]
+        times_s[WORK_AFTER, at] += times_s[WORK_AFTER, at + 1] + hop_s
+
+
+@compiled_inner
+def index_plan(tables, plan, int_rows, times_s):
+    """Index positions, sorties and work; return the position count, 0 if a sortie is infeasible."""
+    position_count = index_route(tables, plan, int_rows, times_s)
+    for customer in range(1, plan.shape[1] - 1):
+        if plan[LAUNCH, customer] == NOWHERE:
+            continue
+        at = int_rows[POSITION, plan[LAUNCH, customer]]
+        if at < 0 or int_rows[POSITION, plan[RENDEZVOUS, customer]] < at:
+            return 0
+        if not store_flight_if_feasible(tables, plan, times_s, customer):
+            return 0
+        index_sortie(tables, plan, int_rows, times_s, customer)
+    accumulate_remaining_work(tables, plan, times_s, 0, position_count - 2)
+    return position_count
 
 
 @compiled_inner
@@ -146,12 +150,12 @@ def _mark_pending_sorties_of_node(plan, int_rows, times_s, node):
 
 
 @compiled_inner
-def _delay_launch_within_limit(plan, int_rows, times_s, launch_s, customer, launched_s):
+def _delay_launch_within_limit(tables, plan, int_rows, times_s, customer, launched_s):
     """Delay the launch of this drone; return False at the limit of delays."""
     int_rows[DELAYS, customer] += 1
     if int_rows[DELAYS, customer] > MAX_DELAYS:
         return False
-    times_s[RELEASE, customer] = launched_s - launch_s[plan[KIND, customer]]
+    times_s[RELEASE, customer] = launched_s - tables.launch_s[plan[KIND, customer]]
     return True
 
 
@@ -230,19 +234,10 @@ def _drone_landing_before(int_rows, times_s, node, earliest_landing_s):
 
 
 @compiled_inner
-def _process_driver_tasks_at_stop(
-    air,
-    plan,
-    int_rows,
-    times_s,
-    available,
-    launch_s,
-    recover_s,
-    deliver_s,
-    takeoff_wait_s,
-    route_index,
-):
+def _process_driver_tasks_at_stop(tables, plan, int_rows, times_s, available, route_index):
     """Process all tasks at this position. Returns (departure, next position; -1: infeasible)."""
+    air, launch_s, recover_s = tables.air, tables.launch_s, tables.recover_s
+    deliver_s = tables.deliver_s[plan[ROUTE, route_index]]
     node, now_s = plan[ROUTE, route_index], times_s[ARRIVE, route_index]
     airborne_s = now_s
     _mark_pending_sorties_of_node(plan, int_rows, times_s, node)
@@ -296,14 +291,14 @@ def _process_driver_tasks_at_stop(
                 int_rows[LAYER, launch], int_rows[LOG, logged] = layer, launch
                 logged += 1
             times_s[LAUNCHED, launch] = now_s + duration_s
-            airborne_s = now_s + duration_s + takeoff_wait_s
+            airborne_s = now_s + duration_s + tables.takeoff_wait_s
             available[plan[KIND, launch]] -= 1
             int_rows[PENDING, launch] = 2 if plan[RENDEZVOUS, launch] == node else 0
         elif recovery >= 0:
             if now_s > deadline_s + EPSILON_S:
                 launched_s = now_s - times_s[FLY, recovery] - times_s[SPARE, recovery]
                 if not _delay_launch_within_limit(
-                    plan, int_rows, times_s, launch_s, recovery, launched_s
+                    tables, plan, int_rows, times_s, recovery, launched_s
                 ):
                     return INFEASIBLE_S, -1
                 return now_s, int_rows[POSITION, plan[LAUNCH, recovery]]
@@ -317,14 +312,13 @@ def _process_driver_tasks_at_stop(
 
 
 @compiled_inner
-def simulate_stop_and_next_arrival(
-    tables, plan, int_rows, times_s, drones_on_truck, launch_s, recover_s, route_index
-):
+def simulate_stop_and_next_arrival(tables, plan, work_arrays, route_index):
     """Process this position from arrival to departure, and set the next arrival.
 
     Returns the position to continue from: the next one, an earlier one if a launch was delayed, or
     -1: infeasible.
     """
+    int_rows, times_s, drones_on_truck = work_arrays.whole, work_arrays.times_s, work_arrays.free
     available = drones_on_truck[drones_on_truck.shape[0] - 1]
     for kind in range(len(available)):
         available[kind] = drones_on_truck[route_index, kind]
@@ -335,20 +329,11 @@ def simulate_stop_and_next_arrival(
         early = _drone_landing_before(int_rows, times_s, node, landed_s)
         if early >= 0:
             launched_s = landed_s - times_s[FLY, early]
-            if not _delay_launch_within_limit(plan, int_rows, times_s, launch_s, early, launched_s):
+            if not _delay_launch_within_limit(tables, plan, int_rows, times_s, early, launched_s):
                 return -1
             return int_rows[POSITION, plan[LAUNCH, early]]
     depart_s, next_position = _process_driver_tasks_at_stop(
-        tables.air,
-        plan,
-        int_rows,
-        times_s,
-        available,
-        launch_s,
-        recover_s,
-        tables.deliver_s[node],
-        tables.takeoff_wait_s,
-        route_index,
+        tables, plan, int_rows, times_s, available, route_index
     )
     if next_position > route_index:
         if route_index == 0:
@@ -367,32 +352,24 @@ def simulate_stop_and_next_arrival(
 def initialise_drones_on_truck(tables, plan, drones_on_truck):
     """Initialise the drones on the truck: all that the plan uses."""
     for kind in range(drones_on_truck.shape[1]):
-        drones_on_truck[0, kind] = tables.fleet[kind] - unused_drone_count(plan, kind)
-
-
-@compiled_inner
-def unused_drone_count(plan, kind):
-    """Return the number of unused drones of this kind."""
-    return plan[IDLE, kind] if kind < plan.shape[1] else 0
+        unused = plan[IDLE, kind] if kind < plan.shape[1] else 0
+        drones_on_truck[0, kind] = tables.fleet[kind] - unused
 
 
 @compiled
 def simulate_makespan_s(tables, plan, work_arrays, makespan_limit_s):
     """Return the makespan, s; inf if the plan is infeasible or exceeds `makespan_limit_s`."""
-    whole, times_s, free = work_arrays.whole, work_arrays.times_s, work_arrays.free
-    launch_s, recover_s = tables.launch_s, tables.recover_s
+    whole, times_s = work_arrays.whole, work_arrays.times_s
     position_count = index_plan(tables, plan, whole, times_s)
     if position_count == 0:
         return INFEASIBLE_S
-    initialise_drones_on_truck(tables, plan, free)
+    initialise_drones_on_truck(tables, plan, work_arrays.free)
     times_s[ARRIVE, 0], whole[LOGGED, 0] = 0.0, 0
     at = 0
     while at < position_count:
         if times_s[ARRIVE, at] + times_s[WORK_AFTER, at] > makespan_limit_s:
             return INFEASIBLE_S
-        at = simulate_stop_and_next_arrival(
-            tables, plan, whole, times_s, free, launch_s, recover_s, at
-        )
+        at = simulate_stop_and_next_arrival(tables, plan, work_arrays, at)
         if at < 0:
             return INFEASIBLE_S
     return times_s[DEPART, position_count - 1]

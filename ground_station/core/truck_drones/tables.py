@@ -99,6 +99,23 @@ class WorkArrays(NamedTuple):
     kind: drones away from the truck between each position and the next."""
 
 
+@passed_by_reference
+class ChangeArrays(NamedTuple):
+    """A simulated plan, and a changed copy of it with its own simulation."""
+
+    tables: ProblemTables
+    stream: NDArray[np.uint64]
+    plan: Plan
+    work: WorkArrays
+    """By `simulate_and_store` or `commit_changed_simulation`."""
+    makespans_s: NDArray[np.float64]
+    """Of the plan, and of the best plan found."""
+    new_plan: Plan
+    new_work: WorkArrays
+    new_route_index: NDArray[np.int64]
+    """Route position of each node in the changed plan."""
+
+
 # Rows of `WorkArrays.whole`, by node;
 POSITION, FIRST_LAUNCH, NEXT_LAUNCH, FIRST_RECOVERY, NEXT_RECOVERY, PENDING, DELAYS, LAYER = range(
     8

@@ -10,7 +10,6 @@ from companion.adapters.logs.decision_log import (
     METADATA,
     UTC_AT_ZERO,
     DecisionLog,
-    iterate_mcap_rows,
     read_mcap_rows,
 )
 from companion.adapters.logs.foxglove_rows import FOXGLOVE
@@ -119,6 +118,6 @@ def test_the_metadata_says_when_the_autopilots_clock_was_at_zero(log_path):
 
 
 def test_our_own_readers_get_our_rows_and_none_of_foxgloves(log_path):
-    rows = list(iterate_mcap_rows(log_path))
+    rows = list(read_mcap_rows(log_path).rows)
     assert [topic for topic, _ in rows] == ["said", "heard_position", "decision", "phase"]
     assert dict(rows)["heard_position"] == FIX

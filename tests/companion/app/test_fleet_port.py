@@ -302,7 +302,7 @@ def test_a_launch_waits_until_the_renewed_certificate_is_carried(port, tmp_path,
         read_and_verify_identity(pki.folder / "members" / "desk").trust,
     )
     old = (home / TLS_CERTIFICATE).read_bytes()
-    pki.renew_member_certificate("d1", 800)
+    pki.renew_member_certificates(["d1"], 800)
     if not carried:
         (home / TLS_CERTIFICATE).write_bytes(old)
     wire = port.member.link

@@ -31,7 +31,6 @@ from companion.adapters.files.params import (
 from companion.adapters.logs.decision_log import (
     SCHEMAS,
     DecisionLog,
-    iterate_mcap_rows,
     next_free_path,
     read_mcap_rows,
 )
@@ -152,7 +151,7 @@ def test_after_kill_9_every_decision_that_was_made_is_in_the_log(tmp_path):
     )
     ended = subprocess.run([sys.executable, "-c", code, str(path)], cwd=ROOT, check=False)
     assert ended.returncode == -signal.SIGKILL
-    rows = [row for topic, row in iterate_mcap_rows(path) if topic == "said"]
+    rows = [row for topic, row in read_mcap_rows(path).rows if topic == "said"]
     assert [row["t_s"] for row in rows] == [float(k) for k in range(25)]
 
 
@@ -165,7 +164,7 @@ def test_a_log_cut_anywhere_gives_what_was_whole(tmp_path, cut):
     written = path.read_bytes()
     log.close()
     path.write_bytes(written[:-cut])
-    rows = [row["t_s"] for _, row in iterate_mcap_rows(path)]
+    rows = [row["t_s"] for _, row in read_mcap_rows(path).rows]
     assert rows == [float(k) for k in range(len(rows))]
     assert 7 <= len(rows) < 10
 
@@ -259,7 +258,7 @@ def test_a_torn_decision_log_is_moved_aside_and_what_was_whole_in_it_is_kept(tmp
     assert kinds[-1] == "recognised"
     assert kinds.count("go") == 19
     assert (tmp_path / "decisions.mcap.torn-1").read_bytes() == raw
-    assert [row["kind"] for _, row in iterate_mcap_rows(path)] == ["recognised"]
+    assert [row["kind"] for _, row in read_mcap_rows(path).rows] == ["recognised"]
     assert "moved aside" in str(second.take_next_error_text())
 
 
@@ -414,7 +413,9 @@ def test_whose_autopilot_it_was_is_read_back_from_the_decision_log(tmp_path):
     log = read_log_of_any_format(tmp_path / "decisions.mcap")
     assert log.autopilot_kind is AutopilotKind.PX4
     assert not log.findings
-    rows = [row for topic, row in iterate_mcap_rows(tmp_path / "decisions.mcap") if "auto" in topic]
+    rows = [
+        row for topic, row in read_mcap_rows(tmp_path / "decisions.mcap").rows if "auto" in topic
+    ]
     assert rows == [{"t_s": 3.0, "flavour": "px4", "system_id": 7}]
 
 
@@ -439,7 +440,7 @@ def test_a_signal_ends_a_run_in_order_with_exit_code_5(tmp_path):
     process.communicate(timeout=20)
     assert process.returncode == 5
     assert json.loads((tmp_path / "result.json").read_text())["outcome"] is None
-    assert list(iterate_mcap_rows(tmp_path / "decisions.mcap")) is not None
+    assert list(read_mcap_rows(tmp_path / "decisions.mcap").rows) is not None
     assert "signal" in log.read_text()
 
 

@@ -245,7 +245,7 @@ def test_two_authorities_overlap_and_the_older_ends(pki):
 
 def test_a_renewed_member_keeps_its_keys_so_that_nothing_is_cut(pki):
     before, anna = pki.roster.member_by_name["anna"], trust(pki, "anna")
-    pki.renew_member_certificate("anna", DAYS)
+    pki.renew_member_certificates(["anna"], DAYS)
     after = pki.roster.member_by_name["anna"]
     assert (after.key, after.not_after - before.not_after) == (before.key, timedelta(days=355))
     late = trust(pki, "d1", NOW + timedelta(days=11))
@@ -314,7 +314,7 @@ def test_a_renewed_roster_does_not_lengthen_a_certificate_that_was_not_carried(p
     old = (home / TLS).read_bytes()
     assert "ends in 10 min" in d1.certificate_error_within(3600.0)
     pki.now = NEAR
-    pki.renew_member_certificate("d1", DAYS)
+    pki.renew_member_certificates(["d1"], DAYS)
     new = (home / TLS).read_bytes()
     (home / TLS).write_bytes(old)
     assert d1.store_roster_if_newer((pki.folder / "roster.json").read_bytes()) == pki.roster
@@ -336,7 +336,7 @@ def test_who_is_called_by_others_counts_by_what_its_session_was_opened_with(pki,
     """zenoh reads a listener's certificate when it starts to listen, a caller's at each call."""
     one = trust(pki, name, NEAR)
     pki.now = NEAR
-    pki.renew_member_certificate(name, DAYS)
+    pki.renew_member_certificates([name], DAYS)
     one.store_roster_if_newer((pki.folder / "roster.json").read_bytes())
     assert one.certificate_warning_or_empty() == (
         "certificate of desk: 0 days left (renewed until 2028-11-22: copy tls.pem to desk)"
@@ -365,7 +365,7 @@ def test_a_roster_that_names_an_earlier_end_than_the_certificate_holds(pki):
     """The certificate was copied before the roster arrived: other members use the roster."""
     d1, before = trust(pki, "d1", NEAR), (pki.folder / "roster.json").read_bytes()
     pki.now = NEAR
-    pki.renew_member_certificate("d1", DAYS)
+    pki.renew_member_certificates(["d1"], DAYS)
     assert d1.store_roster_if_newer(before) is None
     assert d1.certificate_error_within(3600.0).endswith("60 min more (ground-station pki renew)")
 

@@ -50,7 +50,12 @@ def test_the_surrogate_cost_is_energy_and_its_uncertainty():
         graph.edge_courses_rad(), graph.edge_lengths_m()
     )
     for tail, head, cost in zip(graph.tail, graph.head, costs, strict=True):
-        leg = Leg(LegKind.CRUISE, graph.vertex_ned_m(int(tail)), graph.vertex_ned_m(int(head)), 0.4)
+        leg = Leg(
+            LegKind.CRUISE,
+            tuple(graph.vertices_ned_m[int(tail)].tolist()),
+            tuple(graph.vertices_ned_m[int(head)].tolist()),
+            0.4,
+        )
         energy = ROUTE.leg_costs_wind_major((leg,), wind[None, :]).energy_wh[0, 0]
         assert cost == pytest.approx(energy + 2.0 * ROUTE.route_energy_std_wh((leg,), wind, cov))
 

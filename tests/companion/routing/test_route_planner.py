@@ -21,9 +21,9 @@ from companion.core.routing.route_planner import BerPlanner, NoRoute, Plan, Plan
 from companion.core.routing.shortest_paths import RouteFinder, path_vertices_in_first_problem
 from companion.core.routing.smooth_route import max_route_turn_rad
 from companion.core.routing.waypoint_graph import (
+    SightLines,
     SiteMap,
     WaypointGraph,
-    build_visibility_graph,
     split_route_into_legs,
 )
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -67,18 +67,20 @@ def test_legs_are_no_longer_than_asked_and_a_way_keeps_its_corners() -> None:
 
 def test_every_line_of_the_graph_keeps_clear_and_every_other_does_not() -> None:
     where = site(WALL, SHED)
-    graph = build_visibility_graph(where, 40.0)
+    graph = SightLines(where, 40.0).cached_visibility_graph()
     seen = set(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
     for a, b in permutations(range(len(graph.vertices_ned_m)), 2):
         clear = (
-            where.obstacles.first_blocking_obstacle(graph.vertex_ned_m(a), graph.vertex_ned_m(b))
+            where.obstacles.first_blocking_obstacle(
+                graph.vertices_ned_m[a], graph.vertices_ned_m[b]
+            )
             is None
         )
         assert ((a, b) in seen) == clear
 
 
 def test_the_graph_is_directed_both_ways_and_connected() -> None:
-    graph = in_networkx(build_visibility_graph(site(WALL), 40.0))
+    graph = in_networkx(SightLines(site(WALL), 40.0).cached_visibility_graph())
     assert nx.is_strongly_connected(graph)
     assert all(graph.has_edge(b, a) for a, b in graph.edges)
 
@@ -101,24 +103,24 @@ def shortest(graph: WaypointGraph) -> list[int] | None:
 
 
 def test_the_planners_graph_is_the_sites() -> None:
-    graph = build_visibility_graph(site(WALL, SHED), 40.0)
+    graph = SightLines(site(WALL, SHED), 40.0).cached_visibility_graph()
     planned = graph.to_energy_graph(ROUTE, 0.5)
     np.testing.assert_allclose(planned.edge_length_m, graph.edge_lengths_m())
     first = planned.vertices_m[0]
-    north, east, down = graph.vertex_ned_m(0)
+    north, east, down = graph.vertices_ned_m[0]
     assert tuple(first) == (east, north, -down)
     assert (np.diff(graph.tail) >= 0).all()  # what EnergyGraph's slices rest on
 
 
 def test_the_shortest_path_is_networkxs() -> None:
-    graph = build_visibility_graph(site(WALL, SHED), 40.0)
+    graph = SightLines(site(WALL, SHED), 40.0).cached_visibility_graph()
     path = shortest(graph)
     assert path is not None
     oracle = nx.shortest_path_length(
         in_networkx(graph), graph.depot, graph.customer, weight="length_m"
     )
     flown = sum(
-        horizontal_distance_m(graph.vertex_ned_m(a), graph.vertex_ned_m(b))
+        horizontal_distance_m(graph.vertices_ned_m[a], graph.vertices_ned_m[b])
         for a, b in pairwise(path)
     )
     assert flown == pytest.approx(oracle)
@@ -127,19 +129,19 @@ def test_the_shortest_path_is_networkxs() -> None:
 
 
 def test_what_is_lower_than_the_cruise_height_is_flown_over() -> None:
-    graph = build_visibility_graph(site(SHED), 40.0)
+    graph = SightLines(site(SHED), 40.0).cached_visibility_graph()
     path = shortest(graph)
     assert path is not None
-    assert all(abs(graph.vertex_ned_m(v)[0]) < 1e-9 for v in path)
+    assert all(abs(graph.vertices_ned_m[v][0]) < 1e-9 for v in path)
 
 
 def test_a_customer_inside_an_obstacle_is_refused_by_name() -> None:
     with pytest.raises(LeewayError, match="customer: within 15 m of wall"):
-        build_visibility_graph(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0)
+        SightLines(site(WALL, customer=(0.0, 650.0, 0.0)), 40.0).cached_visibility_graph()
 
 
 def test_no_path_leads_over_a_closed_edge() -> None:
-    graph = build_visibility_graph(site(), 40.0)
+    graph = SightLines(site(), 40.0).cached_visibility_graph()
     planned = graph.to_energy_graph(ROUTE, 0.0)
     cost = np.where(graph.head == graph.customer, np.inf, 1.0)
     routes = RouteFinder(planned).find_routes_to_goal(graph.customer, cost[:, None])

@@ -145,7 +145,7 @@ def test_an_expired_certificate_is_not_let_in(tmp_path, guarded):
     site = SecureSite(tmp_path / "pki")
     if guarded:
         site.pki.now -= timedelta(days=400)
-        site.pki.renew_member_certificate("d1", 365)
+        site.pki.renew_member_certificates(["d1"], 365)
     desk, vehicle = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
     try:
         wait_s = KEPT_OUT_S if guarded else PATIENCE_S

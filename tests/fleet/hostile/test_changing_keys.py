@@ -41,14 +41,14 @@ def is_heard(desk: ZenohFleet, vehicle: Vehicle, wait_s: float = PATIENCE_S) -> 
 @pytest.mark.sample
 def test_a_vehicle_whose_certificate_has_ended_joins_again_once_it_is_renewed(site, tmp_path):
     site.pki.now -= timedelta(days=400)
-    site.pki.renew_member_certificate("d1", 365)
+    site.pki.renew_member_certificates(["d1"], 365)
     desk, late = site.person("desk"), site.vehicle("d1", tmp_path / "d1")
     try:
         assert not is_heard(desk, late, KEPT_OUT_S)
     finally:
         late.close()
     site.pki.now += timedelta(days=400)
-    site.pki.renew_member_certificate("d1", 365)
+    site.pki.renew_member_certificates(["d1"], 365)
     renewed = site.vehicle("d1", tmp_path / "d1")
     try:
         assert is_heard(desk, renewed)
@@ -67,7 +67,7 @@ def test_a_connected_vehicle_lives_through_a_change_of_the_authority(site, tmp_p
     try:
         assert is_heard(desk, d1)
         for name in ("desk", "d1", "d2"):
-            site.pki.renew_member_certificate(name, 365)
+            site.pki.renew_member_certificates([name], 365)
         desk = restarted(site, desk)
         assert is_heard(desk, d1), "it knows both: it comes back by itself"
         late = joined_with(old, "d2", tmp_path / "d2")

@@ -104,7 +104,7 @@ def test_who_is_revoked_or_expired_or_has_another_members_name_does_nothing(tmp_
     theirs.write_bytes(key)
     assert resolve_operator(None, site.home("anna")).name == "anna"
     site.pki.now -= timedelta(days=400)
-    site.pki.renew_member_certificate("anna", 365)
+    site.pki.renew_member_certificates(["anna"], 365)
     with pytest.raises(LeewayError, match="the certificate of anna has expired"):
         resolve_operator(None, site.home("anna"))
     site.pki.revoke_members("anna")

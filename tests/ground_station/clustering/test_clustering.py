@@ -35,7 +35,7 @@ from ground_station.core.clustering.prompt import (
     clustering_prompt_json,
     decode_clusters_or_rejection_reason,
 )
-from ground_station.core.feasibility.reach import Feasible, SortieFeasibility
+from ground_station.core.feasibility.reach import Feasible, SortieFeasibility, SortieGeometry
 from ground_station.core.schema.day import Forecast
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
@@ -135,7 +135,7 @@ def test_a_stop_upwind_costs_less_and_energies_agree_with_reach():
     energy = delivery_energy_matrix_wh(reach, places, mass, np.ones((3, 3)))
     for i, j in itertools.permutations(range(3), 2):
         stop, there = (*map(float, places[i]), 0.0), (*map(float, places[j]), 0.0)
-        need = reach.sortie_need(float(mass[j]), stop, there, stop)
+        need = reach.sortie_need(SortieGeometry(float(mass[j]), stop, there, stop))
         assert energy[i, j] == pytest.approx(need.mean_wh, rel=0.01)
         assert isinstance(reach.check_delivery(float(mass[j]), there, stop, stop), Feasible)
     # Flying loaded downwind and empty upwind costs less than the reverse.

@@ -152,7 +152,7 @@ def test_the_flood_of_one_leaves_the_others_acknowledgement_and_event_in_the_nex
     inbox.add_command_response("c1", done)
     with counted(exchange.store.database, monkeypatch) as written:
         exchange.receive_and_process_messages(0.0)
-    assert exchange.store.final_responses(["c1"]) == {"c1": CommandStatus.DONE}
+    assert [command.response for command in exchange.store.commands()] == [CommandStatus.DONE]
     assert any(e.vehicle == "d2" for e in exchange.store.events())
     assert written[0] == 2  # the reply, and all events
     assert sum("rejected" in words for words in said) == 1

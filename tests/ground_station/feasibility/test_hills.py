@@ -20,6 +20,7 @@ from ground_station.core.feasibility.reach import (
     Feasible,
     Infeasible,
     SortieFeasibility,
+    SortieGeometry,
     route_energy_model_for_day,
 )
 from ground_station.core.feasibility.sortie_model import WindSortieModel
@@ -124,7 +125,9 @@ def priced_wh(elevation: SiteElevation | None, order: Order) -> float:
         drone, airframe, day.mission, day.forecast, energy, hills_of(day, elevation)
     )
     customer = location_to_ground_ned_m(depot_frame(day.depot.location), order_location(order))
-    return reach.sortie_need(order.mass_kg, (0.0, 0.0, 0.0), customer, (0.0, 0.0, 0.0)).mean_wh
+    return reach.sortie_need(
+        SortieGeometry(order.mass_kg, (0.0, 0.0, 0.0), customer, (0.0, 0.0, 0.0))
+    ).mean_wh
 
 
 def test_climbs_cost_at_the_desk_what_the_companions_plan_says(tmp_path):
@@ -169,8 +172,12 @@ def test_what_the_tables_allow_over_hills_reach_allows():
             continue
         asked = (float(payload_kg[j]), places[i], places[j], places[k], float(height_m[j]))
         table = legs.out_hover_s[i, j] + legs.back_hover_s[j, k] <= legs.endurance_hover_s
-        assert reach.sortie_need_if_feasible(*asked) is not None or not table, (i, j, k)
-        need = reach.sortie_need(*asked)
+        assert reach.sortie_need_if_feasible(SortieGeometry(*asked)) is not None or not table, (
+            i,
+            j,
+            k,
+        )
+        need = reach.sortie_need(SortieGeometry(*asked))
         if need.flyable:
             assert legs.out_s[i, j] + legs.back_s[j, k] == pytest.approx(need.time_s, rel=0.02)
 

@@ -16,11 +16,11 @@ from companion.core.base.location import Location
 from companion.core.mission.flight_file import Mission
 from companion.core.mission.flight_plan import depot_frame
 from companion.core.routing.leg_energy import RouteEnergy
-from companion.core.routing.waypoint_graph import SiteMap, build_visibility_graph
+from companion.core.routing.waypoint_graph import SightLines, SiteMap
 from companion.core.vehicle.airframe import Airframe
 from ground_station.adapters.files.params import read_airframe
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes, Price
-from ground_station.core.feasibility.reach import SortieFeasibility
+from ground_station.core.feasibility.reach import SortieFeasibility, SortieGeometry
 from ground_station.core.feasibility.sortie_model import WindSortieModel
 from ground_station.core.schema.day import Drone, Forecast
 
@@ -59,12 +59,12 @@ def test_what_the_tables_allow_reach_allows_at_the_same_wind_and_stops(m100, win
         if j in (i, k):
             continue
         asked = (float(payload_kg[j]), places[i], places[j], places[k], float(height_m[j]))
-        truly = reach.sortie_need_if_feasible(*asked) is not None
+        truly = reach.sortie_need_if_feasible(SortieGeometry(*asked)) is not None
         table = legs.out_hover_s[i, j] + legs.back_hover_s[j, k] <= legs.endurance_hover_s
         assert truly or not table, (i, j, k)
         allowed += truly
         agreed += table
-        need = reach.sortie_need(*asked)
+        need = reach.sortie_need(SortieGeometry(*asked))
         if need.flyable:
             # Mean of two courses half a degree apart, at the lower speed of both.
             assert legs.out_s[i, j] + legs.back_s[j, k] == pytest.approx(need.time_s, rel=0.02)
@@ -81,7 +81,9 @@ def test_a_higher_flight_takes_as_much_more_as_reach_says(m100):
     model = WindSortieModel(ned_m, np.array([0.0, 0.5]), np.full(2, 64.0), [reach], ways)
     added_s, added_hover_s = model.extra_climb_time_and_hover_s(0, 12.0)
     low, high = (
-        reach.sortie_need(0.5, (0.0, 0.0, 0.0), (600.0, -300.0, 0.0), (0.0, 0.0, 0.0), height_m)
+        reach.sortie_need(
+            SortieGeometry(0.5, (0.0, 0.0, 0.0), (600.0, -300.0, 0.0), (0.0, 0.0, 0.0), height_m)
+        )
         for height_m in (64.0, 76.0)
     )
     assert added_s == pytest.approx(high.time_s - low.time_s, rel=0.01)
@@ -127,7 +129,9 @@ def test_ways_around_obstacles_are_as_long_as_on_the_companions_own_graph():
     points = [(0.0, 0.0), *ways.waypoints_between(0, 1), customer[:2]]
     length_m = sum(math.dist(a, b) for a, b in pairwise(points))
     frame = depot_frame(Location(lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0))
-    graph = build_visibility_graph(SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0)
+    graph = SightLines(
+        SiteMap(frame, (0.0, 0.0, 0.0), customer, (), obstacles), 40.0
+    ).cached_visibility_graph()
     edges = zip(
         graph.tail.tolist(), graph.head.tolist(), graph.edge_lengths_m().tolist(), strict=True
     )

@@ -15,7 +15,11 @@ from ground_station.adapters.files.forecast_files import ForecastRequest
 from ground_station.app.cli.main import app
 from ground_station.app.views.windows_view import launch_closing_lines
 from ground_station.core.dispatch.launch_promise import launch_closings_of_plan
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import (
+    SortieFeasibility,
+    SortieGeometry,
+    route_energy_model_for_day,
+)
 from ground_station.core.planning.day_planner import PlanParams, plan_day
 from ground_station.core.schema.day import DayFilesError, Forecast
 from ground_station.core.schema.day_data import DayData
@@ -55,7 +59,10 @@ def affordable(data: DayData, plan: DayPlan, sortie: PlannedSortie, speed_mps: f
     end = location_to_ground_ned_m(frame, plan.get_stop(sortie.home).pads[sortie.vehicle])
     height_m = sortie.outbound_height_m - start[2]
     customer = location_to_ground_ned_m(frame, order_location(order))
-    return reach.sortie_need_if_feasible(order.mass_kg, start, customer, end, height_m) is not None
+    return (
+        reach.sortie_need_if_feasible(SortieGeometry(order.mass_kg, start, customer, end, height_m))
+        is not None
+    )
 
 
 def test_a_window_ends_at_the_last_five_minutes_in_which_the_flight_pays(tmp_path):

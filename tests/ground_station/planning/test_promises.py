@@ -8,12 +8,9 @@ import pytest
 
 from ground_station.adapters.files.day_files import read_day
 from ground_station.core.planning import forward_pass
-from ground_station.core.planning.day_planner import (
-    PlanParams,
-    plan_day,
-    truck_and_drones_problem_of_day,
-)
-from ground_station.core.planning.day_problem import LEAD_S
+from ground_station.core.planning.day_planner import PlanParams, plan_day
+from ground_station.core.planning.day_problem import LEAD_S, build_day_problem
+from ground_station.core.schema.day_data import DEPOT
 from ground_station.core.schema.day_state import initial_state
 from ground_station.core.truck_drones.dynamic_assignment import DynamicAssignment
 from ground_station.core.truck_drones.schedule import stops_and_flights_in_launch_order
@@ -27,9 +24,9 @@ HARBOUR, VILLAGES = DAYS / "harbour.toml", DAYS / "villages.toml"
 def departures_too_early(stay_s: float) -> int:
     """Count stops that the truck leaves less than the day's `ready_s` after a launch there."""
     data = read_day(HARBOUR)
-    problem = replace(
-        truck_and_drones_problem_of_day(data, initial_state(data)), takeoff_wait_s=stay_s
-    )
+    free = {drone.id: 0.0 for drone in data.day.drones}
+    nodes = build_day_problem(data, data.orders, (0.0, 0.0, 0.0), DEPOT, free, 0.0, 20.0)
+    problem = replace(nodes.problem, air=None, takeoff_wait_s=stay_s)
     plan = DynamicAssignment().plan(problem, np.random.default_rng(0))
     stops, flights = stops_and_flights_in_launch_order(problem, plan)
     leaves_s = {stop.node: stop.depart_s for stop in stops}

@@ -48,7 +48,7 @@ def work(store: Store, vehicles: int) -> None:
         )
         store.record_and_apply_response(command.id, CommandStatus(said["answer"]), "", said["life"])
     said = ask(events=True)
-    store.record_and_apply_events(msgspec.convert(said["events"], list[FleetEvent]))
+    store.record_event_batches([(msgspec.convert(said["events"], list[FleetEvent]), False)])
 
 
 if __name__ == "__main__":

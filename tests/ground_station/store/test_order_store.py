@@ -134,8 +134,8 @@ def test_a_delivery_from_order_to_outcome_and_every_step_counts_once(store_url):
             f"{id_}:launch1", CommandStatus.REFUSED, "late", "life"
         )
         outcome = an_outcome(id_, "SUC")
-        assert store.record_and_apply_events([outcome]) == [outcome]
-        assert store.record_and_apply_events([outcome]) == []
+        assert store.record_event_batches([([outcome], False)]) == [outcome]
+        assert store.record_event_batches([([outcome], False)]) == []
         assert states(store) == {"o1": OrderState.DELIVERED}
         assert store.assignments()[0].state is AssignmentState.DELIVERED
         assert store.assign_order("o1", "d1", FLIGHT, None, "desk") is None
@@ -153,14 +153,14 @@ def test_a_delivery_from_order_to_outcome_and_every_step_counts_once(store_url):
 )
 def test_what_an_outcome_makes_of_the_order(store, outcome, order, assignment):
     store.add_orders_unless_conflict([an_order("o1")])
-    store.record_and_apply_events([an_outcome(flown(store), outcome)])
+    store.record_event_batches([([an_outcome(flown(store), outcome)], False)])
     assert states(store)["o1"] is order
     assert store.assignments()[0].state is assignment
 
 
 def test_what_a_person_landed_after_the_delivery_is_delivered_and_not_lost(store):
     store.add_orders_unless_conflict([an_order("o1")])
-    store.record_and_apply_events([an_outcome(flown(store), "TAKEN", delivered=True)])
+    store.record_event_batches([([an_outcome(flown(store), "TAKEN", delivered=True)], False)])
     assert states(store)["o1"] is OrderState.DELIVERED
     assert store.assignments()[0].state is AssignmentState.DELIVERED
     figures = day_report_of(store)
@@ -182,7 +182,7 @@ def test_the_evidence_of_a_fleet_is_the_mean_over_its_vehicles_and_the_report_ha
 
 def test_an_order_that_was_perhaps_dropped_is_not_dispatched_before_somebody_has_looked(store):
     store.add_orders_unless_conflict([an_order("o1")])
-    store.record_and_apply_events([an_outcome(flown(store), "ABRT", unproven=True)])
+    store.record_event_batches([([an_outcome(flown(store), "ABRT", unproven=True)], False)])
     assert states(store)["o1"] is OrderState.STUCK
     assert "look for the parcel" in store.orders()[0].reason
     assert store.assign_order("o1", "d1", FLIGHT, None, "desk") is None
@@ -195,7 +195,7 @@ def test_a_person_who_has_looked_says_that_it_was_brought(tmp_path):
         brought = ["order", "settle", "o1", "--delivered", "--reason", "asked", "--store", url]
         early = runner.invoke(app, brought)
         assert "o1: open, expected assigned or stuck" in str(early.exception)
-        store.record_and_apply_events([an_outcome(flown(store), "ABRT", unproven=True)])
+        store.record_event_batches([([an_outcome(flown(store), "ABRT", unproven=True)], False)])
         assert runner.invoke(app, brought).exit_code == 0
         assert states(store)["o1"] is OrderState.DELIVERED
 
@@ -203,7 +203,7 @@ def test_a_person_who_has_looked_says_that_it_was_brought(tmp_path):
 def test_an_order_that_keeps_coming_back_is_left_to_a_person(store):
     store.add_orders_unless_conflict([an_order("o1")])
     for attempt in range(1, MAX_ATTEMPTS + 1):
-        store.record_and_apply_events([an_outcome(flown(store), "ABRT", seq=attempt)])
+        store.record_event_batches([([an_outcome(flown(store), "ABRT", seq=attempt)], False)])
     assert states(store)["o1"] is OrderState.STUCK
     assert store.change_order_state("o1", (OrderState.STUCK,), OrderState.OPEN, "anna")
     assert store.assign_order("o1", "d1", FLIGHT, None, "desk") == f"o1.{MAX_ATTEMPTS + 1}"
@@ -211,7 +211,7 @@ def test_an_order_that_keeps_coming_back_is_left_to_a_person(store):
 
 def test_an_outcome_from_a_vehicle_that_does_not_hold_the_order_ends_nothing(store):
     store.add_orders_unless_conflict([an_order("o1")])
-    store.record_and_apply_events([an_outcome(flown(store), "SUC", vehicle="d2")])
+    store.record_event_batches([([an_outcome(flown(store), "SUC", vehicle="d2")], False)])
     assert states(store)["o1"] is OrderState.ASSIGNED
 
 
@@ -257,11 +257,9 @@ def test_the_log_of_a_vehicle_is_seen_as_far_as_nothing_is_missing(store_url):
 
     with opened(store_url) as store:
         assert store.last_gapless_event_number("d1", "l") == 0
-        store.record_and_apply_events([said(1), said(2), said(5)])
+        store.record_event_batches([([said(1), said(2), said(5)], False)])
         assert store.last_gapless_event_number("d1", "l") == 2
-        store.record_and_apply_events(
-            [said(4), said(5), said(6)], is_full_replay=True
-        )  # 3 is no longer stored
+        store.record_event_batches([([said(4), said(5), said(6)], True)])  # 3 is no longer stored
         assert store.last_gapless_event_number("d1", "l") == 6
         assert [event.seq for event in store.events()] == [1, 2, 5, 4, 6]
 
@@ -272,7 +270,7 @@ def test_a_clock_that_is_off_changes_nothing_but_the_stamps(tmp_path):
         store.add_orders_unless_conflict([an_order("o1")])
         store.add_orders_unless_conflict([an_order("o0")])
         id_ = flown(store)
-        store.record_and_apply_events([an_outcome(id_, "SUC")])
+        store.record_event_batches([([an_outcome(id_, "SUC")], False)])
         assert [row.order.id for row in store.orders()] == ["o1", "o0"]
         assert states(store) == {"o1": OrderState.DELIVERED, "o0": OrderState.OPEN}
 

@@ -44,7 +44,9 @@ def test_a_settled_order_frees_its_vehicle_or_takes_it_out_of_service(
         assert "says anna: asked the customer" in row.reason
         assert [hold.scope for hold in store.holds_in_force()] == (["d1"] if held else [])
         assert (store.assign_order("o2", "d1", FLIGHT, None, "desk") is None) == held
-        store.record_and_apply_events([an_outcome(id_, "FAIL")])  # a late log: a person has decided
+        store.record_event_batches(
+            [([an_outcome(id_, "FAIL")], False)]
+        )  # a late log: a person has decided
         assert states(store)["o1"] is order
 
 

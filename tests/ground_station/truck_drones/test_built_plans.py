@@ -10,7 +10,11 @@ import pytest
 from ground_station.core.truck_drones.problem import DroneKind, LegTables, TruckAndDrones
 from ground_station.core.truck_drones.schedule import simulate_schedule
 from tests.ground_station.truck_drones.compiled_calls import callable_from_python
-from tests.ground_station.truck_drones.test_changed_plan import scarce, with_pads
+from tests.ground_station.truck_drones.test_changed_plan import (
+    change_of_first_plan,
+    scarce,
+    with_pads,
+)
 from tests.ground_station.truck_drones.test_search import (
     assert_everyone_is_served_once,
     mixed_problem,
@@ -84,9 +88,9 @@ def test_a_priced_tour_of_six_customers_costs_one_per_cent_more_than_the_cheapes
 @pytest.mark.sample
 @PROBLEMS
 def test_built_plans_serve_everyone_once_and_the_best_comes_first(problem: TruckAndDrones):
-    from ground_station.core.truck_drones.search import PlanSearch, SearchParams
+    from ground_station.core.truck_drones.search import PlanSearch
 
-    plans = PlanSearch(problem, np.random.default_rng(0), SearchParams()).construct_plans()
+    plans = PlanSearch(problem, np.random.default_rng(0)).construct_plans()
     schedules = [simulate_schedule(problem, plan) for plan in plans]
     assert len(plans) >= 2
     for schedule in schedules:
@@ -103,61 +107,51 @@ def test_rebuilt_plans_serve_everyone_and_the_time_away_is_that_of_the_whole_sim
     from ground_station.core.truck_drones import changed_plan
     from ground_station.core.truck_drones.building.rebuild import try_random_removal_and_reinsertion
     from ground_station.core.truck_drones.edits import store_route_index_by_node
-    from ground_station.core.truck_drones.first_plan import build_first_plan
     from ground_station.core.truck_drones.moves import try_random_move
-    from ground_station.core.truck_drones.random_stream import seeded_stream_from_generator
     from ground_station.core.truck_drones.search import INSERTION
     from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
-    from ground_station.core.truck_drones.tables import allocate_work_arrays, tables_of
+    from ground_station.core.truck_drones.tables import allocate_work_arrays
 
-    tables = tables_of(problem)
-    kept, work, whole = (
-        allocate_work_arrays(tables),
-        allocate_work_arrays(tables),
-        allocate_work_arrays(tables),
-    )
-    stream = seeded_stream_from_generator(np.random.default_rng(4))
-    plan = build_first_plan(problem, tables, whole)
-    place = np.zeros(problem.nodes, dtype=np.int64)
-    store_route_index_by_node(plan, place)
+    change = change_of_first_plan(problem)
+    tables, plan, changed = change.tables, change.plan, change.new_plan
+    whole = allocate_work_arrays(tables)
+    place, its_place = change.new_route_index.copy(), change.new_route_index
     move = callable_from_python(try_random_move)
     rebuild = callable_from_python(try_random_removal_and_reinsertion)
     incremental_s = callable_from_python(changed_plan.incremental_makespan_s)
     changed_away_s = callable_from_python(changed_plan.changed_drone_time_away_s)
     total_away_s = callable_from_python(changed_plan.total_drone_time_away_s)
     commit = callable_from_python(changed_plan.commit_changed_simulation)
-    now_s = callable_from_python(changed_plan.simulate_and_store)(tables, plan, kept)
+    store = callable_from_python(changed_plan.simulate_and_store)
+    change.makespans_s[0] = store(tables, plan, change.work)
     counts = {"rebuilt": 0, "moved": 0}
     for number in range(1200):
-        changed, its_place = plan.copy(), place.copy()
+        changed[:], its_place[:] = plan, place
+        now_s = change.makespans_s[0]
         large = number % 2 == 0
         if large:
-            done, timed = rebuild(
-                tables, plan, kept, now_s, changed, its_place, work, now_s + 60.0, INSERTION, stream
-            )
+            done, timed = rebuild(change, now_s + 60.0, INSERTION)
             assert not done or timed > 0
         else:
-            done = move(tables, changed, its_place, stream)
+            done = move(tables, changed, its_place, change.stream)
         if not done:
             continue
         if large:
             noted = np.zeros_like(its_place)
             store_route_index_by_node(changed, noted)
             assert (noted == its_place).all()
-        makespan_s, begin, at, shift_s = incremental_s(
-            tables, plan, kept, now_s, changed, work, now_s + 60.0
-        )
-        if at == 0:
+        makespan_s, simulated = incremental_s(change, now_s + 60.0)
+        if simulated[1] == 0:
             continue
         assert makespan_s == pytest.approx(
             simulate_makespan_s(tables, changed, whole, INFEASIBLE_S), abs=1e-6
         )
-        away_s = changed_away_s(changed, kept, work, begin, at, shift_s)
+        away_s = changed_away_s(change, simulated)
         assert away_s == pytest.approx(total_away_s(changed, whole), abs=1e-6)
         assert_everyone_is_served_once(problem, simulate_schedule(problem, changed))
         counts["rebuilt" if large else "moved"] += 1
-        plan, place, now_s = changed, its_place, makespan_s
-        commit(tables, plan, kept, work, begin, at, shift_s)
+        plan[:], place[:], change.makespans_s[0] = changed, its_place, makespan_s
+        commit(change, simulated)
     assert min(counts.values()) >= 50, counts
 
 
@@ -171,12 +165,12 @@ def test_where_drones_are_plenty_a_built_plan_comes_near_the_truck_and_drivers_o
     """With drones that are never short, no day ends before the cheapest priced tour: driving, and
     the driver's time for each stop and flight.
     """
-    from ground_station.core.truck_drones.search import PlanSearch, SearchParams
+    from ground_station.core.truck_drones.search import PlanSearch
 
     problem = grown(small_town(3, 7), 7)
     driver_s = 90.0 - problem.deliver_s
     driver_s[2] = np.inf
     least_s = cheapest_s(problem, driver_s) + 7 * 30.0
-    plan = PlanSearch(problem, np.random.default_rng(0), SearchParams()).construct_plans()[0]
+    plan = PlanSearch(problem, np.random.default_rng(0)).construct_plans()[0]
     ends_s = simulate_schedule(problem, plan).makespan_s
     assert least_s - 1e-6 <= ends_s <= 1.05 * least_s

@@ -66,6 +66,28 @@ def with_layers(seed: int, layers: int) -> TruckAndDrones:
     return replace(problem, air=air)
 
 
+def change_of_first_plan(problem: TruckAndDrones) -> Any:
+    """Return the first plan of a problem, not simulated, with an equal changed plan."""
+    from ground_station.core.truck_drones.edits import store_route_index_by_node
+    from ground_station.core.truck_drones.first_plan import build_first_plan
+    from ground_station.core.truck_drones.random_stream import seeded_stream_from_generator
+    from ground_station.core.truck_drones.tables import (
+        ChangeArrays,
+        allocate_work_arrays,
+        tables_of,
+    )
+
+    tables = tables_of(problem)
+    work, new_work = allocate_work_arrays(tables), allocate_work_arrays(tables)
+    stream = seeded_stream_from_generator(np.random.default_rng(4))
+    plan = build_first_plan(problem, tables, work)
+    place = np.zeros(problem.nodes, dtype=np.int64)
+    store_route_index_by_node(plan, place)
+    return ChangeArrays(
+        tables, stream, plan, work, np.full(2, np.inf), plan.copy(), new_work, place
+    )
+
+
 @pytest.mark.sample
 @pytest.mark.parametrize(
     "problem",
@@ -78,45 +100,39 @@ def test_a_changed_plan_takes_as_long_as_when_all_of_it_is_timed(problem: TruckA
         incremental_makespan_s,
         simulate_and_store,
     )
-    from ground_station.core.truck_drones.edits import store_route_index_by_node
-    from ground_station.core.truck_drones.first_plan import build_first_plan
     from ground_station.core.truck_drones.moves import try_random_move
-    from ground_station.core.truck_drones.random_stream import seeded_stream_from_generator
     from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
-    from ground_station.core.truck_drones.tables import allocate_work_arrays, tables_of
+    from ground_station.core.truck_drones.tables import allocate_work_arrays
 
-    tables = tables_of(problem)
-    kept, work, whole = (
-        allocate_work_arrays(tables),
-        allocate_work_arrays(tables),
-        allocate_work_arrays(tables),
-    )
+    change = change_of_first_plan(problem)
+    tables, plan = change.tables, change.plan
+    whole = allocate_work_arrays(tables)
     rng = np.random.default_rng(4)
-    stream = seeded_stream_from_generator(rng)
-    plan = build_first_plan(problem, tables, whole)
-    place = np.zeros(problem.nodes, dtype=np.int64)
-    store_route_index_by_node(plan, place)
+    place = change.new_route_index.copy()
     move = callable_from_python(try_random_move)
     incremental_s = callable_from_python(incremental_makespan_s)
     commit = callable_from_python(commit_changed_simulation)
-    now_s = callable_from_python(simulate_and_store)(tables, plan, kept)
+    change.makespans_s[0] = callable_from_python(simulate_and_store)(tables, plan, change.work)
     counts = {"impossible": 0, "in part": 0, "adopted": 0}
     for _ in range(CHANGES):
-        changed, its_place = plan.copy(), place.copy()
-        if not move(tables, changed, its_place, stream):
+        change.new_plan[:], change.new_route_index[:] = plan, place
+        if not move(tables, change.new_plan, change.new_route_index, change.stream):
             continue
-        makespan_s, begin, at, shift_s = incremental_s(
-            tables, plan, kept, now_s, changed, work, INFEASIBLE_S
-        )
-        expected_s = simulate_makespan_s(tables, changed, whole, INFEASIBLE_S)
+        now_s = change.makespans_s[0]
+        makespan_s, (begin, at, shift_s) = incremental_s(change, INFEASIBLE_S)
+        expected_s = simulate_makespan_s(tables, change.new_plan, whole, INFEASIBLE_S)
         assert makespan_s == pytest.approx(expected_s, abs=1e-6)
         counts["impossible"] += expected_s == INFEASIBLE_S
         if at == 0 or makespan_s > now_s + rng.exponential(TEMPERATURE_S):
             continue
-        counts["in part"] += begin > 0 or at <= its_place[problem.end_node]
+        counts["in part"] += begin > 0 or at <= change.new_route_index[problem.end_node]
         counts["adopted"] += 1
-        plan, place, now_s = changed, its_place, makespan_s
-        commit(tables, plan, kept, work, begin, at, shift_s)
+        plan[:], place[:], change.makespans_s[0] = (
+            change.new_plan,
+            change.new_route_index,
+            makespan_s,
+        )
+        commit(change, (begin, at, shift_s))
     assert min(counts.values()) >= 50, counts
 
 

@@ -8,7 +8,7 @@ from companion.core.wind_field.fronts import FrontUpdate, FrontWithdrawn, WindFr
 from ground_station.app.desk.site.launch_routes import LaunchRoutes
 from ground_station.core.dispatch.wind_holds import may_be_hit_by_front
 from ground_station.core.feasibility.flight_in_front import AirborneFlight, energy_margins_in_wind
-from ground_station.core.feasibility.reach import SortieFeasibility, route_energy_model_for_day
+from ground_station.core.feasibility.reach import DayFeasibility
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
@@ -27,7 +27,10 @@ class FrontReports:
     routes: LaunchRoutes
     log: Callable[[str], None]
     queue: list[FrontUpdate] = field(default_factory=list)
-    _feasibility_models: dict[str, SortieFeasibility] = field(default_factory=dict)
+    _feasibility: DayFeasibility = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._feasibility = DayFeasibility(self.data.day, self.data.airframes)
 
     def report_queued_fronts(
         self, rows: Iterable[AssignmentRow], status: FleetStatus, now_s: float
@@ -65,9 +68,9 @@ class FrontReports:
         self, row: AssignmentRow, status: FleetStatus, post_front_wind: Forecast
     ) -> None:
         state = status.status_of(row.vehicle).state
-        feasibility = self._feasibility_of(row.vehicle)
+        drone = self.data.day.find_drone(row.vehicle)
         position = None if state is None else self.routes.position_ned_m(state)
-        if state is None or feasibility is None or position is None or state.energy_left_wh is None:
+        if state is None or drone is None or position is None or state.energy_left_wh is None:
             text = "in the front's path; energy or position unknown: consider a recall"
             self.log(f"WARNING: {row.vehicle}: {text}")
             return
@@ -79,6 +82,7 @@ class FrontReports:
             payload_kg=0.0 if order is None else order.mass_kg,
             remaining_wh=state.energy_left_wh,
         )
+        feasibility = self._feasibility.of_drone(drone)
         found = energy_margins_in_wind(feasibility, flight, post_front_wind)
         if found.operator_recommendation:
             self.log(
@@ -89,18 +93,6 @@ class FrontReports:
                 f"{row.vehicle}: in the front's path: {found.mission_margin_wh:.0f} Wh above"
                 " the reserve in the wind behind it"
             )
-
-    def _feasibility_of(self, vehicle: str) -> SortieFeasibility | None:
-        day, drone = self.data.day, self.data.day.find_drone(vehicle)
-        if drone is None:
-            return None
-        if vehicle not in self._feasibility_models:
-            airframe = self.data.airframes[drone.airframe]
-            energy = route_energy_model_for_day(day, airframe)
-            self._feasibility_models[vehicle] = SortieFeasibility(
-                drone, airframe, day.mission, day.forecast, energy
-            )
-        return self._feasibility_models[vehicle]
 
 
 def _post_front_wind(front: WindFront) -> Forecast:

@@ -65,7 +65,11 @@ class LaunchHoldControl:
         in_force = {(hold.scope, hold.by) for hold in self.store.holds_in_force()}
         for scope, source in new:
             if (scope, source) not in in_force:  # another desk of this store may have set it
-                self._place_hold(hold_store, scope, source, reason_by_due_hold[scope, source])
+                reason = reason_by_due_hold[scope, source]
+                sent_launches = hold_store.place_holds([scope], reason, source.value)
+                self.log(f"{_scope_name(scope)}: launch hold: {reason}")
+                for one in sent_launches:
+                    self.log(f"WARNING: {one} may take off, launch already sent: keep pad clear")
             self._earliest_end_s_by_hold[scope, source] = -math.inf
         for scope, source in sorted(expired):
             released = hold_store.clear_holds([scope], source.value, only_placed_by_actor=True)
@@ -74,14 +78,6 @@ class LaunchHoldControl:
             for hold in released:
                 self.log(f"{_scope_name(scope)}: launch hold{cause_text} ended ({hold.reason})")
         return True
-
-    def _place_hold(
-        self, hold_store: HoldStore, scope: str, source: HoldSource, reason: str
-    ) -> None:
-        sent_launches = hold_store.place_holds([scope], reason, source.value)
-        self.log(f"{_scope_name(scope)}: launch hold: {reason}")
-        for one in sent_launches:
-            self.log(f"WARNING: {one} may take off, launch already sent: keep pad clear")
 
 
 def _scope_name(scope: str) -> str:

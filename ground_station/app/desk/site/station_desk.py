@@ -7,6 +7,8 @@ from companion.core.wind_field.fronts import FrontUpdate
 from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.station_message import StationWind
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.site_wind.site_wind import SiteWind
 from ground_station.core.site_wind.wind_stations import StationRegistry
 
 FILE_POLL_INTERVAL_S = 1.0
@@ -25,6 +27,17 @@ class StationMonitor:
     _last_poll_s: float | None = None
     _last_fault_check_s: float | None = None
     _faults: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_day(
+        cls, wind: SiteWind, data: DayData | None, clock: Clock, log: Callable[[str], None]
+    ) -> "StationMonitor":
+        """Return the day's stations; without a day, accept all that report a position."""
+        if data is None:
+            return cls(StationRegistry(wind), [], clock, log)
+        stations = data.day.stations
+        files = [StationFile(one.id, data.folder / one.file) for one in stations if one.file]
+        return cls(StationRegistry.from_day(wind, stations), files, clock, log)
 
     def poll_files_for_front_updates(self, now_s: float) -> list[FrontUpdate]:
         """Read the files; return fronts that are new, updated or withdrawn."""

@@ -3,7 +3,6 @@ inserted one after another at their best position, by drone or truck.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ground_station.core.truck_drones.building.insertion import (
     InsertionParams,
@@ -14,15 +13,15 @@ from ground_station.core.truck_drones.changed_plan import simulate_and_store
 from ground_station.core.truck_drones.compiled import compiled
 from ground_station.core.truck_drones.edits import store_route_index_by_node
 from ground_station.core.truck_drones.problem import TruckAndDrones
-from ground_station.core.truck_drones.random_stream import RandomStream, draw_integer_below
+from ground_station.core.truck_drones.random_stream import draw_integer_below
 from ground_station.core.truck_drones.simulate import INFEASIBLE_S, simulate_makespan_s
 from ground_station.core.truck_drones.tables import (
     NOWHERE,
     REMOVED,
     ROUTE,
+    ChangeArrays,
     Plan,
     ProblemTables,
-    WorkArrays,
     empty_plan,
 )
 
@@ -42,29 +41,18 @@ WIDE_INSERTION = InsertionParams(
 
 
 def construct_plan_per_flight_price(
-    problem: TruckAndDrones,
-    tables: ProblemTables,
-    base_work_arrays: WorkArrays,
-    work_arrays: WorkArrays,
-    time_per_node_s: float,
-    stream: RandomStream,
+    problem: TruckAndDrones, change: ChangeArrays, time_per_node_s: float
 ) -> list[Plan]:
     """Return the best plan for each price with a feasible plan, best first. Layers are not priced.
 
-    `time_per_node_s`: time of the initial plan per node.
+    Overwrites the plans in `change`. `time_per_node_s`: time of the initial plan per node.
     """
     found: list[tuple[float, Plan]] = []
     orders = ORDERS_PER_PRICE if problem.customers <= REPEATED_ORDERS_MAX_CUSTOMERS else 1
-    for flight_s in _flight_cost_by_node_per_price_s(problem, tables, time_per_node_s):
-        builder = _PlanBuilder(
-            tables,
-            base_work_arrays,
-            work_arrays,
-            anneal_priced_tour(tables, flight_s, stream),
-            stream,
-        )
+    for flight_s in _flight_cost_by_node_per_price_s(problem, change.tables, time_per_node_s):
+        tour = anneal_priced_tour(change.tables, flight_s, change.stream).tolist()
         best_s, best = min(
-            (builder.build_makespan_and_plan() for _ in range(orders)), key=lambda one: one[0]
+            (_build_makespan_and_plan(change, tour) for _ in range(orders)), key=lambda one: one[0]
         )
         if best_s < INFEASIBLE_S and not any((best == other).all() for _, other in found):
             found.append((best_s, best))
@@ -72,53 +60,30 @@ def construct_plan_per_flight_price(
     return [plan for _, plan in found]
 
 
-class _PlanBuilder:
-    """Builds plans from one tour. Customers that cannot be inserted are added to the tour."""
+def _build_makespan_and_plan(change: ChangeArrays, tour: list[int]) -> tuple[float, Plan]:
+    """Build one plan; return its makespan (inf if infeasible) and the plan. Customers that cannot
+    be inserted are added to the tour.
+    """
+    tables, plan, left = change.tables, change.new_plan, NOWHERE
+    for _ in range(len(tables.travel_s)):
+        plan[:] = empty_plan(len(tables.travel_s))
+        plan[ROUTE, : len(tour)] = tour
+        store_route_index_by_node(plan, change.new_route_index)
+        left = _insert_unserved_in_random_order(change, NARROW_INSERTION, WIDE_INSERTION)
+        if left == NOWHERE or not tables.truck_can[left]:
+            break
+        _insert_into_tour_at_least_detour(tables, tour, int(left))
+    if left != NOWHERE:
+        return INFEASIBLE_S, plan.copy()
+    return float(simulate_makespan_s(tables, plan, change.new_work, INFEASIBLE_S)), plan.copy()
 
-    def __init__(
-        self,
-        tables: ProblemTables,
-        kept: WorkArrays,
-        work: WorkArrays,
-        tour: NDArray[np.int64],
-        stream: RandomStream,
-    ) -> None:
-        self._tables, self._kept, self._work, self._stream = tables, kept, work, stream
-        self._tour = tour.tolist()
 
-    def build_makespan_and_plan(self) -> tuple[float, Plan]:
-        """Build one plan; return its makespan (inf if infeasible) and the plan."""
-        nodes = len(self._tables.travel_s)
-        position = np.zeros(nodes, dtype=np.int64)
-        plan, left = empty_plan(nodes), NOWHERE
-        for _ in range(nodes):
-            plan[:] = empty_plan(nodes)
-            plan[ROUTE, : len(self._tour)] = self._tour
-            store_route_index_by_node(plan, position)
-            left = _insert_unserved_in_random_order(
-                self._tables,
-                self._kept,
-                self._work,
-                plan,
-                plan.copy(),
-                position,
-                NARROW_INSERTION,
-                WIDE_INSERTION,
-                self._stream,
-            )
-            if left == NOWHERE or not self._tables.truck_can[left]:
-                break
-            self._insert_into_tour_at_least_detour(int(left))
-        if left != NOWHERE:
-            return INFEASIBLE_S, plan
-        return float(simulate_makespan_s(self._tables, plan, self._work, INFEASIBLE_S)), plan
-
-    def _insert_into_tour_at_least_detour(self, customer: int) -> None:
-        """Insert this customer into the tour at the least detour."""
-        tour, travel_s = np.array(self._tour), self._tables.travel_s
-        before, after = tour[:-1], tour[1:]
-        more_s = travel_s[before, customer] + travel_s[customer, after] - travel_s[before, after]
-        self._tour.insert(int(np.argmin(more_s)) + 1, customer)
+def _insert_into_tour_at_least_detour(
+    tables: ProblemTables, tour: list[int], customer: int
+) -> None:
+    before, after, travel_s = np.array(tour[:-1]), np.array(tour[1:]), tables.travel_s
+    more_s = travel_s[before, customer] + travel_s[customer, after] - travel_s[before, after]
+    tour.insert(int(np.argmin(more_s)) + 1, customer)
 
 
 def _flight_cost_by_node_per_price_s(
@@ -133,21 +98,13 @@ def _flight_cost_by_node_per_price_s(
 
 
 @compiled
-def _insert_unserved_in_random_order(
-    tables,
-    base_work_arrays,
-    work_arrays,
-    plan,
-    previous_plan_buffer,
-    route_index_by_node,
-    narrow_params,
-    wide_params,
-    stream,
-):
-    """Insert the unserved customers in random order, customers without road access first. Returns
-    the first customer that cannot be inserted, or NOWHERE.
+def _insert_unserved_in_random_order(change, narrow_params, wide_params):
+    """Insert the customers that the changed plan does not serve in random order, those without road
+    access first. Returns the first customer that cannot be inserted, or NOWHERE.
     """
-    scratch, count, by_air = work_arrays.scratch, 0, 0
+    tables, plan, stream = change.tables, change.new_plan, change.stream
+    route_index_by_node = change.new_route_index
+    scratch, count, by_air = change.new_work.scratch, 0, 0
     for node in range(1, plan.shape[1] - 1):
         if route_index_by_node[node] == NOWHERE:
             scratch[REMOVED, count] = node
@@ -160,7 +117,7 @@ def _insert_unserved_in_random_order(
                     swap = scratch[REMOVED, low]
                     scratch[REMOVED, low], scratch[REMOVED, high] = scratch[REMOVED, high], swap
                     break
-    makespan_s = simulate_and_store(tables, plan, base_work_arrays)
+    change.makespans_s[0] = simulate_and_store(tables, plan, change.work)
     for left in range(count, 0, -1):
         by_road = count - by_air
         drawn = (
@@ -172,35 +129,15 @@ def _insert_unserved_in_random_order(
         scratch[REMOVED, drawn] = scratch[REMOVED, left - 1]
         for row in range(plan.shape[0]):
             for node in range(plan.shape[1]):
-                previous_plan_buffer[row, node] = plan[row, node]
+                change.plan[row, node] = plan[row, node]
         served_s, _ = insert_customer_at_best_position(
-            tables,
-            previous_plan_buffer,
-            base_work_arrays,
-            makespan_s,
-            plan,
-            route_index_by_node,
-            work_arrays,
-            customer,
-            INFEASIBLE_S,
-            narrow_params,
-            stream,
+            change, customer, INFEASIBLE_S, narrow_params
         )
         if served_s == INFEASIBLE_S:
             served_s, _ = insert_customer_at_best_position(
-                tables,
-                previous_plan_buffer,
-                base_work_arrays,
-                makespan_s,
-                plan,
-                route_index_by_node,
-                work_arrays,
-                customer,
-                INFEASIBLE_S,
-                wide_params,
-                stream,
+                change, customer, INFEASIBLE_S, wide_params
             )
         if served_s == INFEASIBLE_S:
             return customer
-        makespan_s = simulate_and_store(tables, plan, base_work_arrays)
+        change.makespans_s[0] = simulate_and_store(tables, plan, change.work)
     return NOWHERE

@@ -85,22 +85,11 @@ def undo_insert_stop(plan, route_index_by_node, route_index):
 
 
 @compiled_inner
-def _best_truck_route_index(
-    tables,
-    base_plan,
-    base_work_arrays,
-    base_makespan_s,
-    plan,
-    route_index_by_node,
-    work_arrays,
-    customer,
-    makespan_limit_s,
-    params,
-    stream,
-):
+def _best_truck_route_index(change, customer, makespan_limit_s, params):
     """Return the best route position to serve this customer by truck (NOWHERE: none below
     `makespan_limit_s`), the makespan, and the number of positions tried.
     """
+    tables, plan, route_index_by_node = change.tables, change.new_plan, change.new_route_index
     near = tables.near
     last = route_index_by_node[plan.shape[1] - 1]
     best_at, best_s, evaluated, stops = NOWHERE, makespan_limit_s, 0, 0
@@ -118,15 +107,13 @@ def _best_truck_route_index(
             known = False  # tried from the other side
             for before in range(min(number, near.shape[1])):
                 known = known or near[customer, before] == other
-            if known or draw_uniform(stream) < params.skip_frac:
+            if known or draw_uniform(change.stream) < params.skip_frac:
                 continue
             insert_stop(plan, route_index_by_node, customer, to)
             evaluated += 1
-            makespan_s, _, passed, _ = incremental_makespan_s(
-                tables, base_plan, base_work_arrays, base_makespan_s, plan, work_arrays, best_s
-            )
+            makespan_s, simulated = incremental_makespan_s(change, best_s)
             undo_insert_stop(plan, route_index_by_node, to)
-            if passed > 0 and makespan_s < best_s:
+            if simulated[1] > 0 and makespan_s < best_s:
                 best_at, best_s = to, makespan_s
         if stops >= params.near_stops:
             break
@@ -134,46 +121,23 @@ def _best_truck_route_index(
 
 
 @compiled_inner
-def insert_customer_at_best_position(
-    tables,
-    base_plan,
-    base_work_arrays,
-    base_makespan_s,
-    plan,
-    route_index_by_node,
-    work_arrays,
-    customer,
-    makespan_limit_s,
-    params,
-    stream,
-):
-    """Insert this customer; return the makespan (inf, without a change, if no candidate is below
-    `makespan_limit_s`) and the number of candidates tried.
-
-    `base_plan`, `base_work_arrays`, `base_makespan_s`: a plan near this one, as for
-    `incremental_makespan_s`.
+def insert_customer_at_best_position(change, customer, makespan_limit_s, params):
+    """Insert this customer into the changed plan; return the makespan (inf, without a change, if no
+    candidate is below `makespan_limit_s`) and the number of candidates tried.
     """
+    tables, plan, route_index_by_node = change.tables, change.new_plan, change.new_route_index
+    times_s, scratch = change.new_work.times_s, change.new_work.scratch
     best_s, evaluated, best_at = makespan_limit_s, 0, NOWHERE
     if tables.truck_can[customer]:
         best_at, best_s, evaluated = _best_truck_route_index(
-            tables,
-            base_plan,
-            base_work_arrays,
-            base_makespan_s,
-            plan,
-            route_index_by_node,
-            work_arrays,
-            customer,
-            makespan_limit_s,
-            params,
-            stream,
+            change, customer, makespan_limit_s, params
         )
     # Cost of a candidate: makespan plus share of drone time.
     best_cost_s = best_s if best_at >= 0 else INFEASIBLE_S
     best_kind, best_launch, best_rendezvous = NOWHERE, NOWHERE, NOWHERE
     end = plan.shape[1] - 1
     last = route_index_by_node[end]
-    store_drones_away_by_route_index(plan, route_index_by_node, work_arrays.scratch)
+    store_drones_away_by_route_index(plan, route_index_by_node, scratch)
     nearest = nearest_stop_route_index(tables, plan, route_index_by_node, customer)
     plan[ORDER, customer] = 0
     for kind in range(tables.drone_can.shape[0]):
@@ -190,35 +154,23 @@ def insert_customer_at_best_position(
                 continue
             furthest = launch if tables.loops_only else min(last, launch + params.rendezvous_range)
             for rendezvous in range(launch, furthest + 1):
-                if (
-                    rendezvous > launch
-                    and work_arrays.scratch[AWAY + kind, rendezvous - 1] >= drones
-                ):
+                if rendezvous > launch and scratch[AWAY + kind, rendezvous - 1] >= drones:
                     break
                 if rendezvous == launch and not tables.pads:
                     continue
                 stop = plan[ROUTE, rendezvous]
                 if not left_s - tables.back_hover_s[kind, customer, stop] >= 0.0:
                     continue
-                if draw_uniform(stream) < params.skip_frac:
+                if draw_uniform(change.stream) < params.skip_frac:
                     continue
                 plan[LAUNCH, customer], plan[RENDEZVOUS, customer] = start, stop
                 evaluated += 1
-                makespan_s, _, passed, _ = incremental_makespan_s(
-                    tables,
-                    base_plan,
-                    base_work_arrays,
-                    base_makespan_s,
-                    plan,
-                    work_arrays,
-                    min(makespan_limit_s, best_cost_s),
+                makespan_s, simulated = incremental_makespan_s(
+                    change, min(makespan_limit_s, best_cost_s)
                 )
-                if passed == 0:
+                if simulated[1] == 0:
                     continue
-                away_s = (
-                    work_arrays.times_s[RECOVERED, customer]
-                    - work_arrays.times_s[LAUNCHED, customer]
-                )
+                away_s = times_s[RECOVERED, customer] - times_s[LAUNCHED, customer]
                 if makespan_s + params.air_price * away_s < best_cost_s:
                     best_cost_s = makespan_s + params.air_price * away_s
                     best_s = makespan_s

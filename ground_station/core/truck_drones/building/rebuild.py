@@ -46,23 +46,13 @@ def remove_customer_and_dependent_sorties(
 
 
 @compiled_inner
-def try_random_removal_and_reinsertion(
-    tables,
-    base_plan,
-    base_work_arrays,
-    base_makespan_s,
-    plan,
-    route_index_by_node,
-    work_arrays,
-    makespan_limit_s,
-    params,
-    stream,
-):
-    """Change `plan`, a copy of `base_plan`; return whether all customers are reinserted with a
-    makespan below `makespan_limit_s`, and the number of simulated plans.
+def try_random_removal_and_reinsertion(change, makespan_limit_s, params):
+    """Change the copy of the plan; return whether all customers are reinserted with a makespan
+    below `makespan_limit_s`, and the number of simulated plans.
     """
+    plan, route_index_by_node, stream = change.new_plan, change.new_route_index, change.stream
     end = plan.shape[1] - 1
-    scratch, near = work_arrays.scratch, tables.near
+    scratch, near = change.new_work.scratch, change.tables.near
     target_count = 1 + draw_integer_below(stream, MAX_REMOVED)
     first = 1 + draw_integer_below(stream, end - 1)
     count = remove_customer_and_dependent_sorties(plan, route_index_by_node, first, scratch, 0)
@@ -83,17 +73,7 @@ def try_random_removal_and_reinsertion(
     evaluated_sum = 0
     for number in range(count):
         makespan_s, evaluated = insert_customer_at_best_position(
-            tables,
-            base_plan,
-            base_work_arrays,
-            base_makespan_s,
-            plan,
-            route_index_by_node,
-            work_arrays,
-            scratch[REMOVED, number],
-            makespan_limit_s,
-            params,
-            stream,
+            change, scratch[REMOVED, number], makespan_limit_s, params
         )
         evaluated_sum += evaluated
         if makespan_s == INFEASIBLE_S:

@@ -38,15 +38,10 @@ def _copy_sortie_geometry(int_rows, times_s, target_int_rows, target_times_s, cu
 
 @compiled_inner
 def merge_launch_log_into_base(
-    plan, base_work_arrays, work_arrays, first_simulated_index, end_simulated_index, position_count
+    plan, old, new, first_simulated_index, end_simulated_index, position_count
 ):
     """Combine the log of earlier launches, of the simulated positions, and of later launches."""
-    whole, times_s, old_whole, old_times_s = (
-        work_arrays.whole,
-        work_arrays.times_s,
-        base_work_arrays.whole,
-        base_work_arrays.times_s,
-    )
+    whole, times_s, old_whole, old_times_s = new.whole, new.times_s, old.whole, old.times_s
     end = plan.shape[1] - 1
     before = end_simulated_index - (position_count - 1 - old_whole[POSITION, end])
     if end_simulated_index < position_count:
@@ -84,14 +79,9 @@ def sortie_differs(base_plan, plan, customer):
 
 
 @compiled_inner
-def copy_earlier_launch_log(air, base_work_arrays, work_arrays, route_index):
+def copy_earlier_launch_log(air, old, new, route_index):
     """Copy the launches before this position, and the routes of those possibly airborne there."""
-    whole, times_s, old_whole, old_times_s = (
-        work_arrays.whole,
-        work_arrays.times_s,
-        base_work_arrays.whole,
-        base_work_arrays.times_s,
-    )
+    whole, times_s, old_whole, old_times_s = new.whole, new.times_s, old.whole, old.times_s
     logged = old_whole[LOGGED, route_index]
     whole[LOGGED, route_index] = logged
     for number in range(max(0, logged - LOG_DEPTH_FLEETS * air.fleet), logged):
@@ -117,18 +107,12 @@ def _last_possibly_airborne_log_index(
 
 
 @compiled_inner
-def has_same_airborne_sorties(
-    air, base_plan, base_work_arrays, plan, work_arrays, route_index, base_route_index
-):
+def has_same_airborne_sorties(change, route_index, base_route_index):
     """Return whether the same sorties are airborne at this position as in the old plan, equal
     except for a time shift.
     """
-    whole, times_s, old_whole, old_times_s = (
-        work_arrays.whole,
-        work_arrays.times_s,
-        base_work_arrays.whole,
-        base_work_arrays.times_s,
-    )
+    new, old, air = change.new_work, change.work, change.tables.air
+    whole, times_s, old_whole, old_times_s = new.whole, new.times_s, old.whole, old.times_s
     now_s, then_s = times_s[ARRIVE, route_index], old_times_s[ARRIVE, base_route_index]
     one, other = whole[LOGGED, route_index], old_whole[LOGGED, base_route_index]
     back, slack_s = LOG_DEPTH_FLEETS * air.fleet, air.slack_s
@@ -147,7 +131,7 @@ def has_same_airborne_sorties(
             if whole[row, customer] != old_whole[row, customer]:
                 return False
         late_s = times_s[LAUNCHED, customer] - old_times_s[LAUNCHED, customer]
-        if abs(late_s - (now_s - then_s)) > SAME_SHIFT_S or sortie_differs(
-            base_plan, plan, customer
-        ):
+        if abs(late_s - (now_s - then_s)) > SAME_SHIFT_S:
+            return False
+        if sortie_differs(change.plan, change.new_plan, customer):
             return False

@@ -127,6 +127,12 @@ def _append_route_corners(air, int_rows, times_s, customer, start, end):
 
 
 @compiled_inner
+def _corner_ne_m(geometry_rows, customer, number):
+    row = PAD_N + 2 * number
+    return geometry_rows[row, customer], geometry_rows[row + 1, customer]
+
+
+@compiled_inner
 def _squared_point_segment_distance_m2(pn, pe, an, ae, bn, be):
     """Return the squared distance of a point from a segment."""
     dn, de = bn - an, be - ae
@@ -150,32 +156,17 @@ def is_near_ground_shape(geometry_rows, customer, corner_count, pn, pe, separati
     Each edge of the hull joins two corners; each inner point is within a triangle of three.
     """
     for first in range(1, corner_count):
-        an, ae = (
-            geometry_rows[PAD_N + 2 * first, customer],
-            geometry_rows[PAD_E + 2 * first, customer],
-        )
+        an, ae = _corner_ne_m(geometry_rows, customer, first)
         for second in range(first):
-            bn, be = (
-                geometry_rows[PAD_N + 2 * second, customer],
-                geometry_rows[PAD_E + 2 * second, customer],
-            )
+            bn, be = _corner_ne_m(geometry_rows, customer, second)
             if _squared_point_segment_distance_m2(pn, pe, an, ae, bn, be) < separation_m2:
                 return True
     for first in range(2, corner_count):
-        an, ae = (
-            geometry_rows[PAD_N + 2 * first, customer],
-            geometry_rows[PAD_E + 2 * first, customer],
-        )
+        an, ae = _corner_ne_m(geometry_rows, customer, first)
         for second in range(1, first):
-            bn, be = (
-                geometry_rows[PAD_N + 2 * second, customer],
-                geometry_rows[PAD_E + 2 * second, customer],
-            )
+            bn, be = _corner_ne_m(geometry_rows, customer, second)
             for third in range(second):
-                cn, ce = (
-                    geometry_rows[PAD_N + 2 * third, customer],
-                    geometry_rows[PAD_E + 2 * third, customer],
-                )
+                cn, ce = _corner_ne_m(geometry_rows, customer, third)
                 if _triangle_contains(an, ae, bn, be, cn, ce, pn, pe):
                     return True
     return False
@@ -210,25 +201,13 @@ def _do_corner_lines_cross(
 ):
     """Return whether any lines between corners of the two sorties cross."""
     for first in range(1, corner_count):
-        an, ae = (
-            geometry_rows[PAD_N + 2 * first, customer],
-            geometry_rows[PAD_E + 2 * first, customer],
-        )
+        an, ae = _corner_ne_m(geometry_rows, customer, first)
         for second in range(first):
-            bn, be = (
-                geometry_rows[PAD_N + 2 * second, customer],
-                geometry_rows[PAD_E + 2 * second, customer],
-            )
+            bn, be = _corner_ne_m(geometry_rows, customer, second)
             for third in range(1, other_corner_count):
-                cn, ce = (
-                    geometry_rows[PAD_N + 2 * third, other_customer],
-                    geometry_rows[PAD_E + 2 * third, other_customer],
-                )
+                cn, ce = _corner_ne_m(geometry_rows, other_customer, third)
                 for last_corner in range(third):
-                    dn, de = (
-                        geometry_rows[PAD_N + 2 * last_corner, other_customer],
-                        geometry_rows[PAD_E + 2 * last_corner, other_customer],
-                    )
+                    dn, de = _corner_ne_m(geometry_rows, other_customer, last_corner)
                     if _do_segments_cross(an, ae, bn, be, cn, ce, dn, de):
                         return True
     return False
@@ -259,10 +238,7 @@ def _is_any_corner_near_ground_shape(
 ):
     """Return whether any of the other's first corners is near the hull of this sortie."""
     for corner in range(other_corner_count):
-        north, east = (
-            geometry_rows[PAD_N + 2 * corner, other_customer],
-            geometry_rows[PAD_E + 2 * corner, other_customer],
-        )
+        north, east = _corner_ne_m(geometry_rows, other_customer, corner)
         if is_near_ground_shape(geometry_rows, customer, corner_count, north, east, separation_m2):
             return True
     return False
