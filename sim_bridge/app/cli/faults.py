@@ -69,7 +69,6 @@ def faults(
     from sim_bridge.app.fault_suite.session import FaultSuiteSession
     from sim_bridge.app.faults.fault import PHASES
     from sim_bridge.app.faults.pair import draw_pair_task
-    from sim_bridge.app.trials.trial import TrialLimits
     from sim_bridge.autopilot.kinds import AUTOPILOTS
 
     cases = select_cases([*(only or []), *(names or [])])
@@ -91,9 +90,7 @@ def faults(
         todo = suite.list_tasks(cases, kinds, phases, flown_seeds, root, tight=tight)
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    session = FaultSuiteSession(
-        todo, TrialLimits(run.process_count(), run.minutes, run.cluster), run.json_out
-    )
+    session = FaultSuiteSession(todo, run.workers(), run.minutes, run.json_out)
     try:
         rows = session.fly_and_store_remaining_flights()
     except KeyboardInterrupt:

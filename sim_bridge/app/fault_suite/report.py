@@ -1,7 +1,6 @@
 """Report of the suite: a line for each failed row, tables by fault and group, JSON result."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
@@ -9,7 +8,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from companion.adapters.files.atomic_file import write_text_atomically
 from sim_bridge.app.fault_suite.promises import p_home_calibration
 from sim_bridge.app.faults.fault import FaultCase, FaultRow
 from sim_bridge.app.flight.report import borderless_table
@@ -40,19 +38,6 @@ def median_and_maximum_cpu_s(rows: Sequence[FaultRow]) -> dict[str, float] | Non
     return (
         {"median": float(np.median(cpu_times_s)), "most": max(cpu_times_s)} if cpu_times_s else None
     )
-
-
-def write_suite_result(
-    path: Path,
-    rows: Sequence[FaultRow],
-    unflown_count: int = 0,
-    lost_flight_texts: Sequence[str] = (),
-) -> None:
-    """Write the result atomically."""
-    text = msgspec.json.format(
-        msgspec.json.encode(build_suite_result(rows, unflown_count, lost_flight_texts))
-    )
-    write_text_atomically(path, text.decode() + "\n", sync_folder=False)
 
 
 def case_description_lines(cases: Sequence[FaultCase]) -> Iterator[str]:

@@ -9,7 +9,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from sim_bridge.app.trials.trial import TrialRow, write_case_file, write_trial_result
+from sim_bridge.adapters.json_result import write_json_result
+from sim_bridge.app.trials.trial import TrialRow, build_trial_result, write_case_file
 
 CASES_FOLDER = "cases"
 
@@ -60,7 +61,9 @@ class TrialReport:
                 self._save_and_print_if_failed(console, row)
                 bar.advance(task)
                 if self.json_out is not None:
-                    write_trial_result(self.json_out, self.trial, self.seed, done)
+                    write_json_result(
+                        self.json_out, build_trial_result(self.trial, self.seed, done)
+                    )
         self._print_summary(console, done)
         return done
 

@@ -6,13 +6,13 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from sim_bridge.adapters.json_result import write_json_result
 from sim_bridge.app.fault_suite.promises import p_home_calibration
 from sim_bridge.app.fault_suite.report import (
     build_suite_result,
     cpu_time_summary_line,
     p_home_calibration_tables,
     pair_summary_line,
-    write_suite_result,
 )
 from sim_bridge.app.faults.fault import FaultRow
 from tests.sim_bridge.app.fault_suite.made_rows import made_row
@@ -42,7 +42,7 @@ def test_promises_are_held_against_what_came_home_group_by_group():
 
 def test_the_file_holds_every_row_and_the_count(tmp_path):
     path = tmp_path / "faults.json"
-    write_suite_result(path, [row(), row(home=False)])
+    write_json_result(path, build_suite_result([row(), row(home=False)]))
     read = json.loads(path.read_text())
     assert (read["held"], read["of"]) == (1, 2)
     assert read["rows"][1]["why"] == "not home"
