@@ -2,6 +2,7 @@
 P(state) near the observed wind, and the loss is bounded separately for each departure.
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,9 +81,12 @@ class BerLog:
         self.policy, self.max_loss, self._classes = policy, max_loss, classes
         self._lattice = WindLattice(policy.model.chain.states_en_mps, process.spacing_mps)
         self._finder = RouteFinder(policy.model.graph)
+        self._table: Ints | None = None  # of each mission of a batch, once it has departed
 
     def start_batch(self, uniform_random_by_mission: NDArray[np.float64]) -> BatchPlanner:
-        return _BerLogBatch(self)
+        batch = copy.copy(self)
+        batch._table = None
+        return batch
 
     def matching_states_and_probabilities(self, wind_en_mps: Floats) -> tuple[Ints, Floats]:
         """Return the lattice states that fit each observed wind (n, 2), and P of each; (n, B)."""
@@ -118,16 +122,10 @@ class BerLog:
         routes = self._finder.find_routes_to_goal(self._finder.graph.depot, duration)
         return routes.next_edge[observation.vertex, np.arange(observation.mission_count)]
 
-
-class _BerLogBatch:
-    def __init__(self, planner: BerLog) -> None:
-        self._planner = planner
-        self._table: Ints | None = None
-
     def select_edges(self, observation: PlannerObservation) -> Ints:
-        planner, policy = self._planner, self._planner.policy
+        policy = self.policy
         if self._table is None:  # all missions depart together
-            self._table = planner.select_start_table_indices(observation)
+            self._table = self.select_start_table_indices(observation)
         edge = np.full(observation.mission_count, STOP_AT_DEPOT, dtype=np.int64)
         table = self._table[observation.mission]
         for t in [-1, *np.unique(table[~observation.delivered]).tolist()]:
@@ -143,22 +141,21 @@ class _BerLogBatch:
     def _select_best_edges(
         self, observation: PlannerObservation, table: DeliveryTable | None
     ) -> Ints:
-        planner, model = self._planner, self._planner.policy.model
-        graph = model.graph
-        value = planner.policy.home.p_home if table is None else table.value
+        model, graph = self.policy.model, self.policy.model.graph
+        value = self.policy.home.p_home if table is None else table.value
         edge_value = expected_edge_values(
             model,
             value,
             table is None,
             observation,
-            *planner.matching_states_and_probabilities(observation.wind_en_mps),
+            *self.matching_states_and_probabilities(observation.wind_en_mps),
         )
         position = np.argmax(edge_value, axis=1)
         best = edge_value[np.arange(observation.mission_count), position]
         edge = graph.out_edges_by_vertex[observation.vertex, position]
         no_value = best <= 0.0
         if no_value.any():
-            edge[no_value] = planner.cheapest_return_edges(
+            edge[no_value] = self.cheapest_return_edges(
                 _select_rows(observation, np.flatnonzero(no_value))
             )
         if table is not None:
