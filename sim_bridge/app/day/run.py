@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -166,7 +167,11 @@ def _result_row(
         "seed": options.seed,
         "ended": ended,
         "duration_s": round(world.clock.t_s, 1),
-        "faults": _enabled_fault_options(options.world_options),
+        "faults": {
+            k: v
+            for k, v in asdict(options.world_options).items()
+            if k not in NON_FAULT_OPTIONS and v
+        },
         "orders": len(orders),
         "feasible": len(orders) - len(infeasible),
         "delivered": len(vehicle_by_order),
@@ -192,7 +197,7 @@ def _result_row(
             {
                 "stop": s.stop,
                 "arrive_s": round(s.arrived_s, 1),
-                "depart_s": _round_finite_time_or_none(s.left_s),
+                "depart_s": round(s.left_s, 1) if math.isfinite(s.left_s) else None,
             }
             for s in world.truck_parked_intervals
         ],
@@ -253,14 +258,6 @@ def find_orders_with_wrong_desk_record(
 
 def _round_flight_values(flight: dict[str, Any]) -> dict[str, Any]:
     return {k: round(v, 2) if isinstance(v, float) else v for k, v in flight.items()}
-
-
-def _enabled_fault_options(world_options: DayWorldOptions) -> dict[str, Any]:
-    return {k: v for k, v in asdict(world_options).items() if k not in NON_FAULT_OPTIONS and v}
-
-
-def _round_finite_time_or_none(t_s: float) -> float | None:
-    return None if t_s == float("inf") else round(t_s, 1)
 
 
 def _draw_picture(

@@ -222,7 +222,7 @@ class DayWorld:
     def _command_rtl_of_random_airborne_drone(self, t_s: float, duration_s: float) -> str | None:
         """Command return to launch of one drone from a second ground station."""
         drone = self._draw_airborne_drone(t_s)
-        if drone is None or drone.is_overridden_by_pilot:
+        if drone is None or drone.power_cycle is None or drone.power_cycle.link.takeover:
             return None
         drone.command_rtl_from_second_station(t_s)
         return f"{drone.name} taken over by a person"
