@@ -33,11 +33,6 @@ from sim_bridge.conform.suite import (
     run_suite,
 )
 
-_SAFETY_NOTE = (
-    "the suite arms, flies and lands what is behind it; it is meant for simulators on this"
-    " machine (127.0.0.1). To run it elsewhere give --not-a-simulator and --yes-it-may-fly"
-)
-
 
 class _ProgressView:
     """One line for each behaviour as it ends; the one under way on the last line."""
@@ -91,18 +86,6 @@ class Reference:
             return "= " if verdict is Parity.SAME else "? "
         expected = None if reference is None else reference.value
         return f"{verdict.value.upper()} from {expected!r}: "
-
-
-def raise_if_link_leaves_machine(link: str, *, not_simulated: bool, flight_permitted: bool) -> None:
-    """ConformError for a link that leaves this machine, unless both switches were given."""
-    if not is_on_loopback(link) and not (not_simulated and flight_permitted):
-        raise ConformError(f"--link {link} leaves this machine: {_SAFETY_NOTE}")
-
-
-def print_behaviour_names(behaviours: list[Behaviour]) -> None:
-    """One line for each behaviour."""
-    for behaviour in behaviours:
-        print(f"{behaviour.name:36} {behaviour.description} ... ({behaviour.where.value})")
 
 
 def print_parity_matrix(a: Path, b: Path, autopilot: str | None) -> None:

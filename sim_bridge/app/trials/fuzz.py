@@ -285,22 +285,12 @@ def find_lost_record(result: FuzzResult) -> str | None:
     return given_up[0].strip()[:160] if given_up else None
 
 
-def find_response_timeout(result: FuzzResult) -> str | None:
-    """Check that the companion replied at every step."""
-    return "no reply within a minute" if result.monitor.response_timed_out else None
-
-
 def find_energy_increase(result: FuzzResult) -> str | None:
     """Check that the estimated energy never rises after take-off."""
     return find_energy_rise_after_takeoff(
         (row for topic, row in result.rows if topic == "decision"),
         (row for topic, row in result.rows if topic == "energy"),
     )
-
-
-def find_command_after_release(result: FuzzResult) -> str | None:
-    """Check for commands after the release of control or a detectable pilot override."""
-    return result.craft.link.late_commands_text
 
 
 def find_arming_or_parameter_command_in_air(result: FuzzResult) -> str | None:
@@ -330,9 +320,9 @@ def find_invalid_probability(result: FuzzResult) -> str | None:
 CHECKS: tuple[Check, ...] = (
     find_exception_or_crash,
     find_lost_record,
-    find_response_timeout,
+    lambda result: "no reply within a minute" if result.monitor.response_timed_out else None,
     find_energy_increase,
-    find_command_after_release,
+    lambda result: result.craft.link.late_commands_text,
     find_arming_or_parameter_command_in_air,
     find_invalid_probability,
 )

@@ -7,7 +7,6 @@ activity of the companion (one state per second) is less frequent per simulated 
 
 import itertools
 import json
-import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import psutil
 
 from companion.core.base.errors import LeewayError
 from companion.fleet.messages import Assign, Command, CommandAction, Launch, State
@@ -248,23 +248,18 @@ class Soak:
         pid = self.companion.pid
         if pid is None:
             return
-        process = Path("/proc") / str(pid)
-        pages = int((process / "statm").read_text().split()[1])
+        process, files = psutil.Process(pid), self.companion.run_dir.rglob("*")
         self.samples.append(
             SoakSample(
                 t_s=self.t_s,
-                memory_mb=pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
-                files=len(list((process / "fd").iterdir())),
-                threads=len(list((process / "task").iterdir())),
-                disk_mb=_folder_size_mb(self.companion.run_dir),
+                memory_mb=process.memory_info().rss / 1e6,
+                files=process.num_fds(),
+                threads=process.num_threads(),
+                disk_mb=sum(path.stat().st_size for path in files if path.is_file()) / 1e6,
                 flights=len(self.flight_ends),
                 is_standby=self.desk.is_standby_without_command(),
             )
         )
-
-
-def _folder_size_mb(folder: Path) -> float:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
 
 
 def run_case(case: SoakCase, folder: Path) -> TrialRow:
@@ -276,8 +271,20 @@ def run_case(case: SoakCase, folder: Path) -> TrialRow:
     flight_file = write_changed_flight_file(folder / "flight.toml", FLIGHT)
     fleet_link = ZenohFleet(FLEET, folder / ROUTER)
     endpoints = EndpointSet(["udpin:127.0.0.1:0"])
-    companion = _build_companion_process(folder, endpoints.urls[0])
-    desk = SoakDesk(fleet_link, _read_flight_table_without_wind(flight_file))
+    companion = CompanionProcess(
+        run_dir=folder / VEHICLE,
+        arguments=[
+            f"--link=udpout:127.0.0.1:{endpoints.urls[0].rsplit(':', 1)[1]}",
+            f"--airframe={AIRFRAME}",
+            f"--fleet={FLEET}",
+            f"--vehicle={VEHICLE}",
+            f"--zenoh={folder / MEMBER}",
+            "--configure",
+        ],
+    )
+    flight = msgspec.toml.decode(flight_file.read_bytes())
+    flight.pop("wind", None)  # a desk does not know the true wind
+    desk = SoakDesk(fleet_link, flight)
     soak = Soak(case, folder, endpoints, companion, desk, flight_file)
     try:
         companion.start()
@@ -310,26 +317,6 @@ def _write_zenoh_configurations(folder: Path) -> None:
     }
     for name, table in files.items():
         (folder / name).write_text(json.dumps(no_multicast | table))
-
-
-def _build_companion_process(folder: Path, endpoint_url: str) -> CompanionProcess:
-    return CompanionProcess(
-        run_dir=folder / VEHICLE,
-        arguments=[
-            f"--link=udpout:127.0.0.1:{endpoint_url.rsplit(':', 1)[1]}",
-            f"--airframe={AIRFRAME}",
-            f"--fleet={FLEET}",
-            f"--vehicle={VEHICLE}",
-            f"--zenoh={folder / MEMBER}",
-            "--configure",
-        ],
-    )
-
-
-def _read_flight_table_without_wind(path: Path) -> dict[str, Any]:
-    """Return the flight as a desk sends it, without the true wind."""
-    table = msgspec.toml.decode(path.read_bytes())
-    return {key: value for key, value in table.items() if key != "wind"}
 
 
 def standby_samples_after_warm_up(samples: list[SoakSample]) -> list[SoakSample]:

@@ -241,7 +241,8 @@ def _run_in_fork(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
         try:
             os.close(read_fd)
             _redirect_open_files_to_null(folder)
-            _send_row(write_fd, run_and_evaluate_stall(world, case))
+            with os.fdopen(write_fd, "wb") as pipe:
+                pickle.dump(run_and_evaluate_stall(world, case), pipe)
             code = 0
         except Exception:  # noqa: BLE001 - the copy must exit here after any error
             traceback.print_exc()
@@ -256,11 +257,6 @@ def _run_in_fork(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
         reason = f"the copy of the flight exited with {code}"  # negative: signal number
         return TrialRow.for_case(case, reason)
     return pickle.loads(result_data)
-
-
-def _send_row(write_fd: int, row: TrialRow) -> None:
-    with os.fdopen(write_fd, "wb") as pipe:
-        pipe.write(pickle.dumps(row))
 
 
 def _redirect_open_files_to_null(folder: Path) -> None:
@@ -279,9 +275,11 @@ def run_and_evaluate_stall(world: StallWorld, case: StallCase) -> TrialRow:
     """Run the stall and evaluate the commands after the pilot override."""
     phase = world.pilot.phase.value
     world.schedule_stall(case)
+    until_s = case.at_s + case.stall_s + OBSERVATION_S
     reason = ""
     try:
-        _advance_until_observation_end(world, case)
+        while world.t_s < until_s and not world.is_over:
+            world.advance_world_and_companion(case.datagrams_per_step)
     except Exception as error:  # noqa: BLE001 - the flight code raised: that is a finding
         reason = f"{type(error).__name__}: {error}"
     if world.is_override_effective and world.in_flight:  # else settings are restored in any mode
@@ -294,12 +292,6 @@ def run_and_evaluate_stall(world: StallWorld, case: StallCase) -> TrialRow:
         "then": world.pilot.phase.value,
     }
     return TrialRow.for_case(case, reason, result_data)
-
-
-def _advance_until_observation_end(world: StallWorld, case: StallCase) -> None:
-    until_s = case.at_s + case.stall_s + OBSERVATION_S
-    while world.t_s < until_s and not world.is_over:
-        world.advance_world_and_companion(case.datagrams_per_step)
 
 
 def draw_cases_for_every_second(seed: int, autopilots: Sequence[str]) -> list[StallCase]:

@@ -124,7 +124,7 @@ def _turn_ground_displacement(
     chord = 2.0 * radius * np.sin(0.5 * np.abs(angle))
     middle = heading[:, None] + 0.5 * angle
     drift = (wind @ np.array([1.0, 1j]))[:, None] * time[:, None] * share
-    return chord * np.exp(1j * middle) + drift
+    return np.asarray(chord * np.exp(1j * middle) + drift, np.complex128)
 
 
 def _replace_corners_by_dubins_paths(

@@ -43,7 +43,7 @@ from sim_bridge.research.promise.vehicle import (
     airspeed_for_wind_mps,
     vehicle_at_airspeed,
 )
-from sim_bridge.research.promise.world import PRIOR_WIND_S, TIERS
+from sim_bridge.research.promise.world import PRIOR_WIND_S, draw_missions
 from sim_bridge.research.study.sheet import Sheet
 
 FRONT_SHARE = 0.1
@@ -204,17 +204,13 @@ def _draw_missions(
     count, max_flight_s = work.count, math.ceil(power.endurance_s)
     position_ne_m = rng.uniform(-SITE_M, SITE_M, (count, 2))
     start = rng.integers(HISTORY_S, site.world.seconds - max_flight_s, count)
-    angle = rng.uniform(0.0, 2.0 * math.pi, count)
-    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    requested = rng.uniform(*TIERS[work.setting.tier], count)
     wind = np.empty((count, HISTORY_S + max_flight_s + 1, 2))
     for k, (north, east) in enumerate(position_ne_m):
         t_s = start[k] - HISTORY_S + np.arange(wind.shape[1]) + 0.5
         wind[k] = site.world.truth.to_ne_mps(t_s, north, east, HEIGHT_M)
     before, after = wind[:, :HISTORY_S], wind[:, HISTORY_S:]
     recent = before[:, -PRIOR_WIND_S:].mean(axis=1)
-    distance = power.distances_that_use_budget_frac_m(recent, unit, requested)
-    flown = TrueMissions(power, unit, distance, after)
+    flown, _ = draw_missions(power, work.setting.tier, recent, after, rng)
     return _DrawnMissions(flown, start, position_ne_m, before)
 
 
