@@ -141,10 +141,10 @@ def trials(
         bounds = {"max_vehicles": most_drones, "max_orders_per_vehicle": most_orders}
         draw = {"truck": truck, "all_faults": all_faults, **bounds}
         rows, total = _days_trial_rows(run, count, vehicle_hours, store, draw)
-    from sim_bridge.app.trials.report import TrialReport
+    from sim_bridge.app.trials.report import show_and_save_rows
 
-    report = TrialReport(kind.value, run.seed_or_1, run.run_root_or_default(RUN_ROOT), run.json_out)
-    if not all(row.passed for row in report.show_and_save_rows(rows, total)):
+    folder = run.run_root_or_default(RUN_ROOT)
+    if not show_and_save_rows(kind.value, run.seed_or_1, rows, total, folder, run.json_out):
         raise typer.Exit(1)
 
 
