@@ -56,16 +56,10 @@ class WindLattice:
         position = np.clip((wind_en_mps - low) / self.spacing_mps, 0.0, steps)
         corner = np.minimum(position.astype(np.int64), max(steps - 1, 0))
         part = position - corner
-        states, shares = [], []
-        for de in (0, 1):
-            for dn in (0, 1):
-                east = np.minimum(corner[:, 0] + de, steps)
-                north = np.minimum(corner[:, 1] + dn, steps)
-                states.append(east * (steps + 1) + north)
-                share_e = part[:, 0] if de else 1.0 - part[:, 0]
-                share_n = part[:, 1] if dn else 1.0 - part[:, 1]
-                shares.append(share_e * share_n)
-        return np.stack(states, axis=1), np.stack(shares, axis=1)
+        offset = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+        cell = np.minimum(corner[:, None] + offset, steps)
+        share = np.where(offset, part[:, None], 1.0 - part[:, None]).prod(axis=2)
+        return cell[..., 0] * (steps + 1) + cell[..., 1], share
 
 
 class BerLog:
