@@ -34,27 +34,19 @@ from sim_bridge.conform.suite import (
 )
 
 
-class _ProgressView:
+class _ProgressView(Status):
     """One line for each behaviour as it ends; the one under way on the last line."""
 
     def __init__(self, console: Console, total: int, reference: "Reference | None") -> None:
-        self._console = console
+        super().__init__("", console=console)
         self._total = total
         self._reference = reference
         self._number = 0
-        self._status = Status("", console=console)
-
-    def __enter__(self) -> "_ProgressView":
-        self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._status.stop()
 
     def on_behaviour_start(self, behaviour: Behaviour) -> None:
         """Show what is looked at."""
         self._number += 1
-        self._status.update(f"{self._number} of {self._total}: {behaviour.name}")
+        self.update(f"{self._number} of {self._total}: {behaviour.name}")
 
     def on_behaviour_end(self, behaviour: Behaviour, seen: Observation) -> None:
         """Print what was seen, and the verdict where there is one."""
@@ -63,11 +55,7 @@ class _ProgressView:
         value = problem_text or f"{seen.value} {behaviour.unit}".strip()
         note = f"  ({seen.note})" if seen.note else ""
         line = f"{verdict}{behaviour.name}: {behaviour.description} {value}{note}"
-        self._console.print(line, highlight=False, markup=False)
-
-    def show_status(self, text: str) -> None:
-        """Show a state."""
-        self._status.update(text)
+        self.console.print(line, highlight=False, markup=False)
 
 
 class Reference:
@@ -137,7 +125,7 @@ def _vehicle_label(vehicle: VehicleIdentity) -> str:
 class StatusObserver(Observer, Protocol):
     """Whoever watches, and is told what is under way besides."""
 
-    def show_status(self, text: str) -> None: ...
+    def update(self, status: str) -> None: ...
 
 
 def run_behaviours_and_restore_vehicle(
@@ -148,7 +136,7 @@ def run_behaviours_and_restore_vehicle(
     allow_force_disarm: bool,
 ) -> ConformanceResult:
     """Run the behaviours and leave the vehicle as it was found, whatever happens."""
-    view.show_status("waiting for a HEARTBEAT")
+    view.update("waiting for a HEARTBEAT")
     try:
         subject = Subject(client, allow_force_disarm=allow_force_disarm)
         vehicle = request_vehicle_identity(subject)
@@ -157,7 +145,7 @@ def run_behaviours_and_restore_vehicle(
     try:
         results = run_suite(subject, behaviours, view)
     finally:
-        view.show_status("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
+        view.update("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
         try:
             subject.restore_initial_state()
         except ObservationError as error:

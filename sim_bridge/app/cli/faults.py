@@ -63,7 +63,7 @@ def faults(
 
     Exit codes: 0 all rows hold; 1 one does not, or is lost; 130 after Ctrl-C.
     """
-    from sim_bridge.app.fault_suite import report, suite
+    from sim_bridge.app.fault_suite import suite
     from sim_bridge.app.fault_suite.catalogue import select_cases, select_tight_cases
     from sim_bridge.app.fault_suite.promises import p_home_calibration
     from sim_bridge.app.fault_suite.session import FaultSuiteSession
@@ -75,8 +75,9 @@ def faults(
     if tight:
         cases = select_tight_cases(cases, named_explicitly=bool(only or names))
     if show:
-        for line in report.case_description_lines(cases):
-            typer.echo(line)
+        for case in cases:
+            typer.echo(f"{case.number:>2} {case.name} ({case.group}: {', '.join(case.phases)})")
+            typer.echo(f"   {case.description}")
         return
     run = run_options()
     kinds = selected_or_all(autopilot, AUTOPILOTS, "autopilot")

@@ -20,7 +20,6 @@ from ground_station.core.schema.order_states import OrderState
 from ground_station.core.schema.orders import OrderRow
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.day.build import build_day
-from sim_bridge.app.day.drone import DayDrone
 from sim_bridge.app.day.faults import DayWorldOptions
 from sim_bridge.app.day.judge import DayTruth, DayVerdict, Pad, evaluate_day
 from sim_bridge.app.day.picture import write_day_picture
@@ -112,7 +111,11 @@ def _evaluate_and_draw_day(options: DayOptions, world: DayWorld, *, ended: bool)
         parked_intervals=world.truck_parked_intervals,
         pads=_planned_pads(world.frame, desk.plans)
         if options.world_options.truck
-        else _depot_pads(world.drones),
+        else [  # at a depot each drone lands at its take-off position
+            Pad("depot", drone.name, up.pad_ne_m)
+            for drone in world.drones
+            for up in drone.all_power_cycles
+        ],
         home_reports=world.home_reports,
         handovers=world.ground_handling.delivered,
         rally=[
@@ -133,13 +136,6 @@ def _planned_pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
         for vehicle, position in stop.pads.items()
     }
     return sorted(found, key=lambda pad: (pad.stop, pad.vehicle, pad.ne_m))
-
-
-def _depot_pads(drones: list[DayDrone]) -> list[Pad]:
-    """Return the pads of a depot: each drone lands at its take-off position."""
-    return [
-        Pad("depot", drone.name, up.pad_ne_m) for drone in drones for up in drone.all_power_cycles
-    ]
 
 
 def _result_row(
@@ -192,7 +188,10 @@ def _result_row(
             min((f.margin_wh for f in verdict.flights), default=None), 2
         ),
         "energy_used_wh": round(sum(f.energy_used_wh for f in verdict.flights), 1),
-        "flights": [_round_flight_values(asdict(flight)) for flight in verdict.flights],
+        "flights": [
+            {k: round(v, 2) if isinstance(v, float) else v for k, v in asdict(flight).items()}
+            for flight in verdict.flights
+        ],
         "truck": [
             {
                 "stop": s.stop,
@@ -254,10 +253,6 @@ def find_orders_with_wrong_desk_record(
         != (id_ in recorded_orders and recorded_orders[id_].state is OrderState.DELIVERED)
         or recorded_vehicle_by_order.get(id_) not in (None, vehicle_by_order.get(id_))
     ]
-
-
-def _round_flight_values(flight: dict[str, Any]) -> dict[str, Any]:
-    return {k: round(v, 2) if isinstance(v, float) else v for k, v in flight.items()}
 
 
 def _draw_picture(

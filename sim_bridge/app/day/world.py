@@ -185,7 +185,9 @@ class DayWorld:
         if self._desk_restart_s is not None and t_s >= self._desk_restart_s:
             self._desk_restart_s = None
             self.desk.restart()
-            faults.postpone_faults_of_kind(DESK_KILLS, t_s + MIN_DESK_UPTIME_S)
+            earliest_s = t_s + MIN_DESK_UPTIME_S
+            kills = faults.due.get(DESK_KILLS, [])
+            faults.due[DESK_KILLS] = [(max(at_s, earliest_s), for_s) for at_s, for_s in kills]
             faults.log.append((t_s, "desk started again"))
         if self._desk_restart_s is None and faults.next_fault_if_due(DESK_KILLS, t_s) is not None:
             self.desk.kill()

@@ -59,9 +59,11 @@ class FaultSuiteSession:
                 index = pending[ended.index]
                 if isinstance(ended, ItemLost):
                     self.lost_flights.append(f"{self.tasks[index].title}: {ended.reason}")
-                    report.print_lost_flight(self.console, self.lost_flights[-1])
+                    self._print_line(f"lost: {self.lost_flights[-1]}")
                 else:
-                    report.print_if_failed(self.console, ended.result)
+                    if not (row := ended.result).passed:
+                        title = f"{row.fault} {row.autopilot} {row.phase} seed {row.seed}"
+                        self._print_line(f"failed: {title}: {row.failure_text}")
                     rows[index] = ended.result
                     store_row(index, ended.result)
                     self._write_result(rows)
@@ -77,6 +79,9 @@ class FaultSuiteSession:
             return list(range(len(self.tasks)))
         return np.random.default_rng(self.tasks[0].seed).permutation(len(self.tasks)).tolist()
 
+    def _print_line(self, line: str) -> None:
+        self.console.print(line, highlight=False, markup=False)
+
     def _write_result(self, rows: dict[int, FaultRow]) -> None:
         if self.json_out is not None:
             flown = [rows[index] for index in sorted(rows)]
@@ -88,12 +93,12 @@ class FaultSuiteSession:
     def _print_report_and_remove_finished_log(self, rows: Sequence[FaultRow]) -> None:
         self.console.print(report.passed_flights_by_fault_table(rows))
         is_tight = any(task.tight for task in self.tasks)
-        for table in report.p_home_calibration_tables(rows, by_fault=is_tight):
-            self.console.print(table)
+        for row_field in ("group", "fault") if is_tight else ("group",):
+            self.console.print(report.p_home_calibration_table(rows, row_field))
         for line in (report.pair_summary_line(rows), report.cpu_time_summary_line(rows)):
             self.console.print(line, highlight=False)
         for line in self.lost_flights:
-            report.print_lost_flight(self.console, line)
+            self._print_line(f"lost: {line}")
         if len(rows) < len(self.tasks):
             resume_hint = "" if self.json_out is None else "; the same command continues"
             line = f"{len(rows)} of {len(self.tasks)} flown{resume_hint}"
