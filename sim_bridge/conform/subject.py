@@ -193,17 +193,17 @@ class Subject:
             mavlink.MAV_CMD_DO_SET_MODE, *self.dialect.do_set_mode_params(mode)
         )
 
-    def set_mode_and_wait(self, mode: str, timeout_s: float = 5.0) -> None:
+    def set_mode_and_wait(self, mode: str) -> None:
         """Change the mode and wait for it in HEARTBEAT."""
         response = self.request_mode(mode)
-        if not self.client.wait_until(lambda: self.mode == mode, timeout_s):
+        if not self.client.wait_until(lambda: self.mode == mode, 5.0):
             raise ObservationError(
                 f"mode {mode} requested ({response}), HEARTBEAT reports {self.mode}"
             )
 
-    def arm_with_retries(self, timeout_s: float = _READY_S) -> None:
+    def arm_with_retries(self) -> None:
         """Arm; repeat until the estimator is ready."""
-        end_s = self.client.t_s + timeout_s
+        end_s = self.client.t_s + _READY_S
         while not self.is_armed:
             response = self.request_arm()
             armed = response == "ACCEPTED" and self.client.wait_until(lambda: self.is_armed, 2.0)

@@ -23,7 +23,11 @@ _STANDING_SHARE = 0.3  # share of weight on the gear that levels the airframe
 
 
 class AttitudeCommand(Protocol):
-    """Interface of `signals.Actuation`; an autopilot may provide its own class."""
+    """The command of a flight controller to airframe, motors and gripper, in a class of its own.
+
+    Attitude is a set-point: roll and pitch in rad, yaw in rad clockwise from north.
+    `thrust_frac` is 0..1 of the static maximum at nominal voltage. `release` opens the gripper.
+    """
 
     @property
     def roll_rad(self) -> float: ...
@@ -44,7 +48,7 @@ class Vehicle:
 
     Faults to set: `release_fails` (gripper stuck), `draw_factor` (ice, a worn motor: ratio of
     electric power to normal), `drag_factor` (ice, a torn hood), `yaw_spin_rps` (rotation
-    independent of the autopilot's commands), those of `sensors` and `battery`, and `fail_motors()`.
+    independent of the autopilot's commands), and those of `sensors` and `battery`.
     A lost battery or a hard impact stops the motors permanently. `battery` (the true pack) and
     `wind_field` (the wind that it meets) are for evaluation and for planners with perfect
     knowledge.
@@ -155,10 +159,6 @@ class Vehicle:
             raise TruthError(f"load: {self._params.name} is in the air, expected on the ground")
         _raise_if_payload_invalid(payload_kg, self._params)
         self._payload_kg = payload_kg
-
-    def fail_motors(self) -> None:
-        """Fail the motors permanently."""
-        self._motors_failed = True
 
     def advance_and_read_sensors(self, actuation: AttitudeCommand, dt_s: float) -> SensorReadings:
         """Advance the world by `dt_s` under one command; return the sensor readings."""

@@ -99,7 +99,7 @@ def run_behaviours_and_print_verdicts(
     console = Console(stderr=True, soft_wrap=True)
     vehicle_link = open_link(url)
     try:
-        with _ProgressView(console, len(behaviours), reference) as view:
+        with (view := _ProgressView(console, len(behaviours), reference)):
             result = run_behaviours_and_restore_vehicle(
                 Client(vehicle_link), behaviours, view, allow_force_disarm=is_on_loopback(url)
             )

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -161,7 +162,7 @@ def _rows_by_folder(
     """Run each case in a folder of its own, in parallel."""
     from sim_bridge.app.trials import trial
 
-    attempt = trial.FolderRunner(run_case, run.run_root_or_default(RUN_ROOT))
+    attempt = partial(trial.run_in_own_folder, run_case, run.run_root_or_default(RUN_ROOT))
     todo = trial.cases_until_time_limit(cases, run.minutes)
     lost_rows = trial.failed_rows_for_lost_worker
     return trial.run_trial(todo, attempt, run.workers(), lost_rows, _print_message)
@@ -190,7 +191,7 @@ def _stall_trial_rows(run: RunOptions, count: int | None, autopilot: str) -> Tri
         else trial.draw_random_subset_of_cases(run.seed_or_1, kinds, count)
     )
     cases = _recorded_or_drawn(run, trial.StallCase, drawn)
-    flyer = trial.StallFlightRunner(run.run_root_or_default(RUN_ROOT))
+    flyer = partial(trial.run_flight, run.run_root_or_default(RUN_ROOT))
     flights = cases_until_time_limit(trial.group_cases_into_shared_flights(cases), run.minutes)
     rows = run_trial(flights, flyer, run.workers(), trial.lost_flight_rows, _print_message)
     return rows, len(cases)

@@ -12,7 +12,6 @@ import pickle
 import tempfile
 import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -189,18 +188,12 @@ class StallFlight(msgspec.Struct, frozen=True, kw_only=True):
     cases: tuple[StallCase, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class StallFlightRunner:
-    """Runs stall flights, each in a separate folder under `run_root`."""
-
-    run_root: Path
-
-    def __call__(self, flight: StallFlight) -> list[TrialRow]:
-        """Run one flight to its last stall; return the rows and remove the folder."""
-        name = f"stall-{flight.autopilot}-seed{flight.seed}"
-        self.run_root.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=name, dir=self.run_root) as folder:
-            return list(run_stall_cases_in_one_flight(flight, Path(folder)))
+def run_flight(run_root: Path, flight: StallFlight) -> list[TrialRow]:
+    """Run one flight to its last stall, in a folder under `run_root`; remove the folder."""
+    name = f"stall-{flight.autopilot}-seed{flight.seed}"
+    run_root.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=name, dir=run_root) as folder:
+        return list(run_stall_cases_in_one_flight(flight, Path(folder)))
 
 
 def lost_flight_rows(flight: StallFlight, reason: str) -> list[TrialRow]:

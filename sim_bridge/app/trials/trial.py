@@ -6,7 +6,6 @@ A failed case is written to a file, from which it can be run again.
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,16 +57,11 @@ def run_trial(
             yield from ended.result
 
 
-@dataclass(frozen=True, slots=True)
-class FolderRunner:
-    """Runs cases, each in a separate folder under `run_root`; keeps folders of failed cases."""
-
-    attempt: Callable[[Any, Path], TrialRow]
-    run_root: Path
-
-    def __call__(self, case: Any) -> list[TrialRow]:
-        """Run one case."""
-        return [self.attempt(case, self.run_root / case.name)]
+def run_in_own_folder(
+    attempt: Callable[[Any, Path], TrialRow], run_root: Path, case: Any
+) -> list[TrialRow]:
+    """Run one case in a separate folder under `run_root`, which stays if the case fails."""
+    return [attempt(case, run_root / case.name)]
 
 
 def build_row_and_delete_passed_folder(
