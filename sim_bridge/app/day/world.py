@@ -143,7 +143,10 @@ class DayWorld:
             self._set_front_wind_at_drones(self.front, t_s)
         for drone in self.drones:
             drone.advance_and_exchange_messages(t_s, STEPS_PER_EXCHANGE)
-        self._record_home_changes(t_s)
+        for vehicle, state in self.bus.states.items():
+            if self._last_home.get(vehicle) != state.home:
+                self._last_home[vehicle] = state.home
+                self.home_reports.append(HomeReport(t_s, vehicle, state.home))
         self.ground_handling.run_due_tasks(t_s)
         self._inject_due_faults(t_s)
         if self._desk_restart_s is None and t_s >= self._desk_due_s:
@@ -158,12 +161,6 @@ class DayWorld:
                 north, east = (np.array([x]) for x in up.record.rows[-1][1:3])
                 added = front.added_wind_to_ne_mps(np.array([t_s]), north, east)[0]
                 up.vehicle.wind_field.front_to_ne_mps = (float(added[0]), float(added[1]))
-
-    def _record_home_changes(self, t_s: float) -> None:
-        for vehicle, state in self.bus.states.items():
-            if self._last_home.get(vehicle) != state.home:
-                self._last_home[vehicle] = state.home
-                self.home_reports.append(HomeReport(t_s, vehicle, state.home))
 
     def _inject_due_faults(self, t_s: float) -> None:
         self._end_or_start_store_outage_if_due(t_s)

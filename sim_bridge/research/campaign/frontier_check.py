@@ -135,8 +135,8 @@ def _frontier_distance(
     scenario: Scenario, max_loss: float, row: CampaignRow, frontier: Frontier, levels: int
 ) -> FrontierDistance:
     """Compute one distance. The noise is that of SUC - slope x loss, by missions (delta method)."""
-    success, loss = row.success_frac, row.loss_frac
-    slope = frontier.success_loss_slope(loss)
+    success, loss = row.SUC / row.missions, row.loss_frac
+    slope = float(frontier.loss_weight[np.argmin(frontier.gain + frontier.loss_weight * loss)])
     variance = success + slope**2 * loss - (success - slope * loss) ** 2
     return FrontierDistance(
         scenario=scenario.name,
