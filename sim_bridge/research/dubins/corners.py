@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats
-from sim_bridge.research.dubins.level_paths import Vectors, fastest_dubins_paths
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits, Vectors, fastest_dubins_paths
 
 WINDOW_S = 2.0
 """Window of max turn, the largest heading change within it (docs/reference/outcomes.md)."""

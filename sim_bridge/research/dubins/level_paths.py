@@ -18,13 +18,14 @@ word exists, and refined by bisection. Equal turns with an extra full circle (LS
 at a time in closed form that bounds the others.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from companion.core.base.arrays import Bools, Floats, Ints
-from sim_bridge.research.dubins.limits import FlightLimits
+from companion.core.vehicle.power import GRAVITY_MPS2
 
 TWO_PI = 2.0 * np.pi
 FULL_CIRCLE_TOLERANCE_RAD = 1e-9  # rad; a turn this close to a full circle counts as 0
@@ -43,6 +44,24 @@ _MAX_CROSSINGS = 4  # crossings tried in each interval
 
 Vectors = NDArray[np.complex128]
 """Horizontal vectors (n,): north + 1j east."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightLimits:
+    """Airspeed of the path, which exceeds the wind speed, and its turn radius IN THE AIR."""
+
+    airspeed_mps: float
+    turn_radius_m: float
+
+    @classmethod
+    def from_bank(cls, airspeed_mps: float, bank_rad: float) -> "FlightLimits":
+        """Limits from a bank limit, `R = V^2 / (g tan bank)`."""
+        return cls(airspeed_mps, airspeed_mps**2 / (GRAVITY_MPS2 * math.tan(bank_rad)))
+
+    @property
+    def turn_rate_rps(self) -> float:
+        """Rate of change of the air heading in a level turn (rad/s)."""
+        return self.airspeed_mps / self.turn_radius_m
 
 
 @dataclass(frozen=True, slots=True)

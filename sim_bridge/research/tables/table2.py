@@ -32,7 +32,7 @@ from sim_bridge.research.campaign.scenario_generator import (
     draw_connected_scenario,
 )
 from sim_bridge.research.campaign.workbench import CampaignParams, Workbench
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
     MissionResults,
