@@ -15,6 +15,7 @@ import selectors
 import socket
 import time
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Protocol
 
 from sim_bridge.adapters.errors import EndpointError
@@ -73,68 +74,24 @@ def bundle_frames(frames: Iterable[bytes]) -> list[bytes]:
     return datagrams
 
 
-def _open_nonblocking_udp_socket() -> socket.socket:
-    udp_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    udp_socket.setblocking(False)
-    udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-    return udp_socket
+class UdpEndpoint:
+    """Sends first, to one address; or waits, and replies to every peer of the last 30 s."""
 
-
-class UdpOut:
-    """Sends first, to one address."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self.url = f"udpout:{host}:{port}"
-        self._socket = _open_nonblocking_udp_socket()
+    def __init__(self, host: str, port: int, *, listens: bool) -> None:
+        self._address = None if listens else (host, port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         try:
-            self._socket.connect((host, port))  # only this peer's datagrams are received
+            if listens:
+                self._socket.bind((host, port))
+                host, port = self._socket.getsockname()
+            else:
+                self._socket.connect((host, port))  # only this peer's datagrams are received
         except OSError:
             self._socket.close()
             raise
-
-    def register_with_selector(self, selector: selectors.BaseSelector) -> None:
-        """See `Endpoint`."""
-        selector.register(self._socket, selectors.EVENT_READ, self)
-
-    def receive(self) -> list[bytes]:
-        """See `Endpoint`."""
-        datagrams: list[bytes] = []
-        while True:
-            try:
-                datagrams.append(self._socket.recv(_MAX_DATAGRAM_BYTES))
-            except BlockingIOError:
-                return datagrams
-            except ConnectionRefusedError:  # no process listened at the peer's port
-                continue
-            except OSError:
-                return datagrams
-
-    def send(self, data: bytes) -> None:
-        """See `Endpoint`."""
-        try:
-            self._socket.send(data)
-        except ConnectionRefusedError:  # of an earlier datagram; this one was not sent yet
-            with contextlib.suppress(OSError):
-                self._socket.send(data)
-        except OSError:
-            return
-
-    def close(self) -> None:
-        """See `Endpoint`."""
-        self._socket.close()
-
-
-class UdpIn:
-    """Wait for datagrams and reply to every peer received from within the last 30 s."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = _open_nonblocking_udp_socket()
-        try:
-            self._socket.bind((host, port))
-        except OSError:
-            self._socket.close()
-            raise
-        self.url = "udpin:{}:{}".format(*self._socket.getsockname())
+        self.url = f"{'udpin' if listens else 'udpout'}:{host}:{port}"
         self._received_s: dict[tuple[str, int], float] = {}
 
     def register_with_selector(self, selector: selectors.BaseSelector) -> None:
@@ -147,6 +104,8 @@ class UdpIn:
         while True:
             try:
                 data, peer = self._socket.recvfrom(_MAX_DATAGRAM_BYTES)
+            except ConnectionRefusedError:  # no process listened at the peer's port
+                continue
             except OSError:  # usually nothing more to read
                 return datagrams
             if peer in self._received_s or len(self._received_s) < _MAX_PEERS:
@@ -155,6 +114,15 @@ class UdpIn:
 
     def send(self, data: bytes) -> None:
         """See `Endpoint`."""
+        if self._address is not None:
+            try:
+                self._socket.send(data)
+            except ConnectionRefusedError:  # of an earlier datagram; this one was not sent yet
+                with contextlib.suppress(OSError):
+                    self._socket.send(data)
+            except OSError:
+                return
+            return
         silent_since_s = time.monotonic() - _PEER_TIMEOUT_S
         for peer, received_s in list(self._received_s.items()):
             if received_s < silent_since_s:
@@ -263,7 +231,11 @@ class TcpIn:
         self._listener.close()
 
 
-_KINDS = {"udpout": UdpOut, "udpin": UdpIn, "tcpin": TcpIn}
+_KINDS = {
+    "udpout": partial(UdpEndpoint, listens=False),
+    "udpin": partial(UdpEndpoint, listens=True),
+    "tcpin": TcpIn,
+}
 
 
 def open_endpoint(url: str) -> Endpoint:

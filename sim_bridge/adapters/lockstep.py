@@ -31,16 +31,8 @@ class Gathered:
     revived: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _SyncContent:
-    """Lockstep content of a datagram: HEARTBEAT present, and the confirmed TIMESYNC times."""
-
-    heartbeat: bool
-    confirmed_ns: tuple[int, ...]
-
-
-def _parse_sync_content(datagram: bytes) -> _SyncContent:
-    """Scan the frames of a datagram for HEARTBEATs and TIMESYNC responses only."""
+def _parse_sync_content(datagram: bytes) -> tuple[bool, list[int]]:
+    """Return whether a datagram has a HEARTBEAT, and the TIMESYNC times that it confirms, ns."""
     heartbeat = False
     confirmed_ns: list[int] = []
     at, end = 0, len(datagram)
@@ -65,7 +57,7 @@ def _parse_sync_content(datagram: bytes) -> _SyncContent:
                 if tc1 != 0:
                     confirmed_ns.append(ts1)
         at += size
-    return _SyncContent(heartbeat, tuple(confirmed_ns))
+    return heartbeat, confirmed_ns
 
 
 class Lockstep:
@@ -161,12 +153,10 @@ class Lockstep:
             for number, datagram in arrived:
                 if number not in self._clients:
                     continue
-                sync_content = _parse_sync_content(datagram)
-                if t_ns in sync_content.confirmed_ns:
+                heartbeat, confirmed_ns = _parse_sync_content(datagram)
+                if t_ns in confirmed_ns:
                     pending_clients.discard(number)
-                if number in self._unresponsive and (
-                    sync_content.heartbeat or sync_content.confirmed_ns
-                ):
+                if number in self._unresponsive and (heartbeat or confirmed_ns):
                     self._unresponsive.discard(number)
                     revived.add(number)
             if not pending_clients or left_s == 0.0:

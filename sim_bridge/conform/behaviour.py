@@ -60,9 +60,11 @@ class Behaviour:
 
     def is_same(self, value: Value, reference: Value) -> bool:
         """Return True if two results are the same behaviour."""
-        return values_match(
-            value, reference, max(self.within, self.within_frac * _magnitude_or_zero(reference))
-        )
+        if not (_is_number(value) and _is_number(reference)):
+            return value == reference
+        value, reference = float(value), float(reference)
+        tolerance = max(self.within, self.within_frac * abs(reference))
+        return math.isclose(value, reference, rel_tol=1e-6, abs_tol=tolerance)
 
 
 def acknowledgement(command_number: int, *params: float) -> Probe:
@@ -103,14 +105,3 @@ class Behaviours(list[Behaviour]):
 
 def _is_number(value: Value) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _magnitude_or_zero(value: Value) -> float:
-    return abs(float(value)) if _is_number(value) else 0.0
-
-
-def values_match(value: Value, reference: Value, tolerance: float) -> bool:
-    """Return True if two values agree, numbers within `tolerance`."""
-    if _is_number(value) and _is_number(reference):
-        return math.isclose(float(value), float(reference), rel_tol=1e-6, abs_tol=tolerance)
-    return value == reference

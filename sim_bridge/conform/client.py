@@ -295,7 +295,6 @@ class Client:
         *params: float,
         position: tuple[float, float, float] = (0.0, 0.0, 0.0),
         frame: int = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        timeout_s: float = 3.0,
     ) -> str:
         """Send a COMMAND_INT for latitude and longitude (deg) and an altitude (m)."""
         given = (*params, *(0.0,) * (4 - len(params)))
@@ -310,7 +309,7 @@ class Client:
             y=round(position[1] * 1e7),
             z=position[2],
         )
-        return self.wait_ack(command_number, timeout_s)
+        return self.wait_ack(command_number)
 
     def wait_ack(self, command_number: int, timeout_s: float = 3.0) -> str:
         """The result of the next COMMAND_ACK for a command, as text."""

@@ -98,11 +98,6 @@ class Subject:
         """Return True if the autopilot reports that it is on the ground."""
         return self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
 
-    def wait_new_heartbeat(self) -> None:
-        """Wait for a HEARTBEAT that is newer than all messages sent, delay included."""
-        self.client.collect_messages(0.2)
-        self.client.wait_next_message("HEARTBEAT", 3.0)
-
     def wait_position(self, timeout_s: float = 5.0) -> Position:
         """Return the position from a new message; 0 N 0 E means that it is still unknown."""
         message = self.client.wait_next_message(
@@ -193,17 +188,17 @@ class Subject:
             mavlink.MAV_CMD_DO_SET_MODE, *self.dialect.do_set_mode_params(mode)
         )
 
-    def set_mode_and_wait(self, mode: str, timeout_s: float = 5.0) -> None:
+    def set_mode_and_wait(self, mode: str) -> None:
         """Change the mode and wait for it in HEARTBEAT."""
         response = self.request_mode(mode)
-        if not self.client.wait_until(lambda: self.mode == mode, timeout_s):
+        if not self.client.wait_until(lambda: self.mode == mode, 5.0):
             raise ObservationError(
                 f"mode {mode} requested ({response}), HEARTBEAT reports {self.mode}"
             )
 
-    def arm_with_retries(self, timeout_s: float = _READY_S) -> None:
+    def arm_with_retries(self) -> None:
         """Arm; repeat until the estimator is ready."""
-        end_s = self.client.t_s + timeout_s
+        end_s = self.client.t_s + _READY_S
         while not self.is_armed:
             response = self.request_arm()
             armed = response == "ACCEPTED" and self.client.wait_until(lambda: self.is_armed, 2.0)
@@ -288,7 +283,8 @@ class Subject:
 
     def _request_telemetry_and_home(self) -> None:
         self.request_working_streams_once()
-        self.wait_new_heartbeat()
+        self.client.collect_messages(0.2)  # the next HEARTBEAT is newer than all messages sent
+        self.client.wait_next_message("HEARTBEAT", 3.0)
         self._home_or_first_position()
 
     def _clear_stored_lists(self) -> None:
@@ -371,16 +367,14 @@ class Subject:
         if self.is_armed and not client.wait_until(lambda: not self.is_armed, 2.0):
             self.set_mode_and_wait("LAND")
             client.wait_until(lambda: not self.is_armed, 120.0)
-        if self.is_armed and self._allow_force_disarm and self._is_still_near_ground():
-            self.request_disarm(force=True)
-            client.wait_until(lambda: not self.is_armed, 3.0)
+        if self.is_armed and self._allow_force_disarm:
+            here = self.wait_position()
+            if abs(here.vel_ned_mps[2]) < 0.2 and here.rel_m < 1.5:
+                self.request_disarm(force=True)
+                client.wait_until(lambda: not self.is_armed, 3.0)
         if self.is_armed:
             raise ObservationError("the vehicle does not reach landed and disarmed")
         client.wait_until(lambda: self.is_on_ground, 5.0)
-
-    def _is_still_near_ground(self) -> bool:
-        here = self.wait_position()
-        return abs(here.vel_ned_mps[2]) < 0.2 and here.rel_m < 1.5
 
     def restore_initial_state(self) -> None:
         """Restore the initial state: on the ground, disarmed, nothing stored, default rates."""

@@ -8,7 +8,7 @@ import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, get_args, get_type_hints
+from typing import Annotated, ClassVar, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
 
@@ -45,6 +45,9 @@ class RangedTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         for key, permitted in _range_by_field(type(self)).items():
             name = f"{self.table}.{key}".removeprefix(".")
             check_range(name, getattr(self, key), permitted.low, permitted.high)
+
+
+Table = TypeVar("Table", bound=RangedTable)
 
 
 class RotorParams(RangedTable, frozen=True, kw_only=True):
@@ -247,11 +250,16 @@ class AirframeTruth(RangedTable, frozen=True, kw_only=True):
             raise ValueError("battery.mass_kg: expected less than empty_mass_kg")
 
 
-def load_airframe(path: Path) -> AirframeTruth:
-    """The airframe in a `truth/1` TOML file; TruthError names file and key of a mistake."""
+def load_table(path: Path, table: type[Table]) -> Table:
+    """The table in a TOML file; TruthError names file and key of a mistake."""
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=AirframeTruth, strict=True)
+        return msgspec.toml.decode(path.read_bytes(), type=table, strict=True)
     except OSError as error:
         raise TruthError(f"{path}: cannot be read ({error.strerror})") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise TruthError(f"{path}: {error}") from error
+
+
+def load_airframe(path: Path) -> AirframeTruth:
+    """The airframe in a `truth/1` TOML file; TruthError names file and key of a mistake."""
+    return load_table(path, AirframeTruth)

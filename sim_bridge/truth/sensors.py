@@ -43,8 +43,8 @@ class SensorSuite:
         self._voltage_sensor = voltage_sensor
         self._current_sensor = current_sensor
         tilt_bias = math.radians(params.tilt_bias_deg)
-        self._roll_bias = WanderingBias(tilt_bias, params.tilt_bias_time_s, gauss)
-        self._pitch_bias = WanderingBias(tilt_bias, params.tilt_bias_time_s, gauss)
+        self.roll_bias = WanderingBias(tilt_bias, params.tilt_bias_time_s, gauss)
+        self.pitch_bias = WanderingBias(tilt_bias, params.tilt_bias_time_s, gauss)
         self.heading_bias_rad = math.radians(params.heading_bias_deg) * gauss()
         self._gnss_bias = [
             WanderingBias(std, params.gnss_bias_time_s, gauss)
@@ -85,16 +85,8 @@ class SensorSuite:
 
     def add_attitude_bias(self, tilt_rad: float) -> None:
         """A fault: the attitude is off by this much in pitch and roll from now on (it decays)."""
-        self._roll_bias.value += tilt_rad
-        self._pitch_bias.value += tilt_rad
-
-    @property
-    def roll_bias_rad(self) -> float:
-        return self._roll_bias.value
-
-    @property
-    def pitch_bias_rad(self) -> float:
-        return self._pitch_bias.value
+        self.roll_bias.value += tilt_rad
+        self.pitch_bias.value += tilt_rad
 
     def update_and_read_sensors(
         self,
@@ -120,8 +112,8 @@ class SensorSuite:
         tilt_noise, gyro, shake = self._tilt_noise, self._gyro_noise, p.accel_noise_mps2
         return SensorReadings(
             t_s,
-            body.roll_rad + self._roll_bias.value + tilt_noise * gauss(),
-            body.pitch_rad + self._pitch_bias.value + tilt_noise * gauss(),
+            body.roll_rad + self.roll_bias.value + tilt_noise * gauss(),
+            body.pitch_rad + self.pitch_bias.value + tilt_noise * gauss(),
             wrap_pi(body.yaw_rad + self.heading_bias_rad + self._heading_noise * gauss()),
             body.rollspeed_rps + gyro * gauss(),
             body.pitchspeed_rps + gyro * gauss(),
@@ -148,7 +140,7 @@ class SensorSuite:
     def _sample_pressure_airspeed_and_battery(self, body: Airframe, battery: Battery) -> None:
         """Sensors polled at 10 Hz: pressures, voltage, current; and a step of every bias."""
         p, gauss = self._p, self._gauss
-        for bias in (self._roll_bias, self._pitch_bias, self._baro_drift):
+        for bias in (self.roll_bias, self.pitch_bias, self._baro_drift):
             bias.advance_and_get_value(_SLOW_PERIOD_S)
         height_m = self._baro_drift.value + self.baro_offset_m - body.down_m
         self._pressure_pa = air_pressure_pa(self._depot_alt_amsl_m + height_m)

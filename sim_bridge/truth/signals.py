@@ -1,28 +1,9 @@
-"""Interface of the simulated world: commands in, measurements and truth out.
-
-`Vehicle.step` duck-types its command, so that an autopilot may bring a class of its own.
-"""
+"""Interface of the simulated world: measurements and truth out."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 Vec3 = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Actuation:
-    """The command of a flight controller to airframe, motors and gripper.
-
-    Attitude is a set-point: roll and pitch in rad, yaw in rad clockwise from north.
-    `thrust_frac` is 0..1 of the static maximum at nominal voltage. `release` opens the gripper.
-    """
-
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    yaw_rad: float = 0.0
-    thrust_frac: float = 0.0
-    motors_on: bool = False
-    release: bool = False
 
 
 class SensorReadings(NamedTuple):  # made 100 times a second: a fifth of a frozen dataclass's time

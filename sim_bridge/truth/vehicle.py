@@ -23,7 +23,11 @@ _STANDING_SHARE = 0.3  # share of weight on the gear that levels the airframe
 
 
 class AttitudeCommand(Protocol):
-    """Interface of `signals.Actuation`; an autopilot may provide its own class."""
+    """The command of a flight controller to airframe, motors and gripper, in a class of its own.
+
+    Attitude is a set-point: roll and pitch in rad, yaw in rad clockwise from north.
+    `thrust_frac` is 0..1 of the static maximum at nominal voltage. `release` opens the gripper.
+    """
 
     @property
     def roll_rad(self) -> float: ...
@@ -44,8 +48,10 @@ class Vehicle:
 
     Faults to set: `release_fails` (gripper stuck), `draw_factor` (ice, a worn motor: ratio of
     electric power to normal), `drag_factor` (ice, a torn hood), `yaw_spin_rps` (rotation
-    independent of the autopilot's commands), those of `sensors` and `battery`, and `fail_motors()`.
-    A lost battery or a hard impact stops the motors permanently.
+    independent of the autopilot's commands), and those of `sensors` and `battery`.
+    A lost battery or a hard impact stops the motors permanently. `battery` (the true pack) and
+    `wind_field` (the wind that it meets) are for evaluation and for planners with perfect
+    knowledge.
     """
 
     def __init__(
@@ -74,16 +80,16 @@ class Vehicle:
         """
         _raise_if_payload_invalid(payload_kg, params)
         self._params = params
-        self._wind = wind
+        self.wind_field = wind
         self._terrain = terrain or PlaneTerrain()
         air_c = temperature_c if air_temperature_c is None else air_temperature_c
-        self._density = air_density_kgpm3(depot_alt_amsl_m, air_c)
+        self.density_kgpm3 = air_density_kgpm3(depot_alt_amsl_m, air_c)
         self._body = Airframe(params)
         self._body.north_m, self._body.east_m = start_ne_m
         self._body.down_m = -self._terrain.height_above_depot_m(*start_ne_m)
         self._body.yaw_rad = start_yaw_rad
-        self._rotors = RotorSet(params.rotors, self._density)
-        self._battery = Battery(
+        self._rotors = RotorSet(params.rotors, self.density_kgpm3)
+        self.battery = Battery(
             params.battery,
             charge_frac=charge_frac,
             temperature_c=temperature_c,
@@ -93,20 +99,21 @@ class Vehicle:
             params.sensors,
             rng,
             depot_alt_amsl_m=depot_alt_amsl_m,
-            density_kgpm3=self._density,
+            density_kgpm3=self.density_kgpm3,
             air_temperature_c=air_c,
             pitot=pitot,
             voltage_sensor=voltage_sensor,
             current_sensor=current_sensor,
         )
         self._nominal_v = params.battery.cells * _NOMINAL_CELL_V
-        self._reference_draw_w = SteadyFlight(params, self._density).hover_power_w()
+        self.hover_power_without_parcel_w = SteadyFlight(params, self.density_kgpm3).hover_power_w()
+        """In this air: the draw that `Truth.usable_wh` assumes."""
         self._payload_kg = payload_kg
         self._t_s = 0.0
         self._wind_to_ned: Vec3 = (0.0, 0.0, 0.0)
         self._touching = True
         self._motors_failed = False
-        self._crashed = False
+        self.is_crashed = False
         self.release_fails = False
         self.draw_factor = 1.0
         self.yaw_spin_rps: float | None = None
@@ -119,26 +126,6 @@ class Vehicle:
     @drag_factor.setter
     def drag_factor(self, times: float) -> None:
         self._body.drag_factor = times
-
-    @property
-    def battery(self) -> Battery:
-        """The true pack, for evaluation."""
-        return self._battery
-
-    @property
-    def wind_field(self) -> WindField:
-        """The wind that this vehicle meets, for a planner with perfect knowledge."""
-        return self._wind
-
-    @property
-    def density_kgpm3(self) -> float:
-        """Air density at the vehicle's position."""
-        return self._density
-
-    @property
-    def hover_power_without_parcel_w(self) -> float:
-        """Hover power without parcel in this air: the draw that `Truth.usable_wh` assumes."""
-        return self._reference_draw_w
 
     @property
     def mass_kg(self) -> float:
@@ -162,11 +149,6 @@ class Vehicle:
         return not self._touching
 
     @property
-    def is_crashed(self) -> bool:
-        """Return `Truth.crashed`."""
-        return self._crashed
-
-    @property
     def parcel_aboard(self) -> bool:
         """Return `Truth.parcel_aboard`."""
         return self._payload_kg > 0.0
@@ -178,18 +160,15 @@ class Vehicle:
         _raise_if_payload_invalid(payload_kg, self._params)
         self._payload_kg = payload_kg
 
-    def fail_motors(self) -> None:
-        """Fail the motors permanently."""
-        self._motors_failed = True
-
     def advance_and_read_sensors(self, actuation: AttitudeCommand, dt_s: float) -> SensorReadings:
         """Advance the world by `dt_s` under one command; return the sensor readings."""
         body = self._body
         self._t_s += dt_s
-        self._wind_to_ned = self._wind.advance_and_get_wind_ned_mps(
+        self._wind_to_ned = self.wind_field.advance_and_get_wind_ned_mps(
             self._t_s, dt_s, self.height_m, body.airspeed_mps
         )
-        self._release_parcel_if_commanded(actuation)
+        if actuation.release and self.parcel_aboard and not self.release_fails:
+            self._payload_kg = 0.0
         before = (body.north_mps, body.east_mps, body.down_mps)
         self._advance_attitude_and_motion(actuation, dt_s)
         self._apply_ground_contact_or_crash(before, dt_s)
@@ -198,14 +177,10 @@ class Vehicle:
             self._t_s,
             body,
             self._specific_force_frd_mps2(before, dt_s),
-            self._battery,
+            self.battery,
             touching_ground=self._touching,
             parcel_aboard=self._payload_kg > 0.0,
         )
-
-    def _release_parcel_if_commanded(self, actuation: AttitudeCommand) -> None:
-        if actuation.release and self._payload_kg > 0.0 and not self.release_fails:
-            self._payload_kg = 0.0
 
     def _advance_attitude_and_motion(self, actuation: AttitudeCommand, dt_s: float) -> None:
         body = self._body
@@ -213,13 +188,13 @@ class Vehicle:
         thrust_n = 0.0
         if powered:
             # Propellers at full throttle turn in proportion to voltage, thrust with its square.
-            rise = self._battery.voltage_v / self._nominal_v
+            rise = self.battery.voltage_v / self._nominal_v
             share = min(max(actuation.thrust_frac, 0.0), 1.0)
             thrust_n = share * self._params.rotors.static_thrust_max_n * rise * rise
             # An autopilot controls its estimated attitude to the set-point, including the bias.
             body.advance_attitude_towards_setpoint(
-                actuation.roll_rad - self.sensors.roll_bias_rad,
-                actuation.pitch_rad - self.sensors.pitch_bias_rad,
+                actuation.roll_rad - self.sensors.roll_bias.value,
+                actuation.pitch_rad - self.sensors.pitch_bias.value,
                 actuation.yaw_rad - self.sensors.heading_bias_rad,
                 dt_s,
                 self.yaw_spin_rps,
@@ -228,7 +203,7 @@ class Vehicle:
             body.advance_uncontrolled_attitude(dt_s)
         parcel_m2 = self._params.drag.parcel_area_m2 if self._payload_kg > 0.0 else 0.0
         body.integrate_motion(
-            thrust_n, self.mass_kg, self._wind_to_ned, self._density, parcel_m2, dt_s
+            thrust_n, self.mass_kg, self._wind_to_ned, self.density_kgpm3, parcel_m2, dt_s
         )
 
     def _apply_ground_contact_or_crash(self, previous_vel_ned_mps: Vec3, dt_s: float) -> None:
@@ -239,7 +214,7 @@ class Vehicle:
             self._touching = False
             return
         if not self._touching and self._is_crash_impact(previous_vel_ned_mps, ground_down, dt_s):
-            self._crashed = True
+            self.is_crashed = True
             self._motors_failed = True
         self._touching = True
         body.down_m = ground_down
@@ -257,7 +232,7 @@ class Vehicle:
             body.east_m -= body.east_mps * dt_s
             body.north_mps = body.east_mps = 0.0
             body.down_m = -self._terrain.height_above_depot_m(body.north_m, body.east_m)
-        if borne_n > _STANDING_SHARE * weight_n and not self._crashed:
+        if borne_n > _STANDING_SHARE * weight_n and not self.is_crashed:
             body.level_attitude_and_stop_rotation()
 
     def _is_crash_impact(
@@ -278,8 +253,8 @@ class Vehicle:
         power_w = self._rotors.electrical_power_w(
             body.thrust_n, body.airspeed_mps, body.propulsive_w
         )
-        self._battery.discharge_at_power(self.draw_factor * power_w, dt_s)
-        if self._battery.cut_off:
+        self.battery.discharge_at_power(self.draw_factor * power_w, dt_s)
+        if self.battery.cut_off:
             self._motors_failed = True
 
     def _specific_force_frd_mps2(self, previous_vel_ned_mps: Vec3, dt_s: float) -> Vec3:
@@ -299,7 +274,7 @@ class Vehicle:
     @property
     def truth(self) -> Truth:
         """The true state now."""
-        body, battery = self._body, self._battery
+        body, battery = self._body, self.battery
         return Truth(
             t_s=self._t_s,
             pos_ned_m=(body.north_m, body.east_m, body.down_m),
@@ -310,12 +285,12 @@ class Vehicle:
             wind_to_ned_mps=self._wind_to_ned,
             power_w=battery.voltage_v * battery.current_a,
             energy_used_wh=battery.delivered_j / 3600.0,
-            usable_wh=battery.usable_wh(self._reference_draw_w),
+            usable_wh=battery.usable_wh(self.hover_power_without_parcel_w),
             charge_frac=battery.charge_frac,
             parcel_aboard=self._payload_kg > 0.0,
             airborne=not self._touching,
             motors_failed=self._motors_failed,
-            crashed=self._crashed,
+            crashed=self.is_crashed,
         )
 
 

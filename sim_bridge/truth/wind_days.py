@@ -10,10 +10,12 @@ part is Gaussian and Markov, so what can be known of its future is known exactly
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Floats = NDArray[np.float64]
 
@@ -29,32 +31,41 @@ class DayProcess:
     correlation_s: tuple[float, float, float]
 
 
+def build_day_process(speed_mps: float, direction_rad: float) -> DayProcess:
+    """The process of a day with this mean wind, by the direction that it blows to."""
+    return DayProcess(
+        mean_ne_mps=(speed_mps * math.cos(direction_rad), speed_mps * math.sin(direction_rad)),
+        std_mps=(0.10 * speed_mps, 0.09 * speed_mps, 0.165 * speed_mps),
+        correlation_s=(1200.0, 180.0, EDDY_LENGTH_M / speed_mps),
+    )
+
+
 def draw_day_process(mean_mps: float, rng: np.random.Generator) -> DayProcess:
     """A day's process about a site's mean wind speed."""
     speed = mean_mps * float(rng.uniform(0.75, 1.25))
-    direction_rad = float(rng.uniform(0.0, 2.0 * math.pi))
-    return DayProcess(
-        mean_ne_mps=(speed * math.cos(direction_rad), speed * math.sin(direction_rad)),
-        std_mps=(0.10 * speed, 0.09 * speed, 0.165 * speed),
-        correlation_s=(1200.0, 180.0, EDDY_LENGTH_M / speed),
-    )
+    return build_day_process(speed, float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
 def draw_day_wind_series(process: DayProcess, seconds: int, rng: np.random.Generator) -> Floats:
     """Wind vector (direction it blows TO), north and east, at every second: (seconds + 1, 2)."""
-    wind = np.tile(np.array(process.mean_ne_mps), (seconds + 1, 1))
-    for std, memory in zip(process.std_mps, process.correlation_s, strict=True):
-        wind += std * _draw_unit_variance_process(seconds, memory, rng)
+
+    def draw_normals() -> Floats:
+        later, first = rng.standard_normal((seconds + 1, 2)), rng.standard_normal((1, 2))
+        return np.concatenate([first, later[:-1]])
+
+    return day_wind_series(process, [draw_normals() for _ in process.std_mps])
+
+
+def day_wind_series(process: DayProcess, normals_by_part: Iterable[Floats]) -> Floats:
+    """The wind series (n, 2) of these standard normal numbers, (n, 2) for each part.
+
+    Each part is an Ornstein-Uhlenbeck process on both axes, exact at whole seconds.
+    """
+    wind = np.array(process.mean_ne_mps)
+    parts = zip(process.std_mps, process.correlation_s, normals_by_part, strict=True)
+    for std, memory, normals in parts:
+        keep = math.exp(-1.0 / memory)
+        driven = math.sqrt(1.0 - keep * keep) * normals
+        driven[0] = normals[0]
+        wind = wind + std * np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=0))
     return wind
-
-
-def _draw_unit_variance_process(seconds: int, memory_s: float, rng: np.random.Generator) -> Floats:
-    """An Ornstein-Uhlenbeck process of unit variance on both axes, exact at whole seconds."""
-    keep = math.exp(-1.0 / memory_s)
-    noise = math.sqrt(1.0 - keep * keep) * rng.standard_normal((seconds + 1, 2))
-    value = rng.standard_normal(2)
-    out = np.empty((seconds + 1, 2))
-    for k in range(seconds + 1):
-        out[k] = value
-        value = keep * value + noise[k]
-    return out

@@ -4,6 +4,8 @@ A guard is disabled by a patch of this test: in the companion's process before i
 in this one where the trial steps the flight code itself.
 """
 
+from functools import partial
+
 import msgspec
 import pytest
 
@@ -83,7 +85,7 @@ def test_without_its_guard_a_flight_under_lies_breaks(tmp_path, monkeypatch, gua
 @pytest.mark.drawn(keep=1)
 @pytest.mark.parametrize("seed", range(4))
 def test_safety_rule_1_nothing_is_commanded_after_a_stall_at_any_second(tmp_path, seed):
-    flyer = stall.StallFlightRunner(tmp_path)
+    flyer = partial(stall.run_flight, tmp_path)
     flights = list(
         stall.group_cases_into_shared_flights(
             stall.draw_random_subset_of_cases(seed, AUTOPILOTS, 20)
@@ -99,7 +101,7 @@ def test_without_hearing_what_waited_commands_leave_after_a_stall(tmp_path, monk
     monkeypatch.setattr(ReceiveBacklog, "register_cycle", lambda self: None)
     cases = [stall.draw_case(1, "px4", at_s, 6.0) for at_s in (36.0, 42.0, 44.0)]
     (flight,) = stall.group_cases_into_shared_flights(cases)
-    assert len(broken(stall.StallFlightRunner(tmp_path)(flight))) == len(cases)
+    assert len(broken(stall.run_flight(tmp_path, flight))) == len(cases)
 
 
 @pytest.mark.sample

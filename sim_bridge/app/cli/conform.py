@@ -74,19 +74,24 @@ def conform(
     """
     from sim_bridge.app.cli import conforming
     from sim_bridge.conform.errors import ConformError
+    from sim_bridge.conform.link import is_on_loopback
     from sim_bridge.conform.suite import select_behaviours
 
     try:
         if compare is not None:
             conforming.print_parity_matrix(*compare, autopilot=as_)
         elif list_them:
-            conforming.print_behaviour_names(select_behaviours(only or (), include_reboots=True))
+            for one in select_behaviours(only or (), include_reboots=True):
+                print(f"{one.name:36} {one.description} ... ({one.where.value})")
         elif link is None:
             raise ConformError("give --link URL, --compare A.json B.json or --list")
-        else:
-            conforming.raise_if_link_leaves_machine(
-                link, not_simulated=not_a_simulator, flight_permitted=yes_it_may_fly
+        elif not ((not_a_simulator and yes_it_may_fly) or is_on_loopback(link)):
+            raise ConformError(
+                f"--link {link} leaves this machine: the suite arms, flies and lands what is behind"
+                " it; it is meant for simulators on this machine (127.0.0.1). To run it elsewhere"
+                " give --not-a-simulator and --yes-it-may-fly"
             )
+        else:
             selected = select_behaviours(only or (), include_reboots=reboots)
             verdict_reference = None
             if as_ is not None or reference is not None:

@@ -33,33 +33,20 @@ from sim_bridge.conform.suite import (
     run_suite,
 )
 
-_SAFETY_NOTE = (
-    "the suite arms, flies and lands what is behind it; it is meant for simulators on this"
-    " machine (127.0.0.1). To run it elsewhere give --not-a-simulator and --yes-it-may-fly"
-)
 
-
-class _ProgressView:
+class _ProgressView(Status):
     """One line for each behaviour as it ends; the one under way on the last line."""
 
     def __init__(self, console: Console, total: int, reference: "Reference | None") -> None:
-        self._console = console
+        super().__init__("", console=console)
         self._total = total
         self._reference = reference
         self._number = 0
-        self._status = Status("", console=console)
-
-    def __enter__(self) -> "_ProgressView":
-        self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._status.stop()
 
     def on_behaviour_start(self, behaviour: Behaviour) -> None:
         """Show what is looked at."""
         self._number += 1
-        self._status.update(f"{self._number} of {self._total}: {behaviour.name}")
+        self.update(f"{self._number} of {self._total}: {behaviour.name}")
 
     def on_behaviour_end(self, behaviour: Behaviour, seen: Observation) -> None:
         """Print what was seen, and the verdict where there is one."""
@@ -68,11 +55,7 @@ class _ProgressView:
         value = problem_text or f"{seen.value} {behaviour.unit}".strip()
         note = f"  ({seen.note})" if seen.note else ""
         line = f"{verdict}{behaviour.name}: {behaviour.description} {value}{note}"
-        self._console.print(line, highlight=False, markup=False)
-
-    def show_status(self, text: str) -> None:
-        """Show a state."""
-        self._status.update(text)
+        self.console.print(line, highlight=False, markup=False)
 
 
 class Reference:
@@ -91,18 +74,6 @@ class Reference:
             return "= " if verdict is Parity.SAME else "? "
         expected = None if reference is None else reference.value
         return f"{verdict.value.upper()} from {expected!r}: "
-
-
-def raise_if_link_leaves_machine(link: str, *, not_simulated: bool, flight_permitted: bool) -> None:
-    """ConformError for a link that leaves this machine, unless both switches were given."""
-    if not is_on_loopback(link) and not (not_simulated and flight_permitted):
-        raise ConformError(f"--link {link} leaves this machine: {_SAFETY_NOTE}")
-
-
-def print_behaviour_names(behaviours: list[Behaviour]) -> None:
-    """One line for each behaviour."""
-    for behaviour in behaviours:
-        print(f"{behaviour.name:36} {behaviour.description} ... ({behaviour.where.value})")
 
 
 def print_parity_matrix(a: Path, b: Path, autopilot: str | None) -> None:
@@ -128,7 +99,7 @@ def run_behaviours_and_print_verdicts(
     console = Console(stderr=True, soft_wrap=True)
     vehicle_link = open_link(url)
     try:
-        with _ProgressView(console, len(behaviours), reference) as view:
+        with (view := _ProgressView(console, len(behaviours), reference)):
             result = run_behaviours_and_restore_vehicle(
                 Client(vehicle_link), behaviours, view, allow_force_disarm=is_on_loopback(url)
             )
@@ -154,7 +125,7 @@ def _vehicle_label(vehicle: VehicleIdentity) -> str:
 class StatusObserver(Observer, Protocol):
     """Whoever watches, and is told what is under way besides."""
 
-    def show_status(self, text: str) -> None: ...
+    def update(self, status: str) -> None: ...
 
 
 def run_behaviours_and_restore_vehicle(
@@ -165,7 +136,7 @@ def run_behaviours_and_restore_vehicle(
     allow_force_disarm: bool,
 ) -> ConformanceResult:
     """Run the behaviours and leave the vehicle as it was found, whatever happens."""
-    view.show_status("waiting for a HEARTBEAT")
+    view.update("waiting for a HEARTBEAT")
     try:
         subject = Subject(client, allow_force_disarm=allow_force_disarm)
         vehicle = request_vehicle_identity(subject)
@@ -174,7 +145,7 @@ def run_behaviours_and_restore_vehicle(
     try:
         results = run_suite(subject, behaviours, view)
     finally:
-        view.show_status("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
+        view.update("landing, clearing, putting back (Ctrl-C again leaves it as it is)")
         try:
             subject.restore_initial_state()
         except ObservationError as error:

@@ -89,6 +89,7 @@ def day(
         raise LeewayError(f"day needs leeway-uas[ground]: {error}") from error
     from rich.console import Console
 
+    from companion.adapters.files.atomic_file import write_text_atomically
     from companion.adapters.files.params import bundled_path
     from ground_station.adapters.files.day_files import read_day
     from sim_bridge.app.day.faults import DayWorldOptions
@@ -123,6 +124,5 @@ def day(
     json_out = run.json_out
     if json_out is not None:
         content: dict[str, Any] = rows[0] if seeds is None else {"days": rows}
-        temporary = json_out.with_name(f"{json_out.name}.new")
-        temporary.write_text(json.dumps(content, indent=1) + "\n")
-        temporary.replace(json_out)
+        text = json.dumps(content, indent=1) + "\n"
+        write_text_atomically(json_out, text, sync_folder=False)

@@ -1,5 +1,6 @@
 """`sim-bridge examples`: the shipped flights, days, sites and layouts as files of one's own."""
 
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
 
@@ -85,12 +86,7 @@ def _write_files_unless_any_exists(texts: dict[Path, str], folder: Path) -> None
 
 def _first_comment_sentence(text: str) -> str:
     """The first sentence of the comment that a file begins with."""
-    lines = text.splitlines()
-    comment = " ".join(line.removeprefix("#").strip() for line in _leading_comment_lines(lines))
+    lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
+    comment = " ".join(line.removeprefix("#").strip() for line in lines)
     sentence = comment.split(". ")[0].removesuffix(".")
     return f"{sentence}."
-
-
-def _leading_comment_lines(lines: list[str]) -> list[str]:
-    end = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    return lines[:end]

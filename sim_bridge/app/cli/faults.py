@@ -63,21 +63,21 @@ def faults(
 
     Exit codes: 0 all rows hold; 1 one does not, or is lost; 130 after Ctrl-C.
     """
-    from sim_bridge.app.fault_suite import report, suite
+    from sim_bridge.app.fault_suite import suite
     from sim_bridge.app.fault_suite.catalogue import select_cases, select_tight_cases
     from sim_bridge.app.fault_suite.promises import p_home_calibration
     from sim_bridge.app.fault_suite.session import FaultSuiteSession
     from sim_bridge.app.faults.fault import PHASES
     from sim_bridge.app.faults.pair import draw_pair_task
-    from sim_bridge.app.trials.trial import TrialLimits
     from sim_bridge.autopilot.kinds import AUTOPILOTS
 
     cases = select_cases([*(only or []), *(names or [])])
     if tight:
         cases = select_tight_cases(cases, named_explicitly=bool(only or names))
     if show:
-        for line in report.case_description_lines(cases):
-            typer.echo(line)
+        for case in cases:
+            typer.echo(f"{case.number:>2} {case.name} ({case.group}: {', '.join(case.phases)})")
+            typer.echo(f"   {case.description}")
         return
     run = run_options()
     kinds = selected_or_all(autopilot, AUTOPILOTS, "autopilot")
@@ -91,9 +91,7 @@ def faults(
         todo = suite.list_tasks(cases, kinds, phases, flown_seeds, root, tight=tight)
     if not todo:
         raise LeewayError(f"--phase {phase}: these faults begin in other phases: see --list")
-    session = FaultSuiteSession(
-        todo, TrialLimits(run.process_count(), run.minutes, run.cluster), run.json_out
-    )
+    session = FaultSuiteSession(todo, run.workers(), run.minutes, run.json_out)
     try:
         rows = session.fly_and_store_remaining_flights()
     except KeyboardInterrupt:

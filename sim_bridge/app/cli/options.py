@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import WorkerOptions
 from ground_station.app.options.program_options import SHARED_PANEL, current_group_option_values
 
 SeedOption = Annotated[
@@ -109,6 +110,10 @@ class RunOptions:
         """The number of parallel processes; all cores for 0."""
         jobs = default if self.jobs is None else self.jobs
         return jobs or len(os.sched_getaffinity(0))
+
+    def workers(self, default: int = 2) -> WorkerOptions:
+        """The parallel processes, or the cluster."""
+        return WorkerOptions(self.process_count(default), self.cluster)
 
     def run_root_or_default(self, default: str) -> Path:
         """The folder for run folders."""

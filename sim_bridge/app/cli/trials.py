@@ -1,7 +1,9 @@
 """`sim-bridge trials`: long randomised trials. What a trial does is imported when it runs."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +18,7 @@ from sim_bridge.app.cli.options import RunOptions, run_options, selected_or_all
 from sim_bridge.autopilot.kinds import AUTOPILOTS
 
 if TYPE_CHECKING:
-    from sim_bridge.app.trials.trial import TrialLimits, TrialRow
+    from sim_bridge.app.trials.trial import TrialRow
 
 app = typer.Typer()
 
@@ -140,7 +142,30 @@ def trials(
         bounds = {"max_vehicles": most_drones, "max_orders_per_vehicle": most_orders}
         draw = {"truck": truck, "all_faults": all_faults, **bounds}
         rows, total = _days_trial_rows(run, count, vehicle_hours, store, draw)
-    _report_trial_and_exit_on_failure(kind, run, rows, total)
+    from sim_bridge.app.trials.report import show_and_save_rows
+
+    folder = run.run_root_or_default(RUN_ROOT)
+    if not show_and_save_rows(kind.value, run.seed_or_1, rows, total, folder, run.json_out):
+        raise typer.Exit(1)
+
+
+def _recorded_or_drawn(run: RunOptions, case_type: type[Any], drawn: Iterable[Any]) -> list[Any]:
+    """Return the cases of --case, or those drawn."""
+    from sim_bridge.app.trials.trial import read_case_file
+
+    return [read_case_file(path, case_type) for path in run.case or []] or list(drawn)
+
+
+def _rows_by_folder(
+    run: RunOptions, run_case: Callable[..., "TrialRow"], cases: Iterable[Any]
+) -> "Iterator[TrialRow]":
+    """Run each case in a folder of its own, in parallel."""
+    from sim_bridge.app.trials import trial
+
+    attempt = partial(trial.run_in_own_folder, run_case, run.run_root_or_default(RUN_ROOT))
+    todo = trial.cases_until_time_limit(cases, run.minutes)
+    lost_rows = trial.failed_rows_for_lost_worker
+    return trial.run_trial(todo, attempt, run.workers(), lost_rows, _print_message)
 
 
 Trial = tuple["Iterable[TrialRow]", int | None]
@@ -149,72 +174,46 @@ Trial = tuple["Iterable[TrialRow]", int | None]
 
 def _fuzz_trial_rows(run: RunOptions, count: int) -> Trial:
     from sim_bridge.app.trials import fuzz as trial
-    from sim_bridge.app.trials.trial import (
-        FolderRunner,
-        failed_rows_for_lost_worker,
-        read_case_file,
-        run_trial,
-    )
 
-    recorded_cases = [read_case_file(path, trial.FuzzCase) for path in run.case or []]
-    cases = recorded_cases or [trial.draw_case(run.seed_or_1, number) for number in range(count)]
-    attempt = FolderRunner(trial.run_case, run.run_root_or_default(RUN_ROOT))
-    return run_trial(
-        cases, attempt, _trial_limits(run), failed_rows_for_lost_worker, _print_message
-    ), len(cases)
+    drawn = (trial.draw_case(run.seed_or_1, number) for number in range(count))
+    cases = _recorded_or_drawn(run, trial.FuzzCase, drawn)
+    return _rows_by_folder(run, trial.run_case, cases), len(cases)
 
 
 def _stall_trial_rows(run: RunOptions, count: int | None, autopilot: str) -> Trial:
     from sim_bridge.app.trials import stall as trial
-    from sim_bridge.app.trials.trial import read_case_file, run_trial
+    from sim_bridge.app.trials.trial import cases_until_time_limit, run_trial
 
     kinds = selected_or_all(autopilot, AUTOPILOTS, "autopilot")
-    cases = [read_case_file(path, trial.StallCase) for path in run.case or []]
-    if not cases and count is None:
-        cases = trial.draw_cases_for_every_second(run.seed_or_1, kinds)
-    elif not cases:
-        cases = trial.draw_random_subset_of_cases(run.seed_or_1, kinds, count or 0)
-    flyer = trial.StallFlightRunner(run.run_root_or_default(RUN_ROOT))
-    rows = run_trial(
-        trial.group_cases_into_shared_flights(cases),
-        flyer,
-        _trial_limits(run),
-        trial.lost_flight_rows,
-        _print_message,
+    drawn = (
+        trial.draw_cases_for_every_second(run.seed_or_1, kinds)
+        if count is None
+        else trial.draw_random_subset_of_cases(run.seed_or_1, kinds, count)
     )
+    cases = _recorded_or_drawn(run, trial.StallCase, drawn)
+    flyer = partial(trial.run_flight, run.run_root_or_default(RUN_ROOT))
+    flights = cases_until_time_limit(trial.group_cases_into_shared_flights(cases), run.minutes)
+    rows = run_trial(flights, flyer, run.workers(), trial.lost_flight_rows, _print_message)
     return rows, len(cases)
 
 
 def _damaged_log_trial_rows(run: RunOptions, count: int) -> Trial:
     from sim_bridge.app.trials import logs as trial
-    from sim_bridge.app.trials.trial import cases_until_time_limit, read_case_file
+    from sim_bridge.app.trials.trial import cases_until_time_limit
 
-    recorded_cases = [read_case_file(path, trial.LogCase) for path in run.case or []]
-    cases = recorded_cases or [trial.draw_case(run.seed_or_1, number) for number in range(count)]
-    todo = cases_until_time_limit(cases, _trial_limits(run))
-    return trial.read_damaged_logs_in_parallel(
-        todo, run.run_root_or_default(RUN_ROOT) / "damaged", run.process_count()
-    ), len(cases)
+    drawn = (trial.draw_case(run.seed_or_1, number) for number in range(count))
+    cases = _recorded_or_drawn(run, trial.LogCase, drawn)
+    todo = cases_until_time_limit(cases, run.minutes)
+    folder = run.run_root_or_default(RUN_ROOT) / "damaged"
+    return trial.read_damaged_logs_in_parallel(todo, folder, run.process_count()), len(cases)
 
 
 def _soak_trial_rows(run: RunOptions, hours: float, every_minutes: float) -> Trial:
     from sim_bridge.app.trials import soak as trial
-    from sim_bridge.app.trials.trial import (
-        FolderRunner,
-        TrialLimits,
-        failed_rows_for_lost_worker,
-        read_case_file,
-        run_trial,
-    )
 
-    recorded_cases = [read_case_file(path, trial.SoakCase) for path in run.case or []]
-    cases = recorded_cases or [
-        trial.SoakCase(seed=run.seed_or_1, hours=hours, flight_interval_min=every_minutes)
-    ]
-    attempt = FolderRunner(trial.run_case, run.run_root_or_default(RUN_ROOT))
-    return run_trial(
-        cases, attempt, TrialLimits(jobs=1, minutes=None), failed_rows_for_lost_worker
-    ), len(cases)
+    drawn = [trial.SoakCase(seed=run.seed_or_1, hours=hours, flight_interval_min=every_minutes)]
+    cases = _recorded_or_drawn(run, trial.SoakCase, drawn)
+    return _rows_by_folder(replace(run, jobs=1, minutes=None), trial.run_case, cases), len(cases)
 
 
 def _days_trial_rows(
@@ -227,44 +226,18 @@ def _days_trial_rows(
     from sim_bridge.adapters.postgres_server import PostgresExecutables
     from sim_bridge.app.trials import days as trial
     from sim_bridge.app.trials.day_case import POSTGRESQL, STORE_KINDS, DayCase
-    from sim_bridge.app.trials.trial import (
-        FolderRunner,
-        failed_rows_for_lost_worker,
-        read_case_file,
-        run_trial,
-    )
 
     if store not in (*STORE_KINDS, "both"):
         raise LeewayError(f"--store {store}: expected {', '.join(STORE_KINDS)} or both")
     store_kinds = STORE_KINDS if store == "both" else (store,)
-    recorded_cases = [read_case_file(path, DayCase) for path in run.case or []]
+    recorded_cases = _recorded_or_drawn(run, DayCase, ())
     if POSTGRESQL in (*store_kinds, *(one.store for one in recorded_cases)):
         PostgresExecutables.find()  # before the first day, not in it
     drawn = trial.DayCaseGenerator(run.seed_or_1, store_kinds, **case_generator_options)
     cases = recorded_cases or islice(drawn.generate_endless_cases(), count)
-    attempt = FolderRunner(trial.run_case, run.run_root_or_default(RUN_ROOT))
-    rows = run_trial(
-        cases, attempt, _trial_limits(run), failed_rows_for_lost_worker, _print_message
-    )
+    rows = _rows_by_folder(run, trial.run_case, cases)
     return trial.rows_until_vehicle_hours(rows, vehicle_hours), len(recorded_cases) or count
 
 
 def _print_message(message: str) -> None:
     typer.echo(message, err=True)
-
-
-def _trial_limits(run: RunOptions) -> "TrialLimits":
-    from sim_bridge.app.trials.trial import TrialLimits
-
-    return TrialLimits(run.process_count(), run.minutes, run.cluster)
-
-
-def _report_trial_and_exit_on_failure(
-    kind: Kind, run: RunOptions, rows: "Iterable[TrialRow]", total: int | None
-) -> None:
-    """Follow a trial to its end; exit code 1 after a failed case."""
-    from sim_bridge.app.trials.report import TrialReport
-
-    report = TrialReport(kind.value, run.seed_or_1, run.run_root_or_default(RUN_ROOT), run.json_out)
-    if not all(row.passed for row in report.show_and_save_rows(rows, total)):
-        raise typer.Exit(1)

@@ -110,12 +110,6 @@ class CrossingVehicle:
         run = None if self.companion is None else self.companion.run
         return run is not None and run.pilot.phase is Phase.READY
 
-    def submit_mission_authorisation(self) -> None:
-        """Authorise the mission as its operator."""
-        if self.companion is not None and self.companion.run is not None:
-            loop = self.companion.run.loop
-            loop.submit_event(MissionAuthorised(loop.clock.t_s, "the truck"))
-
     @property
     def has_ended_on_ground(self) -> bool:
         """Whether the vehicle is on the ground and its companion has ended."""
@@ -323,8 +317,9 @@ class Crossing:
             self.authorised_s = t_s
         if self.authorised_s is not None:
             for crosser in self.crossers:
-                if crosser.is_ready:
-                    crosser.submit_mission_authorisation()
+                if crosser.is_ready and crosser.companion and crosser.companion.run:
+                    loop = crosser.companion.run.loop
+                    loop.submit_event(MissionAuthorised(loop.clock.t_s, "the truck"))
 
     def kill_companion(self, vehicle_index: int) -> None:
         """Kill a companion without restarting it."""

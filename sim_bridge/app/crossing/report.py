@@ -1,6 +1,5 @@
 """Reports of crossings: result rows, tables and the loop over seeds."""
 
-import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, replace
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from sim_bridge.adapters.json_result import write_json_result
 from sim_bridge.app.crossing.crossing import (
     DROP_HEIGHT_M,
     TIME_LIMIT_S,
@@ -45,7 +45,8 @@ def fly_crossings(
             def update_progress_and_check(
                 scene: Crossing, task: Any = task, seed: int = seed
             ) -> bool:
-                words = f"seed {seed}: {scene.clock.t_s:.0f} s, {_airborne_count(scene)} in the air"
+                airborne = sum(crosser.drone.is_airborne for crosser in scene.crossers)
+                words = f"seed {seed}: {scene.clock.t_s:.0f} s, {airborne} in the air"
                 progress.update(task, completed=scene.clock.t_s, description=words)
                 return not (is_canary and _is_separation_broken_at_check(scene))
 
@@ -54,7 +55,7 @@ def fly_crossings(
             rows.append(row)
             console.print(format_seed_result(row), highlight=False)
             if json_out is not None:
-                json_out.write_text(json.dumps({"crossings": rows}, indent=1) + "\n")
+                write_json_result(json_out, {"crossings": rows}, indent=1)
     return rows
 
 
@@ -66,10 +67,6 @@ def fly_crossing(options: CrossOptions, should_continue: Any) -> dict[str, Any]:
     with mark_if_interrupted(folder):
         scene.run_until_over(should_continue)
     return save_truth_and_build_result_row(scene)
-
-
-def _airborne_count(scene: Crossing) -> int:
-    return sum(c.drone.is_airborne for c in scene.crossers)
 
 
 def _is_separation_broken_at_check(scene: Crossing) -> bool:

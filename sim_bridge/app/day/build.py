@@ -207,7 +207,12 @@ def build_day(
     drones = _build_drones(
         data, world_options, world, folder, drone_seed, _companion_starter(data, bus, clock, folder)
     )
-    ground_handling: GroundHandling = _build_depot_handling(data, drones, bus)
+    ground_handling: GroundHandling = DepotHandling(
+        drones,
+        {order.id: order.mass_kg for order in data.orders},
+        bus.states,
+        data.day.truck.recover_s + data.day.truck.launch_s,  # the driver's times
+    )
     if world_options.truck:
         truck_rng = np.random.default_rng(truck_seed)
         ground_handling = _build_truck(data, frame, drones, bus, clock, folder, truck_rng)
@@ -256,36 +261,26 @@ def _build_drones(
     seed: np.random.SeedSequence,
     start_companion: Callable[[DayDrone], SteppedCompanion],
 ) -> list[DayDrone]:
-    day_drones: list[DayDrone] = []
-    for k, (drone, child_seed) in enumerate(
-        zip(data.day.drones, seed.spawn(len(data.day.drones)), strict=True)
-    ):
-        day_drones.append(
-            DayDrone(
-                name=drone.id,
-                number=k + 1,
-                autopilot_kind=world_options.autopilots[k % len(world_options.autopilots)],
-                airframe=load_airframe(params_dir() / "truth" / f"{drone.airframe}.toml"),
-                temperature_c=drone.temperature_c,
-                battery_health_frac=drone.battery_health_frac,
-                pack_charge_range_frac=(
-                    max(0.05, drone.charge_frac - PACK_CHARGE_SPREAD_FRAC),
-                    drone.charge_frac,
-                ),
-                world=world,
-                folder=folder / drone.id,
-                seeds=child_seed,
-                start_companion=start_companion,
-            )
+    seeds = seed.spawn(len(data.day.drones))
+    return [
+        DayDrone(
+            name=drone.id,
+            number=k + 1,
+            autopilot_kind=world_options.autopilots[k % len(world_options.autopilots)],
+            airframe=load_airframe(params_dir() / "truth" / f"{drone.airframe}.toml"),
+            temperature_c=drone.temperature_c,
+            battery_health_frac=drone.battery_health_frac,
+            pack_charge_range_frac=(
+                max(0.05, drone.charge_frac - PACK_CHARGE_SPREAD_FRAC),
+                drone.charge_frac,
+            ),
+            world=world,
+            folder=folder / drone.id,
+            seeds=seeds[k],
+            start_companion=start_companion,
         )
-    return day_drones
-
-
-def _build_depot_handling(data: DayData, drones: list[DayDrone], bus: Bus) -> DepotHandling:
-    """Build the depot's ground handling; turnaround is the driver's recovery plus launch time."""
-    payload_kg = {order.id: order.mass_kg for order in data.orders}
-    change_s = data.day.truck.recover_s + data.day.truck.launch_s
-    return DepotHandling(drones, payload_kg, bus.states, change_s)
+        for k, drone in enumerate(data.day.drones)
+    ]
 
 
 def _build_truck(

@@ -67,8 +67,9 @@ class Bus:
     """Until this time no message passes between desks and members."""
     _member_cut_until_s: dict[str, float] = field(default_factory=dict)
     """Until this time no message passes to or from the member."""
-    _links: list["BusLink"] = field(default_factory=list)
-    _desks: list["BusFleet"] = field(default_factory=list)
+    links: list["BusLink"] = field(default_factory=list)
+    """Sessions of members."""
+    desks: list["BusFleet"] = field(default_factory=list)
     _scheduled_calls: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
     _call_numbers: "count[int]" = field(default_factory=count)
 
@@ -78,33 +79,22 @@ class Bus:
         for other in self.links_of(vehicle):
             self._notify_duplicate(other, link)
             self._notify_duplicate(link, other)
-        self._links.append(link)
-        self._publish_liveliness(link, up=True)
+        self.links.append(link)
+        self.publish_liveliness(self.desks, link, up=True)
         return link
 
     def _notify_duplicate(self, member_link: "BusLink", duplicate: "BusLink") -> None:
         request = MemberRequest(
             RequestKind.DUPLICATE, lambda replies: None, duplicate.instance_id.encode()
         )
-        self.schedule_call(DELAY_S, lambda: member_link.queue_request(request))
+        self.schedule_call(DELAY_S, lambda: member_link.requests.append(request))
 
-    def remove_link(self, link: "BusLink") -> None:
-        """Remove a member session, closed or killed; its liveliness token is dropped."""
-        if link in self._links:
-            self._links.remove(link)
-            self._publish_liveliness(link, up=False)
-
-    def _publish_liveliness(self, link: "BusLink", *, up: bool) -> None:
-        for desk in list(self._desks):
-            self.send_liveliness(desk, link, up=up)
-
-    def send_liveliness(self, desk: "BusFleet", link: "BusLink", *, up: bool) -> None:
-        """Notify a desk that a member session has joined or left."""
+    def publish_liveliness(self, desks: list["BusFleet"], link: "BusLink", *, up: bool) -> None:
+        """Notify desks that a member session has joined or left."""
         liveliness = LivelinessChanged(link.vehicle, link.instance_id, has_joined=up)
-        reachable_from_s = self._messages_pass_from_s(link.vehicle)
-        self.schedule_call(
-            max(DELAY_S, reachable_from_s - self.t_s), lambda: desk.queue_input(liveliness)
-        )
+        delay_s = max(DELAY_S, self._messages_pass_from_s(link.vehicle) - self.t_s)
+        for desk in desks:
+            self.schedule_call(delay_s, lambda desk=desk: desk.received.append(liveliness))
 
     def cut_network(self, duration_s: float) -> None:
         """Drop all messages for `duration_s`. Beyond the lease, members leave and rejoin."""
@@ -131,31 +121,22 @@ class Bus:
             )
 
     def _queue_liveliness_at_desks(self, vehicle: str | None, *, up: bool) -> None:
-        for desk in list(self._desks):
+        for desk in self.desks:
             for link in self.links_of(vehicle):
-                desk.queue_input(LivelinessChanged(link.vehicle, link.instance_id, has_joined=up))
+                change = LivelinessChanged(link.vehicle, link.instance_id, has_joined=up)
+                desk.received.append(change)
 
     def add_desk(self) -> "BusFleet":
         """Add a desk and notify it of the members that are alive."""
         desk = BusFleet(self)
-        self._desks.append(desk)
-        for link in self._links:
-            self.send_liveliness(desk, link, up=True)
+        self.desks.append(desk)
+        for link in self.links:
+            self.publish_liveliness([desk], link, up=True)
         return desk
-
-    def remove_desk(self, desk: "BusFleet") -> None:
-        """Remove a desk."""
-        if desk in self._desks:
-            self._desks.remove(desk)
-
-    @property
-    def desks(self) -> list["BusFleet"]:
-        """The connected desks."""
-        return list(self._desks)
 
     def links_of(self, vehicle: str | None = None) -> list["BusLink"]:
         """Return the sessions of one vehicle, or of all vehicles."""
-        return [link for link in self._links if vehicle in (None, link.vehicle)]
+        return [link for link in self.links if vehicle in (None, link.vehicle)]
 
     def send_with_delay_or_loss(self, member: str, deliver: Callable[[], None]) -> None:
         """Send a message from or to a member; it arrives after `DELAY_S` or is lost."""
@@ -173,24 +154,20 @@ class Bus:
         )
         if cell is None:
             return
-        received_track = ReceivedTrack(sender.vehicle, cell, raw)
-        for link in self.links_of():
-            is_subscribed = link.vehicle != sender.vehicle and link.is_subscribed_to_cell(cell)
-            if is_subscribed and not self._count_message_and_draw_loss(
-                sender.vehicle, link.vehicle
-            ):
-                self.schedule_call(
-                    self.track_delay_s, lambda link=link: link.queue_track(received_track)
-                )
-        neighbour_track = ReceivedTrack(sender.vehicle, cell, raw, self.fleet)
-        for bus in self.neighbour_buses:
-            for link in bus.links_of():
-                is_subscribed = link.is_subscribed_to_fleet(
-                    self.fleet
-                ) and link.is_subscribed_to_cell(cell)
-                if is_subscribed and not self._count_message_and_draw_loss(sender.vehicle):
+        for bus in (self, *self.neighbour_buses):
+            is_own = bus is self
+            received_track = ReceivedTrack(sender.vehicle, cell, raw, "" if is_own else self.fleet)
+            for link in bus.links:
+                is_other = link.vehicle != sender.vehicle if is_own else self.fleet in link.fleets
+                members = (sender.vehicle, link.vehicle) if is_own else (sender.vehicle,)
+                if (
+                    is_other
+                    and cell in link.cells.near_s
+                    and not self._count_message_and_draw_loss(*members)
+                ):
                     self.schedule_call(
-                        self.track_delay_s, lambda link=link: link.queue_track(neighbour_track)
+                        self.track_delay_s,
+                        lambda link=link, track=received_track: link.tracks.append(track),
                     )
 
     def _count_message_and_draw_loss(self, *members: str) -> bool:
@@ -224,20 +201,19 @@ class BusLink:
     vehicle: str
     instance_id: str
     state: bytes = b""
-    _pending_requests: list[MemberRequest] = field(default_factory=list)
-    _tracks: list[ReceivedTrack] = field(default_factory=list)
-    _winds: list[bytes] = field(default_factory=list)
-    _cells: SubscribedCells = field(default_factory=SubscribedCells)
-    _neighbours: frozenset[str] = frozenset()
+    requests: list[MemberRequest] = field(default_factory=list)
+    """Received commands and queries; likewise `tracks` and `winds`, until they are drained."""
+    tracks: list[ReceivedTrack] = field(default_factory=list)
+    winds: list[bytes] = field(default_factory=list)
+    cells: SubscribedCells = field(default_factory=SubscribedCells)
+    """Track cells that this member subscribes to."""
+    fleets: frozenset[str] = frozenset()
+    """Neighbouring fleets whose tracks it subscribes to."""
 
     def drain_requests(self) -> list[MemberRequest]:
         """Return and remove all pending commands and queries."""
-        pending_requests, self._pending_requests = self._pending_requests, []
-        return pending_requests
-
-    def queue_request(self, request: MemberRequest) -> None:
-        """Queue an incoming command or query."""
-        self._pending_requests.append(request)
+        requests, self.requests = self.requests, []
+        return requests
 
     def set_request_callback(self, on_request: Callable[[], None]) -> None:
         """Do nothing: every member is stepped."""
@@ -267,45 +243,31 @@ class BusLink:
 
     def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
         """Subscribe to the track cells about this position."""
-        self._cells = self._cells.updated_for_position(lat_deg, lon_deg, self.bus.t_s)
+        self.cells = self.cells.updated_for_position(lat_deg, lon_deg, self.bus.t_s)
 
     def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
         """Subscribe to the tracks of these neighbouring fleets."""
-        self._neighbours = frozenset(one.fleet for one in neighbours)
-
-    def is_subscribed_to_fleet(self, fleet: str) -> bool:
-        """Return whether this member subscribes to a neighbouring fleet."""
-        return fleet in self._neighbours
-
-    def is_subscribed_to_cell(self, cell: str) -> bool:
-        """Return whether this member subscribes to a track cell."""
-        return cell in self._cells.near_s
+        self.fleets = frozenset(one.fleet for one in neighbours)
 
     def drain_tracks(self) -> list[ReceivedTrack]:
         """Return and remove the tracks received since the last call."""
-        tracks, self._tracks = self._tracks, []
+        tracks, self.tracks = self.tracks, []
         return tracks
 
     def drain_wind_messages(self) -> list[bytes]:
         """Return and remove the wind reports received from desks since the last call."""
-        winds, self._winds = self._winds, []
+        winds, self.winds = self.winds, []
         return winds
-
-    def queue_winds(self, raw: bytes) -> None:
-        """Queue a wind report from a desk."""
-        self._winds.append(raw)
 
     def do_all_clients_read_wind_cov(self) -> bool:
         """Return True: all desks of a simulated day decode wind covariances."""
         return True
 
-    def queue_track(self, received_track: ReceivedTrack) -> None:
-        """Queue a neighbour's track."""
-        self._tracks.append(received_track)
-
     def close(self) -> None:
-        """Leave the network."""
-        self.bus.remove_link(self)
+        """Leave the network, closed or killed; the liveliness token is dropped."""
+        if self in self.bus.links:
+            self.bus.links.remove(self)
+            self.bus.publish_liveliness(self.bus.desks, self, up=False)
 
 
 @dataclass(slots=True)
@@ -313,28 +275,24 @@ class BusFleet:
     """Desk side (`ground_station.core.fleet.fleet_link.FleetLink`)."""
 
     bus: Bus
-    _received: list[FleetInput] = field(default_factory=list)
+    received: list[FleetInput] = field(default_factory=list)
 
     def receive(self, wait_s: float) -> list[FleetInput]:
         """Return and remove the inputs received; never waits."""
-        received, self._received = self._received, []
+        received, self.received = self.received, []
         return received
-
-    def queue_input(self, received: FleetInput) -> None:
-        """Queue an input for the desk."""
-        self._received.append(received)
 
     def decode_and_queue_state(self, vehicle: str, raw: bytes) -> None:
         """Decode and queue a vehicle's state."""
         state = self._decode_or_queue_rejection(vehicle, raw, State)
         if isinstance(state, State):
-            self.queue_input(StateReceived(state))
+            self.received.append(StateReceived(state))
 
     def on_event(self, vehicle: str, raw: bytes) -> None:
         """Decode and queue a vehicle's event."""
         event = self._decode_or_queue_rejection(vehicle, raw, FleetEvent)
         if isinstance(event, FleetEvent):
-            self.queue_input(EventsReceived(vehicle, [event]))
+            self.received.append(EventsReceived(vehicle, [event]))
 
     def request_states(self, wait_s: float) -> None:
         """Request the latest state of every vehicle."""
@@ -351,17 +309,27 @@ class BusFleet:
 
     def request_events(self, vehicle: str, after: int, wait_s: float) -> None:
         """Request a vehicle's stored events after this sequence number."""
+        self._request_from_sessions(
+            vehicle,
+            RequestKind.EVENTS,
+            lambda raw: self._queue_replayed_events(vehicle, raw),
+            after=after,
+        )
+
+    def _request_from_sessions(
+        self,
+        vehicle: str,
+        kind: RequestKind,
+        on_replies: ReplyCallback,
+        payload: bytes = b"",
+        after: int = 0,
+    ) -> None:
+        """Send a request to every session of a vehicle."""
         for link in self.bus.links_of(vehicle):
-            request = MemberRequest(
-                RequestKind.EVENTS,
-                self._single_reply_callback(
-                    vehicle, lambda raw: self._queue_replayed_events(vehicle, raw)
-                ),
-                b"",
-                after,
-            )
+            reply = self._single_reply_callback(vehicle, on_replies)
+            request = MemberRequest(kind, reply, payload, after)
             self.bus.send_with_delay_or_loss(
-                link.vehicle, lambda link=link, request=request: link.queue_request(request)
+                vehicle, lambda link=link, request=request: link.requests.append(request)
             )
 
     def _single_reply_callback(self, vehicle: str, on_replies: ReplyCallback) -> ReplyCallback:
@@ -379,7 +347,7 @@ class BusFleet:
         events = [self._decode_or_queue_rejection(vehicle, raw, FleetEvent) for raw in replies]
         found = sorted((e for e in events if isinstance(e, FleetEvent)), key=lambda e: e.seq)
         if found:
-            self.queue_input(EventsReceived(vehicle, found, replayed=True))
+            self.received.append(EventsReceived(vehicle, found, replayed=True))
 
     def send(self, command: Command, wait_s: float) -> None:
         """Send a command; queue its result, or None if there is no reply within `wait_s`."""
@@ -388,7 +356,7 @@ class BusFleet:
         def queue_response(result: Result | None) -> None:
             if not done:
                 done.append(True)
-                self.queue_input(CommandResponse(command.id, result))
+                self.received.append(CommandResponse(command.id, result))
 
         def on_replies(replies: list[bytes]) -> None:
             for raw in replies:
@@ -396,23 +364,18 @@ class BusFleet:
                 if isinstance(result, Result) and result.id == command.id:
                     queue_response(result)
 
-        payload = encode_message(command)
-        for link in self.bus.links_of(command.vehicle):
-            request = MemberRequest(
-                RequestKind.COMMAND,
-                self._single_reply_callback(command.vehicle, on_replies),
-                payload,
-            )
-            self.bus.send_with_delay_or_loss(
-                link.vehicle, lambda link=link, request=request: link.queue_request(request)
-            )
+        self._request_from_sessions(
+            command.vehicle, RequestKind.COMMAND, on_replies, encode_message(command)
+        )
         self.bus.schedule_call(wait_s, lambda: queue_response(None))
 
     def send_winds(self, winds: SharedWinds) -> None:
         """Send a vehicle the winds measured by others."""
         raw = encode_message(winds)
         for link in self.bus.links_of(winds.vehicle):
-            self.bus.send_with_delay_or_loss(winds.vehicle, lambda link=link: link.queue_winds(raw))
+            self.bus.send_with_delay_or_loss(
+                winds.vehicle, lambda link=link: link.winds.append(raw)
+            )
 
     def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
         """Return no keys: this network has no identities."""
@@ -423,13 +386,16 @@ class BusFleet:
     ) -> State | FleetEvent | Result | None:
         message = decode_message(message_type, raw)
         if isinstance(message, Refused):
-            self.queue_input(MessageRejected(vehicle, message.reason))
+            self.received.append(MessageRejected(vehicle, message.reason))
             return None
         if message.vehicle != vehicle:
-            self.queue_input(MessageRejected(vehicle, f"message names vehicle {message.vehicle}"))
+            self.received.append(
+                MessageRejected(vehicle, f"message names vehicle {message.vehicle}")
+            )
             return None
         return message
 
     def close(self) -> None:
         """Leave the network."""
-        self.bus.remove_desk(self)
+        if self in self.bus.desks:
+            self.bus.desks.remove(self)

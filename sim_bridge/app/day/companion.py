@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.adapters.autopilots.codec import MavlinkCodec
-from companion.adapters.autopilots.link import Link
 from companion.app.flight.assignment import load_current_assignment
 from companion.app.flight.fleet_port import FleetPort
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions, Settings
@@ -118,11 +117,8 @@ class SteppedCompanion:
     def _begin_flight_if_loaded(self, loaded: LoadedFlight | None) -> None:
         if loaded is not None:
             self.run = Run.begin(
-                loaded, self._get_memory_link, port=self.port, wall_clock_s=self.clock_s
+                loaded, lambda url: self.link, port=self.port, wall_clock_s=self.clock_s
             )
-
-    def _get_memory_link(self, url: str) -> Link:
-        return self.link
 
     def _run_flight_cycle(self, run: Run) -> None:
         code = run.run_cycle_and_get_exit_code()

@@ -94,13 +94,10 @@ class DepotHandling:
         self._next_check_s = t_s + CHECK_INTERVAL_S - 0.05
         for number, drone in enumerate(self.drones):
             if drone.power_cycle is None:
-                self._power_on_if_due(drone, number, t_s)
+                if t_s >= self._return_due_s.get(drone.name, 0.0):
+                    drone.switch_on_at_pad(t_s, self._pad_ne_m(number), 0.0, None)
             elif not drone.is_airborne and not drone.power_cycle.vehicle.is_crashed:
                 self._disarm_fetch_or_load_drone(drone, t_s)
-
-    def _power_on_if_due(self, drone: DayDrone, number: int, t_s: float) -> None:
-        if t_s >= self._return_due_s.get(drone.name, 0.0):
-            drone.switch_on_at_pad(t_s, self._pad_ne_m(number), 0.0, None)
 
     def _pad_ne_m(self, pad_index: int) -> tuple[float, float]:
         angle_rad = 2.0 * math.pi * pad_index / len(self.drones)
@@ -121,7 +118,8 @@ class DepotHandling:
             and state.phase in PRE_ARM_PHASES
             and state.order != drone.power_cycle.order
         ):
-            drone.load_or_remove_parcel(self.payload_kg.get(state.order or "", 0.0), state.order)
+            payload_kg = self.payload_kg.get(state.order or "", 0.0)
+            drone.power_cycle.load_or_remove_parcel(payload_kg, state.order)
             self.parcel_missing_by_order.pop(state.order or "", None)
 
     def _last_state_if_sent_since(self, drone: DayDrone, since_s: float) -> State | None:

@@ -128,22 +128,22 @@ class SteppedDesk:
         Raises LeewayError if the store holds other orders.
         """
 
-        def open_desk(
-            desk_database: DeskDatabase,
-            fleet: BusFleet,
-            log_line: Callable[[str], None],
-            clock: Clock,
-        ) -> Desk:
-            replanner = Replanner(create_inline_planner(), seed, trials)
-            first, _ = desk_database.day_store.plans_with_reasons()[0]
-            return open_truck_desk(
-                world.data, first, desk_database.store, fleet, log_line, clock, replanner,
-                forecast_reader=create_inline_reader(),
-            )  # fmt: skip
-
-        infeasible_orders = frozenset(line.order for line in plan.unplanned)
         stepped_desk = cls._create_with_stored_orders(
-            world, folder, clock, host, open_desk, infeasible_orders
+            world,
+            folder,
+            clock,
+            host,
+            lambda database, fleet, log_line, clock: open_truck_desk(
+                world.data,
+                database.day_store.plans_with_reasons()[0][0],
+                database.store,
+                fleet,
+                log_line,
+                clock,
+                Replanner(create_inline_planner(), seed, trials),
+                forecast_reader=create_inline_reader(),
+            ),
+            frozenset(line.order for line in plan.unplanned),
         )
         stepped_desk.database.day_store.try_store_active_plan(plan, "the day's plan")
         world.faults.schedule_drawn_faults(plan.makespan_s)
@@ -160,29 +160,29 @@ class SteppedDesk:
         """
         data, params = world.data, DepotParams(requires_confirmation=False)
         assigner = DepotAssigner(data.day, data.airframes, data.elevation)
-        infeasible_orders = infeasible_orders_at_depot(data, assigner)
-
-        def open_desk(
-            desk_database: DeskDatabase,
-            fleet: BusFleet,
-            log_line: Callable[[str], None],
-            clock: Clock,
-        ) -> Desk:
-            depot_assigner = DepotAssigner(data.day, data.airframes, data.elevation)
-            return open_depot_desk(
+        infeasible_orders = frozenset(  # no drone can deliver them, or they are the truck's
+            order.id
+            for order in data.orders
+            if order.service is Service.TRUCK
+            or assigner.infeasibility_for_all_drones(order) is not None
+        )
+        stepped_desk = cls._create_with_stored_orders(
+            world,
+            folder,
+            None,
+            host,
+            lambda database, fleet, log_line, clock: open_depot_desk(
                 data,
-                desk_database.store,
+                database.store,
                 fleet,
                 log_line,
                 params,
                 infeasible_orders,
                 clock,
-                depot_assigner,
+                DepotAssigner(data.day, data.airframes, data.elevation),
                 create_inline_reader(),
-            )
-
-        stepped_desk = cls._create_with_stored_orders(
-            world, folder, None, host, open_desk, infeasible_orders
+            ),
+            infeasible_orders,
         )
         if isinstance(world.ground_handling, DepotHandling):
             stepped_desk.parcel_missing_by_order = world.ground_handling.parcel_missing_by_order
@@ -343,16 +343,6 @@ class SteppedDesk:
 def _open_database(host: StoreHost, clock: Clock) -> DeskDatabase:
     """Open the database as a desk does: outages are tolerated."""
     return DeskDatabase.open(host.url, clock, Outage(clock.monotonic_s), host.lock_timeout_ms)
-
-
-def infeasible_orders_at_depot(data: DayData, assigner: DepotAssigner) -> frozenset[str]:
-    """Return the orders that no drone can deliver from the depot, including truck orders."""
-    return frozenset(
-        order.id
-        for order in data.orders
-        if order.service is Service.TRUCK
-        or assigner.infeasibility_for_all_drones(order) is not None
-    )
 
 
 def estimate_depot_day_duration_s(data: DayData, assigner: DepotAssigner) -> float:

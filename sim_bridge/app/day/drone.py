@@ -217,11 +217,6 @@ class DayDrone:
         self.power_cycle = PowerCycle(t_s, pad_ne_m, order_id, host, link)
         self.companion_due_s = t_s if already_booted else t_s + COMPANION_BOOT_S
 
-    def load_or_remove_parcel(self, payload_kg: float, order_id: str | None) -> None:
-        """Load the parcel of an order, or unload it (`order_id` None), while powered on."""
-        assert self.power_cycle is not None
-        self.power_cycle.load_or_remove_parcel(payload_kg, order_id)
-
     def switch_off_and_end_power_cycle(self) -> None:
         """Power off autopilot and companion; an armed autopilot is disarmed manually first."""
         self.manual_disarm_count += (
@@ -332,11 +327,6 @@ class DayDrone:
             *self.ended_power_cycles,
             *([self.power_cycle] if self.power_cycle is not None else []),
         ]
-
-    @property
-    def is_overridden_by_pilot(self) -> bool:
-        """Whether a pilot override has occurred in this power cycle."""
-        return self.power_cycle is not None and self.power_cycle.link.takeover is not None
 
     @property
     def is_airborne(self) -> bool:

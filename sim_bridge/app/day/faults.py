@@ -88,12 +88,6 @@ class Faults:
         self.due[kind].pop(0)
         self.log.append((t_s, description))
 
-    def postpone_faults_of_kind(self, kind: str, earliest_time_s: float) -> None:
-        """Postpone the faults of this kind until `earliest_time_s` at least."""
-        self.due[kind] = [
-            (max(at_s, earliest_time_s), for_s) for at_s, for_s in self.due.get(kind, [])
-        ]
-
     @property
     def injected_count_by_kind(self) -> dict[str, int]:
         """Number of injected faults per kind; the others were due after the end of the day."""

@@ -62,8 +62,15 @@ class DayRunner:
         ) as view:
 
             def plan_day_and_open_desk(world: DayWorld, day_folder: Path) -> SimulatedDesk:
-                plan = plan_whole_day(world.data, seed, self.trials, view.show_planning_progress)
-                view.set_expected_duration(plan.makespan_s)
+                plan = plan_whole_day(
+                    world.data,
+                    seed,
+                    self.trials,
+                    lambda done_frac, best_s: view.bar.update(
+                        view.task, said=f"planning: {done_frac:.0%}, {best_s / 60.0:.1f} min"
+                    ),
+                )
+                view.bar.update(view.task, total=plan.makespan_s)
                 return SteppedDesk.start_truck_desk(world, plan, day_folder, seed, self.trials)
 
             return fly_day_and_write_result(

@@ -23,16 +23,6 @@ class DayView:
     task: TaskID
     _next_line_s: float = field(default=LINE_INTERVAL_S)
 
-    def show_planning_progress(self, done_frac: float, best_makespan_s: float) -> None:
-        """Show the progress of planning."""
-        self.bar.update(
-            self.task, said=f"planning: {done_frac:.0%}, {best_makespan_s / 60.0:.1f} min"
-        )
-
-    def set_expected_duration(self, makespan_s: float) -> None:
-        """Set the planned duration of the day."""
-        self.bar.update(self.task, total=makespan_s)
-
     def show_progress_and_continue(self, world: DayWorld) -> bool:
         """Show the progress of the day. Returns True: the day continues."""
         airborne = [drone.name for drone in world.drones if drone.is_airborne]

@@ -32,17 +32,12 @@ def describe_day_violations(result_row: dict[str, Any]) -> list[str]:
     return [
         *late,
         *found,
-        *describe_lost_feasible_orders(result_row),
+        *(  # neither delivered nor stuck with a stated reason
+            f"lost: {line['order']}: {line['why']}"
+            for line in result_row["undelivered"]
+            if line["feasible"] and (line["state"] != STUCK or line["why"] == STUCK)
+        ),
         *describe_separation_violation(result_row),
-    ]
-
-
-def describe_lost_feasible_orders(result_row: dict[str, Any]) -> list[str]:
-    """Return feasible orders that are neither delivered nor stuck with a stated reason."""
-    return [
-        f"lost: {line['order']}: {line['why']}"
-        for line in result_row["undelivered"]
-        if line["feasible"] and (line["state"] != STUCK or line["why"] == STUCK)
     ]
 
 

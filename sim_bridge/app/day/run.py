@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -19,7 +20,6 @@ from ground_station.core.schema.order_states import OrderState
 from ground_station.core.schema.orders import OrderRow
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.day.build import build_day
-from sim_bridge.app.day.drone import DayDrone
 from sim_bridge.app.day.faults import DayWorldOptions
 from sim_bridge.app.day.judge import DayTruth, DayVerdict, Pad, evaluate_day
 from sim_bridge.app.day.picture import write_day_picture
@@ -111,7 +111,11 @@ def _evaluate_and_draw_day(options: DayOptions, world: DayWorld, *, ended: bool)
         parked_intervals=world.truck_parked_intervals,
         pads=_planned_pads(world.frame, desk.plans)
         if options.world_options.truck
-        else _depot_pads(world.drones),
+        else [  # at a depot each drone lands at its take-off position
+            Pad("depot", drone.name, up.pad_ne_m)
+            for drone in world.drones
+            for up in drone.all_power_cycles
+        ],
         home_reports=world.home_reports,
         handovers=world.ground_handling.delivered,
         rally=[
@@ -132,13 +136,6 @@ def _planned_pads(frame: LocalFrame, plans: list[DayPlan]) -> list[Pad]:
         for vehicle, position in stop.pads.items()
     }
     return sorted(found, key=lambda pad: (pad.stop, pad.vehicle, pad.ne_m))
-
-
-def _depot_pads(drones: list[DayDrone]) -> list[Pad]:
-    """Return the pads of a depot: each drone lands at its take-off position."""
-    return [
-        Pad("depot", drone.name, up.pad_ne_m) for drone in drones for up in drone.all_power_cycles
-    ]
 
 
 def _result_row(
@@ -166,7 +163,11 @@ def _result_row(
         "seed": options.seed,
         "ended": ended,
         "duration_s": round(world.clock.t_s, 1),
-        "faults": _enabled_fault_options(options.world_options),
+        "faults": {
+            k: v
+            for k, v in asdict(options.world_options).items()
+            if k not in NON_FAULT_OPTIONS and v
+        },
         "orders": len(orders),
         "feasible": len(orders) - len(infeasible),
         "delivered": len(vehicle_by_order),
@@ -187,12 +188,15 @@ def _result_row(
             min((f.margin_wh for f in verdict.flights), default=None), 2
         ),
         "energy_used_wh": round(sum(f.energy_used_wh for f in verdict.flights), 1),
-        "flights": [_round_flight_values(asdict(flight)) for flight in verdict.flights],
+        "flights": [
+            {k: round(v, 2) if isinstance(v, float) else v for k, v in asdict(flight).items()}
+            for flight in verdict.flights
+        ],
         "truck": [
             {
                 "stop": s.stop,
                 "arrive_s": round(s.arrived_s, 1),
-                "depart_s": _round_finite_time_or_none(s.left_s),
+                "depart_s": round(s.left_s, 1) if math.isfinite(s.left_s) else None,
             }
             for s in world.truck_parked_intervals
         ],
@@ -249,18 +253,6 @@ def find_orders_with_wrong_desk_record(
         != (id_ in recorded_orders and recorded_orders[id_].state is OrderState.DELIVERED)
         or recorded_vehicle_by_order.get(id_) not in (None, vehicle_by_order.get(id_))
     ]
-
-
-def _round_flight_values(flight: dict[str, Any]) -> dict[str, Any]:
-    return {k: round(v, 2) if isinstance(v, float) else v for k, v in flight.items()}
-
-
-def _enabled_fault_options(world_options: DayWorldOptions) -> dict[str, Any]:
-    return {k: v for k, v in asdict(world_options).items() if k not in NON_FAULT_OPTIONS and v}
-
-
-def _round_finite_time_or_none(t_s: float) -> float | None:
-    return None if t_s == float("inf") else round(t_s, 1)
 
 
 def _draw_picture(

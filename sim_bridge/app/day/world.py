@@ -143,7 +143,10 @@ class DayWorld:
             self._set_front_wind_at_drones(self.front, t_s)
         for drone in self.drones:
             drone.advance_and_exchange_messages(t_s, STEPS_PER_EXCHANGE)
-        self._record_home_changes(t_s)
+        for vehicle, state in self.bus.states.items():
+            if self._last_home.get(vehicle) != state.home:
+                self._last_home[vehicle] = state.home
+                self.home_reports.append(HomeReport(t_s, vehicle, state.home))
         self.ground_handling.run_due_tasks(t_s)
         self._inject_due_faults(t_s)
         if self._desk_restart_s is None and t_s >= self._desk_due_s:
@@ -158,12 +161,6 @@ class DayWorld:
                 north, east = (np.array([x]) for x in up.record.rows[-1][1:3])
                 added = front.added_wind_to_ne_mps(np.array([t_s]), north, east)[0]
                 up.vehicle.wind_field.front_to_ne_mps = (float(added[0]), float(added[1]))
-
-    def _record_home_changes(self, t_s: float) -> None:
-        for vehicle, state in self.bus.states.items():
-            if self._last_home.get(vehicle) != state.home:
-                self._last_home[vehicle] = state.home
-                self.home_reports.append(HomeReport(t_s, vehicle, state.home))
 
     def _inject_due_faults(self, t_s: float) -> None:
         self._end_or_start_store_outage_if_due(t_s)
@@ -185,7 +182,9 @@ class DayWorld:
         if self._desk_restart_s is not None and t_s >= self._desk_restart_s:
             self._desk_restart_s = None
             self.desk.restart()
-            faults.postpone_faults_of_kind(DESK_KILLS, t_s + MIN_DESK_UPTIME_S)
+            earliest_s = t_s + MIN_DESK_UPTIME_S
+            kills = faults.due.get(DESK_KILLS, [])
+            faults.due[DESK_KILLS] = [(max(at_s, earliest_s), for_s) for at_s, for_s in kills]
             faults.log.append((t_s, "desk started again"))
         if self._desk_restart_s is None and faults.next_fault_if_due(DESK_KILLS, t_s) is not None:
             self.desk.kill()
@@ -222,7 +221,7 @@ class DayWorld:
     def _command_rtl_of_random_airborne_drone(self, t_s: float, duration_s: float) -> str | None:
         """Command return to launch of one drone from a second ground station."""
         drone = self._draw_airborne_drone(t_s)
-        if drone is None or drone.is_overridden_by_pilot:
+        if drone is None or drone.power_cycle is None or drone.power_cycle.link.takeover:
             return None
         drone.command_rtl_from_second_station(t_s)
         return f"{drone.name} taken over by a person"

@@ -1,17 +1,14 @@
 """Report of the suite: a line for each failed row, tables by fault and group, JSON result."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from companion.adapters.files.atomic_file import write_text_atomically
 from sim_bridge.app.fault_suite.promises import p_home_calibration
-from sim_bridge.app.faults.fault import FaultCase, FaultRow
+from sim_bridge.app.faults.fault import FaultRow
 from sim_bridge.app.flight.report import borderless_table
 
 
@@ -42,26 +39,6 @@ def median_and_maximum_cpu_s(rows: Sequence[FaultRow]) -> dict[str, float] | Non
     )
 
 
-def write_suite_result(
-    path: Path,
-    rows: Sequence[FaultRow],
-    unflown_count: int = 0,
-    lost_flight_texts: Sequence[str] = (),
-) -> None:
-    """Write the result atomically."""
-    text = msgspec.json.format(
-        msgspec.json.encode(build_suite_result(rows, unflown_count, lost_flight_texts))
-    )
-    write_text_atomically(path, text.decode() + "\n", sync_folder=False)
-
-
-def case_description_lines(cases: Sequence[FaultCase]) -> Iterator[str]:
-    """Yield two lines for each row: name, group and applicable phases; description."""
-    for case in cases:
-        yield f"{case.number:>2} {case.name} ({case.group}: {', '.join(case.phases)})"
-        yield f"   {case.description}"
-
-
 def passed_flights_by_fault_table(rows: Sequence[FaultRow]) -> Table:
     """Return a table of passed flights and failure reasons by fault."""
     table = borderless_table("passed, by fault", ("fault", "left"), ("passed", "right"))
@@ -74,23 +51,15 @@ def passed_flights_by_fault_table(rows: Sequence[FaultRow]) -> Table:
     return table
 
 
-def p_home_calibration_tables(
-    rows: Sequence[FaultRow], *, by_fault: bool = False
-) -> Iterator[Table]:
-    """Yield the calibration of P(home) at the last outbound go decision by group (and by fault).
+def p_home_calibration_table(
+    rows: Sequence[FaultRow], row_field: Literal["group", "fault"]
+) -> Table:
+    """Return the calibration of P(home) at the last outbound go decision by group or fault.
 
     Columns: mean P(home), share that returned, mean squared difference (Brier score), returns
     among flights with P(home) of 0.99 or more, and one-sided bounds of their share of losses.
     Flights of rows that require no return, and flights landed by a person, are excluded.
     """
-    yield _p_home_calibration_table(rows, "group")
-    if by_fault:
-        yield _p_home_calibration_table(rows, "fault")
-
-
-def _p_home_calibration_table(
-    rows: Sequence[FaultRow], row_field: Literal["group", "fault"]
-) -> Table:
     title = f"P(home) at the last go decision, by {row_field}"
     table = borderless_table(title, (row_field, "left"))
     for name in (
@@ -133,15 +102,3 @@ def pair_summary_line(rows: Sequence[FaultRow]) -> str:
         f"pairs: {len(pairs)}, both faults took effect in {both};"
         f" {commands} commands after a newer decision of a person"
     )
-
-
-def print_if_failed(console: Console, row: FaultRow) -> None:
-    """Print the broken rules of a failed flight."""
-    if not row.passed:
-        title = f"{row.fault} {row.autopilot} {row.phase} seed {row.seed}"
-        console.print(f"failed: {title}: {row.failure_text}", highlight=False, markup=False)
-
-
-def print_lost_flight(console: Console, flight_text: str) -> None:
-    """Print a flight that is lost because its workers were killed."""
-    console.print(f"lost: {flight_text}", highlight=False, markup=False)

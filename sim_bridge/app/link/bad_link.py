@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sim_bridge.app.link.client_messages import heartbeat
 from sim_bridge.autopilot.mavlink.codec import Encoder, Message
 
 GARBAGE_BYTES = 400
@@ -17,6 +18,12 @@ DELAY_STEPS = (1, 4)  # delay of a frame in exchanges of 0.1 s
 FAULT_FRAC = 0.15  # of the datagrams, for each of: doubled, truncated, delayed
 INVALID_TIME_MS = 2_000_000_000
 NEIGHBOUR_SYSTEM = 2  # another vehicle's system id
+
+SYS_STATUS_COUNTS = (
+    *(f"onboard_control_sensors_{kind}" for kind in ("present", "enabled", "health")),
+    *("load", "drop_rate_comm", "errors_comm"),
+    *(f"errors_count{k}" for k in range(1, 5)),
+)
 
 
 @dataclass(slots=True)
@@ -67,19 +74,13 @@ class FaultyLink:
     def _other_sender_frames(self, time_since_boot_ms: int) -> list[bytes]:
         """Return frames of another vehicle, of this vehicle's gimbal and of a ground station."""
         return [
-            self._encode_frame(
-                1,
-                _heartbeat(vehicle_type=2, autopilot=12, custom_mode=4 << 16 | 5 << 24),
-                NEIGHBOUR_SYSTEM,
-            ),
-            self._encode_frame(
-                1, _heartbeat(vehicle_type=2, autopilot=3, custom_mode=6), NEIGHBOUR_SYSTEM
-            ),
+            self._encode_frame(1, heartbeat(2, 12, 129, 4 << 16 | 5 << 24), NEIGHBOUR_SYSTEM),
+            self._encode_frame(1, heartbeat(2, 3, 129, 6), NEIGHBOUR_SYSTEM),
             self._encode_frame(1, _position(time_since_boot_ms, 10.0, 20.0), NEIGHBOUR_SYSTEM),
             self._encode_frame(1, Message("MISSION_CURRENT", seq=1), NEIGHBOUR_SYSTEM),
-            self._encode_frame(154, _heartbeat(vehicle_type=26, autopilot=8, custom_mode=0)),
+            self._encode_frame(154, heartbeat(26, 8, 129, 0)),
             self._encode_frame(154, _attitude(time_since_boot_ms, 1.2)),
-            self._encode_frame(190, _heartbeat(vehicle_type=6, autopilot=8, custom_mode=0), 255),
+            self._encode_frame(190, heartbeat(6, 8, 129, 0), 255),
         ]
 
     def _unusable_frames(self, time_since_boot_ms: int) -> list[bytes]:
@@ -90,8 +91,25 @@ class FaultyLink:
                 _attitude(time_since_boot_ms, math.nan),
                 _attitude(INVALID_TIME_MS + self.disturbed_exchange_count % 2_000 * 1_000_000, 1.0),
                 _position(time_since_boot_ms, 0.0, 0.0),
-                _sys_status_with_unknown_values(),
-                _battery_status_with_unknown_values(),
+                Message(
+                    "SYS_STATUS",
+                    voltage_battery=65535,
+                    current_battery=-1,
+                    battery_remaining=-1,
+                    **dict.fromkeys(SYS_STATUS_COUNTS, 0),
+                ),
+                Message(
+                    "BATTERY_STATUS",
+                    current_consumed=-1,
+                    energy_consumed=-1,
+                    temperature=32767,
+                    voltages=(65535,) * 10,
+                    current_battery=-1,
+                    id=0,
+                    battery_function=0,
+                    type=0,
+                    battery_remaining=-1,
+                ),
                 Message(
                     "VFR_HUD",
                     airspeed=math.nan,
@@ -103,18 +121,6 @@ class FaultyLink:
                 ),
             )
         ]
-
-
-def _heartbeat(*, vehicle_type: int, autopilot: int, custom_mode: int) -> Message:
-    return Message(
-        "HEARTBEAT",
-        type=vehicle_type,
-        autopilot=autopilot,
-        base_mode=129,
-        custom_mode=custom_mode,
-        system_status=4,
-        mavlink_version=3,
-    )
 
 
 def _attitude(time_since_boot_ms: int, roll_rad: float) -> Message:
@@ -132,32 +138,4 @@ def _position(time_since_boot_ms: int, lat_deg: float, lon_deg: float) -> Messag
         lon=round(lon_deg * 1e7),
         hdg=65535,
         **dict.fromkeys(("alt", "relative_alt", "vx", "vy", "vz"), 0),
-    )
-
-
-def _sys_status_with_unknown_values() -> Message:
-    zero = ("onboard_control_sensors_present", "onboard_control_sensors_enabled")
-    zero += ("onboard_control_sensors_health", "load", "drop_rate_comm", "errors_comm")
-    zero += tuple(f"errors_count{k}" for k in range(1, 5))
-    return Message(
-        "SYS_STATUS",
-        voltage_battery=65535,
-        current_battery=-1,
-        battery_remaining=-1,
-        **dict.fromkeys(zero, 0),
-    )
-
-
-def _battery_status_with_unknown_values() -> Message:
-    return Message(
-        "BATTERY_STATUS",
-        current_consumed=-1,
-        energy_consumed=-1,
-        temperature=32767,
-        voltages=(65535,) * 10,
-        current_battery=-1,
-        id=0,
-        battery_function=0,
-        type=0,
-        battery_remaining=-1,
     )

@@ -46,22 +46,28 @@ def command_long(system: int, component: int, command: int, *params: float) -> M
     )
 
 
+def heartbeat(vehicle_type: int, autopilot: int, base_mode: int, custom_mode: int) -> Message:
+    """Return HEARTBEAT of an active component (MAV_STATE_ACTIVE)."""
+    return Message(
+        "HEARTBEAT",
+        type=vehicle_type,
+        autopilot=autopilot,
+        base_mode=base_mode,
+        custom_mode=custom_mode,
+        system_status=4,
+        mavlink_version=3,
+    )
+
+
 def ground_heartbeat() -> Message:
     """Return HEARTBEAT of a ground station (MAV_TYPE_GCS, MAV_AUTOPILOT_INVALID)."""
-    return Message("HEARTBEAT", type=6, autopilot=8, base_mode=0, custom_mode=0, system_status=4)
+    return heartbeat(6, 8, 0, 0)
 
 
 def autopilot_heartbeat(autopilot_kind: str, mode: str, base_mode: int) -> Message:
     """Return HEARTBEAT of a multirotor's autopilot."""
-    return Message(
-        "HEARTBEAT",
-        type=2,
-        autopilot=MAV_AUTOPILOT[autopilot_kind],
-        base_mode=base_mode,
-        custom_mode=heartbeat_custom_mode(autopilot_kind, mode),
-        system_status=4,
-        mavlink_version=3,
-    )
+    custom_mode = heartbeat_custom_mode(autopilot_kind, mode)
+    return heartbeat(2, MAV_AUTOPILOT[autopilot_kind], base_mode, custom_mode)
 
 
 def message_to_autopilot(message_name: str, system: int, **fields: Any) -> Message:

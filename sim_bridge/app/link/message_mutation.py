@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sim_bridge.app.link.tap import message_with_changed_fields
 from sim_bridge.autopilot.mavlink.codec import Message
 from sim_bridge.autopilot.mavlink.message_table import SPECS, Field
 
@@ -202,11 +203,8 @@ class MessageMutator:
         value = (before if target.value == STUCK else message).__dict__[item.name]
         self.target_count += 1
         self.changed_count += 1
-        return [
-            _with_fields(
-                message, {item.name: self._mutate_field(value, item, SWEEP_VALUES[target.value])}
-            )
-        ]
+        new = self._mutate_field(value, item, SWEEP_VALUES[target.value])
+        return [message_with_changed_fields(message, **{item.name: new})]
 
     def _apply_random_mutation(self, message: Message) -> list[Message]:
         mutation = self.mutations[self.rng.integers(len(self.mutations))]
@@ -253,15 +251,11 @@ class MessageMutator:
     def _with_randomly_mutated_fields(self, message: Message, mutate: FieldMutation) -> Message:
         fields = message.spec.fields
         changed: dict[str, Any] = {}
-        for k in self.rng.choice(
-            len(fields), min(len(fields), self._draw_field_count()), replace=False
-        ):
+        count = min(len(fields), int(self.rng.integers(1, MAX_CHANGED_FIELDS + 1)))
+        for k in self.rng.choice(len(fields), count, replace=False):
             item = fields[int(k)]
             changed[item.name] = self._mutate_field(message.__dict__[item.name], item, mutate)
-        return _with_fields(message, changed)
-
-    def _draw_field_count(self) -> int:
-        return int(self.rng.integers(1, MAX_CHANGED_FIELDS + 1))
+        return message_with_changed_fields(message, **changed)
 
     def _mutate_field(self, value: Any, field_spec: Field, mutate: FieldMutation) -> Any:
         if field_spec.type == "char":
@@ -281,27 +275,19 @@ class MessageMutator:
         other = same_type_fields[self.rng.integers(len(same_type_fields))]
         values = message.__dict__
         changed = {first.name: values[other.name], other.name: values[first.name]}
-        return _with_fields(message, changed)
+        return message_with_changed_fields(message, **changed)
 
     def _with_mutated_time_stamps(self, message: Message) -> Message:
         """Return the message with wrong time stamps, if it has any."""
         stamps = [f for f in message.spec.fields if f.name.startswith("time") and not f.count]
-        time_mutations = (
+        mutations = (
             draw_extreme_value,
             draw_value_of_random_bits,
             perturb_at_random,
             flip_random_bit,
         )
-        return _with_fields(
-            message,
-            {
-                f.name: time_mutations[self.rng.integers(4)](
-                    self.rng, f.type, message.__dict__[f.name]
-                )
-                for f in stamps
-            },
-        )
-
-
-def _with_fields(message: Message, changed: dict[str, Any]) -> Message:
-    return Message(message.msg_name, **(dict(message.__dict__) | changed))
+        changed = {
+            f.name: mutations[self.rng.integers(4)](self.rng, f.type, message.__dict__[f.name])
+            for f in stamps
+        }
+        return message_with_changed_fields(message, **changed)

@@ -11,6 +11,7 @@ There is no lockstep: the autopilot's clock runs fast, and a client may connect 
 import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 from sim_bridge.adapters.endpoint import EndpointSet, bundle_frames
 from sim_bridge.adapters.realtime import Pacer
@@ -89,25 +90,13 @@ class Host:
     def serve_in_thread(self) -> Iterator[None]:
         """Serve in a thread while the block runs; raise the thread's exception at its end."""
         stop = threading.Event()
-        failures: list[BaseException] = []
-
-        def serve_and_record_failure() -> None:
+        with ThreadPoolExecutor(1, "sim-bridge serve") as thread:
+            served = thread.submit(self.serve_until, stop.is_set)
             try:
-                self.serve_until(stop.is_set)
-            except BaseException as failure:  # noqa: BLE001 - raised in the owner of the thread
-                failures.append(failure)
-
-        thread = threading.Thread(
-            target=serve_and_record_failure, name="sim-bridge serve", daemon=True
-        )
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
-            if failures:
-                raise failures[0]
+                yield
+            finally:
+                stop.set()
+                served.result()
 
     def run_cycle(self) -> None:
         """Run one cycle: advance the world, send, and receive until the next cycle is due."""

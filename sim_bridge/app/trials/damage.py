@@ -3,8 +3,10 @@
 Length fields are located by the layout of each format, because wrong lengths often break readers.
 """
 
+import re
 import struct
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -71,45 +73,32 @@ def _apply_edit(log_format: str, log_bytes: bytes, edit: Edit) -> bytes:
         case "torn":
             return log_bytes[:at]
         case "flipped":
-            return (
-                log_bytes[:at]
-                + bytes(byte ^ 1 << edit.random_value % 8 for byte in block)
-                + log_bytes[at + size :]
-            )
+            new = bytes(byte ^ 1 << edit.random_value % 8 for byte in block)
         case "zeroed":
-            return log_bytes[:at] + bytes(len(block)) + log_bytes[at + size :]
+            new = bytes(len(block))
         case "swapped":
             return _swap_blocks(log_bytes, at, edit.random_value % max(len(log_bytes), 1), size)
         case "repeated":
-            return (
-                log_bytes[:at]
-                + block * (1 + edit.random_value % MAX_REPEATS)
-                + log_bytes[at + size :]
-            )
+            new = block * (1 + edit.random_value % MAX_REPEATS)
         case "cut":
-            return log_bytes[:at] + log_bytes[at + size :]
+            new = b""
         case "put":
-            replacement = INVALID_VALUES[edit.random_value % len(INVALID_VALUES)]
-            return log_bytes[:at] + replacement + log_bytes[at + len(replacement) :]
+            new = INVALID_VALUES[edit.random_value % len(INVALID_VALUES)]
+            size = len(new)
         case _:
             return _corrupt_length_field(log_format, log_bytes, edit)
+    return log_bytes[:at] + new + log_bytes[at + size :]
 
 
 def _swap_blocks(
     log_bytes: bytes, block_offset: int, other_block_offset: int, block_bytes: int
 ) -> bytes:
-    first, second = min(block_offset, other_block_offset), max(block_offset, other_block_offset)
+    first, second = sorted((block_offset, other_block_offset))
     block_bytes = min(block_bytes, second - first, len(log_bytes) - second)
-    if block_bytes <= 0:
-        return log_bytes
-    middle = log_bytes[first + block_bytes : second]
-    return (
-        log_bytes[:first]
-        + log_bytes[second : second + block_bytes]
-        + middle
-        + log_bytes[first : first + block_bytes]
-        + log_bytes[second + block_bytes :]
-    )
+    a, b = slice(first, first + block_bytes), slice(second, second + block_bytes)
+    swapped = bytearray(log_bytes)
+    swapped[a], swapped[b] = swapped[b], swapped[a]
+    return bytes(swapped)
 
 
 def _corrupt_length_field(log_format: str, log_bytes: bytes, edit: Edit) -> bytes:
@@ -142,26 +131,15 @@ def _mcap_length_field_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int
         at += 9 + int.from_bytes(raw[at + 1 : at + 9], "little")
 
 
-def _dataflash_length_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int]]:
-    """Yield 1 byte in each format message (type 128)."""
-    at = raw.find(b"\xa3\x95\x80")
-    while at >= 0:
-        yield at + 4, 1
-        at = raw.find(b"\xa3\x95\x80", at + 1)
-
-
-def _tlog_length_field_offsets_and_widths(raw: bytes) -> Iterator[tuple[int, int]]:
-    """Yield the byte after the magic byte of each frame."""
-    at = raw.find(b"\xfd")
-    while at >= 0:
-        yield at + 1, 1
-        at = raw.find(b"\xfd", at + 1)
+def _bytes_after_marker(marker: bytes, offset: int, raw: bytes) -> Iterator[tuple[int, int]]:
+    """Yield the byte at this offset from the start of each marker."""
+    return ((found.start() + offset, 1) for found in re.finditer(re.escape(marker), raw))
 
 
 LENGTH_FINDERS: dict[str, Callable[[bytes], Iterator[tuple[int, int]]]] = {
     "ulog": _ulog_length_field_offsets_and_widths,
     "mcap": _mcap_length_field_offsets_and_widths,
-    "dataflash": _dataflash_length_offsets_and_widths,
-    "tlog": _tlog_length_field_offsets_and_widths,
+    "dataflash": partial(_bytes_after_marker, b"\xa3\x95\x80", 4),  # of a format message (128)
+    "tlog": partial(_bytes_after_marker, b"\xfd", 1),
 }
 """Generators of the position and width of length fields, by format."""

@@ -13,7 +13,6 @@ from typing import Any
 import msgspec
 
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
-from companion.fleet.messages import State
 from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from sim_bridge.app.day.rules import STUCK, describe_day_violations
 from sim_bridge.app.day.world import DayWorld
@@ -44,27 +43,19 @@ class DayMonitor:
     def check_rules_and_continue(self, world: DayWorld) -> bool:
         """Check once per second; return False after a violation, which stops the day."""
         for drone in world.drones:
-            state = world.bus.states.get(drone.name)
-            if drone.power_cycle is not None and drone.is_airborne and state is not None:
-                self._record_violation_if_energy_rose(
-                    drone.power_cycle.t0_s, state, world.clock.t_s
-                )
-            if drone.power_cycle is not None and drone.power_cycle.command_texts_after_takeover:
-                self._record_first_violation(
-                    f"{drone.name}: {drone.power_cycle.command_texts_after_takeover[0]} after the"
-                    " pilot override"
-                )
+            up, state = drone.power_cycle, world.bus.states.get(drone.name)
+            if up is None:
+                continue
+            if drone.is_airborne and state is not None and state.phase in AIRBORNE_PHASES:
+                key = (state.vehicle, up.t0_s)
+                rule = self._energy_rules.setdefault(key, RemainingEnergyRule())
+                if state.energy_left_wh is not None and (
+                    rise := rule.describe_rise(world.clock.t_s, state.energy_left_wh)
+                ):
+                    self._record_first_violation(f"{state.vehicle}: {rise}")
+            if late := up.command_texts_after_takeover:
+                self._record_first_violation(f"{drone.name}: {late[0]} after the pilot override")
         return self.violation is None
-
-    def _record_violation_if_energy_rose(
-        self, power_on_time_s: float, state: State, t_s: float
-    ) -> None:
-        if state.energy_left_wh is None or state.phase not in AIRBORNE_PHASES:
-            return
-        key = (state.vehicle, power_on_time_s)
-        rule = self._energy_rules.setdefault(key, RemainingEnergyRule())
-        if rise := rule.describe_rise(t_s, state.energy_left_wh):
-            self._record_first_violation(f"{state.vehicle}: {rise}")
 
     def _record_first_violation(self, message: str) -> None:
         self.violation = self.violation or message

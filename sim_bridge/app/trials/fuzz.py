@@ -215,18 +215,15 @@ class FuzzMonitor(Script):
     def _start_pilot_override_when_due(self, craft: Craft, t_s: float) -> None:
         """Start the pilot override in flight; record when a true heartbeat has reported it."""
         if self.takeover.start_s is None:
-            if self._is_override_due(craft, t_s):
+            after_s, record = self.case.pilot_override_after_s, craft.record
+            flies = record.takeoff_s is not None and record.landed_s is None
+            if after_s is not None and flies and t_s >= self.case.start_s + after_s:
                 craft.start_pilot_override()
                 self.takeover.start_s = t_s
                 self.liar.passed_mode = None
         elif self.liar.passed_mode is not None:
             kind, mode = craft.autopilot_kind, self.liar.passed_mode
             self.takeover.record_reported_mode(t_s, kind, mode)
-
-    def _is_override_due(self, craft: Craft, t_s: float) -> bool:
-        after_s, record = self.case.pilot_override_after_s, craft.record
-        flies = record.takeoff_s is not None and record.landed_s is None
-        return after_s is not None and flies and t_s >= self.case.start_s + after_s
 
     def _record_release_and_bad_probability(self, message: Message) -> list[Message] | None:
         is_probability = (
@@ -285,22 +282,12 @@ def find_lost_record(result: FuzzResult) -> str | None:
     return given_up[0].strip()[:160] if given_up else None
 
 
-def find_response_timeout(result: FuzzResult) -> str | None:
-    """Check that the companion replied at every step."""
-    return "no reply within a minute" if result.monitor.response_timed_out else None
-
-
 def find_energy_increase(result: FuzzResult) -> str | None:
     """Check that the estimated energy never rises after take-off."""
     return find_energy_rise_after_takeoff(
         (row for topic, row in result.rows if topic == "decision"),
         (row for topic, row in result.rows if topic == "energy"),
     )
-
-
-def find_command_after_release(result: FuzzResult) -> str | None:
-    """Check for commands after the release of control or a detectable pilot override."""
-    return result.craft.link.late_commands_text
 
 
 def find_arming_or_parameter_command_in_air(result: FuzzResult) -> str | None:
@@ -330,9 +317,9 @@ def find_invalid_probability(result: FuzzResult) -> str | None:
 CHECKS: tuple[Check, ...] = (
     find_exception_or_crash,
     find_lost_record,
-    find_response_timeout,
+    lambda result: "no reply within a minute" if result.monitor.response_timed_out else None,
     find_energy_increase,
-    find_command_after_release,
+    lambda result: result.craft.link.late_commands_text,
     find_arming_or_parameter_command_in_air,
     find_invalid_probability,
 )
@@ -354,7 +341,11 @@ def run_case(case: FuzzCase, folder: Path) -> TrialRow:
     (row,) = fly_vehicles_and_evaluate(options, monitor)["flights"]
     craft = monitor.craft
     assert craft is not None
-    result = FuzzResult(monitor, craft, _decision_log_rows(craft.run_dir))
+    rows: list[tuple[str, dict[str, Any]]] = []
+    for path in sorted(craft.run_dir.glob("decisions*.mcap")):
+        with contextlib.suppress(LeewayError):  # the companion ended before its first row
+            rows += read_mcap_rows(path).rows
+    result = FuzzResult(monitor, craft, rows)
     if case.is_sweep:
         lines = (f"{at_s:.1f} {'.'.join(target)} {count}" for at_s, target, count in monitor.swept)
         (folder / "sweep.txt").write_text("\n".join(lines))
@@ -371,11 +362,3 @@ def run_case(case: FuzzCase, folder: Path) -> TrialRow:
         "flown_s": round(craft.t_s, 1),
     }
     return build_row_and_delete_passed_folder(case, folder, violations, outcome)
-
-
-def _decision_log_rows(run_dir: Path) -> list[tuple[str, dict[str, Any]]]:
-    rows: list[tuple[str, dict[str, Any]]] = []
-    for path in sorted(run_dir.glob("decisions*.mcap")):
-        with contextlib.suppress(LeewayError):  # the companion ended before its first row
-            rows += read_mcap_rows(path).rows
-    return rows

@@ -28,14 +28,10 @@ CSV_COLUMNS = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps", "roll_deg", "pitch_
 
 def telemetry_csv_columns(synthetic_flight: SyntheticFlight) -> dict[str, np.ndarray]:
     """Return the columns of CSV telemetry (docs/reference/replay-json.md)."""
-    angles = [
-        np.degrees(a)
-        for a in (synthetic_flight.roll_rad, synthetic_flight.pitch_rad, synthetic_flight.yaw_rad)
-    ]
     values = (
         synthetic_flight.t_s,
         *synthetic_flight.vel_ned_mps.T,
-        *angles,
+        *np.degrees(synthetic_flight.attitude_rad).T,
         synthetic_flight.airspeed_mps,
     )
     return dict(zip(CSV_COLUMNS, values, strict=True))
@@ -136,9 +132,10 @@ def write_ulog(
     with_wind_estimate: bool = False,
 ) -> Path:
     log = UlogWriter({"MAV_TYPE": 2, **(parameters or {})})
+    attitude = synthetic_flight.attitude_rad.tolist()
     was_airborne: bool | None = None
     for i, t_s in enumerate(synthetic_flight.t_s.tolist()):
-        log.append_message("vehicle_attitude", t_s, *body_to_ned_quaternion(synthetic_flight, i))
+        log.append_message("vehicle_attitude", t_s, *body_to_ned_quaternion(attitude[i]))
         n, e, d = synthetic_flight.pos_ned_m[i]
         valid = (True, True, LAT_DEG, LON_DEG, ALT_M)
         log.append_message(
@@ -171,14 +168,9 @@ def write_ulog(
     return log.write_sorted_by_time(path)
 
 
-def body_to_ned_quaternion(
-    synthetic_flight: SyntheticFlight, sample_index: int
-) -> tuple[float, float, float, float]:
+def body_to_ned_quaternion(attitude_rad: list[float]) -> tuple[float, float, float, float]:
     """Return the quaternion from body to NED, scalar first (order yaw, pitch, roll)."""
-    halves = [
-        0.5 * float(a[sample_index])
-        for a in (synthetic_flight.roll_rad, synthetic_flight.pitch_rad, synthetic_flight.yaw_rad)
-    ]
+    halves = [0.5 * angle for angle in attitude_rad]
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(h), math.sin(h)) for h in halves)
     return (
         cr * cp * cy + sr * sp * sy,
@@ -256,16 +248,10 @@ def write_dataflash(
     for name, value in {"LOG_DISARMED": 0.0, **(parameters or {})}.items():
         log.append_message("PARM", 0.0, name, value)
     log.append_message("MODE", 0.0, 3, 3, 1)
+    attitude_deg = np.degrees(synthetic_flight.attitude_rad).tolist()
     was_airborne = False
     for i, t_s in enumerate(synthetic_flight.t_s.tolist()):
-        roll, pitch, yaw = (
-            math.degrees(a[i])
-            for a in (
-                synthetic_flight.roll_rad,
-                synthetic_flight.pitch_rad,
-                synthetic_flight.yaw_rad,
-            )
-        )
+        roll, pitch, yaw = attitude_deg[i]
         log.append_message("ATT", t_s, 0.0, roll, 0.0, pitch, 0.0, yaw % 360.0)
         down = synthetic_flight.pos_ned_m[i, 2]
         log.append_message(
@@ -326,6 +312,7 @@ def write_tlog(
     system_id: int = 1,
 ) -> Path:
     log = TlogWriter(system_id)
+    attitude = synthetic_flight.attitude_rad.tolist()
     for i, t_s in enumerate(synthetic_flight.t_s.tolist()):
         boot_ms = round(1000.0 * t_s)
         is_airborne = bool(synthetic_flight.flying[i])
@@ -349,10 +336,11 @@ def write_tlog(
                 log.append_frame(
                     t_s, "WIND", direction=from_deg, speed=math.hypot(n, e), speed_z=0.0
                 )
-        log.append_frame(t_s, "ATTITUDE", time_boot_ms=boot_ms,
-        roll=float(synthetic_flight.roll_rad[i]),
-                pitch=float(synthetic_flight.pitch_rad[i]), yaw=float(synthetic_flight.yaw_rad[i]),
-                rollspeed=0.0, pitchspeed=0.0, yawspeed=0.0)  # fmt: skip
+        roll, pitch, yaw = attitude[i]
+        rates = dict.fromkeys(("rollspeed", "pitchspeed", "yawspeed"), 0.0)
+        log.append_frame(
+            t_s, "ATTITUDE", time_boot_ms=boot_ms, roll=roll, pitch=pitch, yaw=yaw, **rates
+        )
         n, e, d = (round(100.0 * v) for v in synthetic_flight.vel_ned_mps[i].tolist())
         up_mm = round(-1000.0 * synthetic_flight.pos_ned_m[i, 2])
         log.append_frame(t_s, "GLOBAL_POSITION_INT", time_boot_ms=boot_ms,

@@ -144,27 +144,21 @@ class ReadingResult:
     """Increase of the child's peak memory since before its first log."""
 
 
-@contextlib.contextmanager
-def _capture_output() -> Iterator[list[bytes]]:
-    """Capture output of C libraries; the list receives its start at exit."""
-    captured: list[bytes] = []
+def _replay_and_check_output(log_path: Path) -> str:
+    """Return the violation by this log; output of C libraries is one, too."""
     before = [os.dup(number) for number in (1, 2)]
     with tempfile.TemporaryFile() as file:
         for number in (1, 2):
             os.dup2(file.fileno(), number)
         try:
-            yield captured
+            violation = replay_and_find_violation(log_path)
         finally:
             for number, saved_fd in zip((1, 2), before, strict=True):
                 os.dup2(saved_fd, number)
                 os.close(saved_fd)
-            file.seek(0)
-            captured.append(file.read(MAX_OUTPUT_BYTES))
-
-
-def _output_violation(printed: list[bytes]) -> str:
-    text = b"".join(printed).decode(errors="replace").splitlines()
-    return f"library output: {text[0][:120]}" if text else ""
+        file.seek(0)
+        printed = file.read(MAX_OUTPUT_BYTES).decode(errors="replace").splitlines()
+    return violation or (f"library output: {printed[0][:120]}" if printed else "")
 
 
 def _read_logs_until_pipe_closed(pipe: Connection) -> None:
@@ -178,9 +172,7 @@ def _read_logs_until_pipe_closed(pipe: Connection) -> None:
             path = pipe.recv()
             signal.setitimer(signal.ITIMER_VIRTUAL, CPU_LIMIT_S)
             begun_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime
-            with _capture_output() as printed:
-                violation = replay_and_find_violation(path)
-            violation = violation or _output_violation(printed)
+            violation = _replay_and_check_output(path)
             signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             cpu_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime - begun_s
             pipe.send(ReadingResult(violation, cpu_s, _peak_memory_mb() - before_mb))

@@ -7,7 +7,6 @@ activity of the companion (one state per second) is less frequent per simulated 
 
 import itertools
 import json
-import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import psutil
 
 from companion.core.base.errors import LeewayError
 from companion.fleet.messages import Assign, Command, CommandAction, Launch, State
@@ -123,7 +123,15 @@ class SoakDesk:
             return
         if self._sent_wall_s is None or wall_s() - self._sent_wall_s >= RESEND_INTERVAL_S:
             self._sent_wall_s = wall_s()
-            self._send_command(*self._pending_command, self.state)
+            command = Command(
+                id=self._pending_command[0],
+                vehicle=VEHICLE,
+                instance_id=self.state.instance_id,
+                as_of_s=self.state.uptime_s,
+                by="soak",
+                action=self._pending_command[1],
+            )
+            self.fleet_link.send(command, RESEND_INTERVAL_S)
 
     def _advance_pending_command(self, event: CommandResponse) -> None:
         if (
@@ -138,17 +146,6 @@ class SoakDesk:
             self._pending_command = launch and (f"launch-{launch.assignment}", launch)
         elif result_status == "refused":
             raise LeewayError(f"soak: command {event.command_id} refused: {event.result.reason}")
-
-    def _send_command(self, command_id: str, action: CommandAction, state: State) -> None:
-        command = Command(
-            id=command_id,
-            vehicle=VEHICLE,
-            instance_id=state.instance_id,
-            as_of_s=state.uptime_s,
-            by="soak",
-            action=action,
-        )
-        self.fleet_link.send(command, RESEND_INTERVAL_S)
 
     def is_standby_without_command(self) -> bool:
         """Return True if no command is pending and the vehicle reports standby."""
@@ -248,23 +245,18 @@ class Soak:
         pid = self.companion.pid
         if pid is None:
             return
-        process = Path("/proc") / str(pid)
-        pages = int((process / "statm").read_text().split()[1])
+        process, files = psutil.Process(pid), self.companion.run_dir.rglob("*")
         self.samples.append(
             SoakSample(
                 t_s=self.t_s,
-                memory_mb=pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
-                files=len(list((process / "fd").iterdir())),
-                threads=len(list((process / "task").iterdir())),
-                disk_mb=_folder_size_mb(self.companion.run_dir),
+                memory_mb=process.memory_info().rss / 1e6,
+                files=process.num_fds(),
+                threads=process.num_threads(),
+                disk_mb=sum(path.stat().st_size for path in files if path.is_file()) / 1e6,
                 flights=len(self.flight_ends),
                 is_standby=self.desk.is_standby_without_command(),
             )
         )
-
-
-def _folder_size_mb(folder: Path) -> float:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
 
 
 def run_case(case: SoakCase, folder: Path) -> TrialRow:
@@ -276,8 +268,20 @@ def run_case(case: SoakCase, folder: Path) -> TrialRow:
     flight_file = write_changed_flight_file(folder / "flight.toml", FLIGHT)
     fleet_link = ZenohFleet(FLEET, folder / ROUTER)
     endpoints = EndpointSet(["udpin:127.0.0.1:0"])
-    companion = _build_companion_process(folder, endpoints.urls[0])
-    desk = SoakDesk(fleet_link, _read_flight_table_without_wind(flight_file))
+    companion = CompanionProcess(
+        run_dir=folder / VEHICLE,
+        arguments=[
+            f"--link=udpout:127.0.0.1:{endpoints.urls[0].rsplit(':', 1)[1]}",
+            f"--airframe={AIRFRAME}",
+            f"--fleet={FLEET}",
+            f"--vehicle={VEHICLE}",
+            f"--zenoh={folder / MEMBER}",
+            "--configure",
+        ],
+    )
+    flight = msgspec.toml.decode(flight_file.read_bytes())
+    flight.pop("wind", None)  # a desk does not know the true wind
+    desk = SoakDesk(fleet_link, flight)
     soak = Soak(case, folder, endpoints, companion, desk, flight_file)
     try:
         companion.start()
@@ -310,26 +314,6 @@ def _write_zenoh_configurations(folder: Path) -> None:
     }
     for name, table in files.items():
         (folder / name).write_text(json.dumps(no_multicast | table))
-
-
-def _build_companion_process(folder: Path, endpoint_url: str) -> CompanionProcess:
-    return CompanionProcess(
-        run_dir=folder / VEHICLE,
-        arguments=[
-            f"--link=udpout:127.0.0.1:{endpoint_url.rsplit(':', 1)[1]}",
-            f"--airframe={AIRFRAME}",
-            f"--fleet={FLEET}",
-            f"--vehicle={VEHICLE}",
-            f"--zenoh={folder / MEMBER}",
-            "--configure",
-        ],
-    )
-
-
-def _read_flight_table_without_wind(path: Path) -> dict[str, Any]:
-    """Return the flight as a desk sends it, without the true wind."""
-    table = msgspec.toml.decode(path.read_bytes())
-    return {key: value for key, value in table.items() if key != "wind"}
 
 
 def standby_samples_after_warm_up(samples: list[SoakSample]) -> list[SoakSample]:
@@ -369,25 +353,26 @@ def describe_exceeded_limits(samples: list[SoakSample], trial_hours: float) -> s
     if len(standby) < 2:
         return f"only {samples[-1].flights if samples else 0} flights: too few for an evaluation"
     first, last = standby[0], standby[-1]
-    violations: list[str] = []
     peak_mb = max(sample.memory_mb for sample in samples)
-    if peak_mb > MAX_MEMORY_MB:
-        violations.append(f"{peak_mb:.0f} MB of memory")
-    if (
-        trial_hours < MIN_SLOPE_DURATION_H
-        and last.memory_mb - first.memory_mb > MAX_MEMORY_INCREASE_MB
-    ):
-        violations.append(f"memory grew from {first.memory_mb:.1f} to {last.memory_mb:.1f} MB")
-    if trial_hours >= MIN_SLOPE_DURATION_H and memory_slope_mb_per_h(standby) > MAX_SLOPE_MB_PER_H:
-        violations.append(f"memory grows by {memory_slope_mb_per_h(standby):.2f} MB/h")
-    if last.files > first.files + MAX_EXTRA_FILES:
-        violations.append(f"{last.files} open files after {first.files}")
-    if last.threads > first.threads:
-        violations.append(f"{last.threads} threads after {first.threads}")
+    is_short = trial_hours < MIN_SLOPE_DURATION_H
+    slope = 0.0 if is_short else memory_slope_mb_per_h(standby)
+    is_grown = is_short and last.memory_mb - first.memory_mb > MAX_MEMORY_INCREASE_MB
     max_disk_mb = (
         last.flights * FLIGHT_LIMIT_S / 3600.0 * MAX_DISK_MB_PER_FLIGHT_H
         + last.t_s / 3600.0 * MAX_DISK_MB_PER_H
     )
-    if last.disk_mb > max_disk_mb:
-        violations.append(f"{last.disk_mb:.0f} MB on disk after {last.flights} flights")
-    return "; ".join(violations)
+    limits = (
+        (peak_mb > MAX_MEMORY_MB, f"{peak_mb:.0f} MB of memory"),
+        (is_grown, f"memory grew from {first.memory_mb:.1f} to {last.memory_mb:.1f} MB"),
+        (slope > MAX_SLOPE_MB_PER_H, f"memory grows by {slope:.2f} MB/h"),
+        (
+            last.files > first.files + MAX_EXTRA_FILES,
+            f"{last.files} open files after {first.files}",
+        ),
+        (last.threads > first.threads, f"{last.threads} threads after {first.threads}"),
+        (
+            last.disk_mb > max_disk_mb,
+            f"{last.disk_mb:.0f} MB on disk after {last.flights} flights",
+        ),
+    )
+    return "; ".join(violation for is_exceeded, violation in limits if is_exceeded)

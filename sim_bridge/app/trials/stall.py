@@ -12,7 +12,6 @@ import pickle
 import tempfile
 import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -189,18 +188,12 @@ class StallFlight(msgspec.Struct, frozen=True, kw_only=True):
     cases: tuple[StallCase, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class StallFlightRunner:
-    """Runs stall flights, each in a separate folder under `run_root`."""
-
-    run_root: Path
-
-    def __call__(self, flight: StallFlight) -> list[TrialRow]:
-        """Run one flight to its last stall; return the rows and remove the folder."""
-        name = f"stall-{flight.autopilot}-seed{flight.seed}"
-        self.run_root.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=name, dir=self.run_root) as folder:
-            return list(run_stall_cases_in_one_flight(flight, Path(folder)))
+def run_flight(run_root: Path, flight: StallFlight) -> list[TrialRow]:
+    """Run one flight to its last stall, in a folder under `run_root`; remove the folder."""
+    name = f"stall-{flight.autopilot}-seed{flight.seed}"
+    run_root.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=name, dir=run_root) as folder:
+        return list(run_stall_cases_in_one_flight(flight, Path(folder)))
 
 
 def lost_flight_rows(flight: StallFlight, reason: str) -> list[TrialRow]:
@@ -241,7 +234,8 @@ def _run_in_fork(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
         try:
             os.close(read_fd)
             _redirect_open_files_to_null(folder)
-            _send_row(write_fd, run_and_evaluate_stall(world, case))
+            with os.fdopen(write_fd, "wb") as pipe:
+                pickle.dump(run_and_evaluate_stall(world, case), pipe)
             code = 0
         except Exception:  # noqa: BLE001 - the copy must exit here after any error
             traceback.print_exc()
@@ -256,11 +250,6 @@ def _run_in_fork(world: StallWorld, case: StallCase, folder: Path) -> TrialRow:
         reason = f"the copy of the flight exited with {code}"  # negative: signal number
         return TrialRow.for_case(case, reason)
     return pickle.loads(result_data)
-
-
-def _send_row(write_fd: int, row: TrialRow) -> None:
-    with os.fdopen(write_fd, "wb") as pipe:
-        pipe.write(pickle.dumps(row))
 
 
 def _redirect_open_files_to_null(folder: Path) -> None:
@@ -279,9 +268,11 @@ def run_and_evaluate_stall(world: StallWorld, case: StallCase) -> TrialRow:
     """Run the stall and evaluate the commands after the pilot override."""
     phase = world.pilot.phase.value
     world.schedule_stall(case)
+    until_s = case.at_s + case.stall_s + OBSERVATION_S
     reason = ""
     try:
-        _advance_until_observation_end(world, case)
+        while world.t_s < until_s and not world.is_over:
+            world.advance_world_and_companion(case.datagrams_per_step)
     except Exception as error:  # noqa: BLE001 - the flight code raised: that is a finding
         reason = f"{type(error).__name__}: {error}"
     if world.is_override_effective and world.in_flight:  # else settings are restored in any mode
@@ -294,12 +285,6 @@ def run_and_evaluate_stall(world: StallWorld, case: StallCase) -> TrialRow:
         "then": world.pilot.phase.value,
     }
     return TrialRow.for_case(case, reason, result_data)
-
-
-def _advance_until_observation_end(world: StallWorld, case: StallCase) -> None:
-    until_s = case.at_s + case.stall_s + OBSERVATION_S
-    while world.t_s < until_s and not world.is_over:
-        world.advance_world_and_companion(case.datagrams_per_step)
 
 
 def draw_cases_for_every_second(seed: int, autopilots: Sequence[str]) -> list[StallCase]:

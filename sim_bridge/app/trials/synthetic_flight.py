@@ -38,6 +38,11 @@ class SyntheticFlight:
     powered: bool = True
 
     @property
+    def attitude_rad(self) -> np.ndarray:
+        """Roll, pitch and yaw, (n, 3)."""
+        return np.column_stack([self.roll_rad, self.pitch_rad, self.yaw_rad])
+
+    @property
     def lat_deg(self) -> np.ndarray:
         return LAT_DEG + self.pos_ned_m[:, 0] / M_PER_DEG_LAT
 
@@ -74,16 +79,19 @@ class SyntheticFlight:
 
 def drag_force_ne_n(air_velocity_ned_mps: np.ndarray, yaw_rad: np.ndarray) -> np.ndarray:
     """Return the drag on the vehicle (n, 2: north, east), computed in body axes."""
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    forward = air_velocity_ned_mps[:, 0] * cos + air_velocity_ned_mps[:, 1] * sin
-    right = -air_velocity_ned_mps[:, 0] * sin + air_velocity_ned_mps[:, 1] * cos
+    forward, right = _rotate(air_velocity_ned_mps[:, :2], yaw_rad)
     speed = np.hypot(forward, right)
     drag_forward_n = -(DRAG_LINEAR[0] + DRAG_QUADRATIC[0] * speed) * forward
     drag_right_n = -(DRAG_LINEAR[1] + DRAG_QUADRATIC[1] * speed) * right
-    return np.stack(
-        [drag_forward_n * cos - drag_right_n * sin, drag_forward_n * sin + drag_right_n * cos],
-        axis=1,
-    )
+    drag_n = np.column_stack([drag_forward_n, drag_right_n])
+    return np.column_stack(_rotate(drag_n, -yaw_rad))
+
+
+def _rotate(vectors: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the components of vectors (n, 2) along axes that are turned by the angles (n,)."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    first, second = vectors.T
+    return first * cos + second * sin, -first * sin + second * cos
 
 
 def build_square_flight(
@@ -133,9 +141,7 @@ def _build_flight_with_noisy_attitude(
     air = vel_ned_mps[:, :2] - np.array(wind_to_ne_mps)
     horizontal = MASS_KG * accel[:, :2] - drag_force_ne_n(air, yaw_rad)
     lift = MASS_KG * (G_MPS2 - accel[:, 2])
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    forward = horizontal[:, 0] * cos + horizontal[:, 1] * sin
-    right = -horizontal[:, 0] * sin + horizontal[:, 1] * cos
+    forward, right = _rotate(horizontal, yaw_rad)
     # Thrust along body up, in NED after yaw, pitch, roll: (-sin p cos r, sin r, -cos p cos r) T.
     pitch = np.arctan2(-forward, lift)
     roll = np.arctan2(right, np.hypot(forward, lift))

@@ -6,13 +6,11 @@ A failed case is written to a file, from which it can be run again.
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
-from companion.adapters.files.atomic_file import write_text_atomically
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
 from sim_bridge.adapters.wall_clock import wall_s
@@ -40,46 +38,30 @@ class TrialRow(msgspec.Struct, frozen=True, kw_only=True):
         return cls(name=case.name, passed=passed, reason=reason, metrics=metrics or {}, case=case)
 
 
-@dataclass(frozen=True, slots=True)
-class TrialLimits:
-    """Limits and workers of a trial: no case starts after `minutes`."""
-
-    jobs: int
-    minutes: float | None
-    cluster: str | None = None
-    """A Ray cluster instead of processes, as in `WorkerOptions`."""
-
-
 def run_trial(
     cases: Iterable[Work],
     run_case: Callable[[Work], list[Row]],
-    limits: TrialLimits,
+    workers: WorkerOptions,
     rows_for_lost_case: Callable[[Work, str], list[Row]],
     print_line: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Row]:
-    """Run cases in parallel, started in their order, until all are run or the time limit.
+    """Run cases in parallel, started in their order.
 
     Yields rows as their cases end, so a long case delays no other row and Ctrl-C loses no result.
     `rows_for_lost_case` returns the rows of a case whose worker was killed twice.
     """
-    workers = WorkerOptions(limits.jobs, limits.cluster)
-    for ended in run_parallel(cases_until_time_limit(cases, limits), run_case, workers, print_line):
+    for ended in run_parallel(cases, run_case, workers, print_line):
         if isinstance(ended, ItemLost):
             yield from rows_for_lost_case(ended.item, ended.reason)
         else:
             yield from ended.result
 
 
-@dataclass(frozen=True, slots=True)
-class FolderRunner:
-    """Runs cases, each in a separate folder under `run_root`; keeps folders of failed cases."""
-
-    attempt: Callable[[Any, Path], TrialRow]
-    run_root: Path
-
-    def __call__(self, case: Any) -> list[TrialRow]:
-        """Run one case."""
-        return [self.attempt(case, self.run_root / case.name)]
+def run_in_own_folder(
+    attempt: Callable[[Any, Path], TrialRow], run_root: Path, case: Any
+) -> list[TrialRow]:
+    """Run one case in a separate folder under `run_root`, which stays if the case fails."""
+    return [attempt(case, run_root / case.name)]
 
 
 def build_row_and_delete_passed_folder(
@@ -96,9 +78,9 @@ def failed_rows_for_lost_worker(case: Any, reason: str) -> list[TrialRow]:
     return [TrialRow.for_case(case, reason)]
 
 
-def cases_until_time_limit(cases: Iterable[Work], limits: TrialLimits) -> Iterator[Work]:
-    """Yield these cases until the time limit."""
-    end_s = None if limits.minutes is None else wall_s() + 60.0 * limits.minutes
+def cases_until_time_limit(cases: Iterable[Work], minutes: float | None) -> Iterator[Work]:
+    """Yield these cases until `minutes` have passed; None: all."""
+    end_s = None if minutes is None else wall_s() + 60.0 * minutes
     for case in cases:
         if end_s is not None and wall_s() >= end_s:
             return
@@ -136,9 +118,3 @@ def _natural_sort_key(row: TrialRow) -> list[tuple[int, str]]:
     """Return a key that sorts names with their numbers in numerical order."""
     parts = re.split(r"(\d+)", row.name)
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
-
-
-def write_trial_result(path: Path, trial: str, seed: int, rows: Sequence[TrialRow]) -> None:
-    """Write the result atomically."""
-    text = msgspec.json.format(msgspec.json.encode(build_trial_result(trial, seed, rows)))
-    write_text_atomically(path, text.decode() + "\n", sync_folder=False)

@@ -164,12 +164,8 @@ class CompanionLink:
                 self.commands.append((self.host.t_s, message.msg_name, number))
             if (message.msg_name, number) in self.refused:
                 self.refused_count += 1
-                self._queue_failed_acknowledgement(number)
+                if number:  # other messages (PX4's jump) get no reply
+                    ack = Message("COMMAND_ACK", command=number, result=MAV_RESULT_FAILED)
+                    self._refusals.append(Encoder(self.system_id, 1).encode_next_frame(ack))
                 datagram = datagram.replace(message.wire_bytes, b"")
         return datagram
-
-    def _queue_failed_acknowledgement(self, command: int) -> None:
-        """Reply FAILED to a command; other messages (PX4's jump) get no reply."""
-        if command:
-            ack = Message("COMMAND_ACK", command=command, result=MAV_RESULT_FAILED)
-            self._refusals.append(Encoder(self.system_id, 1).encode_next_frame(ack))

@@ -65,12 +65,9 @@ class TruthRecord:
 
         `height_m`: height above the ground.
         """
-        n, e, d = truth.pos_ned_m
-        wind = truth.wind_to_ned_mps
-        vel = truth.vel_ned_mps
         self.crashed = self.crashed or truth.crashed
         if self.has_parcel and not truth.parcel_aboard:
-            self.released_s, self.released_ned_m = t_s, (n, e, d)
+            self.released_s, self.released_ned_m = t_s, tuple(truth.pos_ned_m)
             self.release_height_m = height_m
         self.has_parcel = truth.parcel_aboard
         if truth.airborne:
@@ -88,13 +85,9 @@ class TruthRecord:
         self.rows.append(
             (
                 t_s,
-                n,
-                e,
-                d,
-                vel[0],
-                vel[1],
-                wind[0],
-                wind[1],
+                *truth.pos_ned_m,
+                *truth.vel_ned_mps[:2],
+                *truth.wind_to_ned_mps[:2],
                 truth.power_w,
                 truth.energy_used_wh,
                 truth.usable_wh,

@@ -40,10 +40,6 @@ class Home:
     alt_amsl_m: float = 12.0
 
 
-def _no_sample() -> None:
-    """Record nothing."""
-
-
 @dataclass(slots=True)
 class VehicleHost:
     """Physics and autopilot of one power cycle; `sample` is called five times a second."""
@@ -51,7 +47,7 @@ class VehicleHost:
     vehicle: Vehicle
     autopilot: Autopilot
     steps: int = 0
-    sample: Callable[[], None] = _no_sample
+    sample: Callable[[], None] = lambda: None
 
     @property
     def t_s(self) -> float:

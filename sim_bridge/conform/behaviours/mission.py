@@ -1,7 +1,6 @@
 """Missions on the ground: upload, read-back, counting, clearing, partial writes."""
 
 import math
-from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -87,10 +86,6 @@ def _observe_item_0_storage(subject: Subject) -> Observation:
     off_m = abs(stored[0].x * 1e-7 - sent[0].lat_deg) * 111_000.0
     word = "kept" if off_m < 1.0 else "replaced by home"
     return Observation(f"{word}, {done.ack}", f"{off_m:.0f} m from what was sent")
-
-
-def _read_back_frame(item_index: int, subject: Subject) -> str:
-    return f"{_stored_item(subject, item_index).frame}"
 
 
 @behaviour("mission/nan", "A waypoint's NaN yaw reads back as")
@@ -288,4 +283,4 @@ for _name, _description, _index in (
     ("mission/frame_0", "An item in frame 0 reads back in frame", 2),
     ("mission/frame_2", "A DO item in frame 2 reads back in frame", 3),
 ):
-    BEHAVIOURS.add(_name, _description, partial(_read_back_frame, _index))
+    BEHAVIOURS.add(_name, _description, lambda s, i=_index: f"{_stored_item(s, i).frame}")

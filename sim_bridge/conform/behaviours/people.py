@@ -44,18 +44,14 @@ def _send_rc_override_release(subject: Subject, sender: Identity | None = None) 
     _send_rc_override_for_duration(subject, (0, 0, 0, 0), 0.3, sender)
 
 
-def _is_deflected_channel_received(subject: Subject) -> bool:
-    messages = subject.client.received_messages("RC_CHANNELS")
-    return any(m.chan2_raw == _DEFLECTED[1] for m in messages)
-
-
 def _is_override_in_rc_channels(sender: Identity | None, subject: Subject) -> bool:
     """Observe whether an override appears in RC_CHANNELS, on the ground."""
     _send_rc_override_release(subject)
     subject.client.collect_messages(2.0)
     subject.client.clear_received()
     _send_rc_override_for_duration(subject, _DEFLECTED, 3.0, sender)
-    seen = _is_deflected_channel_received(subject)
+    messages = subject.client.received_messages("RC_CHANNELS")
+    seen = any(m.chan2_raw == _DEFLECTED[1] for m in messages)
     _send_rc_override_release(subject, sender)
     return seen
 

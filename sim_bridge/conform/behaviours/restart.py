@@ -16,6 +16,7 @@ BEHAVIOURS = Behaviours()
 behaviour = BEHAVIOURS.register_as_behaviour
 
 _LEAN_RAD = math.radians(0.4)
+_SECONDS = {"unit": "s", "within": 12.0}
 _PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 _DRAG = {
     "ardupilot": {"EK3_DRAG_BCOEF_X": 60.0, "EK3_DRAG_BCOEF_Y": 60.0, "EK3_DRAG_MCOEF": 0.2},
@@ -64,16 +65,13 @@ def _is_prearm_bit_set(subject: Subject) -> bool:
     return status is not None and bool(status.onboard_control_sensors_health & _PREARM_BIT)
 
 
-_seconds = {"unit": "s", "within": 12.0}
-add = BEHAVIOURS.add
-_prearm_bit_s, _armed_s = (
-    field_of(_measure_boot, "prearm_bit_s"),
-    field_of(_measure_boot, "armed_s"),
-)
-_is_mission_kept = field_of(_measure_boot, "is_mission_kept")
-add("reboot/prearm_bit", "SYS_STATUS's pre-arm bit is up after", _prearm_bit_s, REBOOT, **_seconds)
-add("reboot/armable", "It arms after", _armed_s, REBOOT, **_seconds)
-add("reboot/mission_kept", "A mission outlives a reboot", _is_mission_kept, REBOOT)
+for _name, _description, _field, _tolerance in (
+    ("reboot/prearm_bit", "SYS_STATUS's pre-arm bit is up after", "prearm_bit_s", _SECONDS),
+    ("reboot/armable", "It arms after", "armed_s", _SECONDS),
+    ("reboot/mission_kept", "A mission outlives a reboot", "is_mission_kept", {}),
+):
+    field = field_of(_measure_boot, _field)
+    BEHAVIOURS.add(_name, _description, field, REBOOT, **_tolerance)
 
 
 @behaviour("reboot/armed", "A reboot while armed is", REBOOT)

@@ -239,14 +239,12 @@ def observe_all_agents(world: AvoidanceWorld) -> PolicyObservation:
     return PolicyObservation(view, _goal_and_truck_vectors_m(world, up))
 
 
-def _cell_offsets_up_right_m() -> Floats:
-    """Cell centres relative to the drone, m: up and right; row 0 is the topmost."""
-    span = (np.arange(VIEW_CELLS, dtype=np.float64) - VIEW_CELLS // 2) * CELL_M
-    up, right = np.meshgrid(-span, span, indexing="ij")
-    return np.stack([up, right], axis=-1)
+_SPAN_M = (np.arange(VIEW_CELLS, dtype=np.float64) - VIEW_CELLS // 2) * CELL_M
+OFFSETS_M = np.stack(np.meshgrid(-_SPAN_M, _SPAN_M, indexing="ij"), axis=-1).astype(np.float32)
+"""Cell centres relative to the drone, m: up and right; row 0 is the topmost."""
 
-
-OFFSETS_M = _cell_offsets_up_right_m().astype(np.float32)
+RASTER_ORIGIN_NE_M = -CELL_M * raster_cell_indices(np.zeros(2)).astype(np.float64)
+"""North-east position of the raster's first corner."""
 
 
 def _obstacle_channel(
@@ -256,7 +254,7 @@ def _obstacle_channel(
     up_bearing_rad: Floats,
 ) -> Bytes:
     c, s = (f(up_bearing_rad).astype(np.float32)[:, None, None] / CELL_M for f in (np.cos, np.sin))
-    here = (world.pos_m[episode_index, agent_index, :2] - _raster_origin_ne_m()).astype(np.float32)[
+    here = (world.pos_m[episode_index, agent_index, :2] - RASTER_ORIGIN_NE_M).astype(np.float32)[
         :, None, None
     ] / CELL_M
     rows = (here[..., 0] + c * OFFSETS_M[..., 0] - s * OFFSETS_M[..., 1]).astype(np.int32)
@@ -269,12 +267,6 @@ def _obstacle_channel(
         world.scene_of[episode_index][:, None, None].astype(np.int32) * side + rows
     ) * side + columns
     return rasters.reshape(-1)[flat]
-
-
-def _raster_origin_ne_m() -> Floats:
-    """Return the north-east position of the raster's first corner."""
-    corner = np.zeros(2)
-    return -CELL_M * raster_cell_indices(corner).astype(np.float64)
 
 
 def _mark_neighbour_points_in_place(

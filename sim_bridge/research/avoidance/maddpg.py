@@ -202,14 +202,9 @@ class Learner:
         """Update on a batch at `run_fraction` of the run. Return the critic's loss."""
         self._decay_learning_rates(run_fraction)
         active, count = batch["flying"], batch["flying"].sum().clamp(min=1.0)
-        view, vectors = (
-            _merge_batch_and_agent_axes(batch["view"]),
-            _merge_batch_and_agent_axes(batch["vectors_m"]),
-        )
+        view, vectors = batch["view"].flatten(0, 1), batch["vectors_m"].flatten(0, 1)
         seen = self.critic.encoder(view, vectors)
-        value = self.critic.values_from_encoded_views(
-            seen, _merge_batch_and_agent_axes(batch["action"]), active
-        )
+        value = self.critic.values_from_encoded_views(seen, batch["action"].flatten(0, 1), active)
         error = functional.smooth_l1_loss(
             value, self._critic_target_values(batch), reduction="none"
         )
@@ -226,10 +221,7 @@ class Learner:
 
     @torch.no_grad()
     def _critic_target_values(self, batch: dict[str, Tensor]) -> Tensor:
-        view, vectors = (
-            _merge_batch_and_agent_axes(batch["next_view"]),
-            _merge_batch_and_agent_axes(batch["next_vectors_m"]),
-        )
+        view, vectors = batch["next_view"].flatten(0, 1), batch["next_vectors_m"].flatten(0, 1)
         action = self.slow_actor(view, vectors)
         reference = self.slow_critic(view, vectors, action, batch["next_flying"])
         continuation = (1.0 - batch["done"]) * self.params.discount
@@ -254,7 +246,7 @@ class Learner:
             self.critic.requires_grad_(True)
         if imitation > 0.0:
             off = functional.smooth_l1_loss(
-                action, _merge_batch_and_agent_axes(batch["taught"]), reduction="none", beta=0.05
+                action, batch["taught"].flatten(0, 1), reduction="none", beta=0.05
             )
             loss = loss + imitation * off.sum(dim=1).view_as(active)
         return loss
@@ -285,7 +277,3 @@ class Learner:
             target_network.parameters(), source_network.parameters(), strict=True
         ):
             lagged.lerp_(reference, self.params.target_rate)
-
-
-def _merge_batch_and_agent_axes(per_agent_tensor: Tensor) -> Tensor:
-    return per_agent_tensor.reshape(-1, *per_agent_tensor.shape[2:])

@@ -66,7 +66,8 @@ def draw_random_scene(random: np.random.Generator) -> Scene:
             half = random.uniform(0.15, 0.33, 2) * BLOCK_M
             box = np.array([*(centre - half), *(centre + half)])
             occupied = random.random() < OCCUPIED_SHARE and height + 5.0 > FLIGHT_HEIGHT_M
-            if occupied and _distance_to_box_m(box, truck) > TRUCK_SLOTS_M[0]:
+            away = np.maximum(np.maximum(box[:2] - truck, truck - box[2:]), 0.0)
+            if occupied and float(np.linalg.norm(away)) > TRUCK_SLOTS_M[0]:
                 boxes.append(box)
     side = int(2 * HALF_SIDE_M / CELL_M) + 2 * MARGIN_CELLS
     obstacle = np.zeros((side, side), dtype=np.uint8)
@@ -76,10 +77,6 @@ def draw_random_scene(random: np.random.Generator) -> Scene:
     # A cell's centre is within 0.71 cells of its points, and an obstacle cell's of its walls.
     clearance = np.asarray(distance_transform_edt(1 - obstacle)) * CELL_M - 1.42 * CELL_M
     return Scene(obstacle, clearance.astype(np.float32), np.array(boxes).reshape(-1, 4), truck)
-
-
-def _distance_to_box_m(box: Floats, point: Floats) -> float:
-    return float(np.linalg.norm(np.maximum(np.maximum(box[:2] - point, point - box[2:]), 0.0)))
 
 
 def draw_drone_starts_and_goals(

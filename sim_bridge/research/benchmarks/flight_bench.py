@@ -129,15 +129,15 @@ def run_flight_benchmarks(rounds: int, run: ExperimentRun) -> Report:
             # Goal: a fifth of a tick of 0.1 s.
             ("telemetry to command p99", [m.exchange_p99_ms for m in meters], "ms", "< 20"),
         ]
-    imports_s = [_measure_companion_import_s() for _ in range(rounds)]
+    imports_s = [
+        float(
+            subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, check=True).stdout
+        )
+        for _ in range(rounds)
+    ]
     rows.append(("companion's imports", imports_s, "s", "< 0.6"))
     document = {"rows": [{"what": w, "values": v, "unit": u, "goal": g} for w, v, u, g in rows]}
     return Report({"bench_flight": _build_result_sheet(rounds, rows)}, document)
-
-
-def _measure_companion_import_s() -> float:
-    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, check=True)
-    return float(done.stdout)
 
 
 def _build_result_sheet(rounds: int, rows: list[Row]) -> Sheet:

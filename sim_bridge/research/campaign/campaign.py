@@ -59,10 +59,6 @@ class CampaignRow(msgspec.Struct, frozen=True):
     def loss_frac(self) -> float:
         return (self.DEL + self.FAIL) / self.missions
 
-    @property
-    def success_frac(self) -> float:
-        return self.SUC / self.missions
-
 
 class OutcomeSums(msgspec.Struct, frozen=True):
     """Sums over one block of missions, from which rows are computed."""

@@ -50,10 +50,6 @@ class Frontier:
         near = np.clip(best[:, None] + [-1, 0, 1], 0, len(self.loss_weight) - 1)
         return self.loss_weight[np.unique(near)]
 
-    def success_loss_slope(self, loss: float) -> float:
-        """Return the successful missions gained per additional lost mission, at this P(loss)."""
-        return float(self.loss_weight[np.argmin(self.gain + self.loss_weight * loss)])
-
 
 def compute_frontier(
     scenario: Scenario, energy_level_count: int = 1000, loss_weights: ArrayLike = LOSS_WEIGHTS

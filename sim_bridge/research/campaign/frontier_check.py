@@ -72,8 +72,10 @@ class CheckCase:
 def build_cases(graph_count: int, set_seed: int) -> list[CheckCase]:
     """Return every graph of the set with every budget."""
     return [
-        CheckCase(with_budget(scenario, budget), set_seed)
-        for scenario in draw_check_scenarios(graph_count, set_seed)
+        CheckCase(
+            msgspec.structs.replace(one, name=f"{one.name}-b{budget:g}", budget_wh=budget), set_seed
+        )
+        for one in draw_check_scenarios(graph_count, set_seed)
         for budget in BUDGETS_WH
     ]
 
@@ -133,8 +135,8 @@ def _frontier_distance(
     scenario: Scenario, max_loss: float, row: CampaignRow, frontier: Frontier, levels: int
 ) -> FrontierDistance:
     """Compute one distance. The noise is that of SUC - slope x loss, by missions (delta method)."""
-    success, loss = row.success_frac, row.loss_frac
-    slope = frontier.success_loss_slope(loss)
+    success, loss = row.SUC / row.missions, row.loss_frac
+    slope = float(frontier.loss_weight[np.argmin(frontier.gain + frontier.loss_weight * loss)])
     variance = success + slope**2 * loss - (success - slope * loss) ** 2
     return FrontierDistance(
         scenario=scenario.name,
@@ -147,12 +149,6 @@ def _frontier_distance(
         below_at_allowed=float(frontier.max_success_within_loss_probability(max_loss)) - success,
         noise=float(np.sqrt(variance / row.missions)),
         levels=levels,
-    )
-
-
-def with_budget(scenario: Scenario, budget_wh: float) -> Scenario:
-    return msgspec.structs.replace(
-        scenario, name=f"{scenario.name}-b{budget_wh:g}", budget_wh=budget_wh
     )
 
 

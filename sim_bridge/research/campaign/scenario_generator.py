@@ -97,7 +97,9 @@ def draw_connected_scenario(
         square_side_m = float(random.choice(sizes, p=np.asarray(shares) / sum(shares)))
     while True:
         position = random.uniform(0.0, square_side_m, size=(params.vertices, 2))
-        pairs = _draw_edges(params.vertices, params.mean_out_edges, random)
+        first, second = np.triu_indices(params.vertices, 1)
+        selected = random.random(len(first)) < params.mean_out_edges / (params.vertices - 1)
+        pairs = list(zip(first[selected].tolist(), second[selected].tolist(), strict=True))
         graph = nx.empty_graph(params.vertices)
         graph.add_edges_from(pairs)
         if nx.is_connected(graph):
@@ -116,14 +118,6 @@ def draw_connected_scenario(
         power_w=Power(loaded=params.loaded_w, empty=params.empty_w),
         wind=params.wind_model.build_chain_wind(),
     )
-
-
-def _draw_edges(
-    vertices: int, mean_out_edges: float, random: np.random.Generator
-) -> list[tuple[int, int]]:
-    first, second = np.triu_indices(vertices, 1)
-    selected = random.random(len(first)) < mean_out_edges / (vertices - 1)
-    return [(int(a), int(b)) for a, b in zip(first[selected], second[selected], strict=True)]
 
 
 def draw_scenario_set(

@@ -47,8 +47,7 @@ def create_experiment_run(out: str = "logs/experiments", processes: int = 0) -> 
     from sim_bridge.research.study.run import ExperimentRun
 
     given = run_options()
-    jobs = given.process_count(processes)
-    return ExperimentRun(given.out or Path(out), jobs, given.cluster, given.json_out)
+    return ExperimentRun(given.out or Path(out), given.workers(processes), given.json_out)
 
 
 def run_experiment(

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats
-from sim_bridge.research.dubins.level_paths import fastest_dubins_paths
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits, Vectors, fastest_dubins_paths
 
 WINDOW_S = 2.0
 """Window of max turn, the largest heading change within it (docs/reference/outcomes.md)."""
@@ -43,21 +42,22 @@ class RoundedCorners:
 
 @dataclass(frozen=True, slots=True)
 class _Course:
-    """A course over the ground, with the air heading and ground speed that hold it."""
+    """A course over the ground, with the air heading and ground speed that hold it.
 
-    unit_n: Floats
-    unit_e: Floats
+    `unit`: north + 1j east.
+    """
+
+    unit: Vectors
     heading_rad: Floats
     ground_mps: Floats
 
 
 def solve_wind_triangle(course_rad: Floats, airspeed_mps: float, wind_to_ne_mps: Floats) -> _Course:
     """Return air heading and ground speed along each course (wind triangle); NaN if infeasible."""
-    unit_n, unit_e = np.cos(course_rad), np.sin(course_rad)
-    tailwind = wind_to_ne_mps[..., 0] * unit_n + wind_to_ne_mps[..., 1] * unit_e
-    across = wind_to_ne_mps[..., 1] * unit_n - wind_to_ne_mps[..., 0] * unit_e
-    crab = np.arcsin(across / airspeed_mps)
-    return _Course(unit_n, unit_e, course_rad - crab, airspeed_mps * np.cos(crab) + tailwind)
+    unit = np.exp(1j * course_rad)
+    wind = (wind_to_ne_mps @ np.array([1.0, 1j])) * unit.conj()  # along the course, and across
+    crab = np.arcsin(wind.imag / airspeed_mps)
+    return _Course(unit, course_rad - crab, airspeed_mps * np.cos(crab) + wind.real)
 
 
 def round_corners(
@@ -94,24 +94,16 @@ def _round_by_single_turn(
     radius, speed = limits.turn_radius_m, limits.airspeed_mps
     change = np.remainder(last.heading_rad - first.heading_rad + np.pi, 2.0 * np.pi) - np.pi
     time = np.abs(change) * radius / speed
-    away_n, away_e = _turn_ground_displacement(
-        first.heading_rad, change, np.ones(1), radius, time, wind
-    )
-    n, e = away_n[:, 0], away_e[:, 0]
-    sine = first.unit_n * last.unit_e - first.unit_e * last.unit_n
+    shares = np.linspace(0.0, 1.0, _SAMPLES)
+    path = _turn_ground_displacement(first.heading_rad, change, shares, radius, time, wind)
+    away = path[:, -1]
+    sine = (first.unit.conj() * last.unit).imag
     straight = np.abs(change) < _STRAIGHT_RAD
     with np.errstate(divide="ignore", invalid="ignore"):
-        before = np.where(straight, 0.0, (n * last.unit_e - e * last.unit_n) / sine)
-        after = np.where(straight, 0.0, (first.unit_n * e - first.unit_e * n) / sine)
-    before, after = (np.where(np.isfinite(x), x, np.inf) for x in (before, after))
-    shares = np.linspace(0.0, 1.0, _SAMPLES)
-    path_n, path_e = _turn_ground_displacement(
-        first.heading_rad, change, shares, radius, time, wind
-    )
-    with np.errstate(invalid="ignore"):
-        off = np.hypot(
-            path_n - (before * first.unit_n)[:, None], path_e - (before * first.unit_e)[:, None]
-        ).min(axis=1)
+        before = np.where(straight, 0.0, (away.conj() * last.unit).imag / sine)
+        after = np.where(straight, 0.0, (first.unit.conj() * away).imag / sine)
+        before, after = (np.where(np.isfinite(x), x, np.inf) for x in (before, after))
+        off = np.abs(path - (before * first.unit)[:, None]).min(axis=1)
         extra = time - before / first.ground_mps - after / last.ground_mps
     return RoundedCorners(
         extra_s=extra,
@@ -125,16 +117,13 @@ def _round_by_single_turn(
 
 def _turn_ground_displacement(
     heading: Floats, change: Floats, share: Floats, radius: float, time: Floats, wind: Floats
-) -> tuple[Floats, Floats]:
-    """Return displacement over the ground (north, east) after each share of a turn; (n, k)."""
+) -> Vectors:
+    """Return displacement over the ground after each share of a turn; (n, k)."""
     angle = change[:, None] * share
     chord = 2.0 * radius * np.sin(0.5 * np.abs(angle))
     middle = heading[:, None] + 0.5 * angle
-    seconds = time[:, None] * share
-    return (
-        chord * np.cos(middle) + wind[:, :1] * seconds,
-        chord * np.sin(middle) + wind[:, 1:] * seconds,
-    )
+    drift = (wind @ np.array([1.0, 1j]))[:, None] * time[:, None] * share
+    return np.asarray(chord * np.exp(1j * middle) + drift, np.complex128)
 
 
 def _replace_corners_by_dubins_paths(
@@ -149,22 +138,13 @@ def _replace_corners_by_dubins_paths(
 ) -> None:
     """Fly the corners at `corner_indices` as Dubins paths within the length of both legs."""
     before, after = available_in_m[corner_indices], available_out_m[corner_indices]
-    start = np.stack(
-        [
-            -before * first.unit_n[corner_indices],
-            -before * first.unit_e[corner_indices],
-            first.heading_rad[corner_indices],
-        ],
-        axis=1,
-    )
-    goal = np.stack(
-        [
-            after * last.unit_n[corner_indices],
-            after * last.unit_e[corner_indices],
-            last.heading_rad[corner_indices],
-        ],
-        axis=1,
-    )
+
+    def pose_on_leg(leg: _Course, distance_m: Floats) -> Floats:
+        position = distance_m * leg.unit[corner_indices]
+        heading = leg.heading_rad[corner_indices]
+        return np.column_stack([position.real, position.imag, heading])
+
+    start, goal = pose_on_leg(first, -before), pose_on_leg(last, after)
     paths = fastest_dubins_paths(start, goal, limits, wind[corner_indices])
     straight_s = before / first.ground_mps[corner_indices] + after / last.ground_mps[corner_indices]
     times = paths.time_s[:, None] * np.linspace(0.0, 1.0, 4 * _SAMPLES)

@@ -176,12 +176,3 @@ def evaluate_front_alerts(
     alert_s = near[0].detected_s
     lead_times_s = tuple((others[others > alert_s] - alert_s).tolist())
     return AlertStatistics(1, 1, others.size, len(lead_times_s), (alert_s - first_s,), lead_times_s)
-
-
-def evaluate_false_alerts(
-    wind_reports: WindReports, detected_fronts: list[WindFront]
-) -> AlertStatistics:
-    """Evaluate the alerts of a world without a front: every alert is false."""
-    return AlertStatistics(
-        false_alerts=len(detected_fronts), hours=float(np.ptp(wind_reports.t_s)) / 3600.0
-    )

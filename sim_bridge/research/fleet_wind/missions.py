@@ -43,7 +43,7 @@ from sim_bridge.research.promise.vehicle import (
     airspeed_for_wind_mps,
     vehicle_at_airspeed,
 )
-from sim_bridge.research.promise.world import PRIOR_WIND_S, TIERS
+from sim_bridge.research.promise.world import PRIOR_WIND_S, draw_missions
 from sim_bridge.research.study.sheet import Sheet
 
 FRONT_SHARE = 0.1
@@ -115,19 +115,17 @@ def split_missions_into_work_items(setting: MissionSetting) -> list[MissionWork]
 def fly_missions_under_each_policy(work: MissionWork) -> MissionsFlown:
     """Fly the missions of a work item under every policy."""
     setting, key = work.setting, [work.setting.fields.seed, work.case, work.number]
-    site = _build_site(setting.fields, work.case, work.number, work.front)
+    world, fronts, process = _build_site(setting.fields, work.case, work.number, work.front)
     vehicle = mission_vehicle(setting)
     rng = np.random.default_rng([key[0], 11, *key[1:], int(work.front), work.first_mission])
-    drawn = _draw_missions(site, vehicle.power, work, rng)
-    planner = Planner(vehicle, site.process, LEVELS)
+    flown, start_s, position_ne_m, before = _draw_missions(world, vehicle.power, work, rng)
+    planner = Planner(vehicle, process, LEVELS)
     turn_times_s: dict[str, list[list[float]]] = {OWN_ONLY: [], FLEET: []}
     requested = used = 0
     for k in range(work.count):
         noise = np.random.default_rng([key[0], 12, *key[1:], work.first_mission + k])
-        view = mission_view(drawn.flown, k, drawn.earlier_wind_ne_mps[k], noise)
-        fleet = FleetForecaster(
-            site.world, site.fronts, site.process, drawn.position_ne_m[k], float(drawn.start_s[k])
-        )
+        view = mission_view(flown, k, before[k], noise)
+        fleet = FleetForecaster(world, fronts, process, position_ne_m[k], float(start_s[k]))
         for policy, forecaster in ((OWN_ONLY, None), (FLEET, fleet)):
             decisions = planner.fly_mission(view, forecaster)
             turn_times_s[policy].append([one.turn_s for one in decisions])
@@ -136,14 +134,14 @@ def fly_missions_under_each_policy(work: MissionWork) -> MissionsFlown:
         ends = {
             policy: np.stack(
                 [
-                    _outcome_codes(outcomes_of_turn_times(drawn.flown, turn_s, turn_s > 0.0))
+                    _outcome_codes(outcomes_of_turn_times(flown, turn_s, turn_s > 0.0))
                     for turn_s in np.array(by_mission).T
                 ],
                 axis=1,
             ).tolist()
             for policy, by_mission in turn_times_s.items()
         }
-        best = _outcome_codes(clairvoyant_outcomes(drawn.flown)).tolist()
+        best = _outcome_codes(clairvoyant_outcomes(flown)).tolist()
     return MissionsFlown(work.case, work.number, ends, best, requested, used)
 
 
@@ -158,25 +156,6 @@ def _outcome_codes(outcomes: MissionOutcomes) -> Ints:
 # --- one field -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Site:
-    """One field with its wind and front reports."""
-
-    world: FleetWorld
-    fronts: KnownFronts
-    process: WindProcessParams
-
-
-@dataclass(frozen=True, slots=True)
-class _DrawnMissions:
-    """Missions of one field: positions, and the wind there from `HISTORY_S` before the start."""
-
-    flown: TrueMissions
-    start_s: Ints
-    position_ne_m: Floats
-    earlier_wind_ne_mps: Floats
-
-
 def mission_vehicle(setting: MissionSetting) -> StudyVehicle:
     """Return the vehicle for which mean wind over airspeed is `wind_over_air`, within limits."""
     mean_mps = float(np.mean([case.mean_mps for case in read_cases(setting.fields)]))
@@ -189,33 +168,34 @@ _cached_field = lru_cache(maxsize=1)(draw_field)
 @lru_cache(maxsize=1)
 def _build_site(
     setting: FleetWindSetting, case_index: int, draw_index: int, with_front: bool
-) -> _Site:
+) -> tuple[FleetWorld, KnownFronts, WindProcessParams]:
+    """Return one field with its wind, front reports and assumed process."""
     drawn = _cached_field(setting, case_index, draw_index)
     rng = np.random.default_rng([setting.seed, 14, case_index, draw_index, int(with_front)])
     world = drawn.draw_world_with_reports(rng, with_front=with_front)
     fronts = simulate_detected_fronts(drawn, rng, with_front=with_front)
-    return _Site(world, fronts, drawn.case.process)
+    return world, fronts, drawn.case.process
 
 
 def _draw_missions(
-    site: _Site, power: TruePower, work: MissionWork, rng: np.random.Generator
-) -> _DrawnMissions:
-    """Draw missions as in `promise`, with the wind of positions drawn over the site."""
+    world: FleetWorld, power: TruePower, work: MissionWork, rng: np.random.Generator
+) -> tuple[TrueMissions, Ints, Floats, Floats]:
+    """Draw missions as in `promise`, with the wind of positions drawn over the site.
+
+    Returns the missions, their start times, their positions (n, 2), and the wind there from
+    `HISTORY_S` before the start (n, HISTORY_S, 2).
+    """
     count, max_flight_s = work.count, math.ceil(power.endurance_s)
     position_ne_m = rng.uniform(-SITE_M, SITE_M, (count, 2))
-    start = rng.integers(HISTORY_S, site.world.seconds - max_flight_s, count)
-    angle = rng.uniform(0.0, 2.0 * math.pi, count)
-    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    requested = rng.uniform(*TIERS[work.setting.tier], count)
+    start = rng.integers(HISTORY_S, world.seconds - max_flight_s, count)
     wind = np.empty((count, HISTORY_S + max_flight_s + 1, 2))
     for k, (north, east) in enumerate(position_ne_m):
         t_s = start[k] - HISTORY_S + np.arange(wind.shape[1]) + 0.5
-        wind[k] = site.world.truth.to_ne_mps(t_s, north, east, HEIGHT_M)
+        wind[k] = world.truth.to_ne_mps(t_s, north, east, HEIGHT_M)
     before, after = wind[:, :HISTORY_S], wind[:, HISTORY_S:]
     recent = before[:, -PRIOR_WIND_S:].mean(axis=1)
-    distance = power.distances_that_use_budget_frac_m(recent, unit, requested)
-    flown = TrueMissions(power, unit, distance, after)
-    return _DrawnMissions(flown, start, position_ne_m, before)
+    flown, _ = draw_missions(power, work.setting.tier, recent, after, rng)
+    return flown, start, position_ne_m, before
 
 
 # --- verdict -------------------------------------------------------------------------------------

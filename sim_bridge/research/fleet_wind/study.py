@@ -22,7 +22,6 @@ from sim_bridge.research.fleet_wind.fronts import (
     AlertStatistics,
     detect_front_updates,
     draw_mean_wind_reports,
-    evaluate_false_alerts,
     evaluate_front_alerts,
     first_detection_of_each_front,
     simulate_detected_fronts,
@@ -134,7 +133,9 @@ def evaluate_field_draw(draw: FieldDraw) -> DrawResult:
         alerts += (
             evaluate_front_alerts(drawn.front, wind_reports, found)
             if front
-            else evaluate_false_alerts(wind_reports, found)
+            else AlertStatistics(  # every alert is false
+                false_alerts=len(found), hours=float(np.ptp(wind_reports.t_s)) / 3600.0
+            )
         )
     return DrawResult(sums[False], sums[True], alerts)
 

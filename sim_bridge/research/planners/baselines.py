@@ -33,16 +33,11 @@ class Ser:
 
     def __init__(self, model: ReplanningModel, budget_wh: float) -> None:
         self._model, self._budget_wh = model, budget_wh
-
-    def start_batch(self, uniform_random_by_mission: NDArray[np.float64]) -> BatchPlanner:
-        return _SerBatch(self._model, self._budget_wh)
-
-
-class _SerBatch:
-    def __init__(self, model: ReplanningModel, budget_wh: float) -> None:
-        self._model, self._budget_wh = model, budget_wh
         self._plan_column: Ints | None = None  # each mission's column of the next edges
         self._next_edges = np.empty((2, 0, 0), dtype=np.int64)  # next edges out and back, (2, V, k)
+
+    def start_batch(self, uniform_random_by_mission: NDArray[np.float64]) -> BatchPlanner:
+        return Ser(self._model, self._budget_wh)
 
     def select_edges(self, observation: PlannerObservation) -> Ints:
         if self._plan_column is None:  # all missions depart together

@@ -44,9 +44,9 @@ class Ber:
 
 
 class CheapestReturn:
-    """Selects the cheapest route home under the observed wind where every edge has value 0.
+    """Maps a policy's choices to edges of the graph that it was pruned from.
 
-    Also maps a policy's edges to those of the graph that it was pruned from.
+    Where every edge has value 0 it selects the cheapest route home under the observed wind.
     """
 
     def __init__(self, graph: EnergyGraph, pruned_from: EnergyGraph | None, sight: Sight) -> None:
@@ -55,19 +55,22 @@ class CheapestReturn:
         self._next = (
             RouteFinder(full_graph).find_routes_to_goal(full_graph.depot, duration).next_edge
         )
-        self._depot = full_graph.depot
+        self._depot, self._first_edge = full_graph.depot, graph.out_edge_start_by_vertex
         keys = [g.tail * full_graph.vertex_count + g.head for g in (graph, full_graph)]
         self._edge_of = np.searchsorted(keys[1], keys[0])
 
-    def return_edges(
-        self, vertex: Ints, seen_wind_index: Ints, delivered: NDArray[np.bool_]
-    ) -> Ints:
-        edge = self._next[vertex, seen_wind_index]
-        return np.where(~delivered & (vertex == self._depot), STOP_AT_DEPOT, edge)
-
-    def to_full_graph_edges(self, edge: Ints) -> Ints:
-        """Map a policy's edges to the complete graph."""
-        return self._edge_of[edge]
+    def choices_to_edges(self, choice: Ints, observation: PlannerObservation) -> Ints:
+        """Return the edge of each choice: a slot, STOP, or the no-value code."""
+        edge = np.full(observation.mission_count, STOP_AT_DEPOT, dtype=np.int64)
+        has_edge = choice < STOP
+        first_edge = self._first_edge[observation.vertex[has_edge]]
+        edge[has_edge] = self._edge_of[first_edge + choice[has_edge]]
+        rows = np.flatnonzero(choice == NO_VALUE)
+        vertex = observation.vertex[rows]
+        stays = ~observation.delivered[rows] & (vertex == self._depot)
+        back = self._next[vertex, observation.wind_index[rows]]
+        edge[rows] = np.where(stays, STOP_AT_DEPOT, back)
+        return edge
 
 
 class _KnownStateBatch:
@@ -84,15 +87,13 @@ class _KnownStateBatch:
         self._state = np.argsort(sight.of_state)  # the only state of each observed wind
 
     def select_edges(self, observation: PlannerObservation) -> Ints:
-        policy, graph = self._policy, self._policy.model.graph
+        policy = self._policy
         level = policy.model.energy_level_index(observation.energy_wh)
         state = self._state[observation.wind_index]
         choice = np.full(observation.mission_count, NO_VALUE, dtype=np.int64)
         for rows, table in policy.tables_in_use(observation, self._bold):
             choice[rows] = table.choice[level[rows], observation.vertex[rows], state[rows]]
-        return _choices_to_edges(
-            choice, observation, graph.out_edge_start_by_vertex, self._last_resort
-        )
+        return self._last_resort.choices_to_edges(choice, observation)
 
 
 class _HiddenStateBatch:
@@ -118,12 +119,7 @@ class _HiddenStateBatch:
     def select_edges(self, observation: PlannerObservation) -> Ints:
         probability = self._posterior_state_probability(observation)
         choice = self._best_slot_choice(observation, probability)
-        edge = _choices_to_edges(
-            choice,
-            observation,
-            self._policy.model.graph.out_edge_start_by_vertex,
-            self._last_resort,
-        )
+        edge = self._last_resort.choices_to_edges(choice, observation)
         self._probability[observation.mission] = probability
         has_edge = choice < STOP
         edge_index = self._policy.model.graph.out_edge_start_by_vertex[
@@ -213,21 +209,3 @@ def _propagate_state_probability(probability: Floats, next_state: NDArray, edge:
     for row in np.array_split(np.flatnonzero(~is_known), 1 + np.count_nonzero(~is_known) // 2048):
         after[row] = np.matmul(probability[row, None, :], next_state[edge[row]])[:, 0]
     return after
-
-
-def _choices_to_edges(
-    choice: Ints, observation: PlannerObservation, out_start: Ints, last_resort: CheapestReturn
-) -> Ints:
-    edge = np.full(observation.mission_count, STOP_AT_DEPOT, dtype=np.int64)
-    has_edge = choice < STOP
-    edge[has_edge] = last_resort.to_full_graph_edges(
-        out_start[observation.vertex[has_edge]] + choice[has_edge]
-    )
-    no_value = choice == NO_VALUE
-    if no_value.any():
-        edge[no_value] = last_resort.return_edges(
-            observation.vertex[no_value],
-            observation.wind_index[no_value],
-            observation.delivered[no_value],
-        )
-    return edge

@@ -2,6 +2,7 @@
 P(state) near the observed wind, and the loss is bounded separately for each departure.
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,16 +56,10 @@ class WindLattice:
         position = np.clip((wind_en_mps - low) / self.spacing_mps, 0.0, steps)
         corner = np.minimum(position.astype(np.int64), max(steps - 1, 0))
         part = position - corner
-        states, shares = [], []
-        for de in (0, 1):
-            for dn in (0, 1):
-                east = np.minimum(corner[:, 0] + de, steps)
-                north = np.minimum(corner[:, 1] + dn, steps)
-                states.append(east * (steps + 1) + north)
-                share_e = part[:, 0] if de else 1.0 - part[:, 0]
-                share_n = part[:, 1] if dn else 1.0 - part[:, 1]
-                shares.append(share_e * share_n)
-        return np.stack(states, axis=1), np.stack(shares, axis=1)
+        offset = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+        cell = np.minimum(corner[:, None] + offset, steps)
+        share = np.where(offset, part[:, None], 1.0 - part[:, None]).prod(axis=2)
+        return cell[..., 0] * (steps + 1) + cell[..., 1], share
 
 
 class BerLog:
@@ -80,9 +75,12 @@ class BerLog:
         self.policy, self.max_loss, self._classes = policy, max_loss, classes
         self._lattice = WindLattice(policy.model.chain.states_en_mps, process.spacing_mps)
         self._finder = RouteFinder(policy.model.graph)
+        self._table: Ints | None = None  # of each mission of a batch, once it has departed
 
     def start_batch(self, uniform_random_by_mission: NDArray[np.float64]) -> BatchPlanner:
-        return _BerLogBatch(self)
+        batch = copy.copy(self)
+        batch._table = None
+        return batch
 
     def matching_states_and_probabilities(self, wind_en_mps: Floats) -> tuple[Ints, Floats]:
         """Return the lattice states that fit each observed wind (n, 2), and P of each; (n, B)."""
@@ -118,16 +116,10 @@ class BerLog:
         routes = self._finder.find_routes_to_goal(self._finder.graph.depot, duration)
         return routes.next_edge[observation.vertex, np.arange(observation.mission_count)]
 
-
-class _BerLogBatch:
-    def __init__(self, planner: BerLog) -> None:
-        self._planner = planner
-        self._table: Ints | None = None
-
     def select_edges(self, observation: PlannerObservation) -> Ints:
-        planner, policy = self._planner, self._planner.policy
+        policy = self.policy
         if self._table is None:  # all missions depart together
-            self._table = planner.select_start_table_indices(observation)
+            self._table = self.select_start_table_indices(observation)
         edge = np.full(observation.mission_count, STOP_AT_DEPOT, dtype=np.int64)
         table = self._table[observation.mission]
         for t in [-1, *np.unique(table[~observation.delivered]).tolist()]:
@@ -143,22 +135,21 @@ class _BerLogBatch:
     def _select_best_edges(
         self, observation: PlannerObservation, table: DeliveryTable | None
     ) -> Ints:
-        planner, model = self._planner, self._planner.policy.model
-        graph = model.graph
-        value = planner.policy.home.p_home if table is None else table.value
+        model, graph = self.policy.model, self.policy.model.graph
+        value = self.policy.home.p_home if table is None else table.value
         edge_value = expected_edge_values(
             model,
             value,
             table is None,
             observation,
-            *planner.matching_states_and_probabilities(observation.wind_en_mps),
+            *self.matching_states_and_probabilities(observation.wind_en_mps),
         )
         position = np.argmax(edge_value, axis=1)
         best = edge_value[np.arange(observation.mission_count), position]
         edge = graph.out_edges_by_vertex[observation.vertex, position]
         no_value = best <= 0.0
         if no_value.any():
-            edge[no_value] = planner.cheapest_return_edges(
+            edge[no_value] = self.cheapest_return_edges(
                 _select_rows(observation, np.flatnonzero(no_value))
             )
         if table is not None:

@@ -12,6 +12,7 @@ depot (ABRT). After delivery it flies the cheapest route home, as it does from d
 The paper names these functions without defining them. This reading fits its outcomes.
 """
 
+import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -47,6 +48,7 @@ class BerPaper:
     def __init__(self, model: ReplanningModel, params: BerPaperParams | None = None) -> None:
         self._model = model
         self._params = params or BerPaperParams()
+        self._decision_count = 0  # made so far by this batch
         self._width = model.finder.graph.out_edges_by_vertex.shape[1]
         self._outbound_cache = PlanCache(
             model, 2 * self._width + 1, self._outbound_scores_needs_and_turn_edges
@@ -56,22 +58,22 @@ class BerPaper:
         )
 
     def start_batch(self, uniform_random_by_mission: NDArray[np.float64]) -> BatchPlanner:
-        return _BerPaperBatch(self)
+        batch = copy.copy(self)  # shares the caches
+        batch._decision_count = 0
+        return batch
 
-    def select_next_edges(self, observation: PlannerObservation, decision_count: int) -> Ints:
-        """Return the next edge of each mission; `decision_count` is the number made so far."""
+    def select_edges(self, observation: PlannerObservation) -> Ints:
         edge = np.empty(observation.mission_count, dtype=np.int64)
         home = np.flatnonzero(observation.delivered)
         if len(home):
             edge[home] = self._return_cache.lookup_or_solve(observation, home)[:, 0]
         out = np.flatnonzero(~observation.delivered)
         if len(out):
-            edge[out] = self._select_outbound(observation, out, decision_count)
+            edge[out] = self._select_outbound(observation, out)
+        self._decision_count += 1
         return edge
 
-    def _select_outbound(
-        self, observation: PlannerObservation, rows: Ints, decision_count: int
-    ) -> Ints:
+    def _select_outbound(self, observation: PlannerObservation, rows: Ints) -> Ints:
         graph, width = self._model.finder.graph, self._width
         plan = self._outbound_cache.lookup_or_solve(observation, rows)
         score, need, turn = plan[:, :width], plan[:, width : 2 * width], plan[:, -1]
@@ -79,7 +81,7 @@ class BerPaper:
         ranked = np.where(passes, score, np.inf)
         slot = np.argmin(ranked, axis=1)
         ranked_best = ranked[np.arange(len(rows)), slot]
-        passes_checks = np.isfinite(ranked_best) & (decision_count < 4 * graph.vertex_count)
+        passes_checks = np.isfinite(ranked_best) & (self._decision_count < 4 * graph.vertex_count)
         back = np.where(
             observation.vertex[rows] == graph.depot, STOP_AT_DEPOT, turn.astype(np.int64)
         )
@@ -117,13 +119,3 @@ class BerPaper:
         )
         routes = model.finder.find_routes_to_goal(graph.target, length)
         return out_edge_costs(model, length, routes.cost_wh, viewpoints.origin, column)
-
-
-class _BerPaperBatch:
-    def __init__(self, planner: BerPaper) -> None:
-        self._planner, self._decisions = planner, 0
-
-    def select_edges(self, observation: PlannerObservation) -> Ints:
-        edge = self._planner.select_next_edges(observation, self._decisions)
-        self._decisions += 1
-        return edge

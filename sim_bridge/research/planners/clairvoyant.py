@@ -5,8 +5,6 @@ earliest arrival at the target, and from there at the depot, therefore costs the
 Dijkstra over arrival times, all missions at once (Kaufman & Smith 1993 for the FIFO argument).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,14 +19,6 @@ from companion.core.routing.planner_interface import (
 from sim_bridge.research.planners.mission_model import LogWinds
 
 
-@dataclass(frozen=True)
-class _EarliestArrivals:
-    """Earliest arrival at each vertex, and the edge of that arrival; shapes (n, V)."""
-
-    arrival_s: Floats
-    by_edge: Ints
-
-
 class Clairvoyant:
     """Flies the earliest route out and back if it fits the budget, else stays at the depot."""
 
@@ -40,16 +30,16 @@ class Clairvoyant:
         power = np.asarray(graph.power_w) * WH_PER_J
         begin = np.zeros(len(uniform_random_by_mission))
         limit = self._budget_wh / power
-        out = earliest_arrivals(graph, self._winds, graph.depot, begin, limit[0])
-        delivered = out.arrival_s[:, graph.target]
-        back = earliest_arrivals(graph, self._winds, graph.target, delivered, limit[1])
-        home = back.arrival_s[:, graph.depot]
+        arrival, out = earliest_arrivals(graph, self._winds, graph.depot, begin, limit[0])
+        delivered = arrival[:, graph.target]
+        arrival, back = earliest_arrivals(graph, self._winds, graph.target, delivered, limit[1])
+        home = arrival[:, graph.depot]
         used = (
             delivered * power[0] + np.where(np.isfinite(home), home - delivered, np.inf) * power[1]
         )
         # The mission model must complete the last edge despite rounding errors.
         fits_budget = used <= self._budget_wh * (1.0 - 1e-12)
-        return _ClairvoyantBatch(graph, fits_budget, out.by_edge, back.by_edge)
+        return _ClairvoyantBatch(graph, fits_budget, out, back)
 
 
 class _ClairvoyantBatch:
@@ -73,8 +63,11 @@ class _ClairvoyantBatch:
 
 def earliest_arrivals(
     graph: EnergyGraph, winds: LogWinds, source: int, begin_s: Floats, limit_s: float
-) -> _EarliestArrivals:
-    """Compute the earliest arrivals from `source`, departed at `begin_s` (n,); Dijkstra."""
+) -> tuple[Floats, Ints]:
+    """Compute the earliest arrivals from `source`, departed at `begin_s` (n,); Dijkstra.
+
+    Returns the arrival at each vertex, s, and the edge of that arrival; shapes (n, V).
+    """
     missions = np.arange(len(begin_s))
     arrival = np.full((len(begin_s), graph.vertex_count), np.inf)
     arrival[:, source] = begin_s
@@ -98,7 +91,7 @@ def earliest_arrivals(
         improved = candidate_s < arrival[mission, head]
         arrival[mission[improved], head[improved]] = candidate_s[improved]
         by_edge[mission[improved], head[improved]] = edge[improved]
-    return _EarliestArrivals(arrival, by_edge)
+    return arrival, by_edge
 
 
 def _next_edges_to_goal(graph: EnergyGraph, arrival_edge: Ints, source: int, goal: int) -> Ints:

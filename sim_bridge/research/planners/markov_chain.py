@@ -160,11 +160,9 @@ class OrnsteinUhlenbeckWind:
         rate = np.diag(base * ratio, 1) + np.diag(base / ratio, -1)
         return rate - np.diag(rate.sum(axis=1))
 
-    def predictive_cov_m2ps2(self, lag_s: ArrayLike) -> Floats:
-        """Return the covariance of the wind `lag_s` after observation; shape (..., 2, 2)."""
-        lag = np.asarray(lag_s, dtype=float)
-        variance = self.std_mps**2 * -np.expm1(-2.0 * lag / self.time_constant_s)
-        return variance[..., None, None] * np.eye(2)
+    def predictive_variance_m2ps2(self, lag_s: ArrayLike) -> Floats:
+        """Return the variance of each axis of the wind `lag_s` after observation."""
+        return self.std_mps**2 * -np.expm1(-2.0 * np.asarray(lag_s, float) / self.time_constant_s)
 
 
 def build_prior_wind(

@@ -24,6 +24,7 @@ from sim_bridge.research.planners.markov_chain import (
     WindChain,
     snap_direction_to_sector_centre,
 )
+from sim_bridge.research.promise.truth import ground_speed_mps
 
 
 class Outcome(IntEnum):
@@ -282,13 +283,10 @@ def _constant_interval_s(t_s: Floats) -> float | None:
 
 def _ground_speed_mps(course_en: Floats, wind_en_mps: Floats, airspeed_mps: float) -> Floats:
     """Ground speed of each course in its own wind, 0 where no progress is possible; (n,)."""
-    tailwind = np.sum(course_en * wind_en_mps, axis=1)
-    across = course_en[:, 0] * wind_en_mps[:, 1] - course_en[:, 1] * wind_en_mps[:, 0]
-    vertical = np.all(course_en == 0.0, axis=1)
-    across = np.where(vertical, np.hypot(wind_en_mps[:, 0], wind_en_mps[:, 1]), across)
-    spare = airspeed_mps**2 - across**2
-    speed = np.sqrt(np.maximum(spare, 0.0)) + tailwind
-    return np.where((spare >= 0.0) & (speed > 0.0), speed, 0.0)
+    speed = ground_speed_mps(airspeed_mps, wind_en_mps, course_en)
+    vertical = np.all(course_en == 0.0, axis=1)  # all wind is across it
+    across = np.hypot(wind_en_mps[:, 0], wind_en_mps[:, 1])
+    return np.where(vertical, np.sqrt(np.maximum(airspeed_mps**2 - across**2, 0.0)), speed)
 
 
 def fly_missions(

@@ -94,9 +94,7 @@ class DriftUncertainty:
     sector_rad: float = 0.0
 
     def duration_std_s(self, origin: Ints, wind_index: Ints, wind_en_mps: Floats) -> Floats:
-        variance = self.process.predictive_cov_m2ps2(lag_until_edge_s(self.graph, origin))[
-            ..., 0, 0
-        ]
+        variance = self.process.predictive_variance_m2ps2(lag_until_edge_s(self.graph, origin))
         speed = np.hypot(wind_en_mps[:, 0], wind_en_mps[:, 1])
         variance = variance + (speed * self.sector_rad) ** 2 / 12.0
         slope = duration_sensitivity_to_wind_s2pm(self.graph, wind_en_mps)

@@ -77,7 +77,8 @@ def fit_planner_for_fold(work: FoldWork) -> FittedPlanner:
     """Fit process, spread and accepted risks on the seconds outside the fold."""
     world = cached_promise_world(work.setting)
     rng = np.random.default_rng([work.setting.seed, 4, work.fold])
-    training = spans_outside_evaluation_blocks(world.blocks_of_fold(work.fold), world.stretches)
+    blocks = tuple(world.blocks[k] for k in world.block_indices_by_fold[work.fold])
+    training = spans_outside_evaluation_blocks(blocks, world.stretches)
     process = fit_training_process(training, world.stretches, read_wind_process("coast"))
     spread = fit_spread(training, world.stretches, process, world.power.endurance_s, rng)
     predicted_p_home = _simulate_departure_p_home(
@@ -145,7 +146,8 @@ def split_missions_into_work_items(
     return [
         FlyWork(world.setting, planner, tuple(missions[k : k + CHUNK]))
         for planner in fitted
-        for missions in (world.missions_of_fold(planner.fold),)
+        for in_fold in (np.isin(world.block, world.block_indices_by_fold[planner.fold]),)
+        for missions in (np.flatnonzero(in_fold).tolist(),)
         for k in range(0, len(missions), CHUNK)
     ]
 

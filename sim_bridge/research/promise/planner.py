@@ -73,7 +73,7 @@ def mission_view(
         unit_ne=flown.unit_ne[index],
         distance_m=float(flown.distance_m[index]),
         arrival_s=float(flown.arrival_s[index]),
-        out_m=flown.outbound_distance_by_second_m(index),
+        out_m=np.minimum(flown.out_m[index], flown.distance_m[index]),
     )
 
 

@@ -92,7 +92,7 @@ class TruePower:
         }
         self.loaded_w = steady.level_flight_power_w(profile.airspeed_mps, load)
         self.empty_w = steady.level_flight_power_w(profile.airspeed_mps, 0.0)
-        self._loaded_stop_w = 0.5 * (self.loaded_w + float(self._loaded_hover[0]))
+        self.loaded_stop_w = 0.5 * (self.loaded_w + float(self._loaded_hover[0]))
         self._empty_stop_w = 0.5 * (self.empty_w + steady.hover_power_w(0.0))
         self.budget_wh = (1.0 - profile.reserve_frac) * Battery(truth.battery).usable_wh(
             0.5 * (self.loaded_w + self.empty_w)
@@ -105,7 +105,7 @@ class TruePower:
         joule = p.descent_s * np.interp(wind_mps, self._speeds, self._loaded_sink)
         joule += p.hover_s * np.interp(wind_mps, self._speeds, self._loaded_hover)
         joule += p.climb_s * np.interp(wind_mps, self._speeds, self._empty_climb)
-        return (joule + p.stop_time_loss_s * (self._loaded_stop_w + self._empty_stop_w)) / 3600.0
+        return (joule + p.stop_time_loss_s * (self.loaded_stop_w + self._empty_stop_w)) / 3600.0
 
     def landing_energy_wh(self, wind_mps: Floats, *, loaded: bool) -> Floats:
         """Energy (n,) from cruise flight over the depot to motors off."""
@@ -115,13 +115,8 @@ class TruePower:
         joule = fast_s * np.interp(wind_mps, self._speeds, fast)
         joule += (p.landing_s - fast_s) * np.interp(wind_mps, self._speeds, slow)
         return (
-            joule + p.stop_time_loss_s * (self._loaded_stop_w if loaded else self._empty_stop_w)
+            joule + p.stop_time_loss_s * (self.loaded_stop_w if loaded else self._empty_stop_w)
         ) / 3600.0
-
-    @property
-    def turn_back_energy_wh(self) -> float:
-        """Energy to stop and start back, loaded."""
-        return 2.0 * self.profile.stop_time_loss_s * self._loaded_stop_w / 3600.0
 
     @property
     def endurance_s(self) -> float:
@@ -169,21 +164,17 @@ class TrueMissions:
         self.power, self.profile = power, power.profile
         self.unit_ne, self.distance_m, self.wind_ne_mps = unit_ne, distance_m, wind_ne_mps
         self._speed = np.hypot(wind_ne_mps[..., 0], wind_ne_mps[..., 1])
-        self._out_m, self._back_m = (
+        self.out_m, self._back_m = (
             _cumulative_distance_m(
                 ground_speed_mps(self.profile.airspeed_mps, wind_ne_mps, unit[:, None, :])
             )
             for unit in (unit_ne, -unit_ne)
         )
-        self.arrival_s = _first_reach_time_s(self._out_m, distance_m)
+        self.arrival_s = _first_reach_time_s(self.out_m, distance_m)
 
     def outbound_distance_m(self, t_s: Floats) -> Floats:
         """Return the outbound distance (m) of every mission at its time."""
-        return np.minimum(_interpolate_rows(self._out_m, t_s), self.distance_m)
-
-    def outbound_distance_by_second_m(self, mission_index: int) -> Floats:
-        """Return the outbound distance (m) of one mission at each whole second."""
-        return np.minimum(self._out_m[mission_index], self.distance_m[mission_index])
+        return np.minimum(_interpolate_rows(self.out_m, t_s), self.distance_m)
 
     def return_energy_wh(self, turn_s: Floats) -> Floats:
         """Return the energy of missions that turn back at `turn_s`, en route or at the customer."""
@@ -194,7 +185,8 @@ class TrueMissions:
             _interpolate_rows(self._back_m, return_start_s) + self.outbound_distance_m(turn_s),
         )
         cruised = power.loaded_w * (home_s - 2.0 * p.stop_time_loss_s) / 3600.0
-        return cruised + power.turn_back_energy_wh + self._landing_energy_wh(home_s, loaded=True)
+        turn_wh = 2.0 * p.stop_time_loss_s * power.loaded_stop_w / 3600.0
+        return cruised + turn_wh + self._landing_energy_wh(home_s, loaded=True)
 
     def delivery_energy_wh(self) -> Floats:
         """Return the energy of each mission if it delivers."""

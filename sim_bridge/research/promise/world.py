@@ -12,7 +12,7 @@ from companion.core.base.arrays import Floats, Ints
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.promise.planner import HISTORY_S, MissionView, mission_view
 from sim_bridge.research.promise.recording import Stretch, WindRecording, read_recording
-from sim_bridge.research.promise.truth import TrueMissions
+from sim_bridge.research.promise.truth import TrueMissions, TruePower
 from sim_bridge.research.promise.vehicle import (
     WIND_OVER_AIR,
     airspeed_for_wind_mps,
@@ -96,6 +96,25 @@ def draw_stratified_starts(
     return block, second - edges[block] + firsts[block]
 
 
+def draw_missions(
+    power: TruePower,
+    tier: str,
+    recent_ne_mps: Floats,
+    wind_ne_mps: Floats,
+    rng: np.random.Generator,
+) -> tuple[TrueMissions, Floats]:
+    """Draw missions in uniform directions, of lengths by the tier in the recent wind (n, 2).
+
+    `wind_ne_mps` (n, seconds, 2): the wind from the start on. Returns the missions and the shares
+    of the budget that they need in the recent wind.
+    """
+    angle = rng.uniform(0.0, 2.0 * math.pi, len(wind_ne_mps))
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    frac = rng.uniform(*TIERS[tier], len(wind_ne_mps))
+    distance = power.distances_that_use_budget_frac_m(recent_ne_mps, unit, frac)
+    return TrueMissions(power, unit, distance, wind_ne_mps), frac
+
+
 class PromiseWorld:
     """Winds, missions and true outcomes; identical in every process for the same setting."""
 
@@ -125,14 +144,12 @@ class PromiseWorld:
         """Draw missions in chronological order, in uniform directions."""
         count = self.setting.missions
         self.block, self.start_s = draw_stratified_starts(self.blocks, count, rng)
-        angle = rng.uniform(0.0, 2.0 * math.pi, count)
-        unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        self.budget_frac: Floats = rng.uniform(*TIERS[self.setting.tier], count)
         flight_s = math.ceil(self.power.endurance_s) + 1
         wind = np.stack([self._wind(i, 0, flight_s) for i in range(count)])
         recent = np.stack([self._wind(i, -PRIOR_WIND_S, 0).mean(axis=0) for i in range(count)])
-        distance = self.power.distances_that_use_budget_frac_m(recent, unit, self.budget_frac)
-        self.flown = TrueMissions(self.power, unit, distance, wind)
+        self.flown, self.budget_frac = draw_missions(
+            self.power, self.setting.tier, recent, wind, rng
+        )
 
     def _wind(self, mission_index: int, first_s: int, end_s: int) -> Floats:
         """Return the wind from `first_s` until before `end_s` after the start of a mission."""
@@ -153,14 +170,6 @@ class PromiseWorld:
         folds = min(count, MAX_FOLDS)
         groups = np.arange(count) * folds // count
         return tuple(tuple(np.nonzero(groups == fold)[0].tolist()) for fold in range(folds))
-
-    def blocks_of_fold(self, fold_index: int) -> tuple[Block, ...]:
-        """The blocks of a fold."""
-        return tuple(self.blocks[k] for k in self.block_indices_by_fold[fold_index])
-
-    def missions_of_fold(self, fold_index: int) -> list[int]:
-        """Return the missions that a fold evaluates."""
-        return np.nonzero(np.isin(self.block, self.block_indices_by_fold[fold_index]))[0].tolist()
 
     @cached_property
     def bootstrap_unit_by_mission(self) -> Ints:

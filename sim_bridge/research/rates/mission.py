@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.special import ndtr
 
 from companion.adapters.files.params import read_wind_process
@@ -25,7 +24,7 @@ from sim_bridge.research.promise.planner import (
 from sim_bridge.research.promise.truth import TrueMissions
 from sim_bridge.research.promise.vehicle import WIND_OVER_AIR, vehicle_at_airspeed
 from sim_bridge.research.promise.world import PRIOR_WIND_S, SIMULATED_MEAN_MPS, TIERS
-from sim_bridge.truth.wind_days import EDDY_LENGTH_M
+from sim_bridge.truth.wind_days import build_day_process, day_wind_series
 
 TIER = "hard"
 PACK_STD_FRAC = 0.02
@@ -34,7 +33,6 @@ DECISION_INTERVAL_S = 150.0
 MAX_SHORTFALL = 5.0
 _PARTS = 3
 _SCALARS = 4  # day's wind, direction, budget share, pack
-_DAY_STDS, _DAY_MEMORIES_S = (0.10, 0.09, 0.165), (1200.0, 180.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,9 @@ class DeliveryWorld:
         """Simulate one delivery; its shortfall is the performance function: above 0 is a loss."""
         day, turn, budget_draw, pack = standard_normals[:_SCALARS].tolist()
         series = standard_normals[_SCALARS:].reshape(_PARTS + 1, self._rows, 2)
-        wind, noise = simulate_wind_on_day(day, series[:_PARTS]), series[_PARTS]
+        speed = SIMULATED_MEAN_MPS * (0.75 + 0.5 * float(ndtr(day)))
+        wind = day_wind_series(build_day_process(speed, 0.0), series[:_PARTS])
+        noise = series[_PARTS]
         angle = 2.0 * math.pi * float(ndtr(turn))
         unit = np.array([[math.cos(angle), math.sin(angle)]])
         recent = wind[None, HISTORY_S - PRIOR_WIND_S : HISTORY_S].mean(axis=1)
@@ -103,16 +103,3 @@ class DeliveryWorld:
         mean_w = 0.5 * (self._power.loaded_w + self._power.empty_w)
         flown_h = min(needed_wh, available_wh) / mean_w
         return DeliveryOutcome(shortfall, flown_h, True, delivers and shortfall <= 0.0)
-
-
-def simulate_wind_on_day(day_normal: float, normals_by_part: Floats) -> Floats:
-    """Return wind (rows, 2): the day's mean plus Ornstein-Uhlenbeck parts with exact 1 s steps."""
-    speed = SIMULATED_MEAN_MPS * (0.75 + 0.5 * float(ndtr(day_normal)))
-    memories: tuple[float, ...] = (*_DAY_MEMORIES_S, EDDY_LENGTH_M / speed)
-    wind = np.tile([speed, 0.0], (normals_by_part.shape[1], 1))
-    for frac, memory, steps in zip(_DAY_STDS, memories, normals_by_part, strict=True):
-        keep = math.exp(-1.0 / memory)
-        driven = math.sqrt(1.0 - keep * keep) * steps
-        driven[0] = steps[0]
-        wind += frac * speed * np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=0))
-    return wind

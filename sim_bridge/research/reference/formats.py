@@ -49,13 +49,14 @@ def shipped_toml_files(folder: str) -> list[Path]:
 
 def list_file_formats() -> tuple[Format, ...]:
     """Return all formats, in the order of the reference."""
-    winds = tuple(_wind_examples())
+    tables = map(_read_toml_table, shipped_toml_files("flights"))
+    winds = [msgspec.convert(table["wind"], WindParams) for table in tables if "wind" in table]
     faults = (Fault(kind="companion_kill"),)
     return (
         Format(
             "flight/1",
             Flight,
-            (*_read_shipped_structs("flights"), *winds, *faults),
+            (*_read_shipped_structs("flights"), *winds, LogWindParams(log="x.csv"), *faults),
             {
                 "Flight.wind": WindParams,
                 "Flight.faults": list[Fault],
@@ -86,15 +87,6 @@ def _read_shipped_structs(folder: str) -> tuple[msgspec.Struct, ...]:
         msgspec.convert(_read_toml_table(path), FOLDERS[folder])
         for path in shipped_toml_files(folder)
     )
-
-
-def _wind_examples() -> list[Any]:
-    tables = [
-        table["wind"]
-        for path in shipped_toml_files("flights")
-        if "wind" in (table := _read_toml_table(path))
-    ]
-    return [*(msgspec.convert(table, WindParams) for table in tables), LogWindParams(log="x.csv")]
 
 
 def _read_toml_table(path: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ error message for an invalid value.
 
 import inspect
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, get_args, get_type_hints
 
@@ -19,9 +19,9 @@ from sim_bridge.research.reference.keys import (
     iterate_structs_in,
     probe_permitted_ranges,
 )
+from sim_bridge.research.reference.schema_page import Schema, iterate_number_schemas
 
 SCHEMA_DIALECT_URL = "http://json-schema.org/draft-07/schema#"
-Schema = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,21 +93,9 @@ def _add_descriptions_and_ranges_in_place(
         if schema.get("default", ...) is None:
             del schema["default"]
         if name in ranges:
-            for number in _iterate_number_schemas(schema):
-                number["minimum"], number["maximum"] = map(_int_if_integral, ranges[name])
-
-
-def _int_if_integral(number: float) -> float | int:
-    return int(number) if number.is_integer() else number
-
-
-def _iterate_number_schemas(schema: Schema) -> Iterator[Schema]:
-    if schema.get("type") in ("number", "integer"):
-        yield schema
-    for one in schema.get("anyOf", ()):
-        yield from _iterate_number_schemas(one)
-    if isinstance(schema.get("items"), dict):
-        yield from _iterate_number_schemas(schema["items"])
+            limits = [int(x) if x.is_integer() else x for x in ranges[name]]
+            for number in iterate_number_schemas(schema):
+                number["minimum"], number["maximum"] = limits
 
 
 def _replace_opaque_schema_in_place(

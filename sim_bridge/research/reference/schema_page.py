@@ -74,7 +74,7 @@ def _title_or_type_text(part: Schema) -> str:
 
 def _limits_text(part: Schema) -> str:
     """Return the range of the numbers, or the length or pattern of the text."""
-    for number in _iterate_number_schemas(part):
+    for number in iterate_number_schemas(part):
         least, most = number.get("minimum"), number.get("maximum")
         above = number.get("exclusiveMinimum")
         if least is not None and most is not None:
@@ -97,14 +97,15 @@ def _iterate_alternatives(part: Schema) -> Iterator[Schema]:
         yield from _iterate_alternatives(one)
 
 
-def _iterate_number_schemas(part: Schema) -> Iterator[Schema]:
+def iterate_number_schemas(part: Schema) -> Iterator[Schema]:
+    """Yield the schemas of the numbers in a part, and in its lists and alternatives."""
     for one in _iterate_alternatives(part):
         if one.get("type") in ("number", "integer"):
             yield one
         items = one.get("items")
         for item in items if isinstance(items, list) else [items]:
             if isinstance(item, dict):
-                yield from _iterate_number_schemas(item)
+                yield from iterate_number_schemas(item)
 
 
 def _default_text(part: Schema) -> str:

@@ -4,7 +4,6 @@ A journal stores finished cases until the result is written, so that the same co
 interrupted run.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,11 +12,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.journal import ProgressLog, work_digest
+from ground_station.adapters.workers.side_by_side import ItemLost, WorkerOptions, run_parallel
+from sim_bridge.adapters.json_result import write_json_result
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from ground_station.adapters.workers.journal import ProgressLog
     from sim_bridge.research.study.sheet import Sheet
 
 Case = TypeVar("Case")
@@ -59,13 +60,12 @@ class ExperimentRun:
     """Run of one command: output folder, workers and journals."""
 
     def __init__(
-        self, out: Path, jobs: int = 1, cluster: str | None = None, json: Path | None = None
+        self, out: Path, workers: WorkerOptions | None = None, json: Path | None = None
     ) -> None:
         """Raises LeewayError if the folder of the JSON file does not exist."""
         if json is not None and not json.parent.is_dir():
             raise LeewayError(f"{json}: its folder does not exist")
-        self._out, self._json = out, json
-        self._jobs, self._cluster = jobs, cluster
+        self._out, self._json, self._workers = out, json, workers or WorkerOptions()
         self._journals: list[ProgressLog[Any]] = []
 
     def print_message(self, message: str) -> None:
@@ -74,17 +74,9 @@ class ExperimentRun:
 
     def run_cases_and_return_results(self, experiment: Experiment[Case, Result]) -> list[Result]:
         """Return the results of all cases in order; exits 1 if workers were lost, 130 on Ctrl-C."""
-        from ground_station.adapters.workers.journal import ProgressLog, work_digest
-        from ground_station.adapters.workers.side_by_side import (
-            ItemLost,
-            WorkerOptions,
-            run_parallel,
-        )
-
         digest = work_digest(experiment.cases)
         case_store = ProgressLog(self._out / f"{digest[:12]}.partial", digest, experiment.result)
         self._journals.append(case_store)
-        workers = WorkerOptions(self._jobs or len(os.sched_getaffinity(0)), self._cluster)
         done, lost = case_store.read_finished_results(), dict[int, str]()
         pending = [k for k in range(len(experiment.cases)) if k not in done]
         notes: set[str] = set()
@@ -96,7 +88,7 @@ class ExperimentRun:
 
             cases = (experiment.cases[k] for k in pending)
             try:
-                for ended in run_parallel(cases, experiment.evaluate, workers, print_line):
+                for ended in run_parallel(cases, experiment.evaluate, self._workers, print_line):
                     index = pending[ended.index]
                     if isinstance(ended, ItemLost):
                         lost[index] = ended.reason
@@ -134,7 +126,7 @@ class ExperimentRun:
             draw(self._out / name)
             output_paths.append(self._out / name)
         if self._json is not None and report.document is not None:
-            _write_json_atomically(self._json, report.document)
+            write_json_result(self._json, report.document, indent=1)
             output_paths.append(self._json)
         typer.echo("wrote " + ", ".join(str(path) for path in output_paths), err=True)
         for case_store in self._journals:
@@ -154,12 +146,3 @@ def create_progress_bar(transient: bool = True) -> "Progress":
         console=Console(stderr=True),
         transient=transient,
     )
-
-
-def _write_json_atomically(path: Path, document: object) -> None:
-    """Write a document atomically: a reader sees either the old file or the new one."""
-    import msgspec
-
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
-    part.replace(path)

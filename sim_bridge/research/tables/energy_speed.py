@@ -132,12 +132,10 @@ def _format_note(found: list[EnergyCurve]) -> str:
 
 def draw_curves(found: list[EnergyCurve], path: Path) -> None:
     """Draw one panel for each model and payload."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8), sharex=True)
+    figure = Figure(figsize=(11, 8))
+    axes = figure.subplots(2, 2, sharex=True)
     for row, model in enumerate(MODELS):
         for column, payload in enumerate(PAYLOADS_KG):
             axis = axes[row][column]
@@ -154,4 +152,3 @@ def draw_curves(found: list[EnergyCurve], path: Path) -> None:
     axes[0][0].legend()
     figure.tight_layout()
     figure.savefig(path, dpi=80)
-    plt.close(figure)

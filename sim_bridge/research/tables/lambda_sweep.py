@@ -85,12 +85,10 @@ def build_lambda_sweep_report(found: list[list[tuple[Cell, list[float]]]]) -> Re
 
 def draw_outcomes(cells: dict[Cell, dict[str, Floats]], path: Path) -> None:
     """Draw SUC, ABRT and loss of the published BER against the battery, one line per lambda."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4), sharex=True)
+    figure = Figure(figsize=(13, 4))
+    axes = figure.subplots(1, 3, sharex=True)
     for axis, outcome in zip(axes, COLUMNS, strict=True):
         for risk_weight in LAMBDAS:
             shares = [cells["ber-paper", risk_weight, b][outcome].mean() for b in BUDGETS_WH]
@@ -101,4 +99,3 @@ def draw_outcomes(cells: dict[Cell, dict[str, Floats]], path: Path) -> None:
     figure.suptitle("BER as published: outcomes against battery, for the weight lambda of risk")
     figure.tight_layout()
     figure.savefig(path, dpi=80)
-    plt.close(figure)

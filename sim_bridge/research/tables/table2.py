@@ -32,7 +32,7 @@ from sim_bridge.research.campaign.scenario_generator import (
     draw_connected_scenario,
 )
 from sim_bridge.research.campaign.workbench import CampaignParams, Workbench
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits
 from sim_bridge.research.planners.mission_model import (
     ChainWinds,
     MissionResults,
@@ -270,6 +270,10 @@ def _format_note(found: dict[str, list[TrialResult]], seed: int) -> str:
     )
     off = _format_cell(m.off_m for m in found.get(FULL, []))
     cornered = sum(m.max_turn_deg is not None for m in found.get(FULL, []))
+    by_llm, llm_note = found.get(LLM, []), ""
+    if by_llm:  # on some days its reply was not usable, and this project's method applied
+        own = sum(m.method != "llm" for m in by_llm)
+        llm_note = f" LLM replaced by own method on {own} of {len(by_llm)} days."
     return (
         f"Mean ± std over trials (seed {seed}): a town of {SETTING.vertices} vertices on"
         f" {SETTING.square_sizes_m[0][0] / 1000:g} km, {CUSTOMERS} customers, {DRONES} drones, one"
@@ -282,16 +286,5 @@ def _format_note(found: dict[str, list[TrialResult]], seed: int) -> str:
         f" limit {math.degrees(BANK_LIMIT_RAD):g} deg, so turns of {limits.turn_radius_m:.0f} m at"
         f" {SETTING.airspeed_mps:g} m/s. Rounded corners pass their waypoint at {off} m (mean of"
         " each flight's farthest). BER (full) uses this project's clusters; an LLM's are in a"
-        f" separate row. The truck's day: {days}."
-        + "".join(f" {words}" for words in _llm_replacement_notes(found.get(LLM, [])))
-    )
-
-
-def _llm_replacement_notes(requested: list[TrialResult]) -> list[str]:
-    """State on how many days the LLM's reply was not usable and this project's method applied."""
-    without = [m for m in requested if m.method != "llm"]
-    return (
-        [f"LLM replaced by own method on {len(without)} of {len(requested)} days."]
-        if requested
-        else []
+        f" separate row. The truck's day: {days}." + llm_note
     )

@@ -21,7 +21,7 @@ from sim_bridge.research.dubins.corners import (
     stop_and_yaw_time_loss_s,
     unrounded_corner_time_loss_s,
 )
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits
 from sim_bridge.research.planners.markov_chain import WindChain
 from sim_bridge.research.planners.mission_model import ChainWinds
 

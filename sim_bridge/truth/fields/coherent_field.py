@@ -119,10 +119,6 @@ class CoherentField:
         east = rotated[:, 0] * self._unit[1] + rotated[:, 1] * self._unit[0]
         return np.stack([north, east], axis=1) + self.mean_ne_mps
 
-    def to_along_and_across_mean_wind(self, vector_ne: Floats) -> Floats:
-        """North and east (n, 2) as along and across the mean wind."""
-        return _to_along_and_across(vector_ne, self._unit)
-
     def _interpolate_eddies(self, advected_time_s: Floats, grid_position: Floats) -> Floats:
         """Eddies (n, 2) along and across, between nodes and seconds, of the right variance."""
         low = np.minimum(grid_position.astype(int), 2 * self._half - 1)

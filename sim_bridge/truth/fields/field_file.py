@@ -4,15 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.fields.coherent_field import Coherence
 from sim_bridge.truth.fields.computed_flow import ComputedFlows, FlowFile
 from sim_bridge.truth.fields.lees import Obstacle
-from sim_bridge.truth.params import Range, RangedTable, check_range
+from sim_bridge.truth.params import Range, RangedTable, check_range, load_table
 from sim_bridge.truth.wind_days import draw_day_process, draw_day_wind_series
 
 Floats = NDArray[np.float64]
@@ -63,12 +61,7 @@ class WindFieldParams(RangedTable, frozen=True, kw_only=True):
 
 def load_wind_field(path: Path) -> WindFieldParams:
     """The field in a TOML file; TruthError names file and key of a mistake."""
-    try:
-        return msgspec.toml.decode(path.read_bytes(), type=WindFieldParams, strict=True)
-    except OSError as error:
-        raise TruthError(f"{path}: cannot be read ({error.strerror})") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise TruthError(f"{path}: {error}") from error
+    return load_table(path, WindFieldParams)
 
 
 def load_flows(params: WindFieldParams, path: Path) -> ComputedFlows | None:

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from sim_bridge.autopilot.base.readings import AttitudeSetpoint
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.params import SensorParams, load_airframe
-from sim_bridge.truth.signals import Actuation
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.vehicle import Vehicle
 from sim_bridge.truth.wind_field import SteadyWind, WindField
@@ -27,7 +27,7 @@ NO_BIAS = msgspec.structs.replace(
         },
     ),
 )
-OFF = Actuation()
+OFF = AttitudeSetpoint()
 
 
 def _vehicle(speed: float = 0.0, from_deg: float = 0.0, **options) -> Vehicle:
@@ -45,7 +45,7 @@ def _fly(vehicle: Vehicle, seconds: float, factor: float) -> None:
     """Level, at a multiple of hover thrust."""
     for _ in range(round(seconds / 0.01)):
         frac = factor * _hover_frac(vehicle)
-        vehicle.advance_and_read_sensors(Actuation(thrust_frac=frac, motors_on=True), 0.01)
+        vehicle.advance_and_read_sensors(AttitudeSetpoint(thrust_frac=frac, motors_on=True), 0.01)
 
 
 def test_it_stands_where_it_is_put_even_in_wind() -> None:
@@ -85,7 +85,9 @@ def test_touching_down_at_speed_is_a_crash() -> None:
     vehicle = _vehicle()
     _fly(vehicle, 2.0, 1.1)
     for _ in range(800):
-        command = Actuation(pitch_rad=-0.3, thrust_frac=0.98 * _hover_frac(vehicle), motors_on=True)
+        command = AttitudeSetpoint(
+            pitch_rad=-0.3, thrust_frac=0.98 * _hover_frac(vehicle), motors_on=True
+        )
         vehicle.advance_and_read_sensors(command, 0.01)
     assert vehicle.truth.crashed
 
@@ -96,9 +98,11 @@ def test_a_released_parcel_takes_its_weight_along() -> None:
     assert vehicle.mass_kg == pytest.approx(4.45)
     frac = _hover_frac(vehicle)
     vehicle.advance_and_read_sensors(
-        Actuation(thrust_frac=frac, motors_on=True, release=True), 0.01
+        AttitudeSetpoint(thrust_frac=frac, motors_on=True, release=True), 0.01
     )
-    readings = vehicle.advance_and_read_sensors(Actuation(thrust_frac=frac, motors_on=True), 0.01)
+    readings = vehicle.advance_and_read_sensors(
+        AttitudeSetpoint(thrust_frac=frac, motors_on=True), 0.01
+    )
     assert not readings.parcel_aboard
     assert not vehicle.truth.parcel_aboard
     # Newton: the same thrust on 3.65 of 4.45 kg
@@ -108,7 +112,7 @@ def test_a_released_parcel_takes_its_weight_along() -> None:
 def test_a_stuck_gripper_keeps_the_parcel() -> None:
     vehicle = _vehicle(payload_kg=0.8)
     vehicle.release_fails = True
-    readings = vehicle.advance_and_read_sensors(Actuation(release=True), 0.01)
+    readings = vehicle.advance_and_read_sensors(AttitudeSetpoint(release=True), 0.01)
     assert readings.parcel_aboard
     assert vehicle.mass_kg == pytest.approx(4.45)
 
@@ -153,7 +157,7 @@ def test_same_seed_same_flight() -> None:
         gusts, noise = np.random.default_rng(seed).spawn(2)
         field = build_wind_field(params, build_mean_wind(params, Path()), gusts)
         vehicle = Vehicle(M100, field, noise, payload_kg=0.5, pitot=True)
-        command = Actuation(thrust_frac=0.6, pitch_rad=-0.1, motors_on=True)
+        command = AttitudeSetpoint(thrust_frac=0.6, pitch_rad=-0.1, motors_on=True)
         return [vehicle.advance_and_read_sensors(command, 0.01) for _ in range(300)] + [
             vehicle.truth
         ]

@@ -64,7 +64,7 @@ class InProcess:
 class Watcher:
     """Prints the messages that pytest shows for a failed run."""
 
-    def show_status(self, text: str) -> None:
+    def update(self, status: str) -> None:
         pass
 
     def on_behaviour_start(self, behaviour: Behaviour) -> None:

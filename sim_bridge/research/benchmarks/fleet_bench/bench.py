@@ -174,7 +174,8 @@ class _BenchRun:
         self.report_progress("no more orders; airborne members land")
         until_s = wall_s() + 2.0 * LANDING_TIMEOUT_S
         for region in self.regions:
-            region.send_stop_and_record_usage()
+            region.desk.write_line("stop")  # no more orders; airborne members land
+            region.record_desk_usage()
         for region in self.regions:
             region.wait_until_landed(until_s)
         flown = [x for region in self.regions for x in region.stop_members_read_flown_assignments()]
@@ -206,7 +207,8 @@ class _BenchRun:
             for region in self.regions:
                 region.kill_and_restart_desk(since_s)
             for region in self.regions:
-                region.wait_and_record_recovery_s(killed_s)
+                whole = region.wait_for_line("whole", killed_s + JOIN_LIMIT_S)
+                region.recovery_s = None if whole is None else whole.wall_s - killed_s
         self._sample_desk_usage_until(since_s + long_s)
 
     def _sample_desk_usage_until(self, until_s: float) -> None:

@@ -102,7 +102,7 @@ class Region:
         for member in self.members:
             if member.read_line(until_s - wall_s()) is None:
                 raise LeewayError(f"a member process did not start within {LOAD_LIMIT_S:.0f} s")
-        if self._wait_for_line("listens", until_s) is None:
+        if self.wait_for_line("listens", until_s) is None:
             raise LeewayError(f"a desk did not start within {LOAD_LIMIT_S:.0f} s")
 
     def join_members(
@@ -116,7 +116,7 @@ class Region:
                 self.desk.wait_for_exit(join_delay_s)
             member.write_line("join")
         begun_s = wall_s()
-        whole = self._wait_for_line("whole", begun_s + JOIN_LIMIT_S)
+        whole = self.wait_for_line("whole", begun_s + JOIN_LIMIT_S)
         if whole is None:
             report_progress(f"{self.fleet}: not all members joined within {JOIN_LIMIT_S:.0f} s")
             return 0, None
@@ -134,7 +134,7 @@ class Region:
         if self.desk.process.poll() is not None:
             raise LeewayError(f"the desk of {self.fleet} exited unexpectedly")
 
-    def _wait_for_line(self, kind: str, until_s: float) -> DeskLine | None:
+    def wait_for_line(self, kind: str, until_s: float) -> DeskLine | None:
         """Return the desk's line of this kind; None on timeout."""
         while (line := self.desk.read_line(until_s - wall_s())) is not None:
             desk_line = msgspec.json.decode(line, type=DeskLine)
@@ -151,19 +151,9 @@ class Region:
         self.desk = BenchProcess.start("desk", **self.desk_arguments)
         self.desk.write_line(f"fly {order_start_s}")
 
-    def wait_and_record_recovery_s(self, killed_s: float) -> None:
-        """Wait until the desk receives every member's state again."""
-        whole = self._wait_for_line("whole", killed_s + JOIN_LIMIT_S)
-        self.recovery_s = None if whole is None else whole.wall_s - killed_s
-
-    def send_stop_and_record_usage(self) -> None:
-        """Stop the assignment of orders; airborne members land."""
-        self.desk.write_line("stop")
-        self.record_desk_usage()
-
     def wait_until_landed(self, until_s: float) -> None:
         """Wait until all members have landed."""
-        ended = self._wait_for_line("ended", until_s)
+        ended = self.wait_for_line("ended", until_s)
         if ended is not None:
             self.present, self.false_departures = ended.present, ended.false_departures
 

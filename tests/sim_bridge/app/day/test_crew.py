@@ -34,7 +34,13 @@ class HandDrone:
 
     def switch_on_at_pad(self, t_s: float, ne_m: Any, payload_kg: float, order: str | None) -> None:
         vehicle = SimpleNamespace(pos_ned_m=(*ne_m, 0.0), is_crashed=False)
-        self.power_cycle = SimpleNamespace(t0_s=t_s, order=order, vehicle=vehicle, parcel=False)
+        self.power_cycle = SimpleNamespace(
+            t0_s=t_s,
+            order=order,
+            vehicle=vehicle,
+            parcel=False,
+            load_or_remove_parcel=self.load_or_remove_parcel,
+        )
         self.flown_s = 0.0
         self.done.append(("on", t_s))
 

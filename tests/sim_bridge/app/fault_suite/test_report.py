@@ -6,13 +6,13 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from sim_bridge.adapters.json_result import write_json_result
 from sim_bridge.app.fault_suite.promises import p_home_calibration
 from sim_bridge.app.fault_suite.report import (
     build_suite_result,
     cpu_time_summary_line,
-    p_home_calibration_tables,
+    p_home_calibration_table,
     pair_summary_line,
-    write_suite_result,
 )
 from sim_bridge.app.faults.fault import FaultRow
 from tests.sim_bridge.app.fault_suite.made_rows import made_row
@@ -33,7 +33,7 @@ def printed(table) -> list[list[str]]:
 
 def test_promises_are_held_against_what_came_home_group_by_group():
     rows = [row(), row(promised=0.9), row(home=False), row("link"), row("host", promised=None)]
-    (table,) = p_home_calibration_tables(rows)
+    table = p_home_calibration_table(rows, "group")
     lines = printed(table)
     assert ["energy", "3", "0.966", "0.667", "0.3360", "1", "of", "2"] in lines
     assert ["link", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
@@ -42,7 +42,7 @@ def test_promises_are_held_against_what_came_home_group_by_group():
 
 def test_the_file_holds_every_row_and_the_count(tmp_path):
     path = tmp_path / "faults.json"
-    write_suite_result(path, [row(), row(home=False)])
+    write_json_result(path, build_suite_result([row(), row(home=False)]))
     read = json.loads(path.read_text())
     assert (read["held"], read["of"]) == (1, 2)
     assert read["rows"][1]["why"] == "not home"
@@ -98,7 +98,7 @@ def test_what_a_flight_took_is_said_with_the_longest():
 
 def test_tight_flights_are_told_by_fault_too():
     rows = [row(), msgspec.structs.replace(row(home=False), fault="icing")]
-    _, by_fault = p_home_calibration_tables(rows, by_fault=True)
+    by_fault = p_home_calibration_table(rows, "fault")
     lines = printed(by_fault)
     assert ["draw-2", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
     assert ["icing", "1", "0.999", "0.000", "0.9980", "0", "of", "1"] in lines

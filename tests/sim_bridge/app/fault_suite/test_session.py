@@ -5,12 +5,11 @@ import json
 import pytest
 from rich.console import Console
 
-from ground_station.adapters.workers.side_by_side import ItemDone, ItemLost
+from ground_station.adapters.workers.side_by_side import ItemDone, ItemLost, WorkerOptions
 from sim_bridge.app.fault_suite import suite
 from sim_bridge.app.fault_suite.catalogue import select_cases
 from sim_bridge.app.fault_suite.session import FaultSuiteSession, open_progress_log
 from sim_bridge.app.faults.fault import PHASES, FaultRow, FaultTask
-from sim_bridge.app.trials.trial import TrialLimits
 from sim_bridge.autopilot.kinds import AUTOPILOTS
 from tests.sim_bridge.app.fault_suite.made_rows import made_row
 
@@ -39,7 +38,7 @@ def flights(monkeypatch):
 def session(tmp_path, minutes: float | None = None, seeds=range(1, 3)) -> FaultSuiteSession:
     todo = suite.list_tasks(select_cases(["7"]), AUTOPILOTS, PHASES, seeds, tmp_path)
     console = Console(quiet=True)
-    return FaultSuiteSession(todo, TrialLimits(1, minutes), tmp_path / "faults.json", console)
+    return FaultSuiteSession(todo, WorkerOptions(), minutes, tmp_path / "faults.json", console)
 
 
 def test_after_ctrl_c_the_same_command_flies_the_rest_and_nothing_twice(tmp_path, flights):
@@ -109,7 +108,7 @@ def test_a_flight_whose_worker_is_killed_is_no_row_and_is_named(tmp_path, flight
     monkeypatch.setattr("sim_bridge.app.fault_suite.session.run_parallel", one_is_lost)
     todo = suite.list_tasks(select_cases(["7"]), AUTOPILOTS, PHASES[2:3], range(1, 3), tmp_path)
     one = FaultSuiteSession(
-        todo, TrialLimits(2, None), tmp_path / "faults.json", Console(quiet=True)
+        todo, WorkerOptions(2), None, tmp_path / "faults.json", Console(quiet=True)
     )
     rows = one.fly_and_store_remaining_flights()
     assert [(row.autopilot, row.seed) for row in rows] == [

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import WorkerOptions
 from sim_bridge.app.trials import day_case, fuzz, logs, stall
 from sim_bridge.app.trials.damage import EDIT_KINDS, Edit, apply_edits
 from sim_bridge.app.trials.logs import SUFFIXES, write_undamaged_sample_logs
 from sim_bridge.app.trials.soak import SoakSample, describe_exceeded_limits
 from sim_bridge.app.trials.trial import (
-    TrialLimits,
     TrialRow,
     build_trial_result,
     cases_until_time_limit,
@@ -57,10 +57,10 @@ def test_the_same_seed_draws_the_same_cases_and_another_seed_others():
 
 def test_nothing_begins_after_the_time_is_up():
     cases = [fuzz.draw_case(1, number) for number in range(5)]
-    assert len(list(cases_until_time_limit(cases, TrialLimits(jobs=1, minutes=None)))) == 5
-    assert not list(cases_until_time_limit(cases, TrialLimits(jobs=1, minutes=0.0)))
-    limits = TrialLimits(1, None)
-    assert len(list(run_trial(cases, lambda case: [row(case)], limits, none_lost))) == 5
+    assert len(list(cases_until_time_limit(cases, None))) == 5
+    assert not list(cases_until_time_limit(cases, 0.0))
+    rows = run_trial(cases, lambda case: [row(case)], WorkerOptions(), none_lost)
+    assert len(list(rows)) == 5
 
 
 def wait_for(first: Path, number: int) -> list[TrialRow]:
@@ -90,7 +90,7 @@ def killed_at_two(case: fuzz.FuzzCase) -> list[TrialRow]:
 @pytest.mark.sample
 def test_a_case_whose_worker_is_killed_is_a_row_that_has_not_held():
     cases = [fuzz.draw_case(1, number) for number in range(5)]
-    ended = run_trial(cases, killed_at_two, TrialLimits(2, None), failed_rows_for_lost_worker)
+    ended = run_trial(cases, killed_at_two, WorkerOptions(2), failed_rows_for_lost_worker)
     rows = list(ended)
     assert len({one.name for one in rows}) == len(rows) == 5
     (broke,) = [one for one in rows if not one.passed]
@@ -101,7 +101,7 @@ def test_a_case_whose_worker_is_killed_is_a_row_that_has_not_held():
 @pytest.mark.sample
 def test_a_case_that_takes_long_holds_up_no_other_and_the_result_is_in_order(tmp_path):
     attempt = functools.partial(wait_for, tmp_path / "last")
-    rows = list(run_trial(range(LAST + 1), attempt, TrialLimits(jobs=2, minutes=None), none_lost))
+    rows = list(run_trial(range(LAST + 1), attempt, WorkerOptions(2), none_lost))
     assert [row.name for row in rows[-2:]] != ["case-10", "case-11"], "the first came late"
     told = build_trial_result("fuzz", 1, rows)
     assert [row.name for row in told["rows"]] == [f"case-{number}" for number in range(LAST + 1)]

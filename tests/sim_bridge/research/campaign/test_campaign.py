@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.workers.side_by_side import WorkerOptions
 from sim_bridge.main import app
 from sim_bridge.research.campaign.campaign import (
     TaskResult,
@@ -76,7 +77,10 @@ def test_rows_do_not_depend_on_the_number_of_jobs(tmp_path):
     alone, pooled = (
         list(
             summarize_campaign_rows(
-                tasks, ExperimentRun(tmp_path / str(jobs), jobs).run_cases_and_return_results(study)
+                tasks,
+                ExperimentRun(
+                    tmp_path / str(jobs), WorkerOptions(jobs)
+                ).run_cases_and_return_results(study),
             )
         )
         for jobs in (1, 2)

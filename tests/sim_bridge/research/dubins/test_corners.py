@@ -17,7 +17,7 @@ from sim_bridge.research.dubins.corners import (
     stop_and_yaw_time_loss_s,
     unrounded_corner_time_loss_s,
 )
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits
 
 LIMITS = FlightLimits(15.0, 60.0)
 ROOM = np.array([400.0])

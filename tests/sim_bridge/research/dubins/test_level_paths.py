@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sim_bridge.research.dubins.level_paths import fastest_dubins_paths
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits, fastest_dubins_paths
 
 V, R = 15.0, 60.0
 LIMITS = FlightLimits(V, R)

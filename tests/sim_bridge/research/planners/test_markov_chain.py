@@ -70,7 +70,7 @@ def test_the_process_chain_drifts_and_spreads_as_ornstein_and_uhlenbeck_say():
     std = np.sqrt(row @ (chain.states_en_mps[:, 0] - mean[0]) ** 2)
     # Uhlenbeck & Ornstein 1930: mean x0 exp(-t/tau), variance s^2 (1 - exp(-2 t/tau)).
     assert mean[0] == pytest.approx(4.0 * math.exp(-0.2), abs=0.1)
-    assert std == pytest.approx(math.sqrt(process.predictive_cov_m2ps2(120.0)[0, 0]), rel=0.05)
+    assert std == pytest.approx(math.sqrt(process.predictive_variance_m2ps2(120.0)), rel=0.05)
 
 
 def test_what_is_seen_now_is_certain_now_and_less_so_later():
@@ -98,7 +98,7 @@ def test_the_prior_chain_changes_within_minutes_as_the_process_does() -> None:
     expected = float(COAST.mean_squared_change_m2ps2(np.array([300.0]), LEG_AVERAGING_S)[0])
     # Of the process, from a wind w: variance(lag) + (w (1 - exp(-lag/T)))^2, w^2 = variance(inf).
     gone = -np.expm1(-300.0 / wind.time_constant_s)
-    closed = float(wind.predictive_cov_m2ps2(300.0)[0, 0]) + (wind.std_mps * gone) ** 2
+    closed = float(wind.predictive_variance_m2ps2(300.0)) + (wind.std_mps * gone) ** 2
     assert closed == pytest.approx(expected, rel=1e-6)
     # Its lattice of 0.75 standard deviations spreads by a seventh slower.
     assert 0.8 * expected < squared < expected

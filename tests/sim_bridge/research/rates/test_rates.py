@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim_bridge.research.rates.mission import DeliveryWorld, simulate_wind_on_day
+from sim_bridge.research.rates.mission import DeliveryWorld
 from sim_bridge.research.rates.study import (
     PLAIN,
     SUBSET,
@@ -20,6 +20,7 @@ from sim_bridge.research.rates.study import (
 )
 from sim_bridge.research.rates.subset import subset_simulation
 from sim_bridge.research.study.intervals import share_upper95
+from sim_bridge.truth.wind_days import build_day_process, day_wind_series
 
 
 @pytest.mark.sample
@@ -94,9 +95,9 @@ def test_what_fails_often_is_counted_in_one_level():
 
 
 def test_the_wind_has_the_days_spread():
-    rng = np.random.default_rng(3)
+    rng, process = np.random.default_rng(3), build_day_process(8.0, 0.0)
     wind = np.array(
-        [simulate_wind_on_day(0.0, rng.standard_normal((3, 400, 2)))[-1] for _ in range(600)]
+        [day_wind_series(process, rng.standard_normal((3, 400, 2)))[-1] for _ in range(600)]
     )
     spread = 8.0 * math.sqrt(0.10**2 + 0.09**2 + 0.165**2)
     assert wind.mean(axis=0) == pytest.approx([8.0, 0.0], abs=0.25)

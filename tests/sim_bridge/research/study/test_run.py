@@ -10,6 +10,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.journal import ProgressLog, work_digest
+from ground_station.adapters.workers.side_by_side import WorkerOptions
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
 from sim_bridge.research.study.sheet import Sheet
 
@@ -55,7 +56,7 @@ def test_what_no_worker_came_back_with_is_named_and_all_else_kept(
 ) -> None:
     study = Experiment("squares", range(5), killed_at_three, int)
     with pytest.raises(typer.Exit) as lost:
-        ExperimentRun(tmp_path, 2).run_cases_and_return_results(study)
+        ExperimentRun(tmp_path, WorkerOptions(2)).run_cases_and_return_results(study)
     assert lost.value.exit_code == 1
     assert "lost: squares, 4 of 5:" in capsys.readouterr().err
     (journal,) = tmp_path.glob("*.partial")
@@ -95,5 +96,8 @@ def test_processes_side_by_side_run_matrix_routines_on_one_thread_each(
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     names = ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"]
     study = Experiment("names", names, os.getenv, str)
-    assert ExperimentRun(tmp_path, 2).run_cases_and_return_results(study) == ["1", "1"]
+    assert ExperimentRun(tmp_path, WorkerOptions(2)).run_cases_and_return_results(study) == [
+        "1",
+        "1",
+    ]
     assert [os.getenv(name) for name in names] == ["7", None]

@@ -10,7 +10,7 @@ import pytest
 from companion.core.routing.energy_graph import EnergyGraph
 from companion.core.routing.planner_interface import PlannerObservation
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, draw_connected_scenario
-from sim_bridge.research.dubins.limits import FlightLimits
+from sim_bridge.research.dubins.level_paths import FlightLimits
 from sim_bridge.research.planners.markov_chain import WindChain, build_observed_wind_by_state
 from sim_bridge.research.planners.mission_model import ChainWinds, Outcome, fly_missions
 from sim_bridge.research.planners.scenario import build_energy_graph
