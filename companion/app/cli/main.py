@@ -314,11 +314,7 @@ def run_command(
             "--authorise: expected --mission; the desk authorises missions that it assigns"
         )
 
-    from companion.app.cli.flying import (
-        fly_and_return_exit_code,
-        fly_in_fleet_and_return_exit_code,
-        run_options,
-    )
+    from companion.app.cli import flying
     from companion.core.pilot.context import PilotOptions, UnansweredHoldAction
 
     pilot = PilotOptions(
@@ -334,7 +330,7 @@ def run_command(
         max_loss_per_hour=max_loss_per_hour,
         without_operator=no_operator,
     )
-    requested = run_options(
+    requested = flying.run_options(
         link=link,
         mission=mission,
         airframe=airframe,
@@ -355,7 +351,7 @@ def run_command(
     if operator:
         requested = replace(requested, operators=tuple(operator))
     if fleet is None or vehicle is None:
-        raise typer.Exit(fly_and_return_exit_code(requested))
+        raise typer.Exit(flying.fly_and_return_exit_code(requested))
 
     from companion.app.flight.fleet_run import FleetOptions
     from companion.fleet.membership import JoinOptions
@@ -363,7 +359,9 @@ def run_command(
 
     options = FleetOptions(fleet, vehicle, zenoh, JoinOptions(identity, open_network))
     flush_and_exit_process_immediately(
-        fly_in_fleet_and_return_exit_code(options, requested, one_mission=mission is not None)
+        flying.fly_in_fleet_and_return_exit_code(
+            options, requested, one_mission=mission is not None
+        )
     )
 
 
@@ -384,11 +382,10 @@ def check(
     pack: Pack = "unnamed",
 ) -> None:
     """Check the vehicle for a mission without changing the autopilot."""
-    from companion.app.cli.flying import check_vehicle_and_return_exit_code as check_now
-    from companion.app.cli.flying import run_options
+    from companion.app.cli import flying
     from companion.core.pilot.context import PilotOptions
 
-    requested = run_options(
+    requested = flying.run_options(
         link=link,
         mission=mission,
         airframe=airframe,
@@ -403,7 +400,7 @@ def check(
         pack=pack,
         pilot=PilotOptions(check_only=True, centre_on_vehicle=here),
     )
-    raise typer.Exit(check_now(requested))
+    raise typer.Exit(flying.check_vehicle_and_return_exit_code(requested))
 
 
 @app.command(epilog="Exit codes: 0 restored; 3 not restored; 4 no autopilot; 2, 6 as for run.")
@@ -418,20 +415,14 @@ def restore(
 
     The vehicle must be disarmed. Example: companion restore --link serial:/dev/serial0:921600
     """
-    from companion.app.cli.flying import restore_settings_and_return_exit_code
+    from companion.app.cli.flying import restore_settings_and_return_exit_code as restore_now
 
-    raise typer.Exit(
-        restore_settings_and_return_exit_code(
-            link, vehicle_settings, signing_key, system, silence_limit
-        )
-    )
+    raise typer.Exit(restore_now(link, vehicle_settings, signing_key, system, silence_limit))
 
 
 for part in (replay.app, export.app, fit_wind.app, calibrate.app, certify.app, monitor.app):
     app.registered_commands += part.registered_commands
 app.add_typer(signing.app, name="signing")
-
-
 reflow_command_help_in_place(app)
 
 
