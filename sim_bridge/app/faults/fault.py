@@ -60,9 +60,9 @@ fault takes effect in the companion's process."""
 
 
 def expect_startup_effect(stage: FaultContext) -> None:
-    """Require that the row's `before_companion` code has recorded its effect."""
+    """Require that the row's `before_companion` code records its effect, from its start on."""
     path = stage.craft.run_dir / "fault_effect"
-    stage.expect_effect("fault in the companion's process", path.exists)
+    stage.expect_effect("fault in the companion's process", path.exists, is_in_world=True)
 
 
 def start_with_companion(stage: FaultContext) -> Iterator[None]:
