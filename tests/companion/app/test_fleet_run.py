@@ -112,7 +112,7 @@ def test_nothing_of_a_flight_that_is_over_is_kept(tmp_path, monkeypatch, no_coll
         FLEET, "d1", config_file(tmp_path / "v.json5", connect=free_port())
     )
     options = RunOptions("", "m100", tmp_path, tmp_path / "d1")
-    earlier = [one for one in gc.get_objects() if isinstance(one, (*OF_A_FLIGHT, Standby))]
+    earlier = [one for one in gc.get_objects() if issubclass(type(one), (*OF_A_FLIGHT, Standby))]
     port = fleet_run.open_fleet_port(fleet, options, Settings.read_settings_files(options))
     desk = Desk(port, earlier)
     monkeypatch.setattr(fleet_run, "open_fleet_port", lambda *_: port)
