@@ -255,18 +255,16 @@ class LandingController:
         """Restore the autopilot's settings, or report which are not restored and the reason."""
         state = context.telemetry.state
         armed = state is None or state.armed
-        is_unseen, plan = context.phase is Phase.RECOGNISE, context.flight_plan
+        plan, reason = context.flight_plan, "someone else has control"
+        is_unseen = context.phase is Phase.RECOGNISE
         is_at_home = plan is not None and self._at_home_and_position_text(context, plan)[0]
-        if not armed and (context.phase in FLIGHT_PHASES or (is_unseen and is_at_home)):
+        if armed:
+            reason = "still armed"
+        elif context.phase in FLIGHT_PHASES or (is_unseen and is_at_home):
             self._settings.order_settings_restore(context)
             return
-        reason = (
-            "still armed"
-            if armed
-            else "disarmed away from home, unseen"
-            if is_unseen
-            else "someone else has control"
-        )
+        elif is_unseen:
+            reason = "disarmed away from home, unseen"
         context.report_alert(Alert.SETTINGS_NOT_RESTORED, reason=reason)
         settings = self._settings.original_values_to_restore
         before = ", ".join(f"{name} {value:g}" for name, value in settings.items())

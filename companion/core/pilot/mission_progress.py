@@ -3,6 +3,7 @@
 A jump is confirmed by telemetry only (jump_watch.py): it is repeated, then abandoned.
 """
 
+import math
 from dataclasses import dataclass, field
 
 from companion.core.base.geo import horizontal_distance_m
@@ -95,6 +96,12 @@ class MissionProgressMonitor:
         return self._item.index if self._state.jump is None else self._state.jump.index
 
     @property
+    def jump_ordered_s(self) -> float:
+        """Time of the latest jump, pending or confirmed; -inf without one."""
+        jumps = (self._state.jump, self._state.confirmed_jump)
+        return max((j.first_ordered_s for j in jumps if j is not None), default=-math.inf)
+
+    @property
     def is_jumping_home(self) -> bool:
         """Whether a jump home is pending."""
         return self._state.jump is not None and self._state.jump.jump_type is JumpType.HOME
@@ -112,7 +119,6 @@ class MissionProgressMonitor:
         ):  # it flies there already: indistinguishable from a confirmation
             before.discard(item_index)
         state.jump = JumpMonitor(item_index, jump_type, context.t_s, frozenset(before))
-        self._aboard.slow_read_start_s = None  # is it an item of the companion's list?
         self._course.restart_leg_check()
         _queue_jump_order(context, state.jump)
 
@@ -293,8 +299,13 @@ class MissionProgressMonitor:
 def _queue_jump_order(context: FlightContext, jump: JumpMonitor) -> None:
     flown = context.flight_plan
     others = frozenset[int]() if flown is None else jump.other_confirming_items(flown.mission)
-    is_stopped = context.telemetry.observed.mission_state in STOPPED_STATES
-    context.queue_actions(JumpTo(jump.index, others, is_restart=is_stopped))
+    is_restart = is_mission_stopped(context)
+    context.queue_actions(JumpTo(jump.index, others, is_restart=is_restart))
+
+
+def is_mission_stopped(context: FlightContext) -> bool:
+    """Return whether the mission mode is active but its mission is complete or stopped."""
+    return context.telemetry.observed.mission_state in STOPPED_STATES
 
 
 def _is_mission_mode_or_unknown(vehicle_state: VehicleState | None) -> bool:

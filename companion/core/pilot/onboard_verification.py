@@ -2,12 +2,13 @@
 
 Another station may rewrite the mission at any time, and its number of items need not change. Signs
 are its id (PX4), status texts of ArduCopter, or an acknowledgement to another station; without an
-id the list is read back continuously at a low rate. Any sign is a doubt: the whole list is read at
-once. If it differs, the gate closes and the list is restored, once. That is safe in flight: both
-autopilots keep the index; PX4 switches when the whole list is there, and on ArduCopter each
-received item replaces a foreign one. Then one jump leads home. The last resort needs no list. It
-applies if the list cannot be restored or changes again, and above the landing site: PX4 takes off
-again for an item after a landing, and holds when the list is restored and complete.
+id the list is read back continuously at a low rate, and from its start after a jump. Any sign is a
+doubt: the whole list is read at once. If it differs, the gate closes and the list is restored,
+once. That is safe in flight: both autopilots keep the index; PX4 switches when the whole list is
+there, and on ArduCopter each received item replaces a foreign one. Then one jump leads home. The
+last resort needs no list. It applies if the list cannot be restored or changes again, and above the
+landing site: PX4 takes off again for an item after a landing, and holds when the list is restored
+and complete.
 
 A complete read-back, or a recent report of the verified list's id, precedes every command that
 starts or resumes motion:
@@ -63,10 +64,11 @@ read, restore, read."""
 MISSION_PHASES = tuple(phase for phase in FLIGHT_PHASES if phase is not Phase.LAST_RESORT)
 """Phases in which the list is flown; RTL needs no list."""
 
-RETURN_PARTS = (Part.RETURN, Part.RALLY, Part.LAND, Part.RALLY_LAND, Part.END)
-
 ID_PHASES = (Phase.READY, Phase.ARM, *MISSION_PHASES)
 """Phases in which the onboard list is verified, so that its id is that of the companion's list."""
+
+RETURN_PARTS = (Part.RETURN, Part.RALLY, Part.LAND, Part.RALLY_LAND, Part.END)
+"""Parts of the mission that lead to a landing site."""
 
 
 @dataclass(slots=True, eq=False)
@@ -116,9 +118,10 @@ class OnboardMissionVerifier:
             return
         items = flown.mission.items
         if not state.is_unverified:
-            if state.mission_id is None and context.seconds_since(
-                state.slow_read_start_s
-            ) > _slow_read_cycle_s(items):
+            started_s = state.slow_read_start_s
+            is_due = context.seconds_since(started_s) > _slow_read_cycle_s(items)
+            has_jumped = started_s is not None and self._jumps.jump_ordered_s > started_s
+            if state.mission_id is None and (is_due or has_jumped):
                 state.slow_read_start_s = context.t_s
                 context.queue_actions(
                     VerifyMission(items, READ_INTERVAL_S, stop_at_first_difference=True)
@@ -235,16 +238,16 @@ class OnboardMissionVerifier:
         state = self._state
         state.unverified_since_s = None
         state.mission_id = None
-        if state.restored:
-            context.record_decision("mission_restored", "mission restored")
-            context.report_alert(Alert.MISSION_RESTORED)
-            self._jump_home_from_last_item(context)
-        else:
-            context.record_decision("mission_proven", "onboard mission verified")
         state.slow_read_start_s = context.t_s
+        if not state.restored:
+            context.record_decision("mission_proven", "onboard mission verified")
+            return
+        context.record_decision("mission_restored", "mission restored")
+        context.report_alert(Alert.MISSION_RESTORED)
+        self._return_by_newest_decision(context)
 
-    def _jump_home_from_last_item(self, context: FlightContext) -> None:
-        """Return by the newest decision: a list changed meanwhile may have moved the index."""
+    def _return_by_newest_decision(self, context: FlightContext) -> None:
+        """Return: by a pending jump, else from the last known item, as the index may have moved."""
         flown, index = context.flight_plan, self._jumps.destination_item_index
         assert flown is not None
         if context.phase is Phase.RELEASE:

@@ -14,7 +14,7 @@ from sim_bridge.app.faults.verdict import (
     check_alert_sent,
     check_control_retained,
     check_delivered,
-    check_landed_intact_by_pilot,
+    check_landed_intact_by_pilot_anywhere,
     check_no_commands_after_takeover,
     check_procedure_made_note,
     check_returned_home,
@@ -266,7 +266,7 @@ def replace_mission_twice_and_refuse_rtl(stage: FaultContext) -> Iterator[None]:
     (
         check_no_commands_after_takeover,
         check_alert_sent(Alert.CONTROL_RELEASED),
-        check_landed_intact_by_pilot,
+        check_landed_intact_by_pilot_anywhere,
     ),
 )
 def land_by_station_during_own_rtl(stage: FaultContext) -> Iterator[None]:

@@ -59,15 +59,15 @@ def record_fault_effect():
 fault takes effect in the companion's process."""
 
 
-def expect_startup_effect(stage: FaultContext) -> None:
-    """Require that the row's `before_companion` code records its effect, from its start on."""
+def expect_startup_effect(stage: FaultContext, *, since_start: bool = False) -> None:
+    """Require that the row's `before_companion` code records its effect, now or from its start."""
     path = stage.craft.run_dir / "fault_effect"
-    stage.expect_effect("fault in the companion's process", path.exists, is_in_world=True)
+    stage.expect_effect("fault in the companion's process", path.exists, is_in_world=since_start)
 
 
 def start_with_companion(stage: FaultContext) -> Iterator[None]:
     """Begin at once: the fault is in the companion's process, by `before_companion`."""
-    expect_startup_effect(stage)
+    expect_startup_effect(stage, since_start=True)
     stage.record_fault_start()
     yield
 

@@ -144,16 +144,23 @@ def check_control_retained(flown: FaultRunResult) -> str | None:
 
 
 def check_landed_intact_by_pilot(flown: FaultRunResult) -> str | None:
-    """Check that a person landed it undamaged, by truth and by the companion's own verdict.
+    """Check that a person landed it undamaged, by truth and by the companion's own verdict."""
+    return _outcome_issue(flown, ("TAKEN",))
 
-    A landing at home counts as a return in both, whether or not the delivery is known.
-    """
+
+def check_landed_intact_by_pilot_anywhere(flown: FaultRunResult) -> str | None:
+    """Check as above, also at home: a return in both, whether or not the delivery is known."""
+    at_home = ("ABRT", "SUC")
+    return _outcome_issue(flown, at_home if flown.row["outcome"] in at_home else ("TAKEN",))
+
+
+def _outcome_issue(flown: FaultRunResult, expected: tuple[str, ...]) -> str | None:
+    """Return why truth or the companion states another outcome; `None` if neither does."""
     finish_texts = [d["reason"] for d in flown.row["decisions"] if d["kind"] == "finished"]
-    landings, outcome = (("TAKEN",), ("ABRT", "SUC")), flown.row["outcome"]
-    expected = next((group for group in landings if outcome in group), ())
+    outcome = flown.row["outcome"]
     return (
         None
-        if expected and finish_texts and finish_texts[-1].startswith(expected)
+        if outcome in expected and finish_texts and finish_texts[-1].startswith(expected)
         else f"by truth {outcome}, by the companion {finish_texts or 'nothing'}"
     )
 

@@ -98,6 +98,7 @@ def test_safety_rule_2_without_an_id_the_slow_reading_finds_a_dragged_item():
 @pytest.mark.parametrize("mission_id", [ID, None])
 def test_safety_rule_2_an_abort_in_a_foreign_list_leads_home_once_ours_is_restored(mission_id):
     w = reach(Phase.OUTBOUND, mission_id)
+    w.step()
     put_aboard(w, dragged(w.items))
     aborted_s = w.t_s
     w.tell(ev.AbortOrdered(w.t_s, "255/190"))

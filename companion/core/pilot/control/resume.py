@@ -42,7 +42,7 @@ from companion.core.pilot.estimates import EstimatesSnapshot
 from companion.core.pilot.flight_state import CurrentItem, FlightState, ReturnState
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings
 from companion.core.pilot.landing import LandingController
-from companion.core.pilot.mission_progress import MissionProgressMonitor
+from companion.core.pilot.mission_progress import MissionProgressMonitor, is_mission_stopped
 from companion.core.pilot.onboard_verification import OnboardMissionVerifier
 from companion.core.pilot.return_decision import ReturnDecision
 from companion.core.pilot.telemetry_state import STATE_MAX_AGE_S
@@ -232,7 +232,8 @@ class FlightResumption:
             self._item_before_entry = at
             self._requested_s = context.t_s
             if self._entry is not None:
-                context.queue_actions(JumpTo(self._entry))
+                is_restart = is_mission_stopped(context)
+                context.queue_actions(JumpTo(self._entry, is_restart=is_restart))
         return False
 
     @staticmethod

@@ -110,7 +110,9 @@ class SetpointController:
         if not isinstance(action, JumpTo) or flown is None or not self._state.active:
             return action
         setpoint_item = flown.mission.first_setpoint_item_of_target(action.index)
-        return action if setpoint_item is None else replace(action, index=setpoint_item)
+        if setpoint_item is None:
+            return action
+        return JumpTo(setpoint_item, is_restart=action.is_restart)
 
     # --- a tick ----------------------------------------------------------------------------------
 
