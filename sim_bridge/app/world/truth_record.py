@@ -68,7 +68,7 @@ class TruthRecord:
         self.crashed = self.crashed or truth.crashed
         if self.has_parcel and not truth.parcel_aboard:
             self.released_s, self.released_ned_m = t_s, tuple(truth.pos_ned_m)
-            self.release_height_m = height_m
+            self.release_height_m = float(height_m)  # a drifting barometer gives a NumPy scalar
         self.has_parcel = truth.parcel_aboard
         if truth.airborne:
             if self.takeoff_s is None:
