@@ -1,7 +1,5 @@
 """Reader of a day's files: TOML, CSV and GeoJSON. All problems are reported at once."""
 
-import csv
-import io
 import json
 import math
 from pathlib import Path
@@ -23,12 +21,14 @@ from ground_station.adapters.files.forecast_files import (
     find_forecast_conflict_or_none,
 )
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
+from ground_station.adapters.files.table_rows import read_text_table
 from ground_station.core.schema.day import Day, DayFilesError, Depot, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.day_plan import DayPlan
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.order_parsing import (
+    canonical_column,
     find_duplicate_orders,
     find_header_errors,
     parse_order_or_problems,
@@ -59,11 +59,12 @@ def read_day(path: Path, request: ForecastRequest = NO_FORECAST_REQUEST) -> DayD
     rows: list[tuple[str, int, Order]] = []
     day, forecast = _read_day_in_forecast_wind(table, day, path, request, problems)
     elevation = _read_elevation(day, path, problems)
+    notes: list[str] = []
     if (
         elevation is not None or not day.elevation
     ):  # otherwise each order would report a missing height
         for name in day.orders:
-            rows += _read_orders(path.parent / name, day.depot, problems, elevation)
+            rows += _read_orders(path.parent / name, day.depot, problems, notes, elevation)
     problems += find_duplicate_orders(rows)
     orders = [order for _, _, order in rows]
     no_fly = _read_no_fly_document(path.parent / day.no_fly, day, problems) if day.no_fly else None
@@ -73,7 +74,9 @@ def read_day(path: Path, request: ForecastRequest = NO_FORECAST_REQUEST) -> DayD
     roads = _read_road_travel_times_s(path.parent / day.roads, ids, problems) if day.roads else None
     if problems:
         raise DayFilesError(problems)
-    return DayData(day, orders, no_fly, airframes, roads, elevation, forecast, path.parent)
+    return DayData(
+        day, orders, no_fly, airframes, roads, elevation, forecast, path.parent, tuple(notes)
+    )
 
 
 def _read_day_in_forecast_wind(
@@ -105,10 +108,13 @@ def _read_elevation(day: Day, path: Path, problems: list[FileProblem]) -> SiteEl
         return None
 
 
-def read_orders(path: Path, depot: Depot | None) -> list[Order]:
-    """Read orders of one CSV or GeoJSON file. Raises DayFilesError with all problems."""
+def read_orders(path: Path, depot: Depot | None, notes: list[str] | None = None) -> list[Order]:
+    """Read orders of one CSV or GeoJSON file. Raises DayFilesError with all problems.
+
+    `notes`: receives how the file was read, where that is not as documented.
+    """
     problems: list[FileProblem] = []
-    rows = _read_orders(path, depot, problems)
+    rows = _read_orders(path, depot, problems, [] if notes is None else notes)
     problems += find_duplicate_orders(rows)
     if problems:
         raise DayFilesError(problems)
@@ -119,12 +125,15 @@ def _read_orders(
     path: Path,
     depot: Depot | None,
     problems: list[FileProblem],
+    notes: list[str],
     elevation: SiteElevation | None = None,
 ) -> list[tuple[str, int, Order]]:
     file = str(path)
     try:
-        read = _read_geojson_rows if path.suffix in (".geojson", ".json") else _read_csv_rows
-        table = read(path, problems)
+        if path.suffix.lower() in (".geojson", ".json"):
+            table = _read_geojson_rows(path, problems)
+        else:
+            table = _read_csv_rows(path, problems, notes)
     except LeewayError as error:
         problems.append(FileProblem(file, None, None, _message_without_path(error, path)))
         return []
@@ -138,28 +147,25 @@ def _read_orders(
     return found
 
 
-def _read_csv_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
+def _read_csv_rows(
+    path: Path, problems: list[FileProblem], notes: list[str]
+) -> list[tuple[int, dict[str, str]]]:
     """Return rows, each with its first line number; none if the header is wrong."""
-    reader = csv.reader(io.StringIO(_read_text(path)), strict=True)
+    table = read_text_table(path)
+    header = [canonical_column(name) for name in table.rows[0][1]] if table.rows else []
+    wrong = find_header_errors(str(path), header)
+    problems += wrong
+    if wrong:
+        return []
+    if table.dialect:
+        notes.append(f"{path}: read as {table.dialect}")
     found: list[tuple[int, dict[str, str]]] = []
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        wrong = find_header_errors(str(path), header)
-        problems += wrong
-        if wrong:
-            return []
-        line = reader.line_num + 1
-        for cells in reader:
-            row, line = line, reader.line_num + 1
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(cells) != len(header):
-                words = f"{len(cells)} cells, expected {len(header)} as in the header"
-                problems.append(FileProblem(str(path), row, None, words))
-                continue
+    for row, cells in table.rows[1:]:
+        if len(cells) == len(header):
             found.append((row, dict(zip(header, cells, strict=True))))
-    except csv.Error as error:
-        problems.append(FileProblem(str(path), reader.line_num, None, str(error)))
+        else:
+            words = f"{len(cells)} cells, expected {len(header)} as in the header"
+            problems.append(FileProblem(str(path), row, None, words))
     return found
 
 
@@ -255,11 +261,11 @@ def _read_road_travel_times_s(
     """Read a square table of seconds: first row and column name `depot` and the orders."""
     file = str(path)
     try:
-        table = list(csv.reader(io.StringIO(_read_text(path)), strict=True))
-    except (LeewayError, csv.Error) as error:
+        table = read_text_table(path).rows
+    except LeewayError as error:
         problems.append(FileProblem(file, None, None, _message_without_path(error, path)))
         return None
-    names = [name.strip() for name in table[0][1:]] if table else []
+    names = [name.strip() for name in table[0][1][1:]] if table else []
     before = len(problems)
     for twice in sorted({name for name in names if names.count(name) > 1}):
         problems.append(FileProblem(file, 1, twice, "column more than once"))
@@ -267,7 +273,7 @@ def _read_road_travel_times_s(
         problems.append(FileProblem(file, 1, missing, "column missing"))
     roads: dict[tuple[str, str], float] = {}
     seen: set[str] = set()
-    for row, cells in enumerate(table[1:], start=2):
+    for row, cells in table[1:]:
         start = cells[0].strip() if cells else ""
         if start in seen:
             problems.append(FileProblem(file, row, None, f"row {start} more than once"))
@@ -294,15 +300,6 @@ def _parse_nonnegative_seconds(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) and value >= 0.0 else None
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise LeewayError(f"{path}: not UTF-8 at byte {error.start}") from error
 
 
 def _message_without_path(error: Exception, path: Path) -> str:

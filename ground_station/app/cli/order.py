@@ -85,7 +85,10 @@ def import_(
 
     path = Path(file)
     data = None if path.suffix and path.suffix != ".toml" else read_day_and_warn(file)
-    orders = read_orders(path, None) if data is None else data.orders
+    notes: list[str] = []
+    orders = read_orders(path, None, notes) if data is None else data.orders
+    for note in notes:
+        typer.echo(note, err=True)
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, orders, by)
     if data is not None:

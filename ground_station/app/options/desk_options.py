@@ -206,6 +206,8 @@ def read_day_and_warn(day_name_or_file: str, *, keep_forecast: bool = False) -> 
     data = read_day(
         resolve_day_file_path(day_name_or_file), ForecastRequest(keep_forecast=keep_forecast)
     )
+    for note in data.import_notes:
+        typer.echo(note, err=True)
     warn_if_features_out_of_reach(data)
     return data
 

@@ -24,6 +24,7 @@ class DayData:
     `road_times_s`: seconds between sites (`depot`, or an order's id); None: computed from the
     truck's speed. `elevation`: the ground about the depot, where the day names tiles. `forecast`:
     of a file; `day.forecast` is its wind at the start of the day. `folder`: folder of the files.
+    `import_notes`: how files were read that differ from the documented format.
     """
 
     day: Day
@@ -34,6 +35,7 @@ class DayData:
     elevation: SiteElevation | None = None
     forecast: DayForecast | None = None
     folder: Path = Path()
+    import_notes: tuple[str, ...] = ()
 
     def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""
