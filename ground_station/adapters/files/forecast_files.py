@@ -1,5 +1,6 @@
 """Forecast files of a day or a flight: detects the format and selects the time."""
 
+import codecs
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -34,7 +35,7 @@ def read_forecast(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
     """Read the forecast around a position: Open-Meteo JSON or GRIB2. Raises LeewayError."""
     try:
         with path.open("rb") as file:
-            start = file.read(64).lstrip()
+            start = file.read(64).removeprefix(codecs.BOM_UTF8).lstrip()
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
     if start[:1] in (b"{", b"["):

@@ -84,7 +84,7 @@ def read_open_meteo_forecast(path: Path, lat_deg: float, lon_deg: float) -> Fore
 
 def _decode_document(raw: bytes) -> Any:
     try:
-        return json.loads(raw)
+        return json.loads(raw.decode("utf-8-sig"))
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LeewayError(
             f"damaged, or not JSON ({error}), expected Open-Meteo's response"
@@ -198,6 +198,9 @@ def _wind_ne_mps(hourly: _Hourly, speed_name: str) -> Floats:
     if direction_name not in hourly.columns:
         raise LeewayError(f"hourly.{direction_name}: missing, expected together with {speed_name}")
     speed_mps = hourly.column_in_si_units(speed_name, MPS_OF)
+    if (negative := np.flatnonzero(speed_mps < 0.0)).size:
+        hour, speed = int(negative[0]), float(speed_mps[negative[0]])
+        raise LeewayError(f"hourly.{speed_name}[{hour}]: {speed:g} m/s, expected 0 or more")
     from_rad = np.radians(hourly.column_in_si_units(direction_name, {"°": 1.0}))
     return -speed_mps[:, None] * np.stack([np.cos(from_rad), np.sin(from_rad)], axis=1)
 

@@ -144,6 +144,9 @@ MISTAKES = {
     "1 times, expected 2": lambda d: [
         column.__delitem__(slice(1, None)) for column in d["hourly"].values()
     ],
+    "hourly.wind_speed_80m[1]: -2 m/s, expected 0 or more": lambda d: d["hourly"][
+        "wind_speed_80m"
+    ].__setitem__(1, -2.0),
     "no hourly, expected Open-Meteo's response": lambda d: d.pop("hourly"),
 }
 
@@ -156,6 +159,13 @@ def test_a_mistake_is_one_line_with_the_file(tmp_path, words):
     assert said.startswith(str(tmp_path / "wind.json"))
     assert words in said
     assert "\n" not in said
+
+
+def test_a_byte_order_mark_changes_nothing(tmp_path):
+    path = written(tmp_path / "wind.json", answer())
+    plain = at(read_forecast(path, LAT, LON), 1.0, 80.0)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert at(read_forecast(path, LAT, LON), 1.0, 80.0) == plain
 
 
 def test_a_torn_file_is_one_line(tmp_path):
