@@ -49,9 +49,10 @@ class _Limit(NamedTuple):
 
 
 class _Volume(NamedTuple):
-    """Rings (lon, lat) in degrees, or one circle; `lower` and `upper` None: not specified."""
+    """Polygons (lon, lat) in degrees, or one circle; `lower` and `upper` None: not specified."""
 
-    rings_deg: tuple[Ring, ...]
+    polygons_deg: tuple[tuple[Ring, ...], ...]
+    """Rings of each polygon: the outer one, then the holes."""
     circle: tuple[float, float, float] | None
     lower: _Limit | None
     upper: _Limit | None
@@ -100,14 +101,14 @@ class GeoZone:
 
     def _volumes_with_projected_rings(self, frame: LocalFrame) -> Iterator[tuple[_Volume, Ring]]:
         for volume in self.volumes:
-            rings = (
-                volume.rings_deg
+            polygons = (
+                volume.polygons_deg
                 if volume.circle is None
-                else (polygon_around_circle_lon_lat_deg(*volume.circle),)
+                else ((polygon_around_circle_lon_lat_deg(*volume.circle),),)
             )
-            for ring in rings:
+            for outer, *holes in polygons:
                 try:
-                    corners = clip_ring_to_site_and_project(frame, ring)
+                    corners = clip_ring_to_site_and_project(frame, outer, holes)
                 except LeewayError as error:
                     raise LeewayError(f"{self.where}: {error}") from error
                 yield from ((volume, part) for part in corners)
@@ -145,11 +146,22 @@ def parse_geo_zone(feature_index: int, feature: dict[str, Any]) -> GeoZone:
             _parse_zone_name(table.get("name")),
             _parse_restriction(table),
             parse_zone_periods(times, table.get(times)),
-            _parse_volumes(feature.get("geometry")),
+            _parse_volumes(_geometry_with_limits(feature, table)),
             where,
         )
     except LeewayError as error:
         raise LeewayError(f"{where}: {error}") from error
+
+
+def _geometry_with_limits(feature: dict[str, Any], table: dict[str, Any]) -> Any:
+    """Return the geometry, with the limits that authorities publish in `properties.geometry`."""
+    geometry, limits = feature.get("geometry"), table.get("geometry")
+    if table is feature or limits is None:
+        return geometry
+    return [
+        {"horizontalProjection": geometry} | one if isinstance(one, dict) else one
+        for one in (limits if isinstance(limits, list) else [limits])
+    ]
 
 
 def _parse_zone_name(value: Any) -> str:
@@ -202,7 +214,7 @@ def _parse_ed269_volume(key: str, table: Any) -> _Volume:
             lower,
             upper,
         )
-    return _Volume(_parse_outer_rings_lon_lat_deg(of, shape), None, lower, upper)
+    return _Volume(_parse_polygons_lon_lat_deg(of, shape), None, lower, upper)
 
 
 def _parse_ed318_volume(key: str, shape: Any) -> _Volume:
@@ -226,7 +238,7 @@ def _parse_ed318_volume(key: str, shape: Any) -> _Volume:
             f"{key}.extent", shape.get("coordinates"), extent.get("radius")
         )
         return _Volume((), circle, lower, upper)
-    return _Volume(_parse_outer_rings_lon_lat_deg(key, shape), None, lower, upper)
+    return _Volume(_parse_polygons_lon_lat_deg(key, shape), None, lower, upper)
 
 
 def _parse_unit_in_m(key: str, value: Any) -> float:
@@ -259,25 +271,29 @@ def _check_limit_order(key: str, lower: _Limit | None, upper: _Limit | None) -> 
         raise LeewayError(f"{key} = {lower.metres:g} m: {words}")
 
 
-def _parse_outer_rings_lon_lat_deg(key: str, shape: dict[str, Any]) -> tuple[Ring, ...]:
-    """Return the outer rings; holes count as part of the zone."""
+def _parse_polygons_lon_lat_deg(key: str, shape: dict[str, Any]) -> tuple[tuple[Ring, ...], ...]:
+    """Return the rings of each polygon: the outer one, then its holes."""
     kind, coordinates = shape.get("type"), shape.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
         raise LeewayError(f"{key}.type = {kind!r}: expected Polygon, MultiPolygon or a circle")
     try:
-        polygons: Any = [coordinates] if kind == "Polygon" else coordinates
-        rings = tuple(tuple((float(p[0]), float(p[1])) for p in outer[0]) for outer in polygons)
+        listed: Any = [coordinates] if kind == "Polygon" else coordinates
+        polygons = tuple(
+            tuple(tuple((float(p[0]), float(p[1])) for p in ring) for ring in rings)
+            for rings in listed
+        )
     except (TypeError, ValueError, IndexError, KeyError):
-        rings = ()
-    if not rings or not all(_is_valid_closed_ring(ring) for ring in rings):
+        polygons = ()
+    if not polygons or not all(rings and all(map(_is_ring, rings)) for rings in polygons):
         words = "expected closed rings of at least 4 [lon, lat] degrees"
         raise LeewayError(f"{key}.coordinates: {words}")
-    return rings
+    return polygons
 
 
-def _is_valid_closed_ring(ring: Ring) -> bool:
+def _is_ring(ring: Ring) -> bool:
+    """Return whether all corners are on Earth; whether it is closed matters within reach only."""
     inside = all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in ring)
-    return inside and len(ring) >= 4 and ring[0] == ring[-1]
+    return inside and len(ring) >= 4
 
 
 def _parse_circle_lon_lat_radius(

@@ -92,8 +92,9 @@ def _obstacles_of_geojson_feature(
         polygons = {"Polygon": [coordinates], "MultiPolygon": coordinates}[kind]
         rings = [tuple((float(lon), float(lat)) for lon, lat, *_ in outer[0]) for outer in polygons]
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        found = {"KeyError": f"no {error}"}.get(type(error).__name__, f"{error}")
         raise LeewayError(
-            f"{where}: expected a Polygon of [lon, lat] with a height_m property, got {error!r}"
+            f"{where}: expected a Polygon of [lon, lat] with a height_m property: {found}"
         ) from error
     name = safe_text(str(properties.get("name", f"obstacle {feature_index}"))[:MAX_NAME_LENGTH])
     obstacles: list[Obstacle] = []

@@ -8,6 +8,7 @@ and then projected. No flight of the depot goes beyond the reach.
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pymap3d.vincenty
@@ -63,35 +64,63 @@ def _coordinate_error_hint(frame: LocalFrame, lat_deg: float, lon_deg: float) ->
     return ""
 
 
-def clip_ring_to_site_and_project(frame: LocalFrame, ring_lon_lat_deg: Ring) -> list[Ring]:
+def clip_ring_to_site_and_project(
+    frame: LocalFrame, ring_lon_lat_deg: Ring, holes_lon_lat_deg: Sequence[Ring] = ()
+) -> list[Ring]:
     """Return the part within reach of a closed ring of (lon, lat) as closed (north, east) rings.
 
-    Short edges keep their ends. Raises LeewayError for a ring within reach that intersects itself,
-    and for a ring beyond it that lies within reach with swapped coordinates.
+    Short edges keep their ends. An area with holes is cut into parts without one; holes that are
+    not valid count as part of the area. Raises LeewayError for a ring within reach that intersects
+    itself or is not closed, and for a ring beyond it that lies within reach with swapped
+    coordinates.
     """
-    rings = _clip_and_project(frame, ring_lon_lat_deg)
-    if not rings:
+    is_closed = ring_lon_lat_deg[0] == ring_lon_lat_deg[-1]
+    ring_lon_lat_deg = ring_lon_lat_deg if is_closed else (*ring_lon_lat_deg, ring_lon_lat_deg[0])
+    rings = _clip_and_project(frame, ring_lon_lat_deg, holes_lon_lat_deg)
+    if rings and not is_closed:
+        raise LeewayError("expected closed rings of at least 4 [lon, lat] degrees")
+    if not rings and not holes_lon_lat_deg:
         _check_not_swapped(frame, ring_lon_lat_deg)
     if not all(shapely.Polygon(ring).is_valid for ring in rings):
         raise LeewayError(SELF_INTERSECTION)
     return rings
 
 
-def _clip_and_project(frame: LocalFrame, ring_lon_lat_deg: Ring) -> list[Ring]:
+def _clip_and_project(frame: LocalFrame, outer_deg: Ring, holes_deg: Sequence[Ring]) -> list[Ring]:
     box = _site_reach_box_lon_lat_deg(frame)
     found: list[Ring] = []
     for shift_deg in (-360.0, 0.0, 360.0):
-        shifted_ring = tuple((lon + shift_deg, lat) for lon, lat in ring_lon_lat_deg)
+        shifted_ring, *shifted_holes = (
+            tuple((lon + shift_deg, lat) for lon, lat in ring) for ring in (outer_deg, *holes_deg)
+        )
         polygon = shapely.Polygon(shifted_ring)
         if not shapely.box(*polygon.bounds).intersects(box):
             continue
         parts: Sequence[Sequence[tuple[float, ...]]] = [shifted_ring]
-        if not box.contains(shapely.box(*polygon.bounds)):
+        if holes_deg or not box.contains(shapely.box(*polygon.bounds)):
             if not polygon.is_valid:
                 raise LeewayError(SELF_INTERSECTION)
-            cut = shapely.get_parts(shapely.intersection(polygon, box))
-            parts = [part.exterior.coords[:] for part in cut if part.geom_type == "Polygon"]
+            with_holes = shapely.Polygon(shifted_ring, shifted_holes)
+            cut = shapely.intersection(with_holes if with_holes.is_valid else polygon, box)
+            parts = [part.exterior.coords[:] for part in _parts_without_holes(cut)]
         found += [_project_ring_to_ne_m(frame, [(p[0], p[1]) for p in part]) for part in parts]
+    return found
+
+
+def _parts_without_holes(area: Any) -> list[shapely.Polygon]:
+    """Cut an area along the meridian through a hole of it, until no part has one."""
+    found: list[shapely.Polygon] = []
+    for part in shapely.get_parts(area):
+        if part.geom_type != "Polygon" or part.is_empty:
+            continue
+        if not part.interiors:
+            found.append(part)
+            continue
+        west, south, east, north = part.bounds
+        middle = part.interiors[0].centroid.x
+        for half in ((west, middle), (middle, east)):
+            side = shapely.box(half[0], south, half[1], north)
+            found += _parts_without_holes(shapely.intersection(part, side))
     return found
 
 

@@ -100,9 +100,9 @@ def _parse_is_permanent(key: str, value: Any) -> bool:
 
 
 def _parse_weekly_intervals_s(key: str, value: Any) -> tuple[tuple[float, float], ...]:
-    if value is None:
+    if value is None or value == []:  # as authorities publish a zone that is always in force
         return ()
-    if not isinstance(value, list) or not value:
+    if not isinstance(value, list):
         raise LeewayError(f"{key}: expected a list of day, startTime and endTime")
     return tuple(
         one

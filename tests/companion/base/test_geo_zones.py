@@ -6,7 +6,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import shapely
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap
@@ -144,6 +146,48 @@ def test_a_wrong_zone_is_named_with_its_key(
     with pytest.raises(LeewayError, match=words) as caught:
         parse_obstacles(FRAME, changed(example(name), path, value))
     assert "\n" not in str(caught.value)
+
+
+def zone_document(rings: list[list[list[float]]], **properties: Any) -> dict[str, Any]:
+    """Return a document with one zone in the form in which authorities publish it."""
+    values = {"identifier": "Z", "restriction": "PROHIBITED", "type": "COMMON"}
+    always = {"applicability": [{"permanent": "YES", "schedule": []}]}
+    geometry = {"type": "Polygon", "coordinates": rings}
+    feature = {"type": "Feature", "properties": values | always | properties, "geometry": geometry}
+    return {"type": "FeatureCollection", "features": [feature]}
+
+
+def square(half_deg: float, lon: float = 8.45, lat: float = 55.47) -> list[list[float]]:
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))
+    return [[lon + east * half_deg, lat + north * half_deg] for east, north in signs]
+
+
+def test_holes_of_a_zone_are_free_and_its_area_around_them_is_not() -> None:
+    rng = np.random.default_rng(3)
+    rings = [square(0.1), square(0.01), square(0.02, 8.5, 55.5)]
+    truth = shapely.Polygon(rings[0], rings[1:])
+    obstacles = parse_obstacles(FRAME, zone_document(rings))
+    areas = [shapely.Polygon(one.ring_ne_m) for one in obstacles]
+    for lon, lat in rng.uniform((8.33, 55.35), (8.57, 55.59), (400, 2)):
+        north_m, east_m, _ = FRAME.to_ned(math.radians(lat), math.radians(lon), FRAME.alt_amsl_m)
+        inside = any(area.contains(shapely.Point(north_m, east_m)) for area in areas)
+        assert inside == truth.contains(shapely.Point(lon, lat)), (lon, lat)
+
+
+def test_limits_beside_the_geometry_count_and_an_invalid_hole_belongs_to_the_zone() -> None:
+    limits = {"uomDimensions": "M", "lowerLimit": 121, "lowerVerticalReference": "AMSL"}
+    crossing = [square(0.1), square(0.02, 8.54)]
+    (zone,) = parse_obstacles(FRAME, zone_document(crossing, geometry=limits))
+    assert zone.bottom_m == pytest.approx(109.0)  # above the depot at 12 m
+    assert len(zone.ring_ne_m) > 4
+    with pytest.raises(LeewayError, match="uomDimensions"):
+        parse_obstacles(FRAME, zone_document([square(0.1)], geometry={"lowerLimit": 1}))
+
+
+def test_an_unclosed_ring_is_refused_within_reach_only() -> None:
+    assert parse_obstacles(FRAME, zone_document([square(0.1, lat=52.0)[:4]])) == ()
+    with pytest.raises(LeewayError, match="expected closed rings"):
+        parse_obstacles(FRAME, zone_document([square(0.1)[:4]]))
 
 
 AIR = Obstacle("air", ((100.0, -20.0), (100.0, 20.0), (140.0, 20.0), (140.0, -20.0)), 300.0, 90.0)

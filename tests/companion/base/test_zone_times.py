@@ -117,7 +117,7 @@ TIMES = {"day": ["MON"], "startTime": "08:00Z", "endTime": "16:00Z"}
         ),
         ([{"permanent": "MAYBE"}], r"\[0\]\.permanent = 'MAYBE': expected YES or NO"),
         ([{"permanent": []}], r"\[0\]\.permanent"),
-        ([{"schedule": []}], r"\[0\]\.schedule: expected a list"),
+        ([{"schedule": "ANY"}], r"\[0\]\.schedule: expected a list"),
         ([{"schedule": [TIMES | {"day": ["MONDAY"]}]}], r"schedule\[0\]\.day = .*expected ANY"),
         ([{"schedule": [TIMES | {"startTime": "25:00Z"}]}], r"startTime = '25:00Z': expected hh"),
         ([{"schedule": [TIMES | {"startTime": "08:61Z"}]}], r"startTime = '08:61Z'"),
