@@ -95,7 +95,10 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
         reader.findings.append(LogIssue("file", line.strip(), "whole messages are used"))
     reader.append_state_events_and_sort()
     if not reader.events:
-        raise LeewayError(f"{path}: no ATT, XKF1, POS or BAT in this dataflash log")
+        raise LeewayError(
+            f"{path}: a dataflash log without ATT, XKF1, POS and BAT that have a time stamp"
+            " (TimeUS, TimeMS)"
+        )
     return RecordedFlight(
         source="dataflash",
         events=tuple(reader.events),
@@ -138,6 +141,15 @@ def _read_messages(path: Path, reader: "_DataflashReader") -> None:
             log.filehandle.close()  # the object frees its memory map: views of it may remain
 
 
+def _boot_time_s(kind: str, message: Any) -> float | None:
+    """Return the time since boot; before 2015 logs have milliseconds, in GPS as `T`."""
+    stamp_us = getattr(message, "TimeUS", None)
+    if stamp_us is not None:
+        return float(stamp_us) / 1e6
+    stamp_ms = getattr(message, "T" if kind == "GPS" else "TimeMS", None)
+    return None if stamp_ms is None else float(stamp_ms) / 1e3
+
+
 class _DataflashReader:
     """Processes messages in file order."""
 
@@ -164,8 +176,11 @@ class _DataflashReader:
         if kind in ("MSG", "VER"):
             self._store_vehicle_and_firmware(kind, message)
             return
-        stamp_us = getattr(message, "TimeUS", None)
-        t_s = None if stamp_us is None else self.clock.update_from_stamp(kind, stamp_us / 1e6)
+        stamp_s = _boot_time_s(kind, message)
+        if stamp_s is not None:
+            t_s = self.clock.update_from_stamp(kind, stamp_s)
+        else:  # before 2015 these have no stamp
+            t_s = self.clock.t_s if kind in ("MODE", "EV") else None
         if t_s is None or not self._record_if_used(kind, message, t_s):
             return
         match kind:
@@ -253,6 +268,8 @@ class _DataflashReader:
 
     def _append_battery_event(self, t_s: float, message: Any) -> None:
         voltage, current = float(message.Volt), float(message.Curr)
+        if hasattr(message, "TimeMS"):  # before 2015: hundredths
+            voltage, current = 0.01 * voltage, 0.01 * current
         used_mah, used_wh = float(message.CurrTot), float(getattr(message, "EnrgTot", math.nan))
         measured = math.isfinite(current) and current >= 0.0
         left, temperature_c = getattr(message, "RemPct", None), float(getattr(message, "Temp", 0.0))

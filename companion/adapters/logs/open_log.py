@@ -57,8 +57,11 @@ def _reader_by_file_content(path: Path, first_bytes: bytes) -> Callable[[Path], 
     for magic, name in ARCHIVE_MAGIC.items():
         if first_bytes.startswith(magic):
             raise LeewayError(f"{path}: compressed file ({name}): unpack it first")
-    if first_bytes.startswith(b"FMT,"):
-        raise LeewayError(f"{path}: dataflash log in text form: use the original .bin")
+    if b"\nFMT, " in first_bytes or first_bytes.startswith(b"FMT,"):
+        raise LeewayError(
+            f"{path}: ArduPilot text log (dataflash as text): expected the original .bin;"
+            " mavlogdump.py --format csv writes single messages as CSV"
+        )
     if _is_text(first_bytes):
         return read_csv_log
     if is_tlog(first_bytes):
