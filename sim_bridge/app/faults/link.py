@@ -103,14 +103,14 @@ def limit_link_to_radio_rate(stage: FaultContext) -> Iterator[None]:
     stage.tap.radio = radio
 
 
-def slow_down_transfers(prefix: str, max_stall_s: float) -> FaultProcedure:
+def slow_down_transfers(prefix: str, max_delay_s: float, max_stall_s: float) -> FaultProcedure:
     """Return a procedure: until arming, messages of this prefix arrive a drawn time late, some are
     lost, and the companion may stall in the transfer.
     """
 
     def procedure(stage: FaultContext) -> Iterator[None]:
         rng, tap, sent = stage.rng, stage.tap, list[Message]()
-        delay_s, loss = rng.uniform(0.3, 3.0), rng.choice([0.0, LOSS_FRAC])
+        delay_s, loss = max_delay_s * rng.uniform(0.1, 1.0), rng.choice([0.0, LOSS_FRAC])
         stall_s = rng.choice([0.0, max_stall_s])
         stage.record_fault_start()
         stage.expect_messages_changed()
@@ -162,10 +162,10 @@ STRAY_RESULTS = (1, 13, 15)
 """MAV_MISSION_ERROR, INVALID_SEQUENCE and OPERATION_CANCELLED."""
 
 for number, name, description, arguments in (
-    (88, "slow-upload", "Mission messages arrive 0.3 to 3 s late, 0 or 30 % are lost; the companion"
-     " may stall for 2 s (S1).", ("MISSION_", 2.0)),
+    (88, "slow-upload", "Mission messages have a round trip of 0.3 to 3 s, 0 or 30 % are lost; the"
+     " companion may stall for 2 s (S1).", ("MISSION_", 1.5, 2.0)),
     (92, "slow-parameters", "Parameter messages arrive 0.3 to 3 s late, 0 or 30 % are lost (S6).",
-     ("PARAM_", 0.0)),
+     ("PARAM_", 3.0, 0.0)),
 ):  # fmt: skip
     procedure, rules = slow_down_transfers(*arguments), (*SAFETY_RULES, check_delivered)
     FAULTS.add_case(number, name, description, procedure, ("ready",), rules)
