@@ -73,7 +73,8 @@ def import_(
     file: Annotated[
         str,
         typer.Argument(
-            help="Orders (.csv, .geojson), a day (.toml), or the name of a bundled day."
+            help="Orders (.csv with commas, semicolons or tabs; .geojson), a day (.toml),"
+            " or the name of a bundled day."
         ),
     ],
 ) -> None:
