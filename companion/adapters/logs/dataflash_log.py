@@ -96,8 +96,8 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
     reader.append_state_events_and_sort()
     if not reader.events:
         raise LeewayError(
-            f"{path}: a dataflash log without ATT, XKF1, POS and BAT that have a time stamp"
-            " (TimeUS, TimeMS)"
+            f"{path}: no ATT, XKF1, POS or BAT with a time stamp (TimeUS, TimeMS) in this dataflash"
+            " log"
         )
     return RecordedFlight(
         source="dataflash",
@@ -179,7 +179,7 @@ class _DataflashReader:
         stamp_s = _boot_time_s(kind, message)
         if stamp_s is not None:
             t_s = self.clock.update_from_stamp(kind, stamp_s)
-        else:  # before 2015 these have no stamp
+        else:  # MODE and EV have none before 2015
             t_s = self.clock.t_s if kind in ("MODE", "EV") else None
         if t_s is None or not self._record_if_used(kind, message, t_s):
             return
@@ -253,7 +253,8 @@ class _DataflashReader:
         if message.Lat == 0.0 and message.Lng == 0.0:
             return
         alt = float(message.Alt)
-        rel = float(getattr(message, "RelHomeAlt", alt - (self._home_m or alt)))
+        height_above_home_m = getattr(message, "RelAlt", alt - (self._home_m or alt))  # to 2015
+        rel = float(getattr(message, "RelHomeAlt", height_above_home_m))
         self._last_position = (t_s, float(message.Lat), float(message.Lng), alt, rel)
         if kind == "GPS" and message.Status >= 3:
             course = math.radians(message.GCrs)

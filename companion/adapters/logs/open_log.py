@@ -57,7 +57,7 @@ def _reader_by_file_content(path: Path, first_bytes: bytes) -> Callable[[Path], 
     for magic, name in ARCHIVE_MAGIC.items():
         if first_bytes.startswith(magic):
             raise LeewayError(f"{path}: compressed file ({name}): unpack it first")
-    if b"\nFMT, " in first_bytes or first_bytes.startswith(b"FMT,"):
+    if b"\nFMT," in b"\n" + first_bytes:
         raise LeewayError(
             f"{path}: ArduPilot text log (dataflash as text): expected the original .bin;"
             " mavlogdump.py --format csv writes single messages as CSV"

@@ -29,6 +29,7 @@ GEOID_LOWEST_M, GEOID_HIGHEST_M = -107.0, 86.0
 """Range of the geoid height over the ellipsoid: EGM96's extremes (NASA TP-1998-206861), rounded."""
 MAX_RADIUS_M = 500_000.0
 
+LIMIT_KEYS = {"uomDimensions", "lowerLimit", "upperLimit"}
 GroundSpan = Callable[[Ring], tuple[float, float] | None]
 """Ring (north, east) -> lowest and highest ground in it, metres above the depot; None: unknown."""
 
@@ -155,13 +156,15 @@ def parse_geo_zone(feature_index: int, feature: dict[str, Any]) -> GeoZone:
 
 def _geometry_with_limits(feature: dict[str, Any], table: dict[str, Any]) -> Any:
     """Return the geometry, with the limits that authorities publish in `properties.geometry`."""
-    geometry, limits = feature.get("geometry"), table.get("geometry")
-    if table is feature or limits is None:
+    geometry, beside = feature.get("geometry"), table.get("geometry")
+    if table is feature:
         return geometry
-    return [
-        {"horizontalProjection": geometry} | one if isinstance(one, dict) else one
-        for one in (limits if isinstance(limits, list) else [limits])
+    limits = [
+        {"horizontalProjection": geometry} | one
+        for one in (beside if isinstance(beside, list) else [beside])
+        if isinstance(one, dict) and LIMIT_KEYS & one.keys()
     ]
+    return limits or geometry
 
 
 def _parse_zone_name(value: Any) -> str:
@@ -272,7 +275,10 @@ def _check_limit_order(key: str, lower: _Limit | None, upper: _Limit | None) -> 
 
 
 def _parse_polygons_lon_lat_deg(key: str, shape: dict[str, Any]) -> tuple[tuple[Ring, ...], ...]:
-    """Return the rings of each polygon: the outer one, then its holes."""
+    """Return the rings of each polygon: the outer one, then its holes with corners on Earth.
+
+    Whether they are closed matters within reach only, and is checked there.
+    """
     kind, coordinates = shape.get("type"), shape.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
         raise LeewayError(f"{key}.type = {kind!r}: expected Polygon, MultiPolygon or a circle")
@@ -284,14 +290,13 @@ def _parse_polygons_lon_lat_deg(key: str, shape: dict[str, Any]) -> tuple[tuple[
         )
     except (TypeError, ValueError, IndexError, KeyError):
         polygons = ()
-    if not polygons or not all(rings and all(map(_is_ring, rings)) for rings in polygons):
+    if not polygons or not all(rings and _has_corners_on_earth(rings[0]) for rings in polygons):
         words = "expected closed rings of at least 4 [lon, lat] degrees"
         raise LeewayError(f"{key}.coordinates: {words}")
-    return polygons
+    return tuple((outer, *filter(_has_corners_on_earth, holes)) for outer, *holes in polygons)
 
 
-def _is_ring(ring: Ring) -> bool:
-    """Return whether all corners are on Earth; whether it is closed matters within reach only."""
+def _has_corners_on_earth(ring: Ring) -> bool:
     inside = all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in ring)
     return inside and len(ring) >= 4
 

@@ -1,5 +1,6 @@
 """Obstacles and no-fly areas of a site: GeoJSON with heights, ED-269 or ED-318, by content."""
 
+import json
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -92,9 +93,9 @@ def _obstacles_of_geojson_feature(
         polygons = {"Polygon": [coordinates], "MultiPolygon": coordinates}[kind]
         rings = [tuple((float(lon), float(lat)) for lon, lat, *_ in outer[0]) for outer in polygons]
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        found = {"KeyError": f"no {error}"}.get(type(error).__name__, f"{error}")
         raise LeewayError(
-            f"{where}: expected a Polygon of [lon, lat] with a height_m property: {found}"
+            f"{where}: expected a Polygon or MultiPolygon of [lon, lat] with a number height_m or"
+            f" no_fly = true, got {safe_text(json.dumps(feature))[:120]}"
         ) from error
     name = safe_text(str(properties.get("name", f"obstacle {feature_index}"))[:MAX_NAME_LENGTH])
     obstacles: list[Obstacle] = []

@@ -69,17 +69,17 @@ def clip_ring_to_site_and_project(
 ) -> list[Ring]:
     """Return the part within reach of a closed ring of (lon, lat) as closed (north, east) rings.
 
-    Short edges keep their ends. An area with holes is cut into parts without one; holes that are
-    not valid count as part of the area. Raises LeewayError for a ring within reach that intersects
-    itself or is not closed, and for a ring beyond it that lies within reach with swapped
-    coordinates.
+    Short edges keep their ends. An area with holes is cut into parts without one; if a hole is not
+    closed or crosses another ring, all holes count as part of the area. Raises LeewayError for a
+    ring within reach that intersects itself or is not closed, and for a ring beyond it that lies
+    within reach with swapped coordinates.
     """
     is_closed = ring_lon_lat_deg[0] == ring_lon_lat_deg[-1]
     ring_lon_lat_deg = ring_lon_lat_deg if is_closed else (*ring_lon_lat_deg, ring_lon_lat_deg[0])
     rings = _clip_and_project(frame, ring_lon_lat_deg, holes_lon_lat_deg)
     if rings and not is_closed:
         raise LeewayError("expected closed rings of at least 4 [lon, lat] degrees")
-    if not rings and not holes_lon_lat_deg:
+    if not rings and not _clip_and_project(frame, ring_lon_lat_deg, ()):  # nor in a hole of it
         _check_not_swapped(frame, ring_lon_lat_deg)
     if not all(shapely.Polygon(ring).is_valid for ring in rings):
         raise LeewayError(SELF_INTERSECTION)
@@ -100,8 +100,9 @@ def _clip_and_project(frame: LocalFrame, outer_deg: Ring, holes_deg: Sequence[Ri
         if holes_deg or not box.contains(shapely.box(*polygon.bounds)):
             if not polygon.is_valid:
                 raise LeewayError(SELF_INTERSECTION)
-            with_holes = shapely.Polygon(shifted_ring, shifted_holes)
-            cut = shapely.intersection(with_holes if with_holes.is_valid else polygon, box)
+            area = shapely.Polygon(shifted_ring, shifted_holes)
+            is_usable = area.is_valid and all(hole[0] == hole[-1] for hole in holes_deg)
+            cut = shapely.intersection(area if is_usable else polygon, box)
             parts = [part.exterior.coords[:] for part in _parts_without_holes(cut)]
         found += [_project_ring_to_ne_m(frame, [(p[0], p[1]) for p in part]) for part in parts]
     return found

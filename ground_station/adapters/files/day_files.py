@@ -21,7 +21,7 @@ from ground_station.adapters.files.forecast_files import (
     find_forecast_conflict_or_none,
 )
 from ground_station.adapters.files.params import read_airframe, read_json, read_toml
-from ground_station.adapters.files.table_rows import read_text_table
+from ground_station.adapters.files.table_rows import TextTable, read_text_table
 from ground_station.core.schema.day import Day, DayFilesError, Depot, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_forecast import DayForecast
@@ -34,7 +34,7 @@ from ground_station.core.schema.order_parsing import (
     parse_order_or_problems,
 )
 from ground_station.core.schema.order_states import Service
-from ground_station.core.schema.orders import Order
+from ground_station.core.schema.orders import ORDER_BOUNDS, Order
 from ground_station.core.schema.table_errors import table_errors
 
 
@@ -71,7 +71,11 @@ def read_day(path: Path, request: ForecastRequest = NO_FORECAST_REQUEST) -> DayD
     airframes = _read_airframes(day, path, problems)
     problems += _find_suspected_masses_in_grams(rows, airframes)
     ids = {order.id for order in orders}
-    roads = _read_road_travel_times_s(path.parent / day.roads, ids, problems) if day.roads else None
+    roads = (
+        _read_road_travel_times_s(path.parent / day.roads, ids, problems, notes)
+        if day.roads
+        else None
+    )
     if problems:
         raise DayFilesError(problems)
     return DayData(
@@ -151,22 +155,37 @@ def _read_csv_rows(
     path: Path, problems: list[FileProblem], notes: list[str]
 ) -> list[tuple[int, dict[str, str]]]:
     """Return rows, each with its first line number; none if the header is wrong."""
-    table = read_text_table(path)
-    header = [canonical_column(name) for name in table.rows[0][1]] if table.rows else []
+    table = _read_table(path, notes)
+    headings = [name.strip() for name in table.rows[0][1]] if table.rows else []
+    header = [canonical_column(name) for name in headings]
     wrong = find_header_errors(str(path), header)
     problems += wrong
     if wrong:
         return []
-    if table.dialect:
-        notes.append(f"{path}: read as {table.dialect}")
+    renamed = [f"{a} as {b}" for a, b in zip(headings, header, strict=True) if a != b]
+    if renamed:
+        notes.append(f"{path}: columns read: {', '.join(renamed)}")
     found: list[tuple[int, dict[str, str]]] = []
     for row, cells in table.rows[1:]:
         if len(cells) == len(header):
-            found.append((row, dict(zip(header, cells, strict=True))))
+            pairs = zip(header, cells, strict=True)
+            found.append(
+                (
+                    row,
+                    {n: table.with_decimal_point(c) if n in ORDER_BOUNDS else c for n, c in pairs},
+                )
+            )
         else:
             words = f"{len(cells)} cells, expected {len(header)} as in the header"
             problems.append(FileProblem(str(path), row, None, words))
     return found
+
+
+def _read_table(path: Path, notes: list[str]) -> TextTable:
+    table = read_text_table(path)
+    if table.dialect:
+        notes.append(f"{path}: read as {table.dialect}")
+    return table
 
 
 def _read_geojson_rows(path: Path, problems: list[FileProblem]) -> list[tuple[int, dict[str, str]]]:
@@ -256,16 +275,16 @@ def _find_suspected_masses_in_grams(
 
 
 def _read_road_travel_times_s(
-    path: Path, order_ids: set[str], problems: list[FileProblem]
+    path: Path, order_ids: set[str], problems: list[FileProblem], notes: list[str]
 ) -> dict[tuple[str, str], float] | None:
     """Read a square table of seconds: first row and column name `depot` and the orders."""
     file = str(path)
     try:
-        table = read_text_table(path).rows
+        table = _read_table(path, notes)
     except LeewayError as error:
         problems.append(FileProblem(file, None, None, _message_without_path(error, path)))
         return None
-    names = [name.strip() for name in table[0][1][1:]] if table else []
+    names = [name.strip() for name in table.rows[0][1][1:]] if table.rows else []
     before = len(problems)
     for twice in sorted({name for name in names if names.count(name) > 1}):
         problems.append(FileProblem(file, 1, twice, "column more than once"))
@@ -273,7 +292,7 @@ def _read_road_travel_times_s(
         problems.append(FileProblem(file, 1, missing, "column missing"))
     roads: dict[tuple[str, str], float] = {}
     seen: set[str] = set()
-    for row, cells in table[1:]:
+    for row, cells in table.rows[1:]:
         start = cells[0].strip() if cells else ""
         if start in seen:
             problems.append(FileProblem(file, row, None, f"row {start} more than once"))
@@ -283,7 +302,7 @@ def _read_road_travel_times_s(
             problems.append(FileProblem(file, row, None, words))
             continue
         for name, text in zip(names, cells[1:], strict=True):
-            seconds = _parse_nonnegative_seconds(text)
+            seconds = _parse_nonnegative_seconds(table.with_decimal_point(text))
             if seconds is None:
                 words = f"{text!r}: expected seconds, 0 or more"
                 problems.append(FileProblem(file, row, name, words))

@@ -65,6 +65,16 @@ class _Hourly:
             )
         return self.column_values(column_name) * si_factor_by_unit[unit]
 
+    def speeds_mps(self, column_name: str) -> Floats:
+        """Return a column of speeds. Raises LeewayError for a negative one."""
+        speeds_mps = self.column_in_si_units(column_name, MPS_OF)
+        for index in np.flatnonzero(speeds_mps < 0.0)[:1]:
+            raise LeewayError(
+                f"hourly.{column_name} at {format_utc(float(self.times[index]))}:"
+                f" {speeds_mps[index]:g} m/s, expected 0 or more"
+            )
+        return speeds_mps
+
 
 def read_open_meteo_forecast(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
     """Read the forecast of the location in the file that is nearest to a position.
@@ -84,7 +94,7 @@ def read_open_meteo_forecast(path: Path, lat_deg: float, lon_deg: float) -> Fore
 
 def _decode_document(raw: bytes) -> Any:
     try:
-        return json.loads(raw.decode("utf-8-sig"))
+        return json.loads(raw)
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LeewayError(
             f"damaged, or not JSON ({error}), expected Open-Meteo's response"
@@ -197,10 +207,7 @@ def _wind_ne_mps(hourly: _Hourly, speed_name: str) -> Floats:
     direction_name = speed_name.replace("speed", "direction")
     if direction_name not in hourly.columns:
         raise LeewayError(f"hourly.{direction_name}: missing, expected together with {speed_name}")
-    speed_mps = hourly.column_in_si_units(speed_name, MPS_OF)
-    if (negative := np.flatnonzero(speed_mps < 0.0)).size:
-        hour, speed = int(negative[0]), float(speed_mps[negative[0]])
-        raise LeewayError(f"hourly.{speed_name}[{hour}]: {speed:g} m/s, expected 0 or more")
+    speed_mps = hourly.speeds_mps(speed_name)
     from_rad = np.radians(hourly.column_in_si_units(direction_name, {"°": 1.0}))
     return -speed_mps[:, None] * np.stack([np.cos(from_rad), np.sin(from_rad)], axis=1)
 
@@ -224,6 +231,4 @@ def _mean_height_above_ground_m(
 def _gust_minus_mean_wind_mps(hourly: _Hourly) -> Floats | None:
     if GUSTS not in hourly.columns or "wind_speed_10m" not in hourly.columns:
         return None
-    return hourly.column_in_si_units(GUSTS, MPS_OF) - hourly.column_in_si_units(
-        "wind_speed_10m", MPS_OF
-    )
+    return hourly.speeds_mps(GUSTS) - hourly.speeds_mps("wind_speed_10m")

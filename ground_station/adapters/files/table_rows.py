@@ -1,5 +1,6 @@
-"""Rows of a text table as spreadsheets write it: encoding, separator and decimal comma detected."""
+"""Rows of a text table as spreadsheets write it: the encoding and the separator are detected."""
 
+import contextlib
 import csv
 import io
 import re
@@ -21,8 +22,19 @@ class TextTable:
     """Rows of a table, each with its first line number, the header first."""
 
     rows: list[tuple[int, list[str]]]
-    dialect: str
-    """How the file differs from UTF-8 with commas, for the user; `""` if it does not."""
+    encoding: str
+    """Its name where it is not UTF-8."""
+    separator: str
+
+    @property
+    def dialect(self) -> str:
+        """How the file differs from UTF-8 with commas, for the user; `""` if it does not."""
+        words = SEPARATORS[self.separator]
+        return ", ".join(filter(None, (self.encoding, words and f"separated by {words}")))
+
+    def with_decimal_point(self, number: str) -> str:
+        """Return a number's text; only where no comma separates cells a comma is its point."""
+        return number if self.separator == "," else DECIMAL_COMMA.sub(r"\1.\2", number)
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -36,10 +48,6 @@ def read_text_table(path: Path) -> TextTable:
     unquoted = re.sub(r'"[^"]*"', "", first_line)
     separator = max(SEPARATORS, key=unquoted.count)
     rows = list(_iterate_rows(path, text, separator))
-    if separator != ",":
-        rows = [
-            (line, [DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]) for line, cells in rows
-        ]
     columns = len(rows[0][1]) if rows else 0
     while columns and not rows[0][1][columns - 1].strip():
         columns -= 1
@@ -47,9 +55,7 @@ def read_text_table(path: Path) -> TextTable:
         (line, cells[:columns] if not any(map(str.strip, cells[columns:])) else cells)
         for line, cells in rows
     ]
-    words = SEPARATORS[separator]
-    separated = f"separated by {words}, decimal commas as points" if words else ""
-    return TextTable(trimmed, ", ".join(filter(None, (encoding, separated))))
+    return TextTable(trimmed, encoding, separator)
 
 
 def _iterate_rows(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -72,12 +78,10 @@ def _decode(path: Path) -> tuple[str, str]:
         raise LeewayError(f"{path}: {error.strerror}") from error
     if raw.startswith(SPREADSHEET_MARK):
         raise LeewayError(f"{path}: a spreadsheet (.xlsx, .ods): expected CSV; export it as CSV")
-    if raw.startswith(UTF16_MARKS):
-        return raw.decode("utf-16", errors="replace"), "UTF-16"
-    if b"\0" not in raw:
-        for encoding, name in ENCODINGS.items():
-            try:
-                return raw.decode(encoding), name
-            except UnicodeDecodeError:
-                continue
+    is_utf16 = raw.startswith(UTF16_MARKS)
+    for encoding, name in ({"utf-16": "UTF-16"} if is_utf16 else ENCODINGS).items():
+        with contextlib.suppress(UnicodeDecodeError):
+            text = raw.decode(encoding)
+            if "\0" not in text:
+                return text, name
     raise LeewayError(f"{path}: expected text in UTF-8, UTF-16 or Windows-1252")

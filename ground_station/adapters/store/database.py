@@ -262,8 +262,8 @@ def _create_engine(url: str, sqlite_synchronous: str, lock_timeout_ms: int) -> s
     kind = parsed.drivername.partition("+")[0]
     if kind not in ("sqlite", "postgresql") or not parsed.database:
         raise ArgumentError(f"unknown kind {kind}, or no name")
-    if kind == "sqlite" and ("memory" in parsed.query.values() or parsed.database == ":memory:"):
-        raise ArgumentError("in memory: it ends with this command")
+    if "memory" in parsed.query.values() or ":memory:" in parsed.database:
+        raise ArgumentError("a store in memory is lost when the command ends")
     if kind == "sqlite":  # SQLite would create a missing file
         file = "file:" + quote(parsed.database)
         parsed = parsed.set(database=file, query={"mode": "rw", "uri": "true"})

@@ -20,14 +20,14 @@ COLUMN_OF_HEADING = {
         "id": "order order_id order_no order_number auftrag bestellung commande pedido",
         "lat_deg": "lat latitude breite breitengrad latitud bredde breddegrad",
         "lon_deg": "lon lng long longitude länge längengrad longitud længde længdegrad",
-        "alt_amsl_m": "alt_m altitude_m elevation_m elev_m höhe_m",
         "mass_kg": "kg weight_kg weight_(kg) weight_[kg] mass_(kg) mass_[kg] gewicht_kg"
         " gewicht_(kg) poids_kg peso_kg vægt_kg",
         "note": "notes comment comments remark remarks bemerkung notiz hinweis",
     }.items()
     for heading in headings.split()
 }
-"""Common headings of the columns. A heading of mass states its unit."""
+"""Common headings of the columns, for mass only those with its unit; none for the height, whose
+datum they do not state."""
 HEAVIEST_PARCEL_KG = 70.0
 """Limit of parcel services (UPS: 70 kg); a higher value is freight, or a mass in grams."""
 SAME_SITE_M = 2.0

@@ -182,6 +182,21 @@ def test_limits_beside_the_geometry_count_and_an_invalid_hole_belongs_to_the_zon
     assert len(zone.ring_ne_m) > 4
     with pytest.raises(LeewayError, match="uomDimensions"):
         parse_obstacles(FRAME, zone_document([square(0.1)], geometry={"lowerLimit": 1}))
+    assert len(parse_obstacles(FRAME, zone_document([square(0.1)], geometry={"id": 7}))) == 1
+
+
+@pytest.mark.parametrize("hole", [square(0.01)[:4], square(0.01)[:3], [[math.nan, 55.0]] * 4])
+def test_a_hole_that_is_not_closed_belongs_to_the_zone(hole: list[list[float]]) -> None:
+    (zone,) = parse_obstacles(FRAME, zone_document([square(0.1), hole]))
+    assert shapely.Polygon(zone.ring_ne_m).contains(shapely.Point(0.0, 0.0))
+
+
+def test_a_site_in_a_hole_is_free_and_a_swapped_zone_with_a_hole_is_refused() -> None:
+    country = [square(20.0, 10.0, 55.0), square(5.0, 10.0, 55.0)]
+    assert parse_obstacles(FRAME, zone_document(country)) == ()
+    swapped = [[[lat, lon] for lon, lat in ring] for ring in (square(0.1), square(0.01))]
+    with pytest.raises(LeewayError, match="latitude and longitude swapped"):
+        parse_obstacles(FRAME, zone_document(swapped))
 
 
 def test_an_unclosed_ring_is_refused_within_reach_only() -> None:

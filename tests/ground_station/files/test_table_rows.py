@@ -14,7 +14,7 @@ ROW = 'A-1,55.468,8.44,12.5,0.4,any,"Müller, 2nd floor"'
 SEMICOLONS = (
     HEADER.replace(",", ";") + "\r\nA-1;55,468;8,44;12,5;0,4;any;Müller, 2nd floor\r\n;;;;;;\r\n"
 )
-GERMAN = "Auftrag\tBreite\tLänge\tHöhe m\tGewicht (kg)\tBemerkung\n" + (
+GERMAN = "Auftrag\tBreite\tLänge\talt_amsl_m\tGewicht (kg)\tBemerkung\n" + (
     "A-1\t55,468\t8,44\t12,5\t0,4\tMüller, 2nd floor\n"
 )
 TRAILING = f"{HEADER},,\n{ROW},,\n"
@@ -52,6 +52,7 @@ def test_a_table_of_any_dialect_gives_the_same_order(
         (b"PK\x03\x04rest", "export it as CSV"),
         (b"id,lat\0", "expected text in UTF-8"),
         (b"id,lat\x81", "expected text in UTF-8"),
+        ("id,lat".encode("utf-16")[:-1], "expected text in UTF-8"),
         (b'id,note\nA-1,"no end\n', "line 2"),
     ],
 )
@@ -71,4 +72,28 @@ def test_a_mass_without_unit_and_a_value_beyond_the_header_are_refused(tmp_path:
         read_orders(path, None)
     path.write_text(f"{HEADER},\n{ROW},x\n")
     with pytest.raises(DayFilesError, match="8 cells, expected 7"):
+        read_orders(path, None)
+
+
+def test_headings_are_reported_and_a_note_keeps_its_commas(tmp_path: Path) -> None:
+    path = tmp_path / "orders.csv"
+    path.write_text("Order;lat;lon;alt_amsl_m;kg;comment\n1,5;55,468;8,44;12;0,4;2,5\n")
+    with pytest.raises(DayFilesError, match="'1,5': expected 1 to 40 letters"):
+        read_orders(path, None)
+    path.write_text(path.read_text().replace("1,5;", "A;"))
+    notes: list[str] = []
+    (order,) = read_orders(path, None, notes)
+    assert order.note == "2,5"
+    assert "columns read: Order as id, lat as lat_deg, lon as lon_deg, kg as mass_kg" in notes[-1]
+
+
+def test_a_height_without_datum_and_a_decimal_comma_between_commas_are_refused(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "orders.csv"
+    path.write_text(HEADER.replace("alt_amsl_m", "altitude") + f"\n{ROW}\n")
+    with pytest.raises(DayFilesError, match="altitude: unknown column"):
+        read_orders(path, None)
+    path.write_text(f"{HEADER}\n{ROW.replace('55.468', chr(34) + '55,468' + chr(34))}\n")
+    with pytest.raises(DayFilesError, match="'55,468': expected a number"):
         read_orders(path, None)

@@ -306,7 +306,8 @@ def test_a_store_of_another_schema_is_left_alone(tmp_path):
     ("url", "words"),
     [
         ("desk.db", "expected sqlite:///FILE"),
-        ("sqlite:///:memory:", "in memory"),
+        ("sqlite:///:memory:", "a store in memory"),
+        ("sqlite:///file::memory:?uri=true", "a store in memory"),
         ("mysql://x/y", "expected sqlite:///FILE"),
         ("sqlite:////nowhere/at/all/desk.db", "unable to open"),
         ("postgresql://desk:secret@127.0.0.1:1/none", "127.0.0.1"),

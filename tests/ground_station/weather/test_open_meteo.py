@@ -144,9 +144,9 @@ MISTAKES = {
     "1 times, expected 2": lambda d: [
         column.__delitem__(slice(1, None)) for column in d["hourly"].values()
     ],
-    "hourly.wind_speed_80m[1]: -2 m/s, expected 0 or more": lambda d: d["hourly"][
-        "wind_speed_80m"
-    ].__setitem__(1, -2.0),
+    "hourly.wind_speed_80m at 2026-07-01 13:00 UTC: -2 m/s, expected 0 or more": lambda d: d[
+        "hourly"
+    ]["wind_speed_80m"].__setitem__(1, -2.0),
     "no hourly, expected Open-Meteo's response": lambda d: d.pop("hourly"),
 }
 
