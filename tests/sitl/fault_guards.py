@@ -23,7 +23,10 @@ GROUND = "companion.core.pilot.ground"
 def without(module: str, name: str, value: str) -> str:
     """Return a patch of the companion's process that replaces this function by a constant."""
     attrgetter(name)(import_module(module))  # an unknown name would leave the guard in place
-    return f"import {module} as guarded; guarded.{name} = lambda *given, **named: {value}"
+    return (
+        f"import functools, {module} as guarded; guarded.{name} ="
+        f" functools.wraps(guarded.{name})(lambda *given, **named: {value})"  # same signature
+    )
 
 
 AUTHORITY = "companion.core.pilot.authority"
