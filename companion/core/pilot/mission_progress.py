@@ -120,7 +120,8 @@ class MissionProgressMonitor:
             before.discard(item_index)
         state.jump = JumpMonitor(item_index, jump_type, context.t_s, frozenset(before))
         self._course.restart_leg_check()
-        _queue_jump_order(context, state.jump)
+        if not context.telemetry.observed.is_end_unconfirmed:  # the tick sends it if that was wrong
+            _queue_jump_order(context, state.jump)
 
     def stop_monitoring_jump(self) -> None:
         """Stop waiting for a jump."""

@@ -104,6 +104,11 @@ class ObservedState:
             since_s is not None and t_s - since_s > LIFT_S and self.is_thrust_idle(t_s) is not None
         )
 
+    @property
+    def is_end_unconfirmed(self) -> bool:
+        """Whether the last report alone states that the mission is complete."""
+        return self.mission_state is None and self._reported_state is MissionState.COMPLETE
+
     def height_conflict_text(self) -> str:
         """Return why no parcel may be released at the estimated height; `""` if it may."""
         difference_m = self.height_difference_m
@@ -112,6 +117,9 @@ class ObservedState:
         return f"height uncertain by {abs(difference_m):.0f} m"
 
     def _store_mission_state(self, reported: MissionState | None, mode: Mode | None) -> None:
+        was_flown = self._reported_state in (MissionState.ACTIVE, MissionState.COMPLETE)
+        if reported is MissionState.NOT_STARTED and was_flown and mode is Mode.MISSION:
+            reported = MissionState.COMPLETE  # a jump after its end stops ArduCopter's mission
         if reported is not self._reported_state or mode is not Mode.MISSION:
             self._state_reports = 0
         self._reported_state, self._state_reports = reported, self._state_reports + 1
