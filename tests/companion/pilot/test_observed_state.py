@@ -63,7 +63,8 @@ def test_a_jump_does_not_hide_that_a_person_ended_the_mission():
     orders, end = w.sent((JumpTo, SetMode)), MissionState.COMPLETE
     w.tell(ev.MissionProgress(w.t_s, w.index, len(w.items), None, w.mission_id, end))
     w.tell(ev.AbortOrdered(w.t_s, "255/190"))
-    w.until(Phase.SUSPENDED, 1.0).steps(400)
+    w.until(Phase.SUSPENDED, 1.0)
+    w.steps(400)
     assert w.sent((JumpTo, SetMode)) == orders
 
 
