@@ -120,7 +120,9 @@ class MissionProgressMonitor:
             before.discard(item_index)
         state.jump = JumpMonitor(item_index, jump_type, context.t_s, frozenset(before))
         self._course.restart_leg_check()
-        _queue_jump_order(context, state.jump)
+        observed = context.telemetry.observed  # after one report of the end the tick may send it
+        if observed.mission_state or observed.reported_state is not MissionState.COMPLETE:
+            _queue_jump_order(context, state.jump)
 
     def stop_monitoring_jump(self) -> None:
         """Stop waiting for a jump."""

@@ -65,7 +65,7 @@ class ObservedState:
     """Estimated height minus GNSS height, less their difference at takeoff (m)."""
     height_limit_m: float = HEIGHT_LIMIT_M
     _state_reports: int = 0
-    _reported_state: MissionState | None = None
+    reported_state: MissionState | None = None
     _reference_m: float | None = None
     _position: Position | None = None
     _fall_top_m: float = 0.0
@@ -112,9 +112,12 @@ class ObservedState:
         return f"height uncertain by {abs(difference_m):.0f} m"
 
     def _store_mission_state(self, reported: MissionState | None, mode: Mode | None) -> None:
-        if reported is not self._reported_state or mode is not Mode.MISSION:
+        was_flown = self.reported_state in (MissionState.ACTIVE, MissionState.COMPLETE)
+        if reported is MissionState.NOT_STARTED and was_flown and mode is Mode.MISSION:
+            reported = MissionState.COMPLETE  # a jump after its end stops ArduCopter's mission
+        if reported is not self.reported_state or mode is not Mode.MISSION:
             self._state_reports = 0
-        self._reported_state, self._state_reports = reported, self._state_reports + 1
+        self.reported_state, self._state_reports = reported, self._state_reports + 1
         is_confirmed = self._state_reports >= MIN_STATE_REPORTS
         self.mission_state = reported if is_confirmed and mode is Mode.MISSION else None
 

@@ -26,6 +26,7 @@ from sim_bridge.app.link.client_messages import (
     MODE_PARAMS,
     message_to_autopilot,
 )
+from sim_bridge.app.link.message_mutation import AUTOPILOT_COMPONENT
 from sim_bridge.app.link.tap import message_with_changed_fields, pass_unchanged
 from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.app.world.station import Station, shift_mission_east
@@ -337,8 +338,8 @@ def add_heartbeats_with_autopilot_ids(stage: FaultContext) -> Iterator[None]:
 
     def add_intruding_heartbeat(message: Message) -> list[Message] | None:
         nonlocal count
-        if message.msg_name != "HEARTBEAT":
-            return None
+        if message.msg_name != "HEARTBEAT" or message.src_component != AUTOPILOT_COMPONENT:
+            return None  # a forwarded one of a station has other IDs
         count += 1
         intruder = {"type": mav_type, "autopilot": mav_autopilot, "base_mode": 0, "custom_mode": 0}
         intruding = message_with_changed_fields(message, **intruder)

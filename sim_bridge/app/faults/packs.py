@@ -116,6 +116,8 @@ def report_monitor_without_pack(
                 reported.append(message_with_changed_fields(message, id=1))
             return reported
 
+        if has_pack:
+            stage.craft.autopilot.params.add_second_battery_monitor()
         stage.expect_messages_changed(*EMPTY_MONITOR_FIELDS)
         stage.tap.to_companion = report_both
         stage.record_fault_start()

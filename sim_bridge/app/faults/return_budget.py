@@ -15,7 +15,7 @@ from sim_bridge.app.faults.verdict import (
     check_returned_home,
 )
 from sim_bridge.app.flight.stage import FaultContext
-from sim_bridge.autopilot.base.modes import PILOTED, Mode
+from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.enums import Cmd
 
 FAULTS = FaultGroup("energy")
@@ -53,10 +53,10 @@ def hold_until_alarm_then_return_by_rtl(stage: FaultContext) -> Iterator[None]:
     station, craft = connect_operator_station(stage), stage.craft
     yield from stage.wait_for_phase_and_record_fault_start()
     member = stage.rng.choice(["hold", "position", "foreign mission"])
-    autopilot = craft.autopilot
+    autopilot, is_copter = craft.autopilot, craft.autopilot_kind == "ardupilot"
     is_held = {
-        "hold": lambda: autopilot.mode is Mode.HOLD,
-        "position": lambda: autopilot.mode in PILOTED,
+        "hold": lambda: autopilot.mode is (Mode.LOITER if is_copter else Mode.HOLD),
+        "position": lambda: autopilot.mode is Mode.LOITER,
         "foreign mission": lambda: all(
             item.command == Cmd.NAV_LOITER_TIME for item in autopilot.store.mission[1:]
         ),
@@ -73,10 +73,8 @@ def hold_until_alarm_then_return_by_rtl(stage: FaultContext) -> Iterator[None]:
         yield from station.upload_mission([foreign] * len(items))
         yield from stage.wait(2.0)
         stage.restart_companion()
-    elif member == "position":
-        craft.start_pilot_override()
     else:
-        send_mode_command(stage, station, "hold")
+        send_mode_command(stage, station, member)
     stage.record_take_over()
     yield from stage.wait_until(
         lambda: (

@@ -119,6 +119,13 @@ class ParameterStore:
         self._by_name[name] = self._by_name[name].with_cast_value(value)
         self.revision += 1
 
+    def add_second_battery_monitor(self) -> None:
+        """Add ArduCopter's parameters of a second monitor, with the values of the first's."""
+        firsts = [one for name, one in self._by_name.items() if name.startswith("BATT_")]
+        seconds = [replace(one, name=one.name.replace("BATT_", "BATT2_")) for one in firsts]
+        self._by_name |= {one.name: one for one in seconds}
+        self._names = tuple(self._by_name)
+
     def name_at(self, index: int) -> str | None:
         """Name of the parameter with this index, if there is one."""
         return self._names[index] if 0 <= index < len(self._names) else None

@@ -56,6 +56,18 @@ def test_a_mission_that_is_complete_in_the_air_was_ended_by_a_person_or_needs_a_
     w.until(then, 1.0)
 
 
+def test_a_jump_does_not_hide_that_a_person_ended_the_mission():
+    """Its order is withheld after one report of the end; one on its way stops ArduCopter."""
+    w = world().until(Phase.OUTBOUND)
+    w.mission_state, w.fly = MissionState.NOT_STARTED, lambda dt_s: None  # type: ignore[method-assign]
+    orders, end = w.sent((JumpTo, SetMode)), MissionState.COMPLETE
+    w.tell(ev.MissionProgress(w.t_s, w.index, len(w.items), None, w.mission_id, end))
+    w.tell(ev.AbortOrdered(w.t_s, "255/190"))
+    w.until(Phase.SUSPENDED, 1.0)
+    w.steps(400)
+    assert w.sent((JumpTo, SetMode)) == orders
+
+
 @pytest.mark.parametrize(
     ("thrust_frac", "detects", "orders"),
     [(0.45, True, 0), (0.1, True, 1), (None, True, 1), (0.1, False, 1), (0.45, False, 0)],
