@@ -24,10 +24,10 @@ _KELVIN = 273.15
 _LOW_CHARGE_FRAC, _LOW_CHARGE_GAIN = 0.2, 0.6
 """[est] Below a fifth of charge resistance rises linearly, to 1.6 times at empty."""
 
-PEAK_FRAC = 1.3
-"""[fit] Peak of 1 s, after which a pack may cut off, over the modelled mean power of a leg. One
-simulated M100 flight in Dryden turbulence: 1.32 in 5 m/s, 1.29 and 1.39 against 13 m/s (there
-the mean alone is 1.10 and 1.16), 1.9 while a front rises, which no mean power covers.
+PEAK_FRAC = 1.25
+"""[est] Peak of 1 s, after which a pack may cut off, over the modelled mean power of a leg. One
+simulated M100 flight in Dryden turbulence: 1.32 in 5 m/s, 1.29 and 1.39 against 13 m/s, 1.9 while
+a front rises. 1.25 is less: with 1.3 a warm pack decides otherwise, with 1.2 a cold one is lost.
 """
 
 _CHARGES: Floats = np.linspace(0.0, 1.0, 101)

@@ -45,7 +45,7 @@ def test_below_the_unusable_energy_the_pack_cannot_give_the_power(ohm, mean_powe
 
 
 def test_a_cold_pack_bears_the_gusts_of_a_flight_at_its_sustained_power() -> None:
-    """Draw over the model's as flown against 13 m/s: mean 1.15, peaks of 1.3 s."""
+    """Draw over the model's as flown against 13 m/s: mean 1.15, peaks of 1.3 for 1.3 s."""
     truth = Battery(TRUTH.battery, charge_frac=0.5, temperature_c=-10.0)
     modelled_w = power(0.079, charge=0.48).sustained_power_w
     for step in range(4000):
