@@ -28,13 +28,15 @@ COLD_RISE_RANGE_MPS = (6.0, 8.0)
 
 
 @FAULTS.register_procedure(
-    78, "cold-pack-and-front", ("outbound", "return"), PACK_RULES, untold=COLD_PACK
+    78, "cold-pack-and-front", ("outbound", "return"), SAFETY_RULES, untold=COLD_PACK
 )
 def raise_headwind_on_cold_pack(stage: FaultContext) -> Iterator[None]:
     """A pack at -10 degrees C, and a front of 6 to 8 m/s against the way home (B2)."""
+    battery = stage.craft.vehicle.battery
+    stage.expect_effect(
+        "pack at -10 degrees C", lambda: battery.temperature_c <= -10.0, is_in_world=True
+    )
     stage.record_fault_start()
-    if stage.craft.vehicle.battery.temperature_c <= -10.0:
-        stage.notes.append(INJECTED_NOTE)
     yield from stage.wait_until(stage.is_in_phase)
     rise_mps = stage.rng.uniform(*COLD_RISE_RANGE_MPS)
     yield from ramp_up_return_headwind(stage, rise_mps, FRONT_DURATION_S)
