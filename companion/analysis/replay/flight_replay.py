@@ -43,7 +43,7 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3, air_from_best_available_source
 from companion.core.vehicle.airframe import Airframe
-from companion.core.wind.observation import WindFilter
+from companion.core.wind.observation import CheckpointedWindFilter
 from companion.core.wind.process import WindProcessParams
 
 TICK_S = 0.1
@@ -70,7 +70,7 @@ class ReplayConfig:
     with_energy: bool
     obstacles: dict[str, object] | None = None
     gate_interval_s: float = 5.0
-    wind_filter: WindFilter | None = None
+    wind_filter: CheckpointedWindFilter | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.pack_model import PEAK_FRAC
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
-from companion.core.wind.observation import StepMessage, WindFilter
+from companion.core.wind.observation import CheckpointedWindFilter, StepMessage
 from companion.core.wind.process import WindProcessParams
 from companion.core.wind_field.shared_winds import SharedWinds
 
@@ -58,7 +58,7 @@ class FlightEstimates:
         airframe: Airframe,
         route_energy: RouteEnergy,
         wind_process: WindProcessParams,
-        wind_filter: WindFilter | None = None,
+        wind_filter: CheckpointedWindFilter | None = None,
         monitor_corrections: MonitorCorrections = NO_CORRECTIONS,
         certificate: Certificate | None = None,
     ) -> None:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_import_getattr
+from companion.core.base.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from companion.core.return_budget.budget import Assessment, Gate, GateDecision, GateParams
@@ -18,7 +18,7 @@ __all__ = [
     "Stage",
 ]
 
-__getattr__ = lazy_import_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "RemainingMission": "remaining_mission",

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_import_getattr
+from companion.core.base.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from companion.core.vehicle.airframe import Airframe, BatteryPack, airframe_from_dict
@@ -23,7 +23,7 @@ __all__ = [
     "paper_power_w",
 ]
 
-__getattr__ = lazy_import_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "Airframe": "airframe",

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_import_getattr
+from companion.core.base.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from companion.core.wind.ekf import WindEstimatorParams
@@ -22,7 +22,7 @@ __all__ = [
     "wind_process_from_dict",
 ]
 
-__getattr__ = lazy_import_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "WindBelief": "observation",

@@ -89,7 +89,7 @@ class StepMessage(str):
 
 
 class WindFilter(Protocol):
-    """A wind estimator: `WindEstimator`, or a reference in a replay."""
+    """A wind estimator, constructed with an `Airframe`."""
 
     def update(self, observation: WindObservation) -> tuple[str, ...]:
         """Process one observation; returns a message for each rejected measurement."""
@@ -98,6 +98,10 @@ class WindFilter(Protocol):
     def belief(self, t_s: float) -> WindBelief:
         """Return the wind at `t_s` >= the last update."""
         ...
+
+
+class CheckpointedWindFilter(WindFilter, Protocol):
+    """A wind estimator of a flight, which a restarted companion continues."""
 
     def snapshot(self) -> dict[str, object]:
         """Return the contents of a checkpoint."""

@@ -9,7 +9,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.app.options.desk_options import ForecastFile
 
 if TYPE_CHECKING:
-    from ground_station.app.planning.flight_estimate import CruiseWind, FlightEstimate
+    from companion.core.mission.flight_estimate import CruiseWind, FlightEstimate
 
 EXIT_NO_GO = 3
 
@@ -51,8 +51,9 @@ def estimate(
 
     ground-station estimate default --wind-speed 8 --wind-from 270
     """
+    from companion.core.mission.flight_estimate import CruiseWind
     from ground_station.adapters.files.params import resolve_flight_file_path
-    from ground_station.app.planning.flight_estimate import CruiseWind, estimate_flight
+    from ground_station.app.planning.flight_estimate import estimate_flight_file
 
     path, wind_options = resolve_flight_file_path(flight), (wind_speed, wind_from, wind_std)
     if forecast is not None or at is not None:
@@ -60,7 +61,7 @@ def estimate(
     else:
         speed, from_deg, std = wind_options
         wind = CruiseWind(speed or 0.0, from_deg or 0.0, 1.5 if std is None else std)
-    result = estimate_flight(path, wind, charge)
+    result = estimate_flight_file(path, wind, charge)
     if forecast is not None:
         typer.echo(
             f"forecast for {at}: {wind.speed_mps:.1f} m/s from {wind.from_deg:.0f},"

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from companion.core.base.errors import LeewayError
+from companion.core.mission.flight_estimate import CruiseWind
 from ground_station.adapters.files.forecast_files import parse_utc_time_s, read_forecast
 from ground_station.adapters.files.params import read_flight_with_terrain_heights
-from ground_station.app.planning.flight_estimate import CruiseWind
 from ground_station.core.weather.forecast_field import OutsideForecast, format_utc
 
 

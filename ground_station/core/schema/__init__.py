@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from companion.core.base.lazy_exports import lazy_import_getattr
+from companion.core.base.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from ground_station.core.schema.day import Day, DayFilesError, Depot, Drone, Forecast, Truck
@@ -36,7 +36,7 @@ __all__ = [
     "initial_state",
 ]
 
-__getattr__ = lazy_import_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "Day": "day",

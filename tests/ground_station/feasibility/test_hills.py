@@ -10,9 +10,10 @@ import pytest
 
 from companion.core.base.geo import ObstacleMap, location_to_ground_ned_m
 from companion.core.base.location import Location
+from companion.core.mission.flight_estimate import CruiseWind
 from companion.core.mission.flight_plan import depot_frame
 from ground_station.adapters.files.day_files import read_day
-from ground_station.app.planning.flight_estimate import CruiseWind, estimate_flight
+from ground_station.app.planning.flight_estimate import estimate_flight_file
 from ground_station.core.dispatch.flight_tables import depot_delivery_flight_table
 from ground_station.core.feasibility.hills import Hills, hills_of
 from ground_station.core.feasibility.obstacle_routes import ObstacleRoutes
@@ -113,7 +114,7 @@ def planned_wh(tmp_path: Path, elevation: SiteElevation | None, order: Order) ->
     table = depot_delivery_flight_table(day, day.drones[0], order, elevation)
     file = tmp_path / "flight.toml"
     file.write_bytes(msgspec.toml.encode(table))
-    return estimate_flight(file, CruiseWind(0.0, 0.0, 1.0), 1.0).planned.plan.energy_wh
+    return estimate_flight_file(file, CruiseWind(0.0, 0.0, 1.0), 1.0).planned.plan.energy_wh
 
 
 def priced_wh(elevation: SiteElevation | None, order: Order) -> float:

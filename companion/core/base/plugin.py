@@ -1,0 +1,83 @@
+"""Plug-ins: planners, wind estimators, winds and airframes of other packages.
+
+A plug-in is loaded only where a person names it. `companion run` loads none.
+"""
+
+import hashlib
+import sys
+from dataclasses import dataclass
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any
+
+from companion.core.base.errors import LeewayError
+
+PLANNERS, WIND_ESTIMATORS = "leeway.planners", "leeway.wind_estimators"
+WINDS, AIRFRAMES = "leeway.winds", "leeway.airframes"
+"""Entry-point groups."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """A loaded plug-in. `version`: distribution and version, or file and digest of its content."""
+
+    name: str
+    target: Any
+    version: str
+
+    @property
+    def label(self) -> str:
+        """Name and version, for messages and results."""
+        return f"{self.name} ({self.version})"
+
+
+def load_plugin(group: str, name: str, own_names: tuple[str, ...] = ()) -> Plugin:
+    """Load the entry point `name` of this group, or the object MODULE:NAME.
+
+    MODULE may be in the current folder. Raises LeewayError, in one line, if there is none
+    (`own_names`: names that are no plug-ins, for the message) or if loading fails.
+    """
+    kind = group.removeprefix("leeway.").removesuffix("s").replace("_", " ")
+    entry_points = metadata.entry_points(group=group)
+    matching = [one for one in entry_points if one.name == name]
+    if len({one.value for one in matching}) > 1:
+        names = ", ".join(sorted(_distribution_text(one.dist) for one in matching))
+        raise LeewayError(f"{kind} {name!r}: defined by {names}; expected MODULE:NAME")
+    if matching:
+        entry_point = matching[0]
+        version = _distribution_text(entry_point.dist)
+        return Plugin(name, _load(kind, f"{name} ({version})", entry_point), version)
+    if ":" not in name:
+        known = ", ".join([*own_names, *sorted({one.name for one in entry_points})])
+        raise LeewayError(f"{kind} {name!r}: expected {known + ' or ' if known else ''}MODULE:NAME")
+    named = metadata.EntryPoint(name, name, group)
+    if not named.module or not named.attr:
+        raise LeewayError(f"{kind} {name!r}: expected MODULE:NAME")
+    target = _load(kind, name, named)
+    return Plugin(name, target, _version_of_module(named.module))
+
+
+def _load(kind: str, label: str, entry_point: metadata.EntryPoint) -> Any:
+    folder = str(Path.cwd())
+    sys.path.insert(0, folder)
+    try:
+        return entry_point.load()
+    except Exception as error:  # the code of others may raise anything
+        text = " ".join(str(error).split())
+        raise LeewayError(f"{kind} {label}: not loaded: {type(error).__name__}: {text}") from error
+    finally:
+        sys.path.remove(folder)
+
+
+def _version_of_module(module_name: str) -> str:
+    top_level = module_name.partition(".")[0]
+    for distribution in metadata.packages_distributions().get(top_level, []):
+        return _distribution_text(metadata.distribution(distribution))
+    file = getattr(import_module(module_name), "__file__", None)
+    if file is None:
+        return "no file"
+    return f"{Path(file).name} {hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]}"
+
+
+def _distribution_text(distribution: metadata.Distribution | None) -> str:
+    return f"{distribution.name} {distribution.version}" if distribution else "no distribution"
