@@ -5,6 +5,7 @@ A plug-in is loaded only where a person names it. `companion run` loads none.
 
 import hashlib
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
@@ -57,6 +58,14 @@ def load_plugin(group: str, name: str, own_names: tuple[str, ...] = ()) -> Plugi
     return Plugin(name, target, _version_of_module(named.module))
 
 
+def load_plugin_file(group: str, name: str, own_names: tuple[str, ...] = ()) -> Path:
+    """Load a plug-in that is the path of a file; raise LeewayError if it is none."""
+    plugin = load_plugin(group, name, own_names)
+    if not isinstance(plugin.target, str | Path) or not Path(plugin.target).is_file():
+        raise LeewayError(f"{plugin.label}: {plugin.target!r}: expected the path of a file")
+    return Path(plugin.target)
+
+
 def _load(kind: str, label: str, entry_point: metadata.EntryPoint) -> Any:
     folder = str(Path.cwd())
     sys.path.insert(0, folder)
@@ -81,3 +90,25 @@ def _version_of_module(module_name: str) -> str:
 
 def _distribution_text(distribution: metadata.Distribution | None) -> str:
     return f"{distribution.name} {distribution.version}" if distribution else "no distribution"
+
+
+@dataclass(frozen=True, slots=True)
+class PluginGuard:
+    """Calls the code of a plug-in; whatever it raises becomes a LeewayError that names it.
+
+    `subject`: kind and label, such as "planner mine:Nearest (mine 1.0)".
+    """
+
+    subject: str
+
+    def call(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call `function`; `name` is its name in the message."""
+        try:
+            return function(*arguments)
+        except Exception as error:  # the code of others may raise anything
+            text = " ".join(str(error).split())
+            raise self.error(f"{name} raised {type(error).__name__}: {text}") from error
+
+    def error(self, text: str) -> LeewayError:
+        """Return the error with this text."""
+        return LeewayError(f"{self.subject}: {text}")

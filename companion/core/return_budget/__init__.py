@@ -21,12 +21,12 @@ __all__ = [
 __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "RemainingMission": "remaining_mission",
-        "Assessment": "budget",
-        "Gate": "budget",
-        "GateDecision": "budget",
-        "GateParams": "budget",
-        "Stage": "remaining_mission",
-        "ReturnRoute": "remaining_mission",
+        "RemainingMission": ".remaining_mission",
+        "Assessment": ".budget",
+        "Gate": ".budget",
+        "GateDecision": ".budget",
+        "GateParams": ".budget",
+        "Stage": ".remaining_mission",
+        "ReturnRoute": ".remaining_mission",
     },
 )

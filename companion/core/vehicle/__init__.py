@@ -26,14 +26,14 @@ __all__ = [
 __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "Airframe": "airframe",
-        "BatteryPack": "airframe",
-        "EnergyBelief": "energy_ledger",
-        "EnergyLedger": "energy_ledger",
-        "ModelError": "power_bias",
-        "airframe_from_dict": "airframe",
-        "ground_speeds_mps": "wind_triangle",
-        "multirotor_power_w": "power",
-        "paper_power_w": "power",
+        "Airframe": ".airframe",
+        "BatteryPack": ".airframe",
+        "EnergyBelief": ".energy_ledger",
+        "EnergyLedger": ".energy_ledger",
+        "ModelError": ".power_bias",
+        "airframe_from_dict": ".airframe",
+        "ground_speeds_mps": ".wind_triangle",
+        "multirotor_power_w": ".power",
+        "paper_power_w": ".power",
     },
 )

@@ -25,13 +25,13 @@ __all__ = [
 __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "WindBelief": "observation",
-        "WindEstimator": "estimator",
-        "WindEstimatorParams": "ekf",
-        "WindForecast": "forecast",
-        "WindObservation": "observation",
-        "WindOutlook": "forecast",
-        "WindProcessParams": "process",
-        "wind_process_from_dict": "process",
+        "WindBelief": ".observation",
+        "WindEstimator": ".estimator",
+        "WindEstimatorParams": ".ekf",
+        "WindForecast": ".forecast",
+        "WindObservation": ".observation",
+        "WindOutlook": ".forecast",
+        "WindProcessParams": ".process",
+        "wind_process_from_dict": ".process",
     },
 )

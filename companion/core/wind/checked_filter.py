@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.base.plugin import WIND_ESTIMATORS, load_plugin
+from companion.core.base.plugin import WIND_ESTIMATORS, PluginGuard, load_plugin
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.observation import WindBelief, WindFilter, WindObservation
 
@@ -15,7 +16,7 @@ MAX_WIND_MPS = 100.0
 SYMMETRY_TOLERANCE = 1e-6
 
 WindFilterFactory = Callable[[Airframe], WindFilter]
-"""Builds an estimator for an airframe."""
+"""Builds an estimator for an airframe: a class, or a function."""
 
 
 class CheckedWindFilter:
@@ -26,16 +27,16 @@ class CheckedWindFilter:
     """
 
     def __init__(self, label: str, factory: WindFilterFactory, airframe: Airframe) -> None:
-        self._label = label
-        self._filter: Any = self._call("constructor", factory, airframe)
+        self._guard = PluginGuard(f"wind estimator {label}")
+        self._filter: Any = self._guard.call("constructor", factory, airframe)
 
     def update(self, observation: WindObservation) -> tuple[str, ...]:
         """Process one observation; returns a message for each rejected measurement."""
-        return tuple(self._call("update", self._filter.update, observation) or ())
+        return tuple(self._guard.call("update", self._filter.update, observation) or ())
 
     def belief(self, t_s: float) -> WindBelief:
         """Return the checked estimate, its arrays as numpy arrays of float64."""
-        found = self._call("belief", self._filter.belief, t_s)
+        found = self._guard.call("belief", self._filter.belief, t_s)
         try:
             mean = np.asarray(found.mean_to_ne_mps, dtype=float)
             cov = np.asarray(found.cov_ne_m2ps2, dtype=float)
@@ -52,32 +53,27 @@ class CheckedWindFilter:
     def snapshot(self) -> dict[str, object]:
         """Return the estimator's checkpoint; empty if it has none."""
         save = getattr(self._filter, "snapshot", None)
-        return self._call("snapshot", save) if save else {}
+        return self._guard.call("snapshot", save) if save else {}
 
     def restore(self, snapshot: dict[str, object]) -> None:
         """Restore a checkpoint; an estimator without checkpoints starts again."""
         restore = getattr(self._filter, "restore", None)
         if restore:
-            self._call("restore", restore, snapshot)
-
-    def _call(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        try:
-            return function(*arguments)
-        except Exception as error:  # the code of others may raise anything
-            text = f"{name} raised {type(error).__name__}: {' '.join(str(error).split())}"
-            raise LeewayError(f"wind estimator {self._label}: {text}") from error
+            self._guard.call("restore", restore, snapshot)
 
     def _error(self, t_s: float, text: str) -> LeewayError:
-        return LeewayError(f"wind estimator {self._label}: belief at {t_s:.2f} s: {text}")
+        return self._guard.error(f"belief at {t_s:.2f} s: {text}")
 
 
-def _is_covariance(cov: np.ndarray) -> bool:
+def _is_covariance(cov: Floats) -> bool:
     is_symmetric = bool(np.abs(cov - cov.T).max() <= SYMMETRY_TOLERANCE * np.abs(cov).max())
     is_definite = cov[0, 0] > 0.0 and cov[0, 0] * cov[1, 1] > cov[0, 1] * cov[1, 0]
     return bool(np.isfinite(cov).all()) and is_symmetric and bool(is_definite)
 
 
-def checked_filter_factory(estimator: str | WindFilterFactory) -> WindFilterFactory:
+def checked_filter_factory(
+    estimator: str | WindFilterFactory,
+) -> Callable[[Airframe], CheckedWindFilter]:
     """Return a factory of checked estimators: a plug-in by name, or a class of the caller."""
     if isinstance(estimator, str):
         plugin = load_plugin(WIND_ESTIMATORS, estimator)
@@ -85,3 +81,10 @@ def checked_filter_factory(estimator: str | WindFilterFactory) -> WindFilterFact
     else:
         label, factory = getattr(estimator, "__name__", type(estimator).__name__), estimator
     return lambda airframe: CheckedWindFilter(label, factory, airframe)
+
+
+def checked_estimator_name(estimator: str | None) -> str | None:
+    """Return the name of a plug-in that another process will load; raise LeewayError early."""
+    if estimator is not None:
+        load_plugin(WIND_ESTIMATORS, estimator)
+    return estimator

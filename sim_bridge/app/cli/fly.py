@@ -39,10 +39,13 @@ class OnOff(StrEnum):
     off = "off"
 
 
-SIMULATED = ("autopilot", "seed", "wind_log", "vehicles", "speedup")
+PLUGINS = ("wind", "estimator", "airframe")
+SIMULATED = ("autopilot", "seed", "wind_log", "vehicles", "speedup", *PLUGINS)
 """Options of vehicles that are simulated here."""
 
-ONE_FLIGHT = ("seed", "link", "configure", "here", "steady_wind", "vehicles", "speedup", "picture")
+ONE_FLIGHT = (
+    "seed", "link", "configure", "here", "steady_wind", "vehicles", "speedup", "picture", *PLUGINS
+)  # fmt: skip
 """Options that a series does not use."""
 
 
@@ -115,6 +118,20 @@ def fly(
         float | None,
         typer.Option(min=0.01, help="Multiple of real time; default: as fast as possible."),
     ] = None,
+    wind: Annotated[
+        str | None,
+        typer.Option(help="True mean wind of another package: entry point or MODULE:NAME."),
+    ] = None,
+    estimator: Annotated[
+        str | None,
+        typer.Option(help="The companions' wind estimator: entry point or MODULE:CLASS."),
+    ] = None,
+    airframe: Annotated[
+        str | None,
+        typer.Option(
+            help="The companions' airframe, a name, a file or a plug-in. Default: the true one."
+        ),
+    ] = None,
     picture: PictureOption = True,
 ) -> None:
     """Fly a mission to its end: simulated vehicles, a companion process for each, one table.
@@ -129,6 +146,8 @@ def fly(
     """
     from rich.console import Console
 
+    from companion.app.api import airframe_file
+    from companion.core.wind.checked_filter import checked_estimator_name
     from sim_bridge.app.flight.fly import FlyOptions
     from sim_bridge.app.flight.fly import fly_vehicles_and_evaluate as fly_now
     from sim_bridge.app.flight.foreign_flight import ExternalFlightOptions, fly_external_vehicles
@@ -138,6 +157,7 @@ def fly(
         grounding_findings_or_kill_messages,
         results_table,
     )
+    from sim_bridge.app.flight.wind_plugin import checked_wind
 
     console, run = Console(), run_options()
     run_root, json_out = run.run_root_or_default("logs"), run.json_out
@@ -182,6 +202,9 @@ def fly(
             speedup=speedup,
             run_root=run_root,
             picture=picture,
+            mean_wind=None if wind is None else checked_wind(wind),
+            estimator=checked_estimator_name(estimator),
+            companion_airframe=None if airframe is None else str(airframe_file(airframe)),
         )
         with LiveView(console=console) as view:
             result = fly_now(options, view)

@@ -29,6 +29,7 @@ from sim_bridge.app.world.vehicle_host import Home, power_up_vehicle
 from sim_bridge.autopilot.kinds import AUTOPILOTS, AutopilotKind, BatterySensing, LinkKind
 from sim_bridge.autopilot.mavlink.signing import LinkSigning, Signing
 from sim_bridge.truth.params import AirframeTruth, load_airframe
+from sim_bridge.truth.wind_field import MeanWind
 from sim_bridge.truth.wind_params import build_wind_field
 
 DEFAULT_HOME = Location(lat_deg=55.47, lon_deg=8.45, alt_amsl_m=12.0)
@@ -60,6 +61,10 @@ class FlyOptions:
     companion_airframe: str | None = None
     companion_flight_file: Path | None = None
     signing_key: Path | None = None
+    estimator: str | None = None
+    """Wind estimator of the companions, a plug-in; None: their own."""
+    mean_wind: MeanWind | None = None
+    """True mean wind in place of the flight file's."""
     companion_startup_code: str = ""
     companion_arguments: tuple[str, ...] = ()
     """Additional options for `companion run`."""
@@ -133,7 +138,7 @@ def build_craft(
             *(["--record-at-once"] if has_kill_fault else []),
             *options.companion_arguments,
         ],
-        startup_code=options.companion_startup_code,
+        startup_code=_estimator_startup_code(options.estimator) + options.companion_startup_code,
         fork_server=options.fork_server,
     )
     return Craft(
@@ -158,6 +163,17 @@ def build_single_craft(options: FlyOptions, companion_link_url: str, run_dir: Pa
         flight, options.flight_file, np.random.default_rng(wind_seed), options.wind_log
     )
     return build_craft(options, flight, wind, mean, 0, vehicle_seed, companion_link_url, run_dir)
+
+
+def _estimator_startup_code(estimator: str | None) -> str:
+    """Return code that replaces the wind estimator of a companion: it has no option for that."""
+    if estimator is None:
+        return ""
+    return (
+        "from companion.core.pilot import estimates\n"
+        "from companion.core.wind.checked_filter import checked_filter_factory\n"
+        f"estimates.WindEstimator = checked_filter_factory({estimator!r})\n"
+    )
 
 
 def read_true_airframe(flight: Flight) -> AirframeTruth:

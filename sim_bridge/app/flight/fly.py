@@ -40,6 +40,7 @@ from sim_bridge.app.flight.vehicle_process import Craft, location_ne_m
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE, true_reserve_wh
 
 COMPANION_BOOT_LIMIT_S = 60.0
+INVALID_INPUT_EXIT_CODE = 2
 
 
 def fly_vehicles_and_evaluate(options: FlyOptions, *scripts: Script) -> dict[str, Any]:
@@ -54,6 +55,7 @@ def fly_vehicles_and_evaluate(options: FlyOptions, *scripts: Script) -> dict[str
     wind, mean = read_or_draw_true_wind(
         flight, options.flight_file, np.random.default_rng(wind_seed), options.wind_log
     )
+    mean = options.mean_wind or mean
     faults = read_faults(flight, options.flight_file)
     gate = "" if options.gate else "-gate-off"
     stem = f"{flight.name}-{options.autopilot}-seed{options.seed}{gate}"
@@ -83,6 +85,11 @@ def fly_vehicles_and_evaluate(options: FlyOptions, *scripts: Script) -> dict[str
             _run_lockstep_until_finished(options, crafts, endpoints, all_scripts)
         for craft in crafts:
             craft.companion.terminate_or_kill()
+            if (
+                options.estimator is not None
+                and craft.companion.exit_code == INVALID_INPUT_EXIT_CODE
+            ):
+                raise LeewayError(craft.companion.last_output_lines(1).strip())
     rows = [_save_truth_and_evaluate_flight(options, craft, airframe) for craft in crafts]
     result = {"flights": rows}
     (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))

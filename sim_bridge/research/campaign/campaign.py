@@ -4,17 +4,24 @@ Missions are split into blocks whose random numbers depend on the seed, the scen
 only. Rows are sums over blocks in order, so they do not depend on the number of jobs.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.errors import LeewayError
-from companion.core.routing.planner_interface import BatchPlanner, PlannerObservation
+from companion.core.base.plugin import PLANNERS as PLUGIN_GROUP
+from companion.core.base.plugin import load_plugin
+from companion.core.routing.planner_interface import (
+    BatchPlanner,
+    MissionPlanner,
+    PlannerObservation,
+)
 from sim_bridge.research.campaign.workbench import (
     MISSIONS_PER_BLOCK,
     PLANNERS,
@@ -26,6 +33,7 @@ from sim_bridge.research.planners.mission_model import (
     Outcome,
     fly_missions,
 )
+from sim_bridge.research.planners.planner_plugin import PlannerFactory
 from sim_bridge.research.planners.scenario import LogWind, Scenario, parse_scenario, scenario_json
 from sim_bridge.research.study.run import Experiment, Report
 from sim_bridge.research.study.sheet import Column, Sheet, format_optional
@@ -79,6 +87,8 @@ class CampaignTask(msgspec.Struct, frozen=True):
     params: CampaignParams
     first_block: int
     blocks: int
+    planner_version: str = ""
+    """Of a plug-in: its distribution and version."""
 
 
 class TaskResult(msgspec.Struct, frozen=True):
@@ -95,20 +105,24 @@ def _cached_workbench(scenario: bytes, params: CampaignParams) -> Workbench:
     return Workbench(msgspec.json.decode(scenario, type=Scenario), params)
 
 
-def fly_campaign_task(task: CampaignTask) -> TaskResult:
-    """Fly the task's blocks."""
+def fly_campaign_task(
+    task: CampaignTask, factories: Mapping[str, PlannerFactory] = MappingProxyType({})
+) -> TaskResult:
+    """Fly the task's blocks. `factories`: planners that the caller defines, by name."""
     bench = _cached_workbench(task.scenario, task.params)
     budget_wh = bench.scenario.budget_wh
     tallies: list[OutcomeSums] = []
     decision_us: list[float] = []
+    factory = factories.get(task.planner)
+    foreign = factory and bench.build_foreign_planner(task.planner, factory)
     for block in range(task.first_block, task.first_block + task.blocks):
         winds = bench.draw_block_winds(block)
-        planner = bench.cached_planner(task.planner, winds)
+        planner = foreign or bench.cached_planner(task.planner, winds)
         uniforms = bench.draw_uniform_per_mission(block, winds.mission_count)
         flown = fly_missions(bench.graph, budget_wh, winds, planner.start_batch(uniforms))
         tallies.append(sum_mission_results(flown, budget_wh))
         if block == 0:
-            decision_us = measure_decision_times_us(bench, task.planner)
+            decision_us = measure_decision_times_us(bench, task.planner, foreign)
     note = ""
     if task.planner == "ber" and all(t.decisions == t.outcomes[Outcome.ABRT] for t in tallies):
         note = (
@@ -149,11 +163,13 @@ class _TimedPlanner:
         return edge
 
 
-def measure_decision_times_us(bench: Workbench, planner_name: str) -> list[float]:
+def measure_decision_times_us(
+    bench: Workbench, planner_name: str, foreign: MissionPlanner | None = None
+) -> list[float]:
     """Return microseconds of single decisions. Routes are planned without the cache."""
     if planner_name == "clairvoyant":
         return []  # it makes no decisions in flight
-    planner = (
+    planner = foreign or (
         bench.cached_planner(planner_name)
         if planner_name == "ber"  # its tables are not computed again
         else bench.build_planner(planner_name, use_cache=False)
@@ -188,19 +204,33 @@ def build_campaign(
     paths: Sequence[Path], planners: Sequence[str], params: CampaignParams
 ) -> Experiment[CampaignTask, TaskResult]:
     """Return the campaign over scenario files. Raises LeewayError on invalid input."""
-    scenarios = [read_scenario(path) for path in paths]
-    for name in planners:
-        if name not in PLANNERS:
-            raise LeewayError(f"planner {name!r}: expected one of {', '.join(PLANNERS)}")
+    tasks = build_campaign_tasks([read_scenario(path) for path in paths], planners, params)
+    return Experiment(
+        "campaign", tasks, fly_campaign_task, TaskResult, note=lambda result: result.note
+    )
+
+
+def build_campaign_tasks(
+    scenarios: Sequence[Scenario],
+    planners: Sequence[str],
+    params: CampaignParams,
+    foreign: tuple[str, ...] = (),
+) -> list[CampaignTask]:
+    """Return the tasks; `foreign`: planners that the caller defines. LeewayError: invalid input."""
+    versions = {
+        name: load_plugin(PLUGIN_GROUP, name, PLANNERS).version
+        for name in planners
+        if name not in (*PLANNERS, *foreign)
+    }
     chains = [s.name for s in scenarios if not isinstance(s.wind, LogWind)]
     if "clairvoyant" in planners and chains:
         raise LeewayError(
             f"planner clairvoyant: {chains[0]} has a chain wind, expected a recorded wind"
         )
-    tasks = split_campaign_into_tasks(scenarios, list(dict.fromkeys(planners)), params)
-    return Experiment(
-        "campaign", tasks, fly_campaign_task, TaskResult, note=lambda result: result.note
-    )
+    return [
+        msgspec.structs.replace(task, planner_version=versions.get(task.planner, ""))
+        for task in split_campaign_into_tasks(scenarios, list(dict.fromkeys(planners)), params)
+    ]
 
 
 def read_scenario(path: Path) -> Scenario:
@@ -245,7 +275,10 @@ def build_campaign_report(tasks: Sequence[CampaignTask], results: Sequence[TaskR
         "time s": "{0.time_s_mean:.0f}",
         "decision us": "{0.decision_us_median:.0f}",
     }
-    return Report({"campaign": Sheet.from_objects("Campaign", rows, columns)}, {"rows": rows})
+    document: dict[str, object] = {"rows": rows}
+    if plugins := {task.planner: task.planner_version for task in tasks if task.planner_version}:
+        document["plugins"] = plugins
+    return Report({"campaign": Sheet.from_objects("Campaign", rows, columns)}, document)
 
 
 def _build_row(

@@ -36,6 +36,12 @@ from sim_bridge.research.planners.mission_model import (
     fly_missions,
 )
 from sim_bridge.research.planners.online import ReplanningModel
+from sim_bridge.research.planners.planner_plugin import (
+    CheckedPlanner,
+    PlannerFactory,
+    PlanningTask,
+    load_planner_factory,
+)
 from sim_bridge.research.planners.scenario import (
     ChainWind,
     Scenario,
@@ -143,6 +149,8 @@ class Workbench:
 
     def build_planner(self, name: str, use_cache: bool = True) -> MissionPlanner:
         """Build a new planner; without the cache it computes every decision again."""
+        if name not in PLANNERS:
+            return self.build_foreign_planner(*load_planner_factory(name, PLANNERS))
         if name == "ber":
             return self._build_default_ber()
         model = self.build_replanning_model(use_cache)
@@ -153,6 +161,12 @@ class Workbench:
             "ber-paper": lambda: BerPaper(model, self.params.paper),
         }
         return builders[name]()
+
+    def build_foreign_planner(self, label: str, factory: PlannerFactory) -> MissionPlanner:
+        """Return a planner of another package, whose edges are checked."""
+        budget_wh, max_loss = self.scenario.budget_wh, self.params.max_loss
+        task = PlanningTask(self.graph, budget_wh, max_loss, self.chain)
+        return CheckedPlanner(label, factory, task)
 
     def build_replanning_model(self, use_cache: bool) -> ReplanningModel:
         """Return the model that all re-planning planners share."""

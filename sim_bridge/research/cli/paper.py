@@ -21,7 +21,11 @@ app = typer.Typer()
 def campaign(
     scenarios: Annotated[list[Path], typer.Argument(help="Scenario files (delivery-scenario/1).")],
     planner: Annotated[
-        list[str], typer.Option(help="Repeatable: ser, rer, ger, ber-paper, ber or clairvoyant.")
+        list[str],
+        typer.Option(
+            help="Repeatable: ser, rer, ger, ber-paper, ber, clairvoyant, or a planner of another"
+            " package: entry point or MODULE:CLASS (docs/reference/api.md)."
+        ),
     ],
     missions: Annotated[int, typer.Option(help="Missions per scenario.")] = 2000,
     wind_classes: Annotated[

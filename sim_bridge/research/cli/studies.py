@@ -213,7 +213,8 @@ def windbench(
         ),
     ],
     estimator: Annotated[
-        list[str] | None, typer.Option(help="MODULE:CLASS of a further estimator; repeatable.")
+        list[str] | None,
+        typer.Option(help="A further estimator: entry point or MODULE:CLASS; repeatable."),
     ] = None,
     airframe: Airframe = "m100",
     symmetric: Annotated[

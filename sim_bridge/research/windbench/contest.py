@@ -19,12 +19,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from companion.adapters.files.params import read_airframe
 from companion.analysis.calibration.airframe_fit import fit_airframe_to_flights
 from companion.analysis.calibration.drag import DragPriors
 from companion.analysis.replay.replayed_wind import WindSeries
+from companion.app.api import read_airframe
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
+from companion.core.base.plugin import WIND_ESTIMATORS, load_plugin
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.research.real_flights.anemometer import airspeed_std_mps
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
@@ -96,6 +97,34 @@ def score_estimators_on_flights(
     symmetric: bool,
 ) -> Report:
     """Score the estimators, `own` included, on all folders; return tables and JSON."""
+    scores = compute_scores(airframe_by_folder, own, run, symmetric=symmetric)
+    rows, standings = scores.rows, scores.standings
+    board = leader_board(standings, len(next(iter(rows.values()))), scores.day_count)
+    document: dict[str, object] = {
+        "format": "windbench/1", "standings": standings, "windows": rows,
+    }  # fmt: skip
+    if own:
+        document["plugins"] = {name: load_plugin(WIND_ESTIMATORS, name).version for name in own}
+    return Report({"windbench": board}, document)
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Evaluated windows by estimator, and the estimators' scores."""
+
+    rows: WindowScores
+    standings: list[EstimatorScore]
+    day_count: int
+
+
+def compute_scores(
+    airframe_by_folder: Sequence[tuple[Path, str]],
+    own: tuple[str, ...],
+    run: ExperimentRun,
+    *,
+    symmetric: bool,
+) -> Scores:
+    """Score the estimators, `own` included, on all folders."""
     names = list(estimators_by_name(own))
     if len({path.name for path, _ in airframe_by_folder}) < len(airframe_by_folder):
         raise LeewayError("DIR: two folders of one name; expected names of their own")
@@ -110,9 +139,7 @@ def score_estimators_on_flights(
     )
     rows = {name: [row for day in days for row in day.get(name, [])] for name in names}
     standings = [score_estimator(name, rows[name]) for name in names]
-    board = leader_board(standings, len(rows[names[0]]), len(days))
-    document = {"format": "windbench/1", "standings": standings, "windows": rows}
-    return Report({"windbench": board}, document)
+    return Scores(rows, standings, len(days))
 
 
 _read = lru_cache(maxsize=4)(read_bench_folder)

@@ -1,10 +1,8 @@
 """The compared estimators: each receives velocity, levelled attitude and the airframe.
 
-A user-supplied estimator is a class with two methods
-(`companion.core.wind.observation.WindFilter`), constructed with an airframe.
+A plug-in is a class with the methods of `companion.WindFilter`, constructed with an airframe.
 """
 
-import importlib
 from collections.abc import Callable
 
 import numpy as np
@@ -15,6 +13,7 @@ from companion.analysis.replay.replayed_wind import WindSeries, replay_filter
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
+from companion.core.wind.checked_filter import checked_filter_factory
 from companion.core.wind.estimator import WindEstimator
 from companion.core.wind.observation import WindFilter
 from sim_bridge.research.windbench.drag_fusion import (
@@ -29,7 +28,7 @@ Estimate = Callable[[BenchFlight, Airframe], WindSeries]
 
 
 def estimators_by_name(custom_class_paths: tuple[str, ...] = ()) -> dict[str, Estimate]:
-    """Return estimators by name; `custom_class_paths`: MODULE:CLASS. LeewayError: no such class."""
+    """Return estimators by name; `custom_class_paths`: plug-ins. LeewayError: no such plug-in."""
     found: dict[str, Estimate] = {
         "Leeway": _build_replay_estimator(WindEstimator),
         "plain EKF (filterpy)": _build_replay_estimator(ReferenceEstimator),
@@ -48,18 +47,8 @@ def estimators_by_name(custom_class_paths: tuple[str, ...] = ()) -> dict[str, Es
     for words in custom_class_paths:
         if words in found:
             raise LeewayError(f"--estimator {words}: given more than once")
-        found[words] = _build_replay_estimator(_import_class(words))
+        found[words] = _build_replay_estimator(checked_filter_factory(words))
     return found
-
-
-def _import_class(class_path: str) -> Callable[[Airframe], WindFilter]:
-    module, _, name = class_path.partition(":")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise LeewayError(
-            f"--estimator {class_path}: MODULE:CLASS expected that Python can import ({error})"
-        ) from error
 
 
 def _build_replay_estimator(filter_factory: Callable[[Airframe], WindFilter]) -> Estimate:
