@@ -40,7 +40,7 @@ from sim_bridge.app.flight.vehicle_process import Craft, location_ne_m
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE, true_reserve_wh
 
 COMPANION_BOOT_LIMIT_S = 60.0
-INVALID_INPUT_EXIT_CODE = 2
+CRASHED_EXIT_CODE = 1
 
 
 def fly_vehicles_and_evaluate(options: FlyOptions, *scripts: Script) -> dict[str, Any]:
@@ -85,11 +85,11 @@ def fly_vehicles_and_evaluate(options: FlyOptions, *scripts: Script) -> dict[str
             _run_lockstep_until_finished(options, crafts, endpoints, all_scripts)
         for craft in crafts:
             craft.companion.terminate_or_kill()
-            if (
-                options.estimator is not None
-                and craft.companion.exit_code == INVALID_INPUT_EXIT_CODE
-            ):
-                raise LeewayError(craft.companion.last_output_lines(1).strip())
+            if options.estimator is not None and craft.companion.exit_code == CRASHED_EXIT_CODE:
+                raise LeewayError(
+                    f"wind estimator {options.estimator}: the companion ended with an error, see"
+                    f" {craft.run_dir / 'companion.log'}"
+                )
     rows = [_save_truth_and_evaluate_flight(options, craft, airframe) for craft in crafts]
     result = {"flights": rows}
     (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
