@@ -23,7 +23,7 @@ from companion.analysis.replay.recorded_flight import (
     resample_flight_on_time_grid,
 )
 from companion.analysis.replay.replayed_wind import (
-    WindSeries,
+    FilteredWind,
     replay_filter,
     wind_observations_from_samples,
 )
@@ -133,7 +133,7 @@ def _times_with_microsecond_offsets_s(t_s: Floats) -> Floats:
 
 def replay_wind_estimator(
     measured: FlightMeasurements, airframe: Airframe, *, with_airspeed: bool = False
-) -> WindSeries:
+) -> FilteredWind:
     """Return the product's wind estimate at each point of the track's grid.
 
     The estimate is that after the latest sample; `with_airspeed` adds the log's airspeed as a
@@ -149,4 +149,4 @@ def replay_wind_estimator(
     )
     wind = replay_filter(WindEstimator, airframe, observations)
     assert wind.cov_ne_m2ps2 is not None
-    return WindSeries(wind.mean_ne_mps[rows], wind.cov_ne_m2ps2[rows])
+    return FilteredWind(wind.mean_ne_mps[rows], wind.cov_ne_m2ps2[rows])

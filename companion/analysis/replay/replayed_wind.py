@@ -43,7 +43,7 @@ def _finite_or_none(value: float) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class WindSeries:
+class FilteredWind:
     """Wind (n, 2) in the direction of air motion, and its covariance (n, 2, 2) if known."""
 
     mean_ne_mps: Floats
@@ -54,7 +54,7 @@ def replay_filter(
     filter_factory: Callable[[Airframe], WindFilter],
     airframe: Airframe,
     observations: Iterable[WindObservation],
-) -> WindSeries:
+) -> FilteredWind:
     """Return the estimate of a filter constructed with this airframe, after each observation."""
     filter_ = filter_factory(airframe)
     means: list[Floats] = []
@@ -64,4 +64,4 @@ def replay_filter(
         belief = filter_.belief(seen.t_s)
         means.append(belief.mean_to_ne_mps)
         covs.append(belief.cov_ne_m2ps2)
-    return WindSeries(np.array(means), np.array(covs))
+    return FilteredWind(np.array(means), np.array(covs))

@@ -51,11 +51,11 @@ def load_plugin(group: str, name: str, own_names: tuple[str, ...] = ()) -> Plugi
     if ":" not in name:
         known = ", ".join([*own_names, *sorted({one.name for one in entry_points})])
         raise LeewayError(f"{kind} {name!r}: expected {known + ' or ' if known else ''}MODULE:NAME")
-    named = metadata.EntryPoint(name, name, group)
-    if not named.module or not named.attr:
+    module_name, _, attribute_name = name.partition(":")
+    if not all(part.isidentifier() for part in f"{module_name}.{attribute_name}".split(".")):
         raise LeewayError(f"{kind} {name!r}: expected MODULE:NAME")
-    target = _load(kind, name, named)
-    return Plugin(name, target, _version_of_module(named.module))
+    target = _load(kind, name, metadata.EntryPoint(name, name, group))
+    return Plugin(name, target, _version_of_module(module_name))
 
 
 def load_plugin_file(group: str, name: str, own_names: tuple[str, ...] = ()) -> Path:

@@ -31,7 +31,6 @@ from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.air import Air
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import EnergyBelief
-from companion.core.vehicle.pack_model import PEAK_FRAC
 from companion.core.wind.estimator import WindBelief, WindEstimator, WindObservation
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.observation import CheckpointedWindFilter, StepMessage
@@ -306,7 +305,7 @@ def _pack_alerts(
     found: list[AlertReport] = []
     limit_w = route_energy.power_limit_w
     if telemetry.airborne and limit_w < route_energy.cruise_climb_power_w(payload_kg):
-        found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w * PEAK_FRAC))
+        found.append(AlertReport.create(Alert.PACK_POWER_LOW, power_w=limit_w))
     if telemetry.pack.has_frozen:
         found.append(AlertReport.create(Alert.MONITOR_FROZEN))
     if (voltages_v := telemetry.pack.differing_voltages_v) is not None:

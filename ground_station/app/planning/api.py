@@ -26,7 +26,7 @@ def plan_day(
     trials: int | None = None,
     seed: int = 0,
     policy: Literal["search", "dynamic"] = "search",
-    on_progress: Callable[[float, float], None] = lambda done_frac, best_s: None,
+    on_progress: Callable[[float, float], None] | None = None,
 ) -> DayPlan:
     """Plan a day with a truck: its stops, drone sorties and undeliverable orders.
 
@@ -40,4 +40,6 @@ def plan_day(
     from ground_station.core.planning.day_planner import plan_day as plan_from_state
 
     params = PlanParams(policy, trials, seed)
-    return plan_from_state(data, initial_state(data), params, on_progress)
+    return plan_from_state(
+        data, initial_state(data), params, on_progress or (lambda done_frac, best_s: None)
+    )

@@ -14,7 +14,6 @@ from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.routing.energy_graph import EnergyGraph, prune_edges_unusable_within_budget
 from companion.core.routing.planner_interface import MissionPlanner
-from companion.core.routing.shortest_paths import RouteFinder
 from sim_bridge.research.planners.baselines import Ger, Rer, Ser
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, solve_log_policy
@@ -180,7 +179,7 @@ class Workbench:
             spread = DriftUncertainty(self.graph, self.process, longest_s, sector)
             winds = 0
         cost = RiskCost(self.graph, self.params.risk_weight, spread)
-        return ReplanningModel(RouteFinder(self.graph), cost, winds if use_cache else 0)
+        return ReplanningModel(self.graph, cost, winds if use_cache else 0)
 
     def _build_default_ber(self) -> MissionPlanner:
         if self.chain is None or self.sight is None:

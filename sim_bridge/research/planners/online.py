@@ -6,12 +6,13 @@ Shared by SER, RER, GER and the published BER. A chain has few different winds, 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, Ints
-from companion.core.routing.energy_graph import WH_PER_J
+from companion.core.routing.energy_graph import WH_PER_J, EnergyGraph
 from companion.core.routing.planner_interface import PlannerObservation
 from companion.core.routing.shortest_paths import RouteFinder
 from sim_bridge.research.planners.uncertainty import RiskCost
@@ -30,9 +31,14 @@ class Viewpoints:
 class ReplanningModel:
     """The graph, the surrogate cost and the number of winds in a chain's sight (0: a log)."""
 
-    finder: RouteFinder
+    graph: EnergyGraph
     cost: RiskCost
     winds: int = 0
+
+    @cached_property
+    def finder(self) -> RouteFinder:
+        """Routes on the graph."""
+        return RouteFinder(self.graph)
 
     def surrogate_durations_and_columns(self, viewpoints: Viewpoints) -> tuple[Floats, Ints]:
         """Return surrogate durations (E, k) of the distinct problems, and each view's column."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.analysis.measured_energy.flown_track import FlownTrack
-from companion.analysis.replay.replayed_wind import WindSeries
+from companion.analysis.replay.replayed_wind import FilteredWind
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.real_flights.folder import ReadFlight
@@ -98,7 +98,7 @@ def complete_window_slices(span: slice, step_s: float) -> list[slice]:
 
 
 def mean_airspeed_over_span(
-    flight: ReadFlight, wind: WindSeries, span: slice
+    flight: ReadFlight, wind: FilteredWind, span: slice
 ) -> AirspeedMean | None:
     """Return the means over a stretch; `None` in gaps of the anemometer."""
     read = anemometer_airspeed_running_mean_mps(flight)[span]

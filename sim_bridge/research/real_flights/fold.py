@@ -20,7 +20,7 @@ from companion.analysis.measured_energy.forecast import (
 )
 from companion.analysis.measured_energy.remaining_energy import takeoff_corner_and_midpoint
 from companion.analysis.measured_energy.route_times import FlownRoute, build_flown_route
-from companion.analysis.replay.replayed_wind import WindSeries
+from companion.analysis.replay.replayed_wind import FilteredWind
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
@@ -235,7 +235,7 @@ def _payload_findings(
 
 
 def _evaluate_wind(
-    flight: ReadFlight, wind: WindSeries, scale: AnemometerScale | None
+    flight: ReadFlight, wind: FilteredWind, scale: AnemometerScale | None
 ) -> EvaluatedWind:
     def airspeed_averages(spans: Sequence[slice]) -> tuple[AirspeedMean, ...]:
         known = (mean_airspeed_over_span(flight, wind, span) for span in spans)

@@ -21,7 +21,7 @@ import numpy as np
 
 from companion.analysis.calibration.airframe_fit import fit_airframe_to_flights
 from companion.analysis.calibration.drag import DragPriors
-from companion.analysis.replay.replayed_wind import WindSeries
+from companion.analysis.replay.replayed_wind import FilteredWind
 from companion.app.api import read_airframe
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
@@ -182,7 +182,7 @@ def _calibrate_on_other_days(
 
 
 def _evaluate_window(
-    folder: str, flight: BenchFlight, window: Window, wind: WindSeries
+    folder: str, flight: BenchFlight, window: Window, wind: FilteredWind
 ) -> WindowScore:
     air = flight.velocity_ne_mps[window.rows] - wind.mean_ne_mps[window.rows]
     std, vector = None, None

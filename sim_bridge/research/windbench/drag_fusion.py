@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from companion.analysis.replay.replayed_wind import WindSeries
+from companion.analysis.replay.replayed_wind import FilteredWind
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
 from companion.core.vehicle.airframe import Airframe
 from companion.core.wind.observation import WindObservation
@@ -74,7 +74,7 @@ def ardupilot_drag_params_from_airframe(airframe: Airframe) -> DragFusionParams:
 
 def replay_drag_fusion(
     observations: Sequence[WindObservation], params: DragFusionParams
-) -> WindSeries:
+) -> FilteredWind:
     """Return the estimate at each row, from rows with velocity and attitude, held in between."""
     rows = [
         i
@@ -108,7 +108,7 @@ def replay_drag_fusion(
         north, east, nn, ne, ee = estimate
         mean[i], cov[i] = (north, east), ((nn, ne), (ne, ee))
     at = np.clip(np.searchsorted(rows, np.arange(len(observations)), side="right") - 1, 0, None)
-    return WindSeries(mean[at], cov[at])
+    return FilteredWind(mean[at], cov[at])
 
 
 WindEstimate = tuple[float, float, float, float, float]

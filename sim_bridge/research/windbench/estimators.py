@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from companion.analysis.replay.reference_estimator import ReferenceEstimator
-from companion.analysis.replay.replayed_wind import WindSeries, replay_filter
+from companion.analysis.replay.replayed_wind import FilteredWind, replay_filter
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.airframe import Airframe
@@ -24,7 +24,7 @@ from sim_bridge.research.windbench.drag_fusion import (
 )
 from sim_bridge.research.windbench.flights import BenchFlight
 
-Estimate = Callable[[BenchFlight, Airframe], WindSeries]
+Estimate = Callable[[BenchFlight, Airframe], FilteredWind]
 
 
 def estimators_by_name(custom_class_paths: tuple[str, ...] = ()) -> dict[str, Estimate]:
@@ -55,7 +55,7 @@ def _build_replay_estimator(filter_factory: Callable[[Airframe], WindFilter]) ->
     return lambda flight, airframe: replay_filter(filter_factory, airframe, flight.observations)
 
 
-def _fit_best_constant_wind(flight: BenchFlight, _: Airframe) -> WindSeries:
+def _fit_best_constant_wind(flight: BenchFlight, _: Airframe) -> FilteredWind:
     """Fit the constant wind with the least error on the evaluated windows."""
     reference_winds = [w.wind_to_ne_mps for w in flight.windows if w.wind_to_ne_mps is not None]
     if reference_winds:
@@ -71,5 +71,5 @@ def _fit_best_constant_wind(flight: BenchFlight, _: Airframe) -> WindSeries:
     return _constant(flight, min(solutions, key=lambda one: one.cost).x)
 
 
-def _constant(flight: BenchFlight, wind_ne_mps: Floats) -> WindSeries:
-    return WindSeries(np.tile(wind_ne_mps, (len(flight.observations), 1)), None)
+def _constant(flight: BenchFlight, wind_ne_mps: Floats) -> FilteredWind:
+    return FilteredWind(np.tile(wind_ne_mps, (len(flight.observations), 1)), None)

@@ -139,7 +139,9 @@ def test_what_cannot_be_used_is_said_in_one_line(tmp_path, folder):
     with pytest.raises(LeewayError, match="empty: no flight with an anemometer"):
         read_bench_folder(empty, "generic")
     for words in ("nowhere:It", "json", "json:NoSuch"):
-        with pytest.raises(LeewayError, match=f"--estimator {words}: MODULE:CLASS"):
+        with pytest.raises(
+            LeewayError, match=f"wind estimator .*{words}.*MODULE:NAME|{words}: not loaded"
+        ):
             estimators_by_name((words,))
 
 

@@ -1,32 +1,37 @@
-"""Replay a log: write three minutes of telemetry by closed form, and find the wind in it.
+"""Wind from a log: write three minutes of telemetry by closed form, and estimate its wind.
 
 A multirotor flies circles in a steady wind. Its tilt balances drag and turn, so the wind is in the
-log although no sensor measures it. Run it from a checkout or an installed package:
+log although no sensor measures it.
 
-    python examples/replay_a_log.py
+    python examples/wind_from_a_log.py
 """
 
+# %%
 import csv
 import math
 import tempfile
 from pathlib import Path
 
-from companion.adapters.files.params import read_airframe, read_wind_process
-from companion.adapters.logs.open_log import read_log_of_any_format
-from companion.analysis.replay.flight_replay import ReplayConfig, replay_flight
-from companion.analysis.replay.summary import summarise_wind_in_flight
-from companion.core.base.location import Location
-from companion.core.mission.flight_file import Flight, Site, Vehicle
+import companion
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3
-from companion.core.vehicle.airframe import Airframe
 
 WIND_TO_NE_MPS = (-3.0, 4.0)  # where the air moves to
 SPEED_MPS, TURN_S = 6.0, 60.0  # over the ground; time of a circle
 GRAVITY_MPS2 = 9.80665
-COLUMNS = ("t_s", "vel_n_mps", "vel_e_mps", "vel_d_mps", "roll_deg", "pitch_deg", "yaw_deg")
+REFERENCE = ("wind_to_n_ref_mps", "wind_to_e_ref_mps")  # an anemometer's; no estimator reads it
+COLUMNS = (
+    "t_s",
+    "vel_n_mps",
+    "vel_e_mps",
+    "vel_d_mps",
+    "roll_deg",
+    "pitch_deg",
+    "yaw_deg",
+    *REFERENCE,
+)
 
 
-def row_at(t_s: float, airframe: Airframe) -> list[float]:
+def row_at(t_s: float, airframe: companion.Airframe) -> list[float]:
     """Telemetry of a vehicle that keeps its nose north: thrust carries drag and acceleration."""
     rate = 2.0 * math.pi / TURN_S
     north, east = SPEED_MPS * math.cos(rate * t_s), SPEED_MPS * math.sin(rate * t_s)
@@ -41,10 +46,10 @@ def row_at(t_s: float, airframe: Airframe) -> list[float]:
     thrust_e = accel_e + (linear_e + square_e * speed) * air_e / mass_kg
     pitch = -math.atan(thrust_n / GRAVITY_MPS2)
     roll = math.atan(thrust_e * math.cos(pitch) / GRAVITY_MPS2)
-    return [t_s, north, east, 0.0, math.degrees(roll), math.degrees(pitch), 0.0]
+    return [t_s, north, east, 0.0, math.degrees(roll), math.degrees(pitch), 0.0, *WIND_TO_NE_MPS]
 
 
-def write_log(path: Path, airframe: Airframe) -> None:
+def write_log(path: Path, airframe: companion.Airframe) -> None:
     """Three minutes at 10 Hz."""
     with path.open("w", newline="") as file:
         table = csv.writer(file)
@@ -53,27 +58,20 @@ def write_log(path: Path, airframe: Airframe) -> None:
 
 
 def main() -> None:
-    """Write, replay, compare."""
-    airframe = read_airframe("m100")
-    flight = Flight(
-        format="flight/1",
-        site=Site(customer=Location(east_m=0.0, north_m=0.0)),
-        vehicle=Vehicle(airframe=airframe.name),
-    )
+    """Write, estimate, compare."""
+    airframe = companion.read_airframe("m100")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "circles.csv"
         write_log(path, airframe)
-        log = read_log_of_any_format(path)
-    terms = ReplayConfig(airframe, flight, read_wind_process("coast"), False, False)
-    wind = summarise_wind_in_flight(replay_flight(log, terms))
-    assert wind is not None
+        wind = companion.estimate_wind(path, airframe)
+    to_n_mps, to_e_mps = wind.to_ne_mps[-1]
     print(
         f"wind blown:     {WIND_TO_NE_MPS[0]:+.2f} m/s to north, {WIND_TO_NE_MPS[1]:+.2f} to east"
     )
+    print(f"wind estimated: {to_n_mps:+.2f} m/s to north, {to_e_mps:+.2f} to east")
     print(
-        f"wind estimated: {wind.mean_to_n_mps:+.2f} m/s to north, {wind.mean_to_e_mps:+.2f} to east"
+        f"from {wind.from_deg[-1]:.0f} degrees, {len(wind.t_s)} rows: {', '.join(wind.to_dict())}"
     )
-    print(f"its own error:  {wind.mean_std_mps:.2f} m/s")
 
 
 if __name__ == "__main__":
