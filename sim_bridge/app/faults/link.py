@@ -163,7 +163,7 @@ STRAY_RESULTS = (1, 13, 15)
 
 for number, name, description, arguments in (
     (88, "slow-upload", "Mission messages have a round trip of 0.3 to 3 s, 0 or 30 % are lost; the"
-     " companion may stall for 2 s (S1).", ("MISSION_", 1.5, 2.0)),
+     " companion may stall for 2 s (S1).", ("MISSION_", 3.0, 2.0)),
     (92, "slow-parameters", "Parameter messages arrive 0.3 to 3 s late, 0 or 30 % are lost (S6).",
      ("PARAM_", 3.0, 0.0)),
 ):  # fmt: skip

@@ -86,6 +86,7 @@ class MissionProtocol:
     _rules: MissionRules
     _store: MissionStore
     _upload: _Transfer | None = None
+    _ended_upload: _Transfer | None = None
     _download: _Transfer | None = None
 
     def discard_transfers(self) -> None:
@@ -109,6 +110,8 @@ class MissionProtocol:
         if upload is not None and not (
             _is_same_peer(upload, message) and (not rules.is_atomic or upload.next_seq == 0)
         ):
+            if rules.is_atomic:  # PX4: prolongs the transfer
+                upload.last_received_s = self._state.t_s
             self._send_ack_to_sender(link_id, message, MissionResult.ERROR)
             return
         if message.count > rules.capacity:
@@ -160,8 +163,11 @@ class MissionProtocol:
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
             self._send_ack_to_sender(link_id, message, MissionResult.UNSUPPORTED)
             return
+        if self._refuse_while_receiving(link_id, message):
+            return
         total = len(self._store.items_of_type(kind))
         now = self._state.t_s
+        self._ended_upload = None
         self._download = _Transfer(
             link_id,
             message.src_system,
@@ -182,6 +188,8 @@ class MissionProtocol:
         """
         kind, seq = message.mission_type, message.seq
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
+            return
+        if self._refuse_while_receiving(link_id, message):
             return
         items = self._store.items_of_type(kind)
         if self._rules.is_atomic and not self._advance_download_if_in_sequence(link_id, message):
@@ -236,7 +244,7 @@ class MissionProtocol:
         if upload is not None:
             now = self._state.t_s
             if now - upload.last_received_s > self._rules.timeout_s:
-                self._upload = None
+                self._upload, self._ended_upload = None, upload
                 if self._rules.is_atomic:
                     self._radio.send_status_text(Severity.CRITICAL, "Operation timeout")
                 else:
@@ -334,8 +342,13 @@ class MissionProtocol:
         upload = self._upload
         kind = message.mission_type
         if upload is None or not _is_same_peer(upload, message) or kind != upload.mission_type:
-            self._send_ack_to_sender(link_id, message, MissionResult.ERROR)
+            result = MissionResult.ERROR
+            if upload is None and self._is_last_item_repeated(message):
+                result = MissionResult.ACCEPTED
+            self._send_ack_to_sender(link_id, message, result)
             return
+        if self._rules.is_atomic:
+            upload.last_received_s = self._state.t_s
         if message.seq != upload.next_seq:
             if not self._rules.is_atomic:
                 self._send_ack_to_sender(link_id, message, MissionResult.INVALID_SEQUENCE)
@@ -366,11 +379,23 @@ class MissionProtocol:
         if upload.next_seq <= upload.last:
             self._send_item_request(upload)
             return
-        self._upload = None
+        self._upload, self._ended_upload = None, upload
         if self._rules.is_atomic:
             self._store.items_of_type(kind)[:] = upload.items
         self._report_changed_list(kind, is_complete_list=True)
         self._send_ack_to_sender(link_id, message, MissionResult.ACCEPTED)
+
+    def _is_last_item_repeated(self, message: Message) -> bool:
+        """PX4 accepts the last item again, also that of a transfer that timed out."""
+        ended = self._ended_upload if self._rules.is_atomic else None
+        is_same = ended is not None and _is_same_peer(ended, message)
+        return is_same and ended is not None and ended.next_seq == message.seq + 1
+
+    def _refuse_while_receiving(self, link_id: int, message: Message) -> bool:
+        """No download during an upload: PX4 does not respond, ArduPilot denies it."""
+        if self._upload is not None and not self._rules.is_atomic:
+            self._send_ack_to_sender(link_id, message, MissionResult.DENIED)
+        return self._upload is not None
 
     def _store_or_buffer_item(self, upload: _Transfer, item: MissionItem) -> None:
         """Store an item: in a buffer until the upload is complete, or directly."""

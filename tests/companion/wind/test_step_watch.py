@@ -133,7 +133,7 @@ def test_a_step_before_the_estimator_takes_measurements_is_seen_at_once(of, size
     assert not any(one.airborne for one in seen if one.t_s <= at_s + 0.1)
     rows, said = flown(seen)
     t_s, sigmas, valid = rows.T
-    assert [at for at, words in said if "stepped" in words][0] == pytest.approx(at_s, abs=0.15)
+    assert next(at for at, words in said if "stepped" in words) == pytest.approx(at_s, abs=0.15)
     assert not valid[t_s < at_s + 8.0].any()
     assert sigmas.max() < 3.0
     assert valid[(t_s > at_s + 22.0) & (t_s < 150.0)].all()
