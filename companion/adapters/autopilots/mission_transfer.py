@@ -60,11 +60,11 @@ class MissionUpload:
     """Uploads a mission on the autopilot's requests until it ends; `result_text` is then `""` or
     an error.
 
-    The autopilots ignore a repeated item; ArduPilot responds with INVALID_SEQUENCE. A result in
-    `OTHER_TRANSFER`, or an acceptance before the last item, counts only if no request follows: the
-    upload then restarts after a pause, in which messages of the old transfer are discarded. After
-    the last item was sent the read-back decides, as the acceptance may be lost. Without items it
-    clears the mission. Starts at `earliest_start_s`.
+    PX4 ignores a repeated item, ArduPilot responds with INVALID_SEQUENCE; both continue the
+    transfer. Another result in `OTHER_TRANSFER`, or an acceptance before the last item, counts only
+    if no request follows: the upload then restarts after a pause, in which messages of the old
+    transfer are discarded. After the last item the read-back decides, as the acceptance may be
+    lost. Without items it clears the mission. Starts at `earliest_start_s`.
     """
 
     def __init__(
@@ -124,6 +124,8 @@ class MissionUpload:
         is_accepted = result == mavlink.MAV_MISSION_ACCEPTED
         if is_accepted and self._requested_seq == len(self._items) - 1:
             self.result_text = ""
+        elif result == mavlink.MAV_MISSION_INVALID_SEQUENCE:
+            return
         elif self._items and (is_accepted or result in OTHER_TRANSFER):
             self._error = MISSION_RESULT[result]
             self._next_try_s = t_s + PAUSE_S

@@ -153,12 +153,11 @@ class WindEstimator:
             state.predict_state(dt_s)
         self._inflate_drag_gain_on_mass_change(observation.mass_kg)
         left_out: list[str] = []
-        if observation.airborne or observation.armed:
-            left_out += self._update_validity_of_reports(observation)
-        else:  # a person may move it, and the autopilot aligns its heading
-            self._watch = ReportWatch()
         if not observation.airborne:
             self._motion.clear_history()
+            self._watch = self._watch if observation.armed else ReportWatch()
+        if observation.airborne or observation.armed:
+            left_out += self._update_validity_of_reports(observation)
         if any(self._watch.offsets):
             return tuple(left_out)
         if observation.airborne:

@@ -529,7 +529,8 @@ def test_an_acceptance_before_the_last_item_restarts_the_upload_unless_a_request
     request(bench, 1)
     assert [m.seq for m in bench.take()] == [1]
     assert bench.hear(too_early) == []
-    assert bench.wait(5.0) == [] and bench.take() == []  # PX4 ends a transfer after 5 s
+    assert bench.wait(5.0) == []
+    assert bench.take() == []  # PX4 ends a transfer after 5 s
     bench.wait(1.2)
     assert [m.get_type() for m in bench.take()] == ["MISSION_COUNT"]
 
