@@ -45,9 +45,11 @@ MISSION_RESULT = {
 OTHER_TRANSFER = (
     mavlink.MAV_MISSION_ERROR,
     mavlink.MAV_MISSION_INVALID_SEQUENCE,
+    mavlink.MAV_MISSION_DENIED,
     mavlink.MAV_MISSION_OPERATION_CANCELLED,
 )
-"""Results that may belong to a repeated item, an earlier transfer or another station's transfer."""
+"""Results that may belong to a repeated item, an earlier transfer or another station's transfer.
+ArduPilot denies uploads and read-backs during another station's upload."""
 
 PAUSE_S = 6.0
 """Pause after an error, in which requests and results of the old transfer arrive, and PX4 ends it:
@@ -182,6 +184,7 @@ class MissionDownload:
         self._count: int | None = None
         self._received: dict[int, MissionItem] = {}
         self._tries = 0
+        self._restarts = 0
         self._error: str | None = None
         self.result_text: str | None = None
         self._send_list_or_item_requests(t_s)
@@ -249,12 +252,13 @@ class MissionDownload:
         """Request the next item when it is due, or repeat the request after a timeout."""
         if self.result_text is not None or t_s < self._next_try_s:
             return
-        if self._tries >= MAX_TRIES:
+        if self._error is not None and self._restarts < RESTARTS:
+            self._restarts += 1
+            self._error, self._count, self._tries, self._requested_count = None, None, 0, 0
+            self._received.clear()
+        elif self._error is not None or self._tries >= MAX_TRIES:
             self.result_text = self._error or "no response to the download"
             return
-        if self._error is not None:  # PX4 has ended the transfer, ArduPilot continues it
-            self._count, self._requested_count = None, 0
-            self._received.clear()
         self._send_list_or_item_requests(t_s)
 
 

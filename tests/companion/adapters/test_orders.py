@@ -280,6 +280,18 @@ def test_an_order_is_repeated_while_the_state_is_reported_unchanged(order, befor
     assert len(bench.take()) > 1
 
 
+def test_a_read_back_that_another_stations_upload_denies_starts_again_after_it():
+    """ArduCopter 4.6 denies read-backs while it receives a mission, for up to 8 s of silence."""
+    bench, (read,) = ordered(ARDUPILOT, VerifyMission(ITEMS))
+    denied = mavlink.MAVLink_mission_ack_message(1, 191, mavlink.MAV_MISSION_DENIED, 0)
+    assert read.get_type() == "MISSION_REQUEST_LIST"
+    for _ in range(3):
+        assert bench.hear(denied) + bench.wait(6.2) == []
+        (again,) = bench.take()
+        assert again.get_type() == "MISSION_REQUEST_LIST"
+    assert [e.differences for e in bench.hear(denied) + bench.wait(6.2)] == [("denied",)]
+
+
 def test_an_upload_ends_as_superseded_if_the_mission_id_changes_before_all_items_are_sent():
     sent: list[Any] = []
     missions = MissionClient(sent.append, 1, Px4())
