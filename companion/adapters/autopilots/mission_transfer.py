@@ -1,14 +1,14 @@
-"""Mission upload and download (MAVLink mission protocol) with retries.
+"""Mission upload and download (MAVLink mission protocol) with repetitions.
 
-The upload sends items in the order of the autopilot's requests.
+The upload sends items in the order of the autopilot's requests. Every message is repeated each
+`RETRY_S` until its response, whatever the round trip: the autopilots end a transfer after 5 s (PX4)
+or 8 s (ArduPilot) without a message, in which a slow link needs more than two attempts.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from companion.adapters.autopilots.codec import AUTOPILOT, mavlink
-from companion.adapters.autopilots.commands import ResponseTime
 from companion.adapters.autopilots.mission_wire import (
     WireItem,
     decode_mission_item,
@@ -45,12 +45,15 @@ MISSION_RESULT = {
 OTHER_TRANSFER = (
     mavlink.MAV_MISSION_ERROR,
     mavlink.MAV_MISSION_INVALID_SEQUENCE,
+    mavlink.MAV_MISSION_DENIED,
     mavlink.MAV_MISSION_OPERATION_CANCELLED,
 )
-"""Results that may belong to a repeated item, an earlier transfer or another station's transfer."""
+"""Results that may belong to a repeated item, an earlier transfer or another station's transfer.
+ArduPilot denies uploads and read-backs during another station's upload."""
 
-PAUSE_S = 2.0
-"""Minimum pause after an error, in which requests and results of the old transfer arrive."""
+PAUSE_S = 6.0
+"""Pause after an error, in which requests and results of the old transfer arrive, and PX4 ends it:
+5 s after the last message, so that messages in the pause would prolong it."""
 
 RESTARTS = 3
 
@@ -59,10 +62,11 @@ class MissionUpload:
     """Uploads a mission on the autopilot's requests until it ends; `result_text` is then `""` or
     an error.
 
-    A round trip longer than the autopilot's retry interval causes repeated requests: each gets one
-    response per round trip. A result in `OTHER_TRANSFER` counts only if no request follows: the
-    upload then restarts after a pause, in which messages of the old transfer are discarded. Without
-    items it clears the mission. Starts at `earliest_start_s`.
+    PX4 ignores a repeated item, ArduPilot responds with INVALID_SEQUENCE; both continue the
+    transfer. Another result in `OTHER_TRANSFER`, or an acceptance before the last item, counts only
+    if no request follows: the upload then restarts after a pause, in which messages of the old
+    transfer are discarded. After the last item the read-back decides, as the acceptance may be
+    lost. Without items it clears the mission. Starts at `earliest_start_s`.
     """
 
     def __init__(
@@ -78,12 +82,9 @@ class MissionUpload:
         self._items = list(items)
         self._tries = 0
         self._restarts = 0
-        self._response = ResponseTime()
         self._error: str | None = None
-        self._requested_seq: int | None = None
-        self._highest_requested_seq = -1
-        self._sent_s: dict[int, float] = {}
-        self._announced_s: float | None = None
+        self._requested_seq = -1
+        self._is_announced = False
         self._next_try_s = max(earliest_start_s, t_s)
         self.result_text: str | None = None
         self.tick(t_s)
@@ -91,92 +92,72 @@ class MissionUpload:
     @property
     def are_all_items_sent(self) -> bool:
         """Whether the mission onboard may already be this one."""
-        return 0 <= self._highest_requested_seq == len(self._items) - 1
+        return 0 <= self._requested_seq == len(self._items) - 1
 
-    def _send_count_or_clear_all(self, t_s: float) -> None:
+    def _send_count_item_or_clear_all(self, t_s: float) -> None:
         self._tries += 1
-        self._next_try_s = t_s + max(RETRY_S, self._response.response_timeout_s)
-        self._announced_s = t_s if self._announced_s is None else self._announced_s
-        if self._items:
-            count = len(self._items)
-            self._send(mavlink.MAVLink_mission_count_message(self._target, AUTOPILOT, count, 0))
+        self._next_try_s = t_s + RETRY_S
+        self._is_announced = True
+        seq, target = self._requested_seq, (self._target, AUTOPILOT)
+        if not self._items:
+            self._send(mavlink.MAVLink_mission_clear_all_message(*target, 0))
+        elif seq < 0:
+            self._send(mavlink.MAVLink_mission_count_message(*target, len(self._items), 0))
         else:
-            self._send(mavlink.MAVLink_mission_clear_all_message(self._target, AUTOPILOT, 0))
-
-    def _send_item(self, seq: int, t_s: float) -> None:
-        item = self._items[seq]
-        self._sent_s[seq] = t_s
-        self._next_try_s = t_s + max(RETRY_S, self._response.response_timeout_s)
-        content = item.frame, item.command, 0, 1, *item.params, item.x, item.y, item.z, 0
-        message = mavlink.MAVLink_mission_item_int_message(self._target, AUTOPILOT, seq, *content)
-        self._send(message)
+            item = self._items[seq]
+            content = item.frame, item.command, 0, 1, *item.params, item.x, item.y, item.z, 0
+            self._send(mavlink.MAVLink_mission_item_int_message(*target, seq, *content))
 
     def on_message(self, message: Any, t_s: float) -> None:
         """Process MISSION_REQUEST, MISSION_REQUEST_INT or MISSION_ACK."""
         is_other_type = getattr(message, "mission_type", 0) != 0
-        if self.result_text is not None or is_other_type or self._announced_s is None:
+        if self.result_text is not None or is_other_type or not self._is_announced:
             return
-        last = min(len(self._items) - 1, self._highest_requested_seq + 1)
+        last = min(len(self._items) - 1, self._requested_seq + 1)
         match message.get_type():
             case "MISSION_ACK":
                 self._process_mission_ack_result(message.type, t_s)
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT" if 0 <= message.seq <= last:
-                self._answer_item_request(message.seq, t_s)
+                self._send_item_unless_repeated_request(message.seq, t_s)
             case _:
                 return
 
     def _process_mission_ack_result(self, result: int, t_s: float) -> None:
-        if result == mavlink.MAV_MISSION_ACCEPTED:
-            # Before the request for the last item it belongs to another station's transfer.
-            if self._highest_requested_seq == len(self._items) - 1:
-                self.result_text = ""
-        elif result in OTHER_TRANSFER and self._items:
+        is_accepted = result == mavlink.MAV_MISSION_ACCEPTED
+        if is_accepted and self._requested_seq == len(self._items) - 1:
+            self.result_text = ""
+        elif result == mavlink.MAV_MISSION_INVALID_SEQUENCE:
+            return
+        elif self._items and (is_accepted or result in OTHER_TRANSFER):
             self._error = MISSION_RESULT[result]
-            self._next_try_s = t_s + max(PAUSE_S, 1.5 * self._response.response_timeout_s)
+            self._next_try_s = t_s + PAUSE_S
         else:
             self.result_text = MISSION_RESULT.get(result, f"result {result}")
 
-    def _answer_item_request(self, seq: int, t_s: float) -> None:
-        if seq > self._highest_requested_seq:
-            self._highest_requested_seq = seq
-            before_s = self._sent_s.get(seq - 1, self._announced_s)
-            assert before_s is not None
-            self._response.store_response_time(before_s, t_s)
-        elif t_s - self._sent_s.get(seq, -math.inf) < self._response.response_timeout_s:
-            return
+    def _send_item_unless_repeated_request(self, seq: int, t_s: float) -> None:
+        if seq == self._requested_seq and self._error is None:
+            return  # the item is repeated anyway
         if seq != self._requested_seq:
             self._tries = 0
         self._requested_seq, self._error = seq, None
-        self._send_item(seq, t_s)
+        self._send_count_item_or_clear_all(t_s)
 
     def tick(self, t_s: float) -> None:
-        """Repeat the count or the last item after a timeout; restart after an error."""
+        """Repeat the count or the last item; restart after an error."""
         if self.result_text is not None or t_s < self._next_try_s:
             return
-        if self._error is not None:
-            self._restart_or_fail(t_s)
-        elif self._tries >= MAX_TRIES:
-            at = (
-                "the mission's count"
-                if self._requested_seq is None
-                else f"item {self._requested_seq}"
-            )
-            self.result_text = f"no response to {at}"
-        elif self._requested_seq is None:
-            self._send_count_or_clear_all(t_s)
+        if self._error is None and self._tries < MAX_TRIES:
+            self._send_count_item_or_clear_all(t_s)
+        elif self.are_all_items_sent:
+            self.result_text = ""
+        elif self._error is None or self._restarts >= RESTARTS:
+            seq = self._requested_seq
+            at = "the mission's count" if seq < 0 else f"item {seq}"
+            self.result_text = self._error or f"no response to {at}"
         else:
-            self._tries += 1
-            self._send_item(self._requested_seq, t_s)
-
-    def _restart_or_fail(self, t_s: float) -> None:
-        self._restarts += 1
-        if self._restarts > RESTARTS:
-            self.result_text = self._error
-            return
-        self._error, self._requested_seq, self._announced_s = None, None, None
-        self._highest_requested_seq, self._tries = -1, 0
-        self._sent_s.clear()
-        self._send_count_or_clear_all(t_s)
+            self._restarts += 1
+            self._error, self._requested_seq, self._tries = None, -1, 0
+            self._send_count_item_or_clear_all(t_s)
 
 
 class MissionDownload:
@@ -203,8 +184,7 @@ class MissionDownload:
         self._count: int | None = None
         self._received: dict[int, MissionItem] = {}
         self._tries = 0
-        self._response = ResponseTime()
-        self._first_request_s = t_s
+        self._restarts = 0
         self._error: str | None = None
         self.result_text: str | None = None
         self._send_list_or_item_requests(t_s)
@@ -217,9 +197,8 @@ class MissionDownload:
         )
 
     def _send_list_or_item_requests(self, t_s: float) -> None:
-        self._first_request_s = self._first_request_s if self._tries else t_s
         self._tries += 1
-        self._next_try_s = t_s + max(RETRY_S, self._response.response_timeout_s)
+        self._next_try_s = t_s + RETRY_S
         if self._count is None:
             self._send(mavlink.MAVLink_mission_request_list_message(self._target, AUTOPILOT, 0))
             return
@@ -254,7 +233,6 @@ class MissionDownload:
         if self.result_text is not None:
             return
         self._tries, self._error = 0, None
-        self._response.store_response_time(self._first_request_s, t_s)
         if len(self._received) == self._count:
             self.result_text = ""
             self._send_mission_ack(mavlink.MAV_MISSION_ACCEPTED)
@@ -274,12 +252,13 @@ class MissionDownload:
         """Request the next item when it is due, or repeat the request after a timeout."""
         if self.result_text is not None or t_s < self._next_try_s:
             return
-        if self._tries >= MAX_TRIES:
+        if self._error is not None and self._restarts < RESTARTS:
+            self._restarts += 1
+            self._error, self._count, self._tries, self._requested_count = None, None, 0, 0
+            self._received.clear()
+        elif self._error is not None or self._tries >= MAX_TRIES:
             self.result_text = self._error or "no response to the download"
             return
-        if self._error is not None:  # PX4 has ended the transfer, ArduPilot continues it
-            self._count, self._requested_count = None, 0
-            self._received.clear()
         self._send_list_or_item_requests(t_s)
 
 

@@ -26,6 +26,7 @@ def wind_observations_from_samples(
         yield WindObservation(
             t_s=t_s,
             airborne=bool(s.airborne[i] and s.height_rel_m[i] > MIN_HEIGHT_M),
+            armed=bool(s.armed[i]),
             mass_kg=mass_kg,
             vel_ned_mps=velocity if all(map(math.isfinite, velocity)) else None,
             roll_rad=_finite_or_none(s.roll_rad[i]),

@@ -136,8 +136,9 @@ class CommandKind(Enum):
     PARAMETER = LifeCycle("value in PARAM_VALUE", *(1.0, 60, (_D.PARAMETER, _D.ARMED)))
     # The interval doubles while nothing answers; a name that stays unanswered while others are
     # answered counts as absent earlier (parameters.py).
-    UPLOAD = LifeCycle("MISSION_ACK, then the read-back", *(1.5, 6, (_D.MISSION,)))
-    CLEAR = LifeCycle("MISSION_ACK", *(1.5, 6, (_D.MISSION,)))
+    UPLOAD = LifeCycle("MISSION_ACK, then the read-back", *(0.5, 30, (_D.MISSION,)))
+    CLEAR = LifeCycle("MISSION_ACK", *(0.5, 30, (_D.MISSION,)))
+    # Transmissions of each message of the transfer (mission_transfer.py).
     SETPOINT = LifeCycle("velocity", *(0.1, 1, _LEG, 0.1, Repeater.NONE))
     REQUEST = LifeCycle("the requested message", 1.0, 10)
     # With 30 % of the frames lost in each direction, one request in 800 then stays unanswered.

@@ -201,6 +201,7 @@ class FlightEstimates:
             WindObservation(
                 t_s=t_s,
                 airborne=telemetry.airborne and (position is None or position.height_rel_m > 2.0),
+                armed=telemetry.armed,
                 mass_kg=self._airframe.flying_mass_kg(self.payload_kg),
                 vel_ned_mps=(
                     (position.vel_n_mps, position.vel_e_mps, position.vel_d_mps)

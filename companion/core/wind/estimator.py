@@ -10,8 +10,8 @@
   flight on the opposite heading makes it observable.
 - In light wind two filters, one for calm and one for turbulent air, are weighted by likelihood
   (`multiple_model`); in stronger wind there is the second alone.
-- A step of the reported attitude or velocity suspends all measurements, until it is known again
-  (`step_watch`). The earlier wind is kept and ages, and is not valid meanwhile.
+- A step of the reported attitude or velocity from arming on suspends all measurements, until it is
+  known again (`step_watch`). The earlier wind is kept and ages, and is not valid meanwhile.
 - While an airspeed is used, copies of the filters run without it. The airspeed is checked against
   them, and they replace it immediately if it is faulty.
 - A released parcel changes the drag by more than its mass, so the gains' variance is increased.
@@ -153,11 +153,11 @@ class WindEstimator:
             state.predict_state(dt_s)
         self._inflate_drag_gain_on_mass_change(observation.mass_kg)
         left_out: list[str] = []
-        if observation.airborne:
-            left_out += self._update_validity_of_reports(observation)
-        else:
+        if not observation.airborne:
             self._motion.clear_history()
-            self._watch = ReportWatch()
+            self._watch = self._watch if observation.armed else ReportWatch()
+        if observation.airborne or observation.armed:
+            left_out += self._update_validity_of_reports(observation)
         if any(self._watch.offsets):
             return tuple(left_out)
         if observation.airborne:
@@ -264,7 +264,7 @@ class WindEstimator:
         return [StepMessage(f"{text}: not used") for text in steps]
 
     def _update_motion_and_accept_right_reports(self, observation: WindObservation) -> None:
-        if not has_usable_attitude_and_velocity(observation):
+        if not (observation.airborne and has_usable_attitude_and_velocity(observation)):
             self._motion.clear_history()
             self._step_free_motion.clear_history()
             return

@@ -18,7 +18,7 @@ class WindObservation:
     identifies it as an estimate, with its variances and covariance (nn, ne, ee) if reported;
     `height_m` above the ground, for the size of the eddies; `density_kgpm3` of the air, which
     scales the drag; `attitude_t_s` of the attitude, if not `t_s`; `yaw_rate_rps` and
-    `tilt_rates_rps` (roll, pitch) as reported.
+    `tilt_rates_rps` (roll, pitch) as reported; `armed`: watched for steps, also near the ground.
     """
 
     t_s: float
@@ -38,6 +38,7 @@ class WindObservation:
     attitude_t_s: float | None = None
     yaw_rate_rps: float | None = None
     tilt_rates_rps: tuple[float | None, float | None] = (None, None)
+    armed: bool = False
 
     def raise_if_invalid(self) -> None:
         """Raise ValueError on NaN, infinity, no mass, no air, or an invalid covariance."""

@@ -24,7 +24,7 @@ from sim_bridge.autopilot.mission.items import (
     MissionItem,
     coordinate_error,
 )
-from sim_bridge.autopilot.services.mission_protocol import MissionRules
+from sim_bridge.autopilot.services.mission_rules import MissionRules
 
 _COMMANDS = frozenset(
     {

@@ -16,7 +16,7 @@ from sim_bridge.autopilot.mavlink.enums import (
     MissionType,
 )
 from sim_bridge.autopilot.mission.items import FENCE_COMMANDS, NAN_YAW_COMMANDS, MissionItem
-from sim_bridge.autopilot.services.mission_protocol import MissionRules
+from sim_bridge.autopilot.services.mission_rules import MissionRules
 
 _POSITIONED_COMMANDS = frozenset(
     {

@@ -6,8 +6,7 @@ libraries/GCS_MAVLink/MissionItemProtocol.cpp; PX4, src/modules/mavlink/mavlink_
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from sim_bridge.autopilot.mavlink.codec import Message
@@ -18,34 +17,9 @@ from sim_bridge.autopilot.mission.items import (
     MissionItem,
     MissionStore,
 )
+from sim_bridge.autopilot.services.mission_rules import MissionRules, Transfer
 from sim_bridge.autopilot.services.radio import Radio
 from sim_bridge.autopilot.state import VehicleState
-
-
-@dataclass(frozen=True, slots=True)
-class MissionRules:
-    """Mission protocol rules of an autopilot."""
-
-    request_name: str
-    """Name of the message with which an upload requests the next item."""
-    unknown_type: MissionResult
-    """Response to an upload of an undefined type."""
-    has_home_item: bool
-    """True if index 0 of a mission is the home position, regardless of the upload."""
-    is_atomic: bool
-    """True if an upload takes effect as a whole, after its last item."""
-    accepts_partial_writes: bool
-    """True if MISSION_WRITE_PARTIAL_LIST is supported."""
-    retry_s: float
-    """Seconds after which the request for an item is repeated."""
-    timeout_s: float
-    """Seconds without a message after which a transfer is aborted."""
-    capacity: int
-    """Items that storage holds."""
-    validate_item: Callable[[MissionItem, int], MissionItem | MissionResult]
-    """Return the item of a mission type as stored, or the reason for its rejection."""
-    encode_item: Callable[[MissionItem], MissionItem]
-    """Return the item as read back in a MISSION_ITEM_INT."""
 
 
 class MissionWatcher(Protocol):
@@ -61,22 +35,6 @@ class MissionWatcher(Protocol):
 
 
 @dataclass(slots=True)
-class _Transfer:
-    """An upload or download in progress with one peer."""
-
-    link_id: int
-    system: int
-    component: int
-    mission_type: int
-    first: int
-    last: int
-    next_seq: int
-    last_received_s: float
-    last_request_s: float
-    items: list[MissionItem] = field(default_factory=list)
-
-
-@dataclass(slots=True)
 class MissionProtocol:
     """One mission protocol server; all the vehicle's links share it."""
 
@@ -85,8 +43,9 @@ class MissionProtocol:
     _watcher: MissionWatcher
     _rules: MissionRules
     _store: MissionStore
-    _upload: _Transfer | None = None
-    _download: _Transfer | None = None
+    _upload: Transfer | None = None
+    _ended_upload: Transfer | None = None
+    _download: Transfer | None = None
 
     def discard_transfers(self) -> None:
         """Discard transfers in progress, as a reboot does."""
@@ -107,8 +66,10 @@ class MissionProtocol:
             return
         upload = self._upload
         if upload is not None and not (
-            _is_same_peer(upload, message) and (not rules.is_atomic or upload.next_seq == 0)
+            upload.is_from_peer(message) and (not rules.is_atomic or upload.next_seq == 0)
         ):
+            if rules.is_atomic:  # PX4: prolongs the transfer
+                upload.last_received_s = self._state.t_s
             self._send_ack_to_sender(link_id, message, MissionResult.ERROR)
             return
         if message.count > rules.capacity:
@@ -133,7 +94,7 @@ class MissionProtocol:
             self._send_ack_to_sender(link_id, message, MissionResult.UNSUPPORTED)
             return
         items = self._store.items_of_type(kind)
-        if self._upload is not None and not _is_same_peer(self._upload, message):
+        if self._upload is not None and not self._upload.is_from_peer(message):
             self._send_ack_to_sender(link_id, message, MissionResult.DENIED)
         elif not 0 <= first <= last or first > len(items) or last >= self._rules.capacity:
             self._send_ack_to_sender(link_id, message, MissionResult.ERROR)
@@ -160,9 +121,12 @@ class MissionProtocol:
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
             self._send_ack_to_sender(link_id, message, MissionResult.UNSUPPORTED)
             return
+        if self._refuse_while_receiving(link_id, message):
+            return
         total = len(self._store.items_of_type(kind))
         now = self._state.t_s
-        self._download = _Transfer(
+        self._ended_upload = None
+        self._download = Transfer(
             link_id,
             message.src_system,
             message.src_component,
@@ -182,6 +146,8 @@ class MissionProtocol:
         """
         kind, seq = message.mission_type, message.seq
         if kind not in (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY):
+            return
+        if self._refuse_while_receiving(link_id, message):
             return
         items = self._store.items_of_type(kind)
         if self._rules.is_atomic and not self._advance_download_if_in_sequence(link_id, message):
@@ -219,11 +185,11 @@ class MissionProtocol:
     def handle_peer_ack(self, link_id: int, message: Message) -> None:
         """MISSION_ACK from a peer: a download is complete, or an upload cancelled."""
         download, upload = self._download, self._upload
-        if download is not None and _is_same_peer(download, message):
+        if download is not None and download.is_from_peer(message):
             self._download = None
         if (
             upload is not None
-            and _is_same_peer(upload, message)
+            and upload.is_from_peer(message)
             and message.type == MissionResult.OPERATION_CANCELLED
         ):
             self._upload = None
@@ -236,7 +202,7 @@ class MissionProtocol:
         if upload is not None:
             now = self._state.t_s
             if now - upload.last_received_s > self._rules.timeout_s:
-                self._upload = None
+                self._upload, self._ended_upload = None, upload
                 if self._rules.is_atomic:
                     self._radio.send_status_text(Severity.CRITICAL, "Operation timeout")
                 else:
@@ -271,7 +237,7 @@ class MissionProtocol:
         """Send one stored item."""
         item = self._store.items_of_type(mission_type)[seq]
         if mission_type == MissionType.MISSION and seq == 0 and self._rules.has_home_item:
-            item = self._home_item()
+            item = _home_item(self._state)
         item = self._rules.encode_item(item)
         as_float = request_name == "MISSION_REQUEST"
         scale = 1e-7 if item.command in POSITIONED_COMMANDS else 1.0
@@ -306,7 +272,7 @@ class MissionProtocol:
         now = self._state.t_s
         if mission_type == MissionType.MISSION:
             self._store.marked_current = None
-        self._upload = _Transfer(
+        self._upload = Transfer(
             link_id,
             message.src_system,
             message.src_component,
@@ -319,7 +285,7 @@ class MissionProtocol:
         )
         self._send_item_request(self._upload)
 
-    def _send_item_request(self, upload: _Transfer) -> None:
+    def _send_item_request(self, upload: Transfer) -> None:
         upload.last_request_s = self._state.t_s
         self._radio.send(
             upload.link_id,
@@ -333,9 +299,14 @@ class MissionProtocol:
     def _accept_upload_item(self, link_id: int, message: Message, x: int, y: int) -> None:
         upload = self._upload
         kind = message.mission_type
-        if upload is None or not _is_same_peer(upload, message) or kind != upload.mission_type:
-            self._send_ack_to_sender(link_id, message, MissionResult.ERROR)
+        if upload is None or not upload.is_from_peer(message) or kind != upload.mission_type:
+            ended = self._ended_upload if self._rules.is_atomic and upload is None else None
+            is_repeated = ended is not None and ended.is_last_item(message)
+            result = MissionResult.ACCEPTED if is_repeated else MissionResult.ERROR
+            self._send_ack_to_sender(link_id, message, result)
             return
+        if self._rules.is_atomic:
+            upload.last_received_s = self._state.t_s
         if message.seq != upload.next_seq:
             if not self._rules.is_atomic:
                 self._send_ack_to_sender(link_id, message, MissionResult.INVALID_SEQUENCE)
@@ -354,7 +325,7 @@ class MissionProtocol:
             bool(message.autocontinue),
         )
         is_home = self._rules.has_home_item and kind == MissionType.MISSION and message.seq == 0
-        stored_item = self._home_item() if is_home else self._rules.validate_item(item, kind)
+        stored_item = _home_item(self._state) if is_home else self._rules.validate_item(item, kind)
         if isinstance(stored_item, MissionResult):
             self._upload = None
             self._send_ack_to_sender(link_id, message, stored_item)
@@ -366,13 +337,19 @@ class MissionProtocol:
         if upload.next_seq <= upload.last:
             self._send_item_request(upload)
             return
-        self._upload = None
+        self._upload, self._ended_upload = None, upload
         if self._rules.is_atomic:
             self._store.items_of_type(kind)[:] = upload.items
         self._report_changed_list(kind, is_complete_list=True)
         self._send_ack_to_sender(link_id, message, MissionResult.ACCEPTED)
 
-    def _store_or_buffer_item(self, upload: _Transfer, item: MissionItem) -> None:
+    def _refuse_while_receiving(self, link_id: int, message: Message) -> bool:
+        """No download during an upload: PX4 does not respond, ArduPilot denies it."""
+        if self._upload is not None and not self._rules.is_atomic:
+            self._send_ack_to_sender(link_id, message, MissionResult.DENIED)
+        return self._upload is not None
+
+    def _store_or_buffer_item(self, upload: Transfer, item: MissionItem) -> None:
         """Store an item: in a buffer until the upload is complete, or directly."""
         if self._rules.is_atomic:
             upload.items.append(item)
@@ -388,7 +365,7 @@ class MissionProtocol:
     def _advance_download_if_in_sequence(self, link_id: int, message: Message) -> bool:
         """PX4: requests belong to a download and come in order, or again."""
         download = self._download
-        if download is None or not _is_same_peer(download, message):
+        if download is None or not download.is_from_peer(message):
             return False
         if message.mission_type != download.mission_type:
             return False
@@ -408,18 +385,6 @@ class MissionProtocol:
             self._watcher.on_mission_changed(is_complete_list=is_complete_list)
         else:
             self._store.areas_revision += 1
-
-    def _home_item(self) -> MissionItem:
-        """The home position as a mission item (ArduPilot's item 0)."""
-        state = self._state
-        if not state.home_is_set:
-            return MissionItem(Cmd.NAV_WAYPOINT, MavFrame.GLOBAL)
-        north, east, down = state.home_ned_m
-        lat, lon = state.frame.to_lat_lon_deg(north, east)
-        z = round((state.frame.alt_amsl_m - down) * 100.0) / 100.0
-        return MissionItem(
-            Cmd.NAV_WAYPOINT, MavFrame.GLOBAL, x=round(lat * 1e7), y=round(lon * 1e7), z=z
-        )
 
     def _send_to_sender(self, link_id: int, message: Message, name: str, **fields: Any) -> None:
         self._radio.send(
@@ -453,8 +418,16 @@ class MissionProtocol:
         )
 
 
-def _is_same_peer(transfer: _Transfer, message: Message) -> bool:
-    return (transfer.system, transfer.component) == (message.src_system, message.src_component)
+def _home_item(state: VehicleState) -> MissionItem:
+    """The home position as a mission item (ArduPilot's item 0)."""
+    if not state.home_is_set:
+        return MissionItem(Cmd.NAV_WAYPOINT, MavFrame.GLOBAL)
+    north, east, down = state.home_ned_m
+    lat, lon = state.frame.to_lat_lon_deg(north, east)
+    z = round((state.frame.alt_amsl_m - down) * 100.0) / 100.0
+    return MissionItem(
+        Cmd.NAV_WAYPOINT, MavFrame.GLOBAL, x=round(lat * 1e7), y=round(lon * 1e7), z=z
+    )
 
 
 def _coordinate_as_int32(value: float) -> int:

@@ -66,6 +66,7 @@ def observations(
             height_m=float(-WORLD.pos_ned_m[k, 2]),
             yaw_rate_rps=float(RATES[k]) if rated else None,
             tilt_rates_rps=tuple(TILT_RATES[k].tolist()) if rated else (None, None),
+            armed=bool(WORLD.flying[k]),
         )
 
 
@@ -120,6 +121,22 @@ def test_a_velocity_or_tilt_that_steps_does_not_become_wind(of, size, rated, for
     assert sigmas[t_s > STEP_S].max() < 3.0
     assert not valid[(t_s > STEP_S + 0.2) & (t_s < STEP_S + for_s)].any()
     assert valid[(t_s > STEP_S + for_s + 14.0) & (t_s < 150.0)].all()
+
+
+@pytest.mark.parametrize(("of", "size"), [("heading", 45.0), ("velocity", 5.0)])
+def test_a_step_before_the_estimator_takes_measurements_is_seen_at_once(of, size):
+    """Below 2 m no measurement enters, and a vehicle turns or accelerates there no faster."""
+    at_s = WORLD.t_s[np.flatnonzero(WORLD.flying)[0]] + 0.2
+    off = during(size if of == "heading" else math.degrees(size), at_s, at_s + 8.0)
+    turned, other = (off, lambda t_s: 0.0) if of == "heading" else (lambda t_s: 0.0, off)
+    seen = list(observations(turned, other_off=other, of=of))
+    assert not any(one.airborne for one in seen if one.t_s <= at_s + 0.1)
+    rows, said = flown(seen)
+    t_s, sigmas, valid = rows.T
+    assert next(at for at, words in said if "stepped" in words) == pytest.approx(at_s, abs=0.15)
+    assert not valid[t_s < at_s + 8.0].any()
+    assert sigmas.max() < 3.0
+    assert valid[(t_s > at_s + 22.0) & (t_s < 150.0)].all()
 
 
 @pytest.mark.parametrize("of", ["velocity", "tilt"])

@@ -16,7 +16,7 @@ BOTH = pytest.mark.parametrize("autopilot", [AP, PX4])
 WAYPOINT, LAND, TAKEOFF, JUMP, SPEED, DELAY, GRIPPER = 16, 21, 22, 177, 178, 93, 211
 MISSION_FRAME = 2
 ACCEPTED, ERROR, UNSUPPORTED_FRAME, UNSUPPORTED, NO_SPACE = 0, 1, 2, 3, 4
-INVALID_SEQUENCE = 13
+INVALID_SEQUENCE, DENIED = 13, 14
 
 
 def simple(rig, height_m=20.0):
@@ -136,6 +136,37 @@ def test_an_upload_that_stops_is_given_up_and_can_begin_again(make_rig, autopilo
         rig.step(1.0)
     assert any("time" in text for text in rig.texts())
     assert rig.upload(simple(rig)) == ACCEPTED
+
+
+@BOTH
+def test_repeated_items_prolong_px4s_upload_and_not_ardupilots(make_rig, autopilot):
+    """PX4 1.18, handle_mission_item_both; ArduPilot 4.6, handle_mission_item."""
+    rig = started(make_rig(autopilot))
+    rig.send("MISSION_COUNT", count=3)
+    for _ in range(9):
+        rig.send_item(0, simple(rig)[0])
+        rig.gcs_heartbeat()
+        rig.step(1.0)
+    assert any("time" in text for text in rig.texts()) == (autopilot is AP)
+
+
+@BOTH
+def test_a_repeated_last_item_is_accepted_again_by_px4_only(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
+    items = simple(rig)
+    assert rig.upload(items) == ACCEPTED
+    rig.send_item(len(items) - (autopilot is PX4), items[-1])
+    assert rig.last("MISSION_ACK").type == (ACCEPTED if autopilot is PX4 else ERROR)
+
+
+@BOTH
+def test_nothing_is_read_back_during_an_upload(make_rig, autopilot):
+    rig = started(make_rig(autopilot))
+    rig.send("MISSION_COUNT", count=3)
+    rig.forget()
+    rig.send("MISSION_REQUEST_LIST", mission_type=0)
+    responses = [m.type for m in rig.hear() if m.msg_name in ("MISSION_ACK", "MISSION_COUNT")]
+    assert responses == ([DENIED] if autopilot is AP else [])
 
 
 @BOTH
