@@ -27,7 +27,7 @@ from companion.core.mission.events import (
 )
 
 HEARTBEATS_TO_TRUST = 3
-"""One heartbeat may come from any sender; three identify a vehicle."""
+"""One heartbeat may come from any sender; three identify a vehicle, two make others doubtful."""
 
 COMPANION_DETECTION_S = 2.0
 """Time to wait for another onboard computer's heartbeat (1 Hz) before the companion sends; three
@@ -97,6 +97,14 @@ class AutopilotPort:
     def system_id(self) -> int | None:
         """System of the identified autopilot."""
         return self._session.system_id if self._session is not None else None
+
+    @property
+    def ambiguous_systems(self) -> tuple[int, ...]:
+        """Systems of several vehicles, none of which is identified without a stated system."""
+        if self._required_system_id is not None or self._session is not None:
+            return ()
+        found = {key[0] for key, n in self._heartbeats.items() if n >= HEARTBEATS_TO_TRUST - 1}
+        return tuple(sorted(found)) if len(found) > 1 else ()
 
     # --- receiving -----------------------------------------------------------------------------
 
@@ -189,7 +197,7 @@ class AutopilotPort:
         self._heartbeats[key] = self._heartbeats.get(key, 0) + 1
         if not self._clock.is_known and system not in self._stamps:
             self._send_timesync_request(system)
-        if self._heartbeats[key] < HEARTBEATS_TO_TRUST:
+        if self._heartbeats[key] < HEARTBEATS_TO_TRUST or self.ambiguous_systems:
             return []
         first_s, last_s = self._stamps.get(system, (0.0, COMPANION_DETECTION_S))
         if last_s - first_s < COMPANION_DETECTION_S or not self._set_clock_or_stop_waiting(

@@ -197,6 +197,9 @@ class Loop:
         if system is None and self.autopilot.is_candidate_vehicle(message):
             self.link.set_reply_peer(peer)  # without a peer a listening link cannot send requests
         events = self.autopilot.on_message(message)
+        if systems := self.autopilot.ambiguous_systems:
+            text = ", ".join(map(str, systems))
+            self._report_alert_once(Alert.VEHICLES_AMBIGUOUS, systems=text)
         if system is None and self.autopilot.system_id is not None:
             self._operator.trust.record_first_autopilot_peer(peer)
             self._codec.set_source_system_id(self.autopilot.system_id)

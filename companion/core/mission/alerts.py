@@ -63,6 +63,11 @@ class Alert(Enum):
         "{sender} uses the autopilot's IDs: ignored",
         "Give that component a component ID of its own.",
     )
+    VEHICLES_AMBIGUOUS = (
+        CRITICAL,
+        "vehicles {systems} on the link: flies none",
+        "State the vehicle's system ID, companion run --system, or stop forwarding of others.",
+    )
     HAND_BACK_IMPOSSIBLE = (
         WARNING,
         "cannot take control: companion has no mission",

@@ -205,7 +205,11 @@ def inject_vehicle_with_same_system_id(stage: FaultContext) -> Iterator[None]:
 
 
 @FAULTS.register_procedure(
-    52, "strangers", ("ready", *AIRBORNE_PHASES_BEFORE_LANDING), (*SAFETY_RULES, check_delivered)
+    52,
+    "strangers",
+    ("ready", *AIRBORNE_PHASES_BEFORE_LANDING),
+    (*SAFETY_RULES, check_delivered),
+    arguments=("--system=1",),  # of several vehicles on the link at the start, none is chosen
 )
 def inject_invalid_traffic(stage: FaultContext) -> Iterator[None]:
     """The link carries garbage, truncated frames, other systems and invalid fields."""

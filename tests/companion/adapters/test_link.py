@@ -157,6 +157,18 @@ def test_one_heartbeat_is_nobody_three_are_a_vehicle():
     assert ev.AutopilotDetected(0.0, ev.AutopilotKind.PX4, 7) in events
 
 
+def test_of_two_vehicles_on_the_link_none_is_chosen():
+    made = AutopilotPort(lambda m: None, running_clock())
+    codec, first, second = MavlinkCodec(datagrams=True), sender(1), sender(2)
+    hear(made, codec, frame(first, heartbeat()) + frame(first, heartbeat()))
+    assert made.ambiguous_systems == ()
+    hear(made, codec, frame(second, heartbeat()) + frame(second, heartbeat()))
+    assert made.ambiguous_systems == (1, 2)
+    for mav in (first, second) * 10:
+        assert hear(made, codec, frame(mav, heartbeat())) == []
+    assert made.system_id is None
+
+
 def test_a_fast_heartbeat_still_leaves_two_seconds_to_hear_another_computer():
     made = AutopilotPort(lambda m: None, AutopilotClock())
     codec, mav = MavlinkCodec(datagrams=True), sender()
