@@ -8,7 +8,7 @@ from typing import Any
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Obstacle
 from companion.core.base.geo_zones import (
-    GroundSpan,
+    GroundBounds,
     ZoneAuthorisation,
     is_geo_zone_feature,
     parse_geo_zone,
@@ -32,14 +32,14 @@ def parse_obstacles(
     frame: LocalFrame,
     document: dict[str, Any],
     authorisation: ZoneAuthorisation = NO_AUTHORISATION,
-    ground_bounds_of_ring_m: GroundSpan | None = None,
+    ground_bounds_m: GroundBounds | None = None,
 ) -> tuple[Obstacle, ...]:
     """Return the obstacles that a flight on these terms must avoid, within reach.
 
-    `ground_bounds_of_ring_m`: heights of the ground; without it a zone with a height above ground
-    has no floor and no ceiling. Raises LeewayError naming the feature.
+    `ground_bounds_m`: without it a zone with a height above ground has no floor and no ceiling.
+    Raises LeewayError naming the feature.
     """
-    per_feature = _obstacles_by_feature(frame, document, authorisation, ground_bounds_of_ring_m)
+    per_feature = _obstacles_by_feature(frame, document, authorisation, ground_bounds_m)
     return tuple(obstacle for found in per_feature for obstacle in found)
 
 
@@ -59,7 +59,7 @@ def _obstacles_by_feature(
     frame: LocalFrame,
     document: dict[str, Any],
     authorisation: ZoneAuthorisation,
-    ground_bounds_of_ring_m: GroundSpan | None,
+    ground_bounds_m: GroundBounds | None,
 ) -> list[Sequence[Obstacle]]:
     features = document_features(document)
     is_geojson = document.get("type") == "FeatureCollection"
@@ -69,7 +69,7 @@ def _obstacles_by_feature(
     for index, feature in enumerate(features):
         if is_geo_zone_feature(feature):
             zone = parse_geo_zone(index, feature)
-            prisms = zone.obstacle_prisms(frame, ground_bounds_of_ring_m)
+            prisms = zone.obstacle_prisms(frame, ground_bounds_m)
             found.append(() if zone.exemption_reason(authorisation) else prisms)
         elif is_geojson:
             found.append(_obstacles_of_geojson_feature(frame, index, feature))

@@ -22,7 +22,8 @@ from companion.core.vehicle.speed_to_fly import SpeedRule
 class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Ground height around the depot: a plane given by its slopes, or a grid of heights.
 
-    The plane is for the simulator. Above a grid the companion keeps `mission.clearance_m`.
+    The companion uses a plane only for the limits of geo-zones above ground; `flat` states nothing.
+    Above a grid it keeps `mission.clearance_m`.
     """
 
     kind: Literal["flat", "plane", "grid"] = "flat"

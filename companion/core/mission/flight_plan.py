@@ -1,6 +1,7 @@
 """From a flight file to a flight: the site in its local frame, the plan, the mission items."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -16,14 +17,14 @@ from companion.core.base.geo import (
     location_to_ground_ned_m,
     point_above,
 )
-from companion.core.base.geo_zones import GroundSpan
+from companion.core.base.geo_zones import GroundBounds
 from companion.core.base.location import Location
 from companion.core.base.obstacle_document import parse_obstacles
 from companion.core.base.site_reach import site_distance_error_text
 from companion.core.ground.clearance import GroundClearance
 from companion.core.ground.ground_strip import GroundStrip, UnknownGround
 from companion.core.mission.events import Position
-from companion.core.mission.flight_file import Flight
+from companion.core.mission.flight_file import Flight, Terrain
 from companion.core.mission.mission_items import (
     ItemKind,
     MissionPosition,
@@ -69,6 +70,9 @@ RTL_CHECK_SPACING_M = 50.0
 MAX_RTL_SITE_HEIGHT_M = 5.0
 """Maximum height of an RTL destination above the launch pad: both autopilots descend fast to 10 m
 above their home (PX4 MPC_LAND_ALT1, ArduCopter LAND_ALT_LOW)."""
+
+PLANE_MARGIN_M = 1000.0
+"""Distance beyond a flight's positions within which its routes and detours stay."""
 
 GROUND_TOLERANCE_M = 10.0
 """Tolerance between stated and known ground height: 4 m of GLO-30 (LE90), and a share of slope."""
@@ -266,12 +270,13 @@ def build_site_map(
     site_frame = depot_frame(depot) if centre_on_vehicle and depot is not None else frame
     ground = _ground_clearance(flight)
     conditions = flight.mission.zone_authorisation
-    spans = None if ground is None else _ground_bounds_function(ground)
     _check_positions_within_reach(flight, site_frame)
     found = (
         ()
         if obstacle_document is None
-        else parse_obstacles(site_frame, obstacle_document, conditions, spans)
+        else parse_obstacles(
+            site_frame, obstacle_document, conditions, _ground_bounds_m(flight, site_frame, ground)
+        )
     )
     rally = tuple(
         (location.name or f"rally {number}", location_to_ground_ned_m(site_frame, location))
@@ -299,9 +304,40 @@ def _check_positions_within_reach(flight: Flight, site_frame: LocalFrame) -> Non
             raise LeewayError(f"site, {location.name or 'place'}: {error_text}")
 
 
-def _ground_bounds_function(ground: GroundClearance) -> GroundSpan:
-    """Return a function for the lowest and highest ground in a ring, if all of it is known."""
-    return lambda ring: ground.strip.ground_height_bounds_m(np.array(ring))
+def _ground_bounds_m(
+    flight: Flight, site_frame: LocalFrame, ground: GroundClearance | None
+) -> GroundBounds | None:
+    """Return the lowest and highest ground of the flight; None: unknown.
+
+    Over a grid no route leaves it. A plane is bounded near the flight's positions; `flat` is the
+    default and states nothing.
+    """
+    if ground is not None:
+        return ground.strip.ground_height_bounds_m()
+    site = flight.site
+    if site.terrain.kind != "plane":
+        return None
+    locations = (site.customer, *site.rally, *site.stops)
+    positions = [location_to_ground_ned_m(site_frame, location)[:2] for location in locations]
+    return plane_ground_bounds_m(site.terrain, positions)
+
+
+def plane_ground_bounds_m(
+    terrain: Terrain, positions_ne_m: Sequence[tuple[float, float]]
+) -> GroundBounds:
+    """Return the lowest and highest ground of a plane near the depot and these positions."""
+    slopes, points = (terrain.slope_north_frac, terrain.slope_east_frac), [(0.0, 0.0)]
+    points += positions_ne_m
+    up_m = [
+        slope * (bound(values) + sign * PLANE_MARGIN_M)
+        for slope, values in zip(slopes, zip(*points, strict=True), strict=True)
+        for bound, sign in ((min, -1.0), (max, 1.0))
+    ]
+    south_m, north_m, west_m, east_m = up_m
+    return (
+        min(south_m, north_m) + min(west_m, east_m),
+        max(south_m, north_m) + max(west_m, east_m),
+    )
 
 
 def _max_flight_height_m(flight: Flight, ground: GroundClearance | None) -> float:

@@ -17,6 +17,8 @@ from ground_station.core.schema.orders import Order, order_location
 UNKNOWN_CHARGE_RANGE = [0.05, 1.0]
 """Charge range for an unknown pack: the companion measures the charge at rest."""
 
+SLOPE_KEYS = ("slope_north_frac", "slope_east_frac")
+
 NeighbourKeys = Callable[[str], Mapping[str, str]]
 """The public keys of a neighbouring fleet's vehicles, by name."""
 
@@ -41,7 +43,7 @@ def depot_delivery_flight_table(
         "name": order.id,
         "site": {key: _to_builtins_without_unset_fields(value) for key, value in site.items()}
         | air
-        | _terrain_table(elevation, day.depot.location, [order_location(order), *day.rally]),
+        | _terrain_table(day, elevation, day.depot.location, [order_location(order), *day.rally]),
         "vehicle": {
             "airframe": drone.airframe,
             "payload_kg": order.mass_kg,
@@ -93,7 +95,7 @@ def sortie_flight_table(
         "stops": _to_builtins_without_unset_fields(stops),
         "home": sortie.home,
     }
-    site |= _terrain_table(elevation, pad_by_stop[sortie.launch], locations)
+    site |= _terrain_table(day, elevation, pad_by_stop[sortie.launch], locations)
     return table | {"site": site, "mission": _mission_table(mission, elevation)}
 
 
@@ -121,10 +123,15 @@ def flight_from_planned_sortie(data: DayData, plan: DayPlan, sortie: PlannedSort
 
 
 def _terrain_table(
-    elevation: SiteElevation | None, depot: Location, locations: Sequence[Location]
+    day: Day, elevation: SiteElevation | None, depot: Location, locations: Sequence[Location]
 ) -> dict[str, Any]:
+    """Return the ground of the tiles, else the plane that the day states (flat: without slope)."""
     if elevation is None:
-        return {}
+        stated = day.depot.terrain
+        if stated is None:
+            return {}
+        slopes = (stated.slope_north_frac, stated.slope_east_frac)
+        return {"terrain": {"kind": "plane"} | dict(zip(SLOPE_KEYS, slopes, strict=True))}
     heights = elevation.ground_table_along_route(depot, locations)
     return {"terrain": {"kind": "grid", "heights": msgspec.to_builtins(heights)}}
 

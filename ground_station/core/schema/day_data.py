@@ -4,14 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.core.base.geo import LocalFrame, Obstacle
+from companion.core.base.geo import LocalFrame, Obstacle, location_to_ground_ned_m
+from companion.core.base.geo_zones import GroundBounds
 from companion.core.base.obstacle_document import features_within_reach_note, parse_obstacles
-from companion.core.mission.flight_plan import depot_frame
+from companion.core.mission.flight_plan import depot_frame, plane_ground_bounds_m
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.orders import Order
+from ground_station.core.schema.orders import Order, order_location
 
 DEPOT = "depot"
 """Name of the depot in a matrix of road times."""
@@ -41,7 +42,18 @@ class DayData:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""
         if self.no_fly is None:
             return ()
-        return parse_obstacles(frame, self.no_fly, self.day.mission.zone_authorisation)
+        conditions = self.day.mission.zone_authorisation
+        return parse_obstacles(frame, self.no_fly, conditions, self.ground_bounds_m(frame))
+
+    def ground_bounds_m(self, frame: LocalFrame) -> GroundBounds | None:
+        """Return the lowest and highest ground about depot and orders; None: not stated."""
+        positions = [
+            location_to_ground_ned_m(frame, order_location(order))[:2] for order in self.orders
+        ]
+        if self.elevation is not None:
+            return self.elevation.bounds_around_m(frame, positions)
+        terrain = self.day.depot.terrain
+        return None if terrain is None else plane_ground_bounds_m(terrain, positions)
 
     def nearby_feature_note(self) -> str:
         """State how many of the day's zones and obstacles are within reach; `""`: all."""

@@ -9,10 +9,14 @@ from scipy.interpolate import RegularGridInterpolator
 
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import location_to_ground_ned_m, offset_position_deg
+from companion.core.base.geo import (
+    LocalFrame,
+    location_to_ground_ned_m,
+    offset_position_deg,
+)
 from companion.core.base.location import Location
 from companion.core.ground.ground_table import MAX_HEIGHTS, GroundTable
-from companion.core.mission.flight_plan import depot_frame
+from companion.core.mission.flight_plan import PLANE_MARGIN_M, depot_frame
 
 GRID_SPACING_M = 30.0
 """Grid spacing of a strip: one second of arc, as in the public elevation models."""
@@ -43,6 +47,23 @@ class SiteElevation:
         """Return the height at one position; None where unknown."""
         height_m = float(self.heights_amsl_at(np.array([lat_deg]), np.array([lon_deg]))[0])
         return None if math.isnan(height_m) else height_m
+
+    def bounds_around_m(
+        self, frame: LocalFrame, positions_ne_m: Sequence[tuple[float, float]]
+    ) -> tuple[float, float] | None:
+        """Return the lowest and highest known ground about depot and positions, above the depot;
+        None: unknown.
+        """
+        points = np.array([(0.0, 0.0), *positions_ne_m])
+        corners = np.stack([points.min(axis=0), points.max(axis=0)])
+        corners += [[-PLANE_MARGIN_M], [PLANE_MARGIN_M]]
+        home_deg = math.degrees(frame.lat_rad), math.degrees(frame.lon_rad)
+        lat_deg, lon_deg = offset_position_deg(*home_deg, corners[:, 0], corners[:, 1])
+        rows = slice(*np.searchsorted(self.lat_deg, lat_deg))
+        columns = slice(*np.searchsorted(self.lon_deg, lon_deg))
+        up_m = self.amsl_m[rows, columns] - frame.alt_amsl_m
+        known = np.isfinite(up_m)
+        return (float(up_m[known].min()), float(up_m[known].max())) if known.any() else None
 
     def ground_table_along_route(
         self, depot: Location, locations: Sequence[Location]

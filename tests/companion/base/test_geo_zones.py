@@ -59,7 +59,7 @@ def test_a_circle_becomes_a_polygon_that_holds_it() -> None:
 
 def test_known_ground_gives_heights_above_it() -> None:
     document = changed(example("ed269.json"), ["geometry", 0, "lowerLimit"], 45)
-    (zone,) = parse_obstacles(FRAME, document, ground_bounds_of_ring_m=lambda _: (-3.0, 20.0))
+    (zone,) = parse_obstacles(FRAME, document, ground_bounds_m=(-3.0, 20.0))
     assert (zone.bottom_m, zone.height_m) == (42.0, 140.0)
 
 
