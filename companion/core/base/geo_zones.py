@@ -104,7 +104,7 @@ class GeoZone:
                 try:
                     corners = clip_ring_to_site_and_project(frame, outer, holes)
                 except LeewayError as error:
-                    raise LeewayError(f"{self.where}: {error}") from error
+                    raise type(error)(f"{self.where}: {error}") from error
                 yield from ((volume, part) for part in corners)
 
 

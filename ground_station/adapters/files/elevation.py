@@ -15,6 +15,7 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
+from companion.core.base.import_report import ImportReport, Skipped
 from ground_station.core.schema.elevation import SiteElevation
 
 RADIUS_M = 15_000.0
@@ -25,7 +26,11 @@ GEOIDS = ("EGM2008", "EGM96")
 
 
 def read_elevation(
-    paths: Sequence[Path], lat_deg: float, lon_deg: float, radius_m: float = RADIUS_M
+    paths: Sequence[Path],
+    lat_deg: float,
+    lon_deg: float,
+    radius_m: float = RADIUS_M,
+    report: ImportReport | None = None,
 ) -> SiteElevation:
     """Read the terrain around a position from the tiles that cover any part of it.
 
@@ -41,7 +46,13 @@ def read_elevation(
             _require_north_up_geographic_tile(path, tile)
         home = _find_tile_covering(tiles, lat_deg, lon_deg)
         window = _pixel_aligned_bounds_deg(home, lat_deg, lon_deg, radius_m)
-        return _merge_tiles_within_bounds(rasterio, tiles, window, _vertical_datum_text(tiles))
+        near = [one for one in tiles if _overlaps(one[1], window)]
+        if report is not None:
+            report.used = len(near)
+            reason = f"beyond {radius_m / 1000.0:.0f} km of the depot"
+            far = (str(path) for path, tile in tiles if not _overlaps(tile, window))
+            report.skipped += (Skipped(name, reason, is_expected=True) for name in far)
+        return _merge_tiles_within_bounds(rasterio, near, window, _vertical_datum_text(near))
 
 
 def _import_rasterio() -> Any:
@@ -110,27 +121,24 @@ def _pixel_aligned_bounds_deg(
     )
 
 
+def _overlaps(tile: Any, bounds_deg: tuple[float, float, float, float]) -> bool:
+    west, south, east, north = bounds_deg
+    box = tile.bounds
+    return box.left < east and box.right > west and box.bottom < north and box.top > south
+
+
 def _merge_tiles_within_bounds(
     rasterio: Any,
     tiles: list[tuple[Path, Any]],
     bounds_deg: tuple[float, float, float, float],
     datum: str,
 ) -> SiteElevation:
-    west, south, east, north = bounds_deg
-    box = [
-        (path, tile)
-        for path, tile in tiles
-        if tile.bounds.left < east
-        and tile.bounds.right > west
-        and tile.bounds.bottom < north
-        and tile.bounds.top > south
-    ]
     try:
         heights, transform = rasterio.merge.merge(
-            [tile for _, tile in box], bounds=bounds_deg, nodata=math.nan, dtype="float64"
+            [tile for _, tile in tiles], bounds=bounds_deg, nodata=math.nan, dtype="float64"
         )
     except rasterio.errors.RasterioError as error:
-        names = ", ".join(str(path) for path, _ in box)
+        names = ", ".join(str(path) for path, _ in tiles)
         raise LeewayError(
             f"{names}: damaged or unreadable ({_error_text_in_one_line(error)})"
         ) from error

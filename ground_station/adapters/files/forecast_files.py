@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.import_report import ImportReport
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.files.forecast_grib import read_grib_forecast
 from ground_station.adapters.files.forecast_open_meteo import read_open_meteo_forecast
@@ -54,7 +55,7 @@ def find_forecast_conflict_or_none(table: dict[str, Any]) -> str | None:
 
 
 def day_in_forecast_wind(
-    day: Day, folder: Path, request: ForecastRequest
+    day: Day, folder: Path, request: ForecastRequest, reports: list[ImportReport]
 ) -> tuple[Day, DayForecast | None]:
     """Return the day in the wind of its forecast file, if there is one.
 
@@ -67,6 +68,7 @@ def day_in_forecast_wind(
             raise LeewayError("--at: no forecast file, expected one together with --at")
         return day, None
     field = read_forecast(file, day.depot.lat_deg, day.depot.lon_deg)
+    reports.append(ImportReport(str(file), "times of a forecast", field.t_s.size))
     at_s = request.start_s if request.start_s is not None else epoch_us() / 1e6
     try:
         updated_day, forecast = day_with_forecast_field(day, field, at_s, str(file))

@@ -191,6 +191,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """
     orders: list[str] = []
     """Files of orders, CSV or GeoJSON."""
+    columns: dict[str, str] = {}
+    """Headings of columns of the orders that have another name than documented, as
+    `{ lat_deg = "North", mass_g = "Parcel" }`.
+    """
     no_fly: str | None = None
     """GeoJSON file of polygons with `height_m`; or geo-zones as ED-269 or ED-318
     (`docs/how-to/geo-zones.md`).

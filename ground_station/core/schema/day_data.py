@@ -6,8 +6,9 @@ from typing import Any
 
 from companion.core.base.geo import LocalFrame, Obstacle, location_to_ground_ned_m
 from companion.core.base.geo_zones import GroundBounds
-from companion.core.base.obstacle_document import features_within_reach_note, parse_obstacles
-from companion.core.mission.flight_plan import depot_frame, plane_ground_bounds_m
+from companion.core.base.import_report import ImportReport
+from companion.core.base.obstacle_document import parse_obstacles
+from companion.core.mission.flight_plan import plane_ground_bounds_m
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast
@@ -25,7 +26,7 @@ class DayData:
     `road_times_s`: seconds between sites (`depot`, or an order's id); None: computed from the
     truck's speed. `elevation`: the ground about the depot, where the day names tiles. `forecast`:
     of a file; `day.forecast` is its wind at the start of the day. `folder`: folder of the files.
-    `import_notes`: how files were read that differ from the documented format.
+    `imports`: what was used of each file, and how it was read.
     """
 
     day: Day
@@ -36,7 +37,7 @@ class DayData:
     elevation: SiteElevation | None = None
     forecast: DayForecast | None = None
     folder: Path = Path()
-    import_notes: tuple[str, ...] = ()
+    imports: tuple[ImportReport, ...] = ()
 
     def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""
@@ -54,10 +55,3 @@ class DayData:
             return self.elevation.bounds_around_m(frame, positions)
         terrain = self.day.depot.terrain
         return None if terrain is None else plane_ground_bounds_m(terrain, positions)
-
-    def nearby_feature_note(self) -> str:
-        """State how many of the day's zones and obstacles are within reach; `""`: all."""
-        if self.no_fly is None:
-            return ""
-        note = features_within_reach_note(depot_frame(self.day.depot.location), self.no_fly)
-        return note and f"{self.day.no_fly}: {note}"

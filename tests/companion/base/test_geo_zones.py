@@ -13,7 +13,7 @@ import shapely
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, Obstacle, ObstacleMap
 from companion.core.base.geo_zones import ZoneAuthorisation
-from companion.core.base.obstacle_document import exempt_zone_lines, parse_obstacles
+from companion.core.base.obstacle_document import parse_obstacles, review_obstacles
 from companion.core.base.zone_times import UtcSpan, parse_utc_s
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "how-to" / "geo-zones"
@@ -85,9 +85,11 @@ def test_a_zone_out_of_its_hours_is_flown_through_and_without_a_time_it_is_not()
     assert not parse_obstacles(FRAME, document, MORNING)
     assert parse_obstacles(FRAME, document, NOON)
     assert parse_obstacles(FRAME, document)
-    assert exempt_zone_lines(document, MORNING) == [
-        "zone XXX0001: not in force at the time of the flight"
-    ]
+    report, _ = review_obstacles("f.json", FRAME, document, MORNING)
+    assert report.lines()[1] == (
+        "f.json: skipped: not in force at the time of the flight: zone XXX0001"
+    )
+    assert not report.strict_refusals()
 
 
 def test_leave_opens_what_asks_for_leave_and_never_what_is_prohibited() -> None:
@@ -100,9 +102,8 @@ def test_leave_opens_what_asks_for_leave_and_never_what_is_prohibited() -> None:
 def test_a_zone_without_restriction_is_ignored_with_a_word() -> None:
     document = changed(example("ed269.json"), ["restriction"], "NO_RESTRICTION")
     assert not parse_obstacles(FRAME, document)
-    assert exempt_zone_lines(document, ZoneAuthorisation()) == [
-        "zone XXX0001: no restriction, ignored"
-    ]
+    report, _ = review_obstacles("f.json", FRAME, document)
+    assert report.lines()[1] == "f.json: skipped: no restriction, ignored: zone XXX0001"
 
 
 def test_zones_and_our_own_obstacles_may_stand_in_one_file() -> None:

@@ -8,7 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.vehicle.airframe import Airframe
-from ground_station.adapters.files.day_files import DayData, read_day, read_orders
+from ground_station.adapters.files.day_files import DayData, read_day
+from ground_station.adapters.files.order_files import read_orders
 from ground_station.app.cli.main import app
 from ground_station.core.schema.day import DayFilesError
 from ground_station.core.schema.orders import Service
@@ -107,7 +108,7 @@ def test_the_same_parcel_within_two_metres_is_named_wherever_it_lies(tmp_path, a
     path = tmp_path / "orders.csv"
     path.write_text("\n".join(lines))
     if named == 0:
-        assert len(read_orders(path, None)) == 120
+        assert len(read_orders(path)[0]) == 120
     else:
         said = problems_of(path)
         assert len(said) == named
@@ -122,7 +123,7 @@ def test_geojson_points_are_orders_and_what_is_wrong_names_its_feature(tmp_path)
     path = tmp_path / "orders.geojson"
     good = point([8.0, 55.0, 4.0], id="a", mass_kg=0.5, note="x")
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [good]}))
-    (order,) = read_orders(path, None)
+    (order,), _ = read_orders(path)
     assert (order.lat_deg, order.lon_deg, order.alt_amsl_m) == (55.0, 8.0, 4.0)
     bad = [good, point([8.0, 55.0], id="b", mass_kg="heavy"), {"geometry": None}]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": bad}))

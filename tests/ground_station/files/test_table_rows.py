@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.files.day_files import read_orders
+from ground_station.adapters.files.order_files import read_orders
 from ground_station.adapters.files.table_rows import read_text_table
 from ground_station.core.schema.day import DayFilesError
 
@@ -38,8 +38,8 @@ def test_a_table_of_any_dialect_gives_the_same_order(
 ) -> None:
     path = tmp_path / "orders.csv"
     path.write_bytes(raw)
-    notes: list[str] = []
-    (order,) = read_orders(path, None, notes)
+    (order,), report = read_orders(path)
+    notes = report.notes
     assert (order.id, order.lat_deg, order.lon_deg) == ("A-1", 55.468, 8.44)
     assert (order.alt_amsl_m, order.mass_kg, order.note) == (12.5, 0.4, "Müller, 2nd floor")
     assert bool(notes) == bool(dialect)
@@ -81,8 +81,8 @@ def test_headings_are_reported_and_a_note_keeps_its_commas(tmp_path: Path) -> No
     with pytest.raises(DayFilesError, match="'1,5': expected 1 to 40 letters"):
         read_orders(path, None)
     path.write_text(path.read_text().replace("1,5;", "A;"))
-    notes: list[str] = []
-    (order,) = read_orders(path, None, notes)
+    (order,), report = read_orders(path)
+    notes = report.notes
     assert order.note == "2,5"
     assert "columns read: Order as id, lat as lat_deg, lon as lon_deg, kg as mass_kg" in notes[-1]
 
