@@ -1,6 +1,5 @@
 """Forecast files of a day or a flight: detects the format and selects the time."""
 
-import codecs
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -11,6 +10,7 @@ from companion.core.base.import_report import ImportReport
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.files.forecast_grib import read_grib_forecast
 from ground_station.adapters.files.forecast_open_meteo import read_open_meteo_forecast
+from ground_station.adapters.files.params import is_json_file
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast, day_with_forecast_field
 from ground_station.core.weather.forecast_field import ForecastField
@@ -34,12 +34,7 @@ NO_FORECAST_REQUEST = ForecastRequest()
 
 def read_forecast(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
     """Read the forecast around a position: Open-Meteo JSON or GRIB2. Raises LeewayError."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(64).removeprefix(codecs.BOM_UTF8).lstrip()
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-    if start[:1] in (b"{", b"["):
+    if is_json_file(path):
         return read_open_meteo_forecast(path, lat_deg, lon_deg)
     return read_grib_forecast(path, lat_deg, lon_deg)
 

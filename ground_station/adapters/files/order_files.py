@@ -7,7 +7,7 @@ from typing import Any
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.import_report import ImportReport
-from ground_station.adapters.files.params import read_json
+from ground_station.adapters.files.params import is_json_file, read_json
 from ground_station.adapters.files.table_rows import TextTable, read_text_table
 from ground_station.core.schema.day import DayFilesError, Depot, FileProblem
 from ground_station.core.schema.elevation import SiteElevation
@@ -44,7 +44,7 @@ def read_order_rows(
     """Read the orders of one file; `problems` receives its errors."""
     file, report = str(path), ImportReport(str(path), "orders")
     try:
-        if path.suffix.lower() in (".geojson", ".json"):
+        if is_json_file(path):
             table = _read_geojson_rows(path, problems)
         else:
             table = _read_table_rows(path, problems, report, column_headings)

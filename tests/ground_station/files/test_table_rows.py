@@ -49,7 +49,6 @@ def test_a_table_of_any_dialect_gives_the_same_order(
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
-        (b"PK\x03\x04rest", "export it as CSV"),
         (b"id,lat\0", "expected text in UTF-8"),
         (b"id,lat\x81", "expected text in UTF-8"),
         ("id,lat".encode("utf-16")[:-1], "expected text in UTF-8"),
