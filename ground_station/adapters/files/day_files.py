@@ -32,7 +32,7 @@ from ground_station.core.schema.day import Day, DayFilesError, FileProblem
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.day_plan import DayPlan
-from ground_station.core.schema.elevation import SiteElevation
+from ground_station.core.schema.elevation import SiteElevation, depot_height_error_text
 from ground_station.core.schema.order_parsing import find_duplicate_orders
 from ground_station.core.schema.order_states import Service
 from ground_station.core.schema.table_errors import table_errors
@@ -119,7 +119,10 @@ def _read_elevation(
     reports.append(report)
     try:
         tiles = [path.parent / name for name in day.elevation]
-        return read_elevation(tiles, depot.lat_deg, depot.lon_deg, report=report)
+        elevation = read_elevation(tiles, depot.lat_deg, depot.lon_deg, report=report)
+        if words := depot_height_error_text(elevation, depot.location):
+            raise LeewayError(words)
+        return elevation
     except LeewayError as error:
         problems.append(FileProblem(str(path), None, None, f"elevation: {error}"))
         return None

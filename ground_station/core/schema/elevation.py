@@ -16,7 +16,7 @@ from companion.core.base.geo import (
 )
 from companion.core.base.location import Location
 from companion.core.ground.ground_table import MAX_HEIGHTS, GroundTable
-from companion.core.mission.flight_plan import PLANE_MARGIN_M, depot_frame
+from companion.core.mission.flight_plan import GROUND_TOLERANCE_M, PLANE_MARGIN_M, depot_frame
 
 GRID_SPACING_M = 30.0
 """Grid spacing of a strip: one second of arc, as in the public elevation models."""
@@ -121,6 +121,27 @@ def _grid_axis_with_margin_m(values_m: Floats) -> Floats:
     low, high = float(values_m.min()) - STRIP_MARGIN_M, float(values_m.max()) + STRIP_MARGIN_M
     first = math.floor(low / GRID_SPACING_M)
     return GRID_SPACING_M * np.arange(first, math.ceil(high / GRID_SPACING_M) + 1.0)
+
+
+def depot_height_error_text(elevation: SiteElevation, depot: Location) -> str:
+    """Return the difference between a depot's stated height and the tiles; `""`: it is small."""
+    stated_m = depot.alt_amsl_m
+    known_m = elevation.height_amsl_at(depot.lat_deg or 0.0, depot.lon_deg or 0.0)
+    if stated_m is None or known_m is None or abs(known_m - stated_m) <= GROUND_TOLERANCE_M:
+        return ""
+    causes = {"feet?": 0.3048, "decimetres?": 0.1, "centimetres?": 0.01}
+    cause = next(
+        (
+            f"tiles in {word}"
+            for word, unit in causes.items()
+            if abs(known_m * unit - stated_m) < 3.0
+        ),
+        "heights above the ellipsoid, or another height of the depot?",
+    )
+    return (
+        f"depot.alt_amsl_m = {stated_m:g}: the tiles have {known_m:.1f} m there"
+        f" ({elevation.datum}), expected a difference of at most {GROUND_TOLERANCE_M:g} m: {cause}"
+    )
 
 
 def stated_and_known_ground_heights(
