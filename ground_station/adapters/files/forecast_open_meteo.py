@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from companion.core.base.documents import encoding_error_text, json_error_text
 from companion.core.base.errors import LeewayError
 from ground_station.core.weather.forecast_field import (
     ForecastField,
@@ -95,10 +96,13 @@ def read_open_meteo_forecast(path: Path, lat_deg: float, lon_deg: float) -> Fore
 def _decode_document(raw: bytes) -> Any:
     try:
         return json.loads(raw)
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LeewayError(
-            f"damaged, or not JSON ({error}), expected Open-Meteo's response"
-        ) from error
+    except json.JSONDecodeError as error:
+        words = json_error_text(error)
+    except UnicodeDecodeError as error:
+        words = encoding_error_text(error)
+    except RecursionError:
+        words = "nested too deeply"
+    raise LeewayError(f"damaged, or not JSON ({words}), expected Open-Meteo's response")
 
 
 def _nearest_location(document: Any, lat_deg: float, lon_deg: float) -> dict[str, Any]:
