@@ -141,27 +141,27 @@ def _lies_beyond_reach(frame: LocalFrame, feature: Any) -> bool:
     latitude and longitude swapped.
     """
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
-    corners = list(_iterate_positions_deg(geometry))
-    if not corners or not all(abs(lon) <= 540.0 and abs(lat) <= 90.0 for lon, lat in corners):
+    positions = list(_iterate_positions_deg(geometry))
+    if not positions or not all(abs(lon) <= 180.0 and abs(lat) <= 90.0 for lon, lat in positions):
         return False
-    swapped = [(lat, lon) for lon, lat in corners]
-    return not any(may_lie_within_reach(frame, ring) for ring in (corners, swapped))
+    if '"radius"' in json.dumps(geometry):  # of a circle, which may be the defect
+        around = (polygon_around_circle_lon_lat_deg(*at, MAX_RADIUS_M) for at in positions)
+        positions = [corner for ring in around for corner in ring]
+    swapped = [(lat, lon) for lon, lat in positions]
+    return not any(may_lie_within_reach(frame, ring) for ring in (positions, swapped))
 
 
 def _iterate_positions_deg(value: Any) -> Iterator[tuple[float, float]]:
-    """Yield the [lon, lat] pairs within a geometry; of a circle with the largest radius."""
-    if isinstance(value, dict):
-        positions = [one for part in value.values() for one in _iterate_positions_deg(part)]
-        if value.get("type") in ("Circle", "Point"):
-            circles = (polygon_around_circle_lon_lat_deg(*at, MAX_RADIUS_M) for at in positions)
-            positions = [corner for ring in circles for corner in ring]
-        yield from positions
-    elif isinstance(value, list):
-        if len(value) >= 2 and all(isinstance(x, int | float) for x in value[:2]):
-            yield float(value[0]), float(value[1])
-        else:
-            for one in value:
-                yield from _iterate_positions_deg(one)
+    """Yield the [lon, lat] pairs within a geometry."""
+    if isinstance(value, list) and len(value) >= 2 and all(map(_is_number, value[:2])):
+        yield float(value[0]), float(value[1])
+    elif isinstance(value, list | dict):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _iterate_positions_deg(one)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _obstacles_of_geojson_feature(

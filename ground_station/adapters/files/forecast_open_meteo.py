@@ -27,6 +27,7 @@ from ground_station.core.weather.forecast_field import (
 MPS_OF = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mp/h": 0.44704, "mph": 0.44704, "kn": 1852.0 / 3600.0}
 METRES_OF = {"m": 1.0, "ft": 0.3048}
 SPEED = re.compile(r"wind_speed_(\d+m|\d+hPa)(_member\d+)?\Z")
+FORMER_NAME = re.compile(r"\Awind(speed|direction|gusts)_")
 GUSTS = "wind_gusts_10m"
 
 
@@ -129,8 +130,8 @@ def _build_forecast_field(document: dict[str, Any]) -> ForecastField:
         raise LeewayError("hourly_units: missing, expected the unit of each column")
     elevation = document.get("elevation")
     hourly = _Hourly(
-        columns=document["hourly"],
-        units=units,
+        columns=_with_present_names(document["hourly"]),
+        units=_with_present_names(units),
         times=_parse_time_column_unix_s(
             document, document["hourly"].get("time"), units.get("time")
         ),
@@ -160,6 +161,11 @@ def _build_forecast_field(document: dict[str, Any]) -> ForecastField:
         if _gust_minus_mean_wind_mps(hourly) is None
         else "gusts, at least the default",
     )
+
+
+def _with_present_names(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table with the names that Open-Meteo has had since 2023 (`wind_speed_80m`)."""
+    return {FORMER_NAME.sub(r"wind_\1_", name): value for name, value in table.items()}
 
 
 def _parse_time_column_unix_s(document: dict[str, Any], column: Any, unit: Any) -> Floats:

@@ -133,5 +133,5 @@ def _decode(path: Path, raw: bytes) -> tuple[str, str]:
         with contextlib.suppress(UnicodeDecodeError):
             text = raw.decode(encoding)
             if "\0" not in text:
-                return text, name
+                return text if "\n" in text else text.replace("\r", "\n"), name
     raise LeewayError(f"{path}: expected text in UTF-8, UTF-16 or Windows-1252")

@@ -192,20 +192,6 @@ def test_a_hole_that_is_not_closed_belongs_to_the_zone(hole: list[list[float]]) 
     assert shapely.Polygon(zone.ring_ne_m).contains(shapely.Point(0.0, 0.0))
 
 
-def test_a_site_in_a_hole_is_free_and_a_swapped_zone_with_a_hole_is_refused() -> None:
-    country = [square(20.0, 10.0, 55.0), square(5.0, 10.0, 55.0)]
-    assert parse_obstacles(FRAME, zone_document(country)) == ()
-    swapped = [[[lat, lon] for lon, lat in ring] for ring in (square(0.1), square(0.01))]
-    with pytest.raises(LeewayError, match="latitude and longitude swapped"):
-        parse_obstacles(FRAME, zone_document(swapped))
-
-
-def test_an_unclosed_ring_is_refused_within_reach_only() -> None:
-    assert parse_obstacles(FRAME, zone_document([square(0.1, lat=52.0)[:4]])) == ()
-    with pytest.raises(LeewayError, match="expected closed rings"):
-        parse_obstacles(FRAME, zone_document([square(0.1)[:4]]))
-
-
 AIR = Obstacle("air", ((100.0, -20.0), (100.0, 20.0), (140.0, 20.0), (140.0, -20.0)), 300.0, 90.0)
 LOW, HIGH = ((0.0, 0.0, -40.0), (300.0, 0.0, -40.0)), ((0.0, 0.0, -85.0), (300.0, 0.0, -85.0))
 

@@ -144,36 +144,6 @@ def test_nodata_is_unknown_and_a_sea_of_zero_is_ground(tmp_path):
     assert read_elevation([sea], LAT_DEG, LON_DEG, 500.0).height_amsl_at(LAT_DEG, LON_DEG) == 0.0
 
 
-def torn(path: Path) -> Path:
-    whole = write_tile(path, 55.98).read_bytes()
-    path.write_bytes(whole[: len(whole) // 3])
-    return path
-
-
-def no_raster(path: Path) -> Path:
-    path.write_text("no raster")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda p: write_tile(p, 55.98, crs=None), "no CRS, expected EPSG:4326"),
-        (lambda p: write_tile(p, 55.98, crs="EPSG:32632"), "CRS EPSG:32632, expected EPSG:4326"),
-        (lambda p: write_tile(p, 54.0), "55.99900, 8.40000 is outside all tiles (t.tif)"),
-        (torn, "damaged or unreadable"),
-        (no_raster, "not a raster"),
-        (lambda p: p, "no such file"),
-    ],
-)
-def test_what_is_wrong_with_a_tile_is_said_in_one_line(tmp_path, make, words):
-    path = make(tmp_path / "t.tif")
-    with pytest.raises(LeewayError) as told:
-        read_elevation([path], LAT_DEG, LON_DEG, 3000.0)
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
-
-
 DAY = """
 format = "day/1"
 elevation = ["tile.tif"]
