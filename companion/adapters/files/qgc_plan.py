@@ -35,7 +35,7 @@ def read_plan_home_and_items(path: Path) -> tuple[tuple[float, float, float], li
             found = table.get(name.rpartition(".")[2])
             raise LeewayError(f"{path}: {name} = {found!r:.40}: expected {known}")
     home, items = mission.get("plannedHomePosition"), mission.get("items")
-    if not (_are_numbers(home) and len(home) == 3):
+    if not isinstance(home, list) or not _are_numbers(home) or len(home) != 3:
         raise LeewayError(f"{path}: plannedHomePosition: expected latitude, longitude, m AMSL")
     if not isinstance(items, list) or not items:
         raise LeewayError(f"{path}: mission.items: expected at least one item")
@@ -64,8 +64,5 @@ def _simple_item_problem(item: Any) -> str:
     return ""
 
 
-def _are_numbers(values: Any) -> bool:
-    """Return whether this is a list of numbers."""
-    return isinstance(values, list) and all(
-        isinstance(x, int | float) and not isinstance(x, bool) for x in values
-    )
+def _are_numbers(values: list[Any]) -> bool:
+    return all(isinstance(x, int | float) and not isinstance(x, bool) for x in values)

@@ -194,8 +194,7 @@ def _read_ulog_and_issues(path: Path) -> tuple[Any, list[LogIssue]]:
         with contextlib.redirect_stdout(captured_output), _BoundedReader(filtered) as file:
             log = ULog(file, list(TOPICS))
     except Exception as error:
-        words = "damaged definitions, or a format that pyulog cannot read: expected PX4's ULog"
-        raise LeewayError(f"{path}: {words}") from error
+        raise LeewayError(f"{path}: damaged definitions, expected a ULog of PX4") from error
     findings: list[LogIssue] = []
     for line in dict.fromkeys(captured_output.getvalue().splitlines()):
         findings.append(LogIssue("file", line.strip(), "whole messages are used"))

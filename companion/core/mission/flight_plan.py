@@ -1,7 +1,6 @@
 """From a flight file to a flight: the site in its local frame, the plan, the mission items."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -17,14 +16,13 @@ from companion.core.base.geo import (
     location_to_ground_ned_m,
     point_above,
 )
-from companion.core.base.geo_zones import GroundBounds
 from companion.core.base.location import Location
 from companion.core.base.obstacle_document import parse_obstacles
 from companion.core.base.site_reach import site_distance_error_text
 from companion.core.ground.clearance import GroundClearance
 from companion.core.ground.ground_strip import GroundStrip, UnknownGround
 from companion.core.mission.events import Position
-from companion.core.mission.flight_file import Flight, Terrain
+from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import (
     ItemKind,
     MissionPosition,
@@ -70,9 +68,6 @@ RTL_CHECK_SPACING_M = 50.0
 MAX_RTL_SITE_HEIGHT_M = 5.0
 """Maximum height of an RTL destination above the launch pad: both autopilots descend fast to 10 m
 above their home (PX4 MPC_LAND_ALT1, ArduCopter LAND_ALT_LOW)."""
-
-PLANE_MARGIN_M = 1000.0
-"""Distance beyond a flight's positions within which its routes and detours stay."""
 
 GROUND_TOLERANCE_M = 10.0
 """Tolerance between stated and known ground height: 4 m of GLO-30 (LE90), and a share of slope."""
@@ -269,13 +264,17 @@ def build_site_map(
     depot = flight.site.depot
     site_frame = depot_frame(depot) if centre_on_vehicle and depot is not None else frame
     ground = _ground_clearance(flight)
-    conditions = flight.mission.zone_authorisation
+    places = (flight.site.customer, *flight.site.rally, *flight.site.stops)
+    bounds_m = None if ground is None else ground.strip.ground_height_bounds_m()
+    if ground is None:
+        near_m = [location_to_ground_ned_m(site_frame, place) for place in places]
+        bounds_m = flight.site.terrain.plane_bounds_m(near_m)
     _check_positions_within_reach(flight, site_frame)
     found = (
         ()
         if obstacle_document is None
         else parse_obstacles(
-            site_frame, obstacle_document, conditions, _ground_bounds_m(flight, site_frame, ground)
+            site_frame, obstacle_document, flight.mission.zone_authorisation, bounds_m
         )
     )
     rally = tuple(
@@ -302,42 +301,6 @@ def _check_positions_within_reach(flight: Flight, site_frame: LocalFrame) -> Non
             continue
         if error_text := site_distance_error_text(site_frame, location.lat_deg, location.lon_deg):
             raise LeewayError(f"site, {location.name or 'place'}: {error_text}")
-
-
-def _ground_bounds_m(
-    flight: Flight, site_frame: LocalFrame, ground: GroundClearance | None
-) -> GroundBounds | None:
-    """Return the lowest and highest ground of the flight; None: unknown.
-
-    Over a grid no route leaves it. A plane is bounded near the flight's positions; `flat` is the
-    default and states nothing.
-    """
-    if ground is not None:
-        return ground.strip.ground_height_bounds_m()
-    site = flight.site
-    if site.terrain.kind != "plane":
-        return None
-    locations = (site.customer, *site.rally, *site.stops)
-    positions = [location_to_ground_ned_m(site_frame, location)[:2] for location in locations]
-    return plane_ground_bounds_m(site.terrain, positions)
-
-
-def plane_ground_bounds_m(
-    terrain: Terrain, positions_ne_m: Sequence[tuple[float, float]]
-) -> GroundBounds:
-    """Return the lowest and highest ground of a plane near the depot and these positions."""
-    slopes, points = (terrain.slope_north_frac, terrain.slope_east_frac), [(0.0, 0.0)]
-    points += positions_ne_m
-    up_m = [
-        slope * (bound(values) + sign * PLANE_MARGIN_M)
-        for slope, values in zip(slopes, zip(*points, strict=True), strict=True)
-        for bound, sign in ((min, -1.0), (max, 1.0))
-    ]
-    south_m, north_m, west_m, east_m = up_m
-    return (
-        min(south_m, north_m) + min(west_m, east_m),
-        max(south_m, north_m) + max(west_m, east_m),
-    )
 
 
 def _max_flight_height_m(flight: Flight, ground: GroundClearance | None) -> float:

@@ -96,6 +96,9 @@ def dispatch(
     ground-station plan town --out plan.json
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
+    from msgspec import UNSET
+    from msgspec.structs import replace
+
     from ground_station.adapters.files.day_files import read_day_plan
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
@@ -105,7 +108,7 @@ def dispatch(
     data = read_day_and_warn(day, keep_forecast=True, strict=strict)
     options = desk_options()
     operator = options.current_operator(data.day.fleet)
-    day_plan = None if plan is None else read_day_plan(plan)
+    day_plan = None if plan is None else replace(read_day_plan(plan), imports=UNSET)
     open_desk_store = partial(options.open_store, create=True, tolerate_outage=True)
     with closing(
         open_store_when_reachable(open_desk_store, echo_with_time_of_day, Event().wait)

@@ -17,8 +17,6 @@ from ground_station.core.schema.orders import Order, order_location
 UNKNOWN_CHARGE_RANGE = [0.05, 1.0]
 """Charge range for an unknown pack: the companion measures the charge at rest."""
 
-SLOPE_KEYS = ("slope_north_frac", "slope_east_frac")
-
 NeighbourKeys = Callable[[str], Mapping[str, str]]
 """The public keys of a neighbouring fleet's vehicles, by name."""
 
@@ -127,11 +125,8 @@ def _terrain_table(
 ) -> dict[str, Any]:
     """Return the ground of the tiles, else the plane that the day states (flat: without slope)."""
     if elevation is None:
-        stated = day.depot.terrain
-        if stated is None:
-            return {}
-        slopes = (stated.slope_north_frac, stated.slope_east_frac)
-        return {"terrain": {"kind": "plane"} | dict(zip(SLOPE_KEYS, slopes, strict=True))}
+        ground = day.depot.stated_plane
+        return {} if ground is None else {"terrain": _to_builtins_without_unset_fields(ground)}
     heights = elevation.ground_table_along_route(depot, locations)
     return {"terrain": {"kind": "grid", "heights": msgspec.to_builtins(heights)}}
 

@@ -165,6 +165,12 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             raise LeewayError('depot.terrain.kind: expected "flat" or "plane"')
 
     @property
+    def stated_plane(self) -> Terrain | None:
+        """The ground that the day states, as a plane; None: it states none."""
+        is_flat = self.terrain is not None and self.terrain.kind == "flat"
+        return Terrain(kind="plane") if is_flat else self.terrain
+
+    @property
     def location(self) -> Location:
         """The depot as a position of a flight file."""
         return Location(

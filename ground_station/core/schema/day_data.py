@@ -8,7 +8,6 @@ from companion.core.base.geo import LocalFrame, Obstacle, location_to_ground_ned
 from companion.core.base.geo_zones import GroundBounds
 from companion.core.base.import_report import ImportReport
 from companion.core.base.obstacle_document import parse_obstacles
-from companion.core.mission.flight_plan import plane_ground_bounds_m
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast
@@ -48,10 +47,8 @@ class DayData:
 
     def ground_bounds_m(self, frame: LocalFrame) -> GroundBounds | None:
         """Return the lowest and highest ground about depot and orders; None: not stated."""
-        positions = [
-            location_to_ground_ned_m(frame, order_location(order))[:2] for order in self.orders
-        ]
+        positions = [location_to_ground_ned_m(frame, order_location(one)) for one in self.orders]
         if self.elevation is not None:
             return self.elevation.bounds_around_m(frame, positions)
-        terrain = self.day.depot.terrain
-        return None if terrain is None else plane_ground_bounds_m(terrain, positions)
+        ground = self.day.depot.stated_plane
+        return None if ground is None else ground.plane_bounds_m(positions)

@@ -9,7 +9,7 @@ has confirmed another home.
 from typing import Annotated, Literal
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from companion.core.base.location import Location
 from companion.core.base.wire_message import Name
@@ -135,8 +135,8 @@ class DayPlan(_StrictStruct, frozen=True, kw_only=True):
     """Orders that cannot be delivered."""
     revision: Annotated[int, Meta(ge=0)] = 0
     """Number of re-plans of this day."""
-    imports: list[ImportedFile] = []
-    """What `ground-station plan` used of each file of the day, and skipped."""
+    imports: list[ImportedFile] | UnsetType = UNSET
+    """What `ground-station plan` used of each file of the day, and skipped. A desk drops it."""
 
     def get_stop(self, id_: str) -> PlannedStop:
         """Return the stop with this id. Raises KeyError if there is none."""

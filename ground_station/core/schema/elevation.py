@@ -16,7 +16,8 @@ from companion.core.base.geo import (
 )
 from companion.core.base.location import Location
 from companion.core.ground.ground_table import MAX_HEIGHTS, GroundTable
-from companion.core.mission.flight_plan import GROUND_TOLERANCE_M, PLANE_MARGIN_M, depot_frame
+from companion.core.mission.flight_file import PLANE_MARGIN_M
+from companion.core.mission.flight_plan import GROUND_TOLERANCE_M, depot_frame
 
 GRID_SPACING_M = 30.0
 """Grid spacing of a strip: one second of arc, as in the public elevation models."""
@@ -49,12 +50,12 @@ class SiteElevation:
         return None if math.isnan(height_m) else height_m
 
     def bounds_around_m(
-        self, frame: LocalFrame, positions_ne_m: Sequence[tuple[float, float]]
+        self, frame: LocalFrame, positions_m: Sequence[Sequence[float]]
     ) -> tuple[float, float] | None:
         """Return the lowest and highest known ground about depot and positions, above the depot;
         None: unknown.
         """
-        points = np.array([(0.0, 0.0), *positions_ne_m])
+        points = np.array([(0.0, 0.0), *(position[:2] for position in positions_m)])
         corners = np.stack([points.min(axis=0), points.max(axis=0)])
         corners += [[-PLANE_MARGIN_M], [PLANE_MARGIN_M]]
         home_deg = math.degrees(frame.lat_rad), math.degrees(frame.lon_rad)

@@ -72,16 +72,7 @@ def parse_column_headings(text: str) -> dict[str, str]:
         if not is_pair or not heading:
             raise LeewayError(f"--columns: {part!r:.60}, expected COLUMN=HEADING")
         found[name] = heading
-    check_column_names("--columns", found)
     return found
-
-
-def check_column_names(key: str, column_headings: Mapping[str, str]) -> None:
-    """Raise LeewayError for a name that is no column."""
-    for name in column_headings:
-        if name not in COLUMNS and name not in UNIT_COLUMNS:
-            known = ", ".join((*COLUMNS, *UNIT_COLUMNS))
-            raise LeewayError(f"{key}: {name!r:.40}, expected one of {known}")
 
 
 @dataclass(slots=True)
@@ -141,9 +132,13 @@ class OrderColumns:
             values = [row[index].strip() for row in rows[1:] if index < len(row)]
             if name not in COLUMNS and name not in UNIT_COLUMNS and (heading or any(values)):
                 add_problem(heading or f"number {index + 1}", self._unknown_text(heading, values))
-        for heading in mapped.keys() - set(self.headings):
-            add_problem(heading, f"column missing, expected for {mapped[heading]}")
-        bases = [UNIT_COLUMNS.get(name, (name, 1.0))[0] for name in self.names]
+        bases = [_documented_column(name) for name in self.names]
+        for heading, name in mapped.items():
+            if _documented_column(name) not in COLUMNS:
+                known = ", ".join((*COLUMNS, *UNIT_COLUMNS))
+                add_problem(heading, f"columns: {name!r:.40}, expected one of {known}")
+            elif _documented_column(name) not in bases:
+                add_problem(heading, f"column missing, expected for {name}")
         for name in REQUIRED:
             if name not in bases:
                 is_place = name.endswith("_deg") and any(map(is_text_heading, self.headings))
@@ -176,6 +171,10 @@ PLACE_TEXT = ": addresses are not converted to positions, expected degrees"
 def is_text_heading(heading: str) -> bool:
     """Return whether a column is kept as text in the note."""
     return _key(heading) in TEXT_HEADINGS
+
+
+def _documented_column(name: str) -> str:
+    return UNIT_COLUMNS[name][0] if name in UNIT_COLUMNS else name
 
 
 def _column_of(heading: str) -> str:

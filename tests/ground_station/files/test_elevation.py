@@ -184,6 +184,17 @@ def test_an_order_without_a_height_gets_the_tiles_and_each_flight_its_strip(tmp_
     assert "clearance_m" not in level["mission"]
 
 
+@pytest.mark.parametrize(
+    ("alt_amsl_m", "words"),
+    [("86.0", "46.0 m there .* above the ellipsoid"), ("14.1", r"tiles in feet\?")],
+)
+def test_tiles_far_from_the_depots_height_are_refused(tmp_path, alt_amsl_m, words):
+    path = write_day(tmp_path, "o1,56.005,8.41,,0.4\n")
+    path.write_text(path.read_text().replace("46.0", alt_amsl_m))
+    with pytest.raises(DayFilesError, match=words):
+        read_day(path)
+
+
 def test_an_order_that_the_tiles_do_not_have_is_named_by_its_row(tmp_path):
     with pytest.raises(DayFilesError) as told:
         read_day(write_day(tmp_path, "o1,57.5,8.41,,0.4\n"))

@@ -141,9 +141,9 @@ MAPPED = [
     ("headings", ("lat_deg=North,mass_g=Parcel,note=Product",
          "id,North,lon,alt_amsl_m,Parcel,Product\nA-1,55.468,8.44,12.5,400,pump\n"),
          "1 used; A-1 55.468 8.44 12.5 0.4 any (pump) | columns read: North as lat_deg"),
-    ("heading that is not there", ("lat_deg=Nord", CSV),
+    ("heading that is not there", ("lat_deg=Nord", CSV.replace("lat_deg", "y")),
          "refused .. column Nord: column missing, expected for lat_deg"),
-    ("unknown column", ("latitude=North", CSV), "refused: --columns: 'latitude'"),
+    ("unknown column", ("latitude=North", CSV), "refused .. columns: 'latitude', exp"),
     ("no heading", ("lat_deg", CSV), "refused: --columns: 'lat_deg', expected COL"),
 ]  # fmt: skip
 HEADINGS = {
