@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from companion.core.base.documents import parse_json_object
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.exports.qgc_plan import PlanItem, plan_document
@@ -20,14 +21,48 @@ def write_plan(
 def read_plan_home_and_items(path: Path) -> tuple[tuple[float, float, float], list[dict[str, Any]]]:
     """Return home (degrees, degrees, m AMSL) and simple items; LeewayError names the item."""
     try:
-        mission = json.loads(path.read_text())["mission"]
-        items, home = mission["items"], mission["plannedHomePosition"]
-        lat_deg, lon_deg, alt_amsl_m = map(float, home)
+        raw = path.read_bytes()
     except OSError as error:
         raise LeewayError(f"{path}: {error.strerror}") from error
-    except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
-        raise LeewayError(f"{path}: not a QGroundControl plan ({error})") from error
+    document = parse_json_object(raw, str(path), "a QGroundControl plan")
+    mission = document.get("mission")
+    if document.get("fileType") != "Plan" or not isinstance(mission, dict):
+        raise LeewayError(
+            f"{path}: not a QGroundControl plan: expected fileType Plan and a mission"
+        )
+    for name, table, known in (("version", document, 1), ("mission.version", mission, 2)):
+        if table.get(name.rpartition(".")[2]) != known:
+            found = table.get(name.rpartition(".")[2])
+            raise LeewayError(f"{path}: {name} = {found!r:.40}: expected {known}")
+    home, items = mission.get("plannedHomePosition"), mission.get("items")
+    if not isinstance(home, list) or not _are_numbers(home) or len(home) != 3:
+        raise LeewayError(f"{path}: plannedHomePosition: expected latitude, longitude, m AMSL")
+    if not isinstance(items, list) or not items:
+        raise LeewayError(f"{path}: mission.items: expected at least one item")
     for number, item in enumerate(items, 1):
-        if item.get("type") != "SimpleItem" or len(item.get("params", ())) != 7:
-            raise LeewayError(f"{path}: item {number}: a SimpleItem with 7 params expected")
+        if problem := _simple_item_problem(item):
+            raise LeewayError(f"{path}: item {number}: {problem}")
+    lat_deg, lon_deg, alt_amsl_m = map(float, home)
     return (lat_deg, lon_deg, alt_amsl_m), items
+
+
+def _simple_item_problem(item: Any) -> str:
+    """Return the reason why an item is no simple item; `""`: it is one."""
+    if not isinstance(item, dict):
+        return "expected a SimpleItem"
+    if item.get("type") != "SimpleItem":
+        kind = f"{item.get('type')} {item.get('complexItemType', '')}".strip()
+        return f"{kind:.60}, expected a SimpleItem: convert it to waypoints in QGroundControl"
+    for key in ("command", "frame"):
+        if not isinstance(item.get(key), int):
+            return f"{key} = {item.get(key)!r:.40}, expected a number"
+    params = item.get("params")
+    if not (isinstance(params, list) and len(params) == 7):
+        return "params: expected 7"
+    if not _are_numbers([p for p in params if p is not None]):
+        return f"params = {params!r:.80}: expected numbers or null"
+    return ""
+
+
+def _are_numbers(values: list[Any]) -> bool:
+    return all(isinstance(x, int | float) and not isinstance(x, bool) for x in values)

@@ -86,8 +86,9 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
             _read_messages(clean_path, reader)
     except Exception as error:
         if not reader.events:
-            raise LeewayError(f"{path}: DFReader cannot read this file: {error!r}") from error
-        description = f"DFReader stops: {error!r}"
+            words = "damaged from its beginning: expected FMT messages of a dataflash log"
+            raise LeewayError(f"{path}: {words}") from error
+        description = "damaged: DFReader stops here"
         reader.findings.append(
             LogIssue.at_time(reader.clock.t_s or 0.0, description, "data before this are used")
         )

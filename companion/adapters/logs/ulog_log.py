@@ -194,7 +194,7 @@ def _read_ulog_and_issues(path: Path) -> tuple[Any, list[LogIssue]]:
         with contextlib.redirect_stdout(captured_output), _BoundedReader(filtered) as file:
             log = ULog(file, list(TOPICS))
     except Exception as error:
-        raise LeewayError(f"{path}: pyulog cannot read this file: {error!r}") from error
+        raise LeewayError(f"{path}: damaged definitions, expected a ULog of PX4") from error
     findings: list[LogIssue] = []
     for line in dict.fromkeys(captured_output.getvalue().splitlines()):
         findings.append(LogIssue("file", line.strip(), "whole messages are used"))

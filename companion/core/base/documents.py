@@ -17,8 +17,10 @@ def parse_toml(raw: bytes, document_name: str) -> dict[str, Any]:
     """Parse a TOML file to a table; LeewayError names the file."""
     try:
         return tomllib.loads(raw.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise LeewayError(f"{document_name}: {error}") from error
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"{document_name}: {encoding_error_text(error)}") from error
 
 
 def parse_json_object(
@@ -27,13 +29,30 @@ def parse_json_object(
     """Parse a JSON file to an object; LeewayError names the file."""
     try:
         document = json.loads(raw)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{document_name}: not JSON: {error}") from error
+    except json.JSONDecodeError as error:
+        raise LeewayError(f"{document_name}: {json_error_text(error)}") from error
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"{document_name}: not JSON: {encoding_error_text(error)}") from error
     except RecursionError as error:
         raise LeewayError(f"{document_name}: nested too deeply") from error
     if not isinstance(document, dict):
         raise LeewayError(f"{document_name}: expected {expected_text}")
     return document
+
+
+def encoding_error_text(error: UnicodeDecodeError) -> str:
+    """Return line and byte that are not in the expected encoding."""
+    line = error.object.count(b"\n", 0, error.start) + 1
+    byte = error.object[error.start]
+    return f"line {line}: byte 0x{byte:02X} is not {error.encoding}, expected text in UTF-8"
+
+
+def json_error_text(error: json.JSONDecodeError) -> str:
+    """Return the position and kind of an error in JSON."""
+    start = error.doc[:1]
+    if error.pos == 0 and start not in ("{", "["):
+        return f"not JSON: it begins with {start!r}, expected {{ or [" if start else "empty file"
+    return f"not JSON: line {error.lineno}, column {error.colno}: {error.msg}"
 
 
 DOCUMENT_KINDS = {

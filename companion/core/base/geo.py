@@ -188,6 +188,11 @@ class ObstacleMap:
     def _passes_below_obstacle(self, obstacle_index: int, height_m: float) -> bool:
         return height_m <= self._bottoms_m[obstacle_index] - self.clearance_up_m
 
+    @property
+    def lowest_floor_flown_under_m(self) -> float:
+        """The lowest of the zones that the whole flight stays below; infinity: none."""
+        return float(self._bottoms_m[np.isfinite(self._bottoms_m)].min(initial=np.inf))
+
     def is_flown_under(self, obstacle: Obstacle) -> bool:
         """Return whether the whole flight stays below this obstacle."""
         return bool(np.isfinite(self._bottoms_m[self.obstacles.index(obstacle)]))

@@ -6,7 +6,7 @@ Unspecified values are interpreted against the flight.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -30,8 +30,8 @@ GEOID_LOWEST_M, GEOID_HIGHEST_M = -107.0, 86.0
 MAX_RADIUS_M = 500_000.0
 
 LIMIT_KEYS = {"uomDimensions", "lowerLimit", "upperLimit"}
-GroundSpan = Callable[[Ring], tuple[float, float] | None]
-"""Ring (north, east) -> lowest and highest ground in it, metres above the depot; None: unknown."""
+GroundBounds = tuple[float, float]
+"""Lowest and highest ground where flights may be, metres above the depot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,22 +82,15 @@ class GeoZone:
         return "" if in_force else "not in force at the time of the flight"
 
     def obstacle_prisms(
-        self, frame: LocalFrame, ground_bounds_of_ring_m: GroundSpan | None
+        self, frame: LocalFrame, ground_bounds_m: GroundBounds | None
     ) -> list[Obstacle]:
         """Return the volumes within reach. Raises LeewayError for an invalid polygon."""
         label = safe_text(f"{self.identifier} {self.name}".strip()[:MAX_NAME_LENGTH])
         found: list[Obstacle] = []
         for volume, corners in self._volumes_with_projected_rings(frame):
-            span_m = None if ground_bounds_of_ring_m is None else ground_bounds_of_ring_m(corners)
-            bottom_m = _lowest_possible_floor_m(volume.lower, frame, span_m)
-            found.append(
-                Obstacle(
-                    label,
-                    corners,
-                    _highest_possible_ceiling_m(volume.upper, frame, span_m),
-                    bottom_m,
-                )
-            )
+            top_m = _highest_possible_ceiling_m(volume.upper, frame, ground_bounds_m)
+            bottom_m = _lowest_possible_floor_m(volume.lower, frame, ground_bounds_m)
+            found.append(Obstacle(label, corners, top_m, bottom_m))
         return found
 
     def _volumes_with_projected_rings(self, frame: LocalFrame) -> Iterator[tuple[_Volume, Ring]]:
@@ -111,7 +104,7 @@ class GeoZone:
                 try:
                     corners = clip_ring_to_site_and_project(frame, outer, holes)
                 except LeewayError as error:
-                    raise LeewayError(f"{self.where}: {error}") from error
+                    raise type(error)(f"{self.where}: {error}") from error
                 yield from ((volume, part) for part in corners)
 
 
@@ -321,7 +314,7 @@ def _is_finite_number(value: Any) -> bool:
 
 
 def _lowest_possible_floor_m(
-    limit: _Limit | None, frame: LocalFrame, ground_bounds_m: tuple[float, float] | None
+    limit: _Limit | None, frame: LocalFrame, ground_bounds_m: GroundBounds | None
 ) -> float:
     """Return the lowest possible lower limit above the depot; minus infinity: on the ground."""
     if limit is None:
@@ -335,7 +328,7 @@ def _lowest_possible_floor_m(
 
 
 def _highest_possible_ceiling_m(
-    limit: _Limit | None, frame: LocalFrame, ground_bounds_m: tuple[float, float] | None
+    limit: _Limit | None, frame: LocalFrame, ground_bounds_m: GroundBounds | None
 ) -> float:
     """Return the highest possible upper limit above the depot; infinity: unlimited."""
     if limit is None:

@@ -31,6 +31,11 @@ UNAMBIGUOUS_DEG = 5.0
 
 SELF_INTERSECTION = "the polygon crosses itself"
 
+
+class SwappedCoordinatesError(LeewayError):
+    """A polygon beyond reach that lies within reach with latitude and longitude swapped."""
+
+
 Ring = tuple[tuple[float, float], ...]
 
 
@@ -142,14 +147,24 @@ def _check_not_swapped(frame: LocalFrame, ring_lon_lat_deg: Ring) -> None:
     if abs(depot_lat - depot_lon) < UNAMBIGUOUS_DEG:
         return
     swapped = shapely.Polygon([(lat, lon) for lon, lat in ring_lon_lat_deg])
-    if shapely.box(*swapped.bounds).intersects(_site_reach_box_lon_lat_deg(frame)):
+    if may_lie_within_reach(frame, swapped.exterior.coords[:]):
         away_km = (
             distance_from_depot_m(frame, ring_lon_lat_deg[0][1], ring_lon_lat_deg[0][0]) / 1000.0
         )
-        raise LeewayError(
+        raise SwappedCoordinatesError(
             f"{away_km:.0f} km from the depot, expected within {MAX_SITE_DISTANCE_M / 1000.0:.0f}"
             " km: latitude and longitude swapped? Expected [lon, lat]"
         )
+
+
+def may_lie_within_reach(frame: LocalFrame, corners_deg: Sequence[tuple[float, ...]]) -> bool:
+    """Return whether the box around corners (lon, lat) touches the reach, at any turn."""
+    west, south, east, north = shapely.MultiPoint(corners_deg).bounds
+    reach = _site_reach_box_lon_lat_deg(frame)
+    return any(
+        shapely.box(west + turn_deg, south, east + turn_deg, north).intersects(reach)
+        for turn_deg in (-360.0, 0.0, 360.0)
+    )
 
 
 def _site_reach_box_lon_lat_deg(frame: LocalFrame) -> shapely.Polygon:

@@ -4,6 +4,7 @@ import csv
 import io
 import math
 
+from companion.core.base.documents import encoding_error_text
 from companion.core.base.errors import LeewayError
 from companion.core.ground.ground_table import MAX_HEIGHTS, GroundTable
 
@@ -19,7 +20,9 @@ def ground_table_from_csv(raw: bytes, document_name: str) -> GroundTable:
     """
     try:
         heights = _parse_height_by_north_east_m(raw.decode("utf-8-sig"), document_name)
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"{document_name}: {encoding_error_text(error)}") from error
+    except csv.Error as error:
         raise LeewayError(f"{document_name}: not a CSV text file ({error})") from error
     norths = sorted({north for north, _ in heights})
     easts = sorted({east for _, east in heights})

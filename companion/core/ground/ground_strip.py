@@ -127,10 +127,9 @@ class GroundStrip:
         up_m = self._up_m[rows, columns]
         return float(np.nanmax(up_m)) if np.isfinite(up_m).any() else -math.inf
 
-    def ground_height_bounds_m(self, ring_ne_m: Floats) -> tuple[float, float] | None:
-        """Return bounds of the lowest and the highest ground in a ring (n, 2), from the whole
-        strip; None if part of it is unknown."""
-        if np.isnan(self._up_m).any() or np.isnan(self.ground_heights_m(ring_ne_m)).any():
+    def ground_height_bounds_m(self) -> tuple[float, float] | None:
+        """Return the lowest and the highest ground of the strip; None if part of it is unknown."""
+        if np.isnan(self._up_m).any():
             return None
         return float(self._up_m.min()), float(self._up_m.max())
 

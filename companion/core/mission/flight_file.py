@@ -4,6 +4,7 @@ The tables `[wind]` and `[faults]` are for the simulator only. A companion reads
 carries them as opaque tables, because a vehicle cannot know its wind from a file.
 """
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import msgspec
@@ -18,11 +19,15 @@ from companion.core.ground.ground_table import GroundTable
 from companion.core.vehicle.air import COLDEST_C, WARMEST_C
 from companion.core.vehicle.speed_to_fly import SpeedRule
 
+PLANE_MARGIN_M = 1000.0
+"""Distance beyond a flight's positions within which its routes and detours stay."""
+
 
 class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Ground height around the depot: a plane given by its slopes, or a grid of heights.
 
-    The plane is for the simulator. Above a grid the companion keeps `mission.clearance_m`.
+    The companion uses a plane only for the limits of geo-zones above ground; `flat` states nothing.
+    Above a grid it keeps `mission.clearance_m`.
     """
 
     kind: Literal["flat", "plane", "grid"] = "flat"
@@ -44,6 +49,20 @@ class Terrain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         if source_count != (self.kind == "grid"):
             expected = 'expected a file name or heights if and only if kind = "grid"'
             raise LeewayError(f"site.terrain.grid: {expected}")
+
+    def plane_bounds_m(self, positions_m: Sequence[Sequence[float]]) -> tuple[float, float] | None:
+        """Return the lowest and highest ground near depot and positions (north, east); None: no
+        plane is stated (`flat` is the default).
+        """
+        if self.kind != "plane":
+            return None
+        low_m = high_m = 0.0
+        for axis, slope in enumerate((self.slope_north_frac, self.slope_east_frac)):
+            values_m = [0.0, *(position[axis] for position in positions_m)]
+            ends_m = (min(values_m) - PLANE_MARGIN_M, max(values_m) + PLANE_MARGIN_M)
+            low_m += min(slope * end_m for end_m in ends_m)
+            high_m += max(slope * end_m for end_m in ends_m)
+        return low_m, high_m
 
 
 def with_terrain_heights(flight: "Flight", heights: GroundTable | None) -> "Flight":

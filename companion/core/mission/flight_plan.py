@@ -16,7 +16,6 @@ from companion.core.base.geo import (
     location_to_ground_ned_m,
     point_above,
 )
-from companion.core.base.geo_zones import GroundSpan
 from companion.core.base.location import Location
 from companion.core.base.obstacle_document import parse_obstacles
 from companion.core.base.site_reach import site_distance_error_text
@@ -265,13 +264,18 @@ def build_site_map(
     depot = flight.site.depot
     site_frame = depot_frame(depot) if centre_on_vehicle and depot is not None else frame
     ground = _ground_clearance(flight)
-    conditions = flight.mission.zone_authorisation
-    spans = None if ground is None else _ground_bounds_function(ground)
+    places = (flight.site.customer, *flight.site.rally, *flight.site.stops)
+    bounds_m = None if ground is None else ground.strip.ground_height_bounds_m()
+    if ground is None:
+        near_m = [location_to_ground_ned_m(site_frame, place) for place in places]
+        bounds_m = flight.site.terrain.plane_bounds_m(near_m)
     _check_positions_within_reach(flight, site_frame)
     found = (
         ()
         if obstacle_document is None
-        else parse_obstacles(site_frame, obstacle_document, conditions, spans)
+        else parse_obstacles(
+            site_frame, obstacle_document, flight.mission.zone_authorisation, bounds_m
+        )
     )
     rally = tuple(
         (location.name or f"rally {number}", location_to_ground_ned_m(site_frame, location))
@@ -297,11 +301,6 @@ def _check_positions_within_reach(flight: Flight, site_frame: LocalFrame) -> Non
             continue
         if error_text := site_distance_error_text(site_frame, location.lat_deg, location.lon_deg):
             raise LeewayError(f"site, {location.name or 'place'}: {error_text}")
-
-
-def _ground_bounds_function(ground: GroundClearance) -> GroundSpan:
-    """Return a function for the lowest and highest ground in a ring, if all of it is known."""
-    return lambda ring: ground.strip.ground_height_bounds_m(np.array(ring))
 
 
 def _max_flight_height_m(flight: Flight, ground: GroundClearance | None) -> float:

@@ -1,15 +1,16 @@
 """Forecast files of a day or a flight: detects the format and selects the time."""
 
-import codecs
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.import_report import ImportReport
 from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.files.forecast_grib import read_grib_forecast
 from ground_station.adapters.files.forecast_open_meteo import read_open_meteo_forecast
+from ground_station.adapters.files.params import is_json_file
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast, day_with_forecast_field
 from ground_station.core.weather.forecast_field import ForecastField
@@ -33,12 +34,7 @@ NO_FORECAST_REQUEST = ForecastRequest()
 
 def read_forecast(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
     """Read the forecast around a position: Open-Meteo JSON or GRIB2. Raises LeewayError."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(64).removeprefix(codecs.BOM_UTF8).lstrip()
-    except OSError as error:
-        raise LeewayError(f"{path}: {error.strerror}") from error
-    if start[:1] in (b"{", b"["):
+    if is_json_file(path):
         return read_open_meteo_forecast(path, lat_deg, lon_deg)
     return read_grib_forecast(path, lat_deg, lon_deg)
 
@@ -54,7 +50,7 @@ def find_forecast_conflict_or_none(table: dict[str, Any]) -> str | None:
 
 
 def day_in_forecast_wind(
-    day: Day, folder: Path, request: ForecastRequest
+    day: Day, folder: Path, request: ForecastRequest, reports: list[ImportReport]
 ) -> tuple[Day, DayForecast | None]:
     """Return the day in the wind of its forecast file, if there is one.
 
@@ -67,6 +63,7 @@ def day_in_forecast_wind(
             raise LeewayError("--at: no forecast file, expected one together with --at")
         return day, None
     field = read_forecast(file, day.depot.lat_deg, day.depot.lon_deg)
+    reports.append(ImportReport(str(file), "times of a forecast", field.t_s.size))
     at_s = request.start_s if request.start_s is not None else epoch_us() / 1e6
     try:
         updated_day, forecast = day_with_forecast_field(day, field, at_s, str(file))

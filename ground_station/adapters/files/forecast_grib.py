@@ -33,6 +33,7 @@ _Key = tuple[tuple[int, int], _Level, float, int]
 """Quantity, level, valid time, member."""
 SURFACE: _Level = ("surface", 0.0)
 LEVELS = {"heightAboveGround": "height", "isobaricInhPa": "pressure", "surface": "surface"}
+MAX_UNUSED_NAMED = 6
 MISSING_VALUE = 9.999e20
 
 
@@ -53,6 +54,8 @@ class _GridContent:
     lon_deg: float
     windows: dict[str, _Window] = field(default_factory=dict)
     values: dict[_Key, Floats] = field(default_factory=dict)
+    unused: dict[str, None] = field(default_factory=dict)
+    """First messages that are not needed: quantity, level and kind of level."""
 
     @property
     def first_window(self) -> _Window:
@@ -99,7 +102,9 @@ def _import_eccodes() -> Any:
 
 
 def _iterate_grib_messages(eccodes: Any, path: Path) -> Iterator[Any]:
+    eccodes.codes_grib_multi_support_on()  # u and v in one message
     with path.open("rb") as file:
+        eccodes.codes_grib_multi_support_reset_file(file)
         while (message := eccodes.codes_grib_new_from_file(file)) is not None:
             try:
                 yield message
@@ -114,6 +119,10 @@ def _store_message_if_needed(eccodes: Any, message: Any, grid_content: _GridCont
         raise LeewayError(f"GRIB edition {version}, expected 2: grib_set -s edition=2 IN OUT")
     found = _message_key_or_none(eccodes, message)
     if found is None:
+        if len(grid_content.unused) < MAX_UNUSED_NAMED:
+            keys = ("shortName", "level", "typeOfLevel")
+            words = " ".join(eccodes.codes_get(message, key, ktype=str) for key in keys)
+            grid_content.unused[words] = None
         return
     if found in grid_content.values:
         raise LeewayError(f"{_describe_key(found)}: duplicate, expected one forecast per file")
@@ -193,7 +202,10 @@ def _axis_slice_around_position(axis_deg: Floats, position_deg: float, axis_name
 def _build_forecast_field(grid_content: _GridContent) -> ForecastField:
     levels = sorted({key[1] for key in grid_content.values if key[0] in (TO_EAST, TO_NORTH)})
     if not levels:
-        raise LeewayError("no wind at any height, expected u and v above ground or by pressure")
+        found = f"; found {', '.join(grid_content.unused)}" if grid_content.unused else ""
+        raise LeewayError(
+            f"no wind at any height, expected u and v above ground or by pressure{found}"
+        )
     times = sorted({key[2] for key in grid_content.values if key[0] in (TO_EAST, TO_NORTH)})
     members = sorted({key[3] for key in grid_content.values if key[0] in (TO_EAST, TO_NORTH)})
     surface_m = _model_surface_height_amsl_m(grid_content)

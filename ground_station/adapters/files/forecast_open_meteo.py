@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from companion.core.base.documents import encoding_error_text, json_error_text
 from companion.core.base.errors import LeewayError
 from ground_station.core.weather.forecast_field import (
     ForecastField,
@@ -26,6 +27,7 @@ from ground_station.core.weather.forecast_field import (
 MPS_OF = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mp/h": 0.44704, "mph": 0.44704, "kn": 1852.0 / 3600.0}
 METRES_OF = {"m": 1.0, "ft": 0.3048}
 SPEED = re.compile(r"wind_speed_(\d+m|\d+hPa)(_member\d+)?\Z")
+FORMER_NAME = re.compile(r"\Awind(speed|direction|gusts)_")
 GUSTS = "wind_gusts_10m"
 
 
@@ -95,10 +97,13 @@ def read_open_meteo_forecast(path: Path, lat_deg: float, lon_deg: float) -> Fore
 def _decode_document(raw: bytes) -> Any:
     try:
         return json.loads(raw)
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LeewayError(
-            f"damaged, or not JSON ({error}), expected Open-Meteo's response"
-        ) from error
+    except json.JSONDecodeError as error:
+        words = json_error_text(error)
+    except UnicodeDecodeError as error:
+        words = encoding_error_text(error)
+    except RecursionError:
+        words = "nested too deeply"
+    raise LeewayError(f"damaged, or not JSON ({words}), expected Open-Meteo's response")
 
 
 def _nearest_location(document: Any, lat_deg: float, lon_deg: float) -> dict[str, Any]:
@@ -125,8 +130,8 @@ def _build_forecast_field(document: dict[str, Any]) -> ForecastField:
         raise LeewayError("hourly_units: missing, expected the unit of each column")
     elevation = document.get("elevation")
     hourly = _Hourly(
-        columns=document["hourly"],
-        units=units,
+        columns=_with_present_names(document["hourly"]),
+        units=_with_present_names(units),
         times=_parse_time_column_unix_s(
             document, document["hourly"].get("time"), units.get("time")
         ),
@@ -156,6 +161,11 @@ def _build_forecast_field(document: dict[str, Any]) -> ForecastField:
         if _gust_minus_mean_wind_mps(hourly) is None
         else "gusts, at least the default",
     )
+
+
+def _with_present_names(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table with the names that Open-Meteo has had since 2023 (`wind_speed_80m`)."""
+    return {FORMER_NAME.sub(r"wind_\1_", name): value for name, value in table.items()}
 
 
 def _parse_time_column_unix_s(document: dict[str, Any], column: Any, unit: Any) -> Floats:

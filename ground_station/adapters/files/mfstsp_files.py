@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.base.documents import encoding_error_text
 from companion.core.base.errors import LeewayError
 from ground_station.core.benchmark.mfstsp import MfstspData, MfstspDrone
 
@@ -102,7 +103,10 @@ def read_reference_results(
                 found = ReferenceResult(float(row["ofv"]), row["isOptimal"].strip() == "True")
                 kind = row["problemTypeString"].strip()
             except (KeyError, TypeError, ValueError) as error:
-                raise LeewayError(f"{path}:{line}: not a row of results: {error}") from error
+                raise LeewayError(
+                    f"{path}:{line}: not a row of results: expected problemName, vehicleFileID,"
+                    " numUAVs, ofv, isOptimal and problemTypeString"
+                ) from error
             (heuristic if kind == "mFSTSP Heuristic" else program)[key] = found
     return heuristic, program
 
@@ -127,8 +131,10 @@ def _read_truck_travel_times_s(path: Path, node_count: int) -> np.ndarray:
 def _iterate_numbered_rows(path: Path, column_count: int) -> Iterator[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{path}: cannot be read: {error}") from error
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"{path}: {encoding_error_text(error)}") from error
     for line, content in enumerate(text.splitlines(), start=1):
         if not content.strip() or content.lstrip().startswith("%"):
             continue

@@ -1,5 +1,6 @@
 """The params folder, and files that dispatchers write (TOML, GeoJSON). Errors state the file."""
 
+import codecs
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,16 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON (GeoJSON) file as an object."""
     return parse_json_object(_read_bytes(path), str(path))
+
+
+def is_json_file(path: Path) -> bool:
+    """Return whether a file's first character is that of JSON."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(64).removeprefix(codecs.BOM_UTF8).lstrip()
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    return start[:1] in (b"{", b"[")
 
 
 def read_flight_with_terrain_heights(path: Path) -> Flight:

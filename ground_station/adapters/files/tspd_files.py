@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.core.base.documents import encoding_error_text
 from companion.core.base.errors import LeewayError
 
 OPTIMUM_SUFFIX = "-DP.txt"
@@ -101,7 +102,9 @@ def read_reference_costs(path: Path) -> dict[ReferenceKey, ReferenceCosts]:
             names = ("dps25_mean", "hga_best", "hga_mean", "icp_mean", "icp_s")
             costs[key] = ReferenceCosts(*(float(row[name]) for name in names))
         except (KeyError, TypeError, ValueError) as error:
-            raise LeewayError(f"{path}:{line}: not a row of means: {error}") from error
+            raise LeewayError(
+                f"{path}:{line}: not a row of means: expected set, alpha, n and five numbers"
+            ) from error
     return costs
 
 
@@ -136,5 +139,7 @@ def _parse_finite_number(path: Path, line: int, text: str) -> float:
 def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LeewayError(f"{path}: cannot be read: {error}") from error
+    except OSError as error:
+        raise LeewayError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"{path}: {encoding_error_text(error)}") from error

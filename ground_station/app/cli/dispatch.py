@@ -20,6 +20,7 @@ from ground_station.app.cli.order import (
 )
 from ground_station.app.options.desk_options import (
     DayArgument,
+    StrictImport,
     desk_options,
     echo_with_time_of_day,
     open_store_when_reachable,
@@ -85,6 +86,7 @@ def dispatch(
             min=1.0, help="With --until-done: also end after this time without change, s."
         ),
     ] = 300.0,
+    strict: StrictImport = False,
 ) -> None:
     """Run a day: monitor the fleet, assign orders, authorise launches.
 
@@ -94,16 +96,19 @@ def dispatch(
     ground-station plan town --out plan.json
     ground-station dispatch town --plan plan.json --store sqlite:///desk.db
     """
+    from msgspec import UNSET
+    from msgspec.structs import replace
+
     from ground_station.adapters.files.day_files import read_day_plan
     from ground_station.app.desk.depot_dispatcher import DepotParams
     from ground_station.app.desk.open_desk import open_depot_desk, open_truck_desk
     from ground_station.app.views.certificate_reminder import CertificateReminder
     from ground_station.core.people.person import desk_signing_name
 
-    data = read_day_and_warn(day, keep_forecast=True)
+    data = read_day_and_warn(day, keep_forecast=True, strict=strict)
     options = desk_options()
     operator = options.current_operator(data.day.fleet)
-    day_plan = None if plan is None else read_day_plan(plan)
+    day_plan = None if plan is None else replace(read_day_plan(plan), imports=UNSET)
     open_desk_store = partial(options.open_store, create=True, tolerate_outage=True)
     with closing(
         open_store_when_reachable(open_desk_store, echo_with_time_of_day, Event().wait)

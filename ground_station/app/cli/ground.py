@@ -23,6 +23,7 @@ def ground(
     ground-station ground my_flight.toml Copernicus_DSM_COG_10_N55_00_E008_00_DEM.tif --out my.csv
     """
     from companion.core.base.errors import LeewayError
+    from companion.core.base.import_report import ImportReport
     from companion.core.ground.ground_csv import ground_table_to_csv
     from ground_station.adapters.files.atomic_file import write_file_atomically
     from ground_station.adapters.files.elevation import read_elevation
@@ -30,14 +31,22 @@ def ground(
         read_flight_with_terrain_heights,
         resolve_flight_file_path,
     )
-    from ground_station.core.schema.elevation import stated_and_known_ground_heights
+    from ground_station.app.options.desk_options import print_import_reports
+    from ground_station.core.schema.elevation import (
+        depot_height_error_text,
+        stated_and_known_ground_heights,
+    )
 
     path = resolve_flight_file_path(flight)
     site = read_flight_with_terrain_heights(path).site
     depot = site.depot
     if depot is None or depot.lat_deg is None or depot.lon_deg is None:
         raise LeewayError(f"{path}: site.depot: expected lat_deg, lon_deg and alt_amsl_m")
-    elevation = read_elevation(tiles, depot.lat_deg, depot.lon_deg)
+    report = ImportReport(str(flight), "elevation tiles")
+    elevation = read_elevation(tiles, depot.lat_deg, depot.lon_deg, report=report)
+    print_import_reports([report], strict=False)
+    if words := depot_height_error_text(elevation, depot):
+        raise LeewayError(f"{path}: site.{words}")
     locations = [site.customer, *site.rally, *site.stops]
     table = elevation.ground_table_around_positions(depot, locations)
     write_file_atomically(out, ground_table_to_csv(table).encode())

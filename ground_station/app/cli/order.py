@@ -9,7 +9,12 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
-from ground_station.app.options.desk_options import desk_options, read_day_and_warn
+from ground_station.app.options.desk_options import (
+    StrictImport,
+    desk_options,
+    print_import_reports,
+    read_day_and_warn,
+)
 from ground_station.app.options.program_options import command_class_with_options
 from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
 
@@ -73,23 +78,38 @@ def import_(
     file: Annotated[
         str,
         typer.Argument(
-            help="Orders (.csv with commas, semicolons or tabs; .geojson), a day (.toml),"
+            help="Orders (.csv with commas, semicolons or tabs; .xlsx; .geojson), a day (.toml),"
             " or the name of a bundled day."
         ),
     ],
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMN=HEADING,...",
+            help="Headings of a table's columns, as `lat_deg=North,mass_g=Parcel`; a day has"
+            " `columns`.",
+        ),
+    ] = None,
+    strict: StrictImport = False,
 ) -> None:
     """Add all orders of a file, or none. All errors are listed.
 
     ground-station order import harbour
     """
-    from ground_station.adapters.files.day_files import read_orders
+    from ground_station.adapters.files.order_files import read_orders
+    from ground_station.core.schema.order_columns import parse_column_headings
 
     path = Path(file)
-    data = None if path.suffix and path.suffix != ".toml" else read_day_and_warn(file)
-    notes: list[str] = []
-    orders = read_orders(path, None, notes) if data is None else data.orders
-    for note in notes:
-        typer.echo(note, err=True)
+    headings = {} if columns is None else parse_column_headings(columns)
+    data = None
+    if path.suffix and path.suffix != ".toml":
+        orders, report = read_orders(path, None, headings)
+        print_import_reports([report], strict=strict)
+    else:
+        if headings:
+            raise LeewayError("--columns: expected with a table of orders; a day states `columns`")
+        data = read_day_and_warn(file, strict=strict)
+        orders = data.orders
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, orders, by)
     if data is not None:

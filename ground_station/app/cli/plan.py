@@ -11,7 +11,8 @@ from companion.core.exports.export_format import ExportFormat
 from ground_station.app.options.desk_options import (
     ForecastFile,
     PolicyName,
-    warn_if_features_out_of_reach,
+    StrictImport,
+    read_day_and_warn,
 )
 from ground_station.app.options.program_options import require_options_not_given
 
@@ -83,6 +84,7 @@ def plan(
     jobs: Annotated[
         int, typer.Option(min=0, help="With --trucks: plans at a time; 0: all cores.")
     ] = 0,
+    strict: StrictImport = False,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -109,7 +111,7 @@ def plan(
     from ground_station.adapters.files.day_files import write_day_plan
     from ground_station.adapters.workers.side_by_side import WorkerOptions
     from ground_station.app.cli.regions import divide_and_plan_days
-    from ground_station.app.views.plan_view import print_plan_tables
+    from ground_station.app.views.plan_view import planned_imports, print_plan_tables
     from ground_station.app.views.windows_view import print_wind_and_launch_closings
 
     console = Console()
@@ -119,21 +121,30 @@ def plan(
             raise LeewayError("--trucks: expected --out FOLDER")
         workers = WorkerOptions(jobs or len(os.sched_getaffinity(0)), cluster)
         divide_and_plan_days(
-            console, days, trucks, out, workers, policy=policy, trials=trials, seed=seed
+            console,
+            days,
+            trucks,
+            out,
+            workers,
+            policy=policy,
+            trials=trials,
+            seed=seed,
+            strict=strict,
         )
         return
     require_options_not_given(context, ("jobs", "cluster"), "expected with --trucks")
     if len(days) > 1:
         raise LeewayError("plan: expected one DAY, or --trucks for each")
-    data = _read_day_with_forecast(days[0], forecast, at)
-    warn_if_features_out_of_reach(data)
+    data = _read_day_with_forecast(days[0], forecast, at, strict=strict)
     enable_compile_cache_and_print_notice(console)
     day_plan = _run_planner(console, data, policy, trials, seed)
     print_plan_tables(console, data, day_plan)
     if data.forecast is not None:
         print_wind_and_launch_closings(console, data, day_plan, data.forecast)
     if out is not None:
-        write_day_plan(out, day_plan)
+        from msgspec.structs import replace
+
+        write_day_plan(out, replace(day_plan, imports=planned_imports(data.imports)))
         console.print(f"{out}: day-plan/1", highlight=False)
     if picture is not None:
         from ground_station.app.pictures.day_picture import draw_day_plan
@@ -148,18 +159,16 @@ def plan(
         console.print(f"{missions}: {count} missions ({export.suffix})", highlight=False)
 
 
-def _read_day_with_forecast(day: str, forecast: Path | None, at: str | None) -> "DayData":
+def _read_day_with_forecast(
+    day: str, forecast: Path | None, at: str | None, *, strict: bool
+) -> "DayData":
     """Read the day. A forecast needs the start time, so that the plan is reproducible."""
-    from ground_station.adapters.files.day_files import read_day
-    from ground_station.adapters.files.forecast_files import ForecastRequest, parse_utc_time_s
-    from ground_station.adapters.files.params import resolve_day_file_path
+    from ground_station.adapters.files.forecast_files import parse_utc_time_s
 
     if forecast is not None and at is None:
         raise LeewayError("--forecast: expected --at TIME, the departure of the truck")
-    return read_day(
-        resolve_day_file_path(day),
-        ForecastRequest(forecast, None if at is None else parse_utc_time_s(at)),
-    )
+    start_s = None if at is None else parse_utc_time_s(at)
+    return read_day_and_warn(day, forecast=forecast, start_s=start_s, strict=strict)
 
 
 def _run_planner(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from companion.core.base.errors import LeewayError
+from ground_station.app.options.desk_options import read_day_and_warn
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,12 +35,12 @@ def divide_and_plan_days(
     policy: "PolicyName",
     trials: int | None,
     seed: int,
+    strict: bool,
 ) -> None:
     """Divide `days` among `trucks` of each, write the regions into `out` and plan each one.
 
     Exits with LOST if a region could not be planned.
     """
-    from ground_station.adapters.files.day_files import read_day
     from ground_station.adapters.files.params import resolve_day_file_path
     from ground_station.app.planning.region_days import (
         PlanTask,
@@ -50,7 +51,8 @@ def divide_and_plan_days(
     if len(trucks) != len(days):
         raise LeewayError(f"--trucks: {len(trucks)} for {len(days)} days: expected one for each")
     paths = [resolve_day_file_path(day) for day in days]
-    regions = divide_days_among_trucks([read_day(path) for path in paths], trucks)
+    data = [read_day_and_warn(str(path), strict=strict) for path in paths]
+    regions = divide_days_among_trucks(data, trucks)
     out.mkdir(parents=True, exist_ok=True)
     source = [path for path, count in zip(paths, trucks, strict=True) for _ in range(count)]
     files = [

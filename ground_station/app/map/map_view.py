@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from companion.core.base.import_report import report_lines
 from companion.fleet.messages import State
 from ground_station.app.map.day_pictured import orders_shown, plan_shown, truck_shown
 from ground_station.app.map.drone_view import DroneSnapshot, drone_shown
@@ -90,7 +91,8 @@ class MapView:
         outline: bool = False,
     ) -> None:
         """`notes`: shown in every picture. Without `data` the site is unknown."""
-        self._fleet, self._data, self._notes = fleet, data, notes
+        reports = () if data is None else data.imports
+        self._fleet, self._data, self._notes = fleet, data, (*notes, *report_lines(reports))
         self._basemap, self._outline = basemap, outline and not basemap
         self._site = SiteShown() if data is None else site_shown(data)
         self._site_table = to_json_types(self._site)

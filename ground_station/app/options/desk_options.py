@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.import_report import ImportReport, report_lines
 from ground_station.adapters.clock import WallClock, epoch_us, monotonic_s
 from ground_station.app.options.program_options import (
     SHARED_PANEL,
@@ -194,28 +195,43 @@ def desk_options() -> DeskOptions:
     return DeskOptions(**values)
 
 
-def read_day_and_warn(day_name_or_file: str, *, keep_forecast: bool = False) -> "DayData":
-    """Read a day and all its files. Raises DayFilesError with all errors.
+StrictImport = Annotated[
+    bool,
+    typer.Option("--strict", help="Refuse files of which a part is skipped or suspicious."),
+]
 
-    With `keep_forecast` the whole forecast is kept, not only the current wind.
+
+def read_day_and_warn(
+    day_name_or_file: str,
+    *,
+    keep_forecast: bool = False,
+    forecast: Path | None = None,
+    start_s: float | None = None,
+    strict: bool = False,
+) -> "DayData":
+    """Read a day and all its files; print what was skipped. Raises DayFilesError with all errors.
+
+    With `keep_forecast` the whole forecast is kept, not only the current wind. `forecast` replaces
+    the day's file, `start_s` is the start of the day.
     """
     from ground_station.adapters.files.day_files import read_day
     from ground_station.adapters.files.forecast_files import ForecastRequest
     from ground_station.adapters.files.params import resolve_day_file_path
 
     data = read_day(
-        resolve_day_file_path(day_name_or_file), ForecastRequest(keep_forecast=keep_forecast)
+        resolve_day_file_path(day_name_or_file), ForecastRequest(forecast, start_s, keep_forecast)
     )
-    for note in data.import_notes:
-        typer.echo(note, err=True)
-    warn_if_features_out_of_reach(data)
+    print_import_reports(data.imports, strict=strict)
     return data
 
 
-def warn_if_features_out_of_reach(data: "DayData") -> None:
-    """Warn on stderr where zones or obstacles of the day lie beyond the depot's reach."""
-    if note := data.nearby_feature_note():
-        typer.echo(note, err=True)
+def print_import_reports(reports: "Sequence[ImportReport]", *, strict: bool) -> None:
+    """Print import reports on stderr. With `strict` raises LeewayError for a skipped part."""
+    for line in report_lines(reports):
+        typer.echo(line, err=True)
+    refused = [text for report in reports for text in report.strict_refusals()] if strict else []
+    if refused:
+        raise LeewayError("\n".join(f"--strict: {text}" for text in refused))
 
 
 def echo_with_time_of_day(message: str) -> None:

@@ -208,7 +208,7 @@ def write_region_day_and_orders(folder: Path, region: RegionDay, source_path: Pa
     """
     orders = f"{region.name}_orders.csv"
     write_file_atomically(folder / orders, _orders_csv(region.data.orders).encode())
-    changed: dict[str, Any] = {"orders": [orders]}
+    changed: dict[str, Any] = {"orders": [orders], "columns": {}}
     day = region.data.day
     if day.no_fly is not None:
         changed["no_fly"] = _relative_path(folder, source_path.parent / day.no_fly)

@@ -3,12 +3,21 @@
 The layout fits 80 columns: names are never truncated, since `depot` and `depot-end` would be equal.
 """
 
+from collections.abc import Iterable
+from pathlib import PurePath
+
 from rich.console import Console
 from rich.table import Table
 
+from companion.core.base.import_report import ImportReport
 from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.day_plan import DayPlan, format_minutes_and_seconds
+from ground_station.core.schema.day_plan import (
+    DayPlan,
+    ImportedFile,
+    SkippedPart,
+    format_minutes_and_seconds,
+)
 
 
 def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
@@ -57,6 +66,21 @@ def print_plan_tables(console: Console, data: DayData, plan: DayPlan) -> None:
         for line in plan.unplanned:
             unplanned_table.add_row(line.order, line.reason, line.remedy)
         console.print(unplanned_table)
+
+
+def planned_imports(reports: Iterable[ImportReport]) -> list[ImportedFile]:
+    """Return the import reports for a plan's file, with names in place of paths."""
+    return [
+        ImportedFile(
+            file=PurePath(report.file).name,
+            content=report.content,
+            used=report.used,
+            skipped=[SkippedPart(place=x.place, reason=x.reason) for x in report.skipped],
+            suspicious=report.suspicious,
+            notes=report.notes,
+        )
+        for report in reports
+    ]
 
 
 def _compact_table(title: str | None) -> Table:

@@ -41,7 +41,7 @@ def depot_delivery_flight_table(
         "name": order.id,
         "site": {key: _to_builtins_without_unset_fields(value) for key, value in site.items()}
         | air
-        | _terrain_table(elevation, day.depot.location, [order_location(order), *day.rally]),
+        | _terrain_table(day, elevation, day.depot.location, [order_location(order), *day.rally]),
         "vehicle": {
             "airframe": drone.airframe,
             "payload_kg": order.mass_kg,
@@ -93,7 +93,7 @@ def sortie_flight_table(
         "stops": _to_builtins_without_unset_fields(stops),
         "home": sortie.home,
     }
-    site |= _terrain_table(elevation, pad_by_stop[sortie.launch], locations)
+    site |= _terrain_table(day, elevation, pad_by_stop[sortie.launch], locations)
     return table | {"site": site, "mission": _mission_table(mission, elevation)}
 
 
@@ -121,10 +121,12 @@ def flight_from_planned_sortie(data: DayData, plan: DayPlan, sortie: PlannedSort
 
 
 def _terrain_table(
-    elevation: SiteElevation | None, depot: Location, locations: Sequence[Location]
+    day: Day, elevation: SiteElevation | None, depot: Location, locations: Sequence[Location]
 ) -> dict[str, Any]:
+    """Return the ground of the tiles, else the plane that the day states (flat: without slope)."""
     if elevation is None:
-        return {}
+        ground = day.depot.stated_plane
+        return {} if ground is None else {"terrain": _to_builtins_without_unset_fields(ground)}
     heights = elevation.ground_table_along_route(depot, locations)
     return {"terrain": {"kind": "grid", "heights": msgspec.to_builtins(heights)}}
 

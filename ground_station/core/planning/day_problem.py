@@ -4,6 +4,7 @@ Node 0 is the truck's position (the depot, or its last promised stop), followed 
 the depot at the end of the day.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -12,7 +13,13 @@ from numpy.typing import NDArray
 
 from companion.core.base.arrays import Floats, Ints
 from companion.core.base.geo import LocalFrame, Ned, ObstacleMap, location_to_ground_ned_m
-from companion.core.mission.flight_plan import CLEARANCE_M, VERTICAL_CLEARANCE_M, depot_frame
+from companion.core.mission.flight_plan import (
+    AVOIDANCE_LEVELS,
+    AVOIDANCE_STEP_M,
+    CLEARANCE_M,
+    VERTICAL_CLEARANCE_M,
+    depot_frame,
+)
 from ground_station.core.deconfliction.pads import FIRST_RING_PADS, PAD_SPACING_M
 from ground_station.core.deconfliction.separation import (
     HORIZONTAL_SEPARATION_M,
@@ -42,6 +49,8 @@ MAX_HEIGHT_AGL_M = 120.0
 """Greatest height above ground: EU 2019/947, UAS.OPEN.010; 14 CFR 107.51 (400 ft)."""
 MIN_LAYER_CLEARANCE_M = 10.0
 """Least height of a layer above pads and customers."""
+AVOIDANCE_M = max(AVOIDANCE_LEVELS) * AVOIDANCE_STEP_M
+"""Most that a companion climbs to avoid a neighbour."""
 PRICED_LAYER = 2
 """Sorties are priced in the third layer until a layer is assigned."""
 
@@ -94,14 +103,27 @@ class DayProblem:
 
 
 def obstacle_map(data: DayData) -> ObstacleMap:
-    """Return the day's obstacles with the companion's clearances. Geo-zones extend from the ground:
-    a sortie is planned before its layer is known.
+    """Return the day's obstacles with the companion's clearances.
+
+    A geo-zone extends from the ground, unless the priced layer and the companion's avoidance stay
+    below its floor: a sortie is planned before its layer is known.
     """
+    mission, frame = data.day.mission, depot_frame(data.day.depot.location)
+    level_m = max(mission.cruise_height_m, mission.return_height_m or 0.0)
+    if data.elevation is not None:  # flights climb over hills
+        _, hill_m = data.ground_bounds_m(frame) or (0.0, math.inf)
+        level_m = max(level_m, hill_m + mission.clearance_m + VERTICAL_CLEARANCE_M)
     return ObstacleMap(
-        data.obstacles_to_avoid(depot_frame(data.day.depot.location)),
+        data.obstacles_to_avoid(frame),
         CLEARANCE_M,
         VERTICAL_CLEARANCE_M,
+        layer_height_m(level_m, PRICED_LAYER) + AVOIDANCE_M,
     )
+
+
+def max_layer_height_m(obstacles: ObstacleMap) -> float:
+    """Return the greatest height of a layer below all zones that the day's flights stay under."""
+    return obstacles.lowest_floor_flown_under_m - VERTICAL_CLEARANCE_M - AVOIDANCE_M
 
 
 def group_identical_drones(
@@ -184,7 +206,9 @@ def build_day_problem(
         hold_s=first_stop_hold_s,
         air=LayeredAirspace(
             ned_m[:, :2],
-            *layer_range_by_position(-ned_m[:, 2], mission.cruise_height_m),
+            *layer_range_by_position(
+                -ned_m[:, 2], mission.cruise_height_m, max_layer_height_m(obstacles)
+            ),
             FIRST_RING_PADS,
             pad_offset_m,
             PAD_SPACING_M,
@@ -256,10 +280,13 @@ def layer_height_m(cruise_height_m: float, layer: int) -> float:
     return cruise_height_m + LAYER_GAP_M * layer
 
 
-def layer_range_by_position(ground_up_m: Floats, cruise_height_m: float) -> tuple[Ints, Ints]:
+def layer_range_by_position(
+    ground_up_m: Floats, cruise_height_m: float, max_height_m: float
+) -> tuple[Ints, Ints]:
     """Return by position: the lowest layer with ground clearance, and the first too high."""
     lowest = np.ceil((ground_up_m + MIN_LAYER_CLEARANCE_M - cruise_height_m) / LAYER_GAP_M - 1e-9)
-    layers = np.floor((MAX_HEIGHT_AGL_M + ground_up_m - cruise_height_m) / LAYER_GAP_M) + 1
+    most_m = np.minimum(MAX_HEIGHT_AGL_M + ground_up_m, max_height_m)
+    layers = np.floor((most_m - cruise_height_m) / LAYER_GAP_M) + 1
     return np.maximum(lowest, 0).astype(np.int64), np.maximum(layers, 0).astype(np.int64)
 
 

@@ -17,6 +17,7 @@ from ground_station.core.planning.day_problem import (
     DayProblem,
     layer_height_m,
     layer_range_by_position,
+    max_layer_height_m,
 )
 
 MAX_PAD_CANDIDATES = 24
@@ -67,6 +68,7 @@ class SlotFinder:
         """`t0_s`: day time at which the truck is at the start."""
         self._nodes, self._t0_s, self._start_pads = nodes, t0_s, start_pads
         self._cruise_m = nodes.cruise_height_m
+        self._max_layer_m = max_layer_height_m(nodes.obstacles)
         self._proximities: dict[tuple[Points, Points, Points, Points], Proximity] = {}
         self._needs: dict[tuple[int, SortieGeometry], SortieNeed | None] = {}
         self._pad_positions: dict[int, list[Ned]] = {}
@@ -185,7 +187,7 @@ class SlotFinder:
         grounds_m = np.array(
             [-p[2] for p in (start_pad, self._nodes.ground_ned_m(request.customer), end_pad)]
         )
-        lowest, layers = layer_range_by_position(grounds_m, self._cruise_m)
+        lowest, layers = layer_range_by_position(grounds_m, self._cruise_m, self._max_layer_m)
         fit = range(int(lowest.max()), int(layers.min()))
         if preferred_layer is not None and preferred_layer in fit:
             yield preferred_layer

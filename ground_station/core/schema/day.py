@@ -165,6 +165,12 @@ class Depot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             raise LeewayError('depot.terrain.kind: expected "flat" or "plane"')
 
     @property
+    def stated_plane(self) -> Terrain | None:
+        """The ground that the day states, as a plane; None: it states none."""
+        is_flat = self.terrain is not None and self.terrain.kind == "flat"
+        return Terrain(kind="plane") if is_flat else self.terrain
+
+    @property
     def location(self) -> Location:
         """The depot as a position of a flight file."""
         return Location(
@@ -191,6 +197,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """
     orders: list[str] = []
     """Files of orders, CSV or GeoJSON."""
+    columns: dict[str, str] = {}
+    """Headings of columns of the orders that have another name than documented, as
+    `{ lat_deg = "North", mass_g = "Parcel" }`.
+    """
     no_fly: str | None = None
     """GeoJSON file of polygons with `height_m`; or geo-zones as ED-269 or ED-318
     (`docs/how-to/geo-zones.md`).

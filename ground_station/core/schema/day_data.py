@@ -4,14 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.core.base.geo import LocalFrame, Obstacle
-from companion.core.base.obstacle_document import features_within_reach_note, parse_obstacles
-from companion.core.mission.flight_plan import depot_frame
+from companion.core.base.geo import LocalFrame, Obstacle, location_to_ground_ned_m
+from companion.core.base.geo_zones import GroundBounds
+from companion.core.base.import_report import ImportReport
+from companion.core.base.obstacle_document import parse_obstacles
 from companion.core.vehicle.airframe import Airframe
 from ground_station.core.schema.day import Day
 from ground_station.core.schema.day_forecast import DayForecast
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.orders import Order
+from ground_station.core.schema.orders import Order, order_location
 
 DEPOT = "depot"
 """Name of the depot in a matrix of road times."""
@@ -24,7 +25,7 @@ class DayData:
     `road_times_s`: seconds between sites (`depot`, or an order's id); None: computed from the
     truck's speed. `elevation`: the ground about the depot, where the day names tiles. `forecast`:
     of a file; `day.forecast` is its wind at the start of the day. `folder`: folder of the files.
-    `import_notes`: how files were read that differ from the documented format.
+    `imports`: what was used of each file, and how it was read.
     """
 
     day: Day
@@ -35,17 +36,19 @@ class DayData:
     elevation: SiteElevation | None = None
     forecast: DayForecast | None = None
     folder: Path = Path()
-    import_notes: tuple[str, ...] = ()
+    imports: tuple[ImportReport, ...] = ()
 
     def obstacles_to_avoid(self, frame: LocalFrame) -> tuple[Obstacle, ...]:
         """Return the obstacles that the day's flights must avoid under the day's zone terms."""
         if self.no_fly is None:
             return ()
-        return parse_obstacles(frame, self.no_fly, self.day.mission.zone_authorisation)
+        conditions = self.day.mission.zone_authorisation
+        return parse_obstacles(frame, self.no_fly, conditions, self.ground_bounds_m(frame))
 
-    def nearby_feature_note(self) -> str:
-        """State how many of the day's zones and obstacles are within reach; `""`: all."""
-        if self.no_fly is None:
-            return ""
-        note = features_within_reach_note(depot_frame(self.day.depot.location), self.no_fly)
-        return note and f"{self.day.no_fly}: {note}"
+    def ground_bounds_m(self, frame: LocalFrame) -> GroundBounds | None:
+        """Return the lowest and highest ground about depot and orders; None: not stated."""
+        positions = [location_to_ground_ned_m(frame, order_location(one)) for one in self.orders]
+        if self.elevation is not None:
+            return self.elevation.bounds_around_m(frame, positions)
+        ground = self.day.depot.stated_plane
+        return None if ground is None else ground.plane_bounds_m(positions)

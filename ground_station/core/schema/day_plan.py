@@ -9,7 +9,7 @@ has confirmed another home.
 from typing import Annotated, Literal
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from companion.core.base.location import Location
 from companion.core.base.wire_message import Name
@@ -82,6 +82,32 @@ class UnplannedOrder(_StrictStruct, frozen=True, kw_only=True):
     """Change that would make the delivery possible."""
 
 
+class SkippedPart(_StrictStruct, frozen=True, kw_only=True):
+    """A part of a file that is not used."""
+
+    place: str
+    """The row or feature."""
+    reason: str
+    """Cause that prevents its use."""
+
+
+class ImportedFile(_StrictStruct, frozen=True, kw_only=True):
+    """The import of one file."""
+
+    file: str
+    """Name of the file."""
+    content: str
+    """Kind of its parts."""
+    used: int
+    """Number of parts in use."""
+    skipped: list[SkippedPart] = []
+    """Parts that are not used."""
+    suspicious: list[str] = []
+    """What an operator should check."""
+    notes: list[str] = []
+    """How it was read, where that differs from the documented format."""
+
+
 class DayPlan(_StrictStruct, frozen=True, kw_only=True):
     """A `day-plan/1` file: the truck's stops and the drones' flights of a day.
 
@@ -109,6 +135,8 @@ class DayPlan(_StrictStruct, frozen=True, kw_only=True):
     """Orders that cannot be delivered."""
     revision: Annotated[int, Meta(ge=0)] = 0
     """Number of re-plans of this day."""
+    imports: list[ImportedFile] | UnsetType = UNSET
+    """What `ground-station plan` used of each file of the day, and skipped. A desk drops it."""
 
     def get_stop(self, id_: str) -> PlannedStop:
         """Return the stop with this id. Raises KeyError if there is none."""

@@ -9,10 +9,15 @@ from scipy.interpolate import RegularGridInterpolator
 
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import location_to_ground_ned_m, offset_position_deg
+from companion.core.base.geo import (
+    LocalFrame,
+    location_to_ground_ned_m,
+    offset_position_deg,
+)
 from companion.core.base.location import Location
 from companion.core.ground.ground_table import MAX_HEIGHTS, GroundTable
-from companion.core.mission.flight_plan import depot_frame
+from companion.core.mission.flight_file import PLANE_MARGIN_M
+from companion.core.mission.flight_plan import GROUND_TOLERANCE_M, depot_frame
 
 GRID_SPACING_M = 30.0
 """Grid spacing of a strip: one second of arc, as in the public elevation models."""
@@ -43,6 +48,23 @@ class SiteElevation:
         """Return the height at one position; None where unknown."""
         height_m = float(self.heights_amsl_at(np.array([lat_deg]), np.array([lon_deg]))[0])
         return None if math.isnan(height_m) else height_m
+
+    def bounds_around_m(
+        self, frame: LocalFrame, positions_m: Sequence[Sequence[float]]
+    ) -> tuple[float, float] | None:
+        """Return the lowest and highest known ground about depot and positions, above the depot;
+        None: unknown.
+        """
+        points = np.array([(0.0, 0.0), *(position[:2] for position in positions_m)])
+        corners = np.stack([points.min(axis=0), points.max(axis=0)])
+        corners += [[-PLANE_MARGIN_M], [PLANE_MARGIN_M]]
+        home_deg = math.degrees(frame.lat_rad), math.degrees(frame.lon_rad)
+        lat_deg, lon_deg = offset_position_deg(*home_deg, corners[:, 0], corners[:, 1])
+        rows = slice(*np.searchsorted(self.lat_deg, lat_deg))
+        columns = slice(*np.searchsorted(self.lon_deg, lon_deg))
+        up_m = self.amsl_m[rows, columns] - frame.alt_amsl_m
+        known = np.isfinite(up_m)
+        return (float(up_m[known].min()), float(up_m[known].max())) if known.any() else None
 
     def ground_table_along_route(
         self, depot: Location, locations: Sequence[Location]
@@ -100,6 +122,27 @@ def _grid_axis_with_margin_m(values_m: Floats) -> Floats:
     low, high = float(values_m.min()) - STRIP_MARGIN_M, float(values_m.max()) + STRIP_MARGIN_M
     first = math.floor(low / GRID_SPACING_M)
     return GRID_SPACING_M * np.arange(first, math.ceil(high / GRID_SPACING_M) + 1.0)
+
+
+def depot_height_error_text(elevation: SiteElevation, depot: Location) -> str:
+    """Return the difference between a depot's stated height and the tiles; `""`: it is small."""
+    stated_m = depot.alt_amsl_m
+    known_m = elevation.height_amsl_at(depot.lat_deg or 0.0, depot.lon_deg or 0.0)
+    if stated_m is None or known_m is None or abs(known_m - stated_m) <= GROUND_TOLERANCE_M:
+        return ""
+    causes = {"feet?": 0.3048, "decimetres?": 0.1, "centimetres?": 0.01}
+    cause = next(
+        (
+            f"tiles in {word}"
+            for word, unit in causes.items()
+            if abs(known_m * unit - stated_m) < 3.0
+        ),
+        "heights above the ellipsoid, or another height of the depot?",
+    )
+    return (
+        f"depot.alt_amsl_m = {stated_m:g}: the tiles have {known_m:.1f} m there"
+        f" ({elevation.datum}), expected a difference of at most {GROUND_TOLERANCE_M:g} m: {cause}"
+    )
 
 
 def stated_and_known_ground_heights(

@@ -12,47 +12,10 @@ from ground_station.core.schema.day import Depot, FileProblem
 from ground_station.core.schema.elevation import SiteElevation
 from ground_station.core.schema.orders import ORDER_BOUNDS, Order, Service
 
-REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
-COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
-COLUMN_OF_HEADING = {
-    heading: column
-    for column, headings in {
-        "id": "order order_id order_no order_number auftrag bestellung commande pedido",
-        "lat_deg": "lat latitude breite breitengrad latitud bredde breddegrad",
-        "lon_deg": "lon lng long longitude länge längengrad longitud længde længdegrad",
-        "mass_kg": "kg weight_kg weight_(kg) weight_[kg] mass_(kg) mass_[kg] gewicht_kg"
-        " gewicht_(kg) poids_kg peso_kg vægt_kg",
-        "note": "notes comment comments remark remarks bemerkung notiz hinweis",
-    }.items()
-    for heading in headings.split()
-}
-"""Common headings of the columns, for mass only those with its unit; none for the height, whose
-datum they do not state."""
 HEAVIEST_PARCEL_KG = 70.0
 """Limit of parcel services (UPS: 70 kg); a higher value is freight, or a mass in grams."""
 SAME_SITE_M = 2.0
 SAME_SITE_DEG = math.degrees(SAME_SITE_M / EARTH_RADIUS_M)  # of latitude
-
-
-def canonical_column(heading: str) -> str:
-    """Return the column of a common heading, otherwise the heading itself."""
-    name = heading.strip()
-    key = "_".join(name.lower().replace("-", " ").split())
-    return key if key in COLUMNS else COLUMN_OF_HEADING.get(key, name)
-
-
-def find_header_errors(file: str, columns: list[str]) -> list[FileProblem]:
-    """Return the errors in a table's header."""
-    found = [
-        FileProblem(file, 1, name, f"unknown column, expected {', '.join(COLUMNS)}")
-        for name in columns
-        if name not in COLUMNS
-    ]
-    found += [
-        FileProblem(file, 1, name, "column missing") for name in REQUIRED if name not in columns
-    ]
-    twice = sorted({name for name in columns if columns.count(name) > 1})
-    return found + [FileProblem(file, 1, name, "column more than once") for name in twice]
 
 
 def parse_order_or_problems(

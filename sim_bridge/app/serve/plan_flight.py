@@ -22,7 +22,7 @@ from sim_bridge.app.world.companion_link import CompanionLink
 from sim_bridge.app.world.station import Station
 from sim_bridge.app.world.vehicle_host import EXCHANGE_S, STEPS_PER_EXCHANGE, VehicleHost
 from sim_bridge.autopilot.kinds import AutopilotKind
-from sim_bridge.autopilot.mavlink.enums import Cmd
+from sim_bridge.autopilot.mavlink.enums import Cmd, MissionResult
 from sim_bridge.autopilot.mission.items import MissionItem
 
 STATIONARY_S = 20.0  # stationary before arming: the log then holds the avionics' power
@@ -77,7 +77,12 @@ class GroundStation:
         while (ack := (yield from self._station.upload_mission(items))) is None:
             pass
         if ack.type != 0:
-            raise LeewayError(f"mission upload: MISSION_ACK {ack.type}, expected 0 (accepted)")
+            sequence = self._station.last_sent_sequence
+            number = sequence + (self._kind is not AutopilotKind.ARDUPILOT)  # its item 0 is home
+            raise LeewayError(
+                f"mission upload: item {number}, command {items[sequence].command}: refused:"
+                f" {MissionResult(ack.type).name} (MISSION_ACK {ack.type})"
+            )
         yield from self._wait(REQUEST_INTERVAL_S)
         while not self.armed:
             mode = MODE_PARAMS[self._kind.value]["mission"]

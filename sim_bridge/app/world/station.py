@@ -38,6 +38,8 @@ class Station:
     reply_counts: Counter[tuple[int, int | None, int]] = field(default_factory=Counter)
     """Acknowledgements by component, command (None: of a mission transfer) and result."""
     uploaded_item_count: int = 0
+    last_sent_sequence: int = 0
+    """Number of the mission item that was sent last."""
     link_number: int = field(init=False)
     _encoder: Encoder = field(init=False)
     _decoder: Decoder = field(default_factory=Decoder)
@@ -121,6 +123,7 @@ class Station:
                     if stop_after_items is not None and sent_count >= stop_after_items:
                         return None
                     sent_count += 1
+                    self.last_sent_sequence = message.seq
                     self.uploaded_item_count += 1
                     item = mission_item_int(
                         self._vehicle_system_id, message.seq, items[message.seq]

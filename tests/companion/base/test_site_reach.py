@@ -11,7 +11,7 @@ from pymap3d.vincenty import vdist
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame, distance_from_depot_m, location_to_ground_ned_m
 from companion.core.base.location import Location
-from companion.core.base.obstacle_document import features_within_reach_note, parse_obstacles
+from companion.core.base.obstacle_document import parse_obstacles, review_obstacles
 from companion.core.base.site_reach import (
     MAX_SITE_DISTANCE_M,
     clip_ring_to_site_and_project,
@@ -126,11 +126,16 @@ def test_an_obstacle_with_latitude_first_is_refused_as_swapped() -> None:
 def test_zones_of_another_country_are_counted() -> None:
     far = zone(box(20.0, 48.0, 20.1, 48.1))
     assert parse_obstacles(HARBOUR, far) == ()
-    assert (
-        features_within_reach_note(HARBOUR, far)
-        == "0 of 1 zones and obstacles lie within 100 km of the depot"
-    )
-    assert features_within_reach_note(HARBOUR, zone(box(8.448, 55.4705, 8.452, 55.4725))) == ""
+    report, defects = review_obstacles("f.json", HARBOUR, far)
+    assert report.lines() == [
+        "f.json: 0 of 1 zones and obstacles used",
+        "f.json: skipped: beyond 100 km of the depot: feature 1 silo",
+        "f.json: suspicious: 0 of 1 zones and obstacles lie within 100 km of the depot: is it the"
+        " file of another area?",
+    ]
+    assert not defects
+    report, defects = review_obstacles("", HARBOUR, zone(box(8.448, 55.4705, 8.452, 55.4725)))
+    assert (report.used, report.lines(), defects) == (1, [], [])
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def test_a_csv_file_is_read_with_its_unknown_heights():
         (CSV + b"x,0,5\n", "g.csv: line 6: east_m = 'x': expected a finite number"),
         (CSV + b"1,2\n", "g.csv: line 6: 2 cells, expected 3"),
         (CSV.replace(b",1\n", b",1e5\n"), "g.csv: up_m = 100000.0: expected a number from"),
-        (b"\xff\xfe\x00", "g.csv: not a CSV text file"),
+        (b"\xff\xfe\x00", "g.csv: line 1: byte 0xFF is not utf-8"),
         (b"east_m,north_m,up_m\n0,0,0\n", "g.csv: along_m: expected two or more rising values"),
     ],
 )

@@ -102,6 +102,26 @@ def test_a_zone_that_begins_above_the_flight_is_flown_under() -> None:
 
 
 @pytest.mark.parametrize(
+    ("terrain", "is_under"),
+    [
+        ({}, False),  # the default states nothing: the zone counts from the ground
+        ({"kind": "plane"}, True),
+        ({"kind": "plane", "slope_east_frac": -0.02}, False),  # 44 m lower in the east
+    ],
+)
+def test_a_zone_above_ground_is_flown_under_over_a_stated_plane(
+    terrain: dict[str, Any], is_under: bool
+) -> None:
+    document = example("ed269.json")
+    document["features"][0]["geometry"][0] |= {"lowerLimit": 121, "upperLimit": 9999}
+    table = msgspec.to_builtins(flight(cruise_height_m=60.0))
+    table["site"]["terrain"] = terrain
+    asked = msgspec.convert(table, Flight)
+    flown = plan_flight_without_vehicle(asked, RouteEnergy(M100, 1.225), document)
+    assert (aside_m(flown) < 1.0) == is_under
+
+
+@pytest.mark.parametrize(
     ("profile", "name", "per_m"), [(ArduPilot(), "RTL_ALT", 100.0), (Px4(), "RTL_RETURN_ALT", 1.0)]
 )
 def test_the_autopilots_own_return_stays_under_the_zone_too(

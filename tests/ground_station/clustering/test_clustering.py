@@ -160,7 +160,7 @@ GOOD = {
 }
 
 
-def completion(content: str) -> bytes:
+def completion(content: Any) -> bytes:
     return json.dumps(
         {"choices": [{"message": {"role": "assistant", "content": content}}]}
     ).encode()
@@ -265,7 +265,7 @@ def test_a_model_that_errs_is_repaired_and_the_log_says_how(serving, tmp_path):
     "content",
     [
         "Certainly! Here are your clusters: " + json.dumps(GOOD),
-        "```json\n" + json.dumps(GOOD) + "\n```",
+        "```json\n```json\n" + json.dumps(GOOD) + "\n```\n```",
         json.dumps(GOOD | {"command": "launch everything"}),
         json.dumps({"clusters": [{"stop": 1, "customers": ["c1"]}]}),
         json.dumps({"clusters": [{"stop": "c1", "customers": ["c1"] * 5000}]}),
@@ -284,6 +284,8 @@ def test_prose_and_other_shapes_are_not_followed_ours_stands_behind(serving, con
     ("body", "status", "words"),
     [
         (b"overloaded", 503, "HTTP status 503"),
+        (b'{"error": {"message": "no\\nsuch key"}}', 401, "401, expected 200: no such key"),
+        (b'{"error": {"message": "out of budget"}}', 200, "out of budget"),
         (b"<html>login</html>", 200, "not an OpenAI-compatible response"),
         (b'{"choices": []}', 200, "not an OpenAI-compatible response"),
         (b"x" * (3 << 20), 200, "more than"),
@@ -294,6 +296,37 @@ def test_a_server_that_fails_costs_the_llm_not_the_day(serving, body, status, wo
     made = by(serving(body, status))
     assert made.method == "ours"
     assert words in made.notes[-1]
+
+
+THOUGHTS = '<think>\nnot {"clusters": []}\n</think>\n\n'
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "```json\n" + json.dumps(GOOD) + "\n```",
+        THOUGHTS + json.dumps(GOOD),
+        THOUGHTS + "```\n" + json.dumps(GOOD, indent=1) + "\n```\n",
+        [{"type": "text", "text": json.dumps(GOOD)}],
+    ],
+)
+def test_one_fence_one_block_of_thoughts_and_content_parts_are_read(serving, content):
+    assert (made := by(serving(completion(content)))).method == "llm", made.notes
+
+
+def test_a_server_that_refuses_the_schema_is_asked_once_more_without_it(serving):
+    def reply(handler: BaseHTTPRequestHandler) -> None:
+        has_schema = "response_format" in server.asked[-1]
+        handler.send_response(400 if has_schema else 200)
+        handler.end_headers()
+        handler.wfile.write(b"{}" if has_schema else completion(json.dumps(GOOD)))
+
+    server = serving(reply)
+    assert by(server).method == "llm"
+    assert len(server.asked) == 2
+    refusing = serving(b'{"error": "no"}', 400)
+    assert by(refusing).notes[-1].endswith("HTTP status 400, expected 200: no")
+    assert len(refusing.asked) == 2
 
 
 def test_a_server_that_says_nothing_or_drips_is_left_in_time(serving):

@@ -8,7 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from companion.core.vehicle.airframe import Airframe
-from ground_station.adapters.files.day_files import DayData, read_day, read_orders
+from ground_station.adapters.files.day_files import DayData, read_day
+from ground_station.adapters.files.order_files import read_orders
 from ground_station.app.cli.main import app
 from ground_station.core.schema.day import DayFilesError
 from ground_station.core.schema.orders import Service
@@ -67,16 +68,6 @@ def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
     ]
 
 
-def test_a_header_that_is_wrong_is_named_whole(tmp_path):
-    path = tmp_path / "orders.csv"
-    path.write_text("id,lat_deg,lat_deg,weight\na,1,2,3\n")
-    said = problems_of(path)
-    assert any("column weight: unknown column" in line for line in said)
-    assert any("column lon_deg: column missing" in line for line in said)
-    assert any("column mass_kg: column missing" in line for line in said)
-    assert any("column lat_deg: column more than once" in line for line in said)
-
-
 def test_duplicates_are_named_with_the_row_that_they_repeat(tmp_path):
     path = tmp_path / "orders.csv"
     path.write_text(
@@ -107,28 +98,11 @@ def test_the_same_parcel_within_two_metres_is_named_wherever_it_lies(tmp_path, a
     path = tmp_path / "orders.csv"
     path.write_text("\n".join(lines))
     if named == 0:
-        assert len(read_orders(path, None)) == 120
+        assert len(read_orders(path)[0]) == 120
     else:
         said = problems_of(path)
         assert len(said) == named
         assert all("the same parcel to the same place" in words for words in said)
-
-
-def test_geojson_points_are_orders_and_what_is_wrong_names_its_feature(tmp_path):
-    def point(coordinates: list[float], **properties: object) -> dict[str, object]:
-        geometry = {"type": "Point", "coordinates": coordinates}
-        return {"type": "Feature", "geometry": geometry, "properties": properties}
-
-    path = tmp_path / "orders.geojson"
-    good = point([8.0, 55.0, 4.0], id="a", mass_kg=0.5, note="x")
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": [good]}))
-    (order,) = read_orders(path, None)
-    assert (order.lat_deg, order.lon_deg, order.alt_amsl_m) == (55.0, 8.0, 4.0)
-    bad = [good, point([8.0, 55.0], id="b", mass_kg="heavy"), {"geometry": None}]
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": bad}))
-    said = "\n".join(problems_of(path))
-    assert "row 2, column mass_kg: 'heavy'" in said
-    assert "row 3, column geometry: expected a Point" in said
 
 
 def test_orders_that_no_depot_here_would_have_are_refused_with_the_likely_cause(tmp_path):

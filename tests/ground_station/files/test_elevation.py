@@ -144,36 +144,6 @@ def test_nodata_is_unknown_and_a_sea_of_zero_is_ground(tmp_path):
     assert read_elevation([sea], LAT_DEG, LON_DEG, 500.0).height_amsl_at(LAT_DEG, LON_DEG) == 0.0
 
 
-def torn(path: Path) -> Path:
-    whole = write_tile(path, 55.98).read_bytes()
-    path.write_bytes(whole[: len(whole) // 3])
-    return path
-
-
-def no_raster(path: Path) -> Path:
-    path.write_text("no raster")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda p: write_tile(p, 55.98, crs=None), "no CRS, expected EPSG:4326"),
-        (lambda p: write_tile(p, 55.98, crs="EPSG:32632"), "CRS EPSG:32632, expected EPSG:4326"),
-        (lambda p: write_tile(p, 54.0), "55.99900, 8.40000 is outside all tiles (t.tif)"),
-        (torn, "damaged or unreadable"),
-        (no_raster, "not a raster"),
-        (lambda p: p, "no such file"),
-    ],
-)
-def test_what_is_wrong_with_a_tile_is_said_in_one_line(tmp_path, make, words):
-    path = make(tmp_path / "t.tif")
-    with pytest.raises(LeewayError) as told:
-        read_elevation([path], LAT_DEG, LON_DEG, 3000.0)
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
-
-
 DAY = """
 format = "day/1"
 elevation = ["tile.tif"]
@@ -212,6 +182,17 @@ def test_an_order_without_a_height_gets_the_tiles_and_each_flight_its_strip(tmp_
     level = depot_delivery_flight_table(data.day, data.day.drones[0], data.orders[0])
     assert "terrain" not in level["site"]
     assert "clearance_m" not in level["mission"]
+
+
+@pytest.mark.parametrize(
+    ("alt_amsl_m", "words"),
+    [("86.0", "46.0 m there .* above the ellipsoid"), ("14.1", r"tiles in feet\?")],
+)
+def test_tiles_far_from_the_depots_height_are_refused(tmp_path, alt_amsl_m, words):
+    path = write_day(tmp_path, "o1,56.005,8.41,,0.4\n")
+    path.write_text(path.read_text().replace("46.0", alt_amsl_m))
+    with pytest.raises(DayFilesError, match=words):
+        read_day(path)
 
 
 def test_an_order_that_the_tiles_do_not_have_is_named_by_its_row(tmp_path):

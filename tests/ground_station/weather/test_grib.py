@@ -98,6 +98,23 @@ def test_a_grid_over_the_meridian_of_greenwich_is_one_grid(tmp_path):
     assert at(field, 0.0, 40.0, 55.1, 0.1).to_ne_mps[1] == pytest.approx(4.1, abs=1e-4)
 
 
+def test_u_and_v_in_one_message_are_two_fields(tmp_path):
+    path, sections = tmp_path / "w.grib2", [winds()[n : n + 2] for n in range(0, 8, 2)]
+    with path.open("wb") as file:
+        for pair in sections:
+            both = eccodes.codes_grib_multi_new()
+            for raw in pair:  # section 4 (product) begins what differs between the two
+                handle = eccodes.codes_new_from_message(raw)
+                eccodes.codes_grib_multi_append(handle, 4, both)
+                eccodes.codes_release(handle)
+            eccodes.codes_grib_multi_write(both, file)
+            eccodes.codes_grib_multi_release(both)
+    eccodes.codes_grib_multi_support_off()  # writing has switched it on
+    assert path.read_bytes().count(b"7777GRIB") == 3  # four messages
+    wind = at(read_forecast(path, LAT, LON), 1.0, 40.0)
+    assert wind.to_ne_mps == pytest.approx((0.0, plane(LAT, LON, 1.0)), abs=1e-4)
+
+
 def test_members_give_mean_and_spread(tmp_path):
     rng = np.random.default_rng(5)
     speeds = rng.normal(8.0, 2.0, (10, 2))

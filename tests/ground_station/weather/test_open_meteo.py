@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.forecast_files import read_forecast
 from ground_station.core.weather.forecast_field import OutsideForecast, WindAt
 from tests.ground_station.weather.open_meteo import HOURS, START_S, answer, shear, written
@@ -43,15 +42,6 @@ def test_local_times_and_unix_times_are_the_same_moments(tmp_path):
     unix["hourly"]["time"] = [int(START_S) + 3600 * h for h in range(HOURS)]
     for document in (answer(), local, unix):
         assert read(tmp_path, document).t_s.tolist() == [START_S + 3600 * h for h in range(HOURS)]
-
-
-@pytest.mark.parametrize(("unit", "mps"), [("km/h", 0.277778), ("mp/h", 0.44704), ("kn", 0.514444)])
-def test_units_are_those_of_hourly_units(tmp_path, unit, mps):
-    document = answer()
-    document["hourly_units"]["wind_speed_80m"] = unit
-    assert at(read(tmp_path, document), 0.0, 80.0).speed_mps == pytest.approx(
-        mps * shear(0, 80.0)[0], rel=1e-5
-    )
 
 
 def test_members_give_mean_and_spread(tmp_path):
@@ -121,55 +111,3 @@ def test_of_several_places_the_nearest_is_taken(tmp_path):
     far = answer(lambda hour, height_m: (20.0, 0.0)) | {"latitude": 56.5}
     field = read(tmp_path, [far, answer()])
     assert at(field, 0.0, 80.0).speed_mps == pytest.approx(shear(0, 80.0)[0])
-
-
-def broken(change):
-    document = answer()
-    change(document)
-    return document
-
-
-MISTAKES = {
-    "no wind at any height": lambda d: d.update(hourly={"time": d["hourly"]["time"]}),
-    "expected times that ascend": lambda d: d["hourly"]["time"].reverse(),
-    "hourly_units.wind_speed_80m: 'furlongs', expected one of m/s": lambda d: d[
-        "hourly_units"
-    ].update(wind_speed_80m="furlongs"),
-    "hourly.wind_direction_80m: missing": lambda d: d["hourly"].pop("wind_direction_80m"),
-    "expected 6 numbers, one per time": lambda d: d["hourly"]["wind_speed_10m"].pop(),
-    "hourly.wind_speed_10m at 2026-07-01 14:00 UTC: 'calm', expected a number": lambda d: d[
-        "hourly"
-    ]["wind_speed_10m"].__setitem__(2, "calm"),
-    "hourly.time: 'noon', expected as 2026-": lambda d: d["hourly"]["time"].__setitem__(0, "noon"),
-    "1 times, expected 2": lambda d: [
-        column.__delitem__(slice(1, None)) for column in d["hourly"].values()
-    ],
-    "hourly.wind_speed_80m at 2026-07-01 13:00 UTC: -2 m/s, expected 0 or more": lambda d: d[
-        "hourly"
-    ]["wind_speed_80m"].__setitem__(1, -2.0),
-    "no hourly, expected Open-Meteo's response": lambda d: d.pop("hourly"),
-}
-
-
-@pytest.mark.parametrize("words", MISTAKES)
-def test_a_mistake_is_one_line_with_the_file(tmp_path, words):
-    with pytest.raises(LeewayError) as caught:
-        read(tmp_path, broken(MISTAKES[words]))
-    said = str(caught.value)
-    assert said.startswith(str(tmp_path / "wind.json"))
-    assert words in said
-    assert "\n" not in said
-
-
-def test_a_byte_order_mark_changes_nothing(tmp_path):
-    path = written(tmp_path / "wind.json", answer())
-    plain = at(read_forecast(path, LAT, LON), 1.0, 80.0)
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
-    assert at(read_forecast(path, LAT, LON), 1.0, 80.0) == plain
-
-
-def test_a_torn_file_is_one_line(tmp_path):
-    path = written(tmp_path / "wind.json", answer())
-    path.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(LeewayError, match=r"wind\.json: damaged, or not JSON"):
-        read_forecast(path, LAT, LON)

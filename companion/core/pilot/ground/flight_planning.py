@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.core.base.errors import LeewayError
-from companion.core.base.obstacle_document import exempt_zone_lines, features_within_reach_note
+from companion.core.base.obstacle_document import review_obstacles
 from companion.core.mission.actions import LogNote
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import AutopilotKind
@@ -135,14 +135,10 @@ class FlightPlanning:
             f"{len(plan.outbound_ned_m)} waypoints out, {len(plan.return_ned_m)} back,"
             f" {plan.energy_wh:.0f} Wh and {plan.time_s:.0f} s estimated",
         )
-        for note_text in exempt_zone_lines(
-            self._obstacles, context.flight.mission.zone_authorisation
-        ):
-            context.queue_actions(LogNote(note_text))
-        if self._obstacles and (
-            note_text := features_within_reach_note(result.site.frame, self._obstacles)
-        ):
-            context.queue_actions(LogNote(note_text))
+        if self._obstacles:
+            frame, conditions = result.site.frame, context.flight.mission.zone_authorisation
+            report, _ = review_obstacles("obstacles", frame, self._obstacles, conditions)
+            context.queue_actions(*map(LogNote, report.lines()))
         _limit_loss_by_hourly_rate(context, plan.time_s)
         return ""
 
