@@ -6,6 +6,7 @@ drawn with replacement.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from sim_bridge.research.promise.gate_evaluation import (
     fly_missions,
     split_missions_into_work_items,
 )
+from sim_bridge.research.promise.losses import Loss, find_losses
 from sim_bridge.research.promise.planner import MissionDecisions
 from sim_bridge.research.promise.rules import (
     MissionOutcomes,
@@ -72,11 +74,30 @@ class RuleRow(msgspec.Struct, frozen=True):
         return (self.go - self.home) / max(self.go, 1)
 
 
+class LossRate(msgspec.Struct, frozen=True):
+    """Losses of one rule per flight hour, taken as independent, and their 95 % upper bound."""
+
+    lost: int
+    flight_h: float
+    per_flight_h: float
+    upper95_per_flight_h: float
+
+    @classmethod
+    def from_outcomes(cls, outcomes: MissionOutcomes) -> "LossRate":
+        """Count the losses and flight hours of one rule."""
+        lost, hours = outcomes.losses_and_flight_hours
+        divisor = max(hours, 1e-9)
+        return cls(lost, hours, lost / divisor, poisson_mean_upper95(lost) / divisor)
+
+
 class Bin(msgspec.Struct, frozen=True):
-    """Predictions with P(home) from `p_low` to `p_high`, and the count that returned home."""
+    """Predictions with P(home) from `p_low` to `p_high`, their mean, and the count that returned
+    home.
+    """
 
     p_low: float
     p_high: float
+    p_home_mean: float
     count: int
     home: int
     lower95: float
@@ -130,14 +151,9 @@ def reliability_bins(predictions: Predictions, rng: np.random.Generator) -> list
         inside = _is_in_bin(predictions.p_home, low, top)
         home = predictions.home[inside]
         interval95 = bootstrap_share_interval95(home, predictions.unit[inside], rng)
-        bins.append(Bin(low, top, int(inside.sum()), int(home.sum()), *interval95))
+        mean = float(predictions.p_home[inside].mean())
+        bins.append(Bin(low, top, mean, int(inside.sum()), int(home.sum()), *interval95))
     return bins
-
-
-def mean_p_home(predictions: Predictions, reliability_bin: Bin) -> float:
-    """Return the mean predicted P(home) in a bin."""
-    inside = _is_in_bin(predictions.p_home, reliability_bin.p_low, reliability_bin.p_high)
-    return float(predictions.p_home[inside].mean())
 
 
 def _is_in_bin(p: Floats, low: float, high: float) -> Bools:
@@ -147,10 +163,13 @@ def _is_in_bin(p: Floats, low: float, high: float) -> Bools:
 def promise_document(
     ends: dict[str, MissionOutcomes],
     statements: Predictions,
+    losses: list[Loss],
     bootstrap_unit: Ints,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
-    """Return the JSON document (docs/reference/benchmarks.md); `ends`: outcomes by rule."""
+    """Return the JSON document (docs/reference/benchmarks.md); `ends`: outcomes by rule, `losses`
+    those of the gate.
+    """
     gate = ends["gate"]
     bins, home = reliability_bins(statements, rng), gate.returned_home[gate.go]
     lower, _ = bootstrap_share_interval95(home, bootstrap_unit[gate.go], rng)
@@ -158,6 +177,9 @@ def promise_document(
         "rules": {name: RuleRow.from_outcomes(each) for name, each in ends.items()},
         "reliability": bins,
         "go": {"count": int(home.size), "home": int(home.sum()), "lower95": lower},
+        "rates": {name: LossRate.from_outcomes(each) for name, each in ends.items()},
+        "losses": losses,
+        "losses_by_cause": Counter(loss.cause for loss in losses),
     }
 
 
@@ -189,10 +211,12 @@ def _build_report(
     statements = collect_predictions(predicted, gate, unit)
     ends = {"gate": gate, **outcomes_by_rule(world.flown)}
     rng = np.random.default_rng([world.setting.seed, _BOOTSTRAP_SEED])
-    document = promise_document(ends, statements, unit, rng)
+    losses = find_losses(world.flown, gate, turn_s, predicted)
+    document = promise_document(ends, statements, losses, unit, rng)
     sheets = {
         "rules": _rules_sheet(world, fitted, document, ends),
-        "reliability": _reliability_sheet(document["reliability"], statements),
+        "reliability": _reliability_sheet(document["reliability"]),
+        "losses": _losses_sheet(losses),
     }
     return Report(sheets, document)
 
@@ -229,18 +253,15 @@ def _rules_sheet(
     def percent(count: int, name: str) -> float:
         return 100.0 * count / rules[name].missions
 
-    def losses_per_flight_hour(name: str, *, upper95: bool) -> str:
-        lost, hours = ends[name].losses_and_flight_hours
-        return f"{(poisson_mean_upper95(lost) if upper95 else lost) / max(hours, 1e-9):.2g}"
-
+    rates: dict[str, LossRate] = document["rates"]
     best = rules["clairvoyant"].SUC
     columns: dict[str, Column] = {
         "rule": lambda name: name,
         "go %": lambda name: f"{percent(rules[name].go, name):.1f}",
         "home % of go": lambda name: f"{100.0 * (1.0 - rules[name].loss):.2f}",
         "loss %": lambda name: f"{100.0 * rules[name].loss:.2f}",
-        "lost per flight hour": lambda name: losses_per_flight_hour(name, upper95=False),
-        "at most, 95 %": lambda name: losses_per_flight_hour(name, upper95=True),
+        "lost per flight hour": lambda name: f"{rates[name].per_flight_h:.2g}",
+        "at most, 95 %": lambda name: f"{rates[name].upper95_per_flight_h:.2g}",
         "SUC %": lambda name: f"{percent(rules[name].SUC, name):.2f}",
         "below clairvoyant": lambda name: f"{percent(best - rules[name].SUC, name):.2f}",
         "margin Wh": lambda name: format_optional(rules[name].margin_wh_mean, ".1f", "-"),
@@ -248,14 +269,13 @@ def _rules_sheet(
     return Sheet.from_objects(title, rules, columns, note)
 
 
-def _reliability_sheet(bins: list[Bin], statements: Predictions) -> Sheet:
+def _reliability_sheet(bins: list[Bin]) -> Sheet:
     """Return the table of predicted P(home) against the share that returned home."""
 
     def format_interval_agreement(row: Bin) -> str:
-        predicted_mean = mean_p_home(statements, row)
-        if row.lower95 <= predicted_mean <= row.upper95:
+        if row.lower95 <= row.p_home_mean <= row.upper95:
             return "yes"
-        return f"no, {100.0 * abs(predicted_mean - row.home / row.count):.2f} points off"
+        return f"no, {100.0 * abs(row.p_home_mean - row.home / row.count):.2f} points off"
 
     return Sheet.from_objects(
         "Reliability of P(home)",
@@ -263,10 +283,33 @@ def _reliability_sheet(bins: list[Bin], statements: Predictions) -> Sheet:
         {
             "P(home) stated": "{0.p_low:g} to {0.p_high:g}",
             "statements": "{0.count}",
-            "mean stated": lambda row: f"{mean_p_home(statements, row):.2%}",
+            "mean stated": "{0.p_home_mean:.2%}",
             "came home": lambda row: f"{row.home / row.count:.2%}",
             "95 %": "{0.lower95:.2%} to {0.upper95:.2%}",
             "inside": format_interval_agreement,
         },
         "One statement for each mission and phase: departure, half way out, over the customer.",
+    )
+
+
+def _losses_sheet(losses: list[Loss]) -> Sheet:
+    """Return the table of the gate's losses."""
+
+    def stated(row: Loss) -> str:
+        return ", ".join("-" if p is None else f"{p:.4f}" for p in row.p_home)
+
+    return Sheet.from_objects(
+        "Losses of the gate",
+        losses,
+        {
+            "mission": "{0.mission}",
+            "P(home) stated": stated,
+            "way home from s": "{0.start_of_return_s:.0f}",
+            "short of Wh": lambda row: format_optional(row.shortage_wh, ".1f", "-"),
+            "headwind before m/s": "{0.headwind_before_mps:.1f}",
+            "after m/s": "{0.headwind_after_mps:.1f}",
+            "left in steady wind Wh": "{0.steady_margin_wh:.1f}",
+            "cause": "{0.cause}",
+        },
+        "Stated at departure, half way out, over the customer.",
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim_bridge.research.promise.losses import TOO_FAR, WIND_CHANGED, find_losses
 from sim_bridge.research.promise.rules import outcomes_by_rule, outcomes_of_turn_times
 from sim_bridge.research.promise.truth import Profile, TrueMissions, TruePower
 from sim_bridge.truth.params import load_airframe
@@ -138,3 +139,22 @@ def test_hours_in_the_air_are_those_of_the_way_and_a_pack_that_ran_out_ends_them
     lost = outcomes_of_turn_times(far, np.array([math.inf]))
     assert lost.lost[0]
     assert lost.flight_h[0] < far.power.endurance_s / 3600.0
+
+
+def test_a_loss_is_traced_to_the_wind_that_it_met() -> None:
+    """6 km north: a headwind rises on the way home, or blows from the start."""
+    distance_m, top_mps = 6000.0, 0.7 * PROFILE.airspeed_mps
+    rising, steady = np.zeros((2, 3000, 2))
+    arrival_s = flown(rising, distance_m).arrival_s[0]
+    rising[np.arange(3000) > arrival_s, 0] = top_mps
+    steady[:, 0] = top_mps
+    for wind, cause, before_mps in (
+        (rising, WIND_CHANGED, 0.0),
+        (steady, TOO_FAR, top_mps),
+    ):
+        mission, turn_s = flown(wind, distance_m), np.array([np.inf])
+        outcomes = outcomes_of_turn_times(mission, turn_s)
+        (loss,) = find_losses(mission, outcomes, turn_s, np.array([[0.999, 0.99, np.nan]]))
+        assert (loss.cause, loss.p_home) == (cause, [0.999, 0.99, None])
+        assert loss.headwind_before_mps == pytest.approx(before_mps, abs=0.7)
+        assert loss.headwind_after_mps == pytest.approx(top_mps, rel=0.03)

@@ -11,7 +11,6 @@ from sim_bridge.research.promise.report import (
     Predictions,
     RuleRow,
     collect_predictions,
-    mean_p_home,
     promise_document,
     reliability_bins,
 )
@@ -91,8 +90,8 @@ def test_a_gate_that_says_too_much_shows_in_the_bins(true: float, kept: bool) ->
     draw = np.random.default_rng(3)
     p = np.full(600, 0.93)
     (each,) = reliability_bins(statements(p, draw.random(600) < true), rng())
-    said = mean_p_home(statements(p, draw.random(600) < true), each)
-    assert (each.lower95 <= said <= each.upper95) is kept
+    assert each.p_home_mean == pytest.approx(0.93)
+    assert (each.lower95 <= each.p_home_mean <= each.upper95) is kept
 
 
 def ends() -> MissionOutcomes:
@@ -129,12 +128,13 @@ def test_the_verdict_has_the_agreed_keys_and_no_others() -> None:
     # docs/reference/benchmarks.md, promise
     names = ("gate", "px4_time", "threshold_25", "threshold_35", "clairvoyant")
     said = statements(np.full(200, 0.999), np.ones(200, bool))
-    document = promise_document(dict.fromkeys(names, ends()), said, np.arange(4), rng())
+    document = promise_document(dict.fromkeys(names, ends()), said, [], np.arange(4), rng())
     found = msgspec.json.decode(msgspec.json.encode(document))
     counts = {"missions", "go", "home", "delivered", "SUC", "margin_wh_mean"}
-    assert set(found) == {"rules", "reliability", "go"}
+    assert set(found) == {"rules", "reliability", "go", "rates", "losses", "losses_by_cause"}
+    assert found["rates"]["gate"]["per_flight_h"] == pytest.approx(1.0 / 0.4)
     assert set(found["rules"]["gate"]) == counts
     assert set(found["reliability"][0]) == {
-        "p_low", "p_high", "count", "home", "lower95", "upper95",
+        "p_low", "p_high", "p_home_mean", "count", "home", "lower95", "upper95",
     }  # fmt: skip
     assert set(found["go"]) == {"count", "home", "lower95"}
