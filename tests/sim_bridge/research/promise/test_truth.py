@@ -142,8 +142,8 @@ def test_hours_in_the_air_are_those_of_the_way_and_a_pack_that_ran_out_ends_them
 
 
 def test_a_loss_is_traced_to_the_wind_that_it_met() -> None:
-    """6 km north: a headwind rises on the way home, or blows from the start."""
-    distance_m, top_mps = 6000.0, 0.7 * PROFILE.airspeed_mps
+    """2.5 km north: a headwind rises on the way home, or blows from the start."""
+    distance_m, top_mps = 2500.0, 0.7 * PROFILE.airspeed_mps
     rising, steady = np.zeros((2, 3000, 2))
     arrival_s = flown(rising, distance_m).arrival_s[0]
     rising[np.arange(3000) > arrival_s, 0] = top_mps
