@@ -57,6 +57,8 @@ class CompanionProcess:
     """Server that forks the process; unused if `startup_code` is set (runs before imports)."""
     start_count: int = 0
     stalled: bool = False
+    was_killed: bool = False
+    """True from SIGKILL to the next start."""
     _process: subprocess.Popen[bytes] | ForkedProcess | None = None
     _output: IO[bytes] | None = field(default=None, repr=False)
     _consumed_bytes: int = 0
@@ -75,6 +77,7 @@ class CompanionProcess:
                 f"{self.startup_code}\n{COMPANION_CODE}", arguments, self._output
             )
         self.start_count += 1
+        self.was_killed = False
 
     @property
     def pid(self) -> int | None:
@@ -109,6 +112,7 @@ class CompanionProcess:
 
     def kill(self) -> None:
         """Send SIGKILL: simulates power loss of the companion computer."""
+        self.was_killed = True
         if self._process is not None:
             self._process.kill()
             self._process.wait()

@@ -21,6 +21,9 @@ from sim_bridge.truth.terrain import load_grid_terrain
 from sim_bridge.truth.vehicle import Vehicle
 
 LANDED_SETTLING_S = 5.0
+RESTART_LIMIT_S = 60.0
+"""Time on the ground after which a killed companion is not restarted."""
+
 COMPANION_END_LIMIT_S = 30.0  # time for the companion to close its record and exit
 ARMED_AFTER_LANDING_LIMIT_S = (
     60.0  # landings that the autopilot does not detect (measured on ArduCopter)
@@ -165,8 +168,10 @@ class Craft:
             return (
                 over and concluded and down_s > LANDED_SETTLING_S
             ) or down_s > ARMED_AFTER_LANDING_LIMIT_S
-        has_not_launched = self.record.takeoff_s is None
-        return has_not_launched and self.companion.start_count > 0 and not self.companion.is_running
+        if self.record.takeoff_s is not None or self.companion.start_count == 0:
+            return False
+        may_restart = self.companion.was_killed and self.t_s < RESTART_LIMIT_S
+        return not self.companion.is_running and not may_restart
 
 
 def location_ne_m(location: Location, depot: Location) -> tuple[float, float]:
