@@ -105,8 +105,7 @@ Key = Annotated[
     Path | None, typer.Option(help="MAVLink signing key: 32 bytes or 64 hex digits in a file.")
 ]
 System = Annotated[
-    int | None,
-    typer.Option(help="MAVLink system id of the vehicle; default: the only one received."),
+    int | None, typer.Option(help="MAVLink system id of the vehicle; default: the only one.")
 ]
 Here = Annotated[
     bool,
