@@ -21,6 +21,8 @@ def parse_toml(raw: bytes, document_name: str) -> dict[str, Any]:
         raise LeewayError(f"{document_name}: {error}") from error
     except UnicodeDecodeError as error:
         raise LeewayError(f"{document_name}: {encoding_error_text(error)}") from error
+    except RecursionError as error:
+        raise LeewayError(f"{document_name}: nested too deeply") from error
 
 
 def parse_json_object(

@@ -1,7 +1,8 @@
 """External text made harmless for terminals, logs, markup and tables.
 
-Applied once, at the input: when a message, an autopilot's text or an order's note is decoded. Names
-do not need it: they have patterns, and a name that does not match is rejected.
+Applied at the input, when a message, an autopilot's text or an order's note is decoded, and once
+more at each output: a store may hold what an older version or another program wrote. Names have
+patterns, and a name that does not match is rejected.
 """
 
 import re
@@ -36,6 +37,11 @@ def safe_text(text: str) -> str:
     if "[" in text:
         text = _TAG_START.sub("(", _TAG.sub(r"(\1)", text))
     return _OVERLONG_WORD.sub(lambda word: word[0][: MAX_WORD_LENGTH - 1] + "…", text)
+
+
+def harmless_lines(text: str) -> str:
+    """Return the text with its line ends, each line without cursor movement: for outputs."""
+    return "\n".join(map(flatten_to_one_line, text.split("\n")))
 
 
 def flatten_to_one_line(text: str) -> str:

@@ -54,17 +54,16 @@ def cluster(
 
     ground-station cluster harbour --method ours --groups 2
     """
-    from rich.console import Console
-
     from ground_station.adapters.llm import LlmParams
     from ground_station.app.planning.clusters import (
         METHODS,
         build_clustering_problem,
         cluster_by_llm_or_energy,
     )
+    from ground_station.app.views.terminal import plain_console
 
     data = read_day_and_warn(day)
-    console = Console()
+    console = plain_console()
     with console.status("energy of every delivery from every stop"):
         problem = build_clustering_problem(data, groups, voltage)
     if method is MethodName.LLM:

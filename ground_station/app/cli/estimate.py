@@ -87,8 +87,9 @@ def _forecast_wind(
 
 
 def _print_estimate(result: "FlightEstimate") -> None:
-    from rich.console import Console
     from rich.table import Table
+
+    from ground_station.app.views.terminal import plain_console
 
     flight, plan, seen = result.flight, result.planned.plan, result.assessment
     vehicle = flight.vehicle
@@ -107,7 +108,7 @@ def _print_estimate(result: "FlightEstimate") -> None:
         table.add_row(label, value)
     for label, value in _terrain_rows(result):
         table.add_row(label, value)
-    console = Console()
+    console = plain_console()
     console.print(table)
     console.print(seen.reason, highlight=False)
 

@@ -8,6 +8,7 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.help_text import reflow_command_help_in_place
+from companion.core.base.safe_text import harmless_lines
 from ground_station.app.cli import (
     audit,
     benchmark,
@@ -128,7 +129,7 @@ def main() -> None:
     try:
         app()
     except LeewayError as error:
-        print(f"ground-station: {error}", file=sys.stderr)
+        print(f"ground-station: {harmless_lines(str(error))}", file=sys.stderr)
         _exit_process(2)
     except ModuleNotFoundError as error:  # the vehicle's install has this script, not the desk
         if error.name is None or error.name.partition(".")[0] in PROJECT_PACKAGES:

@@ -105,16 +105,15 @@ def plan(
     ground-station plan town --out town.json --picture town.png
     ground-station plan north.toml south.toml --trucks 5 --trucks 5 --out regions
     """
-    from rich.console import Console
-
     from ground_station.adapters.files.compiled_code import enable_compile_cache_and_print_notice
     from ground_station.adapters.files.day_files import write_day_plan
     from ground_station.adapters.workers.side_by_side import WorkerOptions
     from ground_station.app.cli.regions import divide_and_plan_days
     from ground_station.app.views.plan_view import planned_imports, print_plan_tables
+    from ground_station.app.views.terminal import plain_console
     from ground_station.app.views.windows_view import print_wind_and_launch_closings
 
-    console = Console()
+    console = plain_console()
     if trucks:
         require_options_not_given(context, ONE_TRUCK, "not with --trucks")
         if out is None:

@@ -1,7 +1,6 @@
 """The audit as a table."""
 
 from rich.console import RenderableType
-from rich.text import Text
 
 from ground_station.app.views.terminal import plain_table
 from ground_station.app.views.times import format_date_and_time
@@ -9,7 +8,7 @@ from ground_station.core.people.audit_chain import AuditRow
 
 
 def audit_view(rows: list[AuditRow]) -> RenderableType:
-    """Return one line for each row, oldest first. External text is shown verbatim."""
+    """Return one line for each row, oldest first. For a plain console."""
     table = plain_table("", "when", "who", "did", "to what", "answer")
     for row in rows:
         entry = row.entry
@@ -20,7 +19,7 @@ def audit_view(rows: list[AuditRow]) -> RenderableType:
             entry.subject,
             entry.answer,
         )
-        table.add_row(str(row.n), *map(Text, cells))
+        table.add_row(str(row.n), *cells)
     return table
 
 

@@ -1,15 +1,25 @@
 """The desk's terminal: text is shown verbatim, without markup."""
 
-from typing import IO
+from typing import IO, Any
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
+
+from companion.core.base.safe_text import harmless_lines
+
+
+class _PlainConsole(Console):
+    """A console whose texts cannot move the cursor or change colours."""
+
+    def render_str(self, text: str, *arguments: Any, **options: Any) -> Text:
+        return super().render_str(harmless_lines(text), *arguments, **options)
 
 
 def plain_console(file: IO[str] | None = None, width: int | None = None) -> Console:
     """Return a console that does not interpret markup, emoji names or numbers to highlight."""
-    return Console(file=file, width=width, markup=False, emoji=False, highlight=False)
+    return _PlainConsole(file=file, width=width, markup=False, emoji=False, highlight=False)
 
 
 def plain_table(*columns: str, title: str | None = None) -> Table:

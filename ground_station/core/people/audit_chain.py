@@ -1,7 +1,7 @@
 """The audit: each row holds the digest of the row before, so that alterations are detected.
 
 Detects a row that was altered, removed or inserted by mistake or by hand. With write access to the
-whole database a new chain can be written: so keep `head` elsewhere.
+whole database a new chain can be written: a digest kept elsewhere detects that.
 """
 
 import hashlib
@@ -62,10 +62,13 @@ def build_chained_rows(head: AuditHead, entries: Iterable[AuditEntry]) -> Iterat
         before = digest
 
 
-def find_chain_faults(rows: Iterable[AuditRow], expected_head: AuditHead) -> Iterator[str]:
-    """Yield the faults of the chain, by row."""
-    last = AuditHead()
+def find_chain_faults(
+    rows: Iterable[AuditRow], expected_head: AuditHead, kept_digest: str | None = None
+) -> Iterator[str]:
+    """Yield the faults of the chain, by row. `kept_digest`: the head of an earlier verification."""
+    last, is_kept_digest_found = AuditHead(), kept_digest in (None, INITIAL_DIGEST)
     for row in rows:
+        is_kept_digest_found |= row.digest == kept_digest
         if row.n != last.n + 1:
             yield f"row {row.n}: follows row {last.n}, expected row {last.n + 1}"
         if row.digest != row_digest(row.n, row.before, row.entry):
@@ -75,3 +78,5 @@ def find_chain_faults(rows: Iterable[AuditRow], expected_head: AuditHead) -> Ite
         last = AuditHead(row.n, row.digest)
     if last != expected_head:
         yield f"row {last.n}: last row found, expected row {expected_head.n}"
+    if not is_kept_digest_found:
+        yield f"no row has the digest {kept_digest}: rows were removed, or all written anew"

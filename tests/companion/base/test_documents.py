@@ -3,7 +3,7 @@
 import pytest
 
 from companion.adapters.files.params import flight_file_path, params_dir, read_flight
-from companion.core.base.documents import check_not_other_document_kind
+from companion.core.base.documents import check_not_other_document_kind, parse_toml
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.day_files import DayFilesError, read_day
 
@@ -28,3 +28,9 @@ def test_the_nearest_name_is_offered_and_none_where_nothing_is_near():
         flight_file_path("deflaut")
     with pytest.raises(LeewayError, match=r"^xyz: no such flight; names: .*default"):
         flight_file_path("xyz")
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 5000 + "]" * 5000, "a = " + "{b=" * 5000])
+def test_deep_nesting_is_refused_in_one_line(text):
+    with pytest.raises(LeewayError, match="day.toml: nested too deeply"):
+        parse_toml(text.encode(), "day.toml")

@@ -115,6 +115,41 @@ def test_a_row_that_was_altered_is_named_by_verify(what: str, tmp_path: Path):
     assert words in said
 
 
+def test_a_digest_kept_elsewhere_finds_a_shortened_and_a_rewritten_chain(tmp_path: Path):
+    path = tmp_path / "d.db"
+    url = f"sqlite:///{path}"
+    a_day(url)
+    _, said = ground_station("audit", "--verify", "--store", url)
+    kept = said.split()[-1]
+    assert ground_station("audit", "--verify", "--expect", kept, "--store", url)[0] == 0
+    database = Database(url)
+    rows, _ = read_audit_rows_and_head(database)
+    database.close()
+    entries = [row.entry for row in rows]
+    for remaining in (entries[:4], [*entries[:4], entries[0]]):  # shortened; written anew
+        chain = list(audit_chain.build_chained_rows(audit_chain.AuditHead(), remaining))
+        head = audit_chain.AuditHead(chain[-1].n, chain[-1].digest)
+        assert list(audit_chain.find_chain_faults(chain, head)) == []
+        (fault,) = audit_chain.find_chain_faults(chain, head, kept)
+        assert fault.startswith(f"no row has the digest {kept}")
+    code, said = ground_station("audit", "--verify", "--expect", "abc", "--store", url)
+    assert code != 0
+    assert "expected 64 hexadecimal digits" in said
+
+
+def test_escape_sequences_in_the_store_do_not_reach_the_terminal(tmp_path: Path):
+    path = tmp_path / "d.db"
+    a_day(f"sqlite:///{path}")
+    raw = sqlite3.connect(path)
+    raw.execute("UPDATE audit SET subject = ?", ("\x1b[31mred\x1b]0;title\x07\u202e[/x]",))
+    raw.commit()
+    raw.close()
+    code, said = ground_station("audit", "--store", f"sqlite:///{path}")
+    assert code == 0
+    assert not set(said) & set("\x1b\x07\u202e")
+    assert "[31mred" in said
+
+
 def test_a_row_whose_digest_was_made_anew_does_not_fit_the_next_one(tmp_path: Path):
     path = tmp_path / "d.db"
     a_day(f"sqlite:///{path}")
