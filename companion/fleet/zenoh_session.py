@@ -5,7 +5,9 @@ A new roster is published whole. When a member joins, only the number is publish
 with a lower number requests the roster: for a thousand members it has 184 kB.
 """
 
+import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -13,12 +15,14 @@ from typing import TypeVar
 import zenoh
 from zenoh.handlers import Callback
 
-from companion.adapters.clock import is_due
+from companion.adapters.clock import is_due, wall_s
 from companion.core.base.errors import LeewayError
 from companion.fleet.topics import roster_key
+from companion.fleet.zenoh_config import config_mode
 
 ZenohMessage = TypeVar("ZenohMessage", zenoh.Query, zenoh.Sample, zenoh.Reply)
 REOPEN_S = 5.0
+RETRY_S, REPORT_INTERVAL_S = 1.0, 30.0
 ABOVE_PARAMETER = "above"
 """Parameter of a roster request: the number in force; only members with a newer one reply."""
 
@@ -143,11 +147,22 @@ def roster_number_or_none(raw: bytes) -> int | None:
 
 
 def open_session(config: zenoh.Config, source: Path | None) -> zenoh.Session:
-    """Open a session. Raises LeewayError, naming the configuration's file, if zenoh fails."""
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise LeewayError(f"{source or 'zenoh'}: {error}") from error
+    """Open a session. A client waits for its router, with a message on stderr.
+
+    Raises LeewayError, naming the configuration's file, if a router or peer cannot listen.
+    """
+    reported_s: float | None = None
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            text = f"{source or 'zenoh'}: {error}"
+            if config_mode(config) != "client":
+                raise LeewayError(text) from error
+        if reported_s is None or wall_s() - reported_s >= REPORT_INTERVAL_S:
+            reported_s = wall_s()
+            print(f"router not reached, trying again: {text}", file=sys.stderr, flush=True)
+        time.sleep(RETRY_S)
 
 
 def wrap_as_direct_callback(handler: Callable[[ZenohMessage], None]) -> "Callback[ZenohMessage]":

@@ -1,5 +1,6 @@
 """Vehicle and desk over zenoh on loopback."""
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -284,3 +285,23 @@ def test_a_covariance_is_told_while_all_who_ask_for_states_read_it(net, tmp_path
             before.get(VehicleKeys(FLEET, "*").state_key, lambda reply: None, timeout=2.0)
             assert monotonic_s() < limit_s, "a desk of before has asked"
             desk.fleet.receive(0.1)
+
+
+def test_a_desk_that_starts_before_its_router_waits_for_it(tmp_path, capfd):
+    port = free_port()
+    config = config_file(tmp_path / "desk.json5", connect=port, mode="client")
+    opened: list[Desk] = []
+    waiting = threading.Thread(target=lambda: opened.append(Desk(config)), daemon=True)
+    waiting.start()
+    waiting.join(2.5)
+    assert not opened, "no router yet"
+    router = zenoh.open(
+        read_and_check_zenoh_config(config_file(tmp_path / "r.json5", listen=port, mode="router"))
+    )
+    try:
+        waiting.join(PATIENCE_S)
+        assert len(opened) == 1
+        assert "router not reached, trying again" in capfd.readouterr().err
+        opened[0].fleet.close()
+    finally:
+        router.close()
