@@ -7,7 +7,6 @@ with a lower number requests the roster: for a thousand members it has 184 kB.
 
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -162,7 +161,7 @@ def open_session(config: zenoh.Config, source: Path | None) -> zenoh.Session:
         if reported_s is None or wall_s() - reported_s >= REPORT_INTERVAL_S:
             reported_s = wall_s()
             print(f"router not reached, trying again: {text}", file=sys.stderr, flush=True)
-        time.sleep(RETRY_S)
+        threading.Event().wait(RETRY_S)
 
 
 def wrap_as_direct_callback(handler: Callable[[ZenohMessage], None]) -> "Callback[ZenohMessage]":

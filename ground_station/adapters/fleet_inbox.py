@@ -101,6 +101,19 @@ class MemberBox:
     departed_instances: set[str] = field(default_factory=set)
     """Instances that left since the last liveliness query; late replies may name them."""
     rejected: Counter[str] = field(default_factory=Counter)
+    newest_uptimes_s: dict[str, float] = field(default_factory=dict)
+    """Uptime of the newest state of each instance, of the last `MAX_INSTANCES`."""
+
+    def is_state_new(self, state: State) -> bool:
+        """Return whether the signed uptime of this instance advanced, and record it.
+
+        A router can repeat a state of a vehicle that has failed: its arrival shows nothing.
+        """
+        newest_s = self.newest_uptimes_s.pop(state.instance_id, -1.0)
+        self.newest_uptimes_s[state.instance_id] = max(newest_s, state.uptime_s)
+        if len(self.newest_uptimes_s) > MAX_INSTANCES:
+            del self.newest_uptimes_s[next(iter(self.newest_uptimes_s))]
+        return state.uptime_s > newest_s
 
     def count_rejection(self, reason: str) -> None:
         """Count a rejected message; only the first few reasons are counted separately."""
@@ -322,7 +335,9 @@ class FleetInbox:
         return found + self._pop_rejection_inputs(pending)
 
     def _decode_newest_state_inputs(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
-        """Return the latest state of each instance under this name, by the instance's own clock."""
+        """Return the latest state of each instance under this name, by the instance's own clock, if
+        it is newer than those before.
+        """
         newest: dict[str, State] = {}
         for raw in raws:
             state = self._verify_and_decode_or_reject(vehicle, "state", raw)
@@ -330,7 +345,8 @@ class FleetInbox:
                 continue
             before = newest.pop(state.instance_id, state)
             newest[state.instance_id] = before if before.uptime_s > state.uptime_s else state
-        return [StateReceived(state) for state in newest.values()]
+        box = self._boxes[vehicle]
+        return [StateReceived(state) for state in newest.values() if box.is_state_new(state)]
 
     def _newest_station_wind_inputs(self, station: str, raws: Iterable[bytes]) -> list[FleetInput]:
         """Return the latest valid report that the station itself signed."""

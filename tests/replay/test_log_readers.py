@@ -428,7 +428,7 @@ WITH_TILT = b"t_s,vel_n_mps,vel_e_mps,vel_d_mps,roll_deg,pitch_deg,yaw_deg"
         ("a.csv", WITH_TILT + b"\n", "0 rows"),
         ("a.csv", WITH_TILT + b"\n" + b"nan,nan,nan,nan,nan,nan,nan\n" * 3, "0 rows"),
         ("a.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "none of vehicle_attitude"),
-        ("a.ulg", b"ULog\x01\x12\x35", "pyulog cannot read"),
+        ("a.ulg", b"ULog\x01\x12\x35", "damaged definitions, expected a ULog"),
         ("a.bin", b"\xa3\x95\x80" + bytes(300), "dataflash|DFReader"),
         ("a.tlog", bytes(8) + b"\xfd\x00" + bytes(40), "unknown log format"),
         ("a.mcap", b"\x89MCAP0\r\n", "heard_attitude"),

@@ -58,6 +58,11 @@ def load_plugin(group: str, name: str, own_names: tuple[str, ...] = ()) -> Plugi
     return Plugin(name, target, _version_of_module(module_name))
 
 
+def entry_point_names(group: str) -> frozenset[str]:
+    """Return the names of the entry points of a group."""
+    return frozenset(metadata.entry_points(group=group).names)
+
+
 def load_plugin_file(group: str, name: str, own_names: tuple[str, ...] = ()) -> Path:
     """Load a plug-in that is the path of a file; raise LeewayError if it is none."""
     plugin = load_plugin(group, name, own_names)

@@ -13,7 +13,7 @@ from companion.core.base.documents import (
     unknown_name_message,
 )
 from companion.core.base.errors import LeewayError
-from companion.core.base.plugin import AIRFRAMES, load_plugin_file
+from companion.core.base.plugin import AIRFRAMES, entry_point_names, load_plugin_file
 from companion.core.ground.ground_csv import ground_table_from_csv
 from companion.core.mission.flight_file import Flight, with_terrain_heights
 from companion.core.vehicle.airframe import Airframe, airframe_from_dict
@@ -96,9 +96,8 @@ def read_airframe(name: str, folder: Path) -> Airframe:
     path = folder / name if name.endswith(".toml") else params_dir() / "airframes" / f"{name}.toml"
     if not path.is_file() and name.endswith(".toml") and Path(name).is_file():
         path = Path(name)
-    if not path.is_file() and path.name == f"{name}.toml" and ":" not in name:
-        known = tuple(sorted(file.stem for file in path.parent.glob("*.toml")))
-        path = load_plugin_file(AIRFRAMES, name, known)
+    if not path.is_file() and name in entry_point_names(AIRFRAMES):
+        path = load_plugin_file(AIRFRAMES, name)
     return airframe_from_dict(read_toml(path), str(path))
 
 

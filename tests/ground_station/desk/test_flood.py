@@ -286,6 +286,15 @@ def test_forged_states_that_come_faster_do_not_hide_the_true_one():
     assert states_of(inbox) == [7.0]
 
 
+def test_a_repeated_state_is_no_sign_of_life():
+    inbox = FleetInbox(believing_own, clock_s=lambda: 0.0)
+    for uptime_s, is_new in ((7.0, True), (7.0, False), (6.0, False), (8.0, True), (8.0, False)):
+        inbox.add_state(key("d1", "state"), state("d1", uptime_s))
+        assert states_of(inbox) == ([uptime_s] if is_new else [])
+    inbox.add_state(key("d2", "state"), state("d2", 7.0))
+    assert states_of(inbox) == [7.0], "canary: of another vehicle"
+
+
 def test_canary_of_the_newest_state_alone_a_forged_one_hides_the_true_one(monkeypatch):
     monkeypatch.setattr(fleet_inbox, "STATES_PER_CYCLE", 1)
     inbox = FleetInbox(believing_own, clock_s=lambda: 0.0)
