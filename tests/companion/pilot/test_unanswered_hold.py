@@ -79,6 +79,18 @@ def test_safety_rule_1_unanswered_it_orders_once_what_the_operator_chose(phase, 
     assert "last_resort" in w.kinds
 
 
+@pytest.mark.parametrize(("kind", "is_by_itself"), [("PX4", True), ("ARDUPILOT", False)])
+def test_safety_rule_1_only_px4_holds_by_itself_after_a_changed_list(kind, is_by_itself):
+    w = world(options=RETURN).until(Phase.OUTBOUND)
+    w.pilot.context.telemetry.autopilot_kind = ev.AutopilotKind[kind]
+    w.takes_uploads = False
+    w.items, w.index, w.mode = (), 0, Mode.HOLD
+    held_s = w.until(Phase.SUSPENDED).t_s
+    let(w, WAIT_S + 2.0)
+    assert bool(w.orders_after(held_s)) is is_by_itself
+    assert bool(alarms(w)) is is_by_itself
+
+
 def test_an_empty_list_in_a_return_that_needs_none_is_no_other_hand():
     w = let(cleared(Phase.OUTBOUND, RETURN), WAIT_S + 20.0)
     assert w.pilot.phase is Phase.LAST_RESORT

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import (
+    AutopilotKind,
     ControlReleaseOrdered,
     Event,
     MissionProgress,
@@ -120,7 +121,8 @@ class UnansweredHold:
             state.hold_start_s, state.cause, state.responded = None, None, False
         elif state.mode is Mode.MISSION:
             state.hold_start_s = context.t_s
-            if context.seconds_since(self._aboard.last_mismatch_s) <= MAX_CAUSE_DELAY_S:
+            is_recent = context.seconds_since(self._aboard.last_mismatch_s) <= MAX_CAUSE_DELAY_S
+            if is_recent and _holds_by_itself(context):
                 state.cause = LIST_CHANGED
         state.mode = mode
 
@@ -151,7 +153,7 @@ class UnansweredHold:
         held_s, matched_s = self._state.hold_start_s, self._aboard.last_match_s
         is_first_report = held_s is not None and (matched_s is None or matched_s < held_s)
         is_recent = context.seconds_since(held_s) <= MAX_CAUSE_DELAY_S
-        if event.total == 0 and is_first_report and is_recent:
+        if event.total == 0 and is_first_report and is_recent and _holds_by_itself(context):
             self._state.cause = LIST_CHANGED
 
     def _is_unanswered(self, context: FlightContext) -> bool:
@@ -180,3 +182,10 @@ class UnansweredHold:
         else:
             self._modes.order_mode(context, mode)
         context.record_decision("last_resort", f"{reason}{destination_text}")
+
+
+def _holds_by_itself(context: FlightContext) -> bool:
+    """Return whether a changed list can cause a HOLD: ArduPilot stays in AUTO, a person selects
+    LOITER.
+    """
+    return context.telemetry.autopilot_kind is not AutopilotKind.ARDUPILOT
