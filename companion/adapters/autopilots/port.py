@@ -98,6 +98,11 @@ class AutopilotPort:
         """System of the identified autopilot."""
         return self._session.system_id if self._session is not None else None
 
+    @property
+    def estimates_wind(self) -> bool | None:
+        """Whether the autopilot measures the wind itself; `None`: not known."""
+        return self._session.estimates_wind if self._session is not None else None
+
     # --- receiving -----------------------------------------------------------------------------
 
     def on_message(self, message: Any) -> list[Event]:
