@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test quick samples test-all night trials lint golden bench map-assets wheel-check install-check image-check newcomer-check docs docs-reference install clean
+.PHONY: help fly test quick samples test-all night trials lint golden bench map-assets wheel-check bundle install-check image-check newcomer-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -83,6 +83,9 @@ map-assets: $(VENV)/.sim  ## fetch what draws base maps and the world's outline 
 
 wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
 	@deploy/check-wheel
+
+bundle:  ## the vehicle's install as one .tar, for a Pi without a package index: build/leeway-bundle.tar
+	@python3 deploy/bundle
 
 install-check:  ## deploy/install in a clean Debian root (needs root, debootstrap, a package index)
 	@deploy/check-install

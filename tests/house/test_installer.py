@@ -3,7 +3,11 @@
 import os
 import shutil
 import subprocess
+import sys
+import tarfile
 from pathlib import Path
+from runpy import run_path
+from types import SimpleNamespace
 
 import pytest
 
@@ -64,3 +68,50 @@ def test_without_root_it_says_so_and_does_nothing():
     )
     assert done.returncode == 2
     assert "needs root" in done.stderr
+
+
+def test_a_bundle_holds_wheels_installer_and_units_with_checksums(tmp_path: Path):
+    bundle = SimpleNamespace(**run_path(str(DEPLOY / "bundle")))
+    wheels, out = tmp_path / "wheels", tmp_path / "b.tar"
+    wheels.mkdir()
+    (wheels / "leeway_uas-0.1.0-py3-none-any.whl").write_bytes(b"ours")
+    (wheels / "numpy-2-cp311-cp311-manylinux2014_aarch64.whl").write_bytes(b"theirs")
+    names = bundle.write_bundle(wheels, out)
+    with tarfile.open(out) as tar:
+        assert [f"leeway-bundle/{name}" for name in names] == tar.getnames()
+        tar.extractall(tmp_path, filter="data")
+    unpacked = tmp_path / "leeway-bundle"
+    assert os.access(unpacked / "deploy/install", os.X_OK)
+    for role in ("companion", "fleet"):  # what the installer copies for these roles is there
+        block = (DEPLOY / "install").read_text().split(f"\ninstall_{role}() {{", 1)[1]
+        unit = block.partition("unit ")[2].split()[0]
+        assert (unpacked / f"deploy/{unit}.service").is_file()
+    check = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
+    assert subprocess.run(check, cwd=unpacked, check=False).returncode == 0
+    (unpacked / "wheels/numpy-2-cp311-cp311-manylinux2014_aarch64.whl").write_bytes(b"damaged")
+    damaged = subprocess.run(check, cwd=unpacked, check=False, capture_output=True)
+    assert damaged.returncode != 0
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root")
+@pytest.mark.skipif(
+    subprocess.run(["unshare", "-mn", "true"], check=False, capture_output=True).returncode != 0,
+    reason="no namespaces here",
+)
+def test_a_damaged_bundle_is_refused_without_a_network(tmp_path: Path):
+    (tmp_path / "bundle/wheels").mkdir(parents=True)
+    (tmp_path / "bundle/wheels/a.whl").write_bytes(b"damaged")
+    (tmp_path / "bundle/SHA256SUMS").write_text(f"{'0' * 64}  wheels/a.whl\n")
+    hide = "mount --make-rprivate / && mount -t tmpfs tmpfs /opt"
+    for each in ("etc", "var/lib"):
+        base = tmp_path / each.replace("/", "-")
+        hide += f" && mkdir {base} && mount -t tmpfs tmpfs {base} && mkdir {base}/u {base}/w"
+        hide += (
+            f" && mount -t overlay o -o lowerdir=/{each},upperdir={base}/u,workdir={base}/w /{each}"
+        )
+    words = f"{hide} && exec {DEPLOY / 'install'} companion --from {tmp_path / 'bundle'}"
+    words += f" --python {Path(sys.executable).resolve()}"
+    command = ["unshare", "-mn", "bash", "-c", words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "bundle: damaged" in done.stderr

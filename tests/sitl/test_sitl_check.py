@@ -1,5 +1,7 @@
 """`companion check`, and a refused run, started as a user does: over UDP, with either autopilot."""
 
+import json
+import math
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from companion.core.base.geo import LocalFrame
 from tests.sitl.served import COMMAND, companion_done, on_the_ground
 
 pytestmark = [pytest.mark.sitl, pytest.mark.timeout(120)]
@@ -115,6 +118,29 @@ def test_a_failsafe_that_is_not_set_is_named_with_what_to_set(check, autopilot_k
         f"MISSING  a low-battery action of the autopilot: {name} is 0, set {wanted:g}"
     )
     assert checked.said.splitlines()[-1] == "NOT READY"
+
+
+RTL_HEIGHT = {"px4": "RTL_RETURN_ALT is 60", "ardupilot": "RTL_ALT is 1500"}
+
+
+@pytest.mark.sample
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_a_no_fly_area_on_the_straight_line_home_is_named(check, autopilot_kind, tmp_path):
+    frame = LocalFrame(math.radians(55.47), math.radians(8.45), 12.0)
+    corners = [(-50.0, -230.0), (-50.0, -190.0), (0.0, -190.0), (0.0, -230.0), (-50.0, -230.0)]
+    ring = [frame.to_geodetic((*corner, 0.0))[:2] for corner in corners]
+    geometry = {
+        "type": "Polygon",
+        "coordinates": [[[math.degrees(lon), math.degrees(lat)] for lat, lon in ring]],
+    }
+    feature = {"type": "Feature", "properties": {"no_fly": True}, "geometry": geometry}
+    area = tmp_path / "area.geojson"
+    area.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    checked = check(autopilot_kind, AS_PROMISED[autopilot_kind], site={"obstacles": str(area)})
+    assert checked.code == 3
+    (missing,) = [line for line in checked.said.splitlines() if line.startswith("MISSING")]
+    assert missing.startswith("MISSING  an RTL around no-fly areas: ")
+    assert missing.endswith(RTL_HEIGHT[autopilot_kind])
 
 
 STAYS_ARMED = {"px4": {"COM_DISARM_PRFLT": -1.0}, "ardupilot": {"DISARM_DELAY": 0.0}}

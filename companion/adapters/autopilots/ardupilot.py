@@ -55,6 +55,30 @@ EKF_POSITION_OK = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_VELOCITY_H
 EKF_NOT_READY = mavlink.ESTIMATOR_CONST_POS_MODE
 
 
+DESCRIBED_BY = (
+    ("capacity_mah", "BATT_CAPACITY", 1.0),
+    ("cruise_airspeed_mps", "WP_SPD", 1.0),
+    ("cruise_airspeed_mps", "WPNAV_SPEED", 0.01),
+    ("climb_mps", "WP_SPD_UP", 1.0),
+    ("climb_mps", "WPNAV_SPEED_UP", 0.01),
+    ("descent_mps", "WP_SPD_DN", 1.0),
+    ("descent_mps", "WPNAV_SPEED_DN", 0.01),
+    ("landing_mps", "LAND_SPD_MS", 1.0),
+    ("landing_mps", "LAND_SPEED", 0.01),
+    ("max_tilt_deg", "ATC_ANGLE_MAX", 1.0),
+    ("max_tilt_deg", "ANGLE_MAX", 0.01),
+    ("rtl_height_m", "RTL_ALT_M", 1.0),
+    ("rtl_height_m", "RTL_ALT", 0.01),
+    ("frame", "FRAME_CLASS", 1.0),
+    ("frame", "FRAME_TYPE", 1.0),
+    ("gripper", "GRIP_ENABLE", 1.0),
+    ("fence", "FENCE_ENABLE", 1.0),
+    ("fence", "FENCE_TYPE", 1.0),
+    ("fence", "FENCE_RADIUS", 1.0),
+    ("fence", "FENCE_ALT_MAX", 1.0),
+)
+
+
 class ArduPilot:
     """The profile of ArduCopter."""
 
@@ -65,6 +89,7 @@ class ArduPilot:
     supports_parallel_reads = True
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
+    described_by: tuple[tuple[str, str, float], ...] = DESCRIBED_BY
     unwanted_streams: tuple[int, ...] = ()
 
     def decode_mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
@@ -164,9 +189,7 @@ class ArduPilot:
                 lambda v: _is_route_inside_fence(v, route_data),
                 lambda v: {
                     "FENCE_RADIUS": math.ceil(route_data.farthest_m + 200.0),
-                    "FENCE_ALT_MAX": math.ceil(
-                        max(route_data.cruise_height_m, route_data.min_clear_rtl_height_m) + 30.0
-                    ),
+                    "FENCE_ALT_MAX": route_data.fence_height_to_set_m,
                 },
                 True,
             ),
@@ -245,13 +268,13 @@ def _does_mission_continue_after_link_loss(
 
 def _require_rtl_height(route_data: RouteProperties) -> ParameterRequirement:
     # RTL_ALT 0 returns at the current height, which fails where the cruise is below an obstacle.
-    need_m = route_data.min_clear_rtl_height_m
+    need_m = route_data.rtl_height_to_set_m
     names = "RTL_ALT", "RTL_ALT_M"
     return ParameterRequirement(
         names,
         route_data.rtl_requirement_text,
         lambda v: _evaluate_under_either_name(v, names, route_data.is_clear_rtl_height),
-        lambda v: {"RTL_ALT": math.ceil(need_m) * 100.0, "RTL_ALT_M": float(math.ceil(need_m))},
+        lambda v: {} if need_m is None else {"RTL_ALT": need_m * 100.0, "RTL_ALT_M": need_m},
         True,
     )
 

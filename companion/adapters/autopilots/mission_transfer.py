@@ -163,7 +163,8 @@ class MissionUpload:
 class MissionDownload:
     """Requests every item; `result_text` `""`: `received_items_without_home` is the mission.
 
-    `item_interval_s`: interval between an item and the request for the next one.
+    `item_interval_s`: interval between an item and the request for the next one. `mission_type`:
+    the mission, or the list of fence items or rally points (MAV_MISSION_TYPE).
     """
 
     def __init__(
@@ -174,7 +175,9 @@ class MissionDownload:
         t_s: float,
         item_interval_s: float = 0.0,
         max_pending_requests: int = 1,
+        mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
     ) -> None:
+        self._type = mission_type
         self._pace_s = item_interval_s
         self._window = max_pending_requests
         self._requested_count = 0
@@ -182,7 +185,7 @@ class MissionDownload:
         self._target = target_system_id
         self._home_items = home_item_count
         self._count: int | None = None
-        self._received: dict[int, MissionItem] = {}
+        self._received: dict[int, Any] = {}
         self._tries = 0
         self._restarts = 0
         self._error: str | None = None
@@ -193,6 +196,14 @@ class MissionDownload:
     def received_items_without_home(self) -> tuple[MissionItem, ...]:
         """The items received so far, without the autopilot's home item."""
         return tuple(
+            decode_mission_item(message, home_item_count=self._home_items)
+            for message in self.received_messages_without_home
+        )
+
+    @property
+    def received_messages_without_home(self) -> tuple[Any, ...]:
+        """The MISSION_ITEM_INT of these items."""
+        return tuple(
             self._received[seq] for seq in sorted(self._received) if seq >= self._home_items
         )
 
@@ -200,16 +211,19 @@ class MissionDownload:
         self._tries += 1
         self._next_try_s = t_s + RETRY_S
         if self._count is None:
-            self._send(mavlink.MAVLink_mission_request_list_message(self._target, AUTOPILOT, 0))
+            self._send(
+                mavlink.MAVLink_mission_request_list_message(self._target, AUTOPILOT, self._type)
+            )
             return
         first = max(len(self._received), self._requested_count if self._tries == 1 else 0)
         self._requested_count = min(len(self._received) + self._window, self._count)
         for seq in range(first, self._requested_count):
-            self._send(mavlink.MAVLink_mission_request_int_message(self._target, AUTOPILOT, seq, 0))
+            message = mavlink.MAVLink_mission_request_int_message
+            self._send(message(self._target, AUTOPILOT, seq, self._type))
 
     def on_message(self, message: Any, t_s: float) -> None:
         """Process MISSION_COUNT, MISSION_ITEM_INT or MISSION_ACK."""
-        if self.result_text is not None or getattr(message, "mission_type", 0) != 0:
+        if self.result_text is not None or getattr(message, "mission_type", 0) != self._type:
             return
         match message.get_type():
             case "MISSION_COUNT" if self._count is None:
@@ -219,9 +233,7 @@ class MissionDownload:
             case "MISSION_ITEM_INT" if self._count is not None and message.seq == len(
                 self._received
             ):
-                self._received[message.seq] = decode_mission_item(
-                    message, home_item_count=self._home_items
-                )
+                self._received[message.seq] = message
             case "MISSION_ACK" if message.type in OTHER_TRANSFER:
                 self._error = MISSION_RESULT[message.type]
                 self._next_try_s = t_s + PAUSE_S
@@ -246,7 +258,7 @@ class MissionDownload:
         self._send_mission_ack(mavlink.MAV_MISSION_OPERATION_CANCELLED)
 
     def _send_mission_ack(self, result: int) -> None:
-        self._send(mavlink.MAVLink_mission_ack_message(self._target, AUTOPILOT, result, 0))
+        self._send(mavlink.MAVLink_mission_ack_message(self._target, AUTOPILOT, result, self._type))
 
     def tick(self, t_s: float) -> None:
         """Request the next item when it is due, or repeat the request after a timeout."""

@@ -106,6 +106,11 @@ class AutopilotPort:
         found = {key[0] for key, n in self._heartbeats.items() if n >= HEARTBEATS_TO_TRUST - 1}
         return tuple(sorted(found)) if len(found) > 1 else ()
 
+    @property
+    def estimates_wind(self) -> bool | None:
+        """Whether the autopilot measures the wind itself; `None`: not known."""
+        return self._session.estimates_wind if self._session is not None else None
+
     # --- receiving -----------------------------------------------------------------------------
 
     def on_message(self, message: Any) -> list[Event]:

@@ -93,6 +93,26 @@ MAVLINK_INSTANCES = tuple((f"MAV_{n}_CONFIG", f"MAV_{n}_FORWARD") for n in range
 """PX4's MAVLink instances: the parameters that enable each and that enable its forwarding."""
 
 
+DESCRIBED_BY = (
+    ("cells", "BAT1_N_CELLS", 1.0),
+    ("capacity_mah", "BAT1_CAPACITY", 1.0),
+    ("cruise_airspeed_mps", "MPC_XY_CRUISE", 1.0),
+    ("max_ground_mps", "MPC_XY_VEL_MAX", 1.0),
+    ("climb_mps", "MPC_Z_V_AUTO_UP", 1.0),
+    ("descent_mps", "MPC_Z_V_AUTO_DN", 1.0),
+    ("landing_mps", "MPC_LAND_SPEED", 1.0),
+    ("max_tilt_deg", "MPC_TILTMAX_AIR", 1.0),
+    ("rtl_height_m", "RTL_RETURN_ALT", 1.0),
+    ("frame", "SYS_AUTOSTART", 1.0),
+    ("gripper", "PD_GRIPPER_EN", 1.0),
+    ("gripper", "PD_GRIPPER_TYPE", 1.0),
+    ("fence", "GF_ACTION", 1.0),
+    ("fence", "GF_MAX_HOR_DIST", 1.0),
+    ("fence", "GF_MAX_VER_DIST", 1.0),
+    *(("forwarding", name, 1.0) for pair in MAVLINK_INSTANCES for name in pair),
+)
+
+
 class Px4:
     """The profile of PX4 multirotors."""
 
@@ -103,6 +123,7 @@ class Px4:
     supports_parallel_reads = False
     streams: tuple[tuple[str, int, float, bool], ...] = STREAMS
     trust_parameters: tuple[str, ...] = TRUST_PARAMETERS
+    described_by: tuple[tuple[str, str, float], ...] = DESCRIBED_BY
     unwanted_streams: tuple[int, ...] = UNWANTED_STREAMS
 
     def decode_mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]:
@@ -187,11 +208,18 @@ class Px4:
                 lambda v: {"NAV_DLL_ACT": 0.0},
                 True,
             ),
-            single_parameter_requirement(
-                "RTL_RETURN_ALT",
+            ParameterRequirement(
+                ("RTL_RETURN_ALT",),
                 route_data.rtl_requirement_text,
-                lambda x: route_data.is_clear_rtl_height(x + 1e-6),
-                math.ceil(route_data.min_clear_rtl_height_m),
+                lambda v: evaluate_parameter(
+                    v, "RTL_RETURN_ALT", lambda x: route_data.is_clear_rtl_height(x + 1e-6)
+                ),
+                lambda _: (
+                    {}
+                    if (height_m := route_data.rtl_height_to_set_m) is None
+                    else {"RTL_RETURN_ALT": height_m}
+                ),
+                True,
             ),
             ParameterRequirement(
                 ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),
@@ -199,9 +227,7 @@ class Px4:
                 lambda v: _is_route_inside_fence(v, route_data),
                 lambda v: {
                     "GF_MAX_HOR_DIST": float(fence_m) if v.get("GF_MAX_HOR_DIST") else 0.0,
-                    "GF_MAX_VER_DIST": math.ceil(
-                        max(route_data.cruise_height_m, route_data.min_clear_rtl_height_m) + 30.0
-                    )
+                    "GF_MAX_VER_DIST": route_data.fence_height_to_set_m
                     if v.get("GF_MAX_VER_DIST")
                     else 0.0,
                 },

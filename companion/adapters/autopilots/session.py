@@ -118,6 +118,12 @@ class AutopilotSession:
         self._parameters = ParameterClient(send, system_id, bytewise=profile.bytewise_parameters)
         self._missions = MissionClient(send, system_id, profile)
 
+    @property
+    def estimates_wind(self) -> bool | None:
+        """Whether the autopilot measures the wind itself; `None`: its parameters are not known."""
+        values, names = self._parameters.values, self.profile.trust_parameters
+        return any(values[n] for n in names) if all(n in values for n in names) else None
+
     def on_message(self, message: Any, t_s: float) -> list[Event]:
         """Return the events in a message of the autopilot."""
         response_events = self._process_request_response(message, t_s)

@@ -93,6 +93,9 @@ class AutopilotProfile(Protocol):
     streams: tuple[tuple[str, int, float, bool], ...]
     unwanted_streams: tuple[int, ...]
     trust_parameters: tuple[str, ...]
+    described_by: tuple[tuple[str, str, float], ...]
+    """Parameters that describe the vehicle: quantity, name and factor to SI or degrees. Of several
+    for one quantity the first that is known and above 0 counts."""
 
     def decode_mode(self, custom_mode: int, base_mode: int) -> tuple[Mode, str]: ...
     def set_mode_command_params(self, mode: Mode) -> tuple[float, float, float]: ...

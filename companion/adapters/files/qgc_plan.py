@@ -1,13 +1,38 @@
 """Missions as QGroundControl's `.plan` files (JSON; docs.qgroundcontrol.com, "Plan")."""
 
 import json
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from companion.core.base.documents import parse_json_object
 from companion.core.base.errors import LeewayError
-from companion.core.base.geo import LocalFrame
+from companion.core.base.geo import LocalFrame, offset_position_deg
 from companion.core.exports.qgc_plan import PlanItem, plan_document
+
+CIRCLE_CORNERS = 24
+
+
+@dataclass(frozen=True, slots=True)
+class FenceArea:
+    """An area of a fence by its corners (latitude, longitude), to stay in or to stay out of."""
+
+    inclusion: bool
+    ring_deg: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def of_circle(
+        cls, inclusion: bool, centre_deg: tuple[float, float], radius_m: float
+    ) -> "FenceArea":
+        """Return the polygon around a circle."""
+        corner_m = radius_m / math.cos(math.pi / CIRCLE_CORNERS)
+        turns = (2.0 * math.pi * n / CIRCLE_CORNERS for n in range(CIRCLE_CORNERS))
+        corners = (
+            offset_position_deg(*centre_deg, corner_m * math.cos(a), corner_m * math.sin(a))
+            for a in turns
+        )
+        return cls(inclusion, tuple((float(lat), float(lon)) for lat, lon in corners))
 
 
 def write_plan(
@@ -66,3 +91,26 @@ def _simple_item_problem(item: Any) -> str:
 
 def _are_numbers(values: list[Any]) -> bool:
     return all(isinstance(x, int | float) and not isinstance(x, bool) for x in values)
+
+
+def read_plan_fence_and_rally(path: Path) -> tuple[list[FenceArea], list[tuple[float, float]]]:
+    """Return the fence's areas and the rally points; LeewayError names the part."""
+    document = parse_json_object(path.read_bytes(), str(path))
+    try:
+        fence = document.get("geoFence", {})
+        areas = [
+            FenceArea(
+                bool(one["inclusion"]), tuple((float(a), float(b)) for a, b in one["polygon"])
+            )
+            for one in fence.get("polygons", ())
+        ]
+        for one in fence.get("circles", ()):
+            lat_deg, lon_deg = map(float, one["circle"]["center"])
+            radius_m = float(one["circle"]["radius"])
+            areas.append(FenceArea.of_circle(bool(one["inclusion"]), (lat_deg, lon_deg), radius_m))
+        points = document.get("rallyPoints", {}).get("points", ())
+        return areas, [(float(lat), float(lon)) for lat, lon, *_ in points]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise LeewayError(
+            f"{path}: geoFence or rallyPoints: not as QGroundControl writes them"
+        ) from error

@@ -2,6 +2,8 @@
 
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +18,13 @@ from companion.adapters.files.vehicle_settings import default_settings_folder
 from companion.app.cli.check_report import check_report_lines_and_is_ready, reason_no_check_ran
 from companion.app.flight.loaded_flight import RunOptions
 from companion.app.flight.run import DONE, GROUNDED, NO_LINK, UNCHECKABLE_PHASES, fly_mission
+from companion.core.base.errors import LeewayError
 from companion.core.mission.actions import Action, AlertReport, Decision, LogNote, PhaseChanged
 from companion.core.pilot.transitions import Phase
 from companion.fleet.network import OPEN_MARK
 
 if TYPE_CHECKING:
+    from companion.app.flight.autopilot_client import AutopilotClient
     from companion.app.flight.fleet_run import FleetOptions
 
 
@@ -109,23 +113,66 @@ def restore_settings_and_return_exit_code(
     silence_limit_s: float,
 ) -> int:
     """Restore the settings that a flight left changed on the vehicle. Returns the exit code."""
-    from companion.app.flight.autopilot_client import AutopilotClient
     from companion.app.tools.restore import restore_stored_vehicle_settings
+
+    with _autopilot_client(link, signing_key, system) as client:
+        done = restore_stored_vehicle_settings(
+            client, folder or default_settings_folder(), silence_limit_s, typer.echo
+        )
+    if done is None:
+        typer.echo(no_autopilot_message(link))
+        return NO_LINK
+    return DONE if done else GROUNDED
+
+
+def init_and_exit_code_unless_checkable(
+    source: str,
+    link: str,
+    flight_file: Path,
+    airframe: str | None,
+    signing_key: Path | None,
+    system: int | None,
+    silence_limit_s: float,
+) -> int | None:
+    """Write the flight file and what it names. Returns an exit code if no check can follow."""
+    from companion.app.tools import init_flight, vehicle_facts
+
+    init_flight.check_new_files(flight_file)
+    from_plan = source != vehicle_facts.FROM_AUTOPILOT
+    vehicle, site = vehicle_facts.VehicleFacts(), None
+    if from_plan:
+        site = vehicle_facts.read_site_of_plan(Path(source))
+    if link:
+        with _autopilot_client(link, signing_key, system) as client:
+            asked = vehicle_facts.ask_autopilot(client, silence_limit_s, with_site=not from_plan)
+        if asked is None:
+            typer.echo(no_autopilot_message(link))
+            return NO_LINK
+        vehicle, site = asked[0], site or asked[1]
+    if site is None:
+        raise LeewayError("--init autopilot: expected --link")
+    paths, notes = init_flight.write_flight_files(flight_file, vehicle, site, airframe)
+    typer.echo("wrote " + ", ".join(map(str, paths)))
+    typer.echo("".join(f"note     {note}\n" for note in notes), nl=False)
+    if link and init_flight.find_customer(site) is not None:
+        return None
+    typer.echo("NOT CHECKED" + ("" if link else ": no --link"))
+    return GROUNDED
+
+
+@contextmanager
+def _autopilot_client(
+    link: str, signing_key: Path | None, system: int | None
+) -> "Iterator[AutopilotClient]":
+    from companion.app.flight.autopilot_client import AutopilotClient
 
     key = read_signing_key(signing_key) if signing_key is not None else None
     connection = open_link(link)
     try:
         codec = MavlinkCodec(datagrams=connection.datagrams, signing_key=key)
-        caller = AutopilotClient(connection, codec, system)
-        done = restore_stored_vehicle_settings(
-            caller, folder or default_settings_folder(), silence_limit_s, typer.echo
-        )
+        yield AutopilotClient(connection, codec, system)
     finally:
         connection.close()
-    if done is None:
-        typer.echo(no_autopilot_message(link))
-        return NO_LINK
-    return DONE if done else GROUNDED
 
 
 def check_vehicle_and_return_exit_code(options: RunOptions) -> int:

@@ -9,6 +9,23 @@ import typer
 from typer.core import TyperGroup
 
 from companion.app.cli import calibrate, certify, export, fit_wind, monitor, replay, signing
+from companion.app.cli.options import (
+    AirframeName,
+    Here,
+    Init,
+    Key,
+    LinkUrl,
+    MaxLossPerHour,
+    Mission,
+    MonitorFolder,
+    Pack,
+    Params,
+    RunDir,
+    SilenceLimit,
+    System,
+    VehicleSettings,
+    WindProcess,
+)
 from companion.core.base.errors import LeewayError, LinkClosedError
 from companion.core.base.help_text import reflow_command_help_in_place
 
@@ -74,78 +91,6 @@ def options(
     P(home): probability of landing at home with the reserve. Gate: turns back at a low P(home).
     """
     del version  # handled by its callback
-
-
-LinkUrl = Annotated[
-    str,
-    typer.Option(
-        help="Link to the autopilot: udpin:HOST:PORT (listen), udpout:HOST:PORT or tcp:HOST:PORT"
-        " (connect), serial:DEVICE:BAUD."
-    ),
-]
-Mission = Annotated[
-    Path,
-    typer.Option(help="A flight/1 TOML file, or a name in params/flights, such as `default`."),
-]
-AirframeName = Annotated[
-    str | None,
-    typer.Option(help="A name in params/airframes, or a .toml file; default: the flight's."),
-]
-WindProcess = Annotated[
-    str | None,
-    typer.Option(
-        help="Wind process of the site: a name in params/wind, or a .toml file from"
-        " `companion fit-wind`; default: the flight's mission.wind_process."
-    ),
-]
-Params = Annotated[
-    Path | None, typer.Option(help="Params folder; default: the repository's or the package's.")
-]
-Key = Annotated[
-    Path | None, typer.Option(help="MAVLink signing key: 32 bytes or 64 hex digits in a file.")
-]
-System = Annotated[
-    int | None, typer.Option(help="MAVLink system id of the vehicle; default: the only one.")
-]
-Here = Annotated[
-    bool,
-    typer.Option(
-        "--here", help="Move the flight's site so that its depot is at the vehicle's position."
-    ),
-]
-RunDir = Annotated[Path, typer.Option(help="Folder for log, checkpoint and result.")]
-SilenceLimit = Annotated[float, typer.Option(help="Exit after this time without an autopilot, s.")]
-VehicleSettings = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder for the original values of settings that a flight changed, until they are"
-        " restored; default: `settings` in a service's state directory, else in"
-        " ~/.local/state/leeway."
-    ),
-]
-MonitorFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--monitor",
-        help="Folder for the vehicle's service record (docs: monitor); default:"
-        " `monitor` in a service's state directory, else no record.",
-    ),
-]
-Pack = Annotated[
-    str,
-    typer.Option(help="Installed battery pack, by name; each has its own record in the monitor."),
-]
-
-
-MaxLossPerHour = Annotated[
-    float | None,
-    typer.Option(
-        min=1e-6,
-        max=1.0,
-        help="Accepted probability of losing the vehicle per flight hour (docs: return-budget);"
-        " default: that of the flight's mission, else only its max_loss, which is per mission.",
-    ),
-]
 
 
 class GateSwitch(StrEnum):
@@ -294,7 +239,6 @@ def run_command(
             " params/policies, or a card's path); default: straight to the next mission item."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="No effect: no random numbers are drawn.")] = 0,
     max_loss_per_hour: MaxLossPerHour = None,
 ) -> None:
     """Fly a mission: plan, upload, wait for authorisation, deliver, return.
@@ -302,7 +246,6 @@ def run_command(
     In a fleet: companion run --link serial:/dev/serial0:921600 --airframe m100 --fleet harbour
     --vehicle d1
     """
-    del seed
     if keep_apart and fleet is None:
         raise LeewayError("--keep-apart: expected --fleet and --vehicle, which provide traffic")
     if (fleet is None) != (vehicle is None):
@@ -367,8 +310,9 @@ def run_command(
 
 @app.command(epilog=CHECK_EXIT_CODES)
 def check(
-    link: LinkUrl,
     mission: Mission,
+    link: LinkUrl = "",
+    init: Init = None,
     airframe: AirframeName = None,
     wind_process: WindProcess = None,
     run_dir: RunDir = Path("logs/companion-check"),
@@ -381,10 +325,21 @@ def check(
     monitor_folder: MonitorFolder = None,
     pack: Pack = "unnamed",
 ) -> None:
-    """Check the vehicle for a mission without changing the autopilot."""
+    """Check the vehicle for a mission without changing the autopilot.
+
+    First flight file: companion check --init autopilot --mission my.toml --link udpin:0.0.0.0:14540
+    """
     from companion.app.cli import flying
     from companion.core.pilot.context import PilotOptions
 
+    if init is not None:
+        code = flying.init_and_exit_code_unless_checkable(
+            init, link, mission, airframe, signing_key, system, silence_limit
+        )
+        if code is not None:
+            raise typer.Exit(code)
+    elif not link:
+        raise LeewayError("--link: expected, except with --init and a plan")
     requested = flying.run_options(
         link=link,
         mission=mission,

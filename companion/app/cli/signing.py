@@ -27,7 +27,7 @@ def provision(
     ] = Path("signing.key"),
     system: Annotated[
         int | None,
-        typer.Option(help="MAVLink system id of the vehicle; default: the first received."),
+        typer.Option(help="MAVLink system id of the vehicle; default: the only one."),
     ] = None,
 ) -> None:
     """Write a signing key to a disarmed autopilot and verify it.

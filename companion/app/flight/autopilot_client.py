@@ -35,6 +35,8 @@ class AutopilotClient:
     now_s: Callable[[], float] = wall_s
     clock: AutopilotClock = field(default_factory=AutopilotClock)
     telemetry: TelemetryState = field(default_factory=TelemetryState)
+    observe: Callable[[Any], None] = lambda _: None
+    """Called with each message of an accepted autopilot."""
     port: AutopilotPort = field(init=False)
     received_s: float = field(init=False)
     """Time of the last message of the autopilot, at first of the start."""
@@ -65,6 +67,7 @@ class AutopilotClient:
         if from_autopilot:
             self.link.set_reply_peer(peer)
             self.received_s = self.now_s()
+            self.observe(message)
         if message.get_type() == "TIMESYNC":
             if message.tc1 != 0:
                 self.port.update_clock_from_timesync_response(message)

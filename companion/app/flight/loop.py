@@ -39,6 +39,7 @@ from companion.core.mission.actions import (
     PublishValues,
     ResponseStatus,
     SaveCheckpoint,
+    WindReport,
 )
 from companion.core.mission.alerts import Alert, AlertParameter
 from companion.core.mission.events import (
@@ -104,7 +105,7 @@ class Loop:
         self._recorder = recorder
         self._silence_limit_s = silence_limit_s
         self._wall_clock_s = wall_clock_s
-        self._status = StatusSender(queue_message, self.clock, wall_clock_s, pilot)
+        self._status = StatusSender(queue_message, self.clock, wall_clock_s, pilot, self.autopilot)
         self._operator = OperatorPort(
             queue_message,
             self.submit_event,
@@ -289,8 +290,8 @@ class Loop:
                     self.send_queue.discard_orders()
                 case AlertReport():
                     self._status.queue_text(action)
-                case PublishValues():
-                    self._status.add_values(action.values)
+                case PublishValues() | WindReport():
+                    self._status.add_report(action)
                 case OperatorResponse():
                     self._response = action
                 case PhaseChanged():

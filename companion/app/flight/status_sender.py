@@ -1,16 +1,20 @@
 """Status of the companion on the vehicle's network: heartbeats, named values and texts."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from companion.adapters.autopilots.codec import heartbeat_message, mavlink
+from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.autopilots.status_text import StatusTexts
 from companion.adapters.clock import AutopilotClock, is_due
-from companion.core.mission.actions import AlertReport
+from companion.core.mission.actions import AlertReport, PublishValues, WindReport
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 
-HEARTBEAT_S = 1.0
+HEARTBEAT_S = WIND_S = 1.0
 STATE_BY_PHASE = {
     Phase.IDENTIFY: mavlink.MAV_STATE_BOOT,
     Phase.FOREIGN_MISSION: mavlink.MAV_STATE_STANDBY,
@@ -27,11 +31,14 @@ class StatusSender:
         clock: AutopilotClock,
         wall_clock_s: Callable[[], float],
         pilot: Pilot,
+        autopilot: AutopilotPort,
     ) -> None:
         self._queue_message = queue_message
         self._clock = clock
         self._wall_clock_s = wall_clock_s
         self._pilot = pilot
+        self._autopilot = autopilot
+        self._wind_s: float | None = None
         self._texts = StatusTexts()
         self._waiting_values: dict[str, float] = {}
         self._tick_heartbeat_s: float | None = None
@@ -42,9 +49,34 @@ class StatusSender:
         for message in self._texts.split_into_messages(report.severity, report.text):
             self._queue_message(message)
 
-    def add_values(self, values: dict[str, float]) -> None:
-        """Add values to send; newer values replace waiting ones of their name."""
-        self._waiting_values.update(values)
+    def add_report(self, report: PublishValues | WindReport) -> None:
+        """Add values to send, newer ones replace waiting ones of their name; queue the wind."""
+        if isinstance(report, PublishValues):
+            self._waiting_values.update(report.values)
+        elif self._is_only_wind_source() and is_due(self._wind_s, WIND_S - 1e-6, report.t_s):
+            self._wind_s = report.t_s
+            self._queue_message(self._wind_cov_message(report))
+
+    def _is_only_wind_source(self) -> bool:
+        """Whether this companion flies the vehicle and the autopilot has no wind of its own.
+
+        Ground stations show the last WIND_COV of any component: two senders would alternate.
+        """
+        telemetry = self._pilot.context.telemetry
+        in_flight = self._pilot.phase in FLIGHT_PHASES and telemetry.airborne
+        return in_flight and telemetry.wind is None and self._autopilot.estimates_wind is False
+
+    def _wind_cov_message(self, wind: WindReport) -> Any:
+        """Return WIND_COV: where the air moves to, as PX4 sends and QGroundControl shows it."""
+        covariance = [[wind.nn_m2ps2, wind.ne_m2ps2], [wind.ne_m2ps2, wind.ee_m2ps2]]
+        largest_std_mps = math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
+        position = self._pilot.context.telemetry.position
+        amsl_m = math.nan if position is None else position.alt_amsl_m
+        time_us = 1000 * self._clock.autopilot_time_since_boot_ms
+        unknown = math.nan
+        return mavlink.MAVLink_wind_cov_message(
+            time_us, wind.n_mps, wind.e_mps, unknown, unknown, unknown, amsl_m, largest_std_mps, 0.0
+        )
 
     def queue_next_named_value(self) -> None:
         """Queue one named value a tick: of several at once PX4 logs only the last (observed)."""

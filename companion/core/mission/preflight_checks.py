@@ -63,12 +63,28 @@ class RouteProperties:
     @property
     def rtl_requirement_text(self) -> str:
         """Text of the requirement on the RTL height."""
+        if math.isinf(self.min_clear_rtl_height_m):
+            return (
+                "an RTL around no-fly areas: a straight line home from the route crosses one at"
+                " every height; move depot or customer"
+            )
         description = (
             f"an RTL above every obstacle and the ground ({self.min_clear_rtl_height_m:.0f} m)"
         )
         if math.isinf(self.ceiling_m):
             return description
         return f"{description} and under geo-zones ({self.ceiling_m:.0f} m)"
+
+    @property
+    def rtl_height_to_set_m(self) -> float | None:
+        """RTL height to set; `None` if none is clear of everything."""
+        height_m = self.min_clear_rtl_height_m
+        return None if math.isinf(height_m) else float(math.ceil(height_m))
+
+    @property
+    def fence_height_to_set_m(self) -> float:
+        """Height of a fence above the route and the RTL."""
+        return math.ceil(max(self.cruise_height_m, self.rtl_height_to_set_m or 0.0) + 30.0)
 
     def is_clear_rtl_height(self, height_m: float) -> bool:
         """Return whether an RTL at this height is clear of everything on the site."""

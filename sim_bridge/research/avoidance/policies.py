@@ -26,7 +26,15 @@ from sim_bridge.research.avoidance.evaluation import (
 )
 from sim_bridge.research.study.intervals import share_upper95
 from sim_bridge.research.study.run import Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_optional
+from sim_bridge.research.study.sheet import (
+    Cell,
+    Column,
+    Figures,
+    Sheet,
+    format_optional,
+    plus_minus,
+    separated,
+)
 
 FILTERED = ("maddpg", "orca_filtered", "none_filtered")
 EPISODES_PER_CASE = 25  # episodes flown in parallel
@@ -149,24 +157,33 @@ def summarize_policy(parts: list[tuple[Episodes, EpisodesFlown]]) -> dict[str, A
 def policy_sheet(rows: Sequence[dict[str, Any]]) -> Sheet:
     """Tabulate the counts and means of each policy."""
 
-    def format_ratio(row: dict[str, Any], name: str) -> str:
+    def format_ratio(row: dict[str, Any], name: str) -> Cell:
         mean, half_width = row[f"{name}_mean"], row[f"{name}_ci95"]
-        return "-" if mean is None else f"{mean:.3f} ± {half_width or 0.0:.3f}"
+        return (
+            "-" if mean is None else plus_minus(mean, half_width or 0.0, ".3f", "95 % half width")
+        )
+
+    def format_meetings(row: dict[str, Any]) -> Cell:
+        met, bound = row["drone_collisions"], row["drone_collision_rate_upper95"]
+        share = f"{math.ceil(1e4 * bound) / 1e4:.2%}"
+        return Figures(
+            f"{met} of {row['flights']} (< {share})",
+            {"met a drone": f"{met}", "flights": f"{row['flights']}", "at most, 95 %": share},
+        )
 
     columns: dict[str, Column] = {
-        "drones, episodes": "{0[agents]}, {0[episodes]}",
+        "drones, episodes": lambda row: separated(
+            {"drones": f"{row['agents']}", "episodes": f"{row['episodes']}"}, ", "
+        ),
         "policy": "`{0[policy]}`",
         "goals": lambda row: f"{row['goals'] / row['flights']:.1%}",
-        "met a drone (bound, 95 %)": lambda row: (
-            f"{row['drone_collisions']} of {row['flights']}"
-            f" (< {math.ceil(1e4 * row['drone_collision_rate_upper95']) / 1e4:.2%})"
-        ),
+        "met a drone (bound, 95 %)": format_meetings,
         "met a building": "{0[building_collisions]}",
         "time ratio": lambda row: format_ratio(row, "time_ratio"),
         "energy ratio": lambda row: format_ratio(row, "energy_ratio"),
         "least separation, m": lambda row: format_optional(row["separation_min_m"], ".1f", "-"),
-        "CPU of a decision, median and p99, us": (
-            "{0[decision_us_median]:.0f}, {0[decision_us_p99]:.0f}"
+        "CPU of a decision, median and p99, us": lambda row: separated(
+            {f"decision {n}, us": f"{row[f'decision_us_{n}']:.0f}" for n in ("median", "p99")}, ", "
         ),
     }
     note = "Intervals by episode, 95 %."

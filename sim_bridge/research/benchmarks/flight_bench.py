@@ -21,7 +21,7 @@ from sim_bridge.app.flight.stage import Script
 from sim_bridge.app.flight.vehicle_process import Craft
 from sim_bridge.autopilot.kinds import AUTOPILOTS
 from sim_bridge.research.study.run import ExperimentRun, Report
-from sim_bridge.research.study.sheet import Column, Sheet
+from sim_bridge.research.study.sheet import Column, Sheet, low_to_high
 
 FLEET = 20
 FLEET_SECONDS_S = 90.0
@@ -145,7 +145,7 @@ def _build_result_sheet(rounds: int, rows: list[Row]) -> Sheet:
         "what": "{0[0]}",
         "median": lambda row: f"{statistics.median(row[1]):.3g}",
         "least to most": lambda row: (
-            f"{min(row[1]):.3g} to {max(row[1]):.3g}" if len(row[1]) > 1 else ""
+            low_to_high((min(row[1]), max(row[1])), ".3g") if len(row[1]) > 1 else ""
         ),
         "n": lambda row: str(len(row[1])),
         "goal": "{0[3]} {0[2]}",

@@ -35,8 +35,9 @@ from sim_bridge.research.planners.mission_model import (
 )
 from sim_bridge.research.planners.planner_plugin import PlannerFactory
 from sim_bridge.research.planners.scenario import LogWind, Scenario, parse_scenario, scenario_json
+from sim_bridge.research.study.intervals import wilson95
 from sim_bridge.research.study.run import Experiment, Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_optional
+from sim_bridge.research.study.sheet import Column, Sheet, format_optional, low_to_high
 
 BLOCKS_PER_TASK = 5
 TIMED_DECISIONS = 100  # decisions that are timed one by one,
@@ -270,6 +271,7 @@ def build_campaign_report(tasks: Sequence[CampaignTask], results: Sequence[TaskR
             for name in ("SUC", "DEL", "FAIL", "ABRT")
         },
         "loss %": lambda row: f"{100.0 * row.loss_frac:.3f}",
+        "loss 95 %": lambda row: low_to_high(wilson95(row.DEL + row.FAIL, row.missions), ".3%"),
         "energy Wh": "{0.energy_wh_mean:.1f}",
         "margin Wh": lambda row: format_optional(row.margin_wh_mean, ".1f", "-"),
         "time s": "{0.time_s_mean:.0f}",

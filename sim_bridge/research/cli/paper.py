@@ -161,7 +161,7 @@ def towns(
     kind = list[tuple[str, list[float]]]
     run_experiment(
         Experiment("towns", work, experiment.fly_town_with_each_planner, kind),
-        lambda found: experiment.build_towns_report(found, rounds, budget_wh, max_loss),
+        lambda found: experiment.build_towns_report(found, rounds, work[0]),
     )
 
 

@@ -33,8 +33,9 @@ from sim_bridge.research.fleet_wind.missions import (
     fly_missions_under_each_policy,
     split_missions_into_work_items,
 )
+from sim_bridge.research.study.intervals import bootstrap_mean_interval95
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_interval95, format_optional
+from sim_bridge.research.study.sheet import Column, Sheet, format_optional, low_to_high
 from sim_bridge.truth.fields.coherent_field import Coherence
 
 ORDINARY, FRONT = "ordinary", "with a front"
@@ -203,7 +204,9 @@ def _error_sheet(
         "where": "{0[where]}",
         "what": _lead_time_text,
         **_RMSE_AND_GAIN,
-        "95 %": lambda row: format_interval95(_gains_percent(results, row), 0),
+        "95 %": lambda row: low_to_high(
+            bootstrap_mean_interval95(_gains_percent(results, row), np.random.default_rng(0)), ".0f"
+        ),
         "NEES own": "{0[own_only_nees]:.2f}",
         "NEES fleet": "{0[nees]:.2f}",
     }
@@ -245,7 +248,8 @@ def _alert_sheet(alerts: AlertStatistics) -> Sheet:
             format_optional(row["delay_s_median"], ".0f"),
         ],
         ["the same, 90 % s", format_optional(row["delay_s_p90"], ".0f")],
-        ["false alerts without a front", f"{alerts.false_alerts} in {alerts.hours:.1f} h"],
+        ["false alerts without a front", f"{alerts.false_alerts}"],
+        ["hours without a front", f"{alerts.hours:.1f}"],
     ]
     note = "A front is felt where the 10 s mean has changed by 3 m/s because of it."
     return Sheet("Fronts", ["what", "figure"], cells, note)

@@ -32,7 +32,7 @@ from sim_bridge.research.monitor.services import (
 )
 from sim_bridge.research.study.intervals import wilson95
 from sim_bridge.research.study.run import Report
-from sim_bridge.research.study.sheet import Sheet
+from sim_bridge.research.study.sheet import Sheet, low_to_high
 
 M100_DAY_STD, M100_FLIGHT_STD = 0.015, 0.024
 """Log ratio of used to modelled energy: 119 flights of an M100 (Rodrigues et al., 2021)."""
@@ -86,7 +86,7 @@ def evaluate_monitor(service_count: int, seed: int) -> Report:
                 "services": "{0[services]}",
                 "with an alarm": "{0[alarms]}",
                 "share": lambda row: f"{row['alarms'] / row['services']:.2%}",
-                "95 % interval": lambda row: _format_percent_interval(row["interval95"]),
+                "95 % interval": lambda row: low_to_high(row["interval95"], ".2%"),
             },
             f"Services of {ServicePlan().flights} flights, ten a day, four packs in turn. The edge"
             " of the null is the worst that is promised: every mean at its tolerance, every scatter"
@@ -112,8 +112,8 @@ def evaluate_monitor(service_count: int, seed: int) -> Report:
                 "what": "{0[what]}",
                 "when": "{0[when]}",
                 "lost, monitor": "{0[with_monitor].share:.2%}",
-                "95 % interval": lambda row: _format_percent_interval(
-                    wilson95(row["with_monitor"].lost, max(row["with_monitor"].allowed, 1))
+                "95 % interval": lambda row: low_to_high(
+                    wilson95(row["with_monitor"].lost, max(row["with_monitor"].allowed, 1)), ".2%"
                 ),
                 "lost, without": "{0[without].share:.2%}",
                 "allowed, monitor": "{0[with_monitor].allowed_share:.0%}",
@@ -124,10 +124,6 @@ def evaluate_monitor(service_count: int, seed: int) -> Report:
         ),
     }
     return Report(sheets, document)
-
-
-def _format_percent_interval(interval: tuple[float, float]) -> str:
-    return f"{interval[0]:.2%} to {interval[1]:.2%}"
 
 
 def simulate_false_alarms(service_count: int, seed: int) -> Iterator[Row]:

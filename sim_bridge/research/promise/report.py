@@ -38,7 +38,7 @@ from sim_bridge.research.promise.world import (
 )
 from sim_bridge.research.study.intervals import bootstrap_share_interval95, poisson_mean_upper95
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_optional
+from sim_bridge.research.study.sheet import Column, Figures, Sheet, format_optional, low_to_high
 
 MIN_BIN_MISSIONS = 100  # in a reliability bin
 BIN_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
@@ -150,10 +150,17 @@ def reliability_bins(predictions: Predictions, rng: np.random.Generator) -> list
     for low, top in reversed(bounds):
         inside = _is_in_bin(predictions.p_home, low, top)
         home = predictions.home[inside]
-        interval95 = bootstrap_share_interval95(home, predictions.unit[inside], rng)
+        interval95 = share_interval95(home, predictions.unit[inside], rng)
         mean = float(predictions.p_home[inside].mean())
         bins.append(Bin(low, top, mean, int(inside.sum()), int(home.sum()), *interval95))
     return bins
+
+
+def share_interval95(hit: Bools, unit: Ints, rng: np.random.Generator) -> tuple[float, float]:
+    """Return the 95 % interval of the share of hits, missions of one unit drawn together."""
+    _, index = np.unique(unit, return_inverse=True)
+    counts = np.bincount(index)
+    return bootstrap_share_interval95(np.bincount(index, weights=hit), counts, rng)
 
 
 def _is_in_bin(p: Floats, low: float, high: float) -> Bools:
@@ -172,7 +179,7 @@ def promise_document(
     """
     gate = ends["gate"]
     bins, home = reliability_bins(statements, rng), gate.returned_home[gate.go]
-    lower, _ = bootstrap_share_interval95(home, bootstrap_unit[gate.go], rng)
+    lower, _ = share_interval95(home, bootstrap_unit[gate.go], rng)
     return {
         "rules": {name: RuleRow.from_outcomes(each) for name, each in ends.items()},
         "reliability": bins,
@@ -272,20 +279,21 @@ def _rules_sheet(
 def _reliability_sheet(bins: list[Bin]) -> Sheet:
     """Return the table of predicted P(home) against the share that returned home."""
 
-    def format_interval_agreement(row: Bin) -> str:
+    def format_interval_agreement(row: Bin) -> Figures:
         if row.lower95 <= row.p_home_mean <= row.upper95:
-            return "yes"
-        return f"no, {100.0 * abs(row.p_home_mean - row.home / row.count):.2f} points off"
+            return Figures("yes", {"{}": "yes", "points off": ""})
+        off = f"{100.0 * abs(row.p_home_mean - row.home / row.count):.2f}"
+        return Figures(f"no, {off} points off", {"{}": "no", "points off": off})
 
     return Sheet.from_objects(
         "Reliability of P(home)",
         bins,
         {
-            "P(home) stated": "{0.p_low:g} to {0.p_high:g}",
+            "P(home) stated": lambda row: low_to_high((row.p_low, row.p_high), "g"),
             "statements": "{0.count}",
             "mean stated": "{0.p_home_mean:.2%}",
             "came home": lambda row: f"{row.home / row.count:.2%}",
-            "95 %": "{0.lower95:.2%} to {0.upper95:.2%}",
+            "95 %": lambda row: low_to_high((row.lower95, row.upper95), ".2%"),
             "inside": format_interval_agreement,
         },
         "One statement for each mission and phase: departure, half way out, over the customer.",

@@ -11,7 +11,7 @@ from sim_bridge.research.rates.mission import DeliveryOutcome, DeliveryWorld
 from sim_bridge.research.rates.subset import ONE_SIDED_95, subset_simulation
 from sim_bridge.research.study.intervals import share_upper95
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_optional
+from sim_bridge.research.study.sheet import Column, Figures, Sheet, format_optional, plus_minus
 
 CHECKED_RATE = 5.0
 """Losses per flight hour accepted in the check: high enough that losses can be counted."""
@@ -199,9 +199,9 @@ def losses_by_accepted_rate_sheet(rows: Sequence[RateRow]) -> Sheet:
     ranked = sorted(rows, key=lambda row: -row.accepted_per_hour)
     most = ranked[0].delivered
 
-    def delivered_percent_and_std(row: RateRow) -> str:
+    def delivered_percent_and_std(row: RateRow) -> Figures:
         std = math.sqrt(row.delivered * (1.0 - row.delivered) / row.samples)
-        return f"{100.0 * row.delivered:.1f} ± {100.0 * std:.1f}"
+        return plus_minus(100.0 * row.delivered, 100.0 * std, ".1f", "standard error")
 
     columns: dict[str, Column] = {
         "accepted, per flight hour": "{0.accepted_per_hour:.0e}",

@@ -4,8 +4,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import beta, binomtest, chi2
 
-from companion.core.base.arrays import Bools, Ints
-
 RESAMPLES = 4000
 
 
@@ -25,27 +23,26 @@ def poisson_mean_upper95(events: int) -> float:
     return 0.5 * float(chi2.ppf(0.95, 2 * (events + 1)))
 
 
-def mean_interval95(values: ArrayLike) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of independent values (normal approximation)."""
+def bootstrap_mean_interval95(values: ArrayLike, rng: np.random.Generator) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of independent values: bootstrap percentiles."""
     values = np.asarray(values, dtype=float)
-    half = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-    return float(values.mean() - half), float(values.mean() + half)
+    means = values[rng.integers(0, values.size, (RESAMPLES, values.size))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)
 
 
 def bootstrap_share_interval95(
-    hit: Bools, bootstrap_unit: Ints, rng: np.random.Generator
+    hits_by_unit: ArrayLike, count_by_unit: ArrayLike, rng: np.random.Generator
 ) -> tuple[float, float]:
     """95 % interval of the share of hits: bootstrap by units, or Wilson's where that is wider.
 
     A bootstrap cannot reflect losses that are absent from the sample.
     """
-    if hit.size == 0:
+    hits, counts = np.asarray(hits_by_unit, float), np.asarray(count_by_unit, float)
+    if counts.sum() == 0.0:
         return 0.0, 1.0
-    _, index = np.unique(bootstrap_unit, return_inverse=True)
-    hits = np.bincount(index, weights=hit.astype(float))
-    counts = np.bincount(index).astype(float)
     drawn = rng.integers(0, hits.size, (RESAMPLES, hits.size))
     shares = hits[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
     lower, upper = np.quantile(shares, [0.025, 0.975])
-    low, high = wilson95(int(hit.sum()), hit.size)
+    low, high = wilson95(round(hits.sum()), round(counts.sum()))
     return min(float(lower), low), max(float(upper), high)

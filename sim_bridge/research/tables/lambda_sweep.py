@@ -15,12 +15,14 @@ from sim_bridge.research.campaign.workbench import (
 from sim_bridge.research.planners.mission_model import Outcome
 from sim_bridge.research.planners.scenario import Scenario
 from sim_bridge.research.study.run import Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_interval95
+from sim_bridge.research.study.sheet import Column, Sheet
+from sim_bridge.research.tables.table1 import share_interval
 
 LAMBDAS = (1.0, 1.5, 2.0, 2.5)
 BUDGETS_WH = (25.0, 37.5, 50.0, 75.0, 100.0)
 PLANNERS = ("ser", "rer", "ber-paper")
 SWEEP_SEED = 2
+MISSIONS = 60
 
 
 Cell = tuple[str, float, float]
@@ -34,7 +36,7 @@ class SweepJob:
     """One graph, flown with every planner, lambda and battery."""
 
     scenario: Scenario
-    missions: int = 60
+    missions: int = MISSIONS
     classes: int = 8
 
 
@@ -70,7 +72,7 @@ def build_lambda_sweep_report(found: list[list[tuple[Cell, list[float]]]]) -> Re
         "lambda": "{0[1]:g}",
         "battery Wh": "{0[2]:g}",
         "SUC %": lambda cell: f"{cells[cell]['success'].mean():.1f}",
-        "SUC 95 %": lambda cell: format_interval95(cells[cell]["success"]),
+        "SUC 95 %": lambda cell: share_interval(cells[cell]["success"], MISSIONS),
         "ABRT %": lambda cell: f"{cells[cell]['abort'].mean():.1f}",
         "loss %": lambda cell: f"{cells[cell]['loss'].mean():.1f}",
     }

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.adapters.files.params import read_wind_process
+from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from sim_bridge.research.campaign.scenario_generator import (
     GUSTY,
@@ -32,8 +33,16 @@ from sim_bridge.research.planners.edge_transitions import build_edge_transition_
 from sim_bridge.research.planners.markov_chain import build_prior_wind
 from sim_bridge.research.planners.scenario import LogWind, Scenario
 from sim_bridge.research.planners.tuning import PolicyTuner, TuningParams
+from sim_bridge.research.study.intervals import bootstrap_share_interval95
 from sim_bridge.research.study.run import Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_interval95, format_mean_std
+from sim_bridge.research.study.sheet import (
+    Column,
+    Figures,
+    Sheet,
+    low_to_high,
+    mean_and_std,
+    separated,
+)
 from sim_bridge.truth.errors import TruthError
 from sim_bridge.truth.wind_log import load_wind_log
 
@@ -231,34 +240,52 @@ def table1_sheet(title: str, cells: dict[Cell, Shares], note: str, params: Table
         "classes": "{0[0]}",
         "B": "{0[1]:g}",
         "planner": "{0[2]}",
-        **outcome_columns(shares_by_graph),
-        "paper SUC / DEL / FAIL / ABRT": lambda cell: format_paper_row(
+        **outcome_columns(shares_by_graph, params.targets * params.missions),
+        "paper SUC / DEL / FAIL / ABRT": lambda cell: paper_row(
             PAPER[cell[:2]].get("ber" if "paper's" in cell[2] else cell[2])
         ),
     }
     return Sheet.from_objects(title, cells, columns, note)
 
 
-def outcome_columns(shares_by_graph: Callable[[Any], Shares]) -> dict[str, Column]:
+def outcome_columns(
+    shares_by_graph: Callable[[Any], Shares], missions_by_graph: int
+) -> dict[str, Column]:
     """Return the columns for a cell's shares (rounds, graphs, 4): means by round, an interval."""
     return {
         **{
-            f"{name} %": lambda cell, k=k: format_mean_std(shares_by_graph(cell)[..., k].mean(1))
+            f"{name} %": lambda cell, k=k: mean_and_std(shares_by_graph(cell)[..., k].mean(1))
             for k, name in enumerate(("SUC", "DEL", "FAIL", "ABRT"))
         },
         "loss %": lambda cell: f"{shares_by_graph(cell)[..., 1:3].sum(axis=-1).mean():.2f}",
-        "SUC 95 %": lambda cell: format_interval95(shares_by_graph(cell)[..., 0].ravel()),
+        "SUC 95 %": lambda cell: share_interval(
+            shares_by_graph(cell)[..., 0].ravel(), missions_by_graph
+        ),
     }
 
 
-def format_paper_row(row: tuple[float, float, float, float] | None) -> str:
-    """Format the paper's row, or a dash if it has none."""
-    return " / ".join(f"{x:.1f}" for x in row) if row else "-"
+def share_interval(percent_by_graph: Floats, missions_by_graph: int) -> Figures:
+    """Return the 95 % interval, in percent, of an outcome's share over graphs."""
+    low, high = bootstrap_share_interval95(
+        percent_by_graph / 100.0 * missions_by_graph,
+        np.full(percent_by_graph.size, missions_by_graph),
+        np.random.default_rng(TABLE_SEED),
+    )
+    return low_to_high((100.0 * low, 100.0 * high), ".1f")
+
+
+def paper_row(row: tuple[float, float, float, float] | None) -> Figures | str:
+    """Return the paper's row, or a dash if it has none."""
+    if row is None:
+        return "-"
+    names = ("SUC", "DEL", "FAIL", "ABRT")
+    return separated({f"paper {n} %": f"{x:.1f}" for n, x in zip(names, row, strict=True)}, " / ")
 
 
 NOTE = (
-    "This project: mean ± std over rounds of {graphs} graphs; 95 % intervals over all graphs. Each "
-    "scenario keeps the bound separately, so the loss over all is smaller; \"at the paper's "
+    "This project: mean ± std over rounds of {graphs} graphs; 95 % intervals over all graphs "
+    "(bootstrap, or Wilson's where wider). Each scenario keeps the bound separately, so the loss "
+    "over all is smaller; \"at the paper's "
     'loss" permits each scenario {share:g} times that loss. `frontier` is the '
     "forecast of the tables with an observed wind state, at the permitted loss: an upper bound "
     "where classes hide it. The paper states neither graph size, wind process nor airframe. "

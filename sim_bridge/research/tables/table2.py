@@ -42,7 +42,7 @@ from sim_bridge.research.planners.mission_model import (
 from sim_bridge.research.planners.scenario import Scenario, build_energy_graph
 from sim_bridge.research.planners.tuning import TuningParams
 from sim_bridge.research.study.run import Report
-from sim_bridge.research.study.sheet import Sheet, format_mean_std
+from sim_bridge.research.study.sheet import Cell, Sheet, mean_and_std, separated
 from sim_bridge.research.tables.table2_day import (
     DRONES,
     STOPS,
@@ -242,29 +242,31 @@ def build_table2_report(trials: list[Trial], measured: list[TrialResult], seed: 
 
 def table2_sheet(found: dict[str, list[TrialResult]], seed: int = TABLE2_SEED) -> Sheet:
     """Tabulate this project's results and the paper's."""
+    names = ["SUC %", "ABRT %", "FAIL %", "energy Wh", "margin Wh", "time s", "max turn deg"]
     rows = []
     for variant, paper in PAPER.items():
-        theirs = " / ".join(f"{x:g}" for x in paper)
+        theirs = separated(
+            {f"paper {n}": f"{x:g}" for n, x in zip(names, paper, strict=True)}, " / "
+        )
         if variant not in found:
             rows.append([variant, *["not configured"] * 7, theirs])
             continue
         ours = (_format_cell(getattr(m, name) for m in found[variant]) for name in COLUMNS)
         rows.append([variant, *ours, theirs])
-    head = ["variant", "SUC %", "ABRT %", "FAIL %", "energy Wh", "margin Wh", "time s"]
-    head += ["max turn deg", "paper: the same seven"]
+    head = ["variant", *names, "paper: the same seven"]
     return Sheet("Table 2", head, rows, _format_note(found, seed))
 
 
-def _format_cell(values: Iterable[float | None]) -> str:
+def _format_cell(values: Iterable[float | None]) -> Cell:
     known = [value for value in values if value is not None]
-    return format_mean_std(known) if known else "no corner"
+    return mean_and_std(known) if known else "no corner"
 
 
 def _format_note(found: dict[str, list[TrialResult]], seed: int) -> str:
     limits = FlightLimits.from_bank(SETTING.airspeed_mps, BANK_LIMIT_RAD)
     days = "; ".join(
-        f"{variant}: {format_mean_std([m.flights for m in found[variant]])} flights,"
-        f" {format_mean_std([m.makespan_s / 60.0 for m in found[variant]])} min"
+        f"{variant}: {mean_and_std([m.flights for m in found[variant]])} flights,"
+        f" {mean_and_std([m.makespan_s / 60.0 for m in found[variant]])} min"
         for variant in (FULL, "with k-means", "without LLM")
         if variant in found
     )

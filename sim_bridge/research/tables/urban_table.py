@@ -12,7 +12,7 @@ from sim_bridge.research.campaign.workbench import (
 from sim_bridge.research.planners.tuning import TuningParams
 from sim_bridge.research.study.run import Report
 from sim_bridge.research.study.sheet import Column, Sheet
-from sim_bridge.research.tables.table1 import PAPER, format_paper_row, outcome_columns
+from sim_bridge.research.tables.table1 import PAPER, outcome_columns, paper_row
 from sim_bridge.research.tables.urban_scene import TownParams, draw_connected_town
 
 PLANNERS = ("ser", "rer", "ger", "ber-paper", "ber")
@@ -50,9 +50,10 @@ def fly_town_with_each_planner(job: TownJob) -> list[tuple[str, list[float]]]:
 
 
 def build_towns_report(
-    towns: list[list[tuple[str, list[float]]]], rounds: int, budget_wh: float, max_loss: float
+    towns: list[list[tuple[str, list[float]]]], rounds: int, first: TownJob
 ) -> Report:
     """Return the table of all towns: one line for each planner."""
+    budget_wh, max_loss = first.budget_wh, first.max_loss
     cells = outcome_percentages_by_cell(towns)
     found = {name: shares.reshape(rounds, -1, 4) for name, shares in cells.items()}
     note = (
@@ -62,7 +63,7 @@ def build_towns_report(
     )
     columns: dict[str, Column] = {
         "planner": "{0}",
-        **outcome_columns(lambda name: found[name]),
-        "paper (8 classes)": lambda name: format_paper_row(PAPER.get((8, budget_wh), {}).get(name)),
+        **outcome_columns(lambda name: found[name], first.missions),
+        "paper (8 classes)": lambda name: paper_row(PAPER.get((8, budget_wh), {}).get(name)),
     }
     return Report({"towns": Sheet.from_objects("Towns", found, columns, note)})

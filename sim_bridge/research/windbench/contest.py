@@ -29,7 +29,7 @@ from companion.core.base.plugin import WIND_ESTIMATORS, load_plugin
 from companion.core.vehicle.airframe import Airframe
 from sim_bridge.research.real_flights.anemometer import airspeed_std_mps
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
-from sim_bridge.research.study.sheet import Column, Sheet, format_optional
+from sim_bridge.research.study.sheet import Column, Sheet, format_optional, low_to_high
 from sim_bridge.research.windbench.estimators import estimators_by_name
 from sim_bridge.research.windbench.flights import (
     BenchFlight,
@@ -252,7 +252,7 @@ def leader_board(standings: list[EstimatorScore], window_count: int, day_count: 
         "": lambda one: str(1 + ranked.index(one)),
         "estimator": "{0.estimator}",
         "score, m/s": "{0.score_mps:.2f}",
-        "95 % by days": "{0.low_mps:.2f} to {0.high_mps:.2f}",
+        "95 % by days": lambda one: low_to_high((one.low_mps, one.high_mps), ".2f"),
         "NEES (1-D, ideal 1)": lambda one: format_optional(one.nees, ".1f"),
         **{
             f"{name}, m/s": lambda one, name=name: format_optional(one.folders.get(name), ".2f")

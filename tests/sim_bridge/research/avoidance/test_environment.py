@@ -174,7 +174,7 @@ def test_a_policys_flights_are_joined_and_counted() -> None:
     assert theirs["time_ratio_mean"] == pytest.approx((1.5 + 1.25 + 1.5) / 3.0)
     assert theirs["separation_min_m"] == 2.5
     assert theirs["decision_us_median"] == 20.0
-    assert found.sheets["avoid"].rows[1][:5] == [
+    assert [str(cell) for cell in found.sheets["avoid"].rows[1][:5]] == [
         "2, 2", "`none_filtered`", "75.0%", "1 of 4 (< 75.14%)", "1"
     ]  # fmt: skip
     assert policies.make_report(cases[:2], told[:2]).document == ours

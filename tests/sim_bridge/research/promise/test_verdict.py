@@ -13,10 +13,10 @@ from sim_bridge.research.promise.report import (
     collect_predictions,
     promise_document,
     reliability_bins,
+    share_interval95,
 )
 from sim_bridge.research.promise.rules import MissionOutcomes
 from sim_bridge.research.study.intervals import (
-    bootstrap_share_interval95,
     poisson_mean_upper95,
     wilson95,
 )
@@ -29,7 +29,7 @@ def rng() -> np.random.Generator:
 def test_independent_units_give_the_binomials_interval() -> None:
     # One mission a unit: the bootstrap's spread is sqrt(p (1 - p) / n), 0.00474 here.
     hit = np.arange(4000) % 10 > 0
-    low, high = bootstrap_share_interval95(hit, np.arange(4000), rng())
+    low, high = share_interval95(hit, np.arange(4000), rng())
     assert low == pytest.approx(0.9 - 1.96 * 0.00474, abs=0.001)
     assert high == pytest.approx(0.9 + 1.96 * 0.00474, abs=0.001)
 
@@ -38,14 +38,14 @@ def test_missions_of_one_wind_count_once() -> None:
     # 100 units that each end as one: the spread is that of 100, however many fly in each.
     unit = np.repeat(np.arange(100), 50)
     hit = unit % 5 > 0
-    low, high = bootstrap_share_interval95(hit, unit, rng())
+    low, high = share_interval95(hit, unit, rng())
     assert high - low == pytest.approx(2.0 * 1.96 * math.sqrt(0.8 * 0.2 / 100), rel=0.1)
-    alone, above = bootstrap_share_interval95(hit, np.arange(5000), rng())
+    alone, above = share_interval95(hit, np.arange(5000), rng())
     assert above - alone < 0.2 * (high - low)
 
 
 def test_losses_never_seen_are_not_ruled_out() -> None:
-    low, high = bootstrap_share_interval95(np.ones(100, bool), np.zeros(100, int), rng())
+    low, high = share_interval95(np.ones(100, bool), np.zeros(100, int), rng())
     assert (low, high) == (pytest.approx(0.963, abs=0.001), 1.0)  # Wilson, 100 of 100
 
 

@@ -152,7 +152,7 @@ def test_the_llms_row_says_that_no_server_is_configured():
     cells = {row[0]: row[1:8] for row in sheet.rows}
     assert set(cells.pop(table2.LLM)) == {"not configured"}
     assert len(cells) == 7
-    assert all(cell == "90.0 ± 0.0" for cell, *_ in cells.values())
+    assert all(str(cell) == "90.0 ± 0.0" for cell, *_ in cells.values())
     assert "own method" not in sheet.note
     fallen = table2.table2_sheet({**rows, table2.LLM: [one, replace_method(one, "llm")]})
     assert "LLM replaced by own method on 1 of 2 days." in fallen.note

@@ -13,8 +13,11 @@ from companion.core.base.errors import LeewayError
 from sim_bridge.research.campaign import frontier_check
 from sim_bridge.research.campaign.scenario_generator import GeneratorParams, draw_scenario_set
 from sim_bridge.research.campaign.workbench import outcome_percentages_by_cell
-from sim_bridge.research.study.intervals import mean_interval95
-from sim_bridge.research.study.sheet import format_mean_std
+from sim_bridge.research.study.intervals import (
+    bootstrap_mean_interval95,
+    bootstrap_share_interval95,
+)
+from sim_bridge.research.study.sheet import Sheet, low_to_high, mean_and_std
 from sim_bridge.research.tables import energy_speed, lambda_sweep, table1
 from sim_bridge.research.tables.table1 import read_recorded_wind
 from sim_bridge.research.tables.urban_scene import SECTORS, TownParams, draw_connected_town
@@ -124,9 +127,36 @@ def test_a_wind_log_points_to_where_the_air_moves(tmp_path):
 
 
 def test_means_and_intervals_are_the_textbook_ones():
-    assert format_mean_std([1.0, 2.0, 3.0]) == "2.0 ± 1.0"
-    low, high = mean_interval95([1.0, 2.0, 3.0])
-    assert high - low == pytest.approx(2 * 1.96 / math.sqrt(3.0))
+    assert mean_and_std([1.0, 2.0, 3.0]).text == "2.0 ± 1.0"
+    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
+    low, high = bootstrap_mean_interval95(values, np.random.default_rng(2))
+    half = 1.96 * values.std(ddof=1) / math.sqrt(values.size)  # large samples: the normal interval
+    assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
+
+
+@pytest.mark.parametrize("hits", [[0] * 9 + [1], [60] * 9 + [59], [0] * 10, [60] * 10])
+def test_an_interval_of_a_share_stays_within_0_and_100_percent(hits):
+    shares = np.array(hits) / 60.0
+    half = 1.96 * shares.std(ddof=1) / math.sqrt(10)
+    normal = shares.mean() - half, shares.mean() + half
+    assert min(normal) < 0.0 or max(normal) > 1.0 or half == 0.0  # the textbook's leaves them
+    low, high = bootstrap_share_interval95(hits, [60] * 10, np.random.default_rng(1))
+    assert 0.0 <= low < high <= 1.0
+    assert low <= shares.mean() <= high
+
+
+def test_a_csv_cell_holds_one_value_and_unknown_is_empty(tmp_path):
+    several = mean_and_std([93.4, 94.4]), low_to_high((0.0, 0.015), ".1%")
+    rows = [["a", *several, "12.5%", "-"], ["b", "not configured", "-", "3%", "1.5"]]
+    sheet = Sheet("T", ["name", "SUC %", "95", "share", "margin"], rows)
+    page, table = sheet.write_markdown_and_csv(tmp_path, "t")
+    assert "| a | 93.9 ± 0.7 | 0.0% to 1.5% | 12.5% | - |" in page.read_text()
+    with table.open(newline="") as file:
+        assert list(csv.reader(file)) == [
+            ["name", "SUC % mean", "SUC % std", "95 low, %", "95 high, %", "share, %", "margin"],
+            ["a", "93.9", "0.7", "0.0", "1.5", "12.5", ""],
+            ["b", "", "", "", "", "3", "1.5"],
+        ]
 
 
 def test_the_frontier_check_counts_what_is_beyond_noise():
