@@ -5,7 +5,6 @@ import math
 import pytest
 from pymap3d.vincenty import vdist
 
-from companion.core.base.errors import LeewayError
 from companion.core.base.geo import (
     LocalFrame,
     Obstacle,
@@ -74,25 +73,6 @@ def test_geojson_polygons_become_obstacles_in_metres() -> None:
     norths = [n for n, _ in block.ring_ne_m]
     assert min(norths) == pytest.approx(111.36, abs=0.2)
     assert max(norths) == pytest.approx(222.7, abs=0.4)
-
-
-@pytest.mark.parametrize(
-    ("document", "names"),
-    [
-        ({"type": "Feature"}, "FeatureCollection"),
-        (feature(SQUARE, name="no height"), r"features\[0\].*height_m"),
-        (feature(SQUARE[:-1], height_m=10), r"features\[0\].*closed"),
-        (feature(SQUARE, height_m=-3), r"features\[0\]\.height_m"),
-        (feature([[8.451, 155.0], *SQUARE[1:-1], [8.451, 155.0]], height_m=10), "closed ring"),
-        (
-            feature([SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3], SQUARE[0]], height_m=10),
-            "crosses itself",
-        ),
-    ],
-)
-def test_a_broken_feature_is_refused_and_named(document: dict, names: str) -> None:
-    with pytest.raises(LeewayError, match=names):
-        parse_obstacles(FRAME, document)
 
 
 def test_a_line_through_over_and_past_an_obstacle() -> None:

@@ -1,6 +1,5 @@
 """The day's data: read completely, or rejected with all errors at once."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -66,23 +65,6 @@ def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
         "orders.csv, row 9, column mass_kg: '-1': expected a number from 0 to 500",
         "orders.csv, row 9, column id: 'f g': expected 1 to 40 letters, digits, '.', '_' or '-'",
     ]
-
-
-def test_duplicates_are_named_with_the_row_that_they_repeat(tmp_path):
-    path = tmp_path / "orders.csv"
-    path.write_text(
-        "id,lat_deg,lon_deg,alt_amsl_m,mass_kg,note\n"
-        "a,55,8,3,0.5,\n"
-        "b,56,8,3,0.5,\n"
-        "a,57,8,3,0.5,\n"
-        "c,56,8,3,0.5,\n"
-        "d,56,8,3,0.5,second parcel\n"
-    )
-    said = problems_of(path)
-    assert len(said) == 2
-    assert said[0].startswith("orders.csv, row 4, column id: 'a' is in")
-    assert said[0].endswith("row 2 already")
-    assert "row 5: the same parcel to the same place as" in said[1]
 
 
 @pytest.mark.parametrize(("apart_m", "named"), [(1.0, 60), (3.0, 0)])
@@ -205,42 +187,6 @@ def test_a_road_matrix_names_what_stands_in_it_twice_and_what_is_missing(tmp_pat
         "roads.csv, row 4: row a more than once",
         "roads.csv, row 5: expected a name of the header and 3 numbers",
         "roads.csv: row b missing",
-    ]
-
-
-def test_one_feature_alone_is_no_list_of_no_fly_areas(tmp_path):
-    ring = [[8.4, 55.4], [8.5, 55.4], [8.5, 55.5], [8.4, 55.4]]
-    alone = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]}}
-    (tmp_path / "alone.geojson").write_text(json.dumps(alone | {"properties": {"height_m": 9}}))
-    text = HARBOUR.read_text().replace("no_fly =", "no_fly = 'alone.geojson' #")
-    (tmp_path / "day.toml").write_text(text)
-    with pytest.raises(DayFilesError) as told:
-        read_day(tmp_path / "day.toml")
-    assert any(
-        "alone.geojson: expected a GeoJSON FeatureCollection" in str(p) for p in told.value.problems
-    )
-
-
-def test_no_fly_areas_name_every_feature_that_is_wrong(tmp_path):
-    ring = [[8.0, 55.0], [8.1, 55.0], [8.1, 55.1], [8.0, 55.0]]
-    features = [
-        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring[:3]]},
-         "properties": {"height_m": 10}},
-        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
-         "properties": None},
-        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
-         "properties": {"height_m": 10}},
-        {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]},
-         "properties": {"height_m": -3}},
-    ]  # fmt: skip
-    document = {"type": "FeatureCollection", "features": features}
-    (tmp_path / "areas.geojson").write_text(json.dumps(document))
-    text = HARBOUR.read_text().replace("../sites/harbour.geojson", "areas.geojson")
-    orders = HARBOUR.parent / "harbour_orders.csv"
-    (tmp_path / "day.toml").write_text(text.replace("harbour_orders.csv", str(orders)))
-    said = problems_of(tmp_path / "day.toml")
-    assert [words.partition(":")[0] for words in said] == [
-        f"areas.geojson, row {row}, column geometry" for row in (1, 2, 4)
     ]
 
 

@@ -115,13 +115,6 @@ def test_a_strip_is_the_same_ground_about_the_depot_and_fits_a_command(tiles):
         elevation.ground_table_along_route(depot, far)
 
 
-def test_the_vertical_datum_is_the_crss_where_that_names_one(tmp_path):
-    tile = write_tile(tmp_path / "a.tif", 55.98, crs="EPSG:4326+5773")  # EGM96 height
-    assert read_elevation([tile], LAT_DEG, LON_DEG, 500.0).datum == "EGM96, by the tile's CRS"
-    plain = write_tile(tmp_path / "b.tif", 55.98)
-    assert "assumed" in read_elevation([plain], LAT_DEG, LON_DEG, 500.0).datum
-
-
 def test_srtms_own_format_is_read_and_its_voids_are_unknown(tmp_path):
     heights = np.full((1201, 1201), 300, ">i2")
     heights[600, 600] = -32768

@@ -7,14 +7,11 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import gpxpy
 import msgspec
 import pytest
-import shapely
-from fastkml import KML
 
 from companion.core.exports.export_format import ExportFormat
 from ground_station.adapters.files.day_files import read_day
@@ -70,27 +67,6 @@ def by_gpxpy(path: Path) -> Read:
     return Read(start, passed, [end])
 
 
-def by_fastkml(path: Path) -> Read:
-    (document,) = KML.parse(BytesIO(path.read_bytes())).features
-    shapes = {mark.name: mark.geometry for mark in document.features}
-    start, end = shapes["outbound"].coords[0], shapes["homeward"].coords[-1]
-    points = [(shape.y, shape.x) for shape in shapes.values() if shape.geom_type == "Point"]
-    return Read((start[1], start[0]), points, [(end[1], end[0])])
-
-
-def by_shapely(path: Path) -> Read:
-    found: dict[str, shapely.Geometry] = {}
-    for feature in json.loads(path.read_text())["features"]:
-        shape = shapely.geometry.shape(feature["geometry"])
-        kind = feature["properties"]["kind"]
-        found["customer" if kind == "customer" else feature["properties"]["name"]] = shape
-        if shape.geom_type == "Polygon":
-            assert shape.exterior.is_ccw, "RFC 7946, 3.1.6: outlines run counterclockwise"
-    ends = (found["outbound"].coords[0], found["customer"].coords[0], found["homeward"].coords[-1])
-    start, customer, end = ((at[1], at[0]) for at in ends)
-    return Read(start, [customer], [end])
-
-
 def by_mavproxys_loader(path: Path) -> Read:
     words = [sys.executable, "-c", READ_WPL, str(path)]
     done = subprocess.run(words, env=os.environ | {"MAVLINK20": "1"}, capture_output=True)
@@ -103,8 +79,6 @@ def by_mavproxys_loader(path: Path) -> Read:
 
 READERS = {
     ExportFormat.GPX: by_gpxpy,
-    ExportFormat.KML: by_fastkml,
-    ExportFormat.GEOJSON: by_shapely,
     ExportFormat.WPL: by_mavproxys_loader,
 }
 
