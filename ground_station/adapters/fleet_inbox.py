@@ -36,6 +36,7 @@ from ground_station.core.fleet.fleet_link import (
     StationWindReceived,
 )
 from ground_station.core.fleet.station_message import StationWind, decode_station_wind
+from ground_station.core.fleet.uptime_watch import UptimeWatch
 
 EVENTS_HZ = 20.0
 """A flight sends about 50 events in 20 minutes, and several at once when it ends."""
@@ -64,7 +65,6 @@ MAX_INSTANCES = 16
 
 MAX_MEMBERS = 5000
 """Maximum number of member names: five times the design size of one desk."""
-
 
 MAX_STATIONS = 64
 """Wind stations whose latest reports are kept between two cycles."""
@@ -101,19 +101,7 @@ class MemberBox:
     departed_instances: set[str] = field(default_factory=set)
     """Instances that left since the last liveliness query; late replies may name them."""
     rejected: Counter[str] = field(default_factory=Counter)
-    newest_uptimes_s: dict[str, float] = field(default_factory=dict)
-    """Uptime of the newest state of each instance, of the last `MAX_INSTANCES`."""
-
-    def is_state_new(self, state: State) -> bool:
-        """Return whether the signed uptime of this instance advanced, and record it.
-
-        A router can repeat a state of a vehicle that has failed: its arrival shows nothing.
-        """
-        newest_s = self.newest_uptimes_s.pop(state.instance_id, -1.0)
-        self.newest_uptimes_s[state.instance_id] = max(newest_s, state.uptime_s)
-        if len(self.newest_uptimes_s) > MAX_INSTANCES:
-            del self.newest_uptimes_s[next(iter(self.newest_uptimes_s))]
-        return state.uptime_s > newest_s
+    uptimes: UptimeWatch = field(default_factory=UptimeWatch)
 
     def count_rejection(self, reason: str) -> None:
         """Count a rejected message; only the first few reasons are counted separately."""
@@ -320,8 +308,7 @@ class FleetInbox:
             stations, self._stations = self._stations, {}
         for vehicle, raws in replays:
             decoded = [self._verify_and_decode_or_reject(vehicle, "event", raw) for raw in raws]
-            known = [event for event in decoded if isinstance(event, FleetEvent)]
-            known.sort(key=lambda event: event.seq)
+            known = sorted((e for e in decoded if isinstance(e, FleetEvent)), key=lambda e: e.seq)
             found += [EventsReceived(vehicle, known, replayed=True)] if known else []
         for vehicle, raw in events:
             event = self._verify_and_decode_or_reject(vehicle, "event", raw)
@@ -335,9 +322,7 @@ class FleetInbox:
         return found + self._pop_rejection_inputs(pending)
 
     def _decode_newest_state_inputs(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
-        """Return the latest state of each instance under this name, by the instance's own clock, if
-        it is newer than those before.
-        """
+        """Return the latest state of each instance, by its own clock, if newer than those before."""
         newest: dict[str, State] = {}
         for raw in raws:
             state = self._verify_and_decode_or_reject(vehicle, "state", raw)
@@ -345,8 +330,8 @@ class FleetInbox:
                 continue
             before = newest.pop(state.instance_id, state)
             newest[state.instance_id] = before if before.uptime_s > state.uptime_s else state
-        box = self._boxes[vehicle]
-        return [StateReceived(state) for state in newest.values() if box.is_state_new(state)]
+        uptimes = self._boxes[vehicle].uptimes
+        return [StateReceived(state) for state in newest.values() if uptimes.advances(state)]
 
     def _newest_station_wind_inputs(self, station: str, raws: Iterable[bytes]) -> list[FleetInput]:
         """Return the latest valid report that the station itself signed."""
