@@ -3,10 +3,8 @@
 The same flight with the pack as the first and only monitor is the reference.
 """
 
-import gzip
 import math
 import struct
-from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -14,7 +12,6 @@ from typer.testing import CliRunner
 from companion.app.cli.main import app
 from sim_bridge.app.trials.log_writers import DATAFLASH_FORMATS, ULOG_TOPICS
 
-CASES = Path(__file__).parents[3] / "shared" / "cases" / "logs"
 SECOND = 50
 """Subscription of the second instance."""
 
@@ -99,19 +96,3 @@ def test_a_log_with_a_stated_charge_and_no_voltage_promises_nothing(make, world,
     told = replayed(tmp_path / "b.ulg")
     assert "no battery voltage; energy and return not assessed" in told
     assert "P(home)" not in told
-
-
-@pytest.mark.sample
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("battery_1_only.ulg", "65.9 Wh above the reserve"),
-        ("battery_0_says_full.ulg", "monitor in use: battery 1 at 30%"),
-        ("df_bat1.bin", "65.9 Wh above the reserve"),
-    ],
-)
-def test_the_shared_cases_use_the_pack_that_is_measured(tmp_path, name, words):
-    if not CASES.is_dir():
-        pytest.skip(f"{CASES} is not here")
-    (tmp_path / name).write_bytes(gzip.decompress((CASES / f"{name}.gz").read_bytes()))
-    assert words in replayed(tmp_path / name)

@@ -3,22 +3,17 @@
 The undamaged log is the reference: the same readers have to find the same flight in both.
 """
 
-import gzip
 import re
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from companion.adapters.logs import log_time
 from companion.adapters.logs.open_log import read_log_of_any_format
-from companion.app.cli.main import app
 from companion.core.mission.events import Battery
 from sim_bridge.app.trials.log_writers import DATAFLASH_FORMATS, ULOG_TOPICS
 
-CASES = Path(__file__).parents[3] / "shared" / "cases" / "logs"
 TOPICS = ("vehicle_attitude", "vehicle_local_position", "vehicle_global_position",
           "vehicle_status", "vehicle_land_detected", "battery_status")  # fmt: skip
 WILD_US = {
@@ -145,21 +140,3 @@ def test_the_longest_rising_rows_are_those_of_a_search_through_all():
             if (np.diff(stamps[[k for k in range(stamps.size) if mask >> k & 1]]) >= 0.0).all()
         )
         assert rows.size == longest
-
-
-@pytest.mark.sample
-@pytest.mark.parametrize("name", ["zero_stamp_battery", "back_stamp_position"])
-def test_the_shared_cases_replay_as_the_clean_log(tmp_path, name):
-    if not CASES.is_dir():
-        pytest.skip(f"{CASES} is not here")
-    said = {}
-    for one in ("clean", name):
-        path = tmp_path / f"{one}.ulg"
-        path.write_bytes(gzip.decompress((CASES / f"{one}.ulg.gz").read_bytes()))
-        result = CliRunner().invoke(app, ["replay", str(path), "--airframe", "m100"])
-        assert result.exit_code == 0
-        said[one] = result.output
-    assert "wind in flight: mean 5.0 m/s from 0 deg" in said[name]
-    for text in said.values():
-        assert "65.9 Wh above the reserve" in text
-    assert "has the time stamp" in said[name]

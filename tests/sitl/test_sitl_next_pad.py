@@ -3,8 +3,7 @@ a full pack at the next pad. The companion keeps running and carries no state ov
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 
 from companion.adapters.files.params import params_dir, read_airframe
 from companion.app.flight.fleet_port import FleetPort
-from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.pilot.context import PilotOptions
 from companion.fleet.messages import (
     Assign,
@@ -26,16 +24,16 @@ from companion.fleet.messages import (
     Launch,
     MoveHome,
     Result,
-    State,
     decode_message,
     encode_message,
 )
-from companion.fleet.network import MemberRequest, ReceivedTrack, RequestKind
+from companion.fleet.network import MemberRequest, RequestKind
 from sim_bridge.app.day.companion import SteppedCompanion
 from sim_bridge.app.day.drone import DayDrone, DroneWorld
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.wind_params import build_mean_wind, parse_wind
+from tests.fleet.wire import Wire
 
 pytestmark = pytest.mark.sitl
 
@@ -71,53 +69,13 @@ def assignment(id_: str, start: str, home: str) -> Assign:
     return Assign(assignment=id_, order=f"order-{id_}", flight=flight)
 
 
-@dataclass
-class Desk:
+class Desk(Wire):
     """The other end of the vehicle's link: received states, and commands to it."""
 
-    waiting: list[MemberRequest] = field(default_factory=list)
-    states: list[State] = field(default_factory=list)
-    events: list[FleetEvent] = field(default_factory=list)
-    results: list[Result] = field(default_factory=list)
-    sent: int = 0
-
-    def drain_requests(self) -> list[MemberRequest]:
-        waiting, self.waiting = self.waiting, []
-        return waiting
-
-    def set_request_callback(self, interrupt_receive: Callable[[], None]) -> None:
-        return
-
-    def publish_state(self, raw: bytes) -> None:
-        state = decode_message(State, raw)
-        assert isinstance(state, State), state
-        self.states.append(state)
-
-    def publish_event(self, raw: bytes) -> None:
-        event = decode_message(FleetEvent, raw)
-        assert isinstance(event, FleetEvent)
-        self.events.append(event)
-
-    def publish_track(self, raw: bytes, cell: str) -> None:
-        del raw, cell
-
-    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
-        del lat_deg, lon_deg
-
-    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
-        del neighbours
-
-    def drain_tracks(self) -> list[ReceivedTrack]:
-        return []
-
-    def drain_wind_messages(self) -> list[bytes]:
-        return []
-
-    def do_all_clients_read_wind_cov(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        return
+    def __init__(self) -> None:
+        super().__init__()
+        self.results: list[Result] = []
+        self.sent = 0
 
     def order(self, deed: CommandAction) -> None:
         now = self.states[-1]

@@ -15,7 +15,6 @@ from companion.adapters.autopilots import link
 from companion.adapters.files.params import flight_file_path, params_dir
 from companion.app.cli.main import app
 from companion.app.flight.run import LINK_CLOSED
-from companion.core.base.errors import LeewayError
 
 HEAVY = ("numpy", "scipy", "networkx", "msgspec", "pymavlink", "mcap", "zenoh", "matplotlib")
 
@@ -54,13 +53,6 @@ def test_a_path_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)
     (tmp_path / "default").write_text("")
     assert flight_file_path("default") == Path("default")
-
-
-def test_an_unknown_name_is_answered_with_the_names() -> None:
-    with pytest.raises(
-        LeewayError, match=r"^defualt: .*default, faults, hills, px4_sih, recorded, .*path$"
-    ):
-        flight_file_path("defualt")
 
 
 @pytest.mark.parametrize("command", ["run", "check"])

@@ -110,18 +110,6 @@ def test_a_desk_that_lies_is_not_used_and_not_again_before_a_minute_of_agreement
     assert site.t_s - ended_s >= CONSISTENT_S
 
 
-def test_one_who_lies_is_left_out_and_the_others_are_used() -> None:
-    site = Site()
-    site.until(300.0)
-    site.until(
-        END_S, lie=lambda name, t_s, wind: (wind[0] + 6.0, wind[1]) if name == "d2" else wind
-    )
-    shared = site.fleet.joint_field_or_none(site.t_s)
-    assert shared is not None
-    assert set(shared.accepted_members) == {OWN, "d3", "d4", "d5"}
-    assert "contradicts" in shared.excluded["d2"]
-
-
 def test_a_mute_desk_is_not_used_any_more() -> None:
     site = Site()
     site.until(300.0)

@@ -44,14 +44,6 @@ def test_the_orders_of_a_bundled_day_are_taken_by_its_name(tmp_path):
 
 
 @pytest.mark.sample
-def test_a_day_that_is_not_bundled_is_one_line_and_exit_code_2():
-    code, out, errors = run("cluster", "nowhere")
-    assert (code, out) == (2, "")
-    names = "names: faults, harbour, town, villages; or give a file's path"
-    assert errors == f"ground-station: nowhere: no such day; {names}\n"
-
-
-@pytest.mark.sample
 @pytest.mark.parametrize(
     ("asked", "not_even"),
     [

@@ -209,15 +209,6 @@ def test_without_any_drone_the_truck_brings_what_it_may(harbour):
     assert {line.order for line in plan.unplanned} == {"H-102", "H-107"}
 
 
-def test_a_planned_sortie_becomes_a_flight_of_its_own_layer_and_stops(harbour, harbour_plan):
-    sortie = harbour_plan.sorties[0]
-    flight = flight_from_planned_sortie(harbour, harbour_plan, sortie)
-    assert flight.site.home == sortie.home
-    assert [stop.name for stop in flight.site.stops] == [sortie.home, *sortie.alternative_stops]
-    assert flight.mission.cruise_height_m == sortie.outbound_height_m
-    assert flight.vehicle.charge_frac == [0.05, 1.0]
-
-
 def test_the_table_that_a_drone_is_assigned_is_a_flight_file(harbour, harbour_plan):
     sortie = harbour_plan.sorties[0]
     order = next(order for order in harbour.orders if order.id == sortie.order)
@@ -230,6 +221,8 @@ def test_the_table_that_a_drone_is_assigned_is_a_flight_file(harbour, harbour_pl
     assert json.loads(json.dumps(table)) == table
     flight = msgspec.convert(table, Flight)
     assert flight.site.home == sortie.home
+    assert [stop.name for stop in flight.site.stops] == [sortie.home, *sortie.alternative_stops]
+    assert flight.vehicle.charge_frac == [0.05, 1.0]
     assert flight.site.customer == order_location(order)
     assert flight.mission.cruise_height_m == sortie.outbound_height_m
 

@@ -107,32 +107,6 @@ def test_who_is_not_in_the_air_or_does_not_say_where_tells_no_wind(more: dict[st
     assert format_site_wind(air.wind, air.t_s) == ""
 
 
-@pytest.mark.parametrize(("who", "why"), [("liar", "contradicts"), ("frozen", "the same wind")])
-def test_one_that_lies_or_is_frozen_is_left_out_said_and_moves_the_plan_by_less_than_its_error(
-    who: str, why: str
-):
-    """The same air twice: all members honest, and d4 frozen or with an error of 8 m/s."""
-    honest, told = Air(seed=5), Air(seed=5)
-    honest.blow(400.0)
-    told.blow(200.0)
-    if who == "liar":
-        told.mean["d4"] += (8.0, 0.0)
-        told.blow(200.0)
-        assert told.wind.fronts != [], "it looked like a front once: nobody can tell"
-    else:
-        stuck = tuple(round(float(x), 3) for x in told.mean["d4"] + (1.0, -1.0))
-        for _ in range(200):
-            told.blow(1.0, silent=frozenset({"d4"}))
-            told.wind.update_from_state(a_state("d4", told.t_s, stuck), told.t_s)  # type: ignore[arg-type]
-    assert why in told.wind.exclusion_reason_by_member(told.t_s)["d4"]
-    assert "excluded: d4" in format_site_wind(told.wind, told.t_s)
-    one, other = (
-        measured_or_previous_launch_forecast(air.wind, air.t_s, FORECAST) for air in (honest, told)
-    )
-    assert math.dist(one.to_ne_mps, other.to_ne_mps) < other.std_mps
-    assert other.std_mps > 0.9 * one.std_mps  # exclusion does not reduce uncertainty
-
-
 def test_a_liar_that_tells_the_truth_again_is_believed_again_after_a_while():
     air = Air(seed=5)
     air.blow(150.0)
@@ -145,19 +119,6 @@ def test_a_liar_that_tells_the_truth_again_is_believed_again_after_a_while():
     air.blow(150.0)
     assert air.wind.exclusion_reason_by_member(air.t_s) == {}
     assert "by 4 drones" in format_site_wind(air.wind, air.t_s)
-
-
-def test_a_state_that_travelled_tells_the_same():
-    air, by_wire = Air(seed=7), SiteWind(read_wind_process("coast"), DEPOT, FORECAST)
-    for t in range(1, 100):
-        air.t_s = float(t)
-        for name in PLACES:
-            air.tell(name)
-            raw = encode_message(a_state(name, air.t_s, (0.0, 6.0)))
-            told = decode_message(State, raw)
-            assert isinstance(told, State)
-            by_wire.update_from_state(told, air.t_s)
-    assert format_site_wind(by_wire, air.t_s) == format_site_wind(air.wind, air.t_s)
 
 
 # --- fronts --------------------------------------------------------------------------------------
@@ -283,17 +244,6 @@ def test_who_climbs_out_of_weaker_wind_feels_no_front():
         air.blow(25.0)
     assert climbs.wind.fronts == []
     assert [one.detections[0].member for one in stays.wind.fronts] == ["d1"]
-
-
-@pytest.mark.parametrize("seed", [2, 3, 4, 5])
-def test_a_gust_front_that_one_drone_alone_has_felt_is_told(seed):
-    """A rise of 10 m/s in 20 s, reported within 15 s; it reaches the next drone 45 s later."""
-    air = Air(seed=seed)
-    air.blow(180.0)
-    for second in range(15):
-        air.mean["d1"][:] = (0.0, 6.0 + min(second + 1, 20) * 0.5)
-        air.blow(1.0)
-    assert [one.detections[0].member for one in air.wind.fronts] == ["d1"]
 
 
 def test_who_has_been_left_out_for_a_minute_raises_no_front():

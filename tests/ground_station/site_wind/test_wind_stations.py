@@ -118,33 +118,6 @@ def test_one_drone_is_not_silenced_by_a_station_that_lies_nor_by_two():
     assert site.wind.is_wind_known_by_drones(site.now_s)
 
 
-def test_one_that_tells_the_truth_again_is_used_again():
-    site = Masts(mast())
-    site.blow(120.0)
-    site.check_alert_sent["mast"] = (20.0, 90.0)
-    site.blow(60.0)
-    assert "mast" in site.book.reason_by_unused_station(site.now_s)
-    site.check_alert_sent["mast"] = (6.0, 270.0)
-    site.blow(240.0)
-    assert site.book.reason_by_unused_station(site.now_s) == {}
-
-
-def test_a_frozen_one_is_left_out_and_said():
-    site = Masts(mast())
-    site.blow(60.0)
-    frozen = site.word("mast")
-    for _ in range(12):
-        site.blow(10.0, mute=frozenset({"mast"}))
-        word = StationWind(
-            station="mast",
-            epoch_us=site.now_us(),
-            speed_mps=frozen.speed_mps,
-            from_deg=frozen.from_deg,
-        )
-        site.book.record_station_message(word, site.now_s, site.now_us())
-    assert "the same wind" in site.book.reason_by_unused_station(site.now_s)["mast"]
-
-
 def test_a_mute_one_is_named_after_two_minutes_and_one_that_was_never_heard_too():
     site = Masts(mast(), mast("pier", 300.0))
     del site.check_alert_sent["pier"]

@@ -1,7 +1,7 @@
 """The truck as a fleet member: commands, driver reports, and stored state."""
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -9,14 +9,12 @@ import pytest
 from rich.console import Console
 
 from companion.core.base.errors import LeewayError
-from companion.core.mission.flight_file import NeighbourFleet
 from companion.fleet.messages import (
     Command,
     CommandAction,
     CommandStatus,
     Drive,
     EventKind,
-    FleetEvent,
     Launch,
     PutOut,
     Recover,
@@ -27,62 +25,16 @@ from companion.fleet.messages import (
     decode_message,
     encode_message,
 )
-from companion.fleet.network import MemberRequest, ReceivedTrack, RequestKind
+from companion.fleet.network import MemberRequest, RequestKind
 from ground_station.app.truck.driver_console import execute_driver_input
 from ground_station.app.truck.truck_member import TruckMember
 from ground_station.core.fleet.truck_state import TaskKind
+from tests.fleet.wire import Wire
 
 TO_1 = Drive(stop="stop-1", lat_deg=55.1, lon_deg=8.1)
 SERVE = Serve(assignment="o1.1", order="o1")
 OUT = PutOut(assignment="o2.1", order="o2", vehicle="d1", lat_deg=55.0, lon_deg=8.0)
 BACK = Recover(assignment="o2.1", vehicle="d1", lat_deg=55.0, lon_deg=8.0)
-
-
-class Wire:
-    """A link in memory: requests wait, published messages are kept."""
-
-    def __init__(self) -> None:
-        self.waiting: list[MemberRequest] = []
-        self.states: list[State] = []
-        self.events: list[FleetEvent] = []
-
-    def drain_requests(self) -> list[MemberRequest]:
-        waiting, self.waiting = self.waiting, []
-        return waiting
-
-    def set_request_callback(self, wake: Callable[[], None]) -> None:
-        del wake
-
-    def publish_state(self, raw: bytes) -> None:
-        state = decode_message(State, raw)
-        assert isinstance(state, State)
-        self.states.append(state)
-
-    def publish_event(self, raw: bytes) -> None:
-        event = decode_message(FleetEvent, raw)
-        assert isinstance(event, FleetEvent)
-        self.events.append(event)
-
-    def publish_track(self, raw: bytes, cell: str) -> None:
-        del raw, cell
-
-    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
-        del lat_deg, lon_deg
-
-    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
-        del neighbours
-
-    def drain_tracks(self) -> list[ReceivedTrack]:
-        return []
-
-    def drain_wind_messages(self) -> list[bytes]:
-        return []
-
-    def do_all_clients_read_wind_cov(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        pass
 
 
 class Terminal:

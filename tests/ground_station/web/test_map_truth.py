@@ -145,21 +145,6 @@ def test_a_drone_turns_to_where_it_moves(site):
     assert turned[3] == pytest.approx(180.0, abs=3.0)
 
 
-def test_a_diversion_in_force_is_drawn_to_where_the_decision_says(site):
-    site.until_flying("d1")
-    drone = site.world.drones["d1"]
-    assert drone.flight is not None
-    row = next(r for r in site.day.sorties() if r.vehicle == "d1")
-    (stop, pad) = next(iter(row.pads.items()))
-    told = f"divert: to {stop}: the depot is out of reach"
-    drone.tell(EventKind.DECISION, told, assignment=drone.flight.assignment)
-    site.fleet_link.more["d1"] = {"phase": "divert", "lat_deg": 55.48, "lon_deg": 8.46}
-    site.step(2)
-    shown = site.picture["drones"]["d1"]
-    assert shown["way"]["now"] == [[55.48, 8.46], [pad.lat_deg, pad.lon_deg]]
-    assert "home" not in shown["way"]
-
-
 def test_a_diversion_stays_on_the_map_while_it_is_in_force(site):
     """Later decisions without another site and the landing keep it; other decisions end it."""
     site.until_flying("d1")
@@ -176,6 +161,7 @@ def test_a_diversion_stays_on_the_map_while_it_is_in_force(site):
 
     there = [[55.48, 8.46], [pad.lat_deg, pad.lon_deg]]
     assert line("divert", f"divert: to {stop}: the depot is out of reach") == there
+    assert "home" not in site.picture["drones"]["d1"]["way"]
     assert line("divert", "looked_again: margin moved by -4.0 Wh: 3.1 Wh above") == there
     assert line("link lost", "link_back: nothing received for 4 s") == there
     assert line("land", "looked_again: wind moved by 2.1 m/s: 3.0 Wh above") == there
@@ -235,15 +221,6 @@ def test_a_store_that_is_away_is_said_and_drones_are_still_shown(site):
         db.execute("ALTER TABLE elsewhere RENAME TO orders")
     site.step(2, desk=False)
     assert attention(site) == []
-
-
-def test_a_desk_that_is_gone_takes_nothing_from_the_map(site):
-    site.until_flying("d1")
-    before = site.picture["orders"]
-    site.fleet_link.more["d1"] = {"lat_deg": 55.6, "lon_deg": 8.6}
-    site.step(5, desk=False)
-    assert site.picture["orders"] == before
-    assert site.picture["drones"]["d1"]["at"] == [55.6, 8.6]
 
 
 def test_the_map_writes_nothing_and_asks_nobody_for_anything_but_states(site):

@@ -35,49 +35,6 @@ def started(rig):
     return rig
 
 
-def test_ardupilots_item_0_is_home_whatever_was_uploaded(make_rig):
-    rig = started(make_rig(AP))
-    assert rig.upload(simple(rig)) == ACCEPTED
-    home = rig.download()[0]
-    assert (home.x, home.y) == pytest.approx((554_700_000, 84_500_000), abs=500)
-    assert home.z == pytest.approx(12.0, abs=4.0)
-    assert home.frame == 0
-
-
-def test_ardupilot_reads_back_frame_3_yaw_0_and_no_radius(make_rig):
-    rig = started(make_rig(AP))
-    rig.upload([rig.place(WAYPOINT, 10, 0, 5, param1=2.0, param2=7.0, param4=math.nan)])
-    item = rig.download()[1]
-    assert (item.frame, item.param1, item.param2, item.param4) == (3, 2.0, 0.0, 0.0)
-
-
-def test_px4_reads_back_its_frame_and_nan(make_rig):
-    rig = started(make_rig(PX4))
-    rig.upload(
-        [
-            rig.place(WAYPOINT, 10, 0, 5, param2=7.0, param4=math.nan),
-            {**rig.place(WAYPOINT, 10, 0, 50), "frame": 0},
-        ]
-    )
-    first, second = rig.download()
-    assert (first.frame, first.param2) == (6, 7.0)
-    assert math.isnan(first.param4)
-    assert second.frame == 5
-
-
-@BOTH
-@pytest.mark.parametrize("kind", [1, 2])
-def test_fences_and_rally_points_are_stored_and_read_back(make_rig, autopilot, kind):
-    rig = started(make_rig(autopilot))
-    command = {1: 5003, 2: 5100}[kind]
-    items = [rig.place(command, 30, 40, 25, param1=100.0)]
-    assert rig.upload(items, kind) == ACCEPTED
-    (item,) = rig.download(kind)
-    assert (item.command, item.x, item.y) == (command, items[0]["x"], items[0]["y"])
-    rig.send("MISSION_CLEAR_ALL", mission_type=kind)
-    assert rig.download(kind) == []
-
-
 @pytest.mark.parametrize(
     ("autopilot", "item", "result"),
     [
@@ -183,38 +140,6 @@ def test_too_many_items_are_refused_at_once(make_rig, autopilot):
     rig = started(make_rig(autopilot))
     rig.send("MISSION_COUNT", count=60000)
     assert rig.last("MISSION_ACK").type == NO_SPACE
-
-
-def test_replacing_ardupilots_mission_in_flight_restarts_the_command_item_by_item(airborne):
-    rig = airborne(AP)
-    rig.upload(simple(rig))
-    rig.set_mode(Mode.AUTO)
-    assert rig.until(lambda: rig.ap.executor.index == 3, 60.0)
-    items = [
-        rig.place(TAKEOFF, 0, 0, 20),
-        *(rig.place(WAYPOINT, 60 * i, 30, 20) for i in (1, 2, 3)),
-    ]
-    assert rig.upload(items) == ACCEPTED
-    assert sum("restarted command" in text for text in rig.texts()) >= 4
-    assert rig.ap.executor.index == 3
-    assert rig.ap.executor.leg.target[1] == pytest.approx(30.0, abs=0.1)
-
-
-def test_px4_switches_to_a_new_mission_a_second_or_two_later_at_the_same_index(airborne):
-    rig = airborne(PX4)
-    rig.upload(simple(rig))
-    rig.set_mode(Mode.AUTO)
-    assert rig.until(lambda: rig.ap.executor.index == 2, 60.0)
-    items = [
-        rig.place(TAKEOFF, 0, 0, 20),
-        *(rig.place(WAYPOINT, 60 * i, 30, 20) for i in (1, 2, 3)),
-    ]
-    assert rig.upload(items) == ACCEPTED
-    rig.step(0.9)
-    assert rig.ap.executor.leg.target[1] == pytest.approx(0.0, abs=0.1)
-    rig.step(1.2)
-    assert rig.ap.executor.leg.target[1] == pytest.approx(30.0, abs=0.1)
-    assert rig.ap.executor.index == 2
 
 
 def test_ardupilot_jumps_by_command(airborne):

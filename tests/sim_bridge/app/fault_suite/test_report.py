@@ -96,14 +96,6 @@ def test_what_a_flight_took_is_said_with_the_longest():
     )
 
 
-def test_tight_flights_are_told_by_fault_too():
-    rows = [row(), msgspec.structs.replace(row(home=False), fault="icing")]
-    by_fault = p_home_calibration_table(rows, "fault")
-    lines = printed(by_fault)
-    assert ["draw-2", "1", "0.999", "1.000", "0.0000", "1", "of", "1"] in lines
-    assert ["icing", "1", "0.999", "0.000", "0.9980", "0", "of", "1"] in lines
-
-
 @pytest.mark.parametrize(("home", "lost", "kept"), [(19, 1, True), (18, 1, False), (0, 0, True)])
 def test_a_promise_is_kept_where_nineteen_of_twenty_that_were_sure_came_home(home, lost, kept):
     unsure = [row(promised=0.6, home=False) for _ in range(5)]

@@ -8,7 +8,6 @@ import pytest
 from sim_bridge.app.flight.judge import (
     centred_moving_mean,
     evaluate_flight,
-    wind_rmse_and_nees,
 )
 from sim_bridge.app.world.truth_record import TruthRecord
 
@@ -123,27 +122,3 @@ def test_the_centred_mean_of_a_ramp_is_the_ramp_away_from_its_ends():
     mean = centred_moving_mean(t, 3.0 * t, 10.0)
     inner = (t > 6.0) & (t < 53.0)
     np.testing.assert_allclose(mean[inner], 3.0 * t[inner], atol=1e-9)
-
-
-def test_wind_errors_are_the_bias_that_was_put_in():
-    t = np.arange(0.0, 100.0, 0.1)
-    truth = {
-        "t_s": t,
-        "wind_to_n_mps": np.full_like(t, 3.0),
-        "wind_to_e_mps": np.full_like(t, -4.0),
-    }
-    rows = [
-        {
-            "t_s": s,
-            "to_n_mps": 3.3,
-            "to_e_mps": -4.4,
-            "nn_m2ps2": 0.25,
-            "ne_m2ps2": 0.0,
-            "ee_m2ps2": 0.25,
-        }
-        for s in np.arange(0.0, 90.0, 0.5)
-    ]
-    rmse, nees = wind_rmse_and_nees(truth, 10.0, 90.0, rows)
-    assert rmse == pytest.approx(0.5)  # hypot(0.3, 0.4)
-    assert nees == pytest.approx(1.0)  # 0.25 / 0.25
-    assert wind_rmse_and_nees(truth, None, None, rows) == (None, None)

@@ -24,7 +24,6 @@ from sim_bridge.research.avoidance.evaluation import (
 from sim_bridge.research.avoidance.obstacle_paths import build_obstacle_paths
 from sim_bridge.research.avoidance.scenes import CELL_M, Scene, draw_random_scene
 from sim_bridge.research.avoidance.world import AvoidanceWorld
-from sim_bridge.research.study.intervals import share_upper95
 
 SIDE = 624  # cells of a raster: 800 m, and half a view's diagonal around it
 
@@ -133,12 +132,6 @@ def test_who_flies_straight_at_each_other_collides_by_truth_unless_filtered() ->
     assert not kept.hit_drone.any()
     assert not kept.hit_obstacle.any()
     assert kept.min_separation.min() >= 1.0
-
-
-def test_the_upper_bound_of_no_collisions_is_the_rule_of_three() -> None:
-    """Hanley and Lippman-Hand, JAMA 249, 1983: 3 / n."""
-    assert share_upper95(0, 4000) == pytest.approx(3.0 / 4000, rel=0.01)
-    assert share_upper95(5, 5) == 1.0
 
 
 def test_drones_that_share_a_fate_count_once_in_an_interval() -> None:

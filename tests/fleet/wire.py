@@ -1,0 +1,54 @@
+"""A member's link in memory, for tests."""
+
+from collections.abc import Callable, Sequence
+
+from companion.core.mission.flight_file import NeighbourFleet
+from companion.fleet.messages import FleetEvent, State, decode_message
+from companion.fleet.network import MemberRequest, ReceivedTrack
+
+
+class Wire:
+    """A link in memory: requests wait, published messages are kept."""
+
+    def __init__(self) -> None:
+        self.waiting: list[MemberRequest] = []
+        self.states: list[State] = []
+        self.events: list[FleetEvent] = []
+
+    def drain_requests(self) -> list[MemberRequest]:
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+    def set_request_callback(self, wake: Callable[[], None]) -> None:
+        del wake
+
+    def publish_state(self, raw: bytes) -> None:
+        state = decode_message(State, raw)
+        assert isinstance(state, State)
+        self.states.append(state)
+
+    def publish_event(self, raw: bytes) -> None:
+        event = decode_message(FleetEvent, raw)
+        assert isinstance(event, FleetEvent)
+        self.events.append(event)
+
+    def publish_track(self, raw: bytes, cell: str) -> None:
+        del raw, cell
+
+    def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
+        del lat_deg, lon_deg
+
+    def subscribe_fleets(self, neighbours: Sequence[NeighbourFleet]) -> None:
+        del neighbours
+
+    def drain_tracks(self) -> list[ReceivedTrack]:
+        return []
+
+    def drain_wind_messages(self) -> list[bytes]:
+        return []
+
+    def do_all_clients_read_wind_cov(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        pass
