@@ -322,7 +322,7 @@ class FleetInbox:
         return found + self._pop_rejection_inputs(pending)
 
     def _decode_newest_state_inputs(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
-        """Return the latest state of each instance, by its own clock, if newer than earlier ones."""
+        """Return the latest state of each instance, by its own clock, if newer than before."""
         newest: dict[str, State] = {}
         for raw in raws:
             state = self._verify_and_decode_or_reject(vehicle, "state", raw)
