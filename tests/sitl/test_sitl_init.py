@@ -137,6 +137,7 @@ def test_a_plan_alone_gives_the_site_and_nothing_is_overwritten(tmp_path, monkey
             f"no answer from an autopilot on udpin:127.0.0.1:{PORT}",
         ),
     ],
+    ids=["no link", "nothing", "no plan", "bad plan", "no answer"],  # the port is drawn
 )
 def test_without_an_answer_no_file_is_written(words, code, reason, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
