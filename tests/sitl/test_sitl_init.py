@@ -44,7 +44,9 @@ def plan_text(fence: bool = True) -> str:
     polygon = {"inclusion": False, "polygon": CORNERS_DEG}
     return json.dumps(
         {
-            "mission": {"plannedHomePosition": [*HOME_DEG, 12.0], "items": items},
+            "fileType": "Plan",
+            "version": 1,
+            "mission": {"version": 2, "plannedHomePosition": [*HOME_DEG, 12.0], "items": items},
             "geoFence": {"polygons": [polygon], "circles": [circle]} if fence else {},
             "rallyPoints": {"points": [[*RALLY_DEG, 30.0]]},
         }
