@@ -42,6 +42,7 @@ from companion.fleet.messages import (
     decode_message,
     encode_message,
 )
+from ground_station.app.views import terminal
 from ground_station.app.views.day_content import DisplayRows
 from ground_station.app.views.terminal import plain_console
 from ground_station.app.views.watch_view import watch_view
@@ -152,6 +153,8 @@ def test_canary_undecoded_words_reach_the_terminal_as_escape_sequences(monkeypat
     raw = state_of("\x1b]0;all is well\x07")
     assert "\x1b" not in watched(raw)
     monkeypatch.setattr(messages, "safe_text", lambda text: text)
+    assert "\x1b" not in watched(raw), "removed once more at the output"
+    monkeypatch.setattr(terminal, "harmless_lines", lambda text: text)
     assert "\x1b]0;all is well" in watched(raw)
 
 

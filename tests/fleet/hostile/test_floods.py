@@ -27,6 +27,7 @@ from ground_station.core.fleet.fleet_link import (
     MessageRejected,
     StateReceived,
 )
+from ground_station.core.fleet.uptime_watch import UptimeWatch
 from tests.fleet.secure_site import SecureSite
 from tests.fleet.strangers import (
     GUARD,
@@ -262,6 +263,8 @@ def test_what_comes_in_a_members_name_behind_the_router_pushes_out_no_answer_of_
             take(self, raw, is_query_reply=False)
 
         monkeypatch.setattr(MemberBox, "add_state", unasked)
+    # The stopped vehicle answers with its last state, which the desk has.
+    monkeypatch.setattr(UptimeWatch, "advances", lambda watch, state: True)
     heard = Heard(monkeypatch)
     forged = trust_of(site, "d2").sign_in_envelope("state", forged_state())
     with plain_network(site, tmp_path) as plain:
