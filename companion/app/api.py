@@ -1,6 +1,5 @@
 """Functions of the Python interface that read logs and flight files (docs/reference/api.md)."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.analysis.replay.flight_replay import ReplayConfig, replay_flight
 from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.core.base.arrays import Bools, Floats
-from companion.core.base.errors import LeewayError
+from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.location import Location
 from companion.core.base.plugin import AIRFRAMES, load_plugin_file
 from companion.core.mission.flight_estimate import CruiseWind, FlightEstimate, estimate_flight
@@ -31,6 +30,9 @@ from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.wind.checked_filter import WindFilterFactory, checked_filter_factory
 from companion.core.wind.forecast import WindOutlook
 from companion.core.wind.observation import WindBelief
+
+MIN_STD, MAX_WIND_STD_MPS, MAX_ENERGY_WH, MAX_PAYLOAD_KG = 1e-6, 50.0, 1e6, 1e3
+"""Limits of the arguments of `can_return`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,13 +142,12 @@ def can_return(
     numbers = _finite("here_neu_m", here_neu_m, 3), _finite("home_neu_m", home_neu_m, 3)
     (north, east, up), (home_north, home_east, home_up) = numbers
     wind = _finite("wind_to_ne_mps", wind_to_ne_mps, 2)
-    energies = energy_left_wh, energy_std_wh, reserve_wh
-    _finite("energy_left_wh, energy_std_wh, reserve_wh", energies, 3)
-    others = wind_std_mps, payload_kg, max_loss
-    _finite("wind_std_mps, payload_kg, max_loss", others, 3)
-    if min(energy_std_wh, wind_std_mps) <= 0.0 or min(payload_kg, reserve_wh) < 0.0:
-        text = "standard deviations above 0, payload_kg and reserve_wh at least 0"
-        raise LeewayError(f"can_return: expected {text}")
+    check_range("energy_left_wh", energy_left_wh, 0.0, MAX_ENERGY_WH)
+    check_range("energy_std_wh", energy_std_wh, MIN_STD, MAX_ENERGY_WH)
+    check_range("reserve_wh", reserve_wh, 0.0, MAX_ENERGY_WH)
+    check_range("wind_std_mps", wind_std_mps, MIN_STD, MAX_WIND_STD_MPS)
+    check_range("payload_kg", payload_kg, 0.0, MAX_PAYLOAD_KG)
+    check_range("max_loss", max_loss, 0.0, 1.0)
     if up <= home_up:
         raise LeewayError(f"here_neu_m: {up} m up: expected above home ({home_up} m)")
     frame = airframe if isinstance(airframe, Airframe) else read_airframe(airframe)
@@ -167,7 +168,7 @@ def can_return(
 def _finite(name: str, values: Sequence[float], count: int) -> Floats:
     numbers = np.asarray(values, dtype=float)
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise LeewayError(f"{name} = {json.dumps(numbers.tolist())}: expected {count} numbers")
+        raise LeewayError(f"{name} = {numbers.tolist()}: expected {count} numbers")
     return numbers
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -48,20 +49,24 @@ def campaign(
         missions=missions, seed=seed, max_loss=max_loss, wind_classes=wind_classes
     )
     factories = {name: one for name, one in planners.items() if callable(one)}
-    own = {name: str(one or name) for name, one in planners.items() if name not in factories}
+    named = {name: str(one or name) for name, one in planners.items() if name not in factories}
+    if shared := factories.keys() & named.values():
+        raise LeewayError(f"planner {min(shared)!r}: both a class and a name; rename the class")
+    keys = {name: named.get(name, name) for name in planners}
+    scenario_list = [_scenario(one) for one in listed]
     tasks = build_campaign_tasks(
-        [_scenario(one) for one in listed], [own.get(name, name) for name in planners], params,
-        foreign=tuple(factories),
-    )  # fmt: skip
+        scenario_list, list(keys.values()), params, foreign=tuple(factories)
+    )
     fly = partial(fly_campaign_task, factories=factories)
     results: dict[int, TaskResult] = {}
     for done in run_parallel(tasks, fly, WorkerOptions(jobs)):
         if isinstance(done, ItemLost):
             raise LeewayError(f"campaign: {done.reason}")
         results[done.index] = done.result
-    name_of = {planner: name for name, planner in own.items()}
     rows = summarize_campaign_rows(tasks, [results[k] for k in range(len(tasks))])
-    return [msgspec.structs.replace(r, planner=name_of.get(r.planner, r.planner)) for r in rows]
+    flown = [{row.planner: row for row in islice(rows, len(set(keys.values())))} for _ in listed]
+    rename = msgspec.structs.replace
+    return [rename(found[key], planner=name) for found in flown for name, key in keys.items()]
 
 
 def _scenario(source: str | Path | Mapping[str, Any]) -> Scenario:

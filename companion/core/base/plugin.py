@@ -72,15 +72,22 @@ def load_plugin_file(group: str, name: str, own_names: tuple[str, ...] = ()) -> 
 
 
 def _load(kind: str, label: str, entry_point: metadata.EntryPoint) -> Any:
+    # Last, so that no file here takes the place of an installed module.
     folder = str(Path.cwd())
-    sys.path.insert(0, folder)
+    is_added = folder not in sys.path
+    if is_added:
+        sys.path.append(folder)
     try:
         return entry_point.load()
     except Exception as error:  # the code of others may raise anything
-        text = " ".join(str(error).split())
-        raise LeewayError(f"{kind} {label}: not loaded: {type(error).__name__}: {text}") from error
+        raise LeewayError(f"{kind} {label}: not loaded: {_one_line(error)}") from error
     finally:
-        sys.path.remove(folder)
+        if is_added:
+            sys.path.remove(folder)
+
+
+def _one_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _version_of_module(module_name: str) -> str:
@@ -111,8 +118,7 @@ class PluginGuard:
         try:
             return function(*arguments)
         except Exception as error:  # the code of others may raise anything
-            text = " ".join(str(error).split())
-            raise self.error(f"{name} raised {type(error).__name__}: {text}") from error
+            raise self.error(f"{name} raised {_one_line(error)}") from error
 
     def error(self, text: str) -> LeewayError:
         """Return the error with this text."""

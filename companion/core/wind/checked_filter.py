@@ -81,10 +81,3 @@ def checked_filter_factory(
     else:
         label, factory = getattr(estimator, "__name__", type(estimator).__name__), estimator
     return lambda airframe: CheckedWindFilter(label, factory, airframe)
-
-
-def checked_estimator_name(estimator: str | None) -> str | None:
-    """Return the name of a plug-in that another process will load; raise LeewayError early."""
-    if estimator is not None:
-        load_plugin(WIND_ESTIMATORS, estimator)
-    return estimator

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from companion.core.base.errors import LeewayError
 from ground_station.adapters.files import day_files
 from ground_station.adapters.files.compiled_code import enable_compile_cache_and_check_if_known
 from ground_station.adapters.files.params import resolve_day_file_path
@@ -33,6 +34,8 @@ def plan_day(
     The same day, seed and trials give the same plan. `trials` None: by the number of orders.
     `on_progress`: called with the completed share of the search and the best makespan (s).
     """
+    if policy not in ("search", "dynamic"):
+        raise LeewayError(f"policy {policy!r}: expected search or dynamic")
     data = day if isinstance(day, DayData) else read_day(day)
     enable_compile_cache_and_check_if_known()
     # After the compile cache is enabled: it contains compiled code.

@@ -147,7 +147,6 @@ def fly(
     from rich.console import Console
 
     from companion.app.api import airframe_file
-    from companion.core.wind.checked_filter import checked_estimator_name
     from sim_bridge.app.flight.fly import FlyOptions
     from sim_bridge.app.flight.fly import fly_vehicles_and_evaluate as fly_now
     from sim_bridge.app.flight.foreign_flight import ExternalFlightOptions, fly_external_vehicles
@@ -203,7 +202,7 @@ def fly(
             run_root=run_root,
             picture=picture,
             mean_wind=None if wind is None else checked_wind(wind),
-            estimator=checked_estimator_name(estimator),
+            estimator=estimator,
             companion_airframe=None if airframe is None else str(airframe_file(airframe)),
         )
         with LiveView(console=console) as view:

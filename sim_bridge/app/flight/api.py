@@ -10,8 +10,8 @@ from companion.adapters.files.params import flight_file_path
 from companion.adapters.logs.decision_log import SCHEMAS, read_mcap_rows
 from companion.app.api import airframe_file
 from companion.core.base.arrays import Floats
-from companion.core.base.errors import LeewayError
-from companion.core.wind.checked_filter import WindFilterFactory, checked_estimator_name
+from companion.core.base.errors import LeewayError, check_range
+from companion.core.wind.checked_filter import WindFilterFactory
 from sim_bridge.app.flight.craft_building import FlyOptions
 from sim_bridge.app.flight.fly import fly_vehicles_and_evaluate
 from sim_bridge.app.flight.wind_plugin import checked_wind
@@ -86,8 +86,8 @@ def fly(
     """
     if autopilot not in ("px4", "ardupilot", "mixed"):
         raise LeewayError(f"autopilot {autopilot!r}: expected px4, ardupilot or mixed")
-    if not 1 <= vehicles <= 100:
-        raise LeewayError(f"vehicles = {vehicles}: expected 1 to 100")
+    check_range("vehicles", vehicles, 1, 100)
+    check_range("seed", seed, 0, 2**63)
     options = FlyOptions(
         flight_file=flight_file_path(flight),
         autopilot=autopilot,
@@ -98,7 +98,7 @@ def fly(
         picture=False,
         companion_airframe=None if airframe is None else str(airframe_file(airframe)),
         mean_wind=None if wind is None else checked_wind(wind),
-        estimator=checked_estimator_name(_importable_name(estimator)),
+        estimator=_importable_name(estimator),
     )
     names = [field.name for field in fields(FlightResult)]
     found = fly_vehicles_and_evaluate(options)["flights"]

@@ -17,6 +17,7 @@ from companion.adapters.files.params import (
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import offset_position_deg
 from companion.core.base.location import Location
+from companion.core.base.plugin import WIND_ESTIMATORS, load_plugin
 from companion.core.mission.flight_file import Flight
 from sim_bridge.adapters.fork_server import ForkServer
 from sim_bridge.adapters.wall_clock import mavlink_signing_time_10us
@@ -169,6 +170,7 @@ def _estimator_startup_code(estimator: str | None) -> str:
     """Return code that replaces the wind estimator of a companion: it has no option for that."""
     if estimator is None:
         return ""
+    load_plugin(WIND_ESTIMATORS, estimator)  # here, an error is reported before the flight
     return (
         "from companion.core.pilot import estimates\n"
         "from companion.core.wind.checked_filter import checked_filter_factory\n"

@@ -52,7 +52,7 @@ def _loss(
     start_s = float(flown.arrival_s[k]) if delivers else turn_s
     last = flown.wind_ne_mps.shape[1] - 1
     at = int(min(start_s, last)) if np.isfinite(start_s) else last
-    end = min(max(int(outcomes.flight_h[k] * 3600.0), at + 1), last) if at < last else last
+    end = min(max(int(outcomes.flight_h[k] * 3600.0), at + 1), last)
     headwind = flown.wind_ne_mps[k] @ flown.unit_ne[k]
     before = flown.wind_ne_mps[k, max(at - BEFORE_S, 0) : at + 1].mean(axis=0)
     after_mps = float(headwind[at : end + 1].mean())
