@@ -18,8 +18,9 @@ RAW = (b"\x1b]0;owned", b"\x07", b"\x1b[31337m", "\x9b".encode())
 
 NO_SAFE_TEXT = """
 from companion.core.base import safe_text
-safe_text.safe_text = lambda text: text
-safe_text.one_line = lambda text: text
+for name in ("safe_text", "flatten_to_one_line", "harmless_lines"):
+    assert hasattr(safe_text, name)
+    setattr(safe_text, name, lambda text: text)
 """
 
 
