@@ -3,7 +3,7 @@
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,13 +55,13 @@ def fly_and_return_exit_code(options: RunOptions) -> int:
     """Fly the mission. Returns the exit code."""
     code, pilot = fly_mission(options, on_action=print_action)
     if code == NO_LINK:
-        typer.echo(no_autopilot_message(options.link))
+        print_line_if_possible(no_autopilot_message(options.link))
     if pilot.settings.original_values_to_restore:
         words = ["companion", "restore", "--link", options.link]
         words += ["--vehicle-settings", str(options.settings_folder)]
         words += [] if options.signing_key is None else ["--signing-key", str(options.signing_key)]
         words += [] if options.system_id is None else ["--system", str(options.system_id)]
-        typer.echo(f"settings NOT restored: disarm, then run `{shlex.join(words)}`")
+        print_line_if_possible(f"settings NOT restored: disarm, then run `{shlex.join(words)}`")
     return code
 
 
@@ -100,7 +100,7 @@ def fly_in_fleet_and_return_exit_code(
     return fly_fleet_assignments_until_stopped(
         fleet,
         options,
-        print_line=_print_line_prefixed_open_network if is_open else _print_nonempty_line,
+        print_line=lambda line: print_line_if_possible(_marked(line) if is_open else line),
         on_action=show,
     )
 
@@ -197,7 +197,7 @@ def print_action(action: Action) -> None:
 
 def print_action_with_open_network_mark(action: Action) -> None:
     """Print the action's text with the mark of an open network."""
-    _print_line_prefixed_open_network(_action_text(action))
+    _print_nonempty_line(_marked(_action_text(action)))
 
 
 def _print_nonempty_line(line: str) -> None:
@@ -207,8 +207,14 @@ def _print_nonempty_line(line: str) -> None:
         sys.stdout.flush()
 
 
-def _print_line_prefixed_open_network(line: str) -> None:
-    _print_nonempty_line(f"{OPEN_MARK} {line}" if line else "")
+def print_line_if_possible(line: str) -> None:
+    """Print a line; a full disk or a closed terminal changes neither the flight nor its code."""
+    with suppress(OSError):
+        _print_nonempty_line(line)
+
+
+def _marked(line: str) -> str:
+    return f"{OPEN_MARK} {line}" if line else ""
 
 
 def _action_text(action: Action) -> str:

@@ -137,9 +137,8 @@ def pause_mission_of_old_autopilot(stage: FaultContext) -> Iterator[None]:
     )
     yield from stage.wait_for_phase_and_record_fault_start()
     yield from _pause_mission(stage, station)
-    yield from stage.wait(45.0)  # the companion may jump again once, but orders no other mode
+    yield from stage.wait(45.0)  # the companion may jump again once; low energy ends the pause
     yield from _note_if_hovering(stage)
-    stage.record_take_over()
 
 
 @FAULTS.register_procedure(

@@ -6,7 +6,8 @@ rows keep their procedure and draws. Rules of a pair, by truth and by the messag
 - no exception, no error exit code, no rise of the energy estimate, no command after a newer
   decision of a person, no false delivery: always;
 - home, and no P(home) of 0.99 or more without a return: if both rows require home (rows in which a
-  person keeps control, or in which the motors are stopped, do not);
+  person keeps control, or in which the motors are stopped, do not), unless another mission is
+  uploaded while the companion is away or another computer has control: nobody can undo it;
 - disarmed at the end: if one of the rows requires it;
 - deliveries, alerts and notes of the single rows: not required, as the other fault may prevent
   them.
@@ -39,6 +40,15 @@ from sim_bridge.app.world.flight_phase import FlightPhase
 from sim_bridge.autopilot.kinds import BatterySensing
 
 PAIR_GROUP, SEPARATOR = "pairs", "+"
+MISSION_CHANGING_CASES = (
+    *("same-length-edit", "foreign-upload", "foreign-upload-again", "shorter-upload"),
+    *("longer-upload", "mission-cleared", "replaced-while-held", "replaced-while-dead"),
+    *("replaced-when-ready", "hold-then-upload", "last-resort-refused"),
+)
+ABSENT_COMPANION_CASES = (
+    *("silence-60-s", "silence-for-good", "killed-for-good"),
+    *("second-takes-over", "payload-computer-flies"),
+)
 MAX_DRAWS = 10_000
 MAX_DELAY_S = 10.0
 """Longest delay of a second fault in the phase of the first: shorter than the time from a take-over
@@ -61,7 +71,11 @@ def had_two_faults(stage: FaultContext) -> bool:
 def combine_cases(first: FaultCase, second: FaultCase) -> FaultCase:
     """Return the row of both faults."""
     rules = [check_no_late_commands, check_no_false_delivery]
-    if all(check_returned_home in case.rules for case in (first, second)):
+    is_mission_undone = not any(
+        one.name in MISSION_CHANGING_CASES and other.name in ABSENT_COMPANION_CASES
+        for one, other in ((first, second), (second, first))
+    )
+    if is_mission_undone and all(check_returned_home in case.rules for case in (first, second)):
         rules += [check_returned_home, check_returned_if_p_home_was_high]
     if any(check_disarmed_at_end in case.rules for case in (first, second)):
         rules.append(check_disarmed_at_end)
@@ -107,7 +121,11 @@ def run_both_procedures(first: FaultCase, second: FaultCase) -> FaultProcedure:
         assert stage.craft_and_lockstep is not None
         other = FaultContext.for_flight(*stage.craft_and_lockstep, phase, stage.rng)
         if phase is stage.phase:
-            other.is_in_phase = lambda: stage.start_s is not None
+            may_begin_on_ground = phase is FlightPhase.READY
+            other.is_in_phase = lambda: (
+                stage.start_s is not None
+                and (may_begin_on_ground or stage.craft.vehicle.is_airborne)
+            )
             other.after_phase_s = (0.0, MAX_DELAY_S) if stage.rng.random() < 0.5 else None
         other.resources = stage.resources
         other.remaining_steps, steps = second.procedure(other), first.procedure(stage)
