@@ -38,6 +38,9 @@ def document_features(document: dict[str, Any]) -> list[Any] | None:
     return found if isinstance(found, list) else None
 
 
+ORDER_POINT = "a point with mass_kg is an order, no obstacle"
+
+
 def parse_obstacles(
     frame: LocalFrame,
     document: dict[str, Any],
@@ -87,6 +90,8 @@ def review_obstacles(
     none_text += " of the depot"
     if swapped and len(beyond) + len(swapped) == total:
         return report, [(None, f"{none_text}; the swapped file would fit: is it [lat, lon]?")]
+    if any(one.reason == ORDER_POINT for one in report.skipped):
+        report.suspicious.append("it holds orders: is it the file of orders?")
     if beyond and len(beyond) == total:
         report.suspicious.append(f"{none_text}: is it the file of another area?")
     return report, [(number, str(error)) for number, error in defects]
@@ -105,6 +110,9 @@ def _iterate_features(
         raise LeewayError("obstacles: expected a GeoJSON FeatureCollection with features")
     for index, feature in enumerate(features):
         reason, place = "", _feature_place(index, feature)
+        if _is_order(feature):
+            yield Skipped(place, ORDER_POINT)
+            continue
         prisms: Sequence[Obstacle] = ()
         try:
             if is_geo_zone_feature(feature):
@@ -127,6 +135,14 @@ def _iterate_features(
             yield Skipped(place, reason or BEYOND_REACH, is_expected=True)
         else:
             yield prisms
+
+
+def _is_order(feature: Any) -> bool:
+    """Return whether a feature is a point with the mass of a parcel."""
+    is_object = isinstance(feature, dict)
+    geometry, properties = map(feature.get, ("geometry", "properties")) if is_object else ({}, {})
+    is_point = isinstance(geometry, dict) and geometry.get("type") == "Point"
+    return is_point and isinstance(properties, dict) and "mass_kg" in properties
 
 
 def _feature_place(index: int, feature: Any) -> str:

@@ -1,7 +1,7 @@
 """Reader of orders: CSV of any dialect, spreadsheets, GeoJSON points."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from ground_station.adapters.files.params import is_json_file, read_json
 from ground_station.adapters.files.table_rows import TextTable, read_text_table
 from ground_station.core.schema.day import DayFilesError, Depot, FileProblem
 from ground_station.core.schema.elevation import SiteElevation
-from ground_station.core.schema.order_columns import OrderColumns
+from ground_station.core.schema.order_columns import OrderColumns, is_order_header
 from ground_station.core.schema.order_parsing import find_duplicate_orders, parse_order_or_problems
 from ground_station.core.schema.orders import Order
 
@@ -63,9 +63,13 @@ def read_order_rows(
     return found, report
 
 
-def read_reported_table(path: Path, report: ImportReport) -> TextTable:
+def read_reported_table(
+    path: Path,
+    report: ImportReport,
+    is_header: Callable[[list[str]], bool] = lambda cells: True,
+) -> TextTable:
     """Read a table; `report` receives its dialect where it is not the documented one."""
-    table = read_text_table(path)
+    table = read_text_table(path, is_header)
     if table.dialect:
         report.notes.append(f"read as {table.dialect}")
     return table
@@ -78,7 +82,9 @@ def _read_table_rows(
     column_headings: Mapping[str, str],
 ) -> list[tuple[int, dict[str, str]]]:
     """Return rows, each with its first line number; none if the header is wrong."""
-    table = read_reported_table(path, report)
+    table = read_reported_table(path, report, lambda cells: is_order_header(cells, column_headings))
+    if table.skipped_rows:
+        report.notes.append(f"header in row {table.rows[0][0]}: rows above it are not orders")
     columns = OrderColumns.of_table(
         str(path), [cells for _, cells in table.rows], column_headings, table.with_decimal_point
     )

@@ -1,6 +1,7 @@
 """Follows a wind station's growing CSV file and returns its new rows, like `tail -f`.
 
-Columns `time_utc, wind_speed_mps, wind_from_deg`, and optionally `std_mps`, the station's error.
+Columns `time_utc, wind_speed_mps, wind_from_deg`, and optionally `std_mps`, the station's error,
+separated as in the header. Decimal commas are read where no comma separates cells.
 The time is ISO 8601 with an offset from UTC, or seconds since 1970.
 """
 
@@ -15,6 +16,7 @@ import msgspec
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
+from ground_station.adapters.files.table_rows import DECIMAL_COMMA, SEPARATORS
 from ground_station.core.fleet.station_message import StationWind
 
 COLUMNS = ("time_utc", "wind_speed_mps", "wind_from_deg")
@@ -36,6 +38,7 @@ class StationFile:
     _inode: int | None = None
     _partial_row: bytes = b""
     _columns: tuple[str, ...] | None = None
+    _separator: str = ","
     _last_problem: str = ""
 
     def read_new_winds_and_problems(self) -> tuple[list[StationWind], list[str]]:
@@ -91,7 +94,9 @@ class StationFile:
             if len(header) == MAX_ROW_BYTES:
                 raise LeewayError(f"header longer than {MAX_ROW_BYTES} bytes")
             return False
-        names = tuple(name.strip() for name in _decode_utf8_row(header).lstrip("\ufeff").split(","))
+        text = _decode_utf8_row(header).lstrip("\ufeff")
+        self._separator = max(SEPARATORS, key=text.count)
+        names = tuple(name.strip() for name in text.split(self._separator))
         wrong = [name for name in COLUMNS if name not in names]
         wrong += [name for name in names if name not in COLUMNS + OPTIONAL_COLUMNS]
         if wrong or len(set(names)) < len(names):
@@ -106,7 +111,9 @@ class StationFile:
 
     def _parse_row(self, line: bytes) -> StationWind:
         assert self._columns is not None
-        cells = [cell.strip() for cell in _decode_utf8_row(line).split(",")]
+        cells = [cell.strip() for cell in _decode_utf8_row(line).split(self._separator)]
+        if self._separator != ",":
+            cells = [DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
         if len(cells) != len(self._columns):
             raise LeewayError(f"row of {len(cells)} cells, expected {len(self._columns)}")
         row = dict(zip(self._columns, cells, strict=True))

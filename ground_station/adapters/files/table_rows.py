@@ -8,7 +8,7 @@ import csv
 import importlib
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ SPREADSHEET_MARKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """Start of a ZIP archive (.xlsx, .ods) and of a compound file (.xls)."""
 SEPARATOR_LINE = re.compile(r"sep=(.)\r?\n", re.IGNORECASE)
 """First line that Excel reads and does not show."""
+MAX_ROWS_ABOVE_HEADER = 20
 DECIMAL_COMMA = re.compile(r"\s*([+-]?\d+),(\d+)\s*\Z")
 
 
@@ -34,6 +35,8 @@ class TextTable:
     """Its name where it is not UTF-8."""
     separator: str
     """Empty: cells of a spreadsheet."""
+    skipped_rows: list[tuple[int, list[str]]]
+    """Titles and the like above the header."""
 
     @property
     def dialect(self) -> str:
@@ -46,9 +49,12 @@ class TextTable:
         return number if self.separator == "," else DECIMAL_COMMA.sub(r"\1.\2", number)
 
 
-def read_text_table(path: Path) -> TextTable:
+def read_text_table(
+    path: Path, is_header: Callable[[list[str]], bool] = lambda cells: True
+) -> TextTable:
     """Read a CSV file of any of these dialects, or a spreadsheet. Rows without a value are skipped,
-    and empty cells after the last heading.
+    and empty cells after the last heading. The header is the first of the upper rows that
+    `is_header` accepts; if it accepts none, the first.
 
     Raises LeewayError: unreadable, not text, a quote that is not closed, a damaged spreadsheet.
     """
@@ -65,10 +71,11 @@ def read_text_table(path: Path) -> TextTable:
         if stated := SEPARATOR_LINE.match(text):
             line, separator, text = 2, stated[1], text[stated.end() :]
         else:
-            first_line = next((line for line in text.splitlines() if line.strip()), "")
-            unquoted = re.sub(r'"[^"]*"', "", first_line)
-            separator = max(SEPARATORS, key=unquoted.count)
+            separator = _separator_of_first_line_with_one(text)
         rows = list(_iterate_rows(path, text, separator, line))
+    upper_rows = enumerate(cells for _, cells in rows[: MAX_ROWS_ABOVE_HEADER + 1])
+    header = next((index for index, cells in upper_rows if is_header(cells)), 0)
+    skipped_rows, rows = rows[:header], rows[header:]
     columns = len(rows[0][1]) if rows else 0
     while columns and not rows[0][1][columns - 1].strip():
         columns -= 1
@@ -76,7 +83,17 @@ def read_text_table(path: Path) -> TextTable:
         (line, cells[:columns] if not any(map(str.strip, cells[columns:])) else cells)
         for line, cells in rows
     ]
-    return TextTable(trimmed, encoding, separator)
+    return TextTable(trimmed, encoding, separator, skipped_rows)
+
+
+def _separator_of_first_line_with_one(text: str) -> str:
+    """Return the most frequent separator outside quotes of a title, or of the header below it."""
+    for line in io.StringIO(text):
+        unquoted = re.sub(r'"[^"]*"', "", line)
+        separator = max(SEPARATORS, key=unquoted.count)
+        if separator in unquoted:
+            return separator
+    return ","
 
 
 def _read_spreadsheet(path: Path) -> tuple[list[tuple[int, list[str]]], str]:

@@ -14,6 +14,7 @@ from ground_station.app.options.desk_options import (
     desk_options,
     print_import_reports,
     read_day_and_warn,
+    written_import_reports,
 )
 from ground_station.app.options.program_options import command_class_with_options
 from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
@@ -90,6 +91,10 @@ def import_(
             " `columns`.",
         ),
     ] = None,
+    json_out: Annotated[
+        Path | None,
+        typer.Option("--json", help="Write what was used, skipped, suspicious or refused as JSON."),
+    ] = None,
     strict: StrictImport = False,
 ) -> None:
     """Add all orders of a file, or none. All errors are listed.
@@ -102,14 +107,18 @@ def import_(
     path = Path(file)
     headings = {} if columns is None else parse_column_headings(columns)
     data = None
-    if path.suffix and path.suffix != ".toml":
-        orders, report = read_orders(path, None, headings)
-        print_import_reports([report], strict=strict)
-    else:
-        if headings:
-            raise LeewayError("--columns: expected with a table of orders; a day states `columns`")
-        data = read_day_and_warn(file, strict=strict)
-        orders = data.orders
+    with written_import_reports(json_out) as reports:
+        if path.suffix and path.suffix != ".toml":
+            orders, report = read_orders(path, None, headings)
+            reports.append(report)
+            print_import_reports(reports, strict=strict)
+        else:
+            if headings:
+                words = "expected with a table of orders; a day states `columns`"
+                raise LeewayError(f"--columns: {words}")
+            data = read_day_and_warn(file, strict=strict)
+            reports += data.imports
+            orders = data.orders
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, orders, by)
     if data is not None:

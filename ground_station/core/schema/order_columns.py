@@ -6,11 +6,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from companion.core.base.errors import LeewayError
+from ground_station.core.schema.coordinate_text import degrees_text, split_lat_lon
 from ground_station.core.schema.day import FileProblem
 from ground_station.core.schema.orders import ORDER_BOUNDS
 
 REQUIRED = ("id", "lat_deg", "lon_deg", "mass_kg")
 COLUMNS = ("id", "lat_deg", "lon_deg", "alt_amsl_m", "mass_kg", "service", "note")
+LAT_LON = "lat_lon_deg"
+"""Column with latitude and longitude in one cell."""
 UNIT_COLUMNS = {
     "mass_g": ("mass_kg", 0.001),
     "mass_lb": ("mass_kg", 0.45359237),
@@ -36,6 +39,9 @@ COLUMN_OF_HEADING = _headings(
         "id": "order order_id order_no order_number auftrag bestellung commande pedido ordine",
         "lat_deg": "lat latitude breite breitengrad latitud latitudine breddegrad",
         "lon_deg": "lon lng long longitude länge längengrad longitud longitudine længdegrad",
+        LAT_LON: "lat_lon lat,lon lat,_lon latlon lat_lng latlng lat/lon latitude_longitude"
+        " latitude,_longitude latitude,longitude coordinates coordinate coords gps gps_coordinates"
+        " position location koordinaten coordonnées coordenadas coordinate_gps koordinater",
         "note": "notes comment comments remark remarks bemerkung notiz hinweis commentaire nota",
     }
 ) | {
@@ -116,6 +122,11 @@ class OrderColumns:
                 kept += [f"{heading}: {cell.strip()}"] if cell.strip() else []
             elif name == "note":
                 kept[:0] = [cell] if cell.strip() else []
+            elif name == LAT_LON:
+                found["lat_deg"], found["lon_deg"] = split_lat_lon(cell, self.with_decimal_point)
+            elif base.endswith("_deg"):
+                axis = "NS" if base == "lat_deg" else "EW"
+                found[base] = degrees_text(self.with_decimal_point(cell), axis)
             elif base in ORDER_BOUNDS:
                 found[base] = _scaled(self.with_decimal_point(cell), factor)
             elif base:
@@ -130,12 +141,13 @@ class OrderColumns:
 
         for index, (name, heading) in enumerate(zip(self.names, self.headings, strict=True)):
             values = [row[index].strip() for row in rows[1:] if index < len(row)]
-            if name not in COLUMNS and name not in UNIT_COLUMNS and (heading or any(values)):
+            if name not in (*COLUMNS, *UNIT_COLUMNS, LAT_LON) and (heading or any(values)):
                 add_problem(heading or f"number {index + 1}", self._unknown_text(heading, values))
         bases = [_documented_column(name) for name in self.names]
+        bases += ["lat_deg", "lon_deg"] * bases.count(LAT_LON)
         for heading, name in mapped.items():
-            if _documented_column(name) not in COLUMNS:
-                known = ", ".join((*COLUMNS, *UNIT_COLUMNS))
+            if _documented_column(name) not in (*COLUMNS, LAT_LON):
+                known = ", ".join((*COLUMNS, *UNIT_COLUMNS, LAT_LON))
                 add_problem(heading, f"columns: {name!r:.40}, expected one of {known}")
             elif _documented_column(name) not in bases:
                 add_problem(heading, f"column missing, expected for {name}")
@@ -163,6 +175,14 @@ class OrderColumns:
         unit = "g" if statistics.median(numbers) >= GRAMS_FROM else "kg"
         span = f"{min(numbers):g} to {max(numbers):g}"
         return f"{text}; no unit, {span}: in {unit}? --columns mass_{unit}={heading}"
+
+
+def is_order_header(cells: Sequence[str], column_headings: Mapping[str, str]) -> bool:
+    """Return whether a row holds headings of at least two columns that an order must have."""
+    mapped = {heading.strip(): name for name, heading in column_headings.items()}
+    stripped = [cell.strip() for cell in cells]
+    names = {_documented_column(mapped.get(cell) or _column_of(cell)) for cell in stripped}
+    return len(names & {*REQUIRED, LAT_LON}) >= 2
 
 
 PLACE_TEXT = ": addresses are not converted to positions, expected degrees"
