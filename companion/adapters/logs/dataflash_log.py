@@ -10,7 +10,7 @@ from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.logs.dataflash_filter import extract_undamaged_messages
-from companion.adapters.logs.log_time import LogClock
+from companion.adapters.logs.log_time import LogClock, byte_location
 from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
@@ -114,13 +114,15 @@ def read_dataflash_log(path: Path) -> RecordedFlight:
 @contextlib.contextmanager
 def _undamaged_copy(path: Path, findings: list[LogIssue]) -> Iterator[Path]:
     """Yield the log, or a copy of its whole messages, since DFReader opens only files."""
-    whole = extract_undamaged_messages(path.read_bytes())
+    raw = path.read_bytes()
+    whole = extract_undamaged_messages(raw)
     if whole.data is None:
         yield path
         return
     if whole.damaged_sections:
         where = f"{whole.damaged_bytes} bytes in {whole.damaged_sections} sections are damaged"
-        findings.append(LogIssue(f"byte {whole.first_damaged_at}", where, "discarded"))
+        place = byte_location(whole.first_damaged_at, len(raw))
+        findings.append(LogIssue(f"first {place}", where, "discarded"))
     with tempfile.NamedTemporaryFile(suffix=".bin") as copy:
         copy.write(whole.data)
         copy.flush()

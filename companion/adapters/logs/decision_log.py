@@ -26,6 +26,7 @@ from mcap.writer import CompressionType, Writer
 
 from companion.adapters.clock import unix_time_us
 from companion.adapters.logs.foxglove_rows import FOXGLOVE, ROUTE, foxglove_row
+from companion.adapters.logs.log_time import byte_location
 from companion.core.mission.actions import AssessmentReport, Decision, EnergyReport, PhaseChanged
 from companion.core.mission.events import (
     AirPressure,
@@ -262,8 +263,8 @@ def read_mcap_rows(path: Path) -> LogRows:
     """Read an MCAP of JSON messages to its end; a damaged message is skipped."""
     raw = path.read_bytes()
     if not raw.startswith(MAGIC):
-        return LogRows([], "byte 0: not an MCAP header")
-    rows = _RecordDecoder()
+        return LogRows([], "it does not begin as an MCAP file")
+    rows = _RecordDecoder(len(raw))
     at = len(MAGIC)
     while at + RECORD_HEADER.size <= len(raw):
         opcode, length = RECORD_HEADER.unpack_from(raw, at)
@@ -286,14 +287,16 @@ def read_mcap_rows(path: Path) -> LogRows:
 class _RecordDecoder:
     """Decodes the records of an MCAP in order. A damaged record does not affect others."""
 
-    def __init__(self) -> None:
+    def __init__(self, size_bytes: int) -> None:
+        self._size_bytes = size_bytes
         self.found: list[tuple[str, dict[str, Any]]] = []
         self.error_text: str | None = None
         self.utc_at_zero_s: float | None = None
         self._topics: dict[int, str] = {}
 
     def record_first_error(self, byte_offset: int, description: str) -> None:
-        self.error_text = self.error_text or f"byte {byte_offset}: {description}"
+        place = byte_location(byte_offset, self._size_bytes)
+        self.error_text = self.error_text or f"{description} {place}"
 
     def decode_record(self, byte_offset: int, opcode: int, body: bytes) -> None:
         """Decode the record of `body` that begins at byte `byte_offset`."""

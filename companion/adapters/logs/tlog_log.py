@@ -19,7 +19,7 @@ from companion.adapters.autopilots.telemetry import (
     message_time_since_boot_s,
     vehicle_kind,
 )
-from companion.adapters.logs.log_time import LogClock, summarise_rows_as_issue
+from companion.adapters.logs.log_time import LogClock, byte_location, summarise_rows_as_issue
 from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event
@@ -74,7 +74,8 @@ def is_tlog(head: bytes) -> bool:
 def read_tlog(path: Path) -> RecordedFlight:
     """Read the first autopilot's telemetry; LeewayError if there is none."""
     damaged_at: list[int] = []
-    frames = [f for f in _iterate_frames(path.read_bytes(), damaged_at) if f.kind in MIN_INTERVAL_S]
+    raw = path.read_bytes()
+    frames = [f for f in _iterate_frames(raw, damaged_at) if f.kind in MIN_INTERVAL_S]
     codec = MavlinkCodec(datagrams=True)
     system, heartbeat = _find_autopilot(path, frames, codec)
     reader = _TlogReader(PROFILES[heartbeat.autopilot](), codec)
@@ -85,7 +86,10 @@ def read_tlog(path: Path) -> RecordedFlight:
     if damaged_at:
         findings.append(
             summarise_rows_as_issue(
-                damaged_at, "byte {}".format, "bytes of no whole frame (truncated?)", "discarded"
+                damaged_at,
+                lambda offset: byte_location(offset, len(raw)),
+                "bytes of no whole frame (truncated?)",
+                "discarded",
             )
         )
     others = sorted({f.system for f in frames if f.component == AUTOPILOT} - {system})

@@ -1,7 +1,7 @@
 """Forecasts in GRIB2 (WMO FM 92), read with ecCodes, which only the extra `weather` installs.
 
 Wind at heights above ground, or on pressure levels with their geopotential height and the height of
-the surface; ensembles with all members. Grid: regular latitude and longitude.
+the surface; ensembles with all members.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.files.forecast_grids import GridWindow, grid_window
 from ground_station.core.weather.forecast_field import (
     ForecastField,
     ensemble_mean_and_std,
@@ -25,8 +26,6 @@ from ground_station.core.weather.forecast_field import (
 TO_EAST, TO_NORTH, GUST = (2, 2), (2, 3), (2, 22)
 GEOPOTENTIAL, GEOPOTENTIAL_HEIGHT = (3, 4), (3, 5)
 GRAVITY_MPS2 = 9.80665
-MARGIN_POINTS = 1
-"""Number of grid points kept beyond the cell around the position."""
 
 _Level = tuple[str, float]
 _Key = tuple[tuple[int, int], _Level, float, int]
@@ -38,35 +37,26 @@ MISSING_VALUE = 9.999e20
 
 
 @dataclass(slots=True)
-class _Window:
-    """Grid points around the position: their axes and their indices in a message's values."""
-
-    lat_deg: Floats
-    lon_deg: Floats
-    index: Any
-
-
-@dataclass(slots=True)
 class _GridContent:
     """Content of the messages read so far."""
 
     lat_deg: float
     lon_deg: float
-    windows: dict[str, _Window] = field(default_factory=dict)
+    windows: dict[str, GridWindow] = field(default_factory=dict)
     values: dict[_Key, Floats] = field(default_factory=dict)
     unused: dict[str, None] = field(default_factory=dict)
     """First messages that are not needed: quantity, level and kind of level."""
 
     @property
-    def first_window(self) -> _Window:
+    def first_window(self) -> GridWindow:
         return next(iter(self.windows.values()))
 
 
 def read_grib_forecast(path: Path, lat_deg: float, lon_deg: float) -> ForecastField:
     """Read the forecast around a position.
 
-    Raises LeewayError: no ecCodes, not GRIB2, damaged, another grid type, a position outside the
-    grid, or no wind at any height.
+    Raises LeewayError: no ecCodes, not GRIB2, damaged, a grid without rows and columns, a position
+    outside the grid, or no wind at any height.
     """
     eccodes = _import_eccodes()
     read = _GridContent(lat_deg, lon_deg)
@@ -128,8 +118,8 @@ def _store_message_if_needed(eccodes: Any, message: Any, grid_content: _GridCont
         raise LeewayError(f"{_describe_key(found)}: duplicate, expected one forecast per file")
     window = _cached_window_around_position(eccodes, message, grid_content)
     eccodes.codes_set(message, "missingValue", MISSING_VALUE)
-    values = eccodes.codes_get_values(message)[window.index]
-    grid_content.values[found] = np.where(values == MISSING_VALUE, np.nan, values)
+    values = eccodes.codes_get_values(message)
+    grid_content.values[found] = window.values(np.where(values == MISSING_VALUE, np.nan, values))
 
 
 def _message_key_or_none(eccodes: Any, message: Any) -> _Key | None:
@@ -161,25 +151,12 @@ def _message_key_or_none(eccodes: Any, message: Any) -> _Key | None:
 
 def _cached_window_around_position(
     eccodes: Any, message: Any, grid_content: _GridContent
-) -> _Window:
+) -> GridWindow:
     """Return the points around the position in this message's grid; one grid for the whole file."""
     name = eccodes.codes_get(message, "md5GridSection")
     if name in grid_content.windows:
         return grid_content.windows[name]
-    kind = eccodes.codes_get(message, "gridType")
-    if kind != "regular_ll":
-        raise LeewayError(f"grid {kind}, expected regular_ll: cdo remapbil, or wgrib2 -new_grid")
-    lats, row = np.unique(eccodes.codes_get_array(message, "latitudes"), return_inverse=True)
-    lons_deg = eccodes.codes_get_array(message, "longitudes")
-    wrapped_lons_deg = (
-        grid_content.lon_deg + (lons_deg - grid_content.lon_deg + 180.0) % 360.0 - 180.0
-    )
-    lons, column = np.unique(wrapped_lons_deg.round(9), return_inverse=True)
-    rows = _axis_slice_around_position(lats, grid_content.lat_deg, "latitude")
-    columns = _axis_slice_around_position(lons, grid_content.lon_deg, "longitude")
-    index = np.full((lats.size, lons.size), -1)
-    index[row, column] = np.arange(row.size)
-    cut = _Window(lats[rows], lons[columns], index[rows, columns])
+    cut = grid_window(eccodes, message, grid_content.lat_deg, grid_content.lon_deg)
     if grid_content.windows and not all(
         np.array_equal(getattr(cut, axis), getattr(grid_content.first_window, axis))
         for axis in ("lat_deg", "lon_deg")
@@ -187,16 +164,6 @@ def _cached_window_around_position(
         raise LeewayError("grid differs from the first message's, expected one grid per file")
     grid_content.windows[name] = cut
     return cut
-
-
-def _axis_slice_around_position(axis_deg: Floats, position_deg: float, axis_name: str) -> slice:
-    low, high = float(axis_deg[0]), float(axis_deg[-1])
-    if axis_deg.size < 2 or not low <= position_deg <= high:
-        raise LeewayError(
-            f"{axis_name} {position_deg:.5f} is outside the grid's {low:.3f} to {high:.3f}"
-        )
-    after = max(int(np.searchsorted(axis_deg, position_deg)), 1)
-    return slice(max(0, after - 1 - MARGIN_POINTS), after + 1 + MARGIN_POINTS)
 
 
 def _build_forecast_field(grid_content: _GridContent) -> ForecastField:
@@ -267,7 +234,7 @@ def _wind_ne_mps(grid_content: _GridContent, level: _Level, t_s: float, member: 
                 f"{_describe_key(key)}: missing, expected u and v of each level and time"
             )
         parts.append(grid_content.values[key])
-    return np.stack(parts, axis=-1)
+    return grid_content.first_window.to_north_and_east(*parts)
 
 
 def _mean_height_above_ground_m(
@@ -279,7 +246,7 @@ def _mean_height_above_ground_m(
 ) -> Floats:
     kind, value = level
     if kind == "height":
-        return np.full(grid_content.first_window.index.shape, value)
+        return np.full(grid_content.first_window.index.shape[1:], value)
     above = [_geopotential_height_amsl_m(grid_content, level, t_s, member) for member in members]
     known = [height_m for height_m in above if height_m is not None]
     if surface_m is None or len(known) < len(members):

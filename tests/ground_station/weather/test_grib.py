@@ -187,3 +187,86 @@ def test_a_place_outside_the_grid_is_named(tmp_path):
         read_forecast(path, 57.0, LON)
     with pytest.raises(LeewayError, match=r"longitude 12.00000 is outside the grid's 7.500 to 9.5"):
         read_forecast(path, LAT, 12.0)
+
+
+SOUTH_POLE = (-39.25, 18.0)
+"""Latitude and longitude of the rotated south pole, as in COSMO and HIRLAM grids."""
+
+
+def rotated_message(quantity, values, hour, *, is_relative: bool, scan: dict[str, int]) -> bytes:
+    """A field on a rotated grid; rotated 0, 0 lies at 50.75 N, 18 E."""
+    handle = eccodes.codes_grib_new_from_samples("rotated_ll_sfc_grib2")
+    first, last = (6.0, 3.0) if not scan["jScansPositively"] else (3.0, 6.0)
+    west, east = (-7.0, -4.0) if not scan["iScansNegatively"] else (-4.0, -7.0)
+    keys = scan | {
+        "Ni": 31, "Nj": 31,
+        "latitudeOfFirstGridPointInDegrees": first, "latitudeOfLastGridPointInDegrees": last,
+        "longitudeOfFirstGridPointInDegrees": west % 360.0,
+        "longitudeOfLastGridPointInDegrees": east % 360.0,
+        "iDirectionIncrementInDegrees": 0.1, "jDirectionIncrementInDegrees": 0.1,
+        "latitudeOfSouthernPoleInDegrees": SOUTH_POLE[0],
+        "longitudeOfSouthernPoleInDegrees": SOUTH_POLE[1],
+        "uvRelativeToGrid": int(is_relative), "dataDate": 20260701, "dataTime": 1200,
+        "discipline": 0, "parameterCategory": quantity[0], "parameterNumber": quantity[1],
+        "typeOfLevel": "heightAboveGround", "level": 10, "forecastTime": hour, "bitsPerValue": 24,
+    }  # fmt: skip
+    for key, value in keys.items():
+        eccodes.codes_set(handle, key, value)
+    eccodes.codes_set_values(handle, np.zeros(31 * 31))  # sets the number of points
+    lats = eccodes.codes_get_array(handle, "latitudes")
+    lons = eccodes.codes_get_array(handle, "longitudes")
+    eccodes.codes_set_values(handle, values(lats, lons))
+    raw = eccodes.codes_get_message(handle)
+    eccodes.codes_release(handle)
+    return raw
+
+
+def bearing_of_rotated_north_rad(lat_deg: float, lon_deg: float) -> float:
+    """Direction of the rotated north pole, clockwise from north (spherical trigonometry)."""
+    pole_lat, pole_lon = np.radians(-SOUTH_POLE[0]), np.radians(SOUTH_POLE[1] - 180.0)
+    lat, dlon = np.radians(lat_deg), pole_lon - np.radians(lon_deg)
+    return np.arctan2(
+        np.sin(dlon) * np.cos(pole_lat),
+        np.cos(lat) * np.sin(pole_lat) - np.sin(lat) * np.cos(pole_lat) * np.cos(dlon),
+    )
+
+
+@pytest.mark.parametrize("is_relative", [False, True], ids=["to north", "to the grid"])
+@pytest.mark.parametrize("down", [0, 1], ids=["from the north", "from the south"])
+@pytest.mark.parametrize("left", [0, 1], ids=["from the west", "from the east"])
+def test_a_rotated_grid_gives_the_wind_by_north(tmp_path, is_relative, down, left):
+    lat, lon = 55.2, 9.4  # within the rotated window
+    scan = {"iScansNegatively": left, "jScansPositively": down}
+    turn = bearing_of_rotated_north_rad(lat, lon) if is_relative else 0.0
+    assert not is_relative or abs(turn) > np.radians(3.0)
+
+    def east(lats, lons):
+        return 5.0 + 2.0 * (lats - lat) + 1.0 * (lons - lon)
+
+    def along_rows(lats, lons):  # a wind to the east, in the grid's directions
+        return east(lats, lons) * np.cos(turn)
+
+    def along_columns(lats, lons):
+        return east(lats, lons) * np.sin(turn)
+
+    messages = [
+        rotated_message(quantity, values, hour, is_relative=is_relative, scan=scan)
+        for hour in (0, 3)
+        for quantity, values in ((U, along_rows), (V, along_columns))
+    ]
+    field = read_forecast(file_of(tmp_path / "r.grib2", messages), lat, lon)
+    for off in (0.0, 0.03):
+        found = at(field, 0.0, 10.0, lat + off, lon - off)
+        expected_mps = 5.0 + 2.0 * off - off
+        assert found.to_ne_mps == pytest.approx((0.0, expected_mps), abs=0.02)
+
+
+def test_a_position_at_the_edge_of_a_rotated_grid_is_refused(tmp_path):
+    scan = {"iScansNegatively": 0, "jScansPositively": 0}
+    messages = [
+        rotated_message(quantity, lambda lats, lons: 0.0 * lats, 0, is_relative=True, scan=scan)
+        for quantity in (U, V)
+    ]
+    path = file_of(tmp_path / "r.grib2", messages)
+    with pytest.raises(LeewayError, match="outside the grid, or at its edge"):
+        read_forecast(path, 60.0, 9.4)
