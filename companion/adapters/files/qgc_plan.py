@@ -90,7 +90,9 @@ def _simple_item_problem(item: Any) -> str:
 
 
 def _are_numbers(values: list[Any]) -> bool:
-    return all(isinstance(x, int | float) and not isinstance(x, bool) for x in values)
+    return all(
+        isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) for x in values
+    )
 
 
 def read_plan_fence_and_rally(path: Path) -> tuple[list[FenceArea], list[tuple[float, float]]]:

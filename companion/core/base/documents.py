@@ -12,6 +12,9 @@ from typing import Any
 
 from companion.core.base.errors import LeewayError
 
+MAX_INT_DIGITS = 300
+"""The largest float has 309."""
+
 
 def parse_toml(raw: bytes, document_name: str) -> dict[str, Any]:
     """Parse a TOML file to a table; LeewayError names the file."""
@@ -30,16 +33,28 @@ def parse_json_object(
 ) -> dict[str, Any]:
     """Parse a JSON file to an object; LeewayError names the file."""
     try:
-        document = json.loads(raw)
-    except json.JSONDecodeError as error:
-        raise LeewayError(f"{document_name}: {json_error_text(error)}") from error
-    except UnicodeDecodeError as error:
-        raise LeewayError(f"{document_name}: not JSON: {encoding_error_text(error)}") from error
-    except RecursionError as error:
-        raise LeewayError(f"{document_name}: nested too deeply") from error
+        document = parse_json(raw)
+    except LeewayError as error:
+        raise LeewayError(f"{document_name}: {error}") from error
     if not isinstance(document, dict):
         raise LeewayError(f"{document_name}: expected {expected_text}")
     return document
+
+
+def parse_json(raw: bytes) -> Any:
+    """Parse JSON; an integer beyond the range of floats is infinite. Raises LeewayError."""
+    try:
+        return json.loads(raw, parse_int=_int_within_float_range)
+    except json.JSONDecodeError as error:
+        raise LeewayError(json_error_text(error)) from error
+    except UnicodeDecodeError as error:
+        raise LeewayError(f"not JSON: {encoding_error_text(error)}") from error
+    except RecursionError as error:
+        raise LeewayError("nested too deeply") from error
+
+
+def _int_within_float_range(text: str) -> int | float:
+    return int(text) if len(text) <= MAX_INT_DIGITS else float(text)
 
 
 def encoding_error_text(error: UnicodeDecodeError) -> str:

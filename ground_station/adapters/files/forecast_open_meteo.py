@@ -4,7 +4,7 @@ Hourly `wind_speed_80m` and `wind_direction_80m`, or `..._925hPa` with `geopoten
 each also with `_member01` etc. in an ensemble. Several locations are a list.
 """
 
-import json
+import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.arrays import Floats
-from companion.core.base.documents import encoding_error_text, json_error_text
+from companion.core.base.documents import parse_json
 from companion.core.base.errors import LeewayError
 from ground_station.core.weather.forecast_field import (
     ForecastField,
@@ -29,6 +29,11 @@ METRES_OF = {"m": 1.0, "ft": 0.3048}
 SPEED = re.compile(r"wind_speed_(\d+m|\d+hPa)(_member\d+)?\Z")
 FORMER_NAME = re.compile(r"\Awind(speed|direction|gusts)_")
 GUSTS = "wind_gusts_10m"
+
+
+MAX_UTC_OFFSET_S = 86_400.0
+MAX_UNIX_S = 1e10
+"""Later times (from the year 2286 on) are in milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +53,8 @@ class _Hourly:
                 f"hourly.{column_name}: expected {self.times.size} numbers, one per time"
             )
         for value, t_s in zip(column, self.times, strict=True):
-            if value is not None and (
-                isinstance(value, bool) or not isinstance(value, int | float)
-            ):
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value is not None and not (is_number and math.isfinite(value)):
                 raise LeewayError(
                     f"hourly.{column_name} at {format_utc(t_s)}: {value!r:.40}, expected a number"
                     " or null"
@@ -96,14 +100,12 @@ def read_open_meteo_forecast(path: Path, lat_deg: float, lon_deg: float) -> Fore
 
 def _decode_document(raw: bytes) -> Any:
     try:
-        return json.loads(raw)
-    except json.JSONDecodeError as error:
-        words = json_error_text(error)
-    except UnicodeDecodeError as error:
-        words = encoding_error_text(error)
-    except RecursionError:
-        words = "nested too deeply"
-    raise LeewayError(f"damaged, or not JSON ({words}), expected Open-Meteo's response")
+        return parse_json(raw)
+    except LeewayError as error:
+        words = str(error).removeprefix("not JSON: ")
+        raise LeewayError(f"damaged, or not JSON ({words}), expected Open-Meteo's response") from (
+            error
+        )
 
 
 def _nearest_location(document: Any, lat_deg: float, lon_deg: float) -> dict[str, Any]:
@@ -119,8 +121,8 @@ def _nearest_location(document: Any, lat_deg: float, lon_deg: float) -> dict[str
 
 def _lat_lon_deg(document: dict[str, Any]) -> tuple[float, float]:
     lat, lon = document.get("latitude"), document.get("longitude")
-    if not isinstance(lat, int | float) or not isinstance(lon, int | float):
-        raise LeewayError("latitude, longitude: expected numbers")
+    if not all(isinstance(x, int | float) and abs(x) <= 360.0 for x in (lat, lon)):
+        raise LeewayError("latitude, longitude: expected numbers of degrees")
     return float(lat), float(lon)
 
 
@@ -173,11 +175,12 @@ def _parse_time_column_unix_s(document: dict[str, Any], column: Any, unit: Any) 
     if not isinstance(column, list):
         raise LeewayError("hourly.time: missing, expected a list of times")
     if unit == "unixtime":
-        if not all(isinstance(t, int) for t in column):
+        if not all(isinstance(t, int) and abs(t) <= MAX_UNIX_S for t in column):
             raise LeewayError("hourly.time: expected whole seconds, as hourly_units.time states")
         return np.array(column, np.float64)
     offset = document.get("utc_offset_seconds")
-    if unit != "iso8601" or not isinstance(offset, int | float):
+    is_offset = isinstance(offset, int | float) and abs(offset) <= MAX_UTC_OFFSET_S
+    if unit != "iso8601" or not is_offset:
         raise LeewayError(
             f"hourly_units.time: {unit!r:.40}, expected iso8601 with utc_offset_seconds or unixtime"
         )

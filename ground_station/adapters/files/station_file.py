@@ -5,7 +5,6 @@ separated as in the header. Decimal commas are read where no comma separates cel
 The time is ISO 8601 with an offset from UTC, or seconds since 1970.
 """
 
-import math
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -26,6 +25,9 @@ TAIL_BYTES = 65_536
 """Bytes per read, and the tail that is read of an existing file: older rows are outdated."""
 
 MAX_ROW_BYTES = 1000
+
+MAX_UNIX_S = 1e10
+"""Later times (from the year 2286 on) are in milliseconds."""
 
 
 @dataclass(slots=True)
@@ -147,7 +149,7 @@ def _parse_number(column_name: str, text: str) -> float:
 
 def _parse_time_unix_s(text: str) -> float:
     with suppress(ValueError):
-        if math.isfinite(found := float(text)):
+        if abs(found := float(text)) < MAX_UNIX_S:
             return found
     try:
         when = datetime.fromisoformat(text)

@@ -22,6 +22,7 @@ from ground_station.adapters.files.params import read_json
 from ground_station.adapters.files.station_file import StationFile
 from ground_station.core.schema.day import Depot
 from ground_station.core.schema.order_columns import parse_column_headings
+from ground_station.core.weather.forecast_field import WindAt
 from tests.ground_station.weather.open_meteo import START_S, answer
 
 DEPOT = Depot(lat_deg=55.47, lon_deg=8.45, alt_amsl_m=12.0)
@@ -176,6 +177,8 @@ def cells(**changed: str) -> str:
 def orders_result(path: Path, columns: str | None = None) -> str:
     headings = {} if columns is None else parse_column_headings(columns)
     orders, report = read_orders(path, DEPOT, headings)
+    if not orders:
+        return "0 used"
     one = orders[0]
     values = f"{one.id} {one.lat_deg:g} {one.lon_deg:g} {one.alt_amsl_m:g} {one.mass_kg:g}"
     notes = "; ".join(report.notes)
@@ -207,7 +210,11 @@ def tile_result(path: Path) -> str:
 
 def meteo_result(path: Path) -> str:
     wind = read_forecast(path, 55.47, 8.45).wind_at_unix_time(START_S, 80.0, 55.47, 8.45)
-    return "unknown" if wind is None else f"80 m: {wind.speed_mps:.2f} m/s from {wind.from_deg:.0f}"
+    return (
+        "unknown"
+        if not isinstance(wind, WindAt)
+        else f"80 m: {wind.speed_mps:.2f} m/s from {wind.from_deg:.0f}"
+    )
 
 
 def plan_result(path: Path) -> str:
@@ -219,6 +226,8 @@ def station_result(path: Path) -> str:
     winds, problems = StationFile("mast", path).read_new_winds_and_problems()
     if problems:
         raise LeewayError("; ".join(problems))
+    if not winds:
+        return "no whole row yet"
     return f"{winds[0].speed_mps:g} m/s from {winds[0].from_deg:g}"
 
 
