@@ -65,6 +65,15 @@ def published(*rings: Any, **limits: Any) -> dict[str, Any]:
     return {"type": "Feature", "geometry": shape, "properties": values}
 
 
+def ed318(shape: dict[str, Any], **layer: Any) -> dict[str, Any]:
+    """A zone of ED-318: a GeoJSON feature whose geometry has a layer."""
+    limits = {"lower": 0, "lowerReference": "AGL", "upper": 120, "upperReference": "AGL"}
+    values = {"identifier": "Z1", "country": "XXX", "type": "PROHIBITED", "variant": "COMMON"}
+    values |= {"name": [{"text": "Z1", "lang": "en-GB"}], "limitedApplicability": []}
+    geometry = shape | {"layer": limits | {"uom": "m"} | layer}
+    return {"type": "Feature", "geometry": geometry, "properties": values}
+
+
 def block(ring: Any, **properties: Any) -> dict[str, Any]:
     """Return an obstacle as a GeoJSON feature."""
     values = {"name": "silo", "height_m": 75} | properties

@@ -22,6 +22,7 @@ from tests.ground_station.files.small_files import (
     cells,
     circle,
     collection,
+    ed318,
     headed,
     hourly,
     in_unit,
@@ -217,6 +218,8 @@ FAR = square(0.1, 12.0, 57.0)
 WORLD = [[-180.0, -90.0], [180.0, -90.0], [180.0, 90.0], [-180.0, 90.0], [-180.0, -90.0]]
 SWAPPED = [[lat, lon] for lon, lat in NEAR]
 LOW, INSIDE, FREE = {"lowerLimit": 130}, "1 used, 0 skipped, depot inside", "depot free"
+DISC = {"type": "Point", "coordinates": [8.45, 55.47]}
+DISC |= {"extent": {"subType": "Circle", "radius": 500}}
 ZONES = [
     ("as documented", zone(), INSIDE),
     ("list of zones without a type", {"title": "t", "features": [zone()]}, INSIDE),
@@ -259,6 +262,14 @@ ZONES = [
     ("long edge", zone([[7.0, 55.464], [9.9, 55.464], [9.9, 56.0], [7.0, 56.0], [7.0, 55.464]]),
               INSIDE),
     ("antimeridian", zone(square(lon=-172.0)), f"0 used, 1 skipped, {FREE}", "antimeridian"),
+    ("ED-318", ed318({"type": "Polygon", "coordinates": [square()]}), INSIDE),
+    ("ED-318 circle", ed318(DISC), INSIDE),
+    ("ED-318 circle without radius", ed318(DISC | {"extent": {"subType": "Circle"}}), "refused"),
+    ("ED-318 point without extent", ed318(DISC | {"extent": None}),
+     "refused .. geometry.extent: expected subType Circle with a radius"),
+    ("ED-318 in feet", ed318(DISC, lower=400, lowerReference="AMSL", upper=900,
+     upperReference="AMSL", uom="ft"), "depot inside from 109.92 m"),
+    ("ED-318 in flight levels", ed318(DISC, uom="FL"), "refused .. layer.uom = 'FL': expected M"),
     ("order among zones", collection(zone(), point(HERE)), "1 used, 1 skipped, depot inside"
      " .. it holds orders: is it the file of orders?"),
     ("point of a mast", point(HERE, mass_kg=None) | {"properties": {}}, "refused .. expected a P"),
