@@ -242,6 +242,8 @@ def run_second_companion_while_first_stalls(
             )
         else:
             stage.expect_effect("the second companion replies", lambda: second.has_replied)
+        if second_resumes_flight:
+            stage.expect_effect("the second claims control", lambda: second.has_claimed_control)
         second.start_and_wait_for_connection()
         resume_at_s = stage.t_s + STALL_FOR_SECOND_S
         while stage.t_s < resume_at_s:
@@ -250,7 +252,7 @@ def run_second_companion_while_first_stalls(
             yield
         if second.process.exit_code == EXIT_USAGE_ERROR:
             stage.notes.append(SECOND_REFUSED_NOTE)
-        if second_resumes_flight:
+        if second_resumes_flight and second.has_claimed_control:
             stage.record_take_over(0.0)
         stage.resume_companion()
         while second.process.is_running:

@@ -10,7 +10,7 @@ from sim_bridge.app.flight.companion_process import CompanionProcess
 from sim_bridge.app.flight.stage import FaultContext
 from sim_bridge.app.world.station import Station
 from sim_bridge.autopilot.kinds import LinkKind
-from sim_bridge.autopilot.mavlink.codec import Encoder, Message
+from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
 
 SECOND_LINK = 3
 BOOT_LIMIT_S = 60.0
@@ -60,6 +60,8 @@ class SecondCompanion:
     process: CompanionProcess = field(init=False)
     has_replied: bool = False
     """Whether it has sent a datagram."""
+    has_claimed_control: bool = False
+    """Whether one of its heartbeats has claimed control."""
     _endpoints: EndpointSet = field(init=False)
     _lockstep: Lockstep = field(init=False)
     _frames: list[bytes] = field(default_factory=list)
@@ -111,6 +113,10 @@ class SecondCompanion:
     def _deliver_to_autopilot(self, received: list[tuple[int, bytes]]) -> None:
         for _, datagram in received:
             self.has_replied = True
+            self.has_claimed_control |= any(
+                message.msg_name == "HEARTBEAT" and bool(message.base_mode & AUTO_ENABLED)
+                for message in Decoder().decode_bytes(datagram)
+            )
             self.stage.craft.autopilot.process_received_datagram(SECOND_LINK, datagram)
 
 

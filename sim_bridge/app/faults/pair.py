@@ -7,7 +7,8 @@ rows keep their procedure and draws. Rules of a pair, by truth and by the messag
   decision of a person, no false delivery: always;
 - home, and no P(home) of 0.99 or more without a return: if both rows require home (rows in which a
   person keeps control, or in which the motors are stopped, do not), unless another mission is
-  uploaded while the companion is away or another computer has control: nobody can undo it;
+  uploaded while the companion is away or restarts (the person decides, as in row 66) or another
+  computer has control;
 - disarmed at the end: if one of the rows requires it;
 - deliveries, alerts and notes of the single rows: not required, as the other fault may prevent
   them.
@@ -46,7 +47,9 @@ MISSION_CHANGING_CASES = (
     *("replaced-when-ready", "hold-then-upload", "last-resort-refused"),
 )
 ABSENT_COMPANION_CASES = (
-    *("silence-60-s", "silence-for-good", "killed-for-good"),
+    *("silence-60-s", "silence-for-good", "killed-for-good", "killed-and-back"),
+    *("back-without-a-thread", "back-an-hour-ahead", "back-an-hour-behind"),
+    *("torn-checkpoint", "torn-decision-log"),
     *("second-takes-over", "payload-computer-flies"),
 )
 MAX_DRAWS = 10_000
