@@ -21,6 +21,7 @@ from ground_station.app.cli import (
     order,
     pki,
     plan,
+    ros2,
     router,
     store,
     token,
@@ -118,6 +119,7 @@ app.add_typer(cluster.app)
 app.add_typer(plan.app)
 app.add_typer(truck.app)
 app.add_typer(wind_station.app)
+app.add_typer(ros2.app)
 app.add_typer(live_map.app)
 app.add_typer(token.app)
 reflow_command_help_in_place(app)

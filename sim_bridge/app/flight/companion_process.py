@@ -66,9 +66,11 @@ class CompanionProcess:
 
     def start(self) -> None:
         """Start the process; append its standard output and errors to `companion.out`."""
-        self.run_dir.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileExistsError):  # a file of this name: a fault's
+            self.run_dir.mkdir(parents=True, exist_ok=True)
         self._close_output()
-        self._output = (self.run_dir / "companion.out").open("ab")
+        path = self.run_dir / "companion.out" if self.run_dir.is_dir() else Path(os.devnull)
+        self._output = path.open("ab")
         arguments = ["run", *self.arguments, "--run-dir", str(self.run_dir)]
         if self.fork_server is not None and not self.startup_code:
             self._process = self.fork_server.start(arguments, self._output)
