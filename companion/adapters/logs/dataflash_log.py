@@ -10,8 +10,9 @@ from typing import Any
 
 from companion.adapters.autopilots.ardupilot import ArduPilot
 from companion.adapters.logs.dataflash_filter import extract_undamaged_messages
-from companion.adapters.logs.log_time import LogClock, byte_location
+from companion.adapters.logs.log_time import LogClock
 from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
+from companion.core.base.documents import byte_location
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from companion.core.mission.events import (

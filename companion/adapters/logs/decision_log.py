@@ -26,7 +26,7 @@ from mcap.writer import CompressionType, Writer
 
 from companion.adapters.clock import unix_time_us
 from companion.adapters.logs.foxglove_rows import FOXGLOVE, ROUTE, foxglove_row
-from companion.adapters.logs.log_time import byte_location
+from companion.core.base.documents import byte_location
 from companion.core.mission.actions import AssessmentReport, Decision, EnergyReport, PhaseChanged
 from companion.core.mission.events import (
     AirPressure,

@@ -230,11 +230,6 @@ class _StampFilter:
         self._removed.setdefault(description, []).append(row)
 
 
-def byte_location(offset: int, size_bytes: int) -> str:
-    """Return a position in a file for people: its share of the file, and the byte."""
-    return f"at {100.0 * offset / max(size_bytes, 1):.0f} % of the file (byte {offset})"
-
-
 def summarise_rows_as_issue(
     rows: list[int], format_row_location: Callable[[int], str], description: str, action: str
 ) -> LogIssue:

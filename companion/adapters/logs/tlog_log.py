@@ -19,8 +19,9 @@ from companion.adapters.autopilots.telemetry import (
     message_time_since_boot_s,
     vehicle_kind,
 )
-from companion.adapters.logs.log_time import LogClock, byte_location, summarise_rows_as_issue
+from companion.adapters.logs.log_time import LogClock, summarise_rows_as_issue
 from companion.analysis.replay.recorded_flight import LogIssue, RecordedFlight
+from companion.core.base.documents import byte_location
 from companion.core.base.errors import LeewayError
 from companion.core.mission.events import Event
 

@@ -57,6 +57,11 @@ def _int_within_float_range(text: str) -> int | float:
     return int(text) if len(text) <= MAX_INT_DIGITS else float(text)
 
 
+def byte_location(offset: int, size_bytes: int) -> str:
+    """Return a position in a file for people: its share of the file, and the byte."""
+    return f"at {100.0 * offset / max(size_bytes, 1):.0f} % of the file (byte {offset})"
+
+
 def encoding_error_text(error: UnicodeDecodeError) -> str:
     """Return line and byte that are not in the expected encoding."""
     line = error.object.count(b"\n", 0, error.start) + 1

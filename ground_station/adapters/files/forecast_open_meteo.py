@@ -121,8 +121,10 @@ def _nearest_location(document: Any, lat_deg: float, lon_deg: float) -> dict[str
 
 def _lat_lon_deg(document: dict[str, Any]) -> tuple[float, float]:
     lat, lon = document.get("latitude"), document.get("longitude")
-    if not all(isinstance(x, int | float) and abs(x) <= 360.0 for x in (lat, lon)):
-        raise LeewayError("latitude, longitude: expected numbers of degrees")
+    if not isinstance(lat, int | float) or not isinstance(lon, int | float):
+        raise LeewayError("latitude, longitude: expected numbers")
+    if abs(lat) > 90.0 or abs(lon) > 360.0:
+        raise LeewayError(f"latitude, longitude: {lat:g}, {lon:g}, expected degrees")
     return float(lat), float(lon)
 
 
@@ -179,8 +181,9 @@ def _parse_time_column_unix_s(document: dict[str, Any], column: Any, unit: Any) 
             raise LeewayError("hourly.time: expected whole seconds, as hourly_units.time states")
         return np.array(column, np.float64)
     offset = document.get("utc_offset_seconds")
-    is_offset = isinstance(offset, int | float) and abs(offset) <= MAX_UTC_OFFSET_S
-    if unit != "iso8601" or not is_offset:
+    if unit != "iso8601" or not (
+        isinstance(offset, int | float) and abs(offset) <= MAX_UTC_OFFSET_S
+    ):
         raise LeewayError(
             f"hourly_units.time: {unit!r:.40}, expected iso8601 with utc_offset_seconds or unixtime"
         )

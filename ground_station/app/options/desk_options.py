@@ -238,7 +238,7 @@ def print_import_reports(reports: "Sequence[ImportReport]", *, strict: bool) -> 
 @contextmanager
 def written_import_reports(path: Path | None) -> Iterator[list[ImportReport]]:
     """Write the import reports of this list as JSON at the end, with the reasons of a refusal."""
-    from companion.adapters.files.atomic_file import write_text_atomically
+    from ground_station.adapters.files.atomic_file import write_file_atomically
     from ground_station.core.schema.day import DayFilesError, FileProblem
 
     reports: list[ImportReport] = []
@@ -254,7 +254,7 @@ def written_import_reports(path: Path | None) -> Iterator[list[ImportReport]]:
     finally:
         if path is not None:
             document = {"files": [*map(asdict, reports)], "refused": [*map(asdict, refused)]}
-            write_text_atomically(path, json.dumps(document, indent=1, allow_nan=False))
+            write_file_atomically(path, json.dumps(document, indent=1, allow_nan=False).encode())
 
 
 def echo_with_time_of_day(message: str) -> None:

@@ -89,7 +89,7 @@ def test_a_damaged_file_is_read_or_refused_in_words(tmp_path: Path, examples: in
         max_examples=examples,
         deadline=None,
         database=None,
-        suppress_health_check=list(HealthCheck),
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.large_base_example],
     )
     @given(st.sampled_from(FILES), CHANGES)
     def check(file: tuple[str, bytes], changes: list[tuple[str, float, int, bytes]]) -> None:
