@@ -354,8 +354,14 @@ def take_over_again_right_after_hand_back(stage: FaultContext) -> Iterator[None]
     # Before the resumption HOLD would change nothing that a heartbeat shows.
     mode = "hold" if is_resumed_first else "rtl"
     station.send_autopilot_command(Cmd.DO_SET_MODE, *MODE_PARAMS[craft.autopilot_kind][mode])
-    stage.record_take_over()
+    yield from stage.wait(CROSSING_S)
+    if is_resumed_first or craft.autopilot.mode is not Mode.AUTO:
+        stage.record_take_over()
 
+
+CROSSING_S = 0.15
+"""The companion orders the mission's mode within 0.1 s of a heartbeat. A person's mode in between
+crosses that order: no heartbeat reports it."""
 
 for duration_s in (2.0, 6.0, 20.0):
     FAULTS.add_case(
