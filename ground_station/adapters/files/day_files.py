@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +39,17 @@ from ground_station.core.schema.order_states import Service
 from ground_station.core.schema.table_errors import table_errors
 
 
-def read_day(path: Path, request: ForecastRequest = NO_FORECAST_REQUEST) -> DayData:
+def read_day(
+    path: Path,
+    request: ForecastRequest = NO_FORECAST_REQUEST,
+    orders_file: Path | None = None,
+    column_headings: Mapping[str, str] | None = None,
+) -> DayData:
     """Read a day and all its files. Raises DayFilesError with all problems in them.
 
     `request`: forecast file and start time; without a time, the day has the forecast's wind now.
+    `orders_file`: further orders for this day, in place of its own and their driving times.
+    `column_headings`: its headings, in place of the day's.
     """
     try:
         table = read_toml(path)
@@ -55,6 +63,10 @@ def read_day(path: Path, request: ForecastRequest = NO_FORECAST_REQUEST) -> DayD
     except (msgspec.ValidationError, LeewayError) as error:
         words = table_errors(table, Day) or [str(error)]
         raise DayFilesError([FileProblem(str(path), None, None, one) for one in words]) from error
+    if orders_file is not None:
+        day = msgspec.structs.replace(day, orders=[str(orders_file.absolute())], roads=None)
+    if column_headings is not None:
+        day = msgspec.structs.replace(day, columns=dict(column_headings))
     problems: list[FileProblem] = []
     rows: OrderRows = []
     reports: list[ImportReport] = []

@@ -91,6 +91,13 @@ def import_(
             " `columns`.",
         ),
     ] = None,
+    day: Annotated[
+        str | None,
+        typer.Option(
+            help="The day of these orders: supplies ground heights and column headings, and checks"
+            " distances, masses and zones."
+        ),
+    ] = None,
     json_out: Annotated[
         Path | None,
         typer.Option("--json", help="Write what was used, skipped, suspicious or refused as JSON."),
@@ -100,23 +107,29 @@ def import_(
     """Add all orders of a file, or none. All errors are listed.
 
     ground-station order import harbour
+    ground-station order import more.xlsx --day harbour --json report.json
     """
     from ground_station.adapters.files.order_files import read_orders
     from ground_station.core.schema.order_columns import parse_column_headings
 
     path = Path(file)
-    headings = {} if columns is None else parse_column_headings(columns)
+    headings = None if columns is None else parse_column_headings(columns)
     data = None
+    is_orders_file = path.suffix and path.suffix != ".toml"
+    if not is_orders_file and (headings or day):
+        raise LeewayError("--columns, --day: expected with a file of orders, not with a day")
     with written_import_reports(json_out) as reports:
-        if path.suffix and path.suffix != ".toml":
+        if is_orders_file and day is None:
             orders, report = read_orders(path, None, headings)
             reports.append(report)
             print_import_reports(reports, strict=strict)
         else:
-            if headings:
-                words = "expected with a table of orders; a day states `columns`"
-                raise LeewayError(f"--columns: {words}")
-            data = read_day_and_warn(file, strict=strict)
+            data = read_day_and_warn(
+                day or file,
+                strict=strict,
+                orders_file=path if day else None,
+                column_headings=headings,
+            )
             reports += data.imports
             orders = data.orders
     with desk_options().operator_and_store(create=True) as (by, order_store):

@@ -1,7 +1,7 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -209,18 +209,24 @@ def read_day_and_warn(
     forecast: Path | None = None,
     start_s: float | None = None,
     strict: bool = False,
+    orders_file: Path | None = None,
+    column_headings: Mapping[str, str] | None = None,
 ) -> "DayData":
     """Read a day and all its files; print what was skipped. Raises DayFilesError with all errors.
 
     With `keep_forecast` the whole forecast is kept, not only the current wind. `forecast` replaces
-    the day's file, `start_s` is the start of the day.
+    the day's file, `start_s` is the start of the day. `orders_file` and `column_headings`: as in
+    `read_day`.
     """
     from ground_station.adapters.files.day_files import read_day
     from ground_station.adapters.files.forecast_files import ForecastRequest
     from ground_station.adapters.files.params import resolve_day_file_path
 
     data = read_day(
-        resolve_day_file_path(day_name_or_file), ForecastRequest(forecast, start_s, keep_forecast)
+        resolve_day_file_path(day_name_or_file),
+        ForecastRequest(forecast, start_s, keep_forecast),
+        orders_file,
+        column_headings,
     )
     print_import_reports(data.imports, strict=strict)
     return data

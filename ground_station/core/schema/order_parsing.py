@@ -63,7 +63,7 @@ def parse_order_or_problems(
         known = _ground_amsl_m(depot, elevation, numbers)
         if known is None:
             message = (
-                "empty, expected the ground's height above sea level, m (only a day can supply it)"
+                "empty, expected the ground's height above sea level, m (or --day DAY)"
                 if depot is None
                 else "empty, and the day states no elevation, and its depot no terrain"
             )

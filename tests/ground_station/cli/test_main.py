@@ -1,5 +1,6 @@
 """`ground-station` as users start it: its version, and days by name."""
 
+import json
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
@@ -102,3 +103,20 @@ sys.meta_path.insert(0, Absent())
     assert done.stderr == (
         f"ground-station: No module named '{missing}': run pip install 'leeway-uas[ground]'\n"
     )
+
+
+def test_orders_of_a_spreadsheet_are_checked_against_their_day_and_reported_as_json(tmp_path):
+    table, report = tmp_path / "more.csv", tmp_path / "report.json"
+    url = f"sqlite:///{tmp_path}/d.db"
+    options = ("--day", "harbour", "--json", str(report), "--store", url)
+    table.write_text("order no;position;weight (kg)\nA-1;55,468 8,44;0,4\n")
+    code, out, errors = run("order", "import", str(table), *options)
+    assert (code, "1 orders imported" in out) == (0, True), errors
+    files = json.loads(report.read_text())["files"]
+    assert files[0]["used"] == 1
+    assert "read as separated by semicolons" in files[0]["notes"]
+    table.write_text("order no;position;weight (kg)\nA-2;8,44 55,468;0,4\n")
+    assert run("order", "import", str(table), *options)[0] == 2
+    (refused,) = json.loads(report.read_text())["refused"]
+    assert (refused["row"], refused["column"]) == (2, "lat_deg")
+    assert "swapped?" in refused["text"]

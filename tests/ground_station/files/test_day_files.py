@@ -61,7 +61,7 @@ def test_everything_wrong_in_a_table_is_listed_with_row_and_column(tmp_path):
         "orders.csv, row 3, column service: 'ship': expected any, drone or truck",
         "orders.csv, row 5, column mass_kg: 'nan': expected a number from 0 to 500",
         "orders.csv, row 7, column alt_amsl_m: empty, expected the ground's height above sea level,"
-        " m (only a day can supply it)",
+        " m (or --day DAY)",
         "orders.csv, row 9, column mass_kg: '-1': expected a number from 0 to 500",
         "orders.csv, row 9, column id: 'f g': expected 1 to 40 letters, digits, '.', '_' or '-'",
     ]
