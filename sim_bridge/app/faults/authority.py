@@ -35,7 +35,7 @@ from sim_bridge.app.link.tap import MessageChange, message_with_changed_fields, 
 from sim_bridge.app.world.station import Station
 from sim_bridge.autopilot.base.modes import Mode
 from sim_bridge.autopilot.mavlink.codec import Message
-from sim_bridge.autopilot.mavlink.enums import Cmd
+from sim_bridge.autopilot.mavlink.enums import Cmd, ModeFlag
 
 FAULTS = FaultGroup("authority")
 
@@ -61,12 +61,23 @@ def _build_message_dropper(message_name: str, command: int | None = None) -> Mes
     ends_after_s=20.0,
 )
 def drop_arm_ack_then_disarm_by_person(stage: FaultContext) -> Iterator[None]:
-    """The acknowledgement of ARM is lost, and a person disarms 0.3 to 1.5 s after arming."""
+    """The acknowledgement of ARM is lost, and a person disarms 0.3 to 1.5 s after arming, but not
+    before a heartbeat has reported it: otherwise nothing shows the person's command.
+    """
     stage.expect_messages_changed("COMMAND_ACK")
-    stage.tap.to_companion = _build_message_dropper("COMMAND_ACK", Cmd.COMPONENT_ARM_DISARM)
+    drop_ack = _build_message_dropper("COMMAND_ACK", Cmd.COMPONENT_ARM_DISARM)
+    armed_reports: list[float] = []
+
+    def drop_ack_and_watch_heartbeats(message: Message) -> list[Message] | None:
+        if message.msg_name == "HEARTBEAT" and message.base_mode & ModeFlag.ARMED:
+            armed_reports.append(stage.t_s)
+        return drop_ack(message)
+
+    stage.tap.to_companion = drop_ack_and_watch_heartbeats
     station = Station(stage.craft.link)
     yield from stage.wait_until(lambda: stage.is_armed)
     yield from stage.wait(stage.rng.uniform(0.3, 1.5))
+    yield from stage.wait_until(lambda: bool(armed_reports))
     stage.expect_effect("the vehicle is disarmed", lambda: not stage.is_armed)
     stage.record_fault_start()
     station.send_disarm_command(by_force=True)

@@ -47,7 +47,7 @@ MISSION_CHANGING_CASES = (
     *("replaced-when-ready", "hold-then-upload", "last-resort-refused"),
 )
 ABSENT_COMPANION_CASES = (
-    *("silence-60-s", "silence-for-good", "killed-for-good", "killed-and-back"),
+    *("silence-10-s", "silence-60-s", "silence-for-good", "killed-for-good", "killed-and-back"),
     *("back-without-a-thread", "back-an-hour-ahead", "back-an-hour-behind"),
     *("torn-checkpoint", "torn-decision-log"),
     *("second-takes-over", "payload-computer-flies"),

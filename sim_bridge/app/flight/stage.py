@@ -207,14 +207,15 @@ class FaultContext:
         self._exclude_companion_from_lockstep()
 
     def restart_companion(self) -> None:
-        """Restart the companion; simulated time waits until it replies."""
+        """Restart the companion, unless another fault has; simulated time waits for its reply."""
         craft = self.craft
         self.expect_effect(
             "the restarted companion replies",
             lambda: craft.companion.is_running and not craft.is_companion_returning,
         )
-        craft.companion.start()
-        craft.is_companion_returning = True
+        if not craft.companion.is_running:
+            craft.companion.start()
+            craft.is_companion_returning = True
 
     def resume_companion(self) -> None:
         """Resume the companion with SIGCONT; simulated time waits until it has caught up."""
