@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
-from companion.core.base.wire_message import VERSION, Name, WireMessage
+from companion.core.base.wire_message import VERSION, Name, RosterStamp, WireMessage
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import cell_name_or_none
 from companion.core.wind_field.shared_winds import SharedWinds
@@ -64,10 +64,7 @@ EncodedRoute = Annotated[str, Meta(max_length=MAX_ROUTE_CHARS, pattern=r"^[?-~]*
 
 
 class State(WireMessage, frozen=True, kw_only=True):
-    """A vehicle's state as reported by its companion. Unknown values are absent.
-
-    A truck is a vehicle of airframe `truck`.
-    """
+    """A vehicle's state as reported by its companion. Unknown values are absent."""
 
     vehicle: Name
     """The sender."""
@@ -139,6 +136,8 @@ class State(WireMessage, frozen=True, kw_only=True):
     """
     return_route: EncodedRoute = msgspec.field(default="", name="way_home")
     """The uploaded mission from the customer to its landing site, likewise."""
+    roster: RosterStamp | msgspec.UnsetType = msgspec.UNSET
+    """The sender's roster; omitted: none."""
 
 
 class EventKind(Enum):

@@ -142,6 +142,8 @@ class ZenohLink:
     The writer thread runs the session, and sends everything.
     """
 
+    trust = None
+
     def __init__(
         self,
         config: zenoh.Config,

@@ -65,7 +65,7 @@ class ZenohFleet:
             if options.identity is not None
             else None
         )
-        self._trust = self._identity.trust if self._identity is not None else None
+        self.trust = self._identity.trust if self._identity is not None else None
         self._certificate_ends: tuple[Roster, int | None, CertificateExpiry] | None = None
         self.inbox = FleetInbox(self._verify_signature, is_member=self._is_member)
         self._server_session: ServerSession | None = None
@@ -146,13 +146,13 @@ class ZenohFleet:
     @property
     def own_certificate_warning(self) -> str:
         """Warning about this program's own certificate or roster entry; empty: none."""
-        return self._trust.certificate_warning_or_empty() if self._trust is not None else ""
+        return self.trust.certificate_warning_or_empty() if self.trust is not None else ""
 
     def certificate_expiry_dates(self) -> CertificateExpiry | None:
         """Return when certificates end, by the roster in force; None without an identity."""
-        if self._trust is None:
+        if self.trust is None:
             return None
-        roster, end_us = self._trust.roster, self._trust.read_membership_end_us()
+        roster, end_us = self.trust.roster, self.trust.read_membership_end_us()
         if (
             self._certificate_ends is None
             or self._certificate_ends[0] is not roster
@@ -161,7 +161,7 @@ class ZenohFleet:
             self._certificate_ends = (
                 roster,
                 end_us,
-                roster_certificate_expiries(roster, self._trust.name, end_us),
+                roster_certificate_expiries(roster, self.trust.name, end_us),
             )
         return self._certificate_ends[2]
 
@@ -231,7 +231,7 @@ class ZenohFleet:
 
     def _encode_and_sign(self, kind: str, message: Command | SharedWinds) -> bytes:
         raw = encode_message(message)
-        return raw if self._trust is None else self._trust.sign_in_envelope(kind, raw)
+        return raw if self.trust is None else self.trust.sign_in_envelope(kind, raw)
 
     def close(self) -> None:
         """Leave the network."""
@@ -275,16 +275,16 @@ class ZenohFleet:
 
     def _is_member(self, vehicle: str) -> bool:
         """True if the roster lists it; without an identity every sender is accepted."""
-        return self._trust is None or vehicle in self._trust.roster.member_by_name
+        return self.trust is None or vehicle in self.trust.roster.member_by_name
 
     def _verify_signature(
         self, message_kind: str, message_bytes: bytes, vehicle: str
     ) -> bytes | Refused:
         """Return the message if `vehicle` signed it; without an identity, return it unchecked."""
-        if self._trust is None:
+        if self.trust is None:
             return message_bytes
         roles = WIND_STATIONS if message_kind == "station" else STATE_PUBLISHERS
-        verified = self._trust.verify_message_of_signer(message_kind, message_bytes, vehicle, roles)
+        verified = self.trust.verify_message_of_signer(message_kind, message_bytes, vehicle, roles)
         if isinstance(verified, Refused):
             return Refused(f"not believed: {verified.reason}")
         return verified

@@ -29,6 +29,7 @@ from ground_station.core.schema.orders import IN_FORCE
 SCHEMA = 3
 """Schema that `migrations` upgrades a store to; the table `about` contains a store's schema."""
 
+ROSTER_KEY = "roster"  # name in `about` of the desk's signed roster
 DEPOT_KEY = "depot"  # name in `about` of the depot's location; absent on a day with a truck
 
 metadata = MetaData()

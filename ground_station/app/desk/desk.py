@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 from companion.core.mission.event_text import PhaseEvent
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import FINAL_STATUSES, CommandStatus, EventKind, Launch, State
+from companion.fleet.trust import MemberTrust
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.exchange import FleetExchange
 from ground_station.app.desk.site.site_monitor import SiteMonitor
@@ -26,7 +28,7 @@ MAX_CYCLE_INTERVAL_S = 0.5
 @dataclass(slots=True)
 class Desk:
     """Desk of one dispatcher over a fleet. `wind`: monitor of the site; None: the wind is not
-    monitored, and vehicles receive no wind reports.
+    monitored, and vehicles receive no wind reports. `authority`: None in a fleet without a roster.
 
     `last_progress_s`: time of the last progress of the day.
     """
@@ -34,6 +36,7 @@ class Desk:
     exchange: FleetExchange
     dispatcher: Dispatcher
     wind: SiteMonitor | None = None
+    authority: CommandAuthority | None = None
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
     _flown_assignments: set[str] = field(default_factory=set)
@@ -46,6 +49,14 @@ class Desk:
         if self.wind is not None:
             self.exchange.on_station = self.wind.on_station_report
             self.wind_publisher = WindPublisher(self.wind.wind, self.exchange.fleet)
+
+    def check_authority_by(self, trust: MemberTrust | None) -> None:
+        """Check authors and rosters by this identity; None: a fleet without a roster."""
+        self.exchange.status.trust = trust
+        if trust is not None:
+            self.authority = CommandAuthority(
+                trust, self.store, self.exchange.log, self.exchange.clock.epoch_us
+            )
 
     def _on_state(self, state: State) -> None:
         if self.wind is not None:
@@ -101,6 +112,9 @@ class Desk:
     def _execute_decisions(self, now_s: float, has_new_messages: bool) -> None:
         """Execute due decisions; each is stored before it is sent, or not executed."""
         exchange = self.exchange
+        if self.authority is not None:
+            self.authority.exchange_roster_with_store()
+            self.authority.refuse_unauthorised_launches()
         if self.wind is not None and self.wind.update_and_report_hold_change(
             exchange.status
         ):  # holds precede launches
@@ -116,6 +130,8 @@ class Desk:
                 exchange.changed = True
             case CycleResult.IDLE:
                 pass
+        if self.authority is not None:
+            self.authority.refuse_unauthorised_commands()
         exchange.send_due_commands()
 
     def close(self) -> None:

@@ -119,6 +119,7 @@ class MapPublisher:
             self._store_snapshot,
             self._store_error,
             expiring,
+            roster_alarm=listener.status.roster_alarm,
             wind_field=self._wind_field,
             front_texts=self._fronts,
         )

@@ -63,8 +63,9 @@ class MapSnapshot:
     """All data of one moment. `t_s`: on the clock of the statuses' receive times.
 
     `store_error`: error of the unreachable store; empty: reachable. `expiring_certificates`:
-    certificates that expire soon. `notes`: further notes. `wind_field`: accepted wind of the site,
-    None: unknown. `front_texts`: approaching fronts, as text.
+    certificates that expire soon. `roster_alarm`: a refused fork or rollback. `notes`: further
+    notes. `wind_field`: accepted wind of the site, None: unknown. `front_texts`: approaching
+    fronts, as text.
     """
 
     t_s: float
@@ -74,6 +75,7 @@ class MapSnapshot:
     store: StoreSnapshot
     store_error: str = ""
     expiring_certificates: str = ""
+    roster_alarm: str = ""
     notes: tuple[str, ...] = ()
     wind_field: WindShown | None = None
     front_texts: tuple[str, ...] = ()
@@ -179,6 +181,8 @@ class MapView:
     ) -> Iterator[AlertShown]:
         if snapshot.store_error:
             yield AlertShown(subject="store", text=f"away, rows are old: {snapshot.store_error}")
+        if snapshot.roster_alarm:
+            yield AlertShown(subject="roster", text=snapshot.roster_alarm)
         if snapshot.expiring_certificates:
             yield AlertShown(subject=CERTIFICATES_SUBJECT, text=snapshot.expiring_certificates)
         yield from (AlertShown(subject="wind", text=words) for words in snapshot.front_texts)

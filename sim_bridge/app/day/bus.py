@@ -206,7 +206,7 @@ class BusLink:
     tracks: list[ReceivedTrack] = field(default_factory=list)
     winds: list[bytes] = field(default_factory=list)
     cells: SubscribedCells = field(default_factory=SubscribedCells)
-    """Track cells that this member subscribes to."""
+    trust: None = None
     fleets: frozenset[str] = frozenset()
     """Neighbouring fleets whose tracks it subscribes to."""
 
