@@ -16,6 +16,7 @@ import msgspec
 from companion.adapters.clock import is_due, unix_time_us, wall_s
 from companion.adapters.files.atomic_file import read_checked_json, write_json_atomically
 from companion.adapters.files.disk import ImmediateRecordWriter, RecordWriter
+from companion.core.base.desk_heartbeat import DeskHeartbeat, DeskMonitor
 from companion.fleet.command_log import (
     NOT_REPEATABLE,
     CommandLog,
@@ -75,6 +76,7 @@ class FleetMember:
     disk: RecordWriter
     epoch_us: Callable[[], int] = unix_time_us
     status_text: str = ""
+    desks: DeskMonitor = field(default_factory=DeskMonitor)
     _duplicate_reported_s: float | None = None
     _pending: deque[_PendingCommand] = field(default_factory=deque)
     _command_log_error: str = ""
@@ -134,8 +136,8 @@ class FleetMember:
                 case RequestKind.TEXT:
                     self.status_text = request.payload.decode()
                     self.record_event(EventKind.TEXT, self.status_text)
-                case RequestKind.ROSTER:
-                    pass  # without a roster this member accepts every sender
+                case RequestKind.DESK:
+                    _record_heartbeat(self.desks, request.payload, self.clock_s())
         self._publish_newly_stored_events()
 
     def _report_duplicate_instance(self) -> None:
@@ -307,6 +309,12 @@ class FleetMember:
         self._publish_newly_stored_events()
         self.link.close()
         self.log.close()
+
+
+def _record_heartbeat(desks: DeskMonitor, raw: bytes, now_s: float) -> None:
+    heartbeat = decode_message(DeskHeartbeat, raw)
+    if not isinstance(heartbeat, Refused):
+        desks.record_heartbeat(heartbeat, now_s)
 
 
 def _refused(reason: str) -> CommandReply:

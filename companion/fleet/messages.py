@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from companion.core.base.wire_message import VERSION, Name, RosterStamp, WireMessage
@@ -29,6 +30,7 @@ MAX_MESSAGE_BYTES = {
     "track": 1024,
     "station": 512,
     "winds": 2048,
+    "desk": 512,
 }
 """A command may contain a site's obstacles and ground; other messages are a few hundred bytes."""
 
@@ -141,9 +143,7 @@ class State(WireMessage, frozen=True, kw_only=True):
 
 
 class EventKind(Enum):
-    """Kind of an event; the last three are sent by a truck driver: a drone placed on its pad, a
-    drone recovered, or the reason against either.
-    """
+    """Kind of an event. A truck driver sends the last three."""
 
     PHASE = "phase"
     DECISION = "decision"
@@ -395,6 +395,7 @@ KIND_OF_TYPE: dict[type[WireMessage], str] = {
     Result: "result",
     Track: "track",
     SharedWinds: "winds",
+    DeskHeartbeat: "desk",
 }
 TEXT_FIELDS: dict[type[WireMessage], tuple[str, ...]] = {
     State: ("text", "monitor_text"),
@@ -409,7 +410,7 @@ _decoders: dict[type[WireMessage], Any] = {
 }
 
 
-def encode_message(message: State | FleetEvent | Command | Result | Track | SharedWinds) -> bytes:
+def encode_message(message: WireMessage) -> bytes:
     """Encode a message; LeewayError if it exceeds its kind's size limit."""
     kind = KIND_OF_TYPE[type(message)]
     raw = msgspec.json.encode(message)

@@ -30,6 +30,7 @@ class RequestKind(Enum):
     EVENTS = "events"
     DUPLICATE = "twin"
     ROSTER = "roster"
+    DESK = "desk"
     TEXT = "notice"
 
 

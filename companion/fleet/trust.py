@@ -212,18 +212,16 @@ class MemberTrust:
             return ""
         return f"a {member.role.value} may not command ({member.name})"
 
-    def verify_winds(self, raw: bytes) -> bytes | Refused:
-        """Verify winds signed by a desk. An expired desk is rejected, since the vehicle's own wind
-        estimate remains.
-        """
-        result = self._verify_envelope_and_find_member("winds", raw)
+    def verify_message_of_desk(self, kind: str, raw: bytes) -> bytes | Refused:
+        """Verify winds or a heartbeat signed by a desk. An expired desk is rejected."""
+        result = self._verify_envelope_and_find_member(kind, raw)
         if isinstance(result, Refused):
             return result
         envelope, member = result
         if member.role not in WIND_PUBLISHERS:
-            return Refused(f"winds: a {member.role.value} may not publish them ({member.name})")
+            return Refused(f"{kind}: a {member.role.value} may not publish them ({member.name})")
         if self.validity.is_expired(member):
-            return Refused(f"winds: {member.name}'s certificate has expired")
+            return Refused(f"{kind}: {member.name}'s certificate has expired")
         return envelope.message
 
     def _verify_envelope_and_find_member(

@@ -10,17 +10,26 @@ from pathlib import Path
 
 import zenoh
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.core.base.errors import LeewayError
 from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.event_log import MAX_EVENTS_PER_REPLY
 from companion.fleet.identity import read_identity_of_fleet_and_member
 from companion.fleet.membership import DEFAULT_JOIN_OPTIONS, JoinOptions
-from companion.fleet.messages import Command, Refused, Result, decode_message, encode_message
+from companion.fleet.messages import (
+    KIND_OF_TYPE,
+    Command,
+    Refused,
+    Result,
+    decode_message,
+    encode_message,
+)
 from companion.fleet.network import WIND_COV
-from companion.fleet.roles import STATE_PUBLISHERS, WIND_STATIONS
+from companion.fleet.roles import STATE_PUBLISHERS, WIND_PUBLISHERS, WIND_STATIONS
 from companion.fleet.roster import Roster
 from companion.fleet.topics import (
     VehicleKeys,
+    desk_key,
     station_wind_key,
     vehicle_and_instance_from_key,
     vehicle_from_key,
@@ -37,6 +46,8 @@ from ground_station.core.fleet.certificate_ends import (
     roster_certificate_expiries,
 )
 from ground_station.core.fleet.fleet_link import FleetInput, StateReceived
+
+REPORTER_ROLES = {"station": WIND_STATIONS, "desk": WIND_PUBLISHERS}
 
 
 class ZenohFleet:
@@ -58,8 +69,7 @@ class ZenohFleet:
         """
         self._say = say
         self.open_network = options.open_network
-        self._keys = VehicleKeys(fleet, "*")
-        self._fleet = fleet
+        self._keys, self._fleet = VehicleKeys(fleet, "*"), fleet
         self._identity = (
             read_identity_of_fleet_and_member(options.identity, fleet)
             if options.identity is not None
@@ -94,13 +104,15 @@ class ZenohFleet:
             if self._identity is not None
             else None
         )
+        add_report = self.inbox.add_report
         self._subscribers = (  # zenoh undeclares subscribers without a reference
             *(
                 session.declare_subscriber(key, partial(_add_sample, add))
                 for key, add in (
                     (self._keys.state_key, self.inbox.add_state),
                     (self._keys.event_key, self.inbox.add_event),
-                    (station_wind_key(self._fleet, "*"), self.inbox.add_station_report),
+                    (station_wind_key(self._fleet, "*"), partial(add_report, "station")),
+                    (desk_key(self._fleet, "*"), partial(add_report, "desk")),
                 )
             ),
             session.liveliness().declare_subscriber(
@@ -224,12 +236,12 @@ class ZenohFleet:
             express=True,
         )
 
-    def send_winds(self, winds: SharedWinds) -> None:
-        """Send other members' wind reports to one vehicle, signed if the desk has an identity."""
-        sealed = self._encode_and_sign("winds", winds)
-        self._session.put(VehicleKeys(self._fleet, winds.vehicle).wind_key, sealed, express=True)
+    def publish(self, message: SharedWinds | DeskHeartbeat) -> None:
+        """Publish wind reports or a heartbeat, signed if the desk has an identity."""
+        raw = self._encode_and_sign(KIND_OF_TYPE[type(message)], message)
+        self._session.put(_key_of(self._fleet, message), raw, express=True)
 
-    def _encode_and_sign(self, kind: str, message: Command | SharedWinds) -> bytes:
+    def _encode_and_sign(self, kind: str, message: Command | SharedWinds | DeskHeartbeat) -> bytes:
         raw = encode_message(message)
         return raw if self.trust is None else self.trust.sign_in_envelope(kind, raw)
 
@@ -283,7 +295,7 @@ class ZenohFleet:
         """Return the message if `vehicle` signed it; without an identity, return it unchecked."""
         if self.trust is None:
             return message_bytes
-        roles = WIND_STATIONS if message_kind == "station" else STATE_PUBLISHERS
+        roles = REPORTER_ROLES.get(message_kind, STATE_PUBLISHERS)
         verified = self.trust.verify_message_of_signer(message_kind, message_bytes, vehicle, roles)
         if isinstance(verified, Refused):
             return Refused(f"not believed: {verified.reason}")
@@ -293,3 +305,9 @@ class ZenohFleet:
 def _add_sample(add: Callable[[str, bytes], None], sample: zenoh.Sample) -> None:
     """Pass the key and payload of a received message to one of the inbox's functions."""
     add(str(sample.key_expr), sample.payload.to_bytes())
+
+
+def _key_of(fleet: str, message: SharedWinds | DeskHeartbeat) -> str:
+    if isinstance(message, DeskHeartbeat):
+        return desk_key(fleet, message.desk)
+    return VehicleKeys(fleet, message.vehicle).wind_key

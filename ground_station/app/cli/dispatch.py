@@ -249,7 +249,8 @@ def watch(
             else [f"store unreachable, rows are old: {exchange.store_error}"]
         )
         alarm = exchange.status.roster_alarm
-        notes += [f"WARNING: {alarm}"] if alarm else []
+        silence = exchange.status.desks.alarm_text(monotonic_s())
+        notes += [f"WARNING: {text}" for text in (alarm, silence) if text]
         ending = expiring_certificates_text(network.certificate_expiry_dates(), epoch_us())
         notes += [f"WARNING: {CERTIFICATES_SUBJECT}: {ending}"] if ending else []
         notes += wind_field_and_front_lines(wind, exchange.status, monotonic_s())

@@ -1,7 +1,11 @@
 """The running desk: receives the fleet's messages, runs its dispatcher, sends commands."""
 
+import secrets
 from dataclasses import dataclass, field
 
+import msgspec
+
+from companion.core.base.desk_heartbeat import HEARTBEAT_INTERVAL_S, DeskHeartbeat
 from companion.core.mission.event_text import PhaseEvent
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import FINAL_STATUSES, CommandStatus, EventKind, Launch, State
@@ -42,9 +46,12 @@ class Desk:
     _flown_assignments: set[str] = field(default_factory=set)
     _last_cycle_s: float | None = None
     _next_cycle_s: float = 0.0
+    _next_heartbeat_s: float = 0.0
+    _instance_id: str = field(default_factory=lambda: secrets.token_hex(6))
+    _start_s: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.last_progress_s = self.exchange.clock.monotonic_s()
+        self.last_progress_s = self._start_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
         if self.wind is not None:
             self.exchange.on_station = self.wind.on_station_report
@@ -79,6 +86,7 @@ class Desk:
         exchange = self.exchange
         exchange.receive_and_process_messages(wait_s)
         now_s = exchange.clock.monotonic_s()
+        self._publish_heartbeat_if_due(now_s)
         if self.wind_publisher is not None:
             self.wind_publisher.send_due_wind_reports(exchange.status, now_s)
         changed = exchange.changed
@@ -98,6 +106,21 @@ class Desk:
             self.last_progress_s = now_s
         ended_s = exchange.clock.monotonic_s()
         self._next_cycle_s = ended_s + (ended_s - now_s)  # at least half of the time receives
+
+    def _publish_heartbeat_if_due(self, now_s: float) -> None:
+        """Publish that this desk runs; a desk that is killed or stuck falls silent."""
+        if now_s < self._next_heartbeat_s:
+            return
+        trust = self.exchange.status.trust
+        self._next_heartbeat_s = now_s + HEARTBEAT_INTERVAL_S
+        heartbeat = DeskHeartbeat(
+            desk="desk" if trust is None else trust.name,
+            instance_id=self._instance_id,
+            uptime_s=now_s - self._start_s,
+            epoch_us=self.exchange.clock.epoch_us(),
+            roster=msgspec.UNSET if trust is None else trust.roster_stamp,
+        )
+        self.exchange.fleet.publish(heartbeat)
 
     def _run_decision_cycle(self, now_s: float, has_new_messages: bool) -> bool:
         """Run one decision cycle; False if the store is unreachable."""

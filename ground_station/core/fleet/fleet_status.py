@@ -8,11 +8,13 @@ checked it. It can always be recalled.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat, DeskMonitor
 from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES
 from companion.core.vehicle.airframe import Airframe
 from companion.fleet.messages import State
 from companion.fleet.roster import RosterDifference, roster_difference
 from companion.fleet.trust import MemberTrust
+from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.truck_state import TRUCK
 
 SILENT_AFTER_S = 5.0
@@ -80,6 +82,7 @@ class FleetStatus:
 
     airframes: Mapping[str, Airframe] = field(default_factory=dict)
     vehicles: dict[str, VehicleStatus] = field(default_factory=dict)
+    desks: DeskMonitor = field(default_factory=DeskMonitor)
     trust: MemberTrust | None = None
     """With the roster of this program, with which each vehicle's is compared."""
 
@@ -99,6 +102,10 @@ class FleetStatus:
         if state is None or airframe is None or not state.voltage_v or state.armed is not False:
             return None
         return airframe.battery.charge_frac_from_resting_voltage(state.voltage_v)
+
+    def record_desk_heartbeat(self, heartbeat: DeskHeartbeat, clock: Clock) -> None:
+        """Process a verified heartbeat."""
+        self.desks.record_heartbeat(heartbeat, clock.monotonic_s(), clock.epoch_us())
 
     def record_liveliness_change(
         self, vehicle: str, instance_id: str, *, has_joined: bool
