@@ -50,6 +50,13 @@ STATES_PER_CYCLE = 64
 ms). This number is checked without waiting for more: 8 ms of work.
 """
 
+SIGNED_STATES_HZ, SIGNED_STATES_BURST = 20.0, 200.0
+"""Limits of verification per member, counted after the check of the signature: a name in a key is a
+claim, so a stranger's forgeries never use up a member's budget. Beyond it only the newest state of
+a cycle is verified: the member itself has signed the surplus, or a router repeats it, which could
+withhold it anyway. Its own later states are the newest, so its news still arrives.
+"""
+
 REQUESTED_STATES_PER_CYCLE = 8
 """States of one member that arrived as replies to this desk's query. A member replies once, and
 unsolicited states cannot displace the reply.
@@ -96,6 +103,9 @@ class MemberBox:
     event_limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
     states: deque[bytes] = field(default_factory=lambda: deque(maxlen=STATES_PER_CYCLE))
     requested_states: list[bytes] = field(default_factory=list)
+    signed_limit: RateLimit = field(
+        default_factory=lambda: RateLimit(SIGNED_STATES_HZ, SIGNED_STATES_BURST)
+    )
     instances: set[str] = field(default_factory=set)
     reported_instances: set[str] = field(default_factory=set)
     departed_instances: set[str] = field(default_factory=set)
@@ -327,10 +337,13 @@ class FleetInbox:
     def _decode_newest_state_inputs(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
         """Return the latest state of each instance, by its own clock, if newer than before."""
         newest: dict[str, State] = {}
-        for raw in raws:
+        limit, now_s = self._boxes[vehicle].signed_limit, self._clock_s()
+        is_within_budget = limit.try_consume_tokens(now_s, 0.0)
+        for raw in raws if is_within_budget else raws[-1:]:
             state = self._verify_and_decode_or_reject(vehicle, "state", raw)
             if not isinstance(state, State):
                 continue
+            limit.consume_tokens_beyond_limit(now_s, 1.0 if is_within_budget else 0.0)
             before = newest.pop(state.instance_id, state)
             newest[state.instance_id] = before if before.uptime_s > state.uptime_s else state
         uptimes = self._boxes[vehicle].uptimes

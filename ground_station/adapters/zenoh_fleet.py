@@ -35,7 +35,7 @@ from companion.fleet.topics import (
     vehicle_from_key,
 )
 from companion.fleet.zenoh_config import read_and_check_zenoh_config
-from companion.fleet.zenoh_session import open_session
+from companion.fleet.zenoh_session import open_session, wrap_as_direct_callback
 from ground_station.adapters.called_session import ServerSession, session_reopened_message
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.fleet_inbox import FleetInbox
@@ -107,7 +107,7 @@ class ZenohFleet:
         add_report = self.inbox.add_report
         self._subscribers = (  # zenoh undeclares subscribers without a reference
             *(
-                session.declare_subscriber(key, partial(_add_sample, add))
+                session.declare_subscriber(key, wrap_as_direct_callback(partial(_add_sample, add)))
                 for key, add in (
                     (self._keys.state_key, self.inbox.add_state),
                     (self._keys.event_key, self.inbox.add_event),
@@ -303,7 +303,11 @@ class ZenohFleet:
 
 
 def _add_sample(add: Callable[[str, bytes], None], sample: zenoh.Sample) -> None:
-    """Pass the key and payload of a received message to one of the inbox's functions."""
+    """Pass the key and payload of a received message to one of the inbox's functions.
+
+    It runs on zenoh's receiving threads: what a member sends too fast waits in its own connection,
+    not in one queue before the messages of all others.
+    """
     add(str(sample.key_expr), sample.payload.to_bytes())
 
 
