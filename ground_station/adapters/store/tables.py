@@ -30,7 +30,7 @@ SCHEMA = 3
 """Schema that `migrations` upgrades a store to; the table `about` contains a store's schema."""
 
 ROSTER_KEY = "roster"  # name in `about` of the desk's signed roster
-DEPOT_KEY = "depot"  # name in `about` of the depot's location; absent on a day with a truck
+IDLE_KEY = "idle"  # name in `about` of the reasons why vehicles get no order
 
 metadata = MetaData()
 

@@ -199,6 +199,8 @@ class MapView:
         members = {TRUCK: truck} | drones if truck is not None else drones
         for name, shown in members.items():
             yield from (AlertShown(subject=name, text=words) for words in shown.alarms)
+        for name, reason in snapshot.store.rows.idle_reasons.items():
+            yield AlertShown(subject=name, text=f"no order: {reason}")
         for order, words in stuck_order_texts(snapshot.store.rows.orders):
             yield AlertShown(subject=order, text=words)
 

@@ -143,10 +143,12 @@ def test_a_drone_that_does_not_stand_at_the_depot_is_given_nothing_until_it_does
 
     ground.until(lambda: seen(away))
     ground.store.add_orders_unless_conflict(DAY.orders[:1])
+    reason = "d1: no order: 111 m from the depot, limit 30 m"
+    ground.until(lambda: reason in ground.said)
     for _ in range(20):
         ground.desk.run_cycle(0.02)
     assert ground.store.assignments() == []
-    assert ground.said.count("d1: no order: 111 m from the depot, limit 30 m") == 1
+    assert ground.said.count(reason) == 1
     rows = read_display_rows(ground.store, DayStore(ground.store.database, lambda: 1), 1)
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(watch_view(status, rows, monotonic_s()))
