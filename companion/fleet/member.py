@@ -16,6 +16,7 @@ import msgspec
 from companion.adapters.clock import is_due, unix_time_us, wall_s
 from companion.adapters.files.atomic_file import read_checked_json, write_json_atomically
 from companion.adapters.files.disk import ImmediateRecordWriter, RecordWriter
+from companion.core.base.desk_heartbeat import DeskHeartbeat, DeskMonitor
 from companion.fleet.command_log import (
     NOT_REPEATABLE,
     CommandLog,
@@ -34,7 +35,8 @@ from companion.fleet.messages import (
     decode_message,
     encode_message,
 )
-from companion.fleet.network import MemberLink, MemberRequest, RequestKind
+from companion.fleet.network import Authority, MemberLink, MemberRequest, RequestKind
+from companion.fleet.trust import MEMBER_SEPARATOR
 
 DUPLICATE_REPORT_INTERVAL_S = 60.0
 """Minimum interval between reports of another companion with the same name."""
@@ -74,6 +76,7 @@ class FleetMember:
     disk: RecordWriter
     epoch_us: Callable[[], int] = unix_time_us
     status_text: str = ""
+    desks: DeskMonitor = field(default_factory=DeskMonitor)
     _duplicate_reported_s: float | None = None
     _pending: deque[_PendingCommand] = field(default_factory=deque)
     _command_log_error: str = ""
@@ -133,8 +136,8 @@ class FleetMember:
                 case RequestKind.TEXT:
                     self.status_text = request.payload.decode()
                     self.record_event(EventKind.TEXT, self.status_text)
-                case RequestKind.ROSTER:
-                    pass  # without a roster this member accepts every sender
+                case RequestKind.DESK:
+                    _record_heartbeat(self.desks, request.payload, self.clock_s())
         self._publish_newly_stored_events()
 
     def _report_duplicate_instance(self) -> None:
@@ -151,12 +154,10 @@ class FleetMember:
     ) -> None:
         command = decode_message(Command, request.payload)
         if isinstance(command, Refused):
-            verdict = CommandReply(CommandStatus.REFUSED, command.reason)
-            return self._send_reply(request, "", verdict)
+            return self._send_reply(request, "", _refused(command.reason))
         if command.vehicle != self.vehicle:
-            rejection_text = f"addressed to {command.vehicle}, this is {self.vehicle}"
-            verdict = CommandReply(CommandStatus.REFUSED, rejection_text)
-            return self._send_reply(request, command.id, verdict)
+            text = f"addressed to {command.vehicle}, this is {self.vehicle}"
+            return self._send_reply(request, command.id, _refused(text))
         command = _add_signer_to_author(command, request.signer)
         verdict = self.command_log.reply_without_execution_or_none(
             command, self.instance_id, self.uptime_s
@@ -168,7 +169,7 @@ class FleetMember:
             return self._execute_commands_with_stored_start(execute)
         # The other commands have the same effect if repeated, and need no stored record.
         self._reject_all_pending_commands(f"superseded by {_command_label(command)}")
-        verdict = self._execute_record_and_log_command(command, execute)
+        verdict = self._execute_record_and_log_command(request, command, execute)
         return self._send_reply(request, command.id, verdict)
 
     def _store_start_and_queue(self, pending: _PendingCommand) -> None:
@@ -192,7 +193,7 @@ class FleetMember:
             if pending.error_text:
                 self._reject_pending_command(pending, pending.error_text)
             else:
-                verdict = self._execute_record_and_log_command(command, execute)
+                verdict = self._execute_record_and_log_command(request, command, execute)
                 self._send_reply(request, command.id, verdict)
 
     def _reject_all_pending_commands(self, reason: str) -> None:
@@ -206,13 +207,13 @@ class FleetMember:
         self._send_reply(pending.request, pending.command.id, verdict)
 
     def _execute_record_and_log_command(
-        self, command: Command, execute: Callable[[Command], CommandReply]
+        self, request: MemberRequest, command: Command, execute: Callable[[Command], CommandReply]
     ) -> CommandReply:
-        verdict = execute(command)
+        error = _authority_error_or_empty(self.link.trust, request, command)
+        verdict = _refused(error) if error else execute(command)
         self.command_log.record_final_reply_or_remove_command(command, verdict)
         self.save_command_log(sync_folder=isinstance(command.action, NOT_REPEATABLE))
-        label = f"{_command_label(command)} by {command.by}"
-        text = f"{label}: {verdict.status.value} {verdict.reason}"
+        text = f"{_command_label(command)} by {command.by}: {verdict.status.value} {verdict.reason}"
         self.record_event(EventKind.COMMAND, text.strip())
         return verdict
 
@@ -296,6 +297,7 @@ class FleetMember:
             phase=phase,
             log=self.log.log,
             last_seq=self.log.last_stored_seq,
+            roster=self.link.trust.roster_stamp if self.link.trust else msgspec.UNSET,
             text=(self.log.error_text or self._command_log_error or self.status_text)[:500],
             **optional_fields,
         )
@@ -309,11 +311,30 @@ class FleetMember:
         self.log.close()
 
 
+def _record_heartbeat(desks: DeskMonitor, raw: bytes, now_s: float) -> None:
+    heartbeat = decode_message(DeskHeartbeat, raw)
+    if not isinstance(heartbeat, Refused):
+        desks.record_heartbeat(heartbeat, now_s)
+
+
+def _refused(reason: str) -> CommandReply:
+    return CommandReply(CommandStatus.REFUSED, reason)
+
+
+def _authority_error_or_empty(
+    trust: Authority | None, request: MemberRequest, command: Command
+) -> str:
+    """Return why the roster in force, perhaps a newer one than at arrival, forbids a command."""
+    if trust is None:
+        return ""
+    return trust.authority_error_or_empty(command.action, command.by, request.signer)
+
+
 def _add_signer_to_author(command: Command, signer: str) -> Command:
     """Add the verified signer to the command's author: a desk may send in a person's name, and then
     both names are reported.
     """
-    suffix = f" by way of {signer}"
+    suffix = f"{MEMBER_SEPARATOR}{signer}"
     if not signer or command.by == signer or command.by.endswith(suffix):
         return command
     return msgspec.structs.replace(command, by=f"{command.by}{suffix}"[:64])

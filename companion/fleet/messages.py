@@ -13,9 +13,10 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
-from companion.core.base.wire_message import VERSION, Name, WireMessage
+from companion.core.base.wire_message import VERSION, Name, RosterStamp, WireMessage
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import cell_name_or_none
 from companion.core.wind_field.shared_winds import SharedWinds
@@ -29,6 +30,7 @@ MAX_MESSAGE_BYTES = {
     "track": 1024,
     "station": 512,
     "winds": 2048,
+    "desk": 512,
 }
 """A command may contain a site's obstacles and ground; other messages are a few hundred bytes."""
 
@@ -64,10 +66,7 @@ EncodedRoute = Annotated[str, Meta(max_length=MAX_ROUTE_CHARS, pattern=r"^[?-~]*
 
 
 class State(WireMessage, frozen=True, kw_only=True):
-    """A vehicle's state as reported by its companion. Unknown values are absent.
-
-    A truck is a vehicle of airframe `truck`.
-    """
+    """A vehicle's state as reported by its companion. Unknown values are absent."""
 
     vehicle: Name
     """The sender."""
@@ -139,12 +138,12 @@ class State(WireMessage, frozen=True, kw_only=True):
     """
     return_route: EncodedRoute = msgspec.field(default="", name="way_home")
     """The uploaded mission from the customer to its landing site, likewise."""
+    roster: RosterStamp | msgspec.UnsetType = msgspec.UNSET
+    """The sender's roster; omitted: none."""
 
 
 class EventKind(Enum):
-    """Kind of an event; the last three are sent by a truck driver: a drone placed on its pad, a
-    drone recovered, or the reason against either.
-    """
+    """Kind of an event. A truck driver sends the last three."""
 
     PHASE = "phase"
     DECISION = "decision"
@@ -396,6 +395,7 @@ KIND_OF_TYPE: dict[type[WireMessage], str] = {
     Result: "result",
     Track: "track",
     SharedWinds: "winds",
+    DeskHeartbeat: "desk",
 }
 TEXT_FIELDS: dict[type[WireMessage], tuple[str, ...]] = {
     State: ("text", "monitor_text"),
@@ -410,7 +410,7 @@ _decoders: dict[type[WireMessage], Any] = {
 }
 
 
-def encode_message(message: State | FleetEvent | Command | Result | Track | SharedWinds) -> bytes:
+def encode_message(message: WireMessage) -> bytes:
     """Encode a message; LeewayError if it exceeds its kind's size limit."""
     kind = KIND_OF_TYPE[type(message)]
     raw = msgspec.json.encode(message)

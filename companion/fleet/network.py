@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from companion.core.mission.flight_file import NeighbourFleet
@@ -30,6 +30,7 @@ class RequestKind(Enum):
     EVENTS = "events"
     DUPLICATE = "twin"
     ROSTER = "roster"
+    DESK = "desk"
     TEXT = "notice"
 
 
@@ -66,8 +67,27 @@ class ReceivedTrack:
         return f"{self.fleet}/{self.sender}" if self.fleet else self.sender
 
 
+class Authority(Protocol):
+    """Authority by the roster in force, `companion.fleet.trust.MemberTrust`."""
+
+    @property
+    def roster_stamp(self) -> str:
+        """Number and hash of the roster."""
+        ...
+
+    def authority_error_or_empty(self, action: Any, author: str, signer: str) -> str:
+        """Return why the roster does not permit an action; empty: it does."""
+        ...
+
+
 class MemberLink(Protocol):
-    """Link of one member instance. A liveliness token exists until `close`; no method blocks."""
+    """Link of one member instance. A liveliness token exists until `close`; no method blocks.
+
+    `trust`: the roster in force; None: a fleet without one.
+    """
+
+    @property
+    def trust(self) -> Authority | None: ...
 
     def drain_requests(self) -> list[MemberRequest]:
         """Return and remove all pending requests."""

@@ -19,6 +19,7 @@ MAX_REQUESTS = {
     RequestKind.EVENTS: 8,
     RequestKind.DUPLICATE: 1,
     RequestKind.ROSTER: 4,
+    RequestKind.DESK: 4,
     RequestKind.TEXT: 1,
 }
 """Maximum of each kind; commands of a fleet without a roster."""

@@ -1,8 +1,10 @@
 """Members of a fleet and their permissions: `roster/1`, also in a form signed by an authority."""
 
+import hashlib
 import re
 from collections.abc import Mapping
 from datetime import datetime
+from enum import Enum
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -37,8 +39,16 @@ class RosterMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """End of its certificate."""
     revoked: bool = False
     """Nothing that it signs is accepted any more."""
+    revoked_since: Annotated[int, Meta(ge=0)] = 0
+    """Number of the roster that revoked it; 0: not revoked, or not known."""
     address: Address = ""
     """Of a desk or router: HOST:PORT for connections from other members."""
+
+    @property
+    def revocation_text(self) -> str:
+        """Who is revoked, and since which roster."""
+        since = f" since roster {self.revoked_since}" if self.revoked_since else ""
+        return f"{self.name} is revoked{since}"
 
     @property
     def certificate_end_us(self) -> int:
@@ -102,6 +112,7 @@ def roster_to_toml_text(roster: Roster) -> str:
         lines += ["", "[[members]]", f'name = "{member.name}"', f'role = "{member.role.value}"']
         lines += [f'key = "{member.key}"', f"not_after = {member.not_after.isoformat()}"]
         lines += [f"revoked = {str(member.revoked).lower()}"]
+        lines += [f"revoked_since = {member.revoked_since}"] if member.revoked_since else []
         lines += [f'address = "{member.address}"'] if member.address else []
     return "\n".join(lines) + "\n"
 
@@ -134,3 +145,26 @@ def parse_verified_roster(signed: SignedRoster, fleet: str) -> Roster | Refused:
     if roster.fleet != fleet:
         return Refused(f"roster: of fleet {roster.fleet}")
     return roster
+
+
+class RosterDifference(Enum):
+    """How one roster differs from another."""
+
+    NONE = "the same"
+    NEWER = "a successor"
+    ROLLBACK = "a predecessor"
+    FORK = "a fork"
+
+
+def roster_stamp_of(number: int, signed: SignedRoster) -> str:
+    """Return a roster's number and the hash of its text."""
+    return f"{number}:{hashlib.sha256(signed.roster.encode()).hexdigest()[:16]}"
+
+
+def roster_difference(stamp: str, reference: str) -> RosterDifference:
+    """Return how the roster of `stamp` differs from that of `reference`."""
+    number, reference_number = (int(one.partition(":")[0]) for one in (stamp, reference))
+    if number != reference_number:
+        newer = number > reference_number
+        return RosterDifference.NEWER if newer else RosterDifference.ROLLBACK
+    return RosterDifference.NONE if stamp == reference else RosterDifference.FORK

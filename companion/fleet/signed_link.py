@@ -115,6 +115,12 @@ class SignedLink:
                 if self._is_verification_within_limit(ROSTER_LIMIT_KEY):
                     self._accept_roster_and_add_notice(request.payload)
                 return None
+            case RequestKind.DESK:
+                verified = self.trust.verify_message_of_desk("desk", request.payload)
+                if isinstance(verified, Refused):
+                    self.rejections.count_rejection(verified.reason)
+                    return None
+                return replace(request, payload=verified)
             case _:
                 return request
 
@@ -228,7 +234,7 @@ class SignedLink:
         """Return the winds of others with a desk's valid signature."""
         found: list[bytes] = []
         for raw in self.link.drain_wind_messages():
-            received = self.trust.verify_winds(raw)
+            received = self.trust.verify_message_of_desk("winds", raw)
             if isinstance(received, Refused):
                 self.rejections.count_rejection(received.reason)
             else:

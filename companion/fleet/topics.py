@@ -9,6 +9,7 @@ leeway/FLEET/vehicle/ID/track/CELL   published five times a second in the air, i
 leeway/FLEET/vehicle/ID/wind         published by the desk: the winds measured by others
 leeway/FLEET/vehicle/ID/command      query with a command; the reply is its result
 leeway/FLEET/station/ID/wind         published by a wind station as it measures
+leeway/FLEET/desk/ID                 published by a desk every two seconds
 leeway/FLEET/roster                  published by the desk when it changes; query: the newest
 """
 
@@ -89,12 +90,16 @@ def station_wind_key(fleet: str, station: str) -> str:
     return f"{KEY_ROOT}/{require_valid_name('fleet', fleet)}/station/{station}/wind"
 
 
-def station_from_key(key: str) -> str | None:
-    """Return the wind station of a key; `None` for other keys."""
+def desk_key(fleet: str, desk: str) -> str:
+    """Key of a desk's heartbeat; "*": all desks of a fleet."""
+    return f"{KEY_ROOT}/{require_valid_name('fleet', fleet)}/desk/{desk}"
+
+
+def reporter_from_key(kind: str, key: str) -> str | None:
+    """Return the wind station or desk (`kind`) of a key; `None` for other keys."""
     parts = key.split("/")
-    is_valid = (
-        len(parts) == 5 and parts[0] == KEY_ROOT and (parts[2], parts[4]) == ("station", "wind")
-    )
+    end = {"station": ["wind"], "desk": []}[kind]
+    is_valid = parts[0] == KEY_ROOT and parts[2:3] == [kind] and parts[4:] == end
     return parts[3] if is_valid and NAME_PATTERN.fullmatch(parts[3]) else None
 
 

@@ -21,18 +21,24 @@ from companion.fleet.envelope import (
     public_key_hex_of,
     sign_message,
 )
-from companion.fleet.messages import Command, Recall, Refused, decode_message
+from companion.fleet.messages import Command, CommandAction, Recall, Refused, decode_message
 from companion.fleet.roles import COMMANDERS, SERVERS, STATE_PUBLISHERS, WIND_PUBLISHERS, Role
 from companion.fleet.roster import (
     WARN_DAYS,
     Roster,
+    RosterDifference,
     RosterMember,
     SignedRoster,
     decode_signed_roster_and_fleet_name,
     parse_verified_roster,
+    roster_difference,
+    roster_stamp_of,
 )
 
 ROSTER_KIND = "roster"
+MEMBER_SEPARATOR = " by way of "
+"""In `Command.by`: the claimed name, then the member that signed."""
+
 DAY_S = 86_400.0
 
 
@@ -111,6 +117,17 @@ class MemberTrust:
     roster: Roster
     store_roster: Callable[[SignedRoster], None]
     validity: CertificateValidity
+    roster_alarm: str = ""
+    """A roster of an authority that was refused as a fork or a rollback; empty: none."""
+    _stamp: tuple[SignedRoster, str] | None = None
+
+    @property
+    def roster_stamp(self) -> str:
+        """Number and hash of the roster in force, as in `State.roster`."""
+        if self._stamp is None or self._stamp[0] is not self.signed_roster:
+            stamp = roster_stamp_of(self.roster.number, self.signed_roster)
+            self._stamp = (self.signed_roster, stamp)
+        return self._stamp[1]
 
     @property
     def fleet(self) -> str:
@@ -157,27 +174,54 @@ class MemberTrust:
         if isinstance(result, Refused):
             return result
         envelope, member = result
-        if member.role not in COMMANDERS:
-            return Refused(f"command: a {member.role.value} may not command ({member.name})")
+        if error := self._role_error_or_empty(member):
+            return Refused(f"command: {error}")
         command = decode_message(Command, envelope.message)
         if isinstance(command, Refused):
             return command
-        if self.validity.is_expired(member) and not isinstance(command.action, Recall):
-            return Refused(f"command: {member.name}'s certificate has expired")
-        return SignedCommand(envelope.message, member.name)
+        error = self.authority_error_or_empty(command.action, command.by, member.name)
+        return (
+            Refused(f"command: {error}") if error else SignedCommand(envelope.message, member.name)
+        )
 
-    def verify_winds(self, raw: bytes) -> bytes | Refused:
-        """Verify winds signed by a desk. An expired desk is rejected, since the vehicle's own wind
-        estimate remains.
+    def authority_error_or_empty(self, action: CommandAction, author: str, signer: str = "") -> str:
+        """Return why the roster in force does not permit an action; empty: it does.
+
+        Called when the action is executed: a roster may have arrived since it was requested.
+        `author` is `Command.by` (`ben by way of anna`): its members are checked. `signer`: the
+        verified sender; empty: the author's last name is the one that an identity proved.
         """
-        result = self._verify_envelope_and_find_member("winds", raw)
+        names = [name.removeprefix("desk/") for name in author.split(MEMBER_SEPARATOR)]
+        proven = signer or names[-1]
+        for name in (proven, *names):
+            member = self.roster.member_by_name.get(name)
+            if member is None:
+                if name == proven:
+                    return f"{name} is not on roster {self.roster.number}"
+                continue
+            error = member.revocation_text if member.revoked else self._role_error_or_empty(member)
+            if error:
+                return error
+            if self.validity.is_expired(member) and not isinstance(action, Recall):
+                return f"{name}'s certificate has expired"
+        return ""
+
+    @staticmethod
+    def _role_error_or_empty(member: RosterMember) -> str:
+        if member.role in COMMANDERS:
+            return ""
+        return f"a {member.role.value} may not command ({member.name})"
+
+    def verify_message_of_desk(self, kind: str, raw: bytes) -> bytes | Refused:
+        """Verify winds or a heartbeat signed by a desk. An expired desk is rejected."""
+        result = self._verify_envelope_and_find_member(kind, raw)
         if isinstance(result, Refused):
             return result
         envelope, member = result
         if member.role not in WIND_PUBLISHERS:
-            return Refused(f"winds: a {member.role.value} may not publish them ({member.name})")
+            return Refused(f"{kind}: a {member.role.value} may not publish them ({member.name})")
         if self.validity.is_expired(member):
-            return Refused(f"winds: {member.name}'s certificate has expired")
+            return Refused(f"{kind}: {member.name}'s certificate has expired")
         return envelope.message
 
     def _verify_envelope_and_find_member(
@@ -190,7 +234,7 @@ class MemberTrust:
         if member is None:
             return Refused(f"{kind}: signed by {envelope.signer}, not on the roster")
         if member.revoked:
-            return Refused(f"{kind}: {envelope.signer} is revoked")
+            return Refused(f"{kind}: {member.revocation_text}")
         if not is_signature_valid(
             member.key,
             envelope.signature,
@@ -216,7 +260,7 @@ class MemberTrust:
         """Return this member's roster entry, or the reason why others reject its messages."""
         me = self.own_roster_entry
         if me is None or me.revoked:
-            return Refused(f"{self.name} is {'revoked' if me else 'not on the roster'}")
+            return Refused(me.revocation_text if me else f"{self.name} is not on the roster")
         if me.key != public_key_hex_of(self.private_key):
             return Refused(f"the signing key is not the one of {self.name} on the roster")
         return me
@@ -265,8 +309,14 @@ class MemberTrust:
         """The roster in force, encoded for other members."""
         return msgspec.json.encode(self.signed_roster)
 
-    def store_roster_if_newer(self, raw: bytes) -> Roster | Refused | None:
-        """Store a newer roster and put it in force; return None if it is not newer."""
+    def store_roster_if_newer(
+        self, raw: bytes, *, may_be_older: bool = False
+    ) -> Roster | Refused | None:
+        """Store a newer roster and put it in force; return None if it is the one in force.
+
+        A roster of an authority with a lower number (rollback), or with this number and another
+        content (fork), is refused and sets `roster_alarm`.
+        """
         if raw == self.encoded_signed_roster:
             return None
         result = verify_roster(raw, self.authority_keys)
@@ -275,9 +325,17 @@ class MemberTrust:
         signed, roster = result
         if roster.fleet != self.fleet:
             return Refused(f"roster: of fleet {roster.fleet}")
-        if roster.number <= self.roster.number:
+        difference = roster_difference(roster_stamp_of(roster.number, signed), self.roster_stamp)
+        is_harmless = may_be_older and difference is RosterDifference.ROLLBACK
+        if difference is RosterDifference.NONE or is_harmless:
             return None
-        self.signed_roster, self.roster = signed, roster
+        if difference is not RosterDifference.NEWER:
+            self.roster_alarm = (
+                f"roster {roster_stamp_of(roster.number, signed)} refused: {difference.value} of"
+                f" {self.roster_stamp} in force; was the PKI restored from a backup?"
+            )
+            return Refused(self.roster_alarm)
+        self.signed_roster, self.roster, self.roster_alarm = signed, roster, ""
         self.validity.reload_own_end_unless_server(self.own_roster_entry)
         self.store_roster(signed)
         return roster

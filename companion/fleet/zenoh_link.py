@@ -30,7 +30,7 @@ from companion.fleet.network import (
     RequestKind,
 )
 from companion.fleet.request_queue import PUBLISHED_ROSTERS, RequestQueues
-from companion.fleet.topics import VehicleKeys, vehicle_and_instance_from_key
+from companion.fleet.topics import VehicleKeys, desk_key, vehicle_and_instance_from_key
 from companion.fleet.zenoh_config import config_mode
 from companion.fleet.zenoh_session import (
     RosterReceiver,
@@ -142,6 +142,8 @@ class ZenohLink:
     The writer thread runs the session, and sends everything.
     """
 
+    trust = None
+
     def __init__(
         self,
         config: zenoh.Config,
@@ -209,6 +211,11 @@ class ZenohLink:
 
     def _store_wind_message(self, sample: zenoh.Sample) -> None:
         self._winds.append(sample.payload.to_bytes())
+
+    def _queue_desk_heartbeat(self, sample: zenoh.Sample) -> None:
+        self.request_queues.add_request_and_call_back(
+            MemberRequest(RequestKind.DESK, lambda replies: None, sample.payload.to_bytes())
+        )
 
     def subscribe_near(self, lat_deg: float, lon_deg: float) -> None:
         """Subscribe to the cells around this position; the writer thread applies it."""
@@ -311,6 +318,9 @@ class ZenohLink:
             ),
             session.declare_subscriber(
                 keys.wind_key, wrap_as_direct_callback(self._store_wind_message)
+            ),
+            session.declare_subscriber(
+                desk_key(keys.fleet, "*"), wrap_as_direct_callback(self._queue_desk_heartbeat)
             ),
             liveliness.declare_token(keys.alive_key(self._instance_id)),
         ]

@@ -10,8 +10,9 @@ messages.
 
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 from companion.core.base.rate_limit import RateLimit
 from companion.core.base.safe_text import MAX_NAME_LENGTH, safe_text
@@ -24,7 +25,7 @@ from companion.fleet.messages import (
     State,
     decode_message,
 )
-from companion.fleet.topics import station_from_key, vehicle_from_key
+from companion.fleet.topics import reporter_from_key, vehicle_from_key
 from ground_station.adapters.clock import monotonic_s
 from ground_station.core.fleet.fleet_link import (
     CommandResponse,
@@ -33,9 +34,8 @@ from ground_station.core.fleet.fleet_link import (
     LivelinessChanged,
     MessageRejected,
     StateReceived,
-    StationWindReceived,
 )
-from ground_station.core.fleet.station_message import StationWind, decode_station_wind
+from ground_station.core.fleet.reports import newest_valid_report
 from ground_station.core.fleet.uptime_watch import UptimeWatch
 
 EVENTS_HZ = 20.0
@@ -48,6 +48,13 @@ EVENTS_PER_CYCLE = 50
 STATES_PER_CYCLE = 64
 """Per member. A member sends one per second; more are forged, and each costs a signature check (0.1
 ms). This number is checked without waiting for more: 8 ms of work.
+"""
+
+SIGNED_STATES_HZ, SIGNED_STATES_BURST = 20.0, 200.0
+"""Limits of verification per member, counted after the check of the signature: a name in a key is a
+claim, so a stranger's forgeries never use up a member's budget. Beyond it only the newest state of
+a cycle is verified: the member itself has signed the surplus, or a router repeats it, which could
+withhold it anyway. Its own later states are the newest, so its news still arrives.
 """
 
 REQUESTED_STATES_PER_CYCLE = 8
@@ -66,17 +73,17 @@ MAX_INSTANCES = 16
 MAX_MEMBERS = 5000
 """Maximum number of member names: five times the design size of one desk."""
 
-MAX_STATIONS = 64
-"""Wind stations whose latest reports are kept between two cycles."""
+MAX_REPORTERS = 64
+"""Wind stations and desks whose latest reports are kept between two cycles."""
 
-STATION_REPORTS_PER_CYCLE = 8
-"""Per station. A station reports at most once per second; more reports are forged."""
+REPORTS_PER_CYCLE = 8
+"""Per station or desk. Each reports at most once per second; more reports are forged."""
 
 NOT_ON_ROSTER = "sender is not on the roster"
 
-MAX_STATION_BYTES = MAX_MESSAGE_BYTES["station"] + MAX_OVERHEAD_BYTES
-STATION_REJECTIONS = "wind stations"
-"""Name under which rejected station messages are reported."""
+MAX_REPORT_BYTES = MAX_MESSAGE_BYTES["station"] + MAX_OVERHEAD_BYTES
+REPORT_REJECTIONS = {"station": "wind stations", "desk": "desks"}
+"""Names under which rejected reports are reported."""
 
 VerifyMessage = Callable[[str, bytes, str], bytes | Refused]
 Clock = Callable[[], float]
@@ -96,6 +103,9 @@ class MemberBox:
     event_limit: RateLimit = field(default_factory=lambda: RateLimit(EVENTS_HZ, EVENTS_BURST))
     states: deque[bytes] = field(default_factory=lambda: deque(maxlen=STATES_PER_CYCLE))
     requested_states: list[bytes] = field(default_factory=list)
+    signed_limit: RateLimit = field(
+        default_factory=lambda: RateLimit(SIGNED_STATES_HZ, SIGNED_STATES_BURST)
+    )
     instances: set[str] = field(default_factory=set)
     reported_instances: set[str] = field(default_factory=set)
     departed_instances: set[str] = field(default_factory=set)
@@ -163,7 +173,7 @@ class FleetInbox:
         self._pending_boxes: _Boxes = {}
         self._responses: deque[CommandResponse] = deque()
         self._replays: deque[tuple[str, list[bytes]]] = deque()
-        self._stations: dict[str, deque[bytes]] = {}
+        self._reports: dict[tuple[str, str], deque[bytes]] = {}
         self._has_input = False
         self._is_urgent = False
 
@@ -179,16 +189,16 @@ class FleetInbox:
                 is_urgent=box is not None and len(box.states) == STATES_PER_CYCLE
             )
 
-    def add_station_report(self, key: str, raw: bytes) -> None:
-        """Add a wind report received under this station key."""
-        station = station_from_key(key)
+    def add_report(self, kind: str, key: str, raw: bytes) -> None:
+        """Add a wind station's report or a desk's heartbeat (`kind`) received under this key."""
+        name = reporter_from_key(kind, key)
         with self._condition:
-            is_one = station is not None and self._is_member(station)
-            if station is None or not is_one or len(raw) > MAX_STATION_BYTES:
+            is_one = name is not None and self._is_member(name)
+            if name is None or not is_one or len(raw) > MAX_REPORT_BYTES:
                 self._pending_boxes[""] = self._boxes[""]
-                self._boxes[""].count_rejection("not a wind station's report")
-            elif station in self._stations or len(self._stations) < MAX_STATIONS:
-                box = self._stations.setdefault(station, deque(maxlen=STATION_REPORTS_PER_CYCLE))
+                self._boxes[""].count_rejection(f"not a {kind}'s report")
+            elif (kind, name) in self._reports or len(self._reports) < MAX_REPORTERS:
+                box = self._reports.setdefault((kind, name), deque(maxlen=REPORTS_PER_CYCLE))
                 box.append(raw)
             self._mark_input_and_wake_receiver()
 
@@ -305,7 +315,7 @@ class FleetInbox:
             responses, self._responses = self._responses, deque()
             replays, self._replays = self._replays, deque()
             events, states = self._pop_events_and_states(pending)
-            stations, self._stations = self._stations, {}
+            reports, self._reports = self._reports, {}
         for vehicle, raws in replays:
             decoded = [self._verify_and_decode_or_reject(vehicle, "event", raw) for raw in raws]
             known = sorted((e for e in decoded if isinstance(e, FleetEvent)), key=lambda e: e.seq)
@@ -317,37 +327,27 @@ class FleetInbox:
         found += responses
         for vehicle, raws in states:
             found += self._decode_newest_state_inputs(vehicle, raws)
-        for station, words in stations.items():
-            found += self._newest_station_wind_inputs(station, words)
+        for (kind, name), raws in reports.items():
+            reject = partial(self.count_rejection, REPORT_REJECTIONS[kind])
+            verified = [self._verify(kind, raw, name) for raw in raws]
+            newest = newest_valid_report(kind, name, verified, reject)
+            found += [] if newest is None else [newest]
         return found + self._pop_rejection_inputs(pending)
 
     def _decode_newest_state_inputs(self, vehicle: str, raws: list[bytes]) -> list[FleetInput]:
         """Return the latest state of each instance, by its own clock, if newer than before."""
         newest: dict[str, State] = {}
-        for raw in raws:
+        limit, now_s = self._boxes[vehicle].signed_limit, self._clock_s()
+        is_within_budget = limit.try_consume_tokens(now_s, 0.0)
+        for raw in raws if is_within_budget else raws[-1:]:
             state = self._verify_and_decode_or_reject(vehicle, "state", raw)
             if not isinstance(state, State):
                 continue
+            limit.consume_tokens_beyond_limit(now_s, 1.0 if is_within_budget else 0.0)
             before = newest.pop(state.instance_id, state)
             newest[state.instance_id] = before if before.uptime_s > state.uptime_s else state
         uptimes = self._boxes[vehicle].uptimes
         return [StateReceived(state) for state in newest.values() if uptimes.advances(state)]
-
-    def _newest_station_wind_inputs(self, station: str, raws: Iterable[bytes]) -> list[FleetInput]:
-        """Return the latest valid report that the station itself signed."""
-        newest: StationWind | None = None
-        for raw in raws:
-            verified = self._verify("station", raw, station)
-            wind = verified if isinstance(verified, Refused) else decode_station_wind(verified)
-            if isinstance(wind, Refused):
-                self.count_rejection(STATION_REJECTIONS, f"{station}: {wind.reason}")
-            elif wind.station != station:
-                self.count_rejection(
-                    STATION_REJECTIONS, f"{station} sent a report of {wind.station}"
-                )
-            elif newest is None or wind.epoch_us > newest.epoch_us:
-                newest = wind
-        return [] if newest is None else [StationWindReceived(newest)]
 
     def _pop_liveliness_changes(self, pending_boxes: _Boxes) -> list[FleetInput]:
         """Return the instances that appeared or left since the last call."""

@@ -10,23 +10,32 @@ from pathlib import Path
 
 import zenoh
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.core.base.errors import LeewayError
 from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.event_log import MAX_EVENTS_PER_REPLY
 from companion.fleet.identity import read_identity_of_fleet_and_member
 from companion.fleet.membership import DEFAULT_JOIN_OPTIONS, JoinOptions
-from companion.fleet.messages import Command, Refused, Result, decode_message, encode_message
+from companion.fleet.messages import (
+    KIND_OF_TYPE,
+    Command,
+    Refused,
+    Result,
+    decode_message,
+    encode_message,
+)
 from companion.fleet.network import WIND_COV
-from companion.fleet.roles import STATE_PUBLISHERS, WIND_STATIONS
+from companion.fleet.roles import STATE_PUBLISHERS, WIND_PUBLISHERS, WIND_STATIONS
 from companion.fleet.roster import Roster
 from companion.fleet.topics import (
     VehicleKeys,
+    desk_key,
     station_wind_key,
     vehicle_and_instance_from_key,
     vehicle_from_key,
 )
 from companion.fleet.zenoh_config import read_and_check_zenoh_config
-from companion.fleet.zenoh_session import open_session
+from companion.fleet.zenoh_session import open_session, wrap_as_direct_callback
 from ground_station.adapters.called_session import ServerSession, session_reopened_message
 from ground_station.adapters.clock import monotonic_s
 from ground_station.adapters.fleet_inbox import FleetInbox
@@ -37,6 +46,8 @@ from ground_station.core.fleet.certificate_ends import (
     roster_certificate_expiries,
 )
 from ground_station.core.fleet.fleet_link import FleetInput, StateReceived
+
+REPORTER_ROLES = {"station": WIND_STATIONS, "desk": WIND_PUBLISHERS}
 
 
 class ZenohFleet:
@@ -58,14 +69,13 @@ class ZenohFleet:
         """
         self._say = say
         self.open_network = options.open_network
-        self._keys = VehicleKeys(fleet, "*")
-        self._fleet = fleet
+        self._keys, self._fleet = VehicleKeys(fleet, "*"), fleet
         self._identity = (
             read_identity_of_fleet_and_member(options.identity, fleet)
             if options.identity is not None
             else None
         )
-        self._trust = self._identity.trust if self._identity is not None else None
+        self.trust = self._identity.trust if self._identity is not None else None
         self._certificate_ends: tuple[Roster, int | None, CertificateExpiry] | None = None
         self.inbox = FleetInbox(self._verify_signature, is_member=self._is_member)
         self._server_session: ServerSession | None = None
@@ -94,13 +104,15 @@ class ZenohFleet:
             if self._identity is not None
             else None
         )
+        add_report = self.inbox.add_report
         self._subscribers = (  # zenoh undeclares subscribers without a reference
             *(
-                session.declare_subscriber(key, partial(_add_sample, add))
+                session.declare_subscriber(key, wrap_as_direct_callback(partial(_add_sample, add)))
                 for key, add in (
                     (self._keys.state_key, self.inbox.add_state),
                     (self._keys.event_key, self.inbox.add_event),
-                    (station_wind_key(self._fleet, "*"), self.inbox.add_station_report),
+                    (station_wind_key(self._fleet, "*"), partial(add_report, "station")),
+                    (desk_key(self._fleet, "*"), partial(add_report, "desk")),
                 )
             ),
             session.liveliness().declare_subscriber(
@@ -146,13 +158,13 @@ class ZenohFleet:
     @property
     def own_certificate_warning(self) -> str:
         """Warning about this program's own certificate or roster entry; empty: none."""
-        return self._trust.certificate_warning_or_empty() if self._trust is not None else ""
+        return self.trust.certificate_warning_or_empty() if self.trust is not None else ""
 
     def certificate_expiry_dates(self) -> CertificateExpiry | None:
         """Return when certificates end, by the roster in force; None without an identity."""
-        if self._trust is None:
+        if self.trust is None:
             return None
-        roster, end_us = self._trust.roster, self._trust.read_membership_end_us()
+        roster, end_us = self.trust.roster, self.trust.read_membership_end_us()
         if (
             self._certificate_ends is None
             or self._certificate_ends[0] is not roster
@@ -161,7 +173,7 @@ class ZenohFleet:
             self._certificate_ends = (
                 roster,
                 end_us,
-                roster_certificate_expiries(roster, self._trust.name, end_us),
+                roster_certificate_expiries(roster, self.trust.name, end_us),
             )
         return self._certificate_ends[2]
 
@@ -224,14 +236,14 @@ class ZenohFleet:
             express=True,
         )
 
-    def send_winds(self, winds: SharedWinds) -> None:
-        """Send other members' wind reports to one vehicle, signed if the desk has an identity."""
-        sealed = self._encode_and_sign("winds", winds)
-        self._session.put(VehicleKeys(self._fleet, winds.vehicle).wind_key, sealed, express=True)
+    def publish(self, message: SharedWinds | DeskHeartbeat) -> None:
+        """Publish wind reports or a heartbeat, signed if the desk has an identity."""
+        raw = self._encode_and_sign(KIND_OF_TYPE[type(message)], message)
+        self._session.put(_key_of(self._fleet, message), raw, express=True)
 
-    def _encode_and_sign(self, kind: str, message: Command | SharedWinds) -> bytes:
+    def _encode_and_sign(self, kind: str, message: Command | SharedWinds | DeskHeartbeat) -> bytes:
         raw = encode_message(message)
-        return raw if self._trust is None else self._trust.sign_in_envelope(kind, raw)
+        return raw if self.trust is None else self.trust.sign_in_envelope(kind, raw)
 
     def close(self) -> None:
         """Leave the network."""
@@ -275,21 +287,31 @@ class ZenohFleet:
 
     def _is_member(self, vehicle: str) -> bool:
         """True if the roster lists it; without an identity every sender is accepted."""
-        return self._trust is None or vehicle in self._trust.roster.member_by_name
+        return self.trust is None or vehicle in self.trust.roster.member_by_name
 
     def _verify_signature(
         self, message_kind: str, message_bytes: bytes, vehicle: str
     ) -> bytes | Refused:
         """Return the message if `vehicle` signed it; without an identity, return it unchecked."""
-        if self._trust is None:
+        if self.trust is None:
             return message_bytes
-        roles = WIND_STATIONS if message_kind == "station" else STATE_PUBLISHERS
-        verified = self._trust.verify_message_of_signer(message_kind, message_bytes, vehicle, roles)
+        roles = REPORTER_ROLES.get(message_kind, STATE_PUBLISHERS)
+        verified = self.trust.verify_message_of_signer(message_kind, message_bytes, vehicle, roles)
         if isinstance(verified, Refused):
             return Refused(f"not believed: {verified.reason}")
         return verified
 
 
 def _add_sample(add: Callable[[str, bytes], None], sample: zenoh.Sample) -> None:
-    """Pass the key and payload of a received message to one of the inbox's functions."""
+    """Pass the key and payload of a received message to one of the inbox's functions.
+
+    It runs on zenoh's receiving threads: what a member sends too fast waits in its own connection,
+    not in one queue before the messages of all others.
+    """
     add(str(sample.key_expr), sample.payload.to_bytes())
+
+
+def _key_of(fleet: str, message: SharedWinds | DeskHeartbeat) -> str:
+    if isinstance(message, DeskHeartbeat):
+        return desk_key(fleet, message.desk)
+    return VehicleKeys(fleet, message.vehicle).wind_key

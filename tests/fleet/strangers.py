@@ -131,6 +131,7 @@ def believe_all(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(MemberTrust, "verify_message_of_signer", told)
     monkeypatch.setattr(MemberTrust, "verify_command", commanded)
+    monkeypatch.setattr(MemberTrust, "authority_error_or_empty", lambda *_: "")
 
 
 def forged_state() -> bytes:

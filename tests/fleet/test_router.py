@@ -136,4 +136,4 @@ def test_a_folder_that_is_no_routers_or_a_port_that_is_taken_is_said(tmp_path):
         assert "in use" in refused(home)
     site.pki.revoke_members("r1")
     (home / "roster.json").write_bytes((site.pki.folder / "roster.json").read_bytes())
-    assert refused(home) == f"{home}: r1 is revoked"
+    assert refused(home) == f"{home}: r1 is revoked since roster {site.pki.roster.number}"

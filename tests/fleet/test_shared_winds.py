@@ -53,7 +53,7 @@ def tells(fleet: Running, d1: Vehicle) -> list[FleetWindReceived]:
     """Send a wind report based on the vehicle's latest state; return the reports it accepts."""
     states = [h.state for h in fleet.turn() if isinstance(h, StateReceived)]
     as_of_s = states[-1].uptime_s if states else d1.port.member.uptime_s
-    fleet.desk.send_winds(word("d1", d1.port.member.instance_id, as_of_s))
+    fleet.desk.publish(word("d1", d1.port.member.instance_id, as_of_s))
     return [
         event
         for event in d1.port.take_received_winds(100.0)

@@ -104,14 +104,14 @@ def test_nobody_else_tells_a_stations_wind_and_a_station_tells_no_state(site: Se
         assert heard.winds == []
         assert heard.states == []
         # Signatures reject what the network's rules let through.
-        desk.inbox.add_station_report(station_wind_key(FLEET, "mast"), forged)
+        desk.inbox.add_report("station", station_wind_key(FLEET, "mast"), forged)
         assert heard.listen(lambda: heard.rejected != [])
         assert "signed by d1" in heard.rejected[0]
         as_state = site.identity("mast").trust.sign_in_envelope("state", raw)
         desk.inbox.add_state(VehicleKeys(FLEET, "mast").state_key, as_state)
         assert heard.listen(lambda: any("is a station" in why for why in heard.rejected))
         unsigned = encode_station_wind(a_word("mast"))
-        desk.inbox.add_station_report(station_wind_key(FLEET, "mast"), unsigned)
+        desk.inbox.add_report("station", station_wind_key(FLEET, "mast"), unsigned)
         assert heard.listen(lambda: any("not signed" in why for why in heard.rejected))
     finally:
         for session in sessions:

@@ -10,6 +10,8 @@ from companion.fleet.network import MemberRequest, ReceivedTrack
 class Wire:
     """A link in memory: requests wait, published messages are kept."""
 
+    trust = None
+
     def __init__(self) -> None:
         self.waiting: list[MemberRequest] = []
         self.states: list[State] = []

@@ -244,8 +244,8 @@ class World:
         del fleet
         return {}
 
-    def send_winds(self, winds: object) -> None:
-        del winds
+    def publish(self, message: object) -> None:
+        del message
 
     def send(self, command: Command, wait_s: float) -> None:
         del wait_s

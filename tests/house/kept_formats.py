@@ -74,6 +74,7 @@ ADDED = {
     *("alert", "heading_off_rad", "tilt_off_rad", "velocity_off_mps", "mission_state"),
     *("gnss_alt_m", "gnss_alt_std_m", "pack_resistance", "current_gain"),
     *("yaw_rate_rps", "tilt_rates_rps", "lat_lon_deg", "unanswered", "columns"),
+    *("roster", "revoked_since"),
 }
 """Keys that later versions write, too."""
 

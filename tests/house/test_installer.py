@@ -1,5 +1,6 @@
 """deploy/install, as far as it can be tested here; `make install-check` uses a clean system."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -86,6 +87,8 @@ def test_a_bundle_holds_wheels_installer_and_units_with_checksums(tmp_path: Path
         block = (DEPLOY / "install").read_text().split(f"\ninstall_{role}() {{", 1)[1]
         unit = block.partition("unit ")[2].split()[0]
         assert (unpacked / f"deploy/{unit}.service").is_file()
+    digest = hashlib.sha256(b"theirs").hexdigest()
+    assert f"numpy==2 --hash=sha256:{digest}\n" in (unpacked / "requirements.txt").read_text()
     check = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
     assert subprocess.run(check, cwd=unpacked, check=False).returncode == 0
     (unpacked / "wheels/numpy-2-cp311-cp311-manylinux2014_aarch64.whl").write_bytes(b"damaged")

@@ -75,21 +75,24 @@ class _VerifyingCodec(mavlink.MAVLink):
     """pymavlink's codec; only frames with a valid signature update its replay memory.
 
     `refused_stamp`: the newest time stamp of validly signed frames that were refused as too old,
-    until a frame is accepted.
+    until a frame is accepted. `first_stamp_floor`: a new stream's first frame must be newer.
     """
 
     refused_stamp: int | None = None
+    first_stamp_floor = 0
 
     def check_signature(self, msgbuf: Any, srcSystem: int, srcComponent: int) -> bool:
         key = self.signing.secret_key or b""
         expected_signature = hashlib.sha256(bytes(key) + bytes(msgbuf[:-6])).digest()[:6]
         if not hmac.compare_digest(expected_signature, bytes(msgbuf[-6:])):
             return False
-        if super().check_signature(msgbuf, srcSystem, srcComponent):
+        stamp = int.from_bytes(bytes(msgbuf[-12:-6]), "little")
+        is_new = (msgbuf[-13], srcSystem, srcComponent) not in self.signing.stream_timestamps
+        is_recent = not is_new or stamp > self.first_stamp_floor
+        if is_recent and super().check_signature(msgbuf, srcSystem, srcComponent):
             self.refused_stamp = None
             return True
-        stamp = int.from_bytes(bytes(msgbuf[-12:-6]), "little")
-        if (msgbuf[-13], srcSystem, srcComponent) not in self.signing.stream_timestamps:
+        if is_new:
             self.refused_stamp = max(stamp, self.refused_stamp or 0)
         return False
 
@@ -122,6 +125,13 @@ class MavlinkCodec:
         self.mav.signing.stream_timestamps.update(newest_timestamp_by_stream)
         newest = max(newest_timestamp_by_stream.values(), default=0)
         self.mav.signing.timestamp = max(self.mav.signing.timestamp, newest)
+
+    def refuse_streams_signed_before_start(self) -> None:
+        """Refuse each stream until its stamps are newer than this start: no record of earlier ones.
+
+        MAVLink accepts a new stream that is up to a minute old, which could be a replay.
+        """
+        self.mav.first_stamp_floor = self.mav.signing.timestamp
 
     @property
     def newest_signing_timestamp_by_stream(self) -> dict[Stream, int]:

@@ -74,6 +74,7 @@ class _StampedCodec(Protocol):
     @property
     def newest_signing_timestamp_by_stream(self) -> Streams: ...
     def restore_signing_timestamps(self, newest_timestamp_by_stream: Streams) -> None: ...
+    def refuse_streams_signed_before_start(self) -> None: ...
 
 
 class SigningStampStore:
@@ -83,7 +84,10 @@ class SigningStampStore:
     """
 
     def __init__(self, folder: Path, codec: _StampedCodec) -> None:
-        """Restore an earlier process's stamps; an unreadable file is renamed (`error_text`)."""
+        """Restore an earlier process's stamps; an unreadable file is renamed (`error_text`).
+
+        Without a file, frames signed before this start are refused.
+        """
         self._path = folder / STAMPS_NAME
         self._codec = codec
         self._saved_s: float | None = None
@@ -95,7 +99,10 @@ class SigningStampStore:
             )
         except LeewayError as error:
             self.error_text, restored = f"renamed to .broken: {error}", {}
+            self.error_text += ": frames signed before this start are refused"
             self._path.replace(self._path.with_suffix(".broken"))
+        if not restored:
+            codec.refuse_streams_signed_before_start()
         codec.restore_signing_timestamps(restored)
 
     def take_due_write(self, t_s: float) -> Callable[[], None] | None:
@@ -107,7 +114,7 @@ class SigningStampStore:
             f"{a}/{b}/{c}": stamp
             for (a, b, c), stamp in self._codec.newest_signing_timestamp_by_stream.items()
         }
-        return lambda: write_json_atomically(self._path, table, sync_folder=False)
+        return lambda: write_json_atomically(self._path, table)
 
 
 def _parse_newest_timestamp_by_stream(table: object, path: Path) -> Streams:

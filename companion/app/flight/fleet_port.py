@@ -128,6 +128,7 @@ class FleetPort:
             lambda command: self._refusal_if_start_not_allowed(command) or execute_command(command)
         )
         self._report_new_refusals()
+        self._report_desk_silence()
 
     def process_mission_commands(
         self, pilot: Pilot, t_s: float, submit_event: Callable[[Event], OperatorResponse]
@@ -262,6 +263,13 @@ class FleetPort:
         if refusal_text is not None:
             self.member.status_text = refusal_text
             self.record_event(EventKind.TEXT, refusal_text)
+
+    def _report_desk_silence(self) -> None:
+        """Report once that a desk's heartbeats have ended, and that they are back."""
+        text = self.member.desks.pop_change_text(self.member.clock_s())
+        if text:
+            self.member.status_text = text
+            self.record_event(EventKind.TEXT, text)
 
     def record_event(self, kind: EventKind, text: str, **event_fields: Any) -> None:
         """Store an event; it is published once it is on disk."""

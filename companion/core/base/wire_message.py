@@ -14,6 +14,9 @@ Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}\Z")]
 Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]
 """Public half of an Ed25519 key, 64 hex digits."""
 
+RosterStamp = Annotated[str, Meta(pattern=r"^[1-9][0-9]{0,14}:[0-9a-f]{16}\Z")]
+"""Number and hash of the roster in force."""
+
 
 class WireMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A message with its version `v`; raises LeewayError for a number that is not finite."""

@@ -18,7 +18,7 @@ from companion.fleet.roles import (
     Role,
 )
 from companion.fleet.roster import Roster, RosterMember
-from companion.fleet.topics import VehicleKeys, roster_key, station_wind_key
+from companion.fleet.topics import VehicleKeys, desk_key, roster_key, station_wind_key
 from companion.fleet.zenoh_config import BATCH_BYTES, LEASE_MS, RECEIVE_BUFFER_BYTES
 
 TLS_KEY, TLS_CA = "tls.key", "ca.pem"
@@ -210,12 +210,22 @@ def _vehicle_rules(fleet: str, member: RosterMember) -> list[Rule]:
             "state-asked", "egress", ["query"], VehicleKeys(fleet, "*").state_key
         ),  # one query for all vehicles
         *_track_rules(fleet),
+        *_desk_rules(fleet),
         _allow_rule(
             "desk-interest",
             "egress",
             ["declare_subscriber", "declare_liveliness_subscriber"],
             all_vehicles,
         ),
+    ]
+
+
+def _desk_rules(fleet: str) -> list[Rule]:
+    """Vehicles receive the heartbeats of desks."""
+    desks = desk_key(fleet, "*")
+    return [
+        _allow_rule("desk-asks", "ingress", ["declare_subscriber"], desks),
+        _allow_rule("desk-hears", "egress", ["put"], desks),
     ]
 
 
@@ -268,7 +278,7 @@ def _monitor_rules(fleet: str) -> list[Rule]:
     """Monitoring members receive states, events and liveliness, and query missed events."""
     keys = VehicleKeys(fleet, "*")
     alive, stations = f"leeway/{fleet}/vehicle/*/alive/**", station_wind_key(fleet, "*")
-    shown = [keys.state_key, keys.event_key, alive, stations]
+    shown = [keys.state_key, keys.event_key, alive, stations, desk_key(fleet, "*")]
     requests = [
         "query",
         "declare_subscriber",

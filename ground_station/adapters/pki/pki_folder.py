@@ -24,6 +24,7 @@ from companion.fleet.identity import (
     read_file_bytes,
     read_signing_key,
 )
+from companion.fleet.messages import Refused
 from companion.fleet.roles import SERVERS, Role
 from companion.fleet.roster import (
     Roster,
@@ -33,7 +34,7 @@ from companion.fleet.roster import (
     roster_to_toml_text,
 )
 from companion.fleet.topics import require_valid_name
-from companion.fleet.trust import ROSTER_KIND
+from companion.fleet.trust import ROSTER_KIND, verify_roster
 from ground_station.adapters.files.atomic_file import write_file_atomically
 from ground_station.adapters.pki.access_rules import (
     TLS_CA,
@@ -101,7 +102,8 @@ class PkiFolder:
         authority_list = [_read_authority(folder / AUTHORITY_FOLDER / str(n)) for n in numbers]
         if not authority_list:
             raise LeewayError(f"{folder / AUTHORITY_FOLDER}: no authority")
-        return cls(folder, roster, authority_list, now)
+        newest = _newer_signed_roster(folder / ROSTER, roster, authority_list)
+        return cls(folder, newest or roster, authority_list, now)
 
     # --- operations ----------------------------------------------------------------------------
 
@@ -173,7 +175,11 @@ class PkiFolder:
     def revoke_members(self, *member_names: str) -> None:
         """Revoke members: others reject them as soon as they have the new roster."""
         revoked_members = {
-            name: msgspec.structs.replace(self._require_active_member(name), revoked=True)
+            name: msgspec.structs.replace(
+                self._require_active_member(name),
+                revoked=True,
+                revoked_since=self.roster.number + 1,
+            )
             for name in member_names
         }
         self._write_new_roster_with_members(
@@ -273,6 +279,20 @@ class PkiFolder:
                 for one in self.authority_list
             },
         )
+
+
+def _newer_signed_roster(
+    path: Path, roster: Roster, authority_list: list[FleetAuthority]
+) -> Roster | None:
+    """Return the signed roster if it is newer: a folder restored from a backup continues with a
+    member's copy.
+    """
+    if not path.exists():
+        return None
+    found = verify_roster(read_file_bytes(path), frozenset(a.public_key for a in authority_list))
+    if isinstance(found, Refused):
+        raise LeewayError(f"{path}: {found.reason}")
+    return found[1] if found[1].fleet == roster.fleet and found[1].number > roster.number else None
 
 
 def utc_datetime(epoch_us: int) -> datetime:

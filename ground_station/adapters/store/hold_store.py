@@ -15,6 +15,7 @@ from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
 from ground_station.core.schema.holds import ALL_DRONES, Hold
+from ground_station.core.schema.orders import AssignmentState
 
 
 class HoldStore:
@@ -46,6 +47,17 @@ class HoldStore:
         db.execute(sa.update(t.assignments).where(selection).values(confirmed_by=None))
         sent = db.execute(sa.select(t.commands.c.assignment).where(launches)).scalars()
         return [assignment for assignment in sent if assignment is not None]
+
+    def void_launch_confirmation(self, assignment: str, reason: str) -> bool:
+        """Void an operator's confirmation; False if its launch was ordered meanwhile."""
+        with self._database.write() as db:
+            row = rows.lock_assignment_if_in_states(db, assignment, (AssignmentState.UPLOADED,))
+            if row is None or row.confirmed_by is None:
+                return False
+            rows.set_launch_confirmation(db, assignment, None)
+            subject = f"{row.vehicle}: {assignment}"
+            audit.add_entry(db, self._epoch_us(), row.confirmed_by, "confirm", subject, reason)
+        return True
 
     def clear_holds(
         self, scopes: Iterable[str], by: str, *, only_placed_by_actor: bool = False

@@ -29,7 +29,8 @@ from ground_station.core.schema.orders import IN_FORCE
 SCHEMA = 3
 """Schema that `migrations` upgrades a store to; the table `about` contains a store's schema."""
 
-DEPOT_KEY = "depot"  # name in `about` of the depot's location; absent on a day with a truck
+ROSTER_KEY = "roster"  # name in `about` of the desk's signed roster
+IDLE_KEY = "idle"  # name in `about` of the reasons why vehicles get no order
 
 metadata = MetaData()
 

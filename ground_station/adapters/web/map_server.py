@@ -5,6 +5,7 @@ import re
 import threading
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,9 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.listening_socket import open_server_socket
+from ground_station.adapters.web.connections import REQUEST_TIMEOUT_S, limited_protocol
 from ground_station.adapters.web.live_stream import MAX_CLIENTS, LiveStream
 from ground_station.adapters.web.npm_assets import ASSETS
 from ground_station.adapters.web.people import COMMANDS_PATH, MapAccess, TokenFilter
@@ -34,6 +37,7 @@ SHUTDOWN_TIMEOUT_S = 1.0
 """Time for requests in progress to finish when the server ends."""
 
 START_TIMEOUT_S = 10.0
+MAX_PICTURE_AGE_S = 5.0
 TIME_PATTERN = re.compile(r"[0-9]{1,17}")
 ACCEPT_QUEUE_LENGTH = 64
 
@@ -118,6 +122,10 @@ class MapServer:
         async def run_server() -> None:
             stream.set_event_loop(asyncio.get_running_loop())
             started.set()
+            if self._tls is not None:  # a client may send nothing at all
+                loop = asyncio.get_running_loop()
+                limit = {"ssl_handshake_timeout": REQUEST_TIMEOUT_S}
+                loop.create_server = partial(loop.create_server, **limit)  # pyright: ignore
             await server.serve(sockets=[self._socket])
 
         asyncio.run(run_server())
@@ -126,11 +134,17 @@ class MapServer:
 def build_map_app(sources: MapDataSources, port: int, tls: TlsFiles | None = None) -> ASGIApp:
     """Build the application: page, stream, data requests and operator commands."""
     access = sources.access or MapAccess(TokenRegistry, None, has_users=False)
-    page = StaticFiles(directory=PAGE_FOLDER)
+    page, assets = (
+        StaticFiles(directory=PAGE_FOLDER),
+        StaticFiles(directory=ASSETS, check_dir=False),
+    )
+    assets.config_checked = True  # a folder that is not fetched yet: 404, not 500
     routes: list[BaseRoute] = [
         Route("/", _file_endpoint(PAGE_FOLDER / "index.html")),
         Mount("/page", page),
-        Mount("/assets", StaticFiles(directory=ASSETS, check_dir=False)),
+        Mount("/assets", assets),
+        Route("/healthz", _health_endpoint),
+        Route("/readyz", _readiness_endpoint(sources)),
         Route("/events", _events_endpoint(sources.stream, access)),
         *access.routes(),
         Route("/picture.json", _picture_endpoint(sources.stream)),
@@ -168,6 +182,27 @@ def _past_routes(past: PastDataSources) -> list[BaseRoute]:
 def _file_endpoint(path: Path) -> Any:
     async def respond(request: Request) -> Response:
         return FileResponse(path)  # supports range requests, which PMTiles needs
+
+    return respond
+
+
+async def _health_endpoint(request: Request) -> Response:
+    return PlainTextResponse("ok\n")  # the server's loop runs
+
+
+def _readiness_endpoint(sources: MapDataSources) -> Any:
+    """Ready: the page gets a picture, and it is a new one."""
+
+    async def respond(request: Request) -> Response:
+        frame = sources.stream.latest_frame
+        if sources.past is not None:
+            return PlainTextResponse("ready\n")
+        if frame is None:
+            return PlainTextResponse("not ready: no picture yet\n", 503)
+        age_s = (epoch_us() - frame.t_us) / 1e6
+        if age_s > MAX_PICTURE_AGE_S:
+            return PlainTextResponse(f"not ready: the picture is {age_s:.0f} s old\n", 503)
+        return PlainTextResponse("ready\n")
 
     return respond
 
@@ -232,7 +267,7 @@ def _server_config(app: ASGIApp, tls: TlsFiles | None) -> uvicorn.Config:
         ssl_certfile=None if tls is None else tls.certificate,
         ssl_keyfile=None if tls is None else tls.key,
         loop="asyncio",
-        http="h11",
+        http=limited_protocol(MAX_CONNECTIONS - 1),
         ws="none",
         lifespan="off",
         log_config=None,

@@ -23,7 +23,7 @@ MAX_BODY_BYTES = 2048
 MAX_TOKEN_LENGTH = 256
 JSON = "application/json"
 BEARER = "bearer "
-PUBLIC_PATHS = ("/", "/me.json", "/basemap.pmtiles", COMMANDS_PATH)
+PUBLIC_PATHS = ("/", "/me.json", "/basemap.pmtiles", "/healthz", "/readyz", COMMANDS_PATH)
 PUBLIC_FOLDERS = ("/page/", "/assets/")
 """Paths without fleet data, or that handle the token themselves."""
 

@@ -133,6 +133,7 @@ def dispatch(
             else:
                 raise LeewayError("--plan cannot be combined with --no-assign or --no-launch")
             typer.echo(f"dispatching {data.day.name} for fleet {data.day.fleet}; Ctrl-C stops")
+            desk.check_authority_by(network.trust)
             if options.open_network:
                 typer.echo(OPEN_WARNING)
             reminder = CertificateReminder(network, log_line, epoch_us)
@@ -228,6 +229,7 @@ def watch(
     def on_station_message(station_wind: "StationWind") -> None:
         stations.record_station_message(station_wind, monotonic_s(), epoch_us())
 
+    exchange.status.trust = network.trust
     exchange.on_state = on_state_message
     exchange.on_station = on_station_message
     exchange.request_initial_states()
@@ -246,6 +248,9 @@ def watch(
             if exchange.store_error is None
             else [f"store unreachable, rows are old: {exchange.store_error}"]
         )
+        alarm = exchange.status.roster_alarm
+        silence = exchange.status.desks.alarm_text(monotonic_s())
+        notes += [f"WARNING: {text}" for text in (alarm, silence) if text]
         ending = expiring_certificates_text(network.certificate_expiry_dates(), epoch_us())
         notes += [f"WARNING: {CERTIFICATES_SUBJECT}: {ending}"] if ending else []
         notes += wind_field_and_front_lines(wind, exchange.status, monotonic_s())

@@ -151,14 +151,19 @@ def show_map(
         from ground_station.core.fleet.fleet_status import FleetStatus
 
         clock = WallClock()
-        status = FleetStatus({} if data is None else data.airframes)
+        airframes = {} if data is None else data.airframes
+        status = FleetStatus(airframes, trust=network.trust)
         notes = (OPEN_WARNING,) if options.open_network else ()
         wind = create_site_wind(data)
         stations = StationMonitor.of_day(wind, data, clock, lambda message: None)
         listener = FleetListener(network, clock, status, wind, stations)
         view = MapView(name, data, notes, basemap is not None, download_outline_if_missing(basemap))
         map_source = MapPublisher(
-            view, listener, order_store, clock, network.certificate_expiry_dates
+            view,
+            listener,
+            order_store,
+            clock,
+            network.certificate_expiry_dates,
         )
         data_sources = MapDataSources(
             map_source.stream,

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 
 from companion.fleet.messages import State
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.tables import DEPOT_KEY
 from ground_station.app.desk.dispatcher import CycleResult
+from ground_station.app.desk.idle_reasons import IdleReasons
 from ground_station.app.desk.launch_pacing import LaunchPacing
 from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.core.dispatch.depot_assignment import DepotAssigner, FreeDrone
-from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.dispatch.flight_tables import (
     NeighbourKeys,
     no_neighbour_keys,
@@ -23,7 +22,7 @@ from ground_station.core.dispatch.measured_wind import (
     winds_differ_enough_to_replan,
 )
 from ground_station.core.fleet.fleet_link import Clock
-from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
+from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
 from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
@@ -76,15 +75,15 @@ class DepotDispatcher:
     _pacing: LaunchPacing = field(init=False)
     _confirmation_requested: set[str] = field(default_factory=set)
     _layers_are_full: bool = False
-    _off_pad_vehicles: set[tuple[str, bool]] = field(default_factory=set)
+    _idle_reasons: IdleReasons = field(init=False)
 
     def __post_init__(self) -> None:
         gap_s = self.params.launch_gap_s
         self._pacing = LaunchPacing(self.store, self.clock, self.log, gap_s)
+        self._idle_reasons = IdleReasons(self.store, self.data, self.assigner, self.log)
 
     def prepare_first_cycle(self) -> None:
         """Keep the gap between a launch just before a restart and the next one."""
-        self.store.database.replace_about_value(DEPOT_KEY, self.data.day.depot.location)
         self._pacing.start_gap_after_restart()
 
     def on_state(self, state: State) -> None:
@@ -142,6 +141,7 @@ class DepotDispatcher:
         if free:
             self._update_planning_wind_if_due()
         has_changed = bool(free) and self._assign_orders(free)
+        self._idle_reasons.update_if_due(status, self.clock.monotonic_s())
         if has_changed or withdrawn:
             return CycleResult.CHANGED
         has_later_launches = self.forecast is not None and self.forecast.has_reopening_orders()
@@ -196,24 +196,10 @@ class DepotDispatcher:
             depot_position = state and self.assigner.position_if_at_depot(
                 state.lat_deg, state.lon_deg
             )
-            if depot_position is None:
-                self._log_off_pad_once(vehicle_status)
-            else:
-                self._off_pad_vehicles -= {(vehicle, True), (vehicle, False)}
+            if depot_position is not None:
                 charge_frac = status.charge_frac_at_rest(vehicle)
                 free_drones.append(FreeDrone(vehicle, charge_frac, depot_position))
         return free_drones
-
-    def _log_off_pad_once(self, status: VehicleStatus) -> None:
-        """Log once why a drone gets no order: its position is unknown, or away from the depot."""
-        if status.state is None:
-            return
-        key = (status.vehicle, status.state.lat_deg is not None)
-        if key not in self._off_pad_vehicles:
-            self._off_pad_vehicles.add(key)
-            depot = self.data.day.depot.location
-            text = off_pad_text(status.state.lat_deg, status.state.lon_deg, depot)
-            self.log(f"{status.vehicle}: no order: {text}")
 
     def _assign_orders(self, free_drones: list[FreeDrone]) -> bool:
         has_changed, rows = False, self.store.assignments()

@@ -1,11 +1,17 @@
 """The running desk: receives the fleet's messages, runs its dispatcher, sends commands."""
 
+import secrets
 from dataclasses import dataclass, field
 
+import msgspec
+
+from companion.core.base.desk_heartbeat import HEARTBEAT_INTERVAL_S, DeskHeartbeat
 from companion.core.mission.event_text import PhaseEvent
 from companion.core.pilot.transitions import Phase
 from companion.fleet.messages import FINAL_STATUSES, CommandStatus, EventKind, Launch, State
+from companion.fleet.trust import MemberTrust
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.exchange import FleetExchange
 from ground_station.app.desk.site.site_monitor import SiteMonitor
@@ -26,7 +32,7 @@ MAX_CYCLE_INTERVAL_S = 0.5
 @dataclass(slots=True)
 class Desk:
     """Desk of one dispatcher over a fleet. `wind`: monitor of the site; None: the wind is not
-    monitored, and vehicles receive no wind reports.
+    monitored, and vehicles receive no wind reports. `authority`: None in a fleet without a roster.
 
     `last_progress_s`: time of the last progress of the day.
     """
@@ -34,18 +40,30 @@ class Desk:
     exchange: FleetExchange
     dispatcher: Dispatcher
     wind: SiteMonitor | None = None
+    authority: CommandAuthority | None = None
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
     _flown_assignments: set[str] = field(default_factory=set)
     _last_cycle_s: float | None = None
     _next_cycle_s: float = 0.0
+    _next_heartbeat_s: float = 0.0
+    _instance_id: str = field(default_factory=lambda: secrets.token_hex(6))
+    _start_s: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.last_progress_s = self.exchange.clock.monotonic_s()
+        self.last_progress_s = self._start_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
         if self.wind is not None:
             self.exchange.on_station = self.wind.on_station_report
             self.wind_publisher = WindPublisher(self.wind.wind, self.exchange.fleet)
+
+    def check_authority_by(self, trust: MemberTrust | None) -> None:
+        """Check authors and rosters by this identity; None: a fleet without a roster."""
+        self.exchange.status.trust = trust
+        if trust is not None:
+            self.authority = CommandAuthority(
+                trust, self.store, self.exchange.log, self.exchange.clock.epoch_us
+            )
 
     def _on_state(self, state: State) -> None:
         if self.wind is not None:
@@ -68,6 +86,7 @@ class Desk:
         exchange = self.exchange
         exchange.receive_and_process_messages(wait_s)
         now_s = exchange.clock.monotonic_s()
+        self._publish_heartbeat_if_due(now_s)
         if self.wind_publisher is not None:
             self.wind_publisher.send_due_wind_reports(exchange.status, now_s)
         changed = exchange.changed
@@ -88,6 +107,21 @@ class Desk:
         ended_s = exchange.clock.monotonic_s()
         self._next_cycle_s = ended_s + (ended_s - now_s)  # at least half of the time receives
 
+    def _publish_heartbeat_if_due(self, now_s: float) -> None:
+        """Publish that this desk runs; a desk that is killed or stuck falls silent."""
+        if now_s < self._next_heartbeat_s:
+            return
+        trust = self.exchange.status.trust
+        self._next_heartbeat_s = now_s + HEARTBEAT_INTERVAL_S
+        heartbeat = DeskHeartbeat(
+            desk="desk" if trust is None else trust.name,
+            instance_id=self._instance_id,
+            uptime_s=now_s - self._start_s,
+            epoch_us=self.exchange.clock.epoch_us(),
+            roster=msgspec.UNSET if trust is None else trust.roster_stamp,
+        )
+        self.exchange.fleet.publish(heartbeat)
+
     def _run_decision_cycle(self, now_s: float, has_new_messages: bool) -> bool:
         """Run one decision cycle; False if the store is unreachable."""
         with self.exchange.suppress_and_record_store_outage():
@@ -101,6 +135,9 @@ class Desk:
     def _execute_decisions(self, now_s: float, has_new_messages: bool) -> None:
         """Execute due decisions; each is stored before it is sent, or not executed."""
         exchange = self.exchange
+        if self.authority is not None:
+            self.authority.exchange_roster_with_store()
+            self.authority.refuse_unauthorised_launches()
         if self.wind is not None and self.wind.update_and_report_hold_change(
             exchange.status
         ):  # holds precede launches
@@ -116,6 +153,8 @@ class Desk:
                 exchange.changed = True
             case CycleResult.IDLE:
                 pass
+        if self.authority is not None:
+            self.authority.refuse_unauthorised_commands()
         exchange.send_due_commands()
 
     def close(self) -> None:

@@ -28,6 +28,7 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_link import (
     Clock,
     CommandResponse,
+    DeskHeartbeatReceived,
     EventsReceived,
     FleetInput,
     FleetLink,
@@ -144,10 +145,10 @@ class FleetExchange:
                     self._process_state(received.state)
                 case StationWindReceived():
                     self.on_station(received.wind)
+                case DeskHeartbeatReceived():
+                    self.status.record_desk_heartbeat(received.heartbeat, self.clock)
                 case MessageRejected():
                     self._count_and_log_rejected(received)
-                case _:
-                    pass  # processed as a batch above
 
     def _count_and_log_rejected(self, received: MessageRejected) -> None:
         """Log the number of rejected messages of a sender at most every `REJECTED_LOG_INTERVAL_S`.

@@ -14,6 +14,7 @@ from companion.fleet.messages import State
 from ground_station.app.desk.site.station_desk import StationMonitor
 from ground_station.core.fleet.fleet_link import (
     Clock,
+    DeskHeartbeatReceived,
     FleetInput,
     LivelinessChanged,
     MessageRejected,
@@ -110,6 +111,8 @@ class FleetListener:
                     self._states_required = self._states_required or received.has_joined
                 case StationWindReceived():
                     self._process_station(received.wind)
+                case DeskHeartbeatReceived():
+                    self.status.record_desk_heartbeat(received.heartbeat, self.clock)
                 case MessageRejected():
                     self._states_required = True
                 case _:

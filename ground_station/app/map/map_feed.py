@@ -119,6 +119,8 @@ class MapPublisher:
             self._store_snapshot,
             self._store_error,
             expiring,
+            roster_alarm=listener.status.roster_alarm,
+            desk_alarm=listener.status.desks.alarm_text(now_s),
             wind_field=self._wind_field,
             front_texts=self._fronts,
         )

@@ -23,7 +23,11 @@ from ground_station.app.map.picture import (
 from ground_station.app.map.reach_ring import ReachableAreas
 from ground_station.app.map.site_shown import forecast_shown, site_shown
 from ground_station.app.views.day_content import DisplayRows
-from ground_station.app.views.operator_alerts import CERTIFICATES_SUBJECT, stuck_order_texts
+from ground_station.app.views.operator_alerts import (
+    CERTIFICATES_SUBJECT,
+    DESK_SUBJECT,
+    stuck_order_texts,
+)
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day import Forecast
@@ -63,8 +67,9 @@ class MapSnapshot:
     """All data of one moment. `t_s`: on the clock of the statuses' receive times.
 
     `store_error`: error of the unreachable store; empty: reachable. `expiring_certificates`:
-    certificates that expire soon. `notes`: further notes. `wind_field`: accepted wind of the site,
-    None: unknown. `front_texts`: approaching fronts, as text.
+    certificates that expire soon. `roster_alarm`: a refused fork or rollback. `desk_alarm`: a
+    silent desk. `notes`: further notes. `wind_field`: accepted wind of the site, None: unknown.
+    `front_texts`: approaching fronts, as text.
     """
 
     t_s: float
@@ -74,6 +79,8 @@ class MapSnapshot:
     store: StoreSnapshot
     store_error: str = ""
     expiring_certificates: str = ""
+    roster_alarm: str = ""
+    desk_alarm: str = ""
     notes: tuple[str, ...] = ()
     wind_field: WindShown | None = None
     front_texts: tuple[str, ...] = ()
@@ -118,6 +125,7 @@ class MapView:
             drones=drones,
             truck=truck,
             winds=list(self._displayed_winds(snapshot)),
+            desk_alarm=snapshot.desk_alarm,
             max_loss=None if self._data is None else self._data.day.mission.max_loss,
             basemap=self._basemap,
             outline=self._outline,
@@ -179,6 +187,10 @@ class MapView:
     ) -> Iterator[AlertShown]:
         if snapshot.store_error:
             yield AlertShown(subject="store", text=f"away, rows are old: {snapshot.store_error}")
+        if snapshot.desk_alarm:
+            yield AlertShown(subject=DESK_SUBJECT, text=snapshot.desk_alarm)
+        if snapshot.roster_alarm:
+            yield AlertShown(subject="roster", text=snapshot.roster_alarm)
         if snapshot.expiring_certificates:
             yield AlertShown(subject=CERTIFICATES_SUBJECT, text=snapshot.expiring_certificates)
         yield from (AlertShown(subject="wind", text=words) for words in snapshot.front_texts)
@@ -187,6 +199,8 @@ class MapView:
         members = {TRUCK: truck} | drones if truck is not None else drones
         for name, shown in members.items():
             yield from (AlertShown(subject=name, text=words) for words in shown.alarms)
+        for name, reason in snapshot.store.rows.idle_reasons.items():
+            yield AlertShown(subject=name, text=f"no order: {reason}")
         for order, words in stuck_order_texts(snapshot.store.rows.orders):
             yield AlertShown(subject=order, text=words)
 

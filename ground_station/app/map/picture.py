@@ -162,6 +162,8 @@ class MapPicture(_PicturePart, frozen=True, kw_only=True):
     fleet: str
     site: SiteShown = SiteShown()
     alerts: list[AlertShown] = msgspec.field(default_factory=list, name="attention")
+    desk_alarm: str = ""
+    """A silent desk; empty: one runs."""
     notes: list[str] = []
     """Holds, and launches that an operator has confirmed."""
     drones: dict[str, DroneShown] = {}

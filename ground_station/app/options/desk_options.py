@@ -147,10 +147,13 @@ class DeskOptions:
 
     @contextmanager
     def operator_and_store(self, *, create: bool = False) -> "Iterator[tuple[str, Store]]":
-        """Yield the name of the person who runs the command, and the open store."""
-        operator = self.current_operator()
+        """Yield the name of the person who runs the command, and the open store.
+
+        The newest roster known here decides on the person's right: the store holds the desk's.
+        """
+        self.current_operator()  # refused before a store is created
         with closing(self.open_store(create=create)) as store:
-            yield operator.name, store
+            yield resolve_operator(self.user, self.identity, None, store).name, store
 
     def open_fleet_network(
         self,
@@ -314,26 +317,36 @@ def resolve_store_url(url: str, url_file: Path | None) -> str:
 
 
 def resolve_operator(
-    user: str | None, identity: Path | None = None, fleet: str | None = None
+    user: str | None,
+    identity: Path | None = None,
+    fleet: str | None = None,
+    store: "Store | None" = None,
 ) -> "DeskOperator":
     """Return the operator of this command; with an identity, the member that the roster lists.
 
-    Raises LeewayError if that member has no permission to send commands or is not a member of
-    `fleet`.
+    `store`: holds the desk's roster. Raises LeewayError if that member has no permission to send
+    commands or is not a member of `fleet`, and for no identity where the desk has a roster.
     """
     from ground_station.core.people.person import local_supervisor_operator, member_operator
 
-    if identity is None:
+    trust = None
+    if identity is not None:
+        from companion.fleet import identity as member_folder
+
+        trust = (
+            member_folder.read_and_verify_identity(identity)
+            if fleet is None
+            else member_folder.read_identity_of_fleet_and_member(identity, fleet)
+        ).trust
+    if store is not None:
+        from ground_station.app.desk.command_authority import accept_roster_of_store
+
+        if (refused := accept_roster_of_store(trust, store)) is not None:
+            raise LeewayError(refused.reason)
+    if trust is None:
         from ground_station.adapters.login import operating_system_account_name
 
         return local_supervisor_operator(user or operating_system_account_name())
-    from companion.fleet.identity import read_and_verify_identity, read_identity_of_fleet_and_member
-
-    trust = (
-        read_and_verify_identity(identity)
-        if fleet is None
-        else read_identity_of_fleet_and_member(identity, fleet)
-    ).trust
     refusal = trust.command_permission_error_or_empty()
     if refusal or trust.own_roster_entry is None:
         raise LeewayError(refusal)

@@ -1,12 +1,11 @@
 """Content of the store on the day, read at one moment, for display."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from companion.core.base.location import Location
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.tables import DEPOT_KEY
+from ground_station.adapters.store.tables import IDLE_KEY
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, format_minutes_and_seconds
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import AssignmentRow, OrderRow
@@ -65,7 +64,7 @@ class DisplayRows:
     orders: Sequence[OrderRow] = ()
     day: DayShown | None = None
     hold_list: Sequence[Hold] = ()
-    depot: Location | None = None
+    idle_reasons: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
@@ -74,5 +73,5 @@ def read_display_rows(store: Store, day: DayStore, now_us: int) -> DisplayRows:
     if plan is not None:  # else the store has no day with a truck
         visits = day.truck_stop_visits()
         shown = DayShown(plan, day.sorties(), day.day_start_us(), now_us, visits)
-    depot = store.database.about_value(DEPOT_KEY, Location)
-    return DisplayRows(assignments, store.orders(), shown, store.holds_in_force(), depot)
+    idle = store.database.about_value(IDLE_KEY, dict[str, str]) if plan is None else None
+    return DisplayRows(assignments, store.orders(), shown, store.holds_in_force(), idle or {})

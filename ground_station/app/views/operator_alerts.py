@@ -9,7 +9,7 @@ from ground_station.core.fleet.fleet_status import VehicleStatus
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import OrderRow, OrderState
 
-CERTIFICATES_SUBJECT = "certificates"
+CERTIFICATES_SUBJECT, DESK_SUBJECT = "certificates", "desk"
 MAX_NAMED = 5
 """Maximum number of certificates named in one line; the others are counted."""
 

@@ -25,11 +25,9 @@ from ground_station.app.views.operator_alerts import (
     vehicle_alarm_texts,
 )
 from ground_station.app.views.terminal import plain_table
-from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.fleet.fleet_status import FleetStatus, VehicleStatus
 from ground_station.core.fleet.truck_state import EN_ROUTE, TRUCK
 from ground_station.core.schema.day_plan import format_minutes_and_seconds
-from ground_station.core.schema.holds import hold_of_vehicle_or_of_all
 from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, OrderRow, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow
 
@@ -48,18 +46,13 @@ def watch_view(
     names = {*status.vehicles, *assignments, *(row.vehicle for row in (day.sorties if day else []))}
     lines: list[tuple[tuple[str, ...], bool]] = []
     alarm_lines: list[str] = []
-    has_open_orders = any(row.state is OrderState.OPEN for row in orders)
     for name in sorted(names, key=lambda name: (name != TRUCK, name)):
         line = _VehicleLine(status.status_of(name), assignments.get(name), day, t_s)
         alarms = [f"{name}: {words}" for words in vehicle_alarm_texts(line.status, day, t_s)]
         lines.append((line.cells(), bool(alarms)))
         alarm_lines += alarms
-        state = line.status.state
-        is_free = name not in assignments and not hold_of_vehicle_or_of_all(rows.hold_list, name)
-        is_expected = day is None and has_open_orders and line.status.can_take_assignment(t_s)
-        if state and rows.depot and is_free and is_expected:
-            text = off_pad_text(state.lat_deg, state.lon_deg, rows.depot)
-            alarm_lines += [f"{name}: no order: {text}"] if text else []
+        if (reason := rows.idle_reasons.get(name)) and line.status.instance_ids:
+            alarm_lines += [f"{name}: no order: {reason}"]
     counts = Counter(row.state.value for row in orders)
     title = ", ".join(f"{n} {name}" for name, n in sorted(counts.items())) or "no orders"
     table = _vehicle_table(f"{title}; {day.plan_and_time_title}" if day else title, lines)

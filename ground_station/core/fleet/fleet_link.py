@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.core.wind_field.shared_winds import SharedWinds
 from companion.fleet.messages import Command, FleetEvent, Result, State
 from ground_station.core.fleet.station_message import StationWind
@@ -30,6 +31,13 @@ class StationWindReceived:
     """A wind station has published a measurement."""
 
     wind: StationWind
+
+
+@dataclass(frozen=True, slots=True)
+class DeskHeartbeatReceived:
+    """A desk of the fleet runs."""
+
+    heartbeat: DeskHeartbeat
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +70,7 @@ FleetInput = (
     LivelinessChanged
     | StateReceived
     | StationWindReceived
+    | DeskHeartbeatReceived
     | EventsReceived
     | CommandResponse
     | MessageRejected
@@ -87,8 +96,10 @@ class FleetLink(Protocol):
         """Send a command. Its response or time-out arrives by `receive`."""
         ...
 
-    def send_winds(self, winds: SharedWinds) -> None:
-        """Send one vehicle the winds that others measure; the next message replaces a lost one."""
+    def publish(self, message: SharedWinds | DeskHeartbeat) -> None:
+        """Publish the winds for one vehicle, or this desk's heartbeat; the next one replaces a lost
+        one.
+        """
         ...
 
     def neighbour_keys(self, fleet: str) -> Mapping[str, str]:

@@ -8,9 +8,13 @@ checked it. It can always be recalled.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat, DeskMonitor
 from companion.core.pilot.transitions import FLIGHT_PHASES, GROUND_PHASES
 from companion.core.vehicle.airframe import Airframe
 from companion.fleet.messages import State
+from companion.fleet.roster import RosterDifference, roster_difference
+from companion.fleet.trust import MemberTrust
+from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.truck_state import TRUCK
 
 SILENT_AFTER_S = 5.0
@@ -28,6 +32,9 @@ CELL_RANGE_V = (2.0, 4.5)
 
 CLOCK_TOLERANCE_S = 5.0
 
+ROSTER_DELAY_S = 30.0
+"""Time in which a member gets a new roster: it is published, and requested every 10 s."""
+
 
 @dataclass(slots=True)
 class VehicleStatus:
@@ -39,6 +46,8 @@ class VehicleStatus:
     received_s: float | None = None
     doubts: list[str] = field(default_factory=list)
     clock_offset_s: float = 0.0
+    roster_doubt: str = ""
+    older_roster_since_s: float | None = None
 
     def seconds_since_last_state(self, now_s: float) -> float | None:
         """Return the seconds since its last state; None: no state received."""
@@ -73,6 +82,14 @@ class FleetStatus:
 
     airframes: Mapping[str, Airframe] = field(default_factory=dict)
     vehicles: dict[str, VehicleStatus] = field(default_factory=dict)
+    desks: DeskMonitor = field(default_factory=DeskMonitor)
+    trust: MemberTrust | None = None
+    """With the roster of this program, with which each vehicle's is compared."""
+
+    @property
+    def roster_alarm(self) -> str:
+        """A roster that was refused as a fork or a rollback; empty: none."""
+        return self.trust.roster_alarm if self.trust is not None else ""
 
     def status_of(self, vehicle: str) -> VehicleStatus:
         """Return the status of a vehicle; a new one if no state was received."""
@@ -85,6 +102,10 @@ class FleetStatus:
         if state is None or airframe is None or not state.voltage_v or state.armed is not False:
             return None
         return airframe.battery.charge_frac_from_resting_voltage(state.voltage_v)
+
+    def record_desk_heartbeat(self, heartbeat: DeskHeartbeat, clock: Clock) -> None:
+        """Process a verified heartbeat."""
+        self.desks.record_heartbeat(heartbeat, clock.monotonic_s(), clock.epoch_us())
 
     def record_liveliness_change(
         self, vehicle: str, instance_id: str, *, has_joined: bool
@@ -110,6 +131,11 @@ class FleetStatus:
             return []
         before = status.state
         new_doubts = self._new_doubts(before, state)
+        roster_doubt = self._roster_doubt_or_empty(status, state, received_s)
+        if roster_doubt != status.roster_doubt:
+            status.doubts = [reason for reason in status.doubts if reason != status.roster_doubt]
+            status.roster_doubt = roster_doubt
+            new_doubts += [roster_doubt] if roster_doubt else []
         messages = [f"{state.vehicle}: {reason}" for reason in new_doubts]
         status.doubts += new_doubts
         if (
@@ -123,6 +149,26 @@ class FleetStatus:
             messages.append(f"{state.vehicle}: its clock is off by {offset_s:.0f} s (display only)")
         status.clock_offset_s = offset_s
         return messages
+
+    def _roster_doubt_or_empty(self, status: VehicleStatus, state: State, now_s: float) -> str:
+        """Return the doubt by which a vehicle's roster differs from this program's; empty: none."""
+        own = self.trust.roster_stamp if self.trust is not None else ""
+        difference = RosterDifference.NONE
+        if own and isinstance(state.roster, str):
+            difference = roster_difference(state.roster, own)
+        if difference is not RosterDifference.ROLLBACK:
+            status.older_roster_since_s = None
+        match difference:
+            case RosterDifference.NONE:
+                return ""
+            case RosterDifference.FORK:
+                return f"its roster {state.roster} is a fork of {own}: was the PKI restored?"
+            case RosterDifference.NEWER:
+                return f"its roster {state.roster} is newer than {own} here: copy roster.json here"
+            case RosterDifference.ROLLBACK:
+                status.older_roster_since_s = status.older_roster_since_s or now_s
+                is_late = now_s - status.older_roster_since_s > ROSTER_DELAY_S
+                return f"its roster {state.roster} is older than {own}" if is_late else ""
 
     def _new_doubts(self, previous_state: State | None, state: State) -> list[str]:
         known = self.status_of(state.vehicle).doubts

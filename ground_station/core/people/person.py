@@ -5,15 +5,13 @@ from dataclasses import dataclass
 
 from companion.core.base.errors import LeewayError
 from companion.fleet.roles import Role
+from companion.fleet.trust import MEMBER_SEPARATOR
 
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,39}\Z")
 """Pattern of login names and mail addresses; fits into `Command.by` after `desk/`."""
 
 MAX_NAME_LENGTH = 59
 """Maximum length of a name with its member: the 64 characters of `Command.by`, less `desk/`."""
-
-MEMBER_SEPARATOR = " by way of "
-"""Separator as in `companion.fleet.member`: the claimed name, then the signing member."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,9 @@ app = typer.Typer()
 TCP_STRIDE = 10
 """ArduPilot's SITL gives instance N the port 5760 + 10 N."""
 
+PARCEL_KG = 0.4
+"""A parcel whose release shows: without one no delivery can be proven."""
+
 SPACING_M = 21.0  # as pads on which drones may climb and descend at once
 
 
@@ -127,8 +130,9 @@ def serve(
     airframe: Annotated[str, typer.Option(help="Airframe: m100 or octo8.")] = "m100",
     home: Annotated[str, typer.Option(help="LAT,LON,ALT of the first, deg, m.")] = "55.47,8.45,12",
     payload_kg: Annotated[
-        float, typer.Option(min=0.0, help="Mass of the parcel, carried throughout, kg.")
-    ] = 0.0,
+        float | None,
+        typer.Option(min=0.0, help="Mass of the parcel, kg. Default: 0.4, with --fly 0."),
+    ] = None,
     battery: Annotated[
         str,
         typer.Option(
@@ -196,7 +200,7 @@ def serve(
     if fly is not None:
         wind = build_wind_field(params, mean, np.random.default_rng(run_options().seed_or_1))
         _fly_plan_and_record(
-            console, fly, autopilot, airframe_truth, wind, payload_kg, nose_held=nose_held
+            console, fly, autopilot, airframe_truth, wind, payload_kg or 0.0, nose_held=nose_held
         )
         return
     seed_sequence = np.random.SeedSequence(run_options().seed_or_1)
@@ -218,7 +222,7 @@ def serve(
                     home_position.alt_amsl_m,
                 ),
                 wind_field=build_wind_field(params, mean, np.random.default_rng(gusts)),
-                payload_kg=payload_kg,
+                payload_kg=PARCEL_KG if payload_kg is None else payload_kg,
                 system_id=index + 1,
                 seed=sensors,
             )

@@ -13,6 +13,7 @@ from itertools import count
 
 import numpy as np
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import SubscribedCells, cell_name_or_none
@@ -206,7 +207,7 @@ class BusLink:
     tracks: list[ReceivedTrack] = field(default_factory=list)
     winds: list[bytes] = field(default_factory=list)
     cells: SubscribedCells = field(default_factory=SubscribedCells)
-    """Track cells that this member subscribes to."""
+    trust: None = None
     fleets: frozenset[str] = frozenset()
     """Neighbouring fleets whose tracks it subscribes to."""
 
@@ -369,13 +370,12 @@ class BusFleet:
         )
         self.bus.schedule_call(wait_s, lambda: queue_response(None))
 
-    def send_winds(self, winds: SharedWinds) -> None:
-        """Send a vehicle the winds measured by others."""
-        raw = encode_message(winds)
-        for link in self.bus.links_of(winds.vehicle):
-            self.bus.send_with_delay_or_loss(
-                winds.vehicle, lambda link=link: link.winds.append(raw)
-            )
+    def publish(self, message: SharedWinds | DeskHeartbeat) -> None:
+        """Send a vehicle the winds measured by others; heartbeats are not simulated."""
+        if isinstance(message, SharedWinds):
+            name, raw = message.vehicle, encode_message(message)
+            for link in self.bus.links_of(name):
+                self.bus.send_with_delay_or_loss(name, lambda link=link: link.winds.append(raw))
 
     def neighbour_keys(self, fleet: str) -> Mapping[str, str]:
         """Return no keys: this network has no identities."""

@@ -190,11 +190,17 @@ def read_true_airframe(flight: Flight) -> AirframeTruth:
     return load_airframe(folder / f"{name}.toml")
 
 
+ONE_MINUTE_10US = 6_000_000
+"""ArduPilot starts a minute after its stored time stamp (`GCS_Signing.cpp`)."""
+
+
 def _link_signing(signing_key_file: Path | None) -> LinkSigning | None:
     return (
         None
         if signing_key_file is None
-        else Signing(signing_key_file.read_bytes(), mavlink_signing_time_10us()).link_signer(0)
+        else Signing(
+            signing_key_file.read_bytes(), mavlink_signing_time_10us() + ONE_MINUTE_10US
+        ).link_signer(0)
     )
 
 

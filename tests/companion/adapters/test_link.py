@@ -19,6 +19,7 @@ from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
 from companion.adapters.autopilots.link import TcpLink, UdpLink, open_link
 from companion.adapters.autopilots.port import AutopilotPort
 from companion.adapters.clock import STEP_THRESHOLD_S, AutopilotClock
+from companion.adapters.files.atomic_file import write_json_atomically
 from companion.adapters.files.signing_files import (
     STAMPS_NAME,
     SigningStampStore,
@@ -594,6 +595,7 @@ def signed_ago(seconds: float) -> bytes:
 
 def heard_before_a_restart(folder: Path) -> bytes:
     """Return a frame 50 s old; a later frame of its stream was received and stored."""
+    write_json_atomically(folder / STAMPS_NAME, {"9/9/9": 1})  # of an earlier process
     codec, stamps = restarted(folder)
     old = signed_ago(50.0)
     assert len(codec.parse_valid_messages(old)) == 1
@@ -612,18 +614,24 @@ def test_a_frame_of_50_s_ago_is_refused_after_a_restart_too(tmp_path):
     assert len(codec.parse_valid_messages(signed_ago(0.0))) == 1
 
 
-def test_canary_without_the_stamps_kept_a_restart_hears_a_frame_of_50_s_ago(tmp_path):
-    old = heard_before_a_restart(tmp_path)
-    (tmp_path / STAMPS_NAME).unlink()
-    codec, _ = restarted(tmp_path)
-    assert len(codec.parse_valid_messages(old)) == 1
-
-
-def test_a_broken_record_of_stamps_is_moved_aside_and_stops_nobody(tmp_path):
-    (tmp_path / STAMPS_NAME).write_text("torn")
+@pytest.mark.parametrize("record", ["absent", "torn", "empty"])
+@pytest.mark.parametrize("guarded", [True, False], ids=["refused", "canary: received again"])
+def test_without_its_stamps_a_restart_refuses_a_frame_of_50_s_ago(
+    tmp_path, monkeypatch, record, guarded
+):
+    if not guarded:
+        monkeypatch.setattr(MavlinkCodec, "refuse_streams_signed_before_start", lambda self: None)
+    old, path = heard_before_a_restart(tmp_path), tmp_path / STAMPS_NAME
+    content = path.read_bytes()
+    path.unlink()
+    if record != "absent":
+        path.write_bytes(content[:40] if record == "torn" else b"")
     codec, stamps = restarted(tmp_path)
-    assert "renamed to .broken" in stamps.error_text
+    assert len(codec.parse_valid_messages(old)) == (0 if guarded else 1)
     assert len(codec.parse_valid_messages(signed_ago(0.0))) == 1
+    line = "frames signed before this start are refused"
+    assert (line in stamps.error_text) is (record != "absent")
+    assert "\n" not in stamps.error_text
 
 
 # --- links ---------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from companion.adapters.autopilots.codec import MavlinkCodec, mavlink
+from companion.adapters.files.atomic_file import write_json_atomically
 from companion.adapters.files.folder_lock import FolderLock
 from companion.adapters.files.params import (
     flight_configuration_digest,
@@ -19,7 +20,7 @@ from companion.adapters.files.params import (
     read_flight,
     read_wind_process,
 )
-from companion.adapters.files.signing_files import SigningStampStore
+from companion.adapters.files.signing_files import STAMPS_NAME, SigningStampStore
 from companion.app.flight import run as run_module
 from companion.app.flight.loaded_flight import autopilot_parameter_requirements
 from companion.app.flight.loop import Loop
@@ -124,6 +125,8 @@ KEY = bytes(range(32))
 
 def signed_loop(folder: Path, autopilot_off_s: float) -> tuple[Station, list[float]]:
     """A loop with a key, an autopilot whose clock has an offset, and the wall clock."""
+    folder.mkdir(exist_ok=True)
+    write_json_atomically(folder / STAMPS_NAME, {"9/9/9": 1})  # of an earlier process
     made, wall = Station(folder, key=KEY), [0.0]
     made.wall_clock_s = lambda: wall[0]
     made.mav.signing.secret_key, made.mav.signing.sign_outgoing = KEY, True

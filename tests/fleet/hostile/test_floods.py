@@ -9,17 +9,24 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import psutil
 import pytest
 import zenoh
 
-from companion.fleet.messages import Command, CommandStatus
+from companion.fleet.messages import Command, CommandStatus, Refused, encode_message
 from companion.fleet.zenoh_config import read_and_check_zenoh_config
+from ground_station.adapters import fleet_inbox
 from ground_station.adapters.clock import monotonic_s
-from ground_station.adapters.fleet_inbox import STATES_PER_CYCLE, FleetInbox, MemberBox
+from ground_station.adapters.fleet_inbox import (
+    SIGNED_STATES_BURST,
+    SIGNED_STATES_HZ,
+    STATES_PER_CYCLE,
+    FleetInbox,
+    MemberBox,
+)
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import (
     CommandResponse,
@@ -40,6 +47,7 @@ from tests.fleet.strangers import (
     trust_of,
 )
 from tests.fleet.zenoh_net import FLEET, Vehicle
+from tests.ground_station.desk_parts import a_state
 
 RATE_HZ = 10_000.0
 BEHIND_HZ = [2_000.0, pytest.param(RATE_HZ, marks=pytest.mark.night)]
@@ -169,6 +177,42 @@ def test_behind_a_router_of_the_attackers_a_flood_of_forged_states_does_not_hide
     forged = trust_of(site, "d2").sign_in_envelope("state", forged_state())
     with plain_network(site, tmp_path) as plain, flood(lambda: plain.put("state", forged), rate_hz):
         hears_on_and_is_answered(plain.desk, plain.d1)
+
+
+@GUARD
+def test_so_many_signed_states_of_a_member_are_verified_and_its_newest_always(monkeypatch, guarded):
+    if not guarded:
+        monkeypatch.setattr(fleet_inbox, "SIGNED_STATES_BURST", 1e9)
+    t_s, verified = [0.0], list[bytes]()
+
+    def verify(kind: str, raw: bytes, vehicle: str) -> bytes:
+        verified.append(raw)
+        return raw
+
+    inbox = FleetInbox(verify, clock_s=lambda: t_s[0])
+    for cycle in range(100):
+        t_s[0] += 0.05
+        for k in range(500):
+            state = a_state("d1", uptime_s=float(500 * cycle + k))
+            inbox.add_state(f"leeway/{FLEET}/vehicle/d1/state", encode_message(state))
+        received = [h.state.uptime_s for h in inbox.wait_and_pop_inputs(0.0) if is_state(h)]
+        assert received == [float(500 * cycle + 499)]
+    most = SIGNED_STATES_BURST + STATES_PER_CYCLE + 100 * (0.05 * SIGNED_STATES_HZ + 1.0) + 200
+    assert (len(verified) <= most) is guarded
+
+
+def test_forged_states_use_up_no_budget_of_the_member():
+    inbox = FleetInbox(lambda kind, raw, vehicle: raw if b"true" in raw else Refused("forged"))
+    key = f"leeway/{FLEET}/vehicle/d1/state"
+    for cycle in range(50):
+        inbox.add_state(key, encode_message(a_state("d1", uptime_s=cycle, instance_id="true")))
+        for _ in range(STATES_PER_CYCLE - 1):
+            inbox.add_state(key, encode_message(a_state("d1", uptime_s=1e9)))
+        assert any(is_state(heard) for heard in inbox.wait_and_pop_inputs(0.0))
+
+
+def is_state(heard: FleetInput) -> TypeGuard[StateReceived]:
+    return isinstance(heard, StateReceived)
 
 
 # --- flood between the desk's cycles -------------------------------------------------------------

@@ -19,7 +19,7 @@ class Ear:
 
     told: list[SharedWinds] = field(default_factory=list)
 
-    def send_winds(self, winds: SharedWinds) -> None:
+    def publish(self, winds: SharedWinds) -> None:
         self.told.append(winds)
 
 

@@ -68,8 +68,8 @@ class MapEars:
         del fleet
         return {}
 
-    def send_winds(self, winds: object) -> None:
-        del winds
+    def publish(self, message: object) -> None:
+        del message
 
     def send(self, command: Command, wait_s: float) -> None:
         self.sent.append(command)

@@ -112,8 +112,12 @@ def test_beside_a_desk_it_shows_the_flight_and_goes_on_while_the_desk_is_killed(
 
         dispatching.kill()
         dispatching.wait()
+        killed_s = time.monotonic()
+        follow(client, lambda p: "no heartbeat of desk" in p.get("desk_alarm", ""))
+        assert time.monotonic() - killed_s < 10.0
         drone.phase = "return"
         desk.desk()  # the network's router: all members connect to it
+        follow(client, lambda p: "desk_alarm" not in p)
         follow(client, lambda p: p["drones"]["d1"]["phase"] == "return")
         drone.land()
         follow(client, lambda p: p["orders"]["H-1"]["state"] == "delivered")

@@ -127,7 +127,7 @@ function show(picture, serverUs) {
   if (!fitted && places().length) [fitted] = [true, fit()];
   if (first) ask();
   if (first) showGround(picture);
-  if (!past) tell("live", "live");
+  if (!past) picture.desk_alarm ? tell("lost", picture.desk_alarm) : tell("live", "live");
   redraw();
 }
 

@@ -67,7 +67,7 @@ class WindPublisher:
             if winds is not None:
                 last_report.sent_s = now_s
                 last_report.front_repeats += 1
-                self.fleet.send_winds(winds)
+                self.fleet.publish(winds)
 
     def _vehicles_due_for_report(
         self, status: FleetStatus, front: WindFront | None, now_s: float

@@ -25,7 +25,8 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.orders import OrderRow, OrderState
 from sim_bridge.adapters.endpoint import find_free_tcp_port
 from sim_bridge.research.benchmarks.fleet_bench.desk_process import LANDING_TIMEOUT_S
-from sim_bridge.research.benchmarks.fleet_bench.processes import start_router
+from sim_bridge.research.benchmarks.fleet_bench.hostile import HOSTILE
+from sim_bridge.research.benchmarks.fleet_bench.processes import BenchProcess, start_router
 from sim_bridge.research.benchmarks.fleet_bench.region import JOIN_LIMIT_S, LOAD_LIMIT_S, Region
 from sim_bridge.research.study.run import Report
 from sim_bridge.research.study.sheet import Sheet
@@ -46,7 +47,8 @@ class BenchRequest:
     identities, TLS and signatures as created by `ground-station pki`. `flight_s`: shortest and
     longest flight time of a member. `state_interval_s`: interval between states of a member; a
     companion uses 1. `join_delay_s`: delay between joins of member processes; with 0 all members
-    of a region join at the same time.
+    of a region join at the same time. `hostile_messages`: a member of the first region floods its
+    own key with so many, beside a thousandth as many idle connections; requires `tls`.
     """
 
     vehicles: int
@@ -61,6 +63,7 @@ class BenchRequest:
     flight_s: tuple[float, float] = (50.0, 70.0)
     state_interval_s: float = 1.0
     join_delay_s: float = 0.0
+    hostile_messages: int = 0
 
 
 def build_fleet_benchmark_report(results: Results) -> Report:
@@ -83,6 +86,8 @@ def run_fleet_benchmark(
         raise LeewayError(f"--desks {request.desks}: expected at most one for each vehicle")
     if request.tls and request.routers:
         raise LeewayError("--tls: members connect to desks directly; leave out --routers")
+    if request.hostile_messages and not request.tls:
+        raise LeewayError("--hostile: its messages are signed; add --tls")
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="leeway-bench-")))
         urls = _create_empty_store_urls(request, folder)
@@ -103,6 +108,7 @@ def run_fleet_benchmark(
         "order_every_s": request.order_interval_s,
         "states_every_s": request.state_interval_s,
         "join_apart_s": request.join_delay_s,
+        "hostile_messages": request.hostile_messages or None,
         **results,
     }
 
@@ -156,6 +162,7 @@ class _BenchRun:
         ]
         join_times_s = [time_s for _, time_s in joins if time_s is not None]
         self.report_progress(f"members fly orders for {self.request.minutes:g} min")
+        hostile = self._start_hostile_member()
         since_s, size_bytes = wall_s(), sum(map(_store_size_bytes, self.urls))
         for region in self.regions:
             region.desk.write_line(f"fly {since_s}")
@@ -171,6 +178,10 @@ class _BenchRun:
         members_load = (self._members_cpu_s() - members_before_s) / flown_s
         store_increase_mb = (sum(map(_store_size_bytes, self.urls)) - size_bytes) / 1e6
         hours = (wall_s() - since_s) / 3600.0
+        if hostile is not None:
+            words = hostile.read_line(0.0)
+            self.report_progress(f"hostile messages, s: {words or 'not all sent'}")
+            hostile.kill()
         self.report_progress("no more orders; airborne members land")
         until_s = wall_s() + 2.0 * LANDING_TIMEOUT_S
         for region in self.regions:
@@ -194,6 +205,19 @@ class _BenchRun:
             "desk_back_s": _max_of_all_or_none(backs, len(self.regions)),
             **self._compare_flown_and_stored_orders(flown),
         }
+
+    def _start_hostile_member(self) -> BenchProcess | None:
+        count, region = self.request.hostile_messages, self.regions[0]
+        if not count:
+            return None
+        return BenchProcess.start(
+            "hostile",
+            fleet=region.fleet,
+            config=Path(region.desk_arguments["config"]).with_name(HOSTILE),
+            port=region.port,
+            messages=count,
+            connections=count // 1000,
+        )
 
     def _members_cpu_s(self) -> float:
         """Return the CPU time used by all member processes."""

@@ -17,7 +17,7 @@ from companion.fleet.zenoh_config import LEASE_MS, RECONNECT_MS
 from ground_station.adapters.pki.access_rules import CONNECTION_LIMITS
 from sim_bridge.adapters.lifeline import code_tied_to_parent_process
 
-ROLES = {"members": "members", "desk": "desk_process", "router": "processes"}
+ROLES = {"members": "members", "desk": "desk_process", "router": "processes", "hostile": "hostile"}
 """Module of each role, with a function `run_ROLE` that never returns."""
 
 QUIET = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}

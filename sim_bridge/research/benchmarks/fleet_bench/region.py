@@ -13,6 +13,7 @@ from companion.fleet.roles import Role
 from ground_station.adapters.pki.pki_folder import MEMBERS_FOLDER, PkiFolder, utc_datetime
 from sim_bridge.adapters.endpoint import find_free_tcp_port
 from sim_bridge.research.benchmarks.fleet_bench.desk_process import DeskLine
+from sim_bridge.research.benchmarks.fleet_bench.hostile import HOSTILE
 from sim_bridge.research.benchmarks.fleet_bench.processes import (
     BenchProcess,
     write_desk_config,
@@ -38,6 +39,7 @@ class Region:
     vehicles: range
     desk_arguments: dict[str, Any]
     desk: BenchProcess
+    port: int
     members: list[BenchProcess] = field(default_factory=list)
     cpu_s: float = 0.0
     rss_mb: float = 0.0
@@ -70,14 +72,15 @@ class Region:
         if uses_identities:
             pki = PkiFolder.create_fleet(folder / fleet, fleet, utc_datetime(unix_time_us()))
             pki.add_member(DESK, Role.DESK, VALID_DAYS, f"127.0.0.1:{ports[0]}")
-            pki.add_members([f"v{number}" for number in vehicles], Role.VEHICLE, VALID_DAYS)
+            names = [*(f"v{number}" for number in vehicles), HOSTILE]
+            pki.add_members(names, Role.VEHICLE, VALID_DAYS)
             config = configs / DESK
         else:
             config = write_desk_config(
                 folder / f"{fleet}.json5", ports, connects_to_routers=bool(router_ports)
             )
         arguments = desk | {"fleet": fleet, "vehicle_count": len(vehicles), "config": config}
-        region = cls(fleet, vehicles, arguments, BenchProcess.start("desk", **arguments))
+        region = cls(fleet, vehicles, arguments, BenchProcess.start("desk", **arguments), ports[0])
         for first in vehicles[::members_per_process]:
             port = next(next_router_port, ports[0])
             process = BenchProcess.start(
