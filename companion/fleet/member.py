@@ -21,6 +21,7 @@ from companion.fleet.command_log import (
     CommandLog,
     CommandReply,
     command_log_from_dict,
+    reply_outside_launch_window,
 )
 from companion.fleet.event_log import EventLog
 from companion.fleet.messages import (
@@ -208,11 +209,11 @@ class FleetMember:
     def _execute_record_and_log_command(
         self, command: Command, execute: Callable[[Command], CommandReply]
     ) -> CommandReply:
-        verdict = execute(command)
+        outside = reply_outside_launch_window(command, self.instance_id, self.uptime_s)
+        verdict = outside or execute(command)
         self.command_log.record_final_reply_or_remove_command(command, verdict)
         self.save_command_log(sync_folder=isinstance(command.action, NOT_REPEATABLE))
-        label = f"{_command_label(command)} by {command.by}"
-        text = f"{label}: {verdict.status.value} {verdict.reason}"
+        text = f"{_command_label(command)} by {command.by}: {verdict.status.value} {verdict.reason}"
         self.record_event(EventKind.COMMAND, text.strip())
         return verdict
 

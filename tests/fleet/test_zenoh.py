@@ -30,6 +30,7 @@ from ground_station.core.fleet.fleet_link import (
     MessageRejected,
     StateReceived,
 )
+from tests.fleet.wire import valid_from
 from tests.fleet.zenoh_net import FLEET, HERE, Vehicle, config_file, free_port
 
 PATIENCE_S = 20.0
@@ -95,6 +96,7 @@ def net(tmp_path: Path) -> Iterator[tuple[Callable[..., Vehicle], Callable[[], D
 
 def a_command(vehicle: Vehicle, deed: CommandAction, id_: str = "c1") -> Command:
     port = vehicle.port
+    deed = valid_from(deed, port.member.instance_id, port.member.uptime_s)
     return Command(
         id=id_,
         vehicle=port.member.vehicle,

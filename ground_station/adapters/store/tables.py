@@ -29,6 +29,7 @@ from ground_station.core.schema.orders import IN_FORCE
 SCHEMA = 3
 """Schema that `migrations` upgrades a store to; the table `about` contains a store's schema."""
 
+EPOCHS_KEY = "epochs"  # name in `about` of the epochs of this store; the last is in force
 DEPOT_KEY = "depot"  # name in `about` of the depot's location; absent on a day with a truck
 
 metadata = MetaData()
