@@ -1,55 +1,53 @@
-"""A desk in a separate process, for tests that kill it: URL, number of orders, vehicles.
+"""A depot desk in a separate process, for tests that kill it: URL, identity, launch gap.
 
-Accepts orders and acknowledges them, assigns, launches. Commands are lines on stdout; replies and
-the vehicles' events arrive on stdin.
+Its clock runs `SPEED` times as fast as that of the machine.
 """
 
-import json
+import dataclasses
 import sys
-from typing import Any
+from pathlib import Path
 
 import msgspec
 
-from companion.fleet.messages import CommandStatus, FleetEvent
+from companion.fleet.membership import JoinOptions
+from ground_station.adapters.clock import WallClock
+from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
-from ground_station.core.schema.orders import AssignmentState, Order, OrderState
+from ground_station.adapters.zenoh_fleet import ZenohFleet
+from ground_station.app.desk import exchange
+from ground_station.app.desk.depot_dispatcher import DepotParams
+from ground_station.app.desk.open_desk import open_depot_desk
+from tests.fleet.zenoh_net import FLEET
+
+SPEED = 5.0
+DRONES = ("d1", "d2", "d3")
+DAY = Path(__file__).parents[3] / "params" / "days" / "harbour.toml"
 
 
-def ask(**line: Any) -> dict[str, Any]:
-    print(json.dumps(line), flush=True)
-    return json.loads(sys.stdin.readline())
+class FastClock(WallClock):
+    """The time of this test."""
+
+    def monotonic_s(self) -> float:
+        return SPEED * super().monotonic_s()
 
 
-def main(url: str, count: int, vehicles: int) -> None:
-    store = Store(Database(url), lambda: 1)
-    for n in range(count):
-        order = Order(id=f"o{n}", lat_deg=55.0, lon_deg=8.0, alt_amsl_m=0.0, mass_kg=0.1)
-        if store.add_orders_unless_conflict([order]).added:
-            ask(acknowledged=order.id)
-        work(store, vehicles)
-    while any(row.state is not OrderState.DELIVERED for row in store.orders()):
-        work(store, vehicles)
-    print(json.dumps({"over": True}), flush=True)
-
-
-def work(store: Store, vehicles: int) -> None:
-    for row in store.orders():
-        if row.state is OrderState.OPEN:
-            for k in range(vehicles):
-                if store.assign_order(row.order.id, f"d{k}", {"format": "flight/1"}, None, "desk"):
-                    break
-    for row in store.assignments(in_force=True):
-        if row.state is AssignmentState.UPLOADED:
-            store.launch(row.id, "desk")
-    for command in store.outbox():
-        said = ask(
-            send=command.id, vehicle=command.vehicle, deed=msgspec.to_builtins(command.command)
-        )
-        store.record_and_apply_response(command.id, CommandStatus(said["answer"]), "", said["life"])
-    said = ask(events=True)
-    store.record_event_batches([(msgspec.convert(said["events"], list[FleetEvent]), False)])
+def main(url: str, identity: str, gap_s: float) -> None:
+    exchange.RESPONSE_TIMEOUT_S /= SPEED
+    clock = FastClock()
+    fleet = ZenohFleet(FLEET, None, JoinOptions(Path(identity)))
+    store = Store(Database(url), clock.epoch_us)
+    params = DepotParams(launch_gap_s=gap_s)
+    data = read_day(DAY)
+    drones = [msgspec.structs.replace(data.day.drones[0], id=name) for name in DRONES]
+    data = dataclasses.replace(data, day=msgspec.structs.replace(data.day, drones=drones))
+    desk = open_depot_desk(
+        data, store, fleet, lambda line: print(line, flush=True), params, clock=clock
+    )
+    desk.start_dispatching()
+    while True:
+        desk.run_cycle(0.02)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    main(sys.argv[1], sys.argv[2], float(sys.argv[3]))
