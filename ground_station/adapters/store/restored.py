@@ -21,10 +21,14 @@ from ground_station.adapters.store.database import (
     draw_epoch,
     store_schema_version,
 )
-from ground_station.adapters.store.lost_epochs import apply_outcome
-from ground_station.adapters.store.upgrade import upgrade_schema
 from ground_station.core.schema.holds import ALL_DRONES
-from ground_station.core.schema.orders import IN_FORCE, ROOT_CHARS
+from ground_station.core.schema.orders import (
+    IN_FORCE,
+    ROOT_CHARS,
+    AssignmentRow,
+    AssignmentState,
+    is_assignment_of_epochs_root,
+)
 
 
 class StoreHistory(msgspec.Struct, frozen=True):
@@ -61,6 +65,8 @@ def upgrade_and_hold_restored_store(
 
     A copy of an older schema is upgraded first.
     """
+    from ground_station.adapters.store.upgrade import upgrade_schema  # a desk loads no Alembic
+
     database = Database(url, create=False, any_schema=True)
     try:
         upgrade_schema(database, now_us, by)
@@ -150,3 +156,41 @@ def apply_stored_outcomes(database: Database, epoch_us: Callable[[], int]) -> No
             event = msgspec.json.decode(content, type=FleetEvent)
             if event.outcome:
                 apply_outcome(db, epoch_us(), event)
+
+
+def apply_outcome(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
+    """End a flight of this store, also one that it issued in a lost epoch."""
+    lost_row = insert_assignment_of_lost_epoch(db, now_us, event)
+    rows.apply_flight_outcome_event(db, now_us, event, lost_row)
+
+
+def insert_assignment_of_lost_epoch(
+    db: sa.Connection, now_us: int, event: FleetEvent
+) -> AssignmentRow | None:
+    """Insert an assignment that the store issued after the copy from which it was restored; other
+    assignments of its order are withdrawn. None: it is known, or of another store.
+    """
+    id_, order_id, epoch = event.assignment or "", event.order or "", epochs_of.store_epoch(db)
+    known = db.execute(sa.select(t.assignments.c.n).where(t.assignments.c.id == id_)).first()
+    order = db.execute(sa.select(t.orders).where(t.orders.c.id == order_id).with_for_update())
+    if known or order.first() is None or not is_assignment_of_epochs_root(id_, order_id, epoch):
+        return None
+    if event.delivered or event.drop_unproven or not event.home:
+        _withdraw_other_assignments(db, now_us, order_id)
+    rows.insert_assignment(db, now_us, id_, order_id, event.vehicle, state=AssignmentState.RETURNED)
+    return AssignmentRow(
+        id_, order_id, event.vehicle, AssignmentState.RETURNED, delivered=False, reason=""
+    )
+
+
+def _withdraw_other_assignments(db: sa.Connection, now_us: int, order_id: str) -> None:
+    not_started = (AssignmentState.ORDERED, AssignmentState.UPLOADED, AssignmentState.WITHDRAWING)
+    ids = sa.select(t.assignments.c.id).where(t.assignments.c.order_id == order_id)
+    for id_ in db.execute(ids).scalars().all():
+        row = rows.lock_assignment_if_in_states(db, id_, not_started)
+        if row is not None:
+            reason_text = "flown by another drone before the restore"
+            rows.end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason_text)
+            action = Withdraw(assignment=row.id)
+            new_id = f"{row.id}:superseded"
+            rows.enqueue_command(db, now_us, new_id, row.vehicle, None, action, "desk")

@@ -7,7 +7,7 @@ import pytest
 
 from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Launch, Withdraw
 from ground_station.adapters.files.day_files import read_day
-from ground_station.adapters.store import lost_epochs, tables
+from ground_station.adapters.store import restored, tables
 from ground_station.adapters.store.copies import back_up_store, restore
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
@@ -107,7 +107,7 @@ def test_an_order_flown_after_the_copy_is_delivered_and_not_flown_again(site, wi
 
 
 def test_without_the_root_in_each_id_an_order_would_be_flown_again(site, monkeypatch):
-    monkeypatch.setattr(lost_epochs, "is_assignment_of_epochs_root", lambda *given: False)
+    monkeypatch.setattr(restored, "is_assignment_of_epochs_root", lambda *given: False)
     with opened(site.url) as store:
         site.fly(store, "o2", DRONES[1])
     site.restore()
