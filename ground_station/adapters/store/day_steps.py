@@ -117,7 +117,7 @@ def sortie_from_database_row(database_row: Any, command_responses: Any) -> Sorti
         launched_us=database_row.launched_us,
         landed_us=database_row.landed_us,
         used_wh=database_row.used_wh,
-        launch_pending=any(a.answer is None for a in launch_rows),
+        launch_pending=any(a.answer is None or (a.sent and a.life is None) for a in launch_rows),
         refused_launches=sum(
             a.answer == CommandStatus.REFUSED.value and a.life is not None for a in launch_rows
         ),

@@ -318,7 +318,7 @@ class DayStore:
 
     def sorties(self) -> list[SortieRow]:
         """Return all sorties from the truck, in the order of their assignment."""
-        columns = (t.commands.c.answer, t.commands.c.life, t.commands.c.answered_us)
+        columns = [t.commands.c[one] for one in ("answer", "life", "answered_us", "sent")]
         drive_commands = sa.select(t.commands.c.id, *columns).where(
             sa.or_(*(t.commands.c.id.like(f"%:{word}") for word in ("launch%", "home%", "recover")))
         )

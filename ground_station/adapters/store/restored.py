@@ -10,8 +10,15 @@ from collections.abc import Callable, Iterable
 import msgspec
 import sqlalchemy as sa
 
-from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Withdraw
-from ground_station.adapters.store import audit_steps, hold_steps
+from companion.fleet.messages import (
+    CommandStatus,
+    Drive,
+    EventKind,
+    FleetEvent,
+    State,
+    Withdraw,
+)
+from ground_station.adapters.store import audit_steps, day_steps, hold_steps
 from ground_station.adapters.store import epoch_steps as epochs_of
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
@@ -94,7 +101,7 @@ def _begin_epoch(db: sa.Connection, replaced: StoreHistory) -> None:
     hold_steps.write_restore_record(db, hold_steps.RestoreRecord(missing=members))
 
 
-NOT_REPORTED = "has not reported"
+NOT_REPORTED, RESTORED_BY = "has not reported", "desk"
 
 
 def open_restore(database: Database) -> hold_steps.RestoreRecord | None:
@@ -139,6 +146,21 @@ def withdraw_unknown_assignment(
             id_ = f"{assignment}:unknown"
             action = Withdraw(assignment=assignment)
             rows.enqueue_command(db, now_us, id_, vehicle, None, action, "desk")
+
+
+def record_reported_truck_stop(database: Database, now_us: int, state: State) -> None:
+    """Record the truck's stop, or the one to which it drives, as ordered: the copy may lack it."""
+    with database.write() as db:
+        rows.lock_dispatch_decisions(db)
+        if state.stop is None or state.stop == day_steps.last_ordered_truck_stop(db):
+            return
+        here = {"lat_deg": state.lat_deg or 0.0, "lon_deg": state.lon_deg or 0.0}
+        number = rows.count_commands_with_id_prefix(db, "drive-") + 1
+        id_, action = f"drive-{number}", Drive(stop=state.stop, **here)
+        rows.enqueue_command(db, now_us, id_, state.vehicle, None, action, RESTORED_BY)
+        done = {"answer": CommandStatus.DONE.value, "reason": "reported after the restore"}
+        newest = sa.select(sa.func.max(t.commands.c.n)).scalar_subquery()
+        db.execute(sa.update(t.commands).where(t.commands.c.n == newest).values(**done))
 
 
 def apply_stored_outcomes(database: Database, epoch_us: Callable[[], int]) -> None:

@@ -9,6 +9,7 @@ from ground_station.adapters.store import restored
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.exchange import FleetExchange
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES
+from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import AssignmentState
 
 
@@ -80,7 +81,11 @@ class RestoreEvidence:
                 )
                 return f"carries {state.assignment}, unknown here: it is withdrawn"
         wait_s = MAX_LAUNCH_VALIDITY_S - (state.uptime_s - first.uptime_s)
-        return "may receive an earlier launch" if wait_s > 0.0 else ""
+        if wait_s > 0.0:
+            return "may receive an earlier launch"
+        if name == TRUCK:
+            restored.record_reported_truck_stop(self.store.database, self.epoch_us(), state)
+        return ""
 
     def _log_unsettled_orders(self, exchange: FleetExchange) -> None:
         """Log the assignments that no member reports, with the command that settles each."""

@@ -9,6 +9,7 @@ from companion.fleet.messages import CommandStatus, EventKind, FleetEvent, Launc
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store import restored, tables
 from ground_station.adapters.store.copies import back_up_store, restore
+from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.restored import read_history, upgrade_and_hold_restored_store
@@ -207,3 +208,11 @@ def test_a_desk_that_runs_while_its_store_is_restored_ends(site):
         site.restore()
         with pytest.raises(Exception, match="restored while this desk ran"):
             site.run(desk, 2)
+
+
+def test_the_stop_that_the_truck_reports_is_the_one_to_which_it_was_ordered(site):
+    with opened(site.url) as store:
+        truck = a_state("truck", phase="at_stop", stop="stop-3")
+        restored.record_reported_truck_stop(store.database, 1, truck)
+        day = DayStore(store.database, lambda: 1)
+        assert (day.last_ordered_truck_stop(), store.outbox()) == ("stop-3", [])
