@@ -1,7 +1,9 @@
 """Access to SQLite (WAL) or PostgreSQL by URL: transactions, and translated errors."""
 
 import os
+import secrets
 import sqlite3
+import string
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -23,6 +25,7 @@ from sqlalchemy.exc import (
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.store import audit_steps, tables
 from ground_station.adapters.store.outage import Outage
+from ground_station.core.schema.orders import EPOCH_CHARS, ROOT_CHARS
 
 Value = TypeVar("Value")
 
@@ -42,6 +45,7 @@ SERVER_TIMEOUTS = {
 }
 """libpq: an unresponsive server counts as lost after `LOCK_TIMEOUT_MS`, not after two hours."""
 
+EPOCH_ALPHABET = string.ascii_lowercase + string.digits
 SCHEMA_LOCK = 0x4C454557
 """PostgreSQL advisory lock: desks that start together create the tables once."""
 
@@ -113,6 +117,7 @@ class Database:
                 db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
             if store_schema_version(db) is None:
                 _create_tables(db)
+            _begin_epoch_if_missing(db)
 
     def close(self) -> None:
         """Close all connections."""
@@ -224,6 +229,23 @@ def require_current_schema(schema_version: int | None, shown_store_url: str) -> 
     raise StoreError(
         f"store {shown_store_url}: schema {schema_version}, expected {tables.SCHEMA}: {remedy}"
     )
+
+
+def _begin_epoch_if_missing(db: sa.Connection) -> None:
+    """Begin an epoch: the store is new, or of a version without them."""
+    known = sa.select(tables.about.c.name).where(tables.about.c.name == tables.EPOCHS_KEY)
+    if db.execute(known).first() is None:
+        value = msgspec.json.encode([draw_epoch([])]).decode()
+        db.execute(sa.insert(tables.about).values(name=tables.EPOCHS_KEY, value=value))
+
+
+def draw_epoch(earlier: list[str]) -> str:
+    """Return an epoch of the same store that differs from the earlier ones."""
+    while True:
+        drawn = "".join(secrets.choice(EPOCH_ALPHABET) for _ in range(EPOCH_CHARS))
+        epoch = earlier[-1][:ROOT_CHARS] + drawn[ROOT_CHARS:] if earlier else drawn
+        if epoch not in earlier:
+            return epoch
 
 
 def _create_tables(db: sa.Connection) -> None:
