@@ -69,7 +69,7 @@ def open_depot_desk(
     monitor = _open_site_monitor(data, store, wind, watch, clock, log)
     exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
     drones = frozenset(drone.id for drone in data.day.drones)
-    return Desk(exchange, dispatcher, monitor, drones)
+    return Desk(exchange, dispatcher, monitor, members=drones)
 
 
 def open_truck_desk(
@@ -111,7 +111,7 @@ def open_truck_desk(
     monitor = _open_site_monitor(data, store, wind, watch, day_clock, log, day.sorties)
     exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
     members = frozenset(drone.id for drone in data.day.drones)
-    return Desk(exchange, dispatcher, monitor, members)
+    return Desk(exchange, dispatcher, monitor, members=members)
 
 
 def _open_forecast_monitor(
