@@ -114,6 +114,10 @@ class State(WireMessage, frozen=True, kw_only=True):
     """Probability of returning if it turns back now."""
     p_success: Probability | None = None
     """Probability of delivering and returning."""
+    p_home_limit: Probability | msgspec.UnsetType = msgspec.UNSET
+    """Limit of evidence: the largest P(home) that is stated to people. Older readers reject a state
+    that has it.
+    """
     wind_to_n_mps: float | None = None
     """Wind, north component of the direction TO."""
     wind_to_e_mps: float | None = None

@@ -492,6 +492,7 @@ class _Replay:
                 kind,
                 reason,
                 seen.p_home if seen else None,
+                seen.p_home_stated if seen else None,
                 seen.p_home_now if seen else None,
                 seen.p_success if seen else None,
                 seen.margin_wh if seen else None,

@@ -172,8 +172,8 @@ class Recorder:
         match action:
             case Decision():
                 promise = (
-                    f" [p_home {action.p_home:.4f}, margin {action.margin_wh:.1f} Wh]"
-                    if action.p_home is not None and action.margin_wh is not None
+                    f" [P(home): {action.p_home_text}, margin {action.margin_wh:.1f} Wh]"
+                    if action.p_home_text is not None and action.margin_wh is not None
                     else ""
                 )
                 self.submit_text_log_line(t_s, f"{action.kind}: {action.reason}{promise}")

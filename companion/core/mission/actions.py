@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, field
 from enum import Enum
 
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, AlertParameter, Severity
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
@@ -213,9 +214,17 @@ class Decision(Action):
     kind: str
     reason: str
     p_home: float | None = None
+    p_home_stated: float | None = None
     p_home_now: float | None = None
     p_success: float | None = None
     margin_wh: float | None = None
+
+    @property
+    def p_home_text(self) -> str | None:
+        """P(home) as stated to people."""
+        if self.p_home is None or self.p_home_stated is None:
+            return None
+        return home_probability_text(self.p_home, self.p_home_stated)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +233,7 @@ class AssessmentReport(Action):
 
     t_s: float
     p_home: float
+    p_home_stated: float
     p_home_now: float
     p_success: float
     margin_wh: float

@@ -203,6 +203,7 @@ class FlightContext:
                 kind,
                 reason,
                 assessment.p_home if assessment else None,
+                assessment.p_home_stated if assessment else None,
                 assessment.p_home_now if assessment else None,
                 assessment.p_success if assessment else None,
                 assessment.margin_wh if assessment else None,

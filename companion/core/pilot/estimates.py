@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, field
 
 from companion.core.base.geo import Ned
 from companion.core.certificate.certificate import Certificate
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.certificate.watch import EnvelopeMonitor
 from companion.core.mission.actions import AlertReport, LogNote, mask_numbers
 from companion.core.mission.alerts import Alert
@@ -87,7 +88,10 @@ class FlightEstimates:
         self._energy = FlightEnergyEstimator(
             flight.vehicle, airframe, route_energy, self._tally, monitor_corrections, certificate
         )
-        self.gate = FlightGate(route_energy, self._outlook, self._shared)
+        self.evidence = RiskEvidence(wind_process, certificate)
+        self.gate = FlightGate(
+            route_energy, self._outlook, self._shared, self.evidence.p_home_limit
+        )
         self._watch = EnvelopeMonitor(certificate)
         # Uses the file's own process, because the monitor tests that process.
         self._nominal_outlook = WindOutlook(wind_process) if is_wind_suspect else self._outlook

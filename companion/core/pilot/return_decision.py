@@ -430,5 +430,11 @@ def _apply_operator_limits(context: FlightContext, event: LimitsChanged) -> None
     )
     context.estimates.set_accepted_limits(limits)
     max_loss, reserve_frac = limits.max_loss, limits.reserve_frac
-    context.report_alert(Alert.LIMITS_CHANGED, max_loss=max_loss, reserve_frac=reserve_frac)
+    missing = context.estimates.evidence.missing_support_text(max_loss)
+    context.report_alert(
+        Alert.LIMITS_CHANGED,
+        max_loss=max_loss,
+        reserve_frac=reserve_frac,
+        evidence=missing and f"; {missing}",
+    )
     context.record_decision("limits", f"max_loss {max_loss:g}, reserve {reserve_frac:g}")

@@ -45,8 +45,9 @@ _TIE = 0.002  # probability: below the promise, continue only if turning back is
 def format_distinct_probabilities(low: float, high: float) -> tuple[str, str]:
     """Format two probabilities with enough digits to show which is lower."""
     for digits in range(3, 7):
-        if f"{low:.{digits}f}" != f"{high:.{digits}f}":
-            return f"{low:.{digits}f}", f"{high:.{digits}f}"
+        texts = f"{low:.{digits}f}", f"{high:.{digits}f}"
+        if texts[0] != texts[1] and not (high < 1.0 and texts[1].startswith("1")):
+            return texts
     return f"{low:.9f}", f"{high:.9f}"
 
 
@@ -62,12 +63,14 @@ class GateParams:
     `min_success`: the gate turns back, at departure and in flight, if P(success) is lower: without
     a delivery there is no reason to fly, however safe. Default: less than one delivery in twenty
     flights; the 128 policy samples have a standard error of 0.02 there, so that it is not 0.
+    `p_home_limit`: limit of evidence of stated probabilities (`RiskEvidence`); decides nothing.
     """
 
     max_loss: float
     reserve_wh: float
     min_success: float = 0.05
     samples: int = 256
+    p_home_limit: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +94,12 @@ class Assessment:
     energy_left_wh: float
     energy_need_wh: float
     reason: str
+    p_home_limit: float = 1.0
+
+    @property
+    def p_home_stated(self) -> float:
+        """P(home) as stated to people: at most the limit of evidence."""
+        return min(self.p_home, self.p_home_limit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,8 +320,8 @@ class Gate:
             evaluation, remaining, wind_estimate, energy, accepted, decision
         )
 
-    @staticmethod
     def _build_assessment(
+        self,
         evaluation: _Evaluation,
         remaining: RemainingMission,
         wind_estimate: WindBelief,
@@ -337,4 +346,5 @@ class Gate:
             energy_left_wh=energy.mean_wh,
             energy_need_wh=budget.scale * float(need.mean()),
             reason=decision.reason,
+            p_home_limit=self.params.p_home_limit,
         )

@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from companion.core.base.probability import home_probability_text
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.flight.stage import Script
 from sim_bridge.app.flight.vehicle_process import Craft
@@ -134,7 +135,9 @@ def _live_view_cells(vehicle: VehicleStatus) -> list[str]:
         f"{vehicle.up_m:.0f}",
         _format_wind(named_values, ""),
         f"{named_values['LW_MARGIN']:+.1f}" if "LW_MARGIN" in named_values else "-",
-        f"{named_values['LW_PHOME']:.3f}" if "LW_PHOME" in named_values else "-",
+        home_probability_text(named_values["LW_PHOME"], named_values["LW_PSTATED"])
+        if "LW_PHOME" in named_values and "LW_PSTATED" in named_values
+        else "-",
     ]
 
 
@@ -204,7 +207,9 @@ def results_table(result: dict[str, Any], *, gate_enabled: bool) -> RenderableTy
             _format_number(row["flight_time_s"], 0),
             _format_number(row["wind_rmse_mps"], 2),
             _format_number(row["wind_nees"], 2),
-            _format_number(row["p_home_min"], 3),
+            "-"
+            if row["p_home_min"] is None
+            else home_probability_text(row["p_home_min"], row["p_home_stated_min"]),
             _format_clairvoyant(row),
         )
         messages = ", ".join(_notable_decision_names_with_counts(row["decisions"])) or "nothing"

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from companion.adapters.files.params import read_airframe, read_wind_process
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
     Action,
@@ -101,6 +102,7 @@ class ScriptedJudge:
     restored: bool = False
     envelope_exit_texts: tuple[str, ...] = ()
     air: Air | None = None
+    evidence: RiskEvidence = field(default_factory=lambda: RiskEvidence(WIND_PROCESS))
 
     def fix_air_properties(self, air: Air) -> None:
         self.air = air

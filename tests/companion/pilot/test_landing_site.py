@@ -571,7 +571,7 @@ REFUSALS: list[tuple[str, Phase, str, Callable[[World], None], ResponseStatus, s
     (
         "the gate, on the way out", Phase.OUTBOUND, "stop-3",
         lambda w: w.judge.p_home_by.update({"stop-3": 0.95}),  # type: ignore[attr-defined]
-        ResponseStatus.DENIED, "P(home) 0.950 at stop-3",
+        ResponseStatus.DENIED, "P(home) at stop-3: 0.9500",
     ),
     (
         "the gate, on the way home", Phase.RETURN, "stop-3",

@@ -88,6 +88,7 @@ class FlightReports:
             values |= {
                 "LW_MARGIN": seen.margin_wh,
                 "LW_PHOME": seen.p_home,
+                "LW_PSTATED": seen.p_home_stated,
                 "LW_PHNOW": seen.p_home_now,
                 "LW_PSUCC": seen.p_success,
             }
@@ -101,6 +102,7 @@ def _assessment_report(assessment: Assessment) -> AssessmentReport:
     return AssessmentReport(
         assessment.t_s,
         assessment.p_home,
+        assessment.p_home_stated,
         assessment.p_home_now,
         assessment.p_success,
         assessment.margin_wh,
