@@ -5,22 +5,15 @@ The truth is unknown. Figures that need it (wind error, clairvoyant result) are 
 
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+from companion.core.mission.actions import Decision
 from sim_bridge.app.flight.judge import WIND_SETTLING_S, wind_rmse_and_nees
 
-DECISION_KEYS = (
-    "t_s",
-    "kind",
-    "p_home",
-    "p_home_stated",
-    "p_home_now",
-    "p_success",
-    "margin_wh",
-    "reason",
-)
+DECISION_KEYS = tuple(each.name for each in fields(Decision))
 
 
 def flight_row_from_companion_result(
