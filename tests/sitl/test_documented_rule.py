@@ -63,11 +63,21 @@ def mismatches(result: dict[str, Any], home: str = "depot") -> list[str]:
 @pytest.mark.drawn(keep=4)
 @pytest.mark.parametrize("seed", range(1, 201))
 def test_the_documented_rule_predicts_each_decision(seed: int, tmp_path: Path) -> None:
-    text = (ROOT / "params/flights/default.toml").read_text()
-    charge = np.random.default_rng(seed).uniform(0.45, 0.85)
-    assert "charge_frac = 0.8" in text
-    text = text.replace("charge_frac = 0.8", f"charge_frac = {charge:.3f}")
-    text = text.replace("../sites/", f"{ROOT}/params/sites/")
+    text, random = (ROOT / "params/flights/default.toml").read_text(), np.random.default_rng(seed)
+    for shipped, drawn in (
+        ("charge_frac = 0.8", f"charge_frac = {random.uniform(0.56, 0.85):.3f}"),
+        (
+            "t_s = 160.0, speed_mps = 12.0",
+            f"t_s = {random.uniform(80.0, 200.0):.1f}, speed_mps = 13.0",
+        ),
+        (
+            "speed_mps = 13.0, from_deg = 76.0 },\n]",
+            f"speed_mps = {random.uniform(9.0, 16.0):.2f}, from_deg = 76.0 }},\n]",
+        ),
+        ("../sites/", f"{ROOT}/params/sites/"),
+    ):
+        assert shipped in text
+        text = text.replace(shipped, drawn)
     (tmp_path / "flight.toml").write_text(text)
     autopilot = "px4" if seed % 2 else "ardupilot"
     (flown,) = fly(tmp_path / "flight.toml", autopilot=autopilot, seed=seed, runs=tmp_path)

@@ -11,7 +11,6 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from companion.core.base.probability import home_probability_text
 from sim_bridge.adapters.wall_clock import wall_s
 from sim_bridge.app.flight.stage import Script
 from sim_bridge.app.flight.vehicle_process import Craft
@@ -135,10 +134,15 @@ def _live_view_cells(vehicle: VehicleStatus) -> list[str]:
         f"{vehicle.up_m:.0f}",
         _format_wind(named_values, ""),
         f"{named_values['LW_MARGIN']:+.1f}" if "LW_MARGIN" in named_values else "-",
-        home_probability_text(named_values["LW_PHOME"], named_values["LW_PSTATED"])
-        if "LW_PHOME" in named_values and "LW_PSTATED" in named_values
-        else "-",
+        _p_home_cell(named_values.get("LW_PHOME"), named_values.get("LW_PSTATED")),
     ]
+
+
+def _p_home_cell(p_home: float | None, p_home_stated: float | None) -> str:
+    """Return P(home) as stated to people in a narrow column; * where the evidence limits it."""
+    if p_home is None or p_home_stated is None:
+        return "-"
+    return f"{math.floor(1e3 * p_home_stated) / 1e3:.3f}{'*' if p_home_stated < p_home else ''}"
 
 
 def _format_wind(named_values: Mapping[str, float], unit: str) -> str:
@@ -207,14 +211,12 @@ def results_table(result: dict[str, Any], *, gate_enabled: bool) -> RenderableTy
             _format_number(row["flight_time_s"], 0),
             _format_number(row["wind_rmse_mps"], 2),
             _format_number(row["wind_nees"], 2),
-            "-"
-            if row["p_home_min"] is None
-            else home_probability_text(row["p_home_min"], row["p_home_stated_min"]),
+            _p_home_cell(row["p_home_min"], row["p_home_stated_min"]),
             _format_clairvoyant(row),
         )
         messages = ", ".join(_notable_decision_names_with_counts(row["decisions"])) or "nothing"
         decision_lines.append(Text(f"{number} decided: {messages}"))
-    return Group(table, "", *decision_lines)
+    return Group(table, "* limit of evidence; flights.json has the model's", *decision_lines)
 
 
 def grounding_findings_or_kill_messages(row: dict[str, Any]) -> list[str]:
