@@ -24,7 +24,7 @@ COLUMNS: tuple[tuple[str, JustifyMethod, int], ...] = (
     ("height\nm", "right", 6),
     ("wind m/s\nfrom deg", "right", 13),
     ("margin\nWh", "right", 6),
-    ("P\nhome", "right", 5),
+    ("P\nhome", "right", 6),
 )
 """Columns of the live view: name, justification, minimum width."""
 ROUTINE_DECISIONS = {"planned", "read_back", "authorised", "onward", "looked_again", "finished"}
