@@ -56,6 +56,12 @@ def mismatches(result: dict[str, Any], home: str = "depot") -> list[str]:
     for row in result["assessments"]:
         if start_s < row["t_s"] < outbound_s - 1.5 and turns_back(row):
             found.append(f"{row['t_s']}: predicted to turn back, and flew on")
+    answered_s = min(
+        (r["t_s"] for r in decisions if r["kind"] in ("divert", "divert_blocked")), default=np.inf
+    )
+    for row in result["assessments"]:
+        if outbound_s < row["t_s"] < answered_s - 1.5 and diverts_to(row, home):
+            found.append(f"{row['t_s']}: predicted {diverts_to(row, home)}, and flew home")
     return found
 
 

@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass, field
 
 from companion.core.base.geo import Ned
+from companion.core.base.probability import home_probability_text
 from companion.core.certificate.certificate import Certificate
 from companion.core.certificate.evidence import RiskEvidence
 from companion.core.certificate.watch import EnvelopeMonitor
@@ -385,5 +386,7 @@ def diversion_cause_text(
         return f"no route to {home_name}"
     low, high = format_distinct_probabilities(p_home[home_name], 1.0 - max_loss)
     margin_wh = next(site.margin_now_wh for site in sites if site.landing == home_name)
-    other = f"{rally_name} {p_home[rally_name]:.3f}" if rally_name in p_home else rally_name
-    return f"{home_name}: P(home) {low} below {high}, margin {margin_wh:.1f} Wh; {other}"
+    other = home_probability_text(p_home.get(rally_name, 0.0), 1.0)
+    return (
+        f"{home_name}: P(home) {low} below {high}, margin {margin_wh:.1f} Wh; {rally_name} {other}"
+    )

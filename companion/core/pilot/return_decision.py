@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from companion.core.base.geo import Ned, horizontal_distance_m
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.actions import OperatorResponse, ResponseStatus
 from companion.core.mission.alerts import Alert
 from companion.core.mission.event_text import DecisionEvent
@@ -223,6 +224,7 @@ class ReturnDecision:
     _promise: PromisedStop
     _flight: FlightState
     _parcel: ParcelState
+    _blocked_rally: str = ""
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Process an operator's abort, or new limits."""
@@ -359,7 +361,10 @@ class ReturnDecision:
         if flown is None or assessment is None:
             return None
         rally, home = assessment.best_landing, flown.plan.return_route_end_name
-        if rally == home or not has_clear_line_to_rally(flown, rally, here_m):
+        if rally == home:
+            return None
+        if not has_clear_line_to_rally(flown, rally, here_m):
+            self._record_blocked_diversion(context, assessment, rally, home)
             return None
         remaining = self._budget.remaining_flight(context, here_m)
         sites = sites_if_only_rally_is_safe(rally, remaining, home, context.estimates)
@@ -367,6 +372,16 @@ class ReturnDecision:
             return None
         cause = diversion_cause_text(sites, rally, home, context.estimates.limits.max_loss)
         return SaferRally(rally, cause, sites)
+
+    def _record_blocked_diversion(
+        self, context: FlightContext, assessment: Assessment, rally: str, home: str
+    ) -> None:
+        """Record once for each rally point that only an obstacle prevents a diversion to it."""
+        max_loss, site = context.estimates.limits.max_loss, assessment.site_by_name(home)
+        if rally != self._blocked_rally and site is not None and site.margin_now_wh < 0.0:
+            self._blocked_rally = rally
+            cause = diversion_cause_text(assessment.sites, rally, home, max_loss)
+            context.record_decision("divert_blocked", f"no clear line to {rally}; {cause}")
 
     def _rally_safer_than_stop(
         self, context: FlightContext, position_ned_m: Ned
@@ -394,7 +409,7 @@ class ReturnDecision:
             return None
         promise = 1.0 - context.estimates.limits.max_loss
         low, high = format_distinct_probabilities(assessment.p_home, promise)
-        cause = f"{rally}: P(home) {low} below {high}; {best} {best_p:.3f}"
+        cause = f"{rally}: P(home) {low} below {high}; {best} {home_probability_text(best_p, 1.0)}"
         return SaferRally(best, cause, None)
 
     def _process_abort(self, context: FlightContext, operator_name: str) -> bool:

@@ -102,7 +102,7 @@ def _print_estimate(result: "FlightEstimate") -> None:
         ("usable energy / reserve", f"{result.energy.mean_wh:.0f} / {result.reserve_wh:.0f} Wh"),
         ("mean energy until landing", f"{seen.energy_need_wh:.0f} Wh"),
         ("P(home) with the gate", home_probability_text(seen.p_home, seen.p_home_stated)),
-        ("P(home and delivered)", home_probability_text(seen.p_success, seen.p_home_limit)),
+        ("P(home and delivered)", f"{min(seen.p_success, seen.p_home_limit):.3f}"),
         ("accepted probability of losing the vehicle", f"{flight.mission.max_loss:g}"),
         ("return budget (gate)", "no go" if seen.turn_back else "go"),
     ):

@@ -167,16 +167,15 @@ class _VehicleLine:
                 silence_text,
                 "",
             )
+        limit = state.p_home_limit or 1.0
         return (
             seen.vehicle,
             self._phase_text(state.phase, state.stop),
             order,
             home,
             _format_number(state.margin_wh, ".1f"),
-            "-"
-            if state.p_home is None
-            else home_probability_text(state.p_home, state.p_home_limit or 1.0),
-            _format_number(state.p_success, ".3f"),
+            "-" if state.p_home is None else home_probability_text(state.p_home, limit),
+            _format_number(state.p_success and min(state.p_success, limit), ".3f"),
             silence_text,
             state.text,
         )
