@@ -317,7 +317,8 @@ class Gate:
             return f"P(success) {p_success:.3f} is below {least:g}"
         onward = p_success + required_p_home * (p_home - p_success)
         if onward < required_p_home * (chances.p_now - _VALUE_TIE):
-            return f"P(success) {p_success:.3f} does not justify flying on at P(home) {min(p_home, 0.999):.3f}"
+            home = f"P(home) {min(p_home, 0.999):.3f}"
+            return f"P(success) {p_success:.3f} does not justify flying on at {home}"
         return None
 
     def _assess_return(
