@@ -105,13 +105,17 @@ class State(WireMessage, frozen=True, kw_only=True):
     energy_left_wh: float | None = None
     """Usable energy remaining."""
     margin_wh: float | None = None
-    """Expected energy above the reserve after landing."""
+    """Energy above the need of the required P(home) from the next decision point."""
     p_home: Probability | None = None
     """Probability of returning if it flies on as planned."""
     p_home_now: Probability | None = None
     """Probability of returning if it turns back now."""
     p_success: Probability | None = None
     """Probability of delivering and returning."""
+    p_home_limit: Probability | msgspec.UnsetType = msgspec.UNSET
+    """Limit of evidence: the largest P(home) that is stated to people. Older readers reject a state
+    that has it.
+    """
     wind_to_n_mps: float | None = None
     """Wind, north component of the direction TO."""
     wind_to_e_mps: float | None = None
@@ -175,7 +179,7 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     p_home: Probability | None = None
     """Probability of returning."""
     margin_wh: float | None = None
-    """Expected energy above the reserve after landing."""
+    """The same as in the state; of an outcome: energy left above the reserve."""
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT|TAKEN)\Z")] | None = None
     """Closes an assignment: one of SUC, DEL, FAIL, ABRT and TAKEN."""
     delivered: bool | None = None

@@ -30,7 +30,11 @@ from companion.core.mission.flight_plan import (
     position_to_ned_m,
 )
 from companion.core.mission.preflight_checks import pack_mismatch_text
-from companion.core.pilot.estimates import FlightEstimates, depot_p_home_if_less_safe
+from companion.core.pilot.estimates import (
+    FlightEstimates,
+    diversion_cause_text,
+    sites_if_only_rally_is_safe,
+)
 from companion.core.pilot.return_decision import RecordedAssessment, significant_change_text
 from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
@@ -39,6 +43,7 @@ from companion.core.pilot.telemetry_state import (
 )
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.budget import Assessment, reserve_margin_text
+from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3, air_from_best_available_source
@@ -446,11 +451,12 @@ class _Replay:
             return
         remaining = route.remaining_mission(position_ned, self._estimates.payload_kg)
         depot_name, estimates = route.landing_site_name, self._estimates
-        if depot_p_home_if_less_safe(assessment, remaining, depot_name, estimates) is not None:
+        rally_name = assessment.best_landing
+        sites = sites_if_only_rally_is_safe(rally_name, remaining, depot_name, estimates)
+        if sites is not None:
             self._diverted = True
-            self._record_decision(
-                t_s, "divert", f"to {assessment.best_landing}: the depot is outside the promise"
-            )
+            cause = diversion_cause_text(sites, rally_name, depot_name, estimates.limits.max_loss)
+            self._record_decision(t_s, "divert", f"to {rally_name}: {cause}", sites)
 
     def _home_distance_m(self, telemetry: TelemetryState) -> float | None:
         if self._home is None or telemetry.position is None:
@@ -484,16 +490,7 @@ class _Replay:
             return
         self._recorded_assessment = RecordedAssessment(assessment.margin_wh, wind_ne)
 
-    def _record_decision(self, t_s: float, kind: str, reason: str) -> None:
-        seen = self._assessment
-        self._decisions.append(
-            Decision(
-                t_s,
-                kind,
-                reason,
-                seen.p_home if seen else None,
-                seen.p_home_now if seen else None,
-                seen.p_success if seen else None,
-                seen.margin_wh if seen else None,
-            )
-        )
+    def _record_decision(
+        self, t_s: float, kind: str, reason: str, sites: tuple[SiteMargin, ...] | None = None
+    ) -> None:
+        self._decisions.append(Decision.create(t_s, kind, reason, self._assessment, sites))

@@ -3,7 +3,9 @@
 from dataclasses import asdict, dataclass, field
 
 from companion.core.base.geo import Ned
+from companion.core.base.probability import home_probability_text
 from companion.core.certificate.certificate import Certificate
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.certificate.watch import EnvelopeMonitor
 from companion.core.mission.actions import AlertReport, LogNote, mask_numbers
 from companion.core.mission.alerts import Alert
@@ -26,7 +28,12 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     TelemetryState,
 )
-from companion.core.return_budget.budget import Assessment, RemainingMission
+from companion.core.return_budget.budget import (
+    Assessment,
+    RemainingMission,
+    format_distinct_probabilities,
+)
+from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.air import Air
 from companion.core.vehicle.airframe import Airframe
@@ -87,7 +94,10 @@ class FlightEstimates:
         self._energy = FlightEnergyEstimator(
             flight.vehicle, airframe, route_energy, self._tally, monitor_corrections, certificate
         )
-        self.gate = FlightGate(route_energy, self._outlook, self._shared)
+        self.evidence = RiskEvidence(wind_process, certificate)
+        self.gate = FlightGate(
+            route_energy, self._outlook, self._shared, self.evidence.p_home_limit
+        )
         self._watch = EnvelopeMonitor(certificate)
         # Uses the file's own process, because the monitor tests that process.
         self._nominal_outlook = WindOutlook(wind_process) if is_wind_suspect else self._outlook
@@ -349,18 +359,34 @@ class EstimatesSnapshot:
     outside_envelope: dict[str, str] = field(default_factory=dict)
 
 
-def depot_p_home_if_less_safe(
-    other_site_assessment: Assessment,
-    remaining: RemainingMission,
-    depot_name: str,
-    estimates: FlightEstimates,
-) -> float | None:
-    """Return P(home) at the depot if only another landing site keeps the promise, else None."""
-    routes = tuple(r for r in remaining.current_return_routes if r.landing == depot_name)
-    if not routes:
-        return 0.0
-    depot = estimates.assess(RemainingMission(routes, (), remaining.delivered))
-    if depot is None or depot.p_home >= 1.0 - estimates.limits.max_loss:
+def sites_if_only_rally_is_safe(
+    rally_name: str, remaining: RemainingMission, home_name: str, estimates: FlightEstimates
+) -> tuple[SiteMargin, ...] | None:
+    """Return the landing sites' P(home) and margins now, if home does not keep the promise and the
+    rally point is safer, else None.
+    """
+    now = estimates.assess(
+        RemainingMission(remaining.current_return_routes, (), remaining.delivered)
+    )
+    if now is None:
         return None
-    is_safer = other_site_assessment.p_home_now > depot.p_home + MIN_DIVERT_GAIN
-    return depot.p_home if is_safer else None
+    home, rally = now.site_by_name(home_name), now.site_by_name(rally_name)
+    if home is None:
+        return now.sites
+    is_safer = rally is not None and rally.p_home_now > home.p_home_now + MIN_DIVERT_GAIN
+    return now.sites if is_safer and home.p_home_now < 1.0 - estimates.limits.max_loss else None
+
+
+def diversion_cause_text(
+    sites: tuple[SiteMargin, ...], rally_name: str, home_name: str, max_loss: float
+) -> str:
+    """Return the quantities that decided a diversion, as text."""
+    p_home = {site.landing: site.p_home_now for site in sites}
+    if home_name not in p_home:
+        return f"no route to {home_name}"
+    low, high = format_distinct_probabilities(p_home[home_name], 1.0 - max_loss)
+    margin_wh = next(site.margin_now_wh for site in sites if site.landing == home_name)
+    other = home_probability_text(p_home.get(rally_name, 0.0), 1.0)
+    return (
+        f"{home_name}: P(home) {low} below {high}, margin {margin_wh:.1f} Wh; {rally_name} {other}"
+    )

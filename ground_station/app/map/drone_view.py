@@ -78,6 +78,7 @@ def _drone_with_state_shown(
         armed=bool(state.armed),
         margin_wh=state.margin_wh,
         p_home=state.p_home,
+        p_home_limit=state.p_home_limit or None,
         p_home_now=state.p_home_now,
         p_success=state.p_success,
         energy_left_wh=state.energy_left_wh,

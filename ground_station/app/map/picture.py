@@ -49,6 +49,7 @@ class DroneShown(_PicturePart, frozen=True, kw_only=True):
     armed: bool = False
     margin_wh: float | None = None
     p_home: float | None = None
+    p_home_limit: float | None = None
     p_home_now: float | None = None
     p_success: float | None = None
     energy_left_wh: float | None = None

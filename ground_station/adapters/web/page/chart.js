@@ -23,7 +23,7 @@ export function drawChart(figure, samples, maxLoss) {
   rule(picture, marginY(0), "0", least < 0 ? "limit" : "grid");
   line(picture, loss, "loss");
   line(picture, margins.map((one) => [x(one.t_us), marginY(one.margin_wh)]), "margin");
-  picture.append(svg("text", { x: LEFT, y: 9 }, "loss 1 - P(home)"), svg("text", { x: LEFT, y: 107 }, "margin"));
+  picture.append(svg("text", { x: LEFT, y: 9 }, "loss 1 - P(home), by the model"), svg("text", { x: LEFT, y: 107 }, "margin"));
   picture.append(svg("text", { x: LEFT, y: 188 }, clock(from)), svg("text", { x: WIDTH - 6, y: 188, class: "end" }, clock(to)));
   figure.replaceChildren(picture);
 }

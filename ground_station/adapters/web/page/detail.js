@@ -2,7 +2,7 @@
 
 import { $, html, keyed, say } from "./dom.js";
 import { drawChart } from "./chart.js";
-import { ago, clock, measure, figure } from "./words.js";
+import { ago, clock, figure, homeWords, measure } from "./words.js";
 
 export function drawDetail(picture, { selected, history, nowUs }) {
   const panel = $("#detail");
@@ -27,9 +27,9 @@ function droneRows(drone, nowUs) {
     ["phase", drone.phase],
     ["reason", drone.why ? `${drone.why} (${clock(drone.why_us)})` : "no decision on this flight yet"],
     ["status", drone.says ?? ""],
-    ["P(home)", figure(drone.p_home, 5)],
-    ["P(home), turning back", figure(drone.p_home_now, 5)],
-    ["P(delivered, home)", figure(drone.p_success, 4)],
+    ["P(home)", homeWords(drone.p_home, drone.p_home_limit)],
+    ["P(home), turning back", homeWords(drone.p_home_now, drone.p_home_limit)],
+    ["P(delivered, home)", drone.p_success === undefined ? "-" : figure(Math.min(drone.p_success, drone.p_home_limit ?? 1), 3)],
     ["margin", measure(drone.margin_wh, 1, "Wh")],
     ["energy left", measure(drone.energy_left_wh, 1, "Wh")],
     ["order", drone.order ? `${drone.order}${drone.delivered ? ", delivered" : ""}` : "-"],

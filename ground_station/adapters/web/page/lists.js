@@ -1,7 +1,7 @@
 // The lists: alarms, drones, truck, upcoming sorties, orders.
 
 import { $, html, keyed, remembering, say, set } from "./dom.js";
-import { clock, figure, truckWords } from "./words.js";
+import { clock, figure, homeWords, truckWords } from "./words.js";
 
 const CALM = "no alarms";
 const ORDER_RANK = { stuck: 0, assigned: 1, open: 2, delivered: 3, cancelled: 4 };
@@ -64,7 +64,7 @@ function drones(found, selected, select) {
     drone.order ?? "-",
     drone.asked ? `${drone.home ?? "-"} > ${drone.asked}` : drone.home ?? "-",
     figure(drone.margin_wh, 1),
-    figure(drone.p_home, 4),
+    homeWords(drone.p_home, drone.p_home_limit),
   ]);
 }
 

@@ -14,6 +14,13 @@ export const figure = (value, digits) => (value === undefined ? "-" : value.toFi
 // Formats a number with its unit, or "-" if unknown.
 export const measure = (value, digits, unit) => (value === undefined ? "-" : `${value.toFixed(digits)} ${unit}`);
 
+// P(home) as stated to people: at most the limit of evidence, and never rounded up.
+export function homeWords(value, limit = 1) {
+  if (value === undefined) return "-";
+  if (limit < value) return `risk at most 1 in ${Math.floor(1 / (1 - limit) + 1e-6)} (limit of evidence)`;
+  return value > 0.9999 ? "above 0.9999" : (Math.floor(1e4 * value + 1e-9) / 1e4).toFixed(4);
+}
+
 export function ago(us, nowUs) {
   return us === undefined ? "never" : `${Math.max(0, (nowUs - us) / 1e6).toFixed(0)} s ago`;
 }
