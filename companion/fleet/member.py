@@ -61,9 +61,8 @@ class _PendingCommand:
 
 @dataclass(slots=True)
 class FleetMember:
-    """`clock_s` counts the instance's seconds; `status_text` is the newest status text.
-
-    In flight the loop never waits for the `disk`: it acts after the required record is stored.
+    """`clock_s` counts the instance's seconds; `status_text` is the newest status text. In flight
+    the loop never waits for the `disk`: it acts after the required record is stored.
     """
 
     vehicle: str

@@ -52,10 +52,9 @@ MIN_DIVERT_GAIN = 0.02
 
 
 class FlightEstimates:
-    """Estimates wind and energy of one flight, and evaluates the gate with them.
-
-    Each tick updates the energy with the wind of the tick before, then the wind. A checkpoint keeps
-    every estimate except the fleet's wind.
+    """Estimates wind and energy of one flight, and evaluates the gate with them. Each tick updates
+    the energy with the wind of the tick before, then the wind. A checkpoint keeps all but the
+    fleet's wind.
     """
 
     def __init__(
@@ -76,9 +75,7 @@ class FlightEstimates:
         self._airframe = airframe
         self.route_energy = route_energy
         self.air: Air | None = None
-        """Air properties of the flight; `None` until they are fixed on the ground
-        (`fix_air_properties`).
-        """
+        """Air properties; `None` until they are fixed on the ground (`fix_air_properties`)."""
         self.payload_kg = flight.vehicle.payload_kg
         self.limits = AcceptedLimits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = wind_filter or WindEstimator(airframe)
