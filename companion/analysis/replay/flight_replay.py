@@ -30,11 +30,8 @@ from companion.core.mission.flight_plan import (
     position_to_ned_m,
 )
 from companion.core.mission.preflight_checks import pack_mismatch_text
-from companion.core.pilot.estimates import (
-    FlightEstimates,
-    diversion_cause_text,
-    sites_if_only_rally_is_safe,
-)
+from companion.core.pilot.diversion import SaferRally, safer_rally
+from companion.core.pilot.estimates import FlightEstimates
 from companion.core.pilot.return_decision import RecordedAssessment, significant_change_text
 from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
@@ -43,7 +40,6 @@ from companion.core.pilot.telemetry_state import (
 )
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.budget import Assessment, reserve_margin_text
-from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.routing.route_planner import BerPlanner, NoRoute
 from companion.core.vehicle.air import REFERENCE_DENSITY_KGPM3, air_from_best_available_source
@@ -451,12 +447,10 @@ class _Replay:
             return
         remaining = route.remaining_mission(position_ned, self._estimates.payload_kg)
         depot_name, estimates = route.landing_site_name, self._estimates
-        rally_name = assessment.best_landing
-        sites = sites_if_only_rally_is_safe(rally_name, remaining, depot_name, estimates)
-        if sites is not None:
+        safer = safer_rally(assessment.best_landing, remaining, depot_name, estimates)
+        if safer is not None:
             self._diverted = True
-            cause = diversion_cause_text(sites, rally_name, depot_name, estimates.limits.max_loss)
-            self._record_decision(t_s, "divert", f"to {rally_name}: {cause}", sites)
+            self._record_decision(t_s, "divert", f"to {safer.name}: {safer.cause}", safer)
 
     def _home_distance_m(self, telemetry: TelemetryState) -> float | None:
         if self._home is None or telemetry.position is None:
@@ -491,6 +485,7 @@ class _Replay:
         self._recorded_assessment = RecordedAssessment(assessment.margin_wh, wind_ne)
 
     def _record_decision(
-        self, t_s: float, kind: str, reason: str, sites: tuple[SiteMargin, ...] | None = None
+        self, t_s: float, kind: str, reason: str, safer: SaferRally | None = None
     ) -> None:
+        sites = safer and safer.sites
         self._decisions.append(Decision.create(t_s, kind, reason, self._assessment, sites))

@@ -3,7 +3,6 @@
 from dataclasses import asdict, dataclass, field
 
 from companion.core.base.geo import Ned
-from companion.core.base.probability import home_probability_text
 from companion.core.certificate.certificate import Certificate
 from companion.core.certificate.evidence import RiskEvidence
 from companion.core.certificate.watch import EnvelopeMonitor
@@ -28,12 +27,7 @@ from companion.core.pilot.telemetry_state import (
     WIND_MAX_AGE_S,
     TelemetryState,
 )
-from companion.core.return_budget.budget import (
-    Assessment,
-    RemainingMission,
-    format_distinct_probabilities,
-)
-from companion.core.return_budget.outcomes import SiteMargin
+from companion.core.return_budget.budget import Assessment, RemainingMission
 from companion.core.routing.leg_energy import Leg, LegKind, RouteEnergy
 from companion.core.vehicle.air import Air
 from companion.core.vehicle.airframe import Airframe
@@ -46,9 +40,6 @@ from companion.core.wind_field.shared_winds import SharedWinds
 
 EstimateMessage = LogNote | AlertReport
 """For the log, or for log and operator."""
-
-MIN_DIVERT_GAIN = 0.02
-"""Minimum gain in safety for a diversion to another landing site."""
 
 
 class FlightEstimates:
@@ -354,36 +345,3 @@ class EstimatesSnapshot:
     pack_resistance: dict[str, object] | None = None
     current_gain: tuple[float, float] | None = None
     outside_envelope: dict[str, str] = field(default_factory=dict)
-
-
-def sites_if_only_rally_is_safe(
-    rally_name: str, remaining: RemainingMission, home_name: str, estimates: FlightEstimates
-) -> tuple[SiteMargin, ...] | None:
-    """Return the landing sites' P(home) and margins now, if home does not keep the promise and the
-    rally point is safer, else None.
-    """
-    now = estimates.assess(
-        RemainingMission(remaining.current_return_routes, (), remaining.delivered)
-    )
-    if now is None:
-        return None
-    home, rally = now.site_by_name(home_name), now.site_by_name(rally_name)
-    if home is None:
-        return now.sites
-    is_safer = rally is not None and rally.p_home_now > home.p_home_now + MIN_DIVERT_GAIN
-    return now.sites if is_safer and home.p_home_now < 1.0 - estimates.limits.max_loss else None
-
-
-def diversion_cause_text(
-    sites: tuple[SiteMargin, ...], rally_name: str, home_name: str, max_loss: float
-) -> str:
-    """Return the quantities that decided a diversion, as text."""
-    p_home = {site.landing: site.p_home_now for site in sites}
-    if home_name not in p_home:
-        return f"no route to {home_name}"
-    low, high = format_distinct_probabilities(p_home[home_name], 1.0 - max_loss)
-    margin_wh = next(site.margin_now_wh for site in sites if site.landing == home_name)
-    other = home_probability_text(p_home.get(rally_name, 0.0), 1.0)
-    return (
-        f"{home_name}: P(home) {low} below {high}, margin {margin_wh:.1f} Wh; {rally_name} {other}"
-    )

@@ -6,10 +6,8 @@ point.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from companion.core.base.geo import Ned, horizontal_distance_m
-from companion.core.base.probability import home_probability_text
 from companion.core.mission.actions import OperatorResponse, ResponseStatus
 from companion.core.mission.alerts import Alert
 from companion.core.mission.event_text import DecisionEvent
@@ -17,10 +15,13 @@ from companion.core.mission.events import AbortOrdered, Event, LimitsChanged
 from companion.core.mission.flight_plan import DROP_TOTAL_S, FlightPlan
 from companion.core.mission.jump_watch import JumpType
 from companion.core.pilot.context import FlightContext, LatestAssessment
-from companion.core.pilot.estimates import (
+from companion.core.pilot.diversion import (
     MIN_DIVERT_GAIN,
+    SaferRally,
     diversion_cause_text,
-    sites_if_only_rally_is_safe,
+    has_clear_line_to_rally,
+    safer_rally,
+    stop_left_text,
 )
 from companion.core.pilot.estimators.flight_energy import valid_wind_ne_mps
 from companion.core.pilot.estimators.flight_gate import AcceptedLimits
@@ -38,9 +39,7 @@ from companion.core.pilot.transitions import FLIGHT_PHASES, RETURN_PHASES, Phase
 from companion.core.return_budget.budget import (
     Assessment,
     RemainingMission,
-    format_distinct_probabilities,
 )
-from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.return_budget.remaining_from_plan import (
     remaining_delivery,
     remaining_outbound,
@@ -205,14 +204,6 @@ def _return_route_index(
 # --- the decision --------------------------------------------------------------------------------
 
 
-class SaferRally(NamedTuple):
-    """A rally point that keeps the promise where home no longer does, and what decided it."""
-
-    name: str
-    cause: str
-    sites: tuple[SiteMargin, ...] | None
-
-
 @dataclass(slots=True, eq=False)
 class ReturnDecision:
     """Turns back when the gate is closed."""
@@ -367,11 +358,7 @@ class ReturnDecision:
             self._record_blocked_diversion(context, assessment, rally, home)
             return None
         remaining = self._budget.remaining_flight(context, here_m)
-        sites = sites_if_only_rally_is_safe(rally, remaining, home, context.estimates)
-        if sites is None:
-            return None
-        cause = diversion_cause_text(sites, rally, home, context.estimates.limits.max_loss)
-        return SaferRally(rally, cause, sites)
+        return safer_rally(rally, remaining, home, context.estimates)
 
     def _record_blocked_diversion(
         self, context: FlightContext, assessment: Assessment, rally: str, home: str
@@ -407,10 +394,10 @@ class ReturnDecision:
                 best, best_p = site.name, rally_assessment.p_home
         if best is None:
             return None
-        promise = 1.0 - context.estimates.limits.max_loss
-        low, high = format_distinct_probabilities(assessment.p_home, promise)
-        cause = f"{rally}: P(home) {low} below {high}; {best} {home_probability_text(best_p, 1.0)}"
-        return SaferRally(best, cause, None)
+        max_loss = context.estimates.limits.max_loss
+        return SaferRally(
+            best, stop_left_text(rally, assessment.p_home, max_loss, best, best_p), None
+        )
 
     def _process_abort(self, context: FlightContext, operator_name: str) -> bool:
         """Process an operator's abort: the gate closes."""
@@ -436,15 +423,6 @@ def is_low_under(position_ned_m: Ned, overhead_ned_m: Ned) -> bool:
     return (
         position_ned_m[2] > overhead_ned_m[2] + LOW_MARGIN_M
         and horizontal_distance_m(position_ned_m, overhead_ned_m) < CLIMB_RADIUS_M
-    )
-
-
-def has_clear_line_to_rally(flight_plan: FlightPlan, rally_name: str, position_ned_m: Ned) -> bool:
-    """Return whether the straight line to a rally point is clear, at its flown height."""
-    rally = next((r for r in flight_plan.plan.rally if r.name == rally_name), None)
-    level = flight_plan.plan.return_ned_m[-1]
-    return rally is not None and flight_plan.is_line_clear_with_height_change(
-        position_ned_m, rally.arrival_point_above_site(level)
     )
 
 

@@ -49,6 +49,9 @@ def test_the_tables_say_what_the_store_says(site, page):
     site.step(2)
     shown(page, "0.9987")
     assert cells(page, "d1") == ["d1", "outbound", "H-101", "depot", "12.3", "0.9987"]
+    site.fleet_link.more["d1"] = {"margin_wh": 12.34, "p_home": 0.99999, "p_home_limit": 0.9}
+    site.step(2)
+    shown(page, "risk at most 1 in 10 (limit of evidence)")
     orders = {row.order.id: row.state.value for row in site.store.orders()}
     rows = page.locator("#orders tbody tr").all()
     assert {r.locator("td").all_inner_texts()[0]: r.locator("td").all_inner_texts()[1]

@@ -16,10 +16,11 @@ from companion.core.mission.alerts import Alert
 from companion.core.mission.events import AutopilotKind, Mode, Position
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.context import FlightContext, LatestAssessment
+from companion.core.pilot.diversion import has_clear_line_to_rally
 from companion.core.pilot.flight_state import PromisedStop
 from companion.core.pilot.home_watch import HomeMonitor
 from companion.core.pilot.landing import promised_landing_sites
-from companion.core.pilot.return_decision import BudgetMonitor, has_clear_line_to_rally
+from companion.core.pilot.return_decision import BudgetMonitor
 from companion.core.pilot.transitions import RELEASED_PHASES, Phase
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute
