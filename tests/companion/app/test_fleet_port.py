@@ -377,6 +377,8 @@ class HeldDisk:
 class HandLink:
     """A manual network: requests are put in `waiting`, published messages are kept in lists."""
 
+    trust = None
+
     def __init__(self) -> None:
         self.waiting: list[MemberRequest] = []
         self.events: list[FleetEvent] = []
