@@ -40,9 +40,8 @@ def chi_square_upper_quantile(dof: float, exceedance_probability: Floats) -> Flo
 def home_probability_text(p_home: float, p_home_limit: float) -> str:
     """Return P(home) as stated to people: at most the limit of evidence, and never rounded up."""
     if p_home_limit < p_home:
-        return (
-            f"risk at most 1 in {math.floor(1.0 / (1.0 - p_home_limit) + 1e-6)} (limit of evidence)"
-        )
+        one_in = math.floor(1.0 / (1.0 - p_home_limit) + 1e-6)
+        return f"risk at most 1 in {one_in} (limit of evidence)"
     return "above 0.9999" if p_home > 0.9999 else f"{math.floor(1e4 * p_home + 1e-9) / 1e4:.4f}"
 
 

@@ -103,7 +103,7 @@ def _print_estimate(result: "FlightEstimate") -> None:
         ("mean energy until landing", f"{seen.energy_need_wh:.0f} Wh"),
         ("P(home) with the gate", home_probability_text(seen.p_home, seen.p_home_stated)),
         ("P(home and delivered)", f"{min(seen.p_success, seen.p_home_limit):.3f}"),
-        ("accepted probability of losing the vehicle", f"{flight.mission.max_loss:g}"),
+        ("accepted loss of the vehicle", f"{flight.mission.max_loss:g}"),
         ("return budget (gate)", "no go" if seen.turn_back else "go"),
     ):
         table.add_row(label, value)
@@ -126,5 +126,5 @@ def _terrain_rows(result: "FlightEstimate") -> list[tuple[str, str]]:
     return [
         ("maximum height above the depot", f"{top_m:.0f} m"),
         ("minimum height above ground", f"{clearance_m:.0f} m"),
-        ("line of sight from depot to delivery point", seen),
+        ("line of sight to the customer", seen),
     ]

@@ -75,7 +75,9 @@ def decisions_and_least_p_home(companion_result: dict[str, Any]) -> dict[str, An
     decisions = companion_result.get("decisions", [])
     return {
         "p_home_min": min((a["p_home"] for a in assessments), default=None),
-        "p_home_stated_min": min((a["p_home_stated"] for a in assessments), default=None),
+        "p_home_stated_min": min(
+            (a.get("p_home_stated", a["p_home"]) for a in assessments), default=None
+        ),
         "decisions": [{key: d.get(key) for key in DECISION_KEYS} for d in decisions],
     }
 

@@ -205,8 +205,8 @@ def _draw_energy_margins(axis, track: FlightTrack, result) -> None:
             lw=1.8,
             label="margin to the next decision, best site",
         )
-        home = next((s["landing"] for row in rows for s in row["sites"]), "")
-        now = [(row, s) for row in rows for s in row["sites"] if s["landing"] == home]
+        home = next((s["landing"] for row in rows for s in row.get("sites", ())), "")
+        now = [(row, s) for row in rows for s in row.get("sites", ()) if s["landing"] == home]
         axis.plot(
             _times_since_takeoff_s(track, [row for row, _ in now]),
             [site["margin_now_wh"] for _, site in now],

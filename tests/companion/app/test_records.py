@@ -41,8 +41,8 @@ from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
+from companion.core.mission.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.mission.events import Attitude, AutopilotDetected, AutopilotKind
-from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.ground.autopilot_settings import SettingChange
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.return_budget.outcomes import SiteMargin

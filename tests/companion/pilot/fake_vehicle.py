@@ -38,13 +38,13 @@ from companion.core.mission.actions import (
     UploadMission,
     VerifyMission,
 )
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode, VehicleLandedState
 from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import ItemKind, MissionItem, mission_differences
 from companion.core.mission.preflight_checks import ParameterRequirement
 from companion.core.monitor.flight_evidence import FlightEvidence
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.estimators.flight_gate import AcceptedLimits
 from companion.core.pilot.flight_state import CurrentItem

@@ -21,12 +21,12 @@ from companion.core.mission.actions import (
     SetHome,
     SetMode,
 )
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, build_site_map, depot_frame, make_plan
 from companion.core.mission.mission_items import ItemKind, Part, ReturnByDefaultMission
 from companion.core.pilot import home_watch
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.flight_state import PromisedStop
 from companion.core.pilot.transitions import Phase

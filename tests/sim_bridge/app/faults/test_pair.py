@@ -91,7 +91,11 @@ def second_delay_s(seed: int) -> float:
         )
         for _ in range(2)
     )
-    craft = SimpleNamespace(operator=None, true_flight_phase=FlightPhase.DROP)
+    craft = SimpleNamespace(
+        operator=None,
+        true_flight_phase=FlightPhase.DROP,
+        vehicle=SimpleNamespace(is_airborne=True),
+    )
     stage = FaultContext(
         FlightPhase.DROP,
         np.random.default_rng(seed),
