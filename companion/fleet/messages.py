@@ -374,7 +374,7 @@ class CommandStatus(Enum):
     EXPIRED = "expired"  # a launch after its window: not executed
 
 
-FINAL_STATUSES = tuple(set(CommandStatus) - {CommandStatus.LATER, CommandStatus.STALE})
+FINAL_STATUSES = frozenset(CommandStatus) - {CommandStatus.LATER, CommandStatus.STALE}
 
 
 class Result(WireMessage, frozen=True, kw_only=True):

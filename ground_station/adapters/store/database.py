@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote, unquote
 
-import msgspec
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import (
@@ -23,7 +22,7 @@ from sqlalchemy.exc import (
 )
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.store import audit_steps, tables
+from ground_station.adapters.store import about_steps, audit_steps, tables
 from ground_station.adapters.store.outage import Outage
 from ground_station.core.schema.orders import EPOCH_CHARS, ROOT_CHARS
 
@@ -156,18 +155,14 @@ class Database:
     def about_value(self, name: str, value_type: type[Value]) -> Value | None:
         """Return a value of the table `about`; None: it is not stored."""
         with self.read() as db:
-            query = sa.select(tables.about.c.value).where(tables.about.c.name == name)
-            found = db.execute(query).scalar_one_or_none()
-        return None if found is None else msgspec.json.decode(found, type=value_type)
+            return about_steps.about_value(db, name, value_type)
 
     def replace_about_value(self, name: str, value: Any) -> None:
         """Store a value in the table `about`."""
         schema_row = sa.select(tables.about).where(tables.about.c.name == "schema")
         with self.write() as db:
             db.execute(schema_row.with_for_update())  # several desks may start at once
-            db.execute(sa.delete(tables.about).where(tables.about.c.name == name))
-            values = {"name": name, "value": msgspec.json.encode(value).decode()}
-            db.execute(sa.insert(tables.about).values(values))
+            about_steps.replace_about_value(db, name, value)
 
     @contextmanager
     def _translate_and_record_errors(self, operation_participle: str) -> Iterator[None]:
@@ -233,10 +228,8 @@ def require_current_schema(schema_version: int | None, shown_store_url: str) -> 
 
 def _begin_epoch_if_missing(db: sa.Connection) -> None:
     """Begin an epoch: the store is new, or of a version without them."""
-    known = sa.select(tables.about.c.name).where(tables.about.c.name == tables.EPOCHS_KEY)
-    if db.execute(known).first() is None:
-        value = msgspec.json.encode([draw_epoch([])]).decode()
-        db.execute(sa.insert(tables.about).values(name=tables.EPOCHS_KEY, value=value))
+    if about_steps.about_value(db, tables.EPOCHS_KEY, list[str]) is None:
+        about_steps.replace_about_value(db, tables.EPOCHS_KEY, [draw_epoch([])])
 
 
 def draw_epoch(earlier: list[str]) -> str:

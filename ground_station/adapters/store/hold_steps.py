@@ -4,6 +4,7 @@ import msgspec
 import sqlalchemy as sa
 
 from ground_station.adapters.store import tables as t
+from ground_station.adapters.store.about_steps import about_value, replace_about_value
 from ground_station.core.schema.holds import ALL_DRONES, Hold, hold_of_vehicle_or_of_all
 
 RESTORED_KEY = "restored"
@@ -19,17 +20,12 @@ class RestoreRecord(msgspec.Struct):
 
 def restore_record(db: sa.Connection) -> RestoreRecord | None:
     """Return the record of a restore that is not settled; None: there is none."""
-    query = sa.select(t.about.c.value).where(t.about.c.name == RESTORED_KEY)
-    found = db.execute(query).scalar_one_or_none()
-    return None if found is None else msgspec.json.decode(found, type=RestoreRecord)
+    return about_value(db, RESTORED_KEY, RestoreRecord)
 
 
 def write_restore_record(db: sa.Connection, record: RestoreRecord | None) -> None:
     """Replace the record of the restore; None: it is settled."""
-    db.execute(sa.delete(t.about).where(t.about.c.name == RESTORED_KEY))
-    if record is not None:
-        value = msgspec.json.encode(record).decode()
-        db.execute(sa.insert(t.about).values(name=RESTORED_KEY, value=value))
+    replace_about_value(db, RESTORED_KEY, record)
 
 
 def hold_after_restore(db: sa.Connection) -> Hold | None:

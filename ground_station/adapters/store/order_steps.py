@@ -18,8 +18,8 @@ from companion.fleet.messages import (
     Serve,
     Withdraw,
 )
+from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
-from ground_station.adapters.store import epoch_steps as epochs
 from ground_station.adapters.store import tables as t
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -55,7 +55,7 @@ def assign_order(db: sa.Connection, order_id: str) -> str | None:
     attempt = db.execute(
         sa.select(sa.func.count()).where(t.assignments.c.order_id == order_id)
     ).scalar_one()
-    return assignment_id(order_id, epochs.store_epoch(db), attempt + 1)
+    return assignment_id(order_id, about.store_epoch(db), attempt + 1)
 
 
 def insert_assignment(
@@ -97,7 +97,7 @@ def enqueue_command(
     """Put a command into the outbox; `withheld`: withheld until it is released. Its id gets the
     store's epoch unless it `is_random_id`.
     """
-    command_id = command_id if is_random_id else epochs.id_in_epoch(db, command_id)
+    command_id = command_id if is_random_id else about.id_in_epoch(db, command_id)
     db.execute(
         sa.insert(t.commands).values(
             id=command_id,

@@ -24,9 +24,9 @@ from companion.fleet.messages import (
     Result,
     Withdraw,
 )
+from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import day_steps
-from ground_station.adapters.store import epoch_steps as epochs
 from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
@@ -80,7 +80,7 @@ class Store:
     def epoch(self) -> str:
         """Return the epoch in force: another one after a restore."""
         with self._database.read() as db:
-            return epochs.store_epoch(db)
+            return about.store_epoch(db)
 
     def close(self) -> None:
         """Close the connections."""

@@ -18,8 +18,7 @@ from companion.fleet.messages import (
     State,
     Withdraw,
 )
-from ground_station.adapters.store import audit_steps, day_steps, hold_steps
-from ground_station.adapters.store import epoch_steps as epochs_of
+from ground_station.adapters.store import about_steps, audit_steps, day_steps, hold_steps
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import (
@@ -60,7 +59,7 @@ def read_history(url: str) -> StoreHistory | None:
 
 def _history(db: sa.Connection) -> StoreHistory:
     vehicles = sa.union(sa.select(t.assignments.c.vehicle), sa.select(t.logs.c.vehicle))
-    epochs = epochs_of.about_value(db, t.EPOCHS_KEY, list[str]) or []
+    epochs = about_steps.about_value(db, t.EPOCHS_KEY, list[str]) or []
     return StoreHistory(epochs, sorted(db.execute(vehicles).scalars()))
 
 
@@ -91,9 +90,8 @@ def _begin_epoch(db: sa.Connection, replaced: StoreHistory) -> None:
     copied = _history(db)
     epochs = copied.epochs or replaced.epochs
     epochs += [one for one in replaced.epochs if one[:ROOT_CHARS] == epochs[0][:ROOT_CHARS]]
-    db.execute(sa.delete(t.about).where(t.about.c.name == t.EPOCHS_KEY))
-    value = msgspec.json.encode([*dict.fromkeys(epochs), draw_epoch(epochs)]).decode()
-    db.execute(sa.insert(t.about).values(name=t.EPOCHS_KEY, value=value))
+    value = [*dict.fromkeys(epochs), draw_epoch(epochs)]
+    about_steps.replace_about_value(db, t.EPOCHS_KEY, value)
     launches = t.commands.c.id.contains(":launch"), t.commands.c.answer.is_(None)
     void = {"answer": CommandStatus.EXPIRED.value, "reason": "the store was restored"}
     db.execute(sa.update(t.commands).where(*launches).values(**void))
@@ -192,7 +190,7 @@ def insert_assignment_of_lost_epoch(
     """Insert an assignment that the store issued after the copy from which it was restored; other
     assignments of its order are withdrawn. None: it is known, or of another store.
     """
-    id_, order_id, epoch = event.assignment or "", event.order or "", epochs_of.store_epoch(db)
+    id_, order_id, epoch = event.assignment or "", event.order or "", about_steps.store_epoch(db)
     known = db.execute(sa.select(t.assignments.c.n).where(t.assignments.c.id == id_)).first()
     order = db.execute(sa.select(t.orders).where(t.orders.c.id == order_id).with_for_update())
     if known or order.first() is None or not is_assignment_of_epochs_root(id_, order_id, epoch):

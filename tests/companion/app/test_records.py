@@ -430,3 +430,12 @@ def test_the_kept_state_is_strict():
     table = msgspec.to_builtins(KEPT) | {"surprise": 1}
     with pytest.raises(msgspec.ValidationError, match="surprise"):
         msgspec.convert(table, Checkpoint)
+
+
+@pytest.mark.parametrize(("function", "is_guarded"), [("print_line_if_possible", True),
+                                                      ("_print_nonempty_line", False)])  # fmt: skip
+def test_a_full_disk_behind_the_output_changes_no_exit_code(function, is_guarded):
+    code = f"from companion.app.cli import flying; flying.{function}('settings NOT restored')"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=full, check=False)
+    assert (done.returncode == 0) is is_guarded

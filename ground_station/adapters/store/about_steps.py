@@ -1,4 +1,6 @@
-"""Epochs of a store: no id is issued twice, though a restored copy lacks the latest ones."""
+"""Values of the table `about`, and the epoch among them: no id is issued twice, though a restored
+copy lacks the latest ones.
+"""
 
 from typing import Any
 
@@ -14,6 +16,14 @@ def about_value(db: sa.Connection, name: str, value_type: Any) -> Any:
     query = sa.select(t.about.c.value).where(t.about.c.name == name)
     found = db.execute(query).scalar_one_or_none()
     return None if found is None else msgspec.json.decode(found, type=value_type)
+
+
+def replace_about_value(db: sa.Connection, name: str, value: Any) -> None:
+    """Replace a value of the table `about`; None: remove it."""
+    db.execute(sa.delete(t.about).where(t.about.c.name == name))
+    if value is not None:
+        encoded = msgspec.json.encode(value).decode()
+        db.execute(sa.insert(t.about).values(name=name, value=encoded))
 
 
 def store_epoch(db: sa.Connection) -> str:
