@@ -73,6 +73,8 @@ def hold_until_alarm_then_return_by_rtl(stage: FaultContext) -> Iterator[None]:
         yield from station.upload_mission([foreign] * len(items))
         yield from stage.wait(2.0)
         stage.restart_companion()
+    elif member == "position" and not is_copter:  # PX4 refuses position control without sticks
+        craft.start_pilot_override()
     else:
         send_mode_command(stage, station, member)
     stage.record_take_over()
