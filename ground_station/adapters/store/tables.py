@@ -31,6 +31,7 @@ SCHEMA = 3
 
 ROSTER_KEY = "roster"  # name in `about` of the desk's signed roster
 IDLE_KEY = "idle"  # name in `about` of the reasons why vehicles get no order
+CONFIRM_KEY = "confirm"  # name in `about` of the assignments that wait for a confirmed launch
 
 metadata = MetaData()
 
