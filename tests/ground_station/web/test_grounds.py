@@ -116,10 +116,10 @@ def test_far_out_the_outline_of_the_world_is_drawn_and_near_the_day_it_is_not(
         drawing = page.locator("#outline g")
         drawing.wait_for(state="attached")
         assert drawing.get_attribute("display") == "none"
-        assert page.locator("#attribution").inner_text() == ""
+        assert page.locator("#attribution").inner_text() == "No base map given"
         for key in ["-"] * 40 + ["+"] * 3:
             page.keyboard.press(key)
-        page.get_by_text("outline: Natural Earth").wait_for()
+        page.get_by_text("Outline: Natural Earth").wait_for()
         wait_until(page, "document.querySelector('#outline g').getAttribute('display') == 'inline'")
         assert all(in_land(page, *place) for place in LAND)
         assert not any(in_land(page, *place) for place in SEA)
