@@ -61,6 +61,7 @@ def test_the_page_outlives_the_desk_and_a_recall_from_it_is_reported_done(tmp_pa
 
         dispatching.kill()
         dispatching.wait()
+        page.locator("#attention .warning", has_text="Desk not responding").wait_for(timeout=20_000)
         drone.phase = "return"
         desk.desk()  # it is also the network's router
         row.locator(".name", has_text="Flying back").wait_for()

@@ -179,7 +179,10 @@ class Watched:
     def _wrong_orders(self, world: Any, shown: dict[str, Any]) -> Iterator[str]:
         """Report orders shown as delivered whose parcel is not with the customer."""
         gone = {
-            up.order for d in world.drones for up in d.all_power_cycles if up.released_s is not None
+            up.order
+            for d in world.drones
+            for up in d.all_power_cycles
+            if up.record.released_s is not None
         }
         for order, (_, look) in shown["orders"].items():
             if look.split()[1] == "delivered" and order not in gone:

@@ -313,10 +313,13 @@ def test_in_the_page_an_order_takes_two_clicks_and_a_revoked_token_is_said(desk:
         page.get_by_label("Other", exact=True).check()
         page.get_by_label("Other reason").fill("jam of j and k")
         hold = page.locator("#card .deed", has_text="old d1")
+        desk.site.step()
+        page.wait_for_selector("#link.live")
         hold.click()
         page.locator("#card .deed.armed", has_text="Again to hold d1").wait_for()
         assert desk.site.store.holds_in_force() == []
         page.wait_for_timeout(400)
+        desk.site.step()  # commands need recent data
         hold.click()
         page.locator("#result", has_text="d1 is held by anna: jam of j and k").wait_for()
         assert [one.scope for one in desk.site.store.holds_in_force()] == ["d1"]

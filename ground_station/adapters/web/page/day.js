@@ -10,8 +10,7 @@ const NARROW_PX = 500;
 const MIN_US = 60e6;
 const STEPS_MIN = [5, 15, 30, 60, 120];
 
-export function drawDay(place, picture, shared) {
-  const wide = place.clientWidth;
+export function drawDay(place, picture, shared, wide) {
   if (!wide) return;
   const late = picture.plan?.late_s;
   const slip = late === undefined ? "" : late > 0 ? `${Math.round(late / 60)} min behind plan` : "on plan";

@@ -1,6 +1,6 @@
 // Forms that add orders: one, or those of a file. What can be said of them is said before they are saved.
 
-import { $, button, html, icon } from "./dom.js";
+import { button, html, icon } from "./dom.js";
 import { header } from "./card.js";
 import { live, me, send } from "./people.js";
 import { post } from "./server.js";
@@ -93,4 +93,3 @@ export async function fileChosen(file, redraw) {
 
 export const saveFile = () => (form.file ? send(`Import of ${form.file.file}`, form.file) : null);
 export const mayAdd = () => me.mayOrder && !live.past;
-export const focusForm = () => $("#card input")?.focus();

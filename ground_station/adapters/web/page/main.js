@@ -4,7 +4,7 @@ import { $, keyed, html, morph, remembering, say, set } from "./dom.js";
 import { drawBoard, drawDriverList, driverCsv, saveFile as saveCsv, setChip, setSearch } from "./board.js";
 import { cardOf } from "./card.js";
 import { drawDay } from "./day.js";
-import { checkSoon, fileChosen, focusForm, importCard, mayAdd, newOrderCard, pin, saveFile, saveOrder, setPin, startForm } from "./forms.js";
+import { checkSoon, fileChosen, importCard, mayAdd, newOrderCard, pin, saveFile, saveOrder, setPin, startForm } from "./forms.js";
 import { bindKeys } from "./keys.js";
 import { Drawing } from "./map.js";
 import { droneRow, emptyState, LEVELS, listOrder, mapTools, needsYou, phoneTabs, topBar } from "./panels.js";
@@ -22,54 +22,88 @@ const WIDE_PX = 1280;
 const CARD_PX = 372;
 const SIGN_IN = "Sign in to see the fleet";
 const FORMS = ["new", "import"];
+const DAY_S = 5; // interval of the timeline
+const OUT = {};
 const NONE = [];
 
 const state = { picture: {}, aheadUs: 0, heardMs: null, heardUs: 0, view: "map", selected: decodeURIComponent(location.hash.slice(1)) || null, asking: null, seen: new Map(), isLost: false, refused: false };
 const when = remembering();
-let [fitted, waiting, reachWanted, basemap, past, warned] = [false, false, true, null, null, new Set()];
+let [fitted, waiting, next, reachWanted, basemap, past, warned] = [false, false, 0, true, null, null, new Set()];
+const sizes = { day: 0 };
+const inView = new Set(); // drones whose row of the list is on the screen
 
 // Without data the time stands still: ages then refer to the last picture.
 const nowUs = () => state.pastUs ?? (state.isLost ? state.heardUs : Date.now() * 1000 + state.aheadUs);
 
+// The page is drawn in parts, one per frame: no task of a large fleet then holds up a click.
+const PARTS = [drawPanels, drawLists, drawMap, drawLabels];
+let due = 0;
+
 function redraw() {
+  due = PARTS.length;
   if (waiting) return;
   waiting = true;
-  requestAnimationFrame(() => {
-    waiting = false;
-    draw();
-  });
+  requestAnimationFrame(nextPart);
 }
 
-function draw() {
-  const { picture, selected, view: shownView, seen } = state;
-  const items = picture.attention ?? NONE;
-  when("alerts", [items], () => { state.alerts = alertsOf(items); });
-  const { alerts } = state;
-  const time = nowUs();
-  const second = Math.floor(time / 1e6);
-  const empty = state.heardMs !== null && !Object.keys(picture.orders ?? {}).length && !Object.keys(picture.drones ?? {}).length && !picture.plan;
-  const shared = { ...state, select, nowUs: time, alerts, isPast: Boolean(past), link: linkOf(), reach: reachOf(time), plainGround: !picture.basemap || state.basemapBroken, pin: selected === "new" ? pin() : null, covered: coveredBoxes };
-  set(document.body, { class: `view-${shownView} mode-${past ? "replay" : state.isLost || state.refused ? "lost" : empty ? "empty" : "live"}${picture.basemap && !state.basemapBroken ? " with-basemap" : ""}` });
-  Object.assign(live, { now: !state.isLost && !state.refused, past: Boolean(past) });
-  drawBand(time);
-  morph($("#top"), topBar(picture, shared));
-  morph($("#attention"), needsYou(items, shared));
-  when("tabs", [shownView, items.length], () => morph($("#tabs"), phoneTabs(shownView, items.length)));
-  drawCard(picture, shared);
-  when("list", [picture.drones, picture.orders, selected, second, state.isLost], () => drawList(picture, shared));
-  $("#board").hidden = !["orders", "driver"].includes(shownView);
-  if (shownView === "orders") when("board", [picture.orders, picture.drones, picture.plan, selected, state.searched, me.mayOrder, second], () => drawBoard($("#board"), picture, shared));
-  if (shownView === "driver") when("driver", [picture.orders, picture.plan, second], () => drawDriverList($("#board"), picture, time));
-  when("day", [picture.plan, picture.orders, second, selected, $("#day").clientWidth, shownView], () => drawDay($("#day"), picture, shared));
-  if (shownView === "map" || matchMedia("(min-width: 701px)").matches) {
-    drawing.draw(picture, shared);
-    when("tools", [picture.winds, drawing.hidden.size, empty, second], () => morph($("#overlay"), empty ? [emptyState(picture.fleet, age((time - state.heardUs) / 1e6))] : mapTools(picture, drawing.hidden)));
-    when("basemap", [basemap, view.x, view.y, view.zoom, view.width, view.height], () => basemap?.follow());
+function nextPart() {
+  const part = PARTS[next];
+  next = (next + 1) % PARTS.length;
+  due -= 1;
+  waiting = due > 0;
+  part(shared());
+  if (state.focusOn && $(state.focusOn)) {
+    $(state.focusOn).focus();
+    state.focusOn = null;
   }
-  const below = `${$("#attention").offsetHeight}px`;
-  when("below", [below], () => document.documentElement.style.setProperty("--below", below)); // for the card on a small desk
+  if (waiting) requestAnimationFrame(nextPart);
+}
+
+function shared() {
+  const items = state.picture.attention ?? NONE;
+  when("alerts", [items], () => { state.alerts = alertsOf(items); });
+  const time = nowUs();
+  return { ...state, items, select, nowUs: time, second: Math.floor(time / 1e6), isPast: Boolean(past), link: linkOf(), reach: reachOf(time), plainGround: !state.picture.basemap || state.basemapBroken, pin: state.selected === "new" ? pin() : null, covered: coveredBoxes };
+}
+
+const isEmpty = ({ orders, drones, plan }) => state.heardMs !== null && !plan && ![orders, drones].some((table) => Object.keys(table ?? {}).length);
+
+function drawPanels(now) {
+  const { picture, view: shownView, items, alerts, nowUs: time } = now;
+  set(document.body, { class: `view-${shownView} mode-${past ? "replay" : state.isLost || state.refused ? "lost" : isEmpty(picture) ? "empty" : "live"}${picture.basemap && !state.basemapBroken ? " with-basemap" : ""}` });
+  Object.assign(live, { now: !state.isLost && !state.refused, past: Boolean(past), desk: alerts.get("desk") !== "warning" });
+  drawBand(time);
+  morph($("#top"), topBar(picture, now));
+  if (past) say($("#time-words"), moment(time));
+  morph($("#attention"), needsYou(items, now));
+  when("tabs", [shownView, items.length], () => morph($("#tabs"), phoneTabs(shownView, items.length)));
+  drawCard(picture, now);
   when("announce", [items], () => announce(items));
   document.title = `${items.length && !past ? `(${items.length}) ` : ""}${picture.fleet ?? "Leeway map"}${past ? ", replay" : ""} - Leeway`;
+}
+
+function drawLists(now) {
+  const { picture, selected, second, view: shownView } = now;
+  when("list", [picture.drones, picture.orders, selected, second, state.isLost, state.scrolled], () => drawList(picture, now));
+  $("#board").hidden = !["orders", "driver"].includes(shownView);
+  if (shownView === "orders") when("board", [picture.orders, picture.drones, picture.plan, selected, state.searched, me.mayOrder, second], () => drawBoard($("#board"), picture, now));
+  if (shownView === "driver") when("driver", [picture.orders, picture.plan, second], () => drawDriverList($("#board"), picture, now.nowUs));
+  when("day", [picture.plan, picture.orders, Math.floor(second / DAY_S), selected, sizes.day, shownView], () => drawDay($("#day"), picture, now, sizes.day));
+}
+
+const mapIsShown = () => state.view === "map" || matchMedia("(min-width: 701px)").matches;
+
+function drawMap(now) {
+  if (!mapIsShown()) return;
+  const { picture, second } = now;
+  const empty = isEmpty(picture);
+  drawing.draw(picture, now);
+  when("tools", [picture.winds, drawing.hidden.size, empty, empty && second], () => morph($("#overlay"), empty ? [emptyState(picture.fleet, age((now.nowUs - state.heardUs) / 1e6))] : mapTools(picture, drawing.hidden)));
+  when("basemap", [basemap, view.x, view.y, view.zoom, view.width, view.height], () => basemap?.follow());
+}
+
+function drawLabels(now) {
+  if (mapIsShown()) drawing.drawLabels(now.picture, now);
 }
 
 function alertsOf(items) {
@@ -108,9 +142,10 @@ function drawList(picture, { nowUs: time, alerts, selected }) {
   const { drones = {}, orders } = picture;
   morph($("#list"), [html("h2", { "data-key": "head" }, "Drones", html("small", {}, "spare energy at landing")), html("ol", { class: "fleet", "data-key": "fleet", "data-own": true })]);
   const second = Math.floor(time / 1e6);
-  keyed($("#list .fleet"), listOrder(drones, alerts).map((name) => [name, drones[name]]), () => html("li"), (row, drone, name) =>
-    morph(row, droneRow(row, name, drone, { orders, nowUs: time, alert: alerts.get(name), selected: name === selected, lowWh: picture.low_spare_wh ?? 10 })),
-  (drone, name) => `${second} ${alerts.get(name)} ${name === selected}`);
+  const make = () => { const row = html("li"); rows.observe(row); return row; };
+  keyed($("#list .fleet"), listOrder(drones, alerts).map((name) => [name, inView.has(name) ? drones[name] : OUT]), make, (row, _, name) =>
+    morph(row, droneRow(name, drones[name], { orders, nowUs: time, alert: alerts.get(name), selected: name === selected, lowWh: picture.low_spare_wh ?? 10 })),
+  (_, name) => `${inView.has(name) && second} ${alerts.get(name)} ${name === selected}`);
 }
 
 function drawCard(picture, shared) {
@@ -143,7 +178,7 @@ function select(name) {
   history.replaceState(null, "", name ? `#${encodeURIComponent(name)}` : location.pathname);
   askForSelected();
   redraw();
-  if (FORMS.includes(name)) requestAnimationFrame(() => requestAnimationFrame(focusForm));
+  if (FORMS.includes(name) || name === "sign-in") state.focusOn = "#card input";
 }
 
 function nextOrderId() {
@@ -228,7 +263,9 @@ function show(picture, serverUs) {
   const first = state.heardMs === null;
   Object.assign(state, { picture, aheadUs: serverUs - Date.now() * 1000, heardMs: performance.now(), heardUs: serverUs, isLost: false, refused: false });
   if (!fitted && places().length) {
-    draw(); // the sizes of the panels first
+    const now = shared();
+    drawPanels(now); // the sizes of the panels first
+    drawLists({ ...now, nowUs: nowUs() });
     view.resize();
     [fitted] = [true, fit()];
   }
@@ -242,7 +279,6 @@ function show(picture, serverUs) {
 function showPast(picture, tUs) {
   state.pastUs = tUs;
   show(picture, tUs);
-  say($("#time-words"), moment(tUs));
 }
 
 function setLost() {
@@ -254,6 +290,15 @@ function everyTick() {
   if (!past && state.heardMs !== null && performance.now() - state.heardMs > QUIET_MS) state.isLost = true;
   redraw();
 }
+
+// Rows out of sight are not kept up to date, and sizes are observed: both would cost a layout per frame.
+const rows = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) isIntersecting ? inView.add(target.dataset.key) : inView.delete(target.dataset.key);
+  state.scrolled = {};
+  redraw();
+}, { root: null, rootMargin: "100px" });
+new ResizeObserver(([entry]) => { sizes.day = entry.target.clientWidth; redraw(); }).observe($("#day"));
+new ResizeObserver(([entry]) => document.documentElement.style.setProperty("--below", `${entry.target.offsetHeight}px`)).observe($("#attention")); // for the card on a small desk
 
 const view = new View($("#place"), redraw);
 const drawing = new Drawing(view);
@@ -314,7 +359,7 @@ bindKeys({
   l: launchSelected,
   j: () => stepThrough(listOrder(state.picture.drones ?? {}, alertsOf(state.picture.attention ?? [])), 1),
   k: () => stepThrough(listOrder(state.picture.drones ?? {}, alertsOf(state.picture.attention ?? [])), -1),
-  "/": () => { DEEDS.view("orders"); requestAnimationFrame(() => requestAnimationFrame(() => $("#search").focus())); },
+  "/": () => { DEEDS.view("orders"); state.focusOn = "#search"; },
   n: () => mayAdd() && select("new"),
   1: () => DEEDS.view("map"),
   2: () => DEEDS.view("orders"),

@@ -11,6 +11,8 @@ const LAYERS = ["ground", "wind", "areas", "reach", "route", "ways", "orders", "
 const CLUSTER_PX_PER_M = 0.42;
 const [CLUSTER_PX, WIND_PX, WIND_PX_PER_MPS] = [58, 120, 4];
 const STOP_CLEARANCE_PX = 27;
+const FEW_DRONES = 40;
+const MOST_ORDER_LABELS = 200; // of more, only those that are stuck, loaded or in the air have one
 const [RING_R, DISC_R] = [12.5, 9.8];
 const ROUND = 2 * Math.PI * RING_R;
 const PARKED_MOST = 12; // more drones on the ground at one place are drawn at their positions
@@ -57,8 +59,16 @@ export class Drawing {
     this.if("pin", [pin?.[0], pin?.[1], drawing], () => this.#pin(pin));
     this.if("truck", [truck, second, selected, drawing], () => this.#truck(truck, nowUs, selected));
     this.if("drones", [drones, truck, selected, drawing, alerts, second], () => this.#drones(picture, shared));
-    this.if("labels", [drones, orders, plan, site, truck, selected, drawing, second, alerts, reach, this.hidden.size], () => this.#labels(picture, shared));
     this.if("scale", [this.view.metresPerPixel], () => this.#scale());
+  }
+
+  drawLabels(picture, shared) {
+    const { drones, orders, plan, site, truck } = picture;
+    const { selected, alerts, reach, second } = shared;
+    const moved = this.drawnWith !== this.view.drawn.number;
+    const many = (this.shown?.length ?? 0) > FEW_DRONES; // then once a second
+    this.if("labels", [many && !moved ? second : drones, orders, plan, site, truck, selected, this.view.drawn.number, second, alerts, reach, this.hidden.size], () => this.#labels(picture, shared));
+    this.drawnWith = this.view.drawn.number;
   }
 
   toggle(layer) {
@@ -222,8 +232,10 @@ export class Drawing {
       const silent = isSilent(drone, nowUs);
       const look = ["drone", kindOf(drone), alerts.get(name), silent && "silent", name === selected && "chosen", drone.diverted_to && "diverted"].filter(Boolean).join(" ");
       set(group, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)})`, class: look });
-      if (group.drawnDrone !== drone || group.drawnLook !== look) morph(group, glyph(drone, { halo: name === selected, alert: alerts.get(name) }));
-      [group.drawnDrone, group.drawnLook] = [drone, look];
+      const figures = [drone.energy_left_wh, drone.energy_needed_wh, drone.course_deg].map((value) => value?.toFixed(0));
+      const drawn = `${look} ${figures}`;
+      if (group.drawn !== drawn) morph(group, glyph(drone, { halo: name === selected, alert: alerts.get(name) }));
+      group.drawn = drawn;
     });
     for (const one of shown) if (isSilent(one.drone, nowUs) && isFlying(one.drone)) ghosts.push(this.#ghost(one, nowUs));
     this.ghosts = ghosts.filter(Boolean);
@@ -267,12 +279,13 @@ export class Drawing {
     const [wanted, hard, soft, hits] = [[], [], [], []];
     const box = (x, y, r) => [x - r, y - r, x + r, y + r];
     const hidden = (layer) => this.hidden.has(layer);
+    const many = (this.shown?.length ?? 0) > FEW_DRONES;
     for (const { name, drone, at: [x, y] } of this.shown ?? []) {
       const alert = alerts.get(name);
       hard.push(box(x, y, 15));
       hits.push({ id: name, x, y, r: 16, rank: name === selected ? 0 : 1 });
       const tag = `tag ${isSilent(drone, nowUs) ? "old " : ""}${alert ?? ""}`;
-      wanted.push({ id: `drone ${name}`, rank: name === selected ? 0 : alert ? 0.5 : 2, x, y, r: 17, words: name, more: droneWords(drone, nowUs, alert, name === selected), tag, must: true });
+      wanted.push({ id: `drone ${name}`, rank: name === selected ? 0 : alert ? 0.5 : 2, x, y, r: 17, words: name, more: many && !alert && name !== selected && !isSilent(drone, nowUs) ? "" : droneWords(drone, nowUs, alert, name === selected), tag, must: true });
     }
     if (this.truckAt) {
       const [x, y] = this.truckAt;
@@ -291,7 +304,7 @@ export class Drawing {
       for (const { id, order, kind, x, y } of this.single ?? []) {
         soft.push(box(x, y, 6));
         hits.push({ id, x, y, r: 10, rank: id === selected ? 2.5 : 3 });
-        wanted.push({ id: `order ${id}`, rank: id === selected ? 0 : ORDER_RANK[kind], x, y, r: 8, words: id === selected ? id : shortId(id), kind: ["delivered", "cancelled"].includes(kind) ? "faint" : "ord" });
+        if (id === selected || ORDER_RANK[kind] < 5 || (this.single.length < MOST_ORDER_LABELS)) wanted.push({ id: `order ${id}`, rank: id === selected ? 0 : ORDER_RANK[kind], x, y, r: 8, words: id === selected ? id : shortId(id), kind: ["delivered", "cancelled"].includes(kind) ? "faint" : "ord" });
       }
       for (const { cell, group, x, y } of this.clusters ?? []) {
         soft.push(box(x, y, 18));

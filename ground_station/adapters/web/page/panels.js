@@ -97,7 +97,7 @@ export function placeWords(drone, orders) {
   return drone.home ? `${drone.home}, empty` : isFlying(drone) ? "coming back, empty" : "no order";
 }
 
-export function droneRow(row, name, drone, { orders, nowUs, alert, selected, lowWh }) {
+export function droneRow(name, drone, { orders, nowUs, alert, selected, lowWh }) {
   const silent = isSilent(drone, nowUs);
   const flies = isFlying(drone);
   const when = silent && flies ? (drone.land_us ? `${clock(drone.land_us)} by plan` : "") : flies && drone.land_us ? `lands ${inTime(drone.land_us, nowUs)}` : alert === "your_turn" && kindOf(drone) === "ready" ? "your launch" : "";

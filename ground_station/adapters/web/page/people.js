@@ -9,10 +9,12 @@ const APART_MS = 300; // a double click counts as one click
 const RESULT_MS = 30_000;
 
 export const me = { mayOrder: false, mayRead: true, isThere: false, trouble: "" };
-export const live = { now: true, past: false }; // without data commands are off; the past has none
+export const live = { now: true, past: false, desk: true }; // without data commands are off; the past has none
 const armed = { deed: null, ms: -Infinity };
 let [redraw, resultTimer] = [() => {}, 0];
 
+// Without a desk a confirmed launch would wait; a recall goes to the drone itself.
+const canSend = (deed) => live.now && (live.desk || deed.do !== "confirm");
 export const mayCommand = () => me.mayOrder && !live.past;
 
 // Calls `changed()` when the user or the access rights have changed.
@@ -49,16 +51,16 @@ export function command(words, deed, kind = "", needsReason = false) {
   if (!mayCommand()) return null;
   const key = JSON.stringify(deed);
   const isArmed = armed.deed === key && performance.now() - armed.ms < ARMED_MS;
-  return html("button", { type: "button", class: `deed ${kind}${isArmed ? " armed" : ""}`, "data-do": "command", "data-with": key, "data-words": words, "data-reason": needsReason, disabled: !live.now },
+  return html("button", { type: "button", class: `deed ${kind}${isArmed ? " armed" : ""}`, "data-do": "command", "data-with": key, "data-words": words, "data-reason": needsReason, disabled: !canSend(deed) },
     isArmed ? `Again to ${words.charAt(0).toLowerCase()}${words.slice(1)}` : words);
 }
 
 export async function commandClicked(element) {
   const [key, words] = [element.dataset.with, element.dataset.words];
   const nowMs = performance.now();
-  if (!live.now || !mayCommand()) return;
-  if (armed.deed === key && nowMs - armed.ms < APART_MS) return;
   const deed = JSON.parse(key);
+  if (!canSend(deed) || !mayCommand()) return;
+  if (armed.deed === key && nowMs - armed.ms < APART_MS) return;
   if (element.hasAttribute("data-reason")) {
     deed.reason = reasonOf(element.closest("form"));
     if (!deed.reason) return tell(`${words}: give a reason first`, "lost");
