@@ -118,7 +118,7 @@ def test_far_out_the_outline_of_the_world_is_drawn_and_near_the_day_it_is_not(
         page.goto(site.address)
         drawing = page.locator("#outline g")
         drawing.wait_for(state="attached")
-        assert drawing.get_attribute("display") == "none"
+        wait_until(page, "document.querySelector('#outline g').getAttribute('display') == 'none'")
         assert page.locator("#attribution").inner_text() == "No base map given"
         for key in ["-"] * 40 + ["+"] * 3:
             page.keyboard.press(key)

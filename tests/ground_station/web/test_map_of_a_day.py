@@ -222,7 +222,7 @@ class Watched:
     ) -> float:
         """Least distance from the true positions in this time range."""
         north, east, _ = self.built.frame.to_ned(*map(math.radians, lat_lon_deg), 0.0)
-        rows = [row for row in drone.power_cycle.rows if from_s <= row[0] <= to_s]
+        rows = [row for row in drone.power_cycle.record.rows if from_s <= row[0] <= to_s]
         return min(math.dist((north, east), row[1:3]) for row in rows)
 
     def _note(self, what: str) -> None:

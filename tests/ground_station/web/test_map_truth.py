@@ -9,6 +9,8 @@ import pytest
 from companion.core.base.geo import ne_offset_m
 from companion.fleet.messages import EventKind
 from companion.fleet.polyline import encode_polyline
+from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.certificate_ends import DAY_US, CertificateExpiry
 from ground_station.core.schema.orders import OrderState
 from tests.ground_station.hand_made_day import PLAN
@@ -111,7 +113,7 @@ def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site
     assert drone.flight is not None
     figures = {"margin_wh": 12.5, "p_home": 0.9987, "p_success": 0.95,
                "energy_left_wh": 61.0, "ground_speed_mps": 9.5, "text": "going"}  # fmt: skip
-    site.fleet_link.more["d1"] = figures
+    site.fleet_link.more["d1"] = figures | {"lat_deg": 55.47, "lon_deg": 8.45}
     drone.tell(
         EventKind.DECISION, "go: 12.5 Wh above the reserve", assignment=drone.flight.assignment
     )
@@ -122,7 +124,11 @@ def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site
     assert shown["why"] == "Cleared to fly: 12.5 Wh above the reserve"
     assert shown["risk"] == "1 in 770"  # 1 / 0.0013
     assert shown["energy_needed_wh"] == pytest.approx(61.0 - 12.5)
-    assert 0.0 < (shown["land_us"] - site.world.clock.epoch_us()) / 1e6 < 600.0
+    order = next(o for o in HARBOUR.orders if o.id == drone.flight.order)
+    checked = DepotAssigner(HARBOUR.day, HARBOUR.airframes).check_delivery(order, "d1")
+    assert isinstance(checked, Feasible)
+    left_s = (shown["land_us"] - site.world.clock.epoch_us()) / 1e6
+    assert left_s == pytest.approx(checked.time_s, rel=0.25), "by the planner's leg times"
     assert shown["drop_us"] < shown["land_us"]
     order = next(o for o in HARBOUR.orders if o.id == drone.flight.order)
     row = next(r for r in site.day.sorties() if r.vehicle == "d1")
