@@ -15,6 +15,7 @@ from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.base.location import Location
 from companion.core.base.plugin import AIRFRAMES, load_plugin_file
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.mission.flight_estimate import CruiseWind, FlightEstimate, estimate_flight
 from companion.core.mission.flight_file import Flight, Site, Vehicle
 from companion.core.return_budget.budget import (
@@ -156,11 +157,13 @@ def can_return(
     if (north, east) != (home_north, home_east):
         legs.insert(0, Leg(LegKind.CRUISE, here, above_home, payload_kg))
     belief = WindBelief(0.0, wind, wind_std_mps**2 * np.eye(2), ("stated",), True)
-    outlook = WindOutlook(params.read_wind_process(wind_process))
+    process = params.read_wind_process(wind_process)
+    outlook = WindOutlook(process)
     outlook.update_from_estimate(belief)
     full_wh = max(energy_left_wh, reserve_wh, 1e-9)
     energy = EnergyBelief(0.0, energy_left_wh, energy_std_wh, full_wh, "stated")
-    gate = Gate(RouteEnergy(frame), GateParams(max_loss=max_loss, reserve_wh=reserve_wh))
+    limit = RiskEvidence(process).p_home_limit
+    gate = Gate(RouteEnergy(frame), GateParams(max_loss, reserve_wh, p_home_limit=limit))
     remaining = RemainingMission((ReturnRoute("home", tuple(legs)),), ())
     return gate.assess(remaining, belief, outlook, energy)
 

@@ -16,12 +16,16 @@ from companion.fleet.messages import (
     Command,
     CommandStatus,
     Launch,
+    LaunchWindow,
     Recall,
     ReturnControl,
 )
 
 MAX_STATE_AGE_S = 15.0
 """Maximum age of a command's state, by the vehicle's clock; states are sent every second."""
+
+MAX_LAUNCH_VALIDITY_S = 15.0
+"""Maximum length of a launch window."""
 
 MAX_ENTRIES = 2000
 """Maximum number of stored commands: many days of one vehicle, in about 200 kB."""
@@ -80,19 +84,11 @@ class CommandLog:
                 return verdict
         if isinstance(command.action, Recall):
             return None
-        if command.instance_id != instance_id:
-            return CommandReply(
-                CommandStatus.STALE, "addressed to another instance of this companion"
-            )
-        age_s = uptime_s - command.as_of_s
-        if age_s < 0.0:  # the desk copies a state's uptime, so a valid one is never in the future
-            rejection_text = f"refers to a state {-age_s:.0f} s in the future"
-            return CommandReply(CommandStatus.REFUSED, rejection_text)
-        if age_s > MAX_STATE_AGE_S:
-            rejection_text = (
-                f"refers to a state {age_s:.0f} s old, expected at most {MAX_STATE_AGE_S:.0f} s"
-            )
-            return CommandReply(CommandStatus.STALE, rejection_text)
+        is_launch = isinstance(command.action, Launch)
+        reply_if_outdated = reply_outside_launch_window if is_launch else _reply_to_outdated_command
+        outdated = reply_if_outdated(command, instance_id, uptime_s)
+        if outdated is not None:
+            return outdated
         assignment = getattr(command.action, "assignment", None)
         if assignment in self.ended:
             return CommandReply(CommandStatus.REFUSED, f"assignment {assignment} is closed")
@@ -166,3 +162,45 @@ def _reply_to_repeated_command(logged_entry: CommandEntry, digest: str) -> Comma
     if logged_entry.status is None:
         return CommandReply(CommandStatus.LATER, "in progress")
     return CommandReply(logged_entry.status, logged_entry.reason)
+
+
+def _reply_to_outdated_command(
+    command: Command, instance_id: str, uptime_s: float
+) -> CommandReply | None:
+    if command.instance_id != instance_id:
+        return CommandReply(CommandStatus.STALE, "addressed to another instance of this companion")
+    age_s = uptime_s - command.as_of_s
+    if age_s < 0.0:  # the desk copies a state's uptime, so a valid one is never in the future
+        rejection_text = f"refers to a state {-age_s:.0f} s in the future"
+        return CommandReply(CommandStatus.REFUSED, rejection_text)
+    if age_s > MAX_STATE_AGE_S:
+        rejection_text = (
+            f"refers to a state {age_s:.0f} s old, expected at most {MAX_STATE_AGE_S:.0f} s"
+        )
+        return CommandReply(CommandStatus.STALE, rejection_text)
+    return None
+
+
+def reply_outside_launch_window(
+    command: Command, instance_id: str, uptime_s: float
+) -> CommandReply | None:
+    """Return the reply to a launch that must not start a flight now; None: it may, or is none."""
+    if not isinstance(command.action, Launch):
+        return None
+    window = command.action.window
+    if not isinstance(window, LaunchWindow):
+        return CommandReply(CommandStatus.REFUSED, "launch without a validity")
+    if window.expires_s - window.not_before_s > MAX_LAUNCH_VALIDITY_S + 0.001:
+        expected = f"expected at most {MAX_LAUNCH_VALIDITY_S:.0f} s"
+        valid_s = window.expires_s - window.not_before_s
+        return CommandReply(CommandStatus.REFUSED, f"launch valid for {valid_s:.0f} s, {expected}")
+    if window.instance_id != instance_id:
+        return CommandReply(CommandStatus.EXPIRED, "launch for an earlier instance")
+    if uptime_s > window.expires_s:
+        return CommandReply(
+            CommandStatus.EXPIRED, f"launch expired {uptime_s - window.expires_s:.0f} s ago"
+        )
+    wait_s = window.not_before_s - uptime_s
+    return (
+        CommandReply(CommandStatus.LATER, f"launch gap: {wait_s:.0f} s") if wait_s > 0.0 else None
+    )

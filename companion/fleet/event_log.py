@@ -15,7 +15,16 @@ import msgspec
 
 from companion.adapters.files.atomic_file import fsync_folder
 from companion.adapters.files.disk import ImmediateRecordWriter, RecordWriter
-from companion.fleet.messages import EventKind, FleetEvent, Refused, decode_message, encode_message
+from companion.core.base.errors import LeewayError
+from companion.core.base.safe_text import safe_text
+from companion.core.base.wire_message import VERSION
+from companion.fleet.messages import (
+    EventKind,
+    FleetEvent,
+    Refused,
+    encode_message,
+    with_sanitized_texts,
+)
 
 MAX_EVENTS = 2000
 """A flight has some 50 events; these are at most about 1 MB."""
@@ -41,6 +50,8 @@ FSYNC_KINDS = (
 
 
 RECORD_NAME = "events"
+
+_decoder = msgspec.json.Decoder(FleetEvent)
 
 
 class EventLog:
@@ -162,9 +173,18 @@ class EventLog:
         self._file = self._path.open("ab")
 
 
+def decode_stored_event(line: bytes) -> FleetEvent | Refused:
+    """Decode an event that this or an earlier version has stored; it is sent as this version."""
+    try:
+        event = _decoder.decode(line)
+    except (msgspec.DecodeError, LeewayError, UnicodeDecodeError, RecursionError) as error:
+        return Refused(safe_text(f"event: {error}"[:300]))
+    return with_sanitized_texts(msgspec.structs.replace(event, v=VERSION))
+
+
 def _read_complete_event_lines(path: Path) -> list[FleetEvent]:
     """Read every whole line; an incomplete last line was never published."""
     if not path.exists():
         return []
-    found = [decode_message(FleetEvent, line) for line in path.read_bytes().splitlines()]
+    found = [decode_stored_event(line) for line in path.read_bytes().splitlines()]
     return [event for event in found if not isinstance(event, Refused)]

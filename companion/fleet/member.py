@@ -22,6 +22,7 @@ from companion.fleet.command_log import (
     CommandLog,
     CommandReply,
     command_log_from_dict,
+    reply_outside_launch_window,
 )
 from companion.fleet.event_log import EventLog
 from companion.fleet.messages import (
@@ -60,9 +61,8 @@ class _PendingCommand:
 
 @dataclass(slots=True)
 class FleetMember:
-    """`clock_s` counts the instance's seconds; `status_text` is the newest status text.
-
-    In flight the loop never waits for the `disk`: it acts after the required record is stored.
+    """`clock_s` counts the instance's seconds; `status_text` is the newest status text. In flight
+    the loop never waits for the `disk`: it acts after the required record is stored.
     """
 
     vehicle: str
@@ -209,8 +209,9 @@ class FleetMember:
     def _execute_record_and_log_command(
         self, request: MemberRequest, command: Command, execute: Callable[[Command], CommandReply]
     ) -> CommandReply:
-        error = _authority_error_or_empty(self.link.trust, request, command)
-        verdict = _refused(error) if error else execute(command)
+        refused = _authority_error_or_empty(self.link.trust, request, command)
+        outside = reply_outside_launch_window(command, self.instance_id, self.uptime_s)
+        verdict = _refused(refused) if refused else outside or execute(command)
         self.command_log.record_final_reply_or_remove_command(command, verdict)
         self.save_command_log(sync_folder=isinstance(command.action, NOT_REPEATABLE))
         text = f"{_command_label(command)} by {command.by}: {verdict.status.value} {verdict.reason}"

@@ -18,9 +18,7 @@ from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from companion.core.base.wire_message import VERSION, Name, RosterStamp, WireMessage
 from companion.core.separation.track import Track
-from companion.core.separation.track_cells import cell_name_or_none
 from companion.core.wind_field.shared_winds import SharedWinds
-from companion.fleet.network import ReceivedTrack
 
 MAX_MESSAGE_BYTES = {
     "state": 4096,
@@ -107,13 +105,17 @@ class State(WireMessage, frozen=True, kw_only=True):
     energy_left_wh: float | None = None
     """Usable energy remaining."""
     margin_wh: float | None = None
-    """Expected energy above the reserve after landing."""
+    """Energy above the need of the required P(home) from the next decision point."""
     p_home: Probability | None = None
     """Probability of returning if it flies on as planned."""
     p_home_now: Probability | None = None
     """Probability of returning if it turns back now."""
     p_success: Probability | None = None
     """Probability of delivering and returning."""
+    p_home_limit: Probability | msgspec.UnsetType = msgspec.UNSET
+    """Limit of evidence: the largest P(home) that is stated to people. Older readers reject a state
+    that has it.
+    """
     wind_to_n_mps: float | None = None
     """Wind, north component of the direction TO."""
     wind_to_e_mps: float | None = None
@@ -177,7 +179,7 @@ class FleetEvent(WireMessage, frozen=True, kw_only=True):
     p_home: Probability | None = None
     """Probability of returning."""
     margin_wh: float | None = None
-    """Expected energy above the reserve after landing."""
+    """The same as in the state; of an outcome: energy left above the reserve."""
     outcome: Annotated[str, Meta(pattern=r"^(SUC|DEL|FAIL|ABRT|TAKEN)\Z")] | None = None
     """Closes an assignment: one of SUC, DEL, FAIL, ABRT and TAKEN."""
     delivered: bool | None = None
@@ -213,11 +215,24 @@ class Assign(_CommandAction, frozen=True, kw_only=True, tag="assign"):
     """The GeoJSON obstacles of its site."""
 
 
+class LaunchWindow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """When a launch may start, on the vehicle's clock; fixed when the launch is first sent."""
+
+    instance_id: Id = msgspec.field(name="life")
+    """The companion instance whose `uptime_s` is that clock."""
+    not_before_s: Annotated[float, Meta(ge=0.0, le=1e9)]
+    """Earliest uptime: the launch gap ends."""
+    expires_s: Annotated[float, Meta(ge=0.0, le=1e9)]
+    """Latest uptime, at most 15 s later."""
+
+
 class Launch(_CommandAction, frozen=True, kw_only=True, tag="launch"):
     """The explicit authorisation of this assignment's one flight (safety rule 1)."""
 
     assignment: Id
     """The assignment."""
+    window: LaunchWindow | msgspec.UnsetType = msgspec.UNSET
+    """Its validity; a launch without one is refused."""
 
 
 class Withdraw(_CommandAction, frozen=True, kw_only=True, tag="withdraw"):
@@ -331,7 +346,7 @@ CommandAction = (
 class Command(WireMessage, frozen=True, kw_only=True):
     """One command to one vehicle.
 
-    A command that is too old, or for an earlier instance, is answered `stale` (a recall never is).
+    Too old, or for an earlier instance, it is answered `stale`, a launch `expired`, a recall never.
     """
 
     id: Id
@@ -356,9 +371,10 @@ class CommandStatus(Enum):
     LATER = "later"
     STALE = "stale"
     INTERRUPTED = "interrupted"
+    EXPIRED = "expired"  # a launch after its window: not executed
 
 
-FINAL_STATUSES = (CommandStatus.DONE, CommandStatus.REFUSED, CommandStatus.INTERRUPTED)
+FINAL_STATUSES = frozenset(CommandStatus) - {CommandStatus.LATER, CommandStatus.STALE}
 
 
 class Result(WireMessage, frozen=True, kw_only=True):
@@ -433,18 +449,6 @@ def decode_message(message_type: type[Message], raw: bytes | Refused) -> Message
         return with_sanitized_texts(_decoders[message_type].decode(raw))
     except (msgspec.DecodeError, LeewayError, UnicodeDecodeError, RecursionError) as error:
         return Refused(safe_text(f"{kind}: {error}"[:300]))  # the error quotes received text
-
-
-def decode_and_match_received_track(received: ReceivedTrack) -> Track | Refused:
-    """Decode a neighbour's track; its vehicle and cell must match the key it was received on."""
-    track = decode_message(Track, received.raw)
-    if isinstance(track, Refused):
-        return track
-    if track.vehicle != received.sender:
-        return Refused(f"{received.sender_display_name} sent a position of {track.vehicle}")
-    if cell_name_or_none(track.lat_deg, track.lon_deg) != received.cell:
-        return Refused(f"{received.sender_display_name} sent its position in another cell")
-    return track
 
 
 def with_sanitized_texts(message: Message) -> Message:

@@ -9,12 +9,14 @@ from dataclasses import dataclass, field, replace
 from companion.adapters.clock import is_due
 from companion.core.base.rate_limit import RateLimit
 from companion.core.mission.flight_file import NeighbourFleet
+from companion.core.separation.track import Track
+from companion.core.separation.track_cells import cell_name_or_none
 from companion.fleet.envelope import decode_envelope
 from companion.fleet.messages import (
     CommandStatus,
     Refused,
     Result,
-    decode_and_match_received_track,
+    decode_message,
     encode_message,
 )
 from companion.fleet.network import MemberLink, MemberRequest, ReceivedTrack, RequestKind
@@ -289,3 +291,15 @@ def unverified_commander_name_or_empty(trust: MemberTrust, raw: bytes) -> str:
     member = trust.roster.member_by_name.get(envelope.signer)
     is_commander = member is not None and not member.revoked and member.role in COMMANDERS
     return envelope.signer if is_commander else ""
+
+
+def decode_and_match_received_track(received: ReceivedTrack) -> Track | Refused:
+    """Decode a neighbour's track; its vehicle and cell must match the key it was received on."""
+    track = decode_message(Track, received.raw)
+    if isinstance(track, Refused):
+        return track
+    if track.vehicle != received.sender:
+        return Refused(f"{received.sender_display_name} sent a position of {track.vehicle}")
+    if cell_name_or_none(track.lat_deg, track.lon_deg) != received.cell:
+        return Refused(f"{received.sender_display_name} sent its position in another cell")
+    return track

@@ -16,7 +16,7 @@ from companion.core.mission.actions import PublishTrack
 from companion.core.separation import track_cells
 from companion.core.separation.track import Track
 from companion.core.separation.track_cells import cell_name_or_none
-from companion.fleet import messages, signed_link
+from companion.fleet import signed_link
 from companion.fleet.messages import encode_message
 from companion.fleet.topics import VehicleKeys
 from companion.fleet.zenoh_config import read_and_check_zenoh_config
@@ -313,7 +313,7 @@ def test_who_tells_its_place_in_a_cell_where_it_is_not_is_refused_and_counted(
 ):
     if not guarded:
         any_cell = type("Any", (), {"__ne__": lambda self, other: False})
-        monkeypatch.setattr(messages, "cell_name_or_none", lambda lat, lon: any_cell())
+        monkeypatch.setattr(signed_link, "cell_name_or_none", lambda lat, lon: any_cell())
     plain.put(
         f"track/{cell}", trust_of(plain.site, "d2").sign_in_envelope("track", track("d2")), "d2"
     )

@@ -1,6 +1,4 @@
-"""ROS 2 messages of `ground-station ros2`, read by programs of others: rosbags, ros2-pyterfaces and
-zenoh-ros2-sdk.
-"""
+"""ROS 2 messages of the bridge, read by rosbags, ros2-pyterfaces and zenoh-ros2-sdk."""
 
 import json
 import math

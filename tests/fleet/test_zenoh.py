@@ -30,6 +30,7 @@ from ground_station.core.fleet.fleet_link import (
     MessageRejected,
     StateReceived,
 )
+from tests.fleet.wire import valid_from
 from tests.fleet.zenoh_net import FLEET, HERE, Vehicle, config_file, free_port
 
 PATIENCE_S = 20.0
@@ -95,6 +96,7 @@ def net(tmp_path: Path) -> Iterator[tuple[Callable[..., Vehicle], Callable[[], D
 
 def a_command(vehicle: Vehicle, deed: CommandAction, id_: str = "c1") -> Command:
     port = vehicle.port
+    deed = valid_from(deed, port.member.instance_id, port.member.uptime_s)
     return Command(
         id=id_,
         vehicle=port.member.vehicle,
@@ -165,7 +167,7 @@ def test_a_companion_that_restarts_still_knows_what_it_was_told(net):
     )
     assert second.done == []
     new = desk.response(a_command(first, Launch(assignment="o2.1"), "c2")).result
-    assert new.status is CommandStatus.STALE
+    assert new.status is CommandStatus.EXPIRED
 
 
 def test_nobody_there_is_an_answer_too(net):
@@ -235,7 +237,7 @@ def test_bytes_that_are_no_message_are_said_and_break_neither_end(net, tmp_path)
     desk.state()
     vehicle.port.member.link.publish_state(b'{"v": 9}')
     said = desk.until(lambda h: h if isinstance(h, MessageRejected) else None)
-    assert "version 9, expected 1" in said.reason
+    assert "version 9, expected 2" in said.reason
     assert b'"refused"' in answer_to_bytes(tmp_path / "vehicle.json5", b"\xff" * 100)
     assert desk.response(a_command(vehicle, Recall())).result.status is CommandStatus.DONE
 

@@ -2,9 +2,28 @@
 
 from collections.abc import Callable, Sequence
 
+import msgspec
+
 from companion.core.mission.flight_file import NeighbourFleet
-from companion.fleet.messages import FleetEvent, State, decode_message
+from companion.fleet.command_log import MAX_LAUNCH_VALIDITY_S
+from companion.fleet.messages import (
+    CommandAction,
+    FleetEvent,
+    Launch,
+    LaunchWindow,
+    State,
+    decode_message,
+)
 from companion.fleet.network import MemberRequest, ReceivedTrack
+
+
+def valid_from(deed: CommandAction, life: str, uptime_s: float) -> CommandAction:
+    """Return the command; a launch without a validity gets one from this uptime on."""
+    if not isinstance(deed, Launch) or isinstance(deed.window, LaunchWindow):
+        return deed
+    expires_s = uptime_s + MAX_LAUNCH_VALIDITY_S
+    window = LaunchWindow(instance_id=life, not_before_s=uptime_s, expires_s=expires_s)
+    return msgspec.structs.replace(deed, window=window)
 
 
 class Wire:

@@ -7,10 +7,23 @@ from pathlib import Path
 import pytest
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.store import database
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.order_store import Store
 from sim_bridge.adapters.postgres_server import PostgresExecutables, PostgresServer
 from sim_bridge.adapters.postgres_server import running_postgres_server as run_server
+
+
+@pytest.fixture
+def new_epochs() -> None:
+    """Draw an epoch for each new store."""
+
+
+@pytest.fixture(autouse=True)
+def ids_without_epoch(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """New stores are as an earlier version created them: `o1.1` is the first flight of `o1`."""
+    if "new_epochs" not in request.fixturenames:
+        monkeypatch.setattr(database, "_begin_epoch_if_missing", lambda db: None)
 
 
 @pytest.fixture(scope="session")

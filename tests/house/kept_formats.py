@@ -28,7 +28,7 @@ from companion.adapters.files import (
 from companion.adapters.files.airframe_toml import write_airframe
 from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.app.flight.fleet_port import FleetPort
-from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
+from companion.core.mission.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.estimates import EstimatesSnapshot, FlightEstimates
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.fleet import messages as fleet
@@ -74,7 +74,8 @@ ADDED = {
     *("alert", "heading_off_rad", "tilt_off_rad", "velocity_off_mps", "mission_state"),
     *("gnss_alt_m", "gnss_alt_std_m", "pack_resistance", "current_gain"),
     *("yaw_rate_rps", "tilt_rates_rps", "lat_lon_deg", "unanswered", "columns"),
-    *("roster", "revoked_since"),
+    *("roster", "revoked_since", "recorded_s", "p_home_stated", "required_p_home"),
+    *("p_home_next", "p_home_onward", "p_success_onward", "sites", "p_home_stated_min"),
 }
 """Keys that later versions write, too."""
 

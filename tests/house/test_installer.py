@@ -2,10 +2,12 @@
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
+from importlib import import_module
 from pathlib import Path
 from runpy import run_path
 from types import SimpleNamespace
@@ -118,3 +120,16 @@ def test_a_damaged_bundle_is_refused_without_a_network(tmp_path: Path):
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2, done.stderr
     assert "bundle: damaged" in done.stderr
+
+
+IMPORT = re.compile(
+    r"^from ((?:companion|ground_station|sim_bridge)[\w.]*) import ([\w, ]+)$", re.M
+)
+
+
+@pytest.mark.parametrize("script", sorted(p.name for p in DEPLOY.iterdir() if p.is_file()))
+def test_names_that_a_script_imports_exist(script: str):
+    """Type checks do not read these scripts, nor the Python code within shell scripts."""
+    for module, names in IMPORT.findall((DEPLOY / script).read_text()):
+        for name in names.split(", "):
+            assert hasattr(import_module(module), name), f"{module} has no {name}"

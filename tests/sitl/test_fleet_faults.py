@@ -36,7 +36,7 @@ def taken_by_anybody(db: sa.Connection, order_id: str) -> str:
     """As `assign_order`, but also for an order taken by another desk."""
     mine = tables.assignments.c.order_id == order_id
     count = db.execute(sa.select(sa.func.count()).where(mine)).scalar_one()
-    return order_steps.assignment_id(order_id, count + 1)
+    return order_steps.assignment_id(order_id, "", count + 1)
 
 
 def unheard(patch: pytest.MonkeyPatch) -> None:

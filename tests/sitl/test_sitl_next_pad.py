@@ -33,7 +33,7 @@ from sim_bridge.app.day.drone import DayDrone, DroneWorld
 from sim_bridge.truth.params import load_airframe
 from sim_bridge.truth.terrain import PlaneTerrain
 from sim_bridge.truth.wind_params import build_mean_wind, parse_wind
-from tests.fleet.wire import Wire
+from tests.fleet.wire import Wire, valid_from
 
 pytestmark = pytest.mark.sitl
 
@@ -86,7 +86,7 @@ class Desk(Wire):
             instance_id=now.instance_id,
             as_of_s=now.uptime_s,
             by="desk",
-            action=deed,
+            action=valid_from(deed, now.instance_id, now.uptime_s),
         )
         self.waiting.append(
             MemberRequest(RequestKind.COMMAND, self._on_command_answered, encode_message(command))

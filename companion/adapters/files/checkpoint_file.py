@@ -10,7 +10,7 @@ from companion.adapters.files.atomic_file import (
     write_text_atomically,
 )
 from companion.core.base.errors import LeewayError
-from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict
+from companion.core.mission.checkpoint import Checkpoint, checkpoint_from_dict
 
 CHECKPOINT_NAME = "checkpoint.json"
 

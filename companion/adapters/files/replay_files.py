@@ -77,6 +77,7 @@ def build_replay_record(
         if not seen
         else {
             "p_home_min": min(s.p_home for s in seen),
+            "p_home_stated_min": min(s.p_home_stated for s in seen),
             "p_home_now_min": min(s.p_home_now for s in seen),
             "margin_min_wh": min(s.margin_wh for s in seen),
             "turn_back_s": next((d.t_s for d in result.decisions if d.kind == "turn_back"), None),
@@ -114,6 +115,7 @@ def _timeline_row(
         "energy_std_wh": replay_row.energy_std_wh,
         "energy_need_wh": None if seen is None else seen.energy_need_wh,
         "p_home": None if seen is None else seen.p_home,
+        "p_home_stated": None if seen is None else seen.p_home_stated,
         "p_home_now": None if seen is None else seen.p_home_now,
         "p_success": None if seen is None else seen.p_success,
         "margin_wh": None if seen is None else seen.margin_wh,

@@ -45,6 +45,7 @@ from companion.core.mission.events import (
     VehicleState,
 )
 from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.return_budget.outcomes import SiteMargin
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
@@ -72,6 +73,7 @@ JSON_TYPES: dict[Any, dict[str, Any]] = {
     float | None: {"type": ["number", "null"]},
     int | None: {"type": ["integer", "null"]},
     bool | None: {"type": ["boolean", "null"]},
+    tuple[SiteMargin, ...]: {"type": "array"},
 }
 """JSON type of a field; texts and enumerations are strings."""
 

@@ -30,7 +30,8 @@ from companion.core.mission.flight_plan import (
     position_to_ned_m,
 )
 from companion.core.mission.preflight_checks import pack_mismatch_text
-from companion.core.pilot.estimates import FlightEstimates, depot_p_home_if_less_safe
+from companion.core.pilot.diversion import SaferRally, safer_rally
+from companion.core.pilot.estimates import FlightEstimates
 from companion.core.pilot.return_decision import RecordedAssessment, significant_change_text
 from companion.core.pilot.telemetry_state import (
     BATTERY_MAX_AGE_S,
@@ -446,11 +447,10 @@ class _Replay:
             return
         remaining = route.remaining_mission(position_ned, self._estimates.payload_kg)
         depot_name, estimates = route.landing_site_name, self._estimates
-        if depot_p_home_if_less_safe(assessment, remaining, depot_name, estimates) is not None:
+        safer = safer_rally(assessment.best_landing, remaining, depot_name, estimates)
+        if safer is not None:
             self._diverted = True
-            self._record_decision(
-                t_s, "divert", f"to {assessment.best_landing}: the depot is outside the promise"
-            )
+            self._record_decision(t_s, "divert", f"to {safer.name}: {safer.cause}", safer)
 
     def _home_distance_m(self, telemetry: TelemetryState) -> float | None:
         if self._home is None or telemetry.position is None:
@@ -484,16 +484,8 @@ class _Replay:
             return
         self._recorded_assessment = RecordedAssessment(assessment.margin_wh, wind_ne)
 
-    def _record_decision(self, t_s: float, kind: str, reason: str) -> None:
-        seen = self._assessment
-        self._decisions.append(
-            Decision(
-                t_s,
-                kind,
-                reason,
-                seen.p_home if seen else None,
-                seen.p_home_now if seen else None,
-                seen.p_success if seen else None,
-                seen.margin_wh if seen else None,
-            )
-        )
+    def _record_decision(
+        self, t_s: float, kind: str, reason: str, safer: SaferRally | None = None
+    ) -> None:
+        sites = safer and safer.sites
+        self._decisions.append(Decision.create(t_s, kind, reason, self._assessment, sites))

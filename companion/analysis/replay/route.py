@@ -7,11 +7,11 @@ from companion.core.base.geo import LocalFrame, Ned, horizontal_distance_m
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import DROP_TOTAL_S, FlightPlan, position_to_ned_m
 from companion.core.mission.mission_items import Part
+from companion.core.pilot.diversion import has_clear_line_to_rally
 from companion.core.pilot.estimators.release_watch import (
     add_hover_samples_from_telemetry,
     build_release_monitor,
 )
-from companion.core.pilot.return_decision import has_clear_line_to_rally
 from companion.core.pilot.telemetry_state import TelemetryState
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.remaining_from_plan import (

@@ -113,6 +113,7 @@ def fit_wind_process_to_recordings(
     best = np.concatenate(
         [found.x[:process_part_count][order], found.x[process_part_count:][order]]
     )
+    mean_count = sum(r.t_s.size for r in recordings)
     memory, variance = np.exp(best[:process_part_count]), np.exp(best[process_part_count:])
     process = WindProcessParams(
         format="wind-process/1",
@@ -124,12 +125,13 @@ def fit_wind_process_to_recordings(
         most_scale=_MAX_SCALE,
         level_std_mps=_LEVEL_STD_MPS,
         seen_noise_std_mps=_SEEN_NOISE_STD_MPS,
+        recorded_s=mean_count * MEAN_S,
     )
     return WindFit(
         process=process,
         log_std=_laplace_log_std(posterior, best),
         log_likelihood=posterior.log_likelihood_and_gradient(best)[0],
-        mean_count=sum(r.t_s.size for r in recordings),
+        mean_count=mean_count,
     )
 
 

@@ -45,6 +45,9 @@ def certify_command(
     max_loss: Annotated[
         float, typer.Option(help="Accepted loss per mission; the evidence it needs is printed.")
     ] = 0.01,
+    wind_process: Annotated[
+        str, typer.Option(help="Wind process (name or file) of the printed limit of evidence.")
+    ] = "coast",
 ) -> None:
     """Write an airframe's certificate: the bound on its power draw that its flight logs support.
 
@@ -53,5 +56,7 @@ def certify_command(
     from companion.app.tools.certify import CertifyOptions, evaluate_logs_and_write_certificate
 
     evaluate_logs_and_write_certificate(
-        CertifyOptions(tuple(logs), airframe, payload_kg, dates, temperature_c, max_loss)
+        CertifyOptions(
+            tuple(logs), airframe, payload_kg, dates, temperature_c, max_loss, wind_process
+        )
     )

@@ -48,14 +48,14 @@ def _issue_label(issue: PreflightIssue) -> str:
 
 
 def _certificate_and_envelope_exit_lines(pilot: Pilot) -> list[str]:
-    """Return the certificate's statement and where this flight is outside its envelope."""
-    certificate = pilot.certificate
-    if certificate is None:
-        return []
-    lines = [f"ok       certificate: {certificate.summary_text}"]
-    if words := certificate.missing_support_text(pilot.context.estimates.limits.max_loss):
-        lines.append(f"note     certificate: {words}")
-    return lines + [f"DOUBT    {words}" for words in pilot.context.estimates.envelope_exit_texts]
+    """Return certificate, limit of evidence, and where this flight is outside the envelope."""
+    estimates, certificate = pilot.context.estimates, pilot.certificate
+    lines = [] if certificate is None else [f"ok       certificate: {certificate.summary_text}"]
+    words = estimates.evidence.missing_support_text(estimates.limits.max_loss)
+    lines.append(
+        f"WARNING  {words}" if words else f"ok       evidence: {estimates.evidence.summary_text}"
+    )
+    return lines + [f"DOUBT    {words}" for words in estimates.envelope_exit_texts]
 
 
 def _battery_lines(pilot: Pilot) -> list[str]:

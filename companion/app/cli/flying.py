@@ -225,7 +225,7 @@ def _action_text(action: Action) -> str:
         case PhaseChanged():
             return f"{action.t_s:9.1f} s  {action.before} -> {action.now}"
         case Decision():
-            promise = f"  p_home {action.p_home:.3f}" if action.p_home is not None else ""
+            promise = f"  P(home): {action.p_home_text}" if action.p_home_text is not None else ""
             return f"{action.t_s:9.1f} s  {action.kind}: {action.reason}{promise}"
         case LogNote(in_run=True):
             return f"  {action.text}"

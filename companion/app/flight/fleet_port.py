@@ -51,11 +51,10 @@ from companion.fleet.messages import (
     EventKind,
     Launch,
     Refused,
-    decode_and_match_received_track,
     decode_message,
 )
 from companion.fleet.network import MemberLink
-from companion.fleet.signed_link import RejectionCounter
+from companion.fleet.signed_link import RejectionCounter, decode_and_match_received_track
 
 STATE_INTERVAL_S = 1.0
 MAX_FUTURE_S = 0.5

@@ -27,12 +27,12 @@ from companion.adapters.files.signing_files import SigningStampStore, read_signi
 from companion.app.flight.monitor_keeper import MonitorKeeper
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import Certificate
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import AutopilotKind
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import build_site_map, depot_frame
 from companion.core.mission.preflight_checks import ParameterRequirement, RouteProperties
 from companion.core.monitor.corrections import NO_CORRECTIONS, MonitorCorrections
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.pilot import Pilot
 from companion.core.separation.learned_policy import AvoidancePolicy

@@ -36,6 +36,7 @@ def flight_state_fields(pilot: Pilot) -> dict[str, Any]:
         state_fields["margin_wh"] = assessment.margin_wh
         for name in ("p_home", "p_home_now", "p_success"):
             state_fields[name] = clip_probability(getattr(assessment, name))
+        state_fields["p_home_limit"] = assessment.p_home_limit
     if pilot.flight_plan is not None:
         state_fields["outbound_route"], state_fields["return_route"] = route_polylines(
             pilot.flight_plan

@@ -171,9 +171,11 @@ class Recorder:
             self._submit_decision_log_row(topic, row)
         match action:
             case Decision():
+                sites = ", ".join(f"{s.landing} {s.margin_now_wh:+.1f}" for s in action.sites)
                 promise = (
-                    f" [p_home {action.p_home:.4f}, margin {action.margin_wh:.1f} Wh]"
-                    if action.p_home is not None and action.margin_wh is not None
+                    f" [P(home): {action.p_home_text}, margin {action.margin_wh:+.1f} Wh;"
+                    f" now {sites}]"
+                    if action.p_home_text is not None and action.margin_wh is not None
                     else ""
                 )
                 self.submit_text_log_line(t_s, f"{action.kind}: {action.reason}{promise}")

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from companion.adapters.files.airframe_toml import read_fitted_log_names
 from companion.adapters.files.certificate_file import write_certificate
-from companion.adapters.files.params import read_airframe
+from companion.adapters.files.params import read_airframe, read_wind_process
 from companion.adapters.logs.flight_table import find_flight_table_row
 from companion.adapters.logs.open_log import read_multirotor_log
 from companion.analysis.calibration.drag import estimate_wind
@@ -34,6 +34,7 @@ from companion.core.base.arrays import Floats
 from companion.core.base.errors import LeewayError
 from companion.core.certificate.certificate import Certificate, percent_text
 from companion.core.certificate.certify import MeasuredFlight, Scatter, create_certificate
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.certificate.support import COVERAGE, days_needed_for_loss, loss_free_days_needed
 from companion.core.vehicle.airframe import Airframe
 
@@ -53,6 +54,7 @@ class CertifyOptions:
     dates: str
     temperature_c: float | None
     max_loss: float
+    wind_process: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +103,14 @@ def evaluate_logs_and_write_certificate(options: CertifyOptions) -> None:
     flights = [one.flight for one in flown]
     certificate = create_certificate(airframe, flights, _fit_log_ratio_scatter(flown), left_out)
     _print_certificate(console, certificate, flights)
-    missing = certificate.missing_support_text(options.max_loss)
+    is_supported = certificate.supported_loss_probability <= options.max_loss
     console.print(f"certificate: {certificate.summary_text}")
+    evidence = RiskEvidence(read_wind_process(options.wind_process), certificate)
+    console.print(f"limit of evidence: {evidence.summary_text}")
     console.print(
         f"{percent_text(options.max_loss)} needs {needed[0]} days, and with"
         f" {percent_text(COVERAGE)} confidence {needed[1]} without a loss:"
-        f" {'not supported' if missing else 'the first is supported'}"
+        f" {'the first is supported' if is_supported else 'not supported'}"
     )
     console.print(
         f"{write_certificate(options.airframe, certificate)}: written; flights with it are checked"

@@ -209,6 +209,8 @@ def _wind_process_toml(
         f"level_std_mps = {process.level_std_mps:g} # any wind",
         f"seen_noise_std_mps = {process.seen_noise_std_mps:g} # [est] of a vehicle's estimate",
     ]
+    if process.recorded_s is not None:
+        lines.append(f"recorded_s = {process.recorded_s:g} # behind these parameters")
     if process.tail_dof is not None:
         lines.append(f"tail_dof = {process.tail_dof:g} # [fit] forecast errors up to 300 s ahead")
     return "\n".join(lines) + "\n"

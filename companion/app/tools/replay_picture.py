@@ -143,7 +143,7 @@ def _draw_p_home_panel(panel: Any, states: list[ReplayState], promised_probabili
     t_s = np.array([m.t_s for m in states])
     policy = np.array([m.assessment.p_home for m in states if m.assessment is not None])
     now = np.array([m.assessment.p_home_now for m in states if m.assessment is not None])
-    panel.plot(t_s, policy, color=PRIMARY_COLOUR, linewidth=1.3, label="P(home)")
+    panel.plot(t_s, policy, color=PRIMARY_COLOUR, linewidth=1.3, label="P(home), by the model")
     panel.plot(t_s, now, color=GOOD, linewidth=1.1, linestyle="--", label="if it turned back now")
     panel.axhline(
         promised_probability,

@@ -86,8 +86,8 @@ def _decision_lines(result: ReplayResult, start_s: float) -> list[str]:
         return []
     lines = ["decisions of Leeway:"]
     for decision in shown:
-        promise = "" if decision.p_home is None else f"  P(home) {decision.p_home:.3f}"
-        if decision.margin_wh is not None and decision.p_home is not None:
+        promise = "" if (p_home := decision.p_home_text) is None else f"  P(home): {p_home}"
+        if decision.margin_wh is not None and p_home is not None:
             promise += f", margin {decision.margin_wh:+.1f} Wh"
         lines.append(
             f"  {decision.t_s - start_s:9.1f} s  {decision.kind}: {decision.reason}{promise}"

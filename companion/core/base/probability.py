@@ -37,6 +37,14 @@ def chi_square_upper_quantile(dof: float, exceedance_probability: Floats) -> Flo
     return np.fromiter(found, np.float64).reshape(np.shape(exceedance_probability))
 
 
+def home_probability_text(p_home: float, p_home_limit: float) -> str:
+    """Return P(home) as stated to people: at most the limit of evidence, and never rounded up."""
+    if p_home_limit < p_home:
+        one_in = math.floor(1.0 / (1.0 - p_home_limit) + 1e-6)
+        return f"risk at most 1 in {one_in} (limit of evidence)"
+    return "above 0.9999" if p_home > 0.9999 else f"{math.floor(1e4 * p_home + 1e-9) / 1e4:.4f}"
+
+
 def log_sum_exp(x: Floats) -> Floats:
     """Logarithm of the sum of exponentials over the last axis."""
     most = x.max(axis=-1, keepdims=True)

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from companion.core.base.errors import LeewayError
 
-VERSION = 1
+VERSION = 2
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,31}\Z")]
 Key = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z")]

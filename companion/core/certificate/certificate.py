@@ -9,8 +9,6 @@ import msgspec
 from companion.core.base.errors import LeewayError, check_range
 from companion.core.certificate.support import (
     COVERAGE,
-    days_needed_for_loss,
-    loss_free_days_needed,
     loss_upper_confidence_limit,
     supported_loss_probability,
 )
@@ -122,17 +120,6 @@ class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             f" what {self.airframe} predicts, from any decision point of any flight, with at most"
             f" {percent_text(self.supported_loss_probability)} (with {percent_text(COVERAGE)}"
             f" confidence at most {percent_text(loss_upper_confidence_limit(days))})"
-        )
-
-    def missing_support_text(self, max_loss: float) -> str:
-        """Return what is missing to support this loss, as text; "" if the days support it."""
-        if self.supported_loss_probability <= max_loss:
-            return ""
-        return (
-            f"{percent_text(max_loss)} accepted is less than {len(self.days)} days can support:"
-            f" {days_needed_for_loss(max_loss)} would, and {loss_free_days_needed(max_loss)}"
-            f" without a loss with {percent_text(COVERAGE)} confidence; until then it rests on the"
-            " models"
         )
 
 

@@ -1,13 +1,17 @@
 """Actions: outputs of the pilot. Adapters translate them into autopilot messages."""
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
+from typing import Any
 
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, AlertParameter, Severity
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
 from companion.core.monitor.flight_evidence import FlightEvidence
+from companion.core.return_budget.budget import Assessment
+from companion.core.return_budget.outcomes import SiteMargin
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +209,9 @@ class PublishValues(Action):
     values: dict[str, float]
 
 
+_DECISION_TEXTS = ("t_s", "kind", "reason")
+
+
 @dataclass(frozen=True, slots=True)
 class Decision(Action):
     """A decision with the probabilities on which it is based (docs/reference/outcomes.md)."""
@@ -213,9 +220,40 @@ class Decision(Action):
     kind: str
     reason: str
     p_home: float | None = None
+    p_home_stated: float | None = None
     p_home_now: float | None = None
     p_success: float | None = None
     margin_wh: float | None = None
+    required_p_home: float | None = None
+    p_home_next: float | None = None
+    p_home_onward: float | None = None
+    p_success_onward: float | None = None
+    sites: tuple[SiteMargin, ...] = ()
+
+    @classmethod
+    def create(
+        cls,
+        t_s: float,
+        kind: str,
+        reason: str,
+        assessment: Assessment | None,
+        sites: tuple[SiteMargin, ...] | None = None,
+    ) -> "Decision":
+        """Create a decision from an assessment; `sites`: more recent ones that it rests on."""
+        if assessment is None:
+            return cls(t_s, kind, reason)
+        names = [each.name for each in fields(cls) if each.name not in _DECISION_TEXTS]
+        numbers: dict[str, Any] = {name: getattr(assessment, name) for name in names}
+        if sites is not None:
+            numbers["sites"] = sites
+        return cls(t_s, kind, reason, **numbers)
+
+    @property
+    def p_home_text(self) -> str | None:
+        """P(home) as stated to people."""
+        if self.p_home is None or self.p_home_stated is None:
+            return None
+        return home_probability_text(self.p_home, self.p_home_stated)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,12 +262,18 @@ class AssessmentReport(Action):
 
     t_s: float
     p_home: float
+    p_home_stated: float
     p_home_now: float
     p_success: float
     margin_wh: float
     energy_left_wh: float
     energy_need_wh: float
-    p_home_unattended: float | None = None
+    p_home_unattended: float | None
+    required_p_home: float
+    p_home_next: float
+    p_home_onward: float
+    p_success_onward: float
+    sites: tuple[SiteMargin, ...]
     by_table: bool = False
     """Always False: readers of result.json expect the key."""
 

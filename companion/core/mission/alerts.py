@@ -106,7 +106,11 @@ class Alert(Enum):
         "{name} {value:g} from {source} refused: use {low:g} to {high:g}",
         "Set a value within the range from an operator station.",
     )
-    LIMITS_CHANGED = (NOTICE, "limits: P(loss) {max_loss:g}, reserve {reserve_frac:g}", NO_ACTION)
+    LIMITS_CHANGED = (
+        NOTICE,
+        "limits: P(loss) {max_loss:g}, reserve {reserve_frac:g}{evidence}",
+        NO_ACTION,
+    )
 
     # Mission on the autopilot
     MISSION_FOREIGN = (
@@ -158,7 +162,7 @@ class Alert(Enum):
 
     RETURN_DUE = (
         CRITICAL,
-        "P(home) {p_home}, {left_s:.0f} s left: {advice}",
+        "P(home): {p_home}, {left_s:.0f} s left: {advice}",
         "Return or land as stated: hand back with Continue, or command RTL.",
     )
     RTL_OUT_OF_REACH = (

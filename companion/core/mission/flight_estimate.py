@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.errors import LeewayError
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.ground.ground_strip import Peak
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import (
@@ -51,6 +52,7 @@ class FlightEstimate:
     energy: EnergyBelief
     reserve_wh: float
     assessment: Assessment
+    evidence: RiskEvidence
 
     @property
     def min_ground_clearance_m(self) -> float | None:
@@ -107,7 +109,9 @@ def estimate_flight(
     outlook = WindOutlook(wind_process)
     outlook.update_from_estimate(wind_estimate)
     reserve_wh = flight.mission.reserve_frac * energy.usable_full_wh
-    gate = Gate(route_energy, GateParams(max_loss=flight.mission.max_loss, reserve_wh=reserve_wh))
+    evidence = RiskEvidence(wind_process)
+    params = GateParams(flight.mission.max_loss, reserve_wh, p_home_limit=evidence.p_home_limit)
+    gate = Gate(route_energy, params)
     remaining_flight = remaining_outbound(
         planned.plan,
         planned.plan.depot_ned_m,
@@ -118,7 +122,7 @@ def estimate_flight(
         flight.mission.wind_settle_s + SETTLE_MARGIN_S,
     )
     assessment = gate.assess(remaining_flight, wind_estimate, outlook, energy)
-    return FlightEstimate(flight, planned, energy, reserve_wh, assessment)
+    return FlightEstimate(flight, planned, energy, reserve_wh, assessment, evidence)
 
 
 def _rested_battery_energy(

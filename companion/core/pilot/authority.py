@@ -11,6 +11,7 @@ from typing import Any
 
 from companion.core.mission.actions import OperatorResponse, ResponseStatus, SetMode
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     CONTROL_CLAIM_STEP_S,
@@ -25,7 +26,6 @@ from companion.core.mission.events import (
     OtherCompanionReport,
     VehicleState,
 )
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import (
     EXTERNAL_DISARM_TEXT,
     MAX_GROUND_HEIGHT_M,

@@ -40,6 +40,7 @@ from companion.core.pilot.telemetry_state import (
 )
 from companion.core.pilot.transitions import OUTBOUND_PHASES, Phase, Trigger, next_phase
 from companion.core.return_budget.budget import Assessment
+from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.vehicle.airframe import Airframe
 from companion.core.vehicle.energy_ledger import EnergyBelief
 
@@ -194,20 +195,11 @@ class FlightContext:
             self._reported.add(report.text)
             self.queue_actions(report)
 
-    def record_decision(self, kind: str, reason: str) -> None:
-        """Record a decision with the assessment on which it is based."""
-        assessment = self.assessment
-        self.queue_actions(
-            Decision(
-                self.t_s,
-                kind,
-                reason,
-                assessment.p_home if assessment else None,
-                assessment.p_home_now if assessment else None,
-                assessment.p_success if assessment else None,
-                assessment.margin_wh if assessment else None,
-            )
-        )
+    def record_decision(
+        self, kind: str, reason: str, sites: tuple[SiteMargin, ...] | None = None
+    ) -> None:
+        """Record a decision with the assessment on which it is based; `sites`: more recent ones."""
+        self.queue_actions(Decision.create(self.t_s, kind, reason, self.assessment, sites))
 
     def request_checkpoint(self) -> None:
         """Queue a checkpoint of the present state."""

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, field
 
 from companion.core.base.geo import Ned
 from companion.core.certificate.certificate import Certificate
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.certificate.watch import EnvelopeMonitor
 from companion.core.mission.actions import AlertReport, LogNote, mask_numbers
 from companion.core.mission.alerts import Alert
@@ -40,15 +41,11 @@ from companion.core.wind_field.shared_winds import SharedWinds
 EstimateMessage = LogNote | AlertReport
 """For the log, or for log and operator."""
 
-MIN_DIVERT_GAIN = 0.02
-"""Minimum gain in safety for a diversion to another landing site."""
-
 
 class FlightEstimates:
-    """Estimates wind and energy of one flight, and evaluates the gate with them.
-
-    Each tick updates the energy with the wind of the tick before, then the wind. A checkpoint keeps
-    every estimate except the fleet's wind.
+    """Estimates wind and energy of one flight, and evaluates the gate with them. Each tick updates
+    the energy with the wind of the tick before, then the wind. A checkpoint keeps all but the
+    fleet's wind.
     """
 
     def __init__(
@@ -69,9 +66,7 @@ class FlightEstimates:
         self._airframe = airframe
         self.route_energy = route_energy
         self.air: Air | None = None
-        """Air properties of the flight; `None` until they are fixed on the ground
-        (`fix_air_properties`).
-        """
+        """Air properties; `None` until they are fixed on the ground (`fix_air_properties`)."""
         self.payload_kg = flight.vehicle.payload_kg
         self.limits = AcceptedLimits(flight.mission.max_loss, flight.mission.reserve_frac)
         self._estimator = wind_filter or WindEstimator(airframe)
@@ -87,7 +82,10 @@ class FlightEstimates:
         self._energy = FlightEnergyEstimator(
             flight.vehicle, airframe, route_energy, self._tally, monitor_corrections, certificate
         )
-        self.gate = FlightGate(route_energy, self._outlook, self._shared)
+        self.evidence = RiskEvidence(wind_process, certificate)
+        self.gate = FlightGate(
+            route_energy, self._outlook, self._shared, self.evidence.p_home_limit
+        )
         self._watch = EnvelopeMonitor(certificate)
         # Uses the file's own process, because the monitor tests that process.
         self._nominal_outlook = WindOutlook(wind_process) if is_wind_suspect else self._outlook
@@ -347,20 +345,3 @@ class EstimatesSnapshot:
     pack_resistance: dict[str, object] | None = None
     current_gain: tuple[float, float] | None = None
     outside_envelope: dict[str, str] = field(default_factory=dict)
-
-
-def depot_p_home_if_less_safe(
-    other_site_assessment: Assessment,
-    remaining: RemainingMission,
-    depot_name: str,
-    estimates: FlightEstimates,
-) -> float | None:
-    """Return P(home) at the depot if only another landing site keeps the promise, else None."""
-    routes = tuple(r for r in remaining.current_return_routes if r.landing == depot_name)
-    if not routes:
-        return 0.0
-    depot = estimates.assess(RemainingMission(routes, (), remaining.delivered))
-    if depot is None or depot.p_home >= 1.0 - estimates.limits.max_loss:
-        return None
-    is_safer = other_site_assessment.p_home_now > depot.p_home + MIN_DIVERT_GAIN
-    return depot.p_home if is_safer else None

@@ -11,8 +11,8 @@ from typing import Any
 
 from companion.core.base.geo import Ned, horizontal_distance_m
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.mission_items import Part
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import CurrentPlan, FlightContext
 from companion.core.pilot.estimators.release_watch import ReleaseMonitor
 from companion.core.pilot.telemetry_state import POSITION_MAX_AGE_S, PROGRESS_MAX_AGE_S

@@ -21,6 +21,7 @@ from typing import Any
 from companion.core.base.geo import LocalFrame, horizontal_distance_m
 from companion.core.mission.actions import SetHome
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import (
     SET_HOME,
     Event,
@@ -33,7 +34,6 @@ from companion.core.mission.events import (
 from companion.core.mission.flight_plan import DEPOT_RADIUS_M
 from companion.core.mission.jump_watch import JumpType
 from companion.core.pilot.authority import OrderedMode
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import FlightContext
 from companion.core.pilot.flight_state import CurrentItem, FlightState, ReturnState
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings

@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 from companion.core.base.geo import LocalFrame, Ned, horizontal_distance_m
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.actions import OperatorResponse, ResponseStatus
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import Event, HomeStopRequested
@@ -140,7 +141,8 @@ class LandingStopController:
         if seen is None:
             return ResponseStatus.LATER, "wind or energy unknown"
         promise = 1.0 - context.estimates.limits.max_loss
-        text = f"P(home) {seen.p_home:.3f} at {stop_name}"
+        p_home = home_probability_text(seen.p_home, seen.p_home_limit)
+        text = f"P(home) at {stop_name}: {p_home}"
         if not context.options.gate_enabled:
             return ResponseStatus.ACCEPTED, text
         if remaining.stages and seen.turn_back:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from inspect import signature
 from typing import Any, TypeVar, cast
 
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import (
     AbortOrdered,
     AutopilotParameters,
@@ -55,7 +56,6 @@ from companion.core.mission.events import (
 )
 from companion.core.mission.find_plan import PlanFound
 from companion.core.pilot.authority import ControlAuthority, DisarmMonitor, OrderedMode
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import CurrentPlan, LatestAssessment
 from companion.core.pilot.control.flight_reports import FlightReports
 from companion.core.pilot.control.last_resort import LastResort

@@ -15,6 +15,7 @@ from companion.core.mission.actions import (
     SaveCheckpoint,
 )
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.mission.events import (
     AutopilotDetected,
     AutopilotText,
@@ -28,7 +29,6 @@ from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.monitor.corrections import NO_CORRECTIONS, MonitorCorrections
 from companion.core.pilot.authority import ControlAuthority, OrderedMode
-from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.context import (
     CurrentPlan,
     FlightContext,

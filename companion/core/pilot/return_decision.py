@@ -6,7 +6,6 @@ point.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from companion.core.base.geo import Ned, horizontal_distance_m
 from companion.core.mission.actions import OperatorResponse, ResponseStatus
@@ -16,7 +15,14 @@ from companion.core.mission.events import AbortOrdered, Event, LimitsChanged
 from companion.core.mission.flight_plan import DROP_TOTAL_S, FlightPlan
 from companion.core.mission.jump_watch import JumpType
 from companion.core.pilot.context import FlightContext, LatestAssessment
-from companion.core.pilot.estimates import MIN_DIVERT_GAIN, depot_p_home_if_less_safe
+from companion.core.pilot.diversion import (
+    MIN_DIVERT_GAIN,
+    SaferRally,
+    diversion_cause_text,
+    has_clear_line_to_rally,
+    safer_rally,
+    stop_left_text,
+)
 from companion.core.pilot.estimators.flight_energy import valid_wind_ne_mps
 from companion.core.pilot.estimators.flight_gate import AcceptedLimits
 from companion.core.pilot.flight_state import (
@@ -33,7 +39,6 @@ from companion.core.pilot.transitions import FLIGHT_PHASES, RETURN_PHASES, Phase
 from companion.core.return_budget.budget import (
     Assessment,
     RemainingMission,
-    format_distinct_probabilities,
 )
 from companion.core.return_budget.remaining_from_plan import (
     remaining_delivery,
@@ -199,14 +204,6 @@ def _return_route_index(
 # --- the decision --------------------------------------------------------------------------------
 
 
-class SaferRally(NamedTuple):
-    """A rally point with its P(home), and that of the home that no longer keeps the promise."""
-
-    name: str
-    p_home: float
-    home_p_home: float
-
-
 @dataclass(slots=True, eq=False)
 class ReturnDecision:
     """Turns back when the gate is closed."""
@@ -218,6 +215,7 @@ class ReturnDecision:
     _promise: PromisedStop
     _flight: FlightState
     _parcel: ParcelState
+    _blocked_rally: str = ""
 
     def on_event(self, context: FlightContext, event: Event) -> None:
         """Process an operator's abort, or new limits."""
@@ -274,20 +272,18 @@ class ReturnDecision:
             else self._rally_safer_than_stop(context, position_ned_m)
         )
         if safer is not None and not context.telemetry.command_faults():
-            promise = 1.0 - context.estimates.limits.max_loss
-            low, high = format_distinct_probabilities(safer.home_p_home, promise)
-            where = self._promise.current_home_stop_name(context) or "depot"
-            text = f"{where}: P(home) {low} below {high}; {safer.name} {safer.p_home:.3f}"
-            self._divert_to_rally(context, safer.name, text)
+            self._divert_to_rally(context, safer, safer.cause)
 
-    def _divert_to_rally(self, context: FlightContext, rally_name: str, reason: str) -> None:
+    def _divert_to_rally(self, context: FlightContext, safer: SaferRally, reason: str) -> None:
         """Jump to this rally point or stop."""
-        flown = context.flight_plan
+        flown, rally_name = context.flight_plan, safer.name
         assert flown is not None
         self._state.set_landing_site(rally_name)
         is_stop = rally_name in {stop.name for stop in flown.plan.stops}
         self._promise.set_requested_stop(context, rally_name if is_stop else None)
-        context.record_decision(*DecisionEvent.create_diversion(rally_name, reason))
+        context.record_decision(
+            *DecisionEvent.create_diversion(rally_name, reason), sites=safer.sites
+        )
         context.report_alert(Alert.DIVERTING, site=rally_name, reason=reason)
         self._jumps.order_jump(
             context, flown.overhead_and_ground_items_of_site(rally_name)[0], JumpType.HOME
@@ -318,7 +314,7 @@ class ReturnDecision:
             return
         safer = self._rally_safer_than_home(context, here)
         if safer is not None:
-            self._divert_to_rally(context, safer.name, reason)
+            self._divert_to_rally(context, safer, f"{reason}; {safer.cause}")
             return
         item = self._entry_item_from_position(flown, here)
         context.record_decision("turn_back", reason)
@@ -356,11 +352,23 @@ class ReturnDecision:
         if flown is None or assessment is None:
             return None
         rally, home = assessment.best_landing, flown.plan.return_route_end_name
-        if rally == home or not has_clear_line_to_rally(flown, rally, here_m):
+        if rally == home:
+            return None
+        if not has_clear_line_to_rally(flown, rally, here_m):
+            self._record_blocked_diversion(context, assessment, rally, home)
             return None
         remaining = self._budget.remaining_flight(context, here_m)
-        p_home = depot_p_home_if_less_safe(assessment, remaining, home, context.estimates)
-        return None if p_home is None else SaferRally(rally, assessment.p_home_now, p_home)
+        return safer_rally(rally, remaining, home, context.estimates)
+
+    def _record_blocked_diversion(
+        self, context: FlightContext, assessment: Assessment, rally: str, home: str
+    ) -> None:
+        """Record once for each rally point that only an obstacle prevents a diversion to it."""
+        max_loss, site = context.estimates.limits.max_loss, assessment.site_by_name(home)
+        if rally != self._blocked_rally and site is not None and site.margin_now_wh < 0.0:
+            self._blocked_rally = rally
+            cause = diversion_cause_text(assessment.sites, rally, home, max_loss)
+            context.record_decision("divert_blocked", f"no clear line to {rally}; {cause}")
 
     def _rally_safer_than_stop(
         self, context: FlightContext, position_ned_m: Ned
@@ -384,7 +392,12 @@ class ReturnDecision:
             rally_assessment = context.estimates.assess(remaining)
             if rally_assessment is not None and rally_assessment.p_home > best_p:
                 best, best_p = site.name, rally_assessment.p_home
-        return None if best is None else SaferRally(best, best_p, assessment.p_home)
+        if best is None:
+            return None
+        max_loss = context.estimates.limits.max_loss
+        return SaferRally(
+            best, stop_left_text(rally, assessment.p_home, max_loss, best, best_p), None
+        )
 
     def _process_abort(self, context: FlightContext, operator_name: str) -> bool:
         """Process an operator's abort: the gate closes."""
@@ -413,15 +426,6 @@ def is_low_under(position_ned_m: Ned, overhead_ned_m: Ned) -> bool:
     )
 
 
-def has_clear_line_to_rally(flight_plan: FlightPlan, rally_name: str, position_ned_m: Ned) -> bool:
-    """Return whether the straight line to a rally point is clear, at its flown height."""
-    rally = next((r for r in flight_plan.plan.rally if r.name == rally_name), None)
-    level = flight_plan.plan.return_ned_m[-1]
-    return rally is not None and flight_plan.is_line_clear_with_height_change(
-        position_ned_m, rally.arrival_point_above_site(level)
-    )
-
-
 def _apply_operator_limits(context: FlightContext, event: LimitsChanged) -> None:
     now = context.estimates.limits
     limits = AcceptedLimits(
@@ -430,5 +434,11 @@ def _apply_operator_limits(context: FlightContext, event: LimitsChanged) -> None
     )
     context.estimates.set_accepted_limits(limits)
     max_loss, reserve_frac = limits.max_loss, limits.reserve_frac
-    context.report_alert(Alert.LIMITS_CHANGED, max_loss=max_loss, reserve_frac=reserve_frac)
+    missing = context.estimates.evidence.missing_support_text(max_loss)
+    context.report_alert(
+        Alert.LIMITS_CHANGED,
+        max_loss=max_loss,
+        reserve_frac=reserve_frac,
+        evidence=missing and f"; {missing}",
+    )
     context.record_decision("limits", f"max_loss {max_loss:g}, reserve {reserve_frac:g}")

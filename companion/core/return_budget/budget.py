@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.core.return_budget.leg_costs import LegTable
-from companion.core.return_budget.outcomes import Budget, OutcomeProbabilities
+from companion.core.return_budget.outcomes import Budget, OutcomeProbabilities, SiteMargin
 from companion.core.return_budget.power_need import PowerNeed
 from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute, Stage
 from companion.core.return_budget.wind_samples import PathSampler
@@ -45,8 +45,9 @@ _TIE = 0.002  # probability: below the promise, continue only if turning back is
 def format_distinct_probabilities(low: float, high: float) -> tuple[str, str]:
     """Format two probabilities with enough digits to show which is lower."""
     for digits in range(3, 7):
-        if f"{low:.{digits}f}" != f"{high:.{digits}f}":
-            return f"{low:.{digits}f}", f"{high:.{digits}f}"
+        texts = f"{low:.{digits}f}", f"{high:.{digits}f}"
+        if texts[0] != texts[1] and not (high < 1.0 and texts[1].startswith("1")):
+            return texts
     return f"{low:.9f}", f"{high:.9f}"
 
 
@@ -62,12 +63,14 @@ class GateParams:
     `min_success`: the gate turns back, at departure and in flight, if P(success) is lower: without
     a delivery there is no reason to fly, however safe. Default: less than one delivery in twenty
     flights; the 128 policy samples have a standard error of 0.02 there, so that it is not 0.
+    `p_home_limit`: limit of evidence of stated probabilities (`RiskEvidence`); decides nothing.
     """
 
     max_loss: float
     reserve_wh: float
     min_success: float = 0.05
     samples: int = 256
+    p_home_limit: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +78,14 @@ class Assessment:
     """Result of the gate; probabilities as in docs/reference/outcomes.md.
 
     `turn_back`: fly home now, to `best_landing`. `p_home_unattended`: P(home) without further
-    commands (None if no route home has unattended legs). `margin_wh`: energy above the need of the
-    return promise, from the next decision point or, on the return flight, from the current
-    position; the gate closes at 0. `energy_need_wh`: mean need of the whole remaining mission.
+    commands (None if no route home has unattended legs). `margin_wh`: energy above the need of
+    `required_p_home` by way of the best landing site, from the next decision point or, on the
+    return flight, from the current position. `energy_need_wh`: mean need of the whole remaining
+    mission.
+
+    The gate's decision follows from `required_p_home`, `p_home_next` (from the next decision point,
+    or a better one beyond it), `p_home_onward` and `p_success_onward` (if it flies on now) and
+    `p_home_now`, a diversion from `sites` (docs/reference/outcomes.md).
     """
 
     t_s: float
@@ -91,6 +99,21 @@ class Assessment:
     energy_left_wh: float
     energy_need_wh: float
     reason: str
+    p_home_limit: float = 1.0
+    required_p_home: float = 1.0
+    p_home_next: float = 0.0
+    p_home_onward: float = 0.0
+    p_success_onward: float = 0.0
+    sites: tuple[SiteMargin, ...] = ()
+
+    @property
+    def p_home_stated(self) -> float:
+        """P(home) as stated to people: at most the limit of evidence."""
+        return min(self.p_home, self.p_home_limit)
+
+    def site_by_name(self, landing: str) -> SiteMargin | None:
+        """Return P(home) and margins of a landing site; None if no route leads there."""
+        return next((site for site in self.sites if site.landing == landing), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +124,8 @@ class GateDecision:
     p_home: float
     p_success: float
     reason: str
+    p_home_onward: float
+    p_success_onward: float
 
 
 class TurnBackResult(Protocol):
@@ -242,17 +267,17 @@ class Gate:
         self, chances: OutcomeProbabilities, accepted_loss: float, *, check_value: bool = True
     ) -> GateDecision:
         promise = 1.0 - accepted_loss
+        onward = p_home, p_success = chances.p_home_and_success_if_continuing(promise)
         if chances.p_onward < promise and chances.p_now >= chances.p_onward - _TIE:
             text = (
                 f"P(home) from the next point"
                 f" {self._below_required_text(chances.p_onward, promise)}"
             )
-            return GateDecision(True, chances.p_now, 0.0, text)
-        p_home, p_success = chances.p_home_and_success_if_continuing(promise)
+            return GateDecision(True, chances.p_now, 0.0, text, *onward)
         if check_value and (text := self._low_value_reason(chances, promise, p_home, p_success)):
-            return GateDecision(True, chances.p_now, 0.0, text)
+            return GateDecision(True, chances.p_now, 0.0, text, *onward)
         return GateDecision(
-            False, p_home, p_success, self._continue_reason(chances, promise, p_home)
+            False, *onward, self._continue_reason(chances, promise, p_home), *onward
         )
 
     def _continue_reason(
@@ -292,7 +317,8 @@ class Gate:
             return f"P(success) {p_success:.3f} is below {least:g}"
         onward = p_success + required_p_home * (p_home - p_success)
         if onward < required_p_home * (chances.p_now - _VALUE_TIE):
-            return f"P(success) {p_success:.3f} does not justify flying on at P(home) {p_home:.3f}"
+            home = f"P(home) {min(p_home, 0.999):.3f}"
+            return f"P(success) {p_success:.3f} does not justify flying on at {home}"
         return None
 
     def _assess_return(
@@ -303,16 +329,15 @@ class Gate:
         energy: EnergyBelief,
     ) -> Assessment:
         p_now = evaluation.chances.p_now
-        decision = GateDecision(
-            True, p_now, p_now if remaining.delivered else 0.0, "on the way home"
-        )
+        p_success = p_now if remaining.delivered else 0.0
+        decision = GateDecision(True, p_now, p_success, "on the way home", p_now, p_success)
         accepted = self.params.max_loss
         return self._build_assessment(
             evaluation, remaining, wind_estimate, energy, accepted, decision
         )
 
-    @staticmethod
     def _build_assessment(
+        self,
         evaluation: _Evaluation,
         remaining: RemainingMission,
         wind_estimate: WindBelief,
@@ -337,4 +362,17 @@ class Gate:
             energy_left_wh=energy.mean_wh,
             energy_need_wh=budget.scale * float(need.mean()),
             reason=decision.reason,
+            p_home_limit=self.params.p_home_limit,
+            required_p_home=1.0 - accepted_loss,
+            p_home_next=chances.p_onward if remaining.stages else chances.p_now,
+            p_home_onward=decision.p_home_onward,
+            p_success_onward=decision.p_success_onward,
+            sites=chances.site_margins(
+                [route.landing for route in remaining.current_return_routes],
+                [route.landing for route in remaining.stages[0].return_routes]
+                if remaining.stages
+                else [],
+                1.0 - self.params.max_loss,
+                1.0 - accepted_loss,
+            ),
         )

@@ -3,7 +3,10 @@
 Only `OutcomeProbabilities.p_home_and_success_if_continuing` depends on the accepted loss.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -69,6 +72,43 @@ class Budget:
                 low = middle
         return float(self.left_wh) - high
 
+    def approximate_margin_wh(self, need_wh: Floats, probability: float) -> float:
+        """Return that margin to about 0.05 Wh at a fifth of the cost, by the secant method on
+        normal quantiles. Its sign is that of the probability: below 0 if it is not reached.
+        """
+        p_now = float(self.probability_need_is_met(need_wh).mean())
+        need_wh = self.scale * need_wh
+        spread = np.maximum(np.hypot(self.battery_std_wh, self.model_std_frac * need_wh), 1e-6)
+        std_wh = math.hypot(float(need_wh.std()), float(spread.mean()))
+        target = _quantile(probability)
+        level = float(need_wh.mean()) + target * std_wh
+        before, slope = None, 1.0 / std_wh
+        for _ in range(3):
+            reached = _quantile(float(normal_cdf((level - need_wh) / spread).mean()))
+            if before is not None and level != before[0] and reached != before[1]:
+                slope = max((reached - before[1]) / (level - before[0]), 0.2 / std_wh)
+            before, level = (level, reached), level + (target - reached) / slope
+        margin_wh = self.left_wh - level
+        return max(margin_wh, 0.0) if p_now >= probability else min(margin_wh, -_MARGIN_WH)
+
+
+def _quantile(probability: float) -> float:
+    return NormalDist().inv_cdf(min(max(probability, 1e-9), 1.0 - 1e-9))
+
+
+@dataclass(frozen=True, slots=True)
+class SiteMargin:
+    """A landing site that is within reach of a route: P(home) and margins by way of it.
+
+    `margin_now_wh`: energy above the need of 1 - `max_loss` from here. `margin_next_wh`: above that
+    of the required P(home) from the next decision point; None on the return flight.
+    """
+
+    landing: str
+    p_home_now: float
+    margin_now_wh: float
+    margin_next_wh: float | None
+
 
 @dataclass(frozen=True, slots=True)
 class LaterDecision:
@@ -100,7 +140,8 @@ class OutcomeProbabilities:
 
     def __init__(self, table: LegTable, budget: Budget, sampler: PathSampler) -> None:
         self._table, self._budget = table, budget
-        self.best_route_now, self.p_now = self._best_route_and_p_home(0, np.zeros(sampler.count))
+        self._nothing_used_wh = np.zeros(sampler.count)
+        self.best_route_now, self.p_now = self._best_route_and_p_home(0, self._nothing_used_wh)
         """Best route home from the current position, and P(home) on it."""
         if table.stage_count == 0:
             self.onward_need_wh = table.return_route_energy_wh(0, self.best_route_now)
@@ -127,6 +168,39 @@ class OutcomeProbabilities:
             p_home[turn_back] = decision.p_home_after_turn[turn_back]
             continuing &= ~turn_back
         return float(p_home.mean()), float(np.where(continuing, p_home, 0.0).mean())
+
+    def site_margins(
+        self,
+        landings_now: Sequence[str],
+        landings_next: Sequence[str],
+        p_home_now: float,
+        p_home_next: float,
+    ) -> tuple[SiteMargin, ...]:
+        """Return the margins of each landing site; the names of the routes' sites from here and
+        from the next decision point, and the P(home) that each margin refers to.
+        """
+        used = self._table.stage_energy_wh(1) if landings_next else self._nothing_used_wh
+        found: list[SiteMargin] = []
+        for site in dict.fromkeys(landings_now):
+            p_home, need_wh = self._best_chance_and_need_wh(
+                0, self._nothing_used_wh, site, landings_now
+            )
+            next_wh = None
+            if site in landings_next:
+                _, next_need_wh = self._best_chance_and_need_wh(1, used, site, landings_next)
+                next_wh = self._budget.approximate_margin_wh(next_need_wh, p_home_next)
+            now_wh = self._budget.approximate_margin_wh(need_wh, p_home_now)
+            found.append(SiteMargin(site, p_home, now_wh, next_wh))
+        return tuple(found)
+
+    def _best_chance_and_need_wh(
+        self, point: int, used_wh: Floats, site: str, landings: Sequence[str]
+    ) -> tuple[float, Floats]:
+        routes = [k for k, landing in enumerate(landings) if landing == site]
+        needs_wh = [used_wh + self._table.return_route_energy_wh(point, k) for k in routes]
+        chances = [float(self._budget.probability_need_is_met(n).mean()) for n in needs_wh]
+        best = _first_index_near_maximum(chances)
+        return chances[best], needs_wh[best]
 
     def _best_route_and_p_home(self, decision_point: int, used_wh: Floats) -> tuple[int, float]:
         """Return the route home of highest P(home), first of near ties, and that P(home)."""

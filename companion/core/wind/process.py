@@ -45,6 +45,9 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Prior of the level of each axis (one sigma)."""
     seen_noise_std_mps: float
     """Independent part of an estimate's error (one sigma)."""
+    recorded_s: float | None = None
+    """Recorded wind that the parameters were fitted to. Absent: none, so that no P(home) has
+    support."""
     tail_dof: float | None = None
     """Degrees of freedom of the Student-t distribution of changes of the wind. Absent: Gaussian."""
 
@@ -67,6 +70,8 @@ class WindProcessParams(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         check_range("most_scale", self.most_scale, 1.0, 10.0)
         check_range("level_std_mps", self.level_std_mps, 1.0, 50.0)
         check_range("seen_noise_std_mps", self.seen_noise_std_mps, 0.01, 5.0)
+        if self.recorded_s is not None:
+            check_range("recorded_s", self.recorded_s, 1.0, 1e9)
         if self.tail_dof is not None:
             check_range("tail_dof", self.tail_dof, 3.0, 1000.0)
 

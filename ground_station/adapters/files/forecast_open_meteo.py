@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.base.arrays import Floats
+from companion.core.base.clock_limits import MAX_UNIX_S
 from companion.core.base.documents import parse_json
 from companion.core.base.errors import LeewayError
 from ground_station.core.weather.forecast_field import (
@@ -32,8 +33,6 @@ GUSTS = "wind_gusts_10m"
 
 
 MAX_UTC_OFFSET_S = 86_400.0
-MAX_UNIX_S = 1e10
-"""Later times (from the year 2286 on) are in milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 import msgspec
 
+from companion.core.base.clock_limits import MAX_UNIX_S
 from companion.core.base.errors import LeewayError
 from companion.core.base.safe_text import safe_text
 from ground_station.adapters.files.table_rows import DECIMAL_COMMA, SEPARATORS
@@ -25,9 +26,6 @@ TAIL_BYTES = 65_536
 """Bytes per read, and the tail that is read of an existing file: older rows are outdated."""
 
 MAX_ROW_BYTES = 1000
-
-MAX_UNIX_S = 1e10
-"""Later times (from the year 2286 on) are in milliseconds."""
 
 
 @dataclass(slots=True)

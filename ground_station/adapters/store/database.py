@@ -1,7 +1,9 @@
 """Access to SQLite (WAL) or PostgreSQL by URL: transactions, and translated errors."""
 
 import os
+import secrets
 import sqlite3
+import string
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -9,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote, unquote
 
-import msgspec
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import (
@@ -21,8 +22,9 @@ from sqlalchemy.exc import (
 )
 
 from companion.core.base.errors import LeewayError
-from ground_station.adapters.store import audit_steps, tables
+from ground_station.adapters.store import about_steps, audit_steps, tables
 from ground_station.adapters.store.outage import Outage
+from ground_station.core.schema.orders import EPOCH_CHARS, ROOT_CHARS
 
 Value = TypeVar("Value")
 
@@ -42,6 +44,7 @@ SERVER_TIMEOUTS = {
 }
 """libpq: an unresponsive server counts as lost after `LOCK_TIMEOUT_MS`, not after two hours."""
 
+EPOCH_ALPHABET = string.ascii_lowercase + string.digits
 SCHEMA_LOCK = 0x4C454557
 """PostgreSQL advisory lock: desks that start together create the tables once."""
 
@@ -113,6 +116,7 @@ class Database:
                 db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
             if store_schema_version(db) is None:
                 _create_tables(db)
+            _begin_epoch_if_missing(db)
 
     def close(self) -> None:
         """Close all connections."""
@@ -151,18 +155,14 @@ class Database:
     def about_value(self, name: str, value_type: type[Value]) -> Value | None:
         """Return a value of the table `about`; None: it is not stored."""
         with self.read() as db:
-            query = sa.select(tables.about.c.value).where(tables.about.c.name == name)
-            found = db.execute(query).scalar_one_or_none()
-        return None if found is None else msgspec.json.decode(found, type=value_type)
+            return about_steps.about_value(db, name, value_type)
 
     def replace_about_value(self, name: str, value: Any) -> None:
         """Store a value in the table `about`."""
         schema_row = sa.select(tables.about).where(tables.about.c.name == "schema")
         with self.write() as db:
             db.execute(schema_row.with_for_update())  # several desks may start at once
-            db.execute(sa.delete(tables.about).where(tables.about.c.name == name))
-            values = {"name": name, "value": msgspec.json.encode(value).decode()}
-            db.execute(sa.insert(tables.about).values(values))
+            about_steps.replace_about_value(db, name, value)
 
     @contextmanager
     def _translate_and_record_errors(self, operation_participle: str) -> Iterator[None]:
@@ -224,6 +224,21 @@ def require_current_schema(schema_version: int | None, shown_store_url: str) -> 
     raise StoreError(
         f"store {shown_store_url}: schema {schema_version}, expected {tables.SCHEMA}: {remedy}"
     )
+
+
+def _begin_epoch_if_missing(db: sa.Connection) -> None:
+    """Begin an epoch: the store is new, or of a version without them."""
+    if about_steps.about_value(db, tables.EPOCHS_KEY, list[str]) is None:
+        about_steps.replace_about_value(db, tables.EPOCHS_KEY, [draw_epoch([])])
+
+
+def draw_epoch(earlier: list[str]) -> str:
+    """Return an epoch of the same store that differs from the earlier ones."""
+    while True:
+        drawn = "".join(secrets.choice(EPOCH_ALPHABET) for _ in range(EPOCH_CHARS))
+        epoch = earlier[-1][:ROOT_CHARS] + drawn[ROOT_CHARS:] if earlier else drawn
+        if epoch not in earlier:
+            return epoch
 
 
 def _create_tables(db: sa.Connection) -> None:

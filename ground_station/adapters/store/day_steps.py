@@ -6,11 +6,16 @@ import msgspec
 import sqlalchemy as sa
 
 from companion.core.base.location import Location
-from companion.fleet.messages import CommandAction, CommandStatus, Drive
+from companion.fleet.messages import CommandAction, CommandStatus, Drive, EventKind, FleetEvent
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.day_plan import PlannedSortie
+from ground_station.core.schema.orders import (
+    AssignmentState,
+    OrderState,
+    order_state_after_assignment,
+)
 from ground_station.core.schema.sortie_rows import SortieRow
 
 SORTIES = (
@@ -83,9 +88,9 @@ def mission_with_unconfirmed_withdrawal(db: sa.Connection, vehicle: str) -> str 
     id_ = db.execute(newest).scalar_one_or_none()
     if id_ is None:
         return None
-    withdrawal = t.commands.c.id == f"{id_}:withdraw"
+    withdrawal = t.commands.c.id.startswith(f"{id_}:withdraw", autoescape=True)
     unanswered = sa.select(t.commands.c.n).where(withdrawal, t.commands.c.life.is_(None))
-    return None if db.execute(unanswered).one_or_none() is None else id_
+    return None if db.execute(unanswered).first() is None else id_
 
 
 def is_mission_withheld(db: sa.Connection, assignment: str) -> bool:
@@ -112,10 +117,81 @@ def sortie_from_database_row(database_row: Any, command_responses: Any) -> Sorti
         launched_us=database_row.launched_us,
         landed_us=database_row.landed_us,
         used_wh=database_row.used_wh,
-        launch_pending=any(a.answer is None for a in launch_rows),
+        launch_pending=any(a.answer is None or (a.sent and a.life is None) for a in launch_rows),
         refused_launches=sum(
             a.answer == CommandStatus.REFUSED.value and a.life is not None for a in launch_rows
         ),
-        recovery_ordered=any(a.id == f"{database_row.id}:recover" for a in command_responses),
+        recovery_ordered=any(
+            a.id.startswith(f"{database_row.id}:recover") for a in command_responses
+        ),
         home_refused_us=max((us for us in refusals if us is not None), default=None),
     )
+
+
+def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
+    """Apply a driver's report about a drone: placed, recovered or not possible."""
+    here = t.sorties.c.assignment == event.assignment
+    row = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
+    if row is None or event.vehicle != TRUCK:
+        return
+    match event.kind:
+        case EventKind.DRONE_ON_PAD:
+            db.execute(sa.update(t.sorties).where(here).values(placed=True))
+        case EventKind.RECOVERED:
+            db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
+            _complete_withdrawal(db, now_us, row.assignment)
+            if event.delivered is not None:
+                _apply_driver_parcel_check(db, row.assignment, parcel_dropped=event.delivered)
+        case _ if row.placed:
+            db.execute(sa.update(t.sorties).where(here).values(away=True))
+        case _:
+            withheld = rows.lock_assignment_if_in_states(
+                db, row.assignment, (AssignmentState.ORDERED,)
+            )
+            if withheld is not None:
+                reason_text = f"the driver: {event.text}"
+                rows.end_assignment(
+                    db, now_us, withheld, AssignmentState.WITHDRAWN, False, reason_text
+                )
+            db.execute(sa.update(t.sorties).where(here).values(away=True))
+
+
+def _complete_withdrawal(db: sa.Connection, now_us: int, assignment: str) -> None:
+    """Conclude an unanswered withdrawal: the drone is off and on the truck, it did not fly."""
+    row = rows.lock_assignment_if_in_states(db, assignment, (AssignmentState.WITHDRAWING,))
+    if row is None:
+        return
+    reason_text = f"{row.reason}; the driver has loaded it"
+    rows.end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason_text)
+
+
+def order_with_unlocated_parcel(db: sa.Connection, assignment: str) -> str | None:
+    """Return the order whose parcel may still be on a drone that came home, None if it is known."""
+    query = (
+        sa.select(t.orders.c.id)
+        .join(t.assignments, t.assignments.c.order_id == t.orders.c.id)
+        .where(
+            t.assignments.c.id == assignment,
+            t.assignments.c.state == AssignmentState.RETURNED.value,
+            t.orders.c.state == OrderState.STUCK.value,
+        )
+    )
+    return db.execute(query).scalar_one_or_none()
+
+
+def _apply_driver_parcel_check(db: sa.Connection, assignment: str, *, parcel_dropped: bool) -> None:
+    order = order_with_unlocated_parcel(db, assignment)
+    if order is None:
+        return
+    here = t.orders.c.id == order
+    attempts = db.execute(sa.select(t.orders.c.attempts).where(here)).scalar_one()
+    state = AssignmentState.DELIVERED if parcel_dropped else AssignmentState.RETURNED
+    words = "was dropped" if parcel_dropped else "is still on the drone"
+    reason_text = f"driver's check: the parcel {words}"
+    db.execute(
+        sa.update(t.assignments)
+        .where(t.assignments.c.id == assignment)
+        .values(state=state.value, delivered=parcel_dropped, why=reason_text)
+    )
+    after = order_state_after_assignment(state, parcel_dropped, attempts)
+    db.execute(sa.update(t.orders).where(here).values(state=after.value, why=reason_text))

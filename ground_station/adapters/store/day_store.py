@@ -253,12 +253,11 @@ class DayStore:
             action = Recover(
                 assignment=assignment,
                 vehicle=row.vehicle,
-                parcel=rows.order_with_unlocated_parcel(db, assignment),
+                parcel=steps.order_with_unlocated_parcel(db, assignment),
                 lat_deg=landing_pad.lat_deg or 0.0,
                 lon_deg=landing_pad.lon_deg or 0.0,
             )
-            existing = sa.select(t.commands.c.n).where(t.commands.c.id == f"{assignment}:recover")
-            if db.execute(existing).one_or_none() is not None:
+            if rows.count_commands_with_id_prefix(db, f"{assignment}:recover"):
                 return False
             self._enqueue_command(db, f"{assignment}:recover", TRUCK, None, action, by)
         return True
@@ -319,7 +318,7 @@ class DayStore:
 
     def sorties(self) -> list[SortieRow]:
         """Return all sorties from the truck, in the order of their assignment."""
-        columns = (t.commands.c.answer, t.commands.c.life, t.commands.c.answered_us)
+        columns = [t.commands.c[one] for one in ("answer", "life", "answered_us", "sent")]
         drive_commands = sa.select(t.commands.c.id, *columns).where(
             sa.or_(*(t.commands.c.id.like(f"%:{word}") for word in ("launch%", "home%", "recover")))
         )
@@ -333,7 +332,7 @@ class DayStore:
     def order_delivery(self, order_id: str, by: str) -> str | None:
         """Order the driver to deliver an open order; None if it is not open."""
         with self._database.write() as db:
-            id_ = rows.assign_order(db, order_id)
+            id_ = None if holds.hold_after_restore(db) else rows.assign_order(db, order_id)
             if id_ is None:
                 return None
             rows.insert_assignment(db, self._epoch_us(), id_, order_id, TRUCK)
@@ -348,10 +347,10 @@ class DayStore:
         """
         with self._database.write() as db:
             rows.lock_dispatch_decisions(db)
-            drive_commands = steps.read_drive_commands_not_refused(db)
-            if drive_commands and (
-                drive_commands[-1][1] is None or drive_commands[-1][0].stop != current_stop
-            ):
+            last = (steps.read_drive_commands_not_refused(db) or [None])[-1]
+            if last is not None and (last[1] is None or last[0].stop != current_stop):
+                return False
+            if holds.hold_after_restore(db):
                 return False
             if any(
                 row.binding_reason(current_stop) for row in steps.read_sorties_without_responses(db)

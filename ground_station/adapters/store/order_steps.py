@@ -11,7 +11,6 @@ from companion.fleet.messages import (
     Assign,
     CommandAction,
     CommandStatus,
-    EventKind,
     FleetEvent,
     Launch,
     MoveHome,
@@ -19,9 +18,9 @@ from companion.fleet.messages import (
     Serve,
     Withdraw,
 )
+from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
 from ground_station.adapters.store import tables as t
-from ground_station.core.fleet.truck_state import TRUCK
 from ground_station.core.schema.orders import (
     IN_FORCE,
     OVERRIDE_OUTCOME,
@@ -33,6 +32,8 @@ from ground_station.core.schema.orders import (
     final_assignment_state,
     order_state_after_assignment,
 )
+
+_CLOSED_ORDER_STATES = (OrderState.DELIVERED.value, OrderState.CANCELLED.value)
 
 
 def lock_dispatch_decisions(db: sa.Connection) -> None:
@@ -54,7 +55,7 @@ def assign_order(db: sa.Connection, order_id: str) -> str | None:
     attempt = db.execute(
         sa.select(sa.func.count()).where(t.assignments.c.order_id == order_id)
     ).scalar_one()
-    return assignment_id(order_id, attempt + 1)
+    return assignment_id(order_id, about.store_epoch(db), attempt + 1)
 
 
 def insert_assignment(
@@ -64,6 +65,7 @@ def insert_assignment(
     order_id: str,
     vehicle: str,
     layer: int | None = None,
+    state: AssignmentState = AssignmentState.ORDERED,
 ) -> None:
     """Insert an assignment. IntegrityError if drone or layer has another one in force."""
     db.execute(
@@ -71,7 +73,7 @@ def insert_assignment(
             id=id_,
             order_id=order_id,
             vehicle=vehicle,
-            state=AssignmentState.ORDERED.value,
+            state=state.value,
             delivered=False,
             why="",
             made_us=now_us,
@@ -90,8 +92,12 @@ def enqueue_command(
     by: str,
     *,
     withheld: bool = False,
+    is_random_id: bool = False,
 ) -> None:
-    """Put a command into the outbox; `withheld`: withheld until it is released."""
+    """Put a command into the outbox; `withheld`: withheld until it is released. Its id gets the
+    store's epoch unless it `is_random_id`.
+    """
+    command_id = command_id if is_random_id else about.id_in_epoch(db, command_id)
     db.execute(
         sa.insert(t.commands).values(
             id=command_id,
@@ -235,14 +241,32 @@ def end_assignment(
     order = order_state_after_assignment(state, delivered, attempts, parcel_not_at_depot)
     db.execute(
         sa.update(t.orders)
-        .where(t.orders.c.id == row.order_id)
+        .where(
+            t.orders.c.id == row.order_id,
+            t.orders.c.state.not_in(_CLOSED_ORDER_STATES),
+            sa.true() if order is OrderState.DELIVERED else ~_other_assignment_in_force(row),
+        )
         .values(state=order.value, why=reason_text)
     )
 
 
-def apply_flight_outcome_event(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
-    """End a flight. Only the vehicle that has the assignment can end it, and only once."""
-    row = lock_assignment_if_in_states(db, event.assignment or "", IN_FORCE)
+def _other_assignment_in_force(row: AssignmentRow) -> sa.ColumnElement[bool]:
+    others = sa.select(t.assignments.c.n).where(
+        t.assignments.c.order_id == row.order_id,
+        t.assignments.c.id != row.id,
+        t.assignments.c.state.in_([state.value for state in IN_FORCE]),
+    )
+    return others.exists()
+
+
+def apply_flight_outcome_event(
+    db: sa.Connection, now_us: int, event: FleetEvent, lost_row: AssignmentRow | None = None
+) -> None:
+    """End a flight. Only the vehicle that has the assignment can end it, and only once.
+
+    `lost_row`: its assignment, if the store issued it after the copy from which it was restored.
+    """
+    row = lost_row or lock_assignment_if_in_states(db, event.assignment or "", IN_FORCE)
     if row is None or row.vehicle != event.vehicle:
         return
     delivered = bool(event.delivered)
@@ -258,71 +282,6 @@ def apply_flight_outcome_event(db: sa.Connection, now_us: int, event: FleetEvent
     if updated:  # the truck does not wait: the pilot who landed it has it
         here = t.sorties.c.assignment == row.id
         db.execute(sa.update(t.sorties).where(here).values(away=True))
-
-
-def apply_driver_event(db: sa.Connection, now_us: int, event: FleetEvent) -> None:
-    """Apply a driver's report about a drone: placed, recovered or not possible."""
-    here = t.sorties.c.assignment == event.assignment
-    row = db.execute(sa.select(t.sorties).where(here).with_for_update()).one_or_none()
-    if row is None or event.vehicle != TRUCK:
-        return
-    match event.kind:
-        case EventKind.DRONE_ON_PAD:
-            db.execute(sa.update(t.sorties).where(here).values(placed=True))
-        case EventKind.RECOVERED:
-            db.execute(sa.update(t.sorties).where(here).values(recovered=True, away=False))
-            _complete_withdrawal(db, now_us, row.assignment)
-            if event.delivered is not None:
-                _apply_driver_parcel_check(db, row.assignment, parcel_dropped=event.delivered)
-        case _ if row.placed:
-            db.execute(sa.update(t.sorties).where(here).values(away=True))
-        case _:
-            withheld = lock_assignment_if_in_states(db, row.assignment, (AssignmentState.ORDERED,))
-            if withheld is not None:
-                reason_text = f"the driver: {event.text}"
-                end_assignment(db, now_us, withheld, AssignmentState.WITHDRAWN, False, reason_text)
-            db.execute(sa.update(t.sorties).where(here).values(away=True))
-
-
-def _complete_withdrawal(db: sa.Connection, now_us: int, assignment: str) -> None:
-    """Conclude an unanswered withdrawal: the drone is off and on the truck, it did not fly."""
-    row = lock_assignment_if_in_states(db, assignment, (AssignmentState.WITHDRAWING,))
-    if row is None:
-        return
-    reason_text = f"{row.reason}; the driver has loaded it"
-    end_assignment(db, now_us, row, AssignmentState.WITHDRAWN, False, reason_text)
-
-
-def order_with_unlocated_parcel(db: sa.Connection, assignment: str) -> str | None:
-    """Return the order whose parcel may still be on a drone that came home, None if it is known."""
-    query = (
-        sa.select(t.orders.c.id)
-        .join(t.assignments, t.assignments.c.order_id == t.orders.c.id)
-        .where(
-            t.assignments.c.id == assignment,
-            t.assignments.c.state == AssignmentState.RETURNED.value,
-            t.orders.c.state == OrderState.STUCK.value,
-        )
-    )
-    return db.execute(query).scalar_one_or_none()
-
-
-def _apply_driver_parcel_check(db: sa.Connection, assignment: str, *, parcel_dropped: bool) -> None:
-    order = order_with_unlocated_parcel(db, assignment)
-    if order is None:
-        return
-    here = t.orders.c.id == order
-    attempts = db.execute(sa.select(t.orders.c.attempts).where(here)).scalar_one()
-    state = AssignmentState.DELIVERED if parcel_dropped else AssignmentState.RETURNED
-    words = "was dropped" if parcel_dropped else "is still on the drone"
-    reason_text = f"driver's check: the parcel {words}"
-    db.execute(
-        sa.update(t.assignments)
-        .where(t.assignments.c.id == assignment)
-        .values(state=state.value, delivered=parcel_dropped, why=reason_text)
-    )
-    after = order_state_after_assignment(state, parcel_dropped, attempts)
-    db.execute(sa.update(t.orders).where(here).values(state=after.value, why=reason_text))
 
 
 def apply_response_to_assignment(
@@ -344,8 +303,11 @@ def apply_response_to_assignment(
             set_assignment_state(db, row.id, AssignmentState.IN_FLIGHT, reason)
             here = (t.sorties.c.assignment == row.id, t.sorties.c.launched_us.is_(None))
             db.execute(sa.update(t.sorties).where(*here).values(launched_us=now_us))
-        case Launch(), CommandStatus.REFUSED if row.state is not AssignmentState.IN_FLIGHT:
-            set_assignment_state(db, row.id, AssignmentState.UPLOADED, f"launch refused: {reason}")
+        case Launch(), CommandStatus.REFUSED | CommandStatus.EXPIRED if (
+            row.state is not AssignmentState.IN_FLIGHT
+        ):
+            reason_text = f"launch {response.value}: {reason}"
+            set_assignment_state(db, row.id, AssignmentState.UPLOADED, reason_text)
         case MoveHome(), CommandStatus.REFUSED | CommandStatus.INTERRUPTED:
             here = (t.sorties.c.assignment == row.id, t.sorties.c.asked == command.command.home)
             db.execute(sa.update(t.sorties).where(*here).values(asked=None))

@@ -24,11 +24,14 @@ from companion.fleet.messages import (
     Result,
     Withdraw,
 )
+from ground_station.adapters.store import about_steps as about
 from ground_station.adapters.store import audit_steps as audit
+from ground_station.adapters.store import day_steps
 from ground_station.adapters.store import hold_steps as holds
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
 from ground_station.adapters.store.database import Database
+from ground_station.adapters.store.restored import apply_outcome
 from ground_station.core.schema.holds import Hold
 from ground_station.core.schema.orders import (
     IN_FORCE,
@@ -44,16 +47,6 @@ DRIVER_EVENTS = (EventKind.DRONE_ON_PAD, EventKind.RECOVERED, EventKind.TASK_FAI
 _IN_FORCE = [state.value for state in IN_FORCE]
 _ASSIGNMENTS = sa.select(t.assignments).order_by(t.assignments.c.n)  # built once: used often
 _ASSIGNMENTS_IN_FORCE = _ASSIGNMENTS.where(t.assignments.c.state.in_(_IN_FORCE))
-_LAUNCHED = _ASSIGNMENTS_IN_FORCE.where(
-    sa.or_(
-        t.assignments.c.state == AssignmentState.IN_FLIGHT.value,
-        t.assignments.c.id.in_(
-            sa.select(t.commands.c.assignment).where(
-                t.commands.c.id.contains(":launch"), t.commands.c.answer.is_(None)
-            )
-        ),
-    )
-)
 _OUTBOX = sa.select(t.commands).where(t.commands.c.answer.is_(None), t.commands.c.held.is_(False))
 
 
@@ -83,6 +76,11 @@ class Store:
     def database(self) -> Database:
         """The underlying database."""
         return self._database
+
+    def epoch(self) -> str:
+        """Return the epoch in force: another one after a restore."""
+        with self._database.read() as db:
+            return about.store_epoch(db)
 
     def close(self) -> None:
         """Close the connections."""
@@ -249,11 +247,6 @@ class Store:
             )
         return row.id
 
-    def newest_launch_command_number(self) -> int:
-        """Return the number of the newest launch of any desk; 0 without one."""
-        with self._database.read() as db:
-            return rows.newest_launch(db)
-
     def launch(
         self,
         assignment: str,
@@ -294,30 +287,6 @@ class Store:
             )
         return True
 
-    def count_refused_launches(self, assignment: str) -> int:
-        """Return how many launches of an assignment its vehicle has refused."""
-        refused = sa.select(sa.func.count()).where(
-            t.commands.c.id.startswith(f"{assignment}:launch", autoescape=True),
-            t.commands.c.answer == CommandStatus.REFUSED.value,
-            t.commands.c.life.is_not(None),  # not launches that a hold has voided
-        )
-        with self._database.read() as db:
-            return db.execute(refused).scalar_one()
-
-    def mark_launch_sent(self, command: CommandRow) -> bool:
-        """Return whether a launch may be sent now, decided under the lock that holds take.
-
-        A sent launch may be carried out, so a later hold does not make it void.
-        """
-        with self._database.write() as db:
-            rows.lock_dispatch_decisions(db)
-            here = t.commands.c.id == command.id
-            response = db.execute(sa.select(t.commands.c.answer).where(here)).scalar_one_or_none()
-            if response is not None or holds.hold_on(db, command.vehicle) is not None:
-                return False
-            db.execute(sa.update(t.commands).where(here).values(sent=True))
-        return True
-
     def record_unanswered_launch_as_executed(self, assignment: str, instance_id: str) -> bool:
         """Record as carried out a launch that a hold kept from being resent: its vehicle is
         airborne. False if there is no such launch.
@@ -356,18 +325,19 @@ class Store:
                 db, assignment, AssignmentState.WITHDRAWING, "withdrawn by the desk"
             )
             action = Withdraw(assignment=assignment)
-            rows.enqueue_command(
-                db, self._epoch_us(), f"{assignment}:withdraw", row.vehicle, assignment, action, by
-            )
+            id_ = f"{assignment}:withdraw"
+            rows.enqueue_command(db, self._epoch_us(), id_, row.vehicle, assignment, action, by)
         return True
 
     def enqueue_command(
         self, command_id: str, vehicle: str, action: CommandAction, by: str
     ) -> bool:
-        """Put any other command into the outbox; False if this id exists already."""
+        """Put a command with a random id into the outbox; False if this id exists already."""
         try:
             with self._database.write() as db:
-                rows.enqueue_command(db, self._epoch_us(), command_id, vehicle, None, action, by)
+                rows.enqueue_command(
+                    db, self._epoch_us(), command_id, vehicle, None, action, by, is_random_id=True
+                )
         except IntegrityError:
             return False
         return True
@@ -381,11 +351,12 @@ class Store:
         return self._read_commands(sa.select(t.commands))
 
     def cancel_command(self, command_id: str, reason: str) -> bool:
-        """Remove a command from the outbox; False if it has a response."""
+        """Remove a command from the outbox; False if it has a response, or is a sent launch."""
+        unanswered = t.commands.c.answer.is_(None), t.commands.c.sent.is_(False)
         with self._database.write() as db:
             done = db.execute(
                 sa.update(t.commands)
-                .where(t.commands.c.id == command_id, t.commands.c.answer.is_(None))
+                .where(t.commands.c.id == command_id, *unanswered)
                 .values(answer=CommandStatus.REFUSED.value, reason=reason)
             )
             if done.rowcount == 1:
@@ -431,10 +402,6 @@ class Store:
     def assignments(self, *, in_force: bool = False) -> list[AssignmentRow]:
         """Return all assignments, oldest first; with `in_force` only those that are not over."""
         return self._read_assignments(_ASSIGNMENTS_IN_FORCE if in_force else _ASSIGNMENTS)
-
-    def airborne_or_launch_pending(self) -> list[AssignmentRow]:
-        """Return the assignments that are airborne, or whose launch is ordered and unanswered."""
-        return self._read_assignments(_LAUNCHED)
 
     def _read_assignments(self, query: "sa.Select[Any]") -> list[AssignmentRow]:
         with self._database.read() as db:
@@ -526,9 +493,9 @@ class Store:
             )
         )
         if event.kind is EventKind.OUTCOME and event.assignment and event.outcome:
-            rows.apply_flight_outcome_event(db, self._epoch_us(), event)
+            apply_outcome(db, self._epoch_us(), event)
         if event.kind in DRIVER_EVENTS and event.assignment:
-            rows.apply_driver_event(db, self._epoch_us(), event)
+            day_steps.apply_driver_event(db, self._epoch_us(), event)
         return True
 
     def _update_last_gapless_event_number(

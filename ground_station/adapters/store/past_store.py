@@ -16,6 +16,7 @@ from companion.fleet.messages import CommandAction, Drive, EventKind, FleetEvent
 from ground_station.adapters.store import audit_steps, day_steps
 from ground_station.adapters.store import order_steps as rows
 from ground_station.adapters.store import tables as t
+from ground_station.adapters.store.about_steps import about_value
 from ground_station.adapters.store.database import Database
 from ground_station.adapters.store.day_store import DAY_START_KEY
 from ground_station.core.people.audit_chain import AuditRow
@@ -105,9 +106,7 @@ class PastStore:
                 for row in db.execute(events)
             ]
             audit = audit_steps.read_audit_rows(db)
-            begun = sa.select(t.about.c.value).where(t.about.c.name == DAY_START_KEY)
-            start = db.execute(begun).scalar()
-            self.start_us = None if start is None else int(start)
+            self.start_us: int | None = about_value(db, DAY_START_KEY, int)
             self.plans = _read_past_plans(db)
             self.visits = [
                 StopTimes(row.stop, row.arrived_us, row.left_us)

@@ -89,6 +89,7 @@ def _forecast_wind(
 def _print_estimate(result: "FlightEstimate") -> None:
     from rich.table import Table
 
+    from companion.core.base.probability import home_probability_text
     from ground_station.app.views.terminal import plain_console
 
     flight, plan, seen = result.flight, result.planned.plan, result.assessment
@@ -100,9 +101,9 @@ def _print_estimate(result: "FlightEstimate") -> None:
         ("waypoints out / back", f"{len(plan.outbound_ned_m)} / {len(plan.return_ned_m)}"),
         ("usable energy / reserve", f"{result.energy.mean_wh:.0f} / {result.reserve_wh:.0f} Wh"),
         ("mean energy until landing", f"{seen.energy_need_wh:.0f} Wh"),
-        ("P(home) with the gate", f"{seen.p_home:.4f}"),
-        ("P(home and delivered)", f"{seen.p_success:.3f}"),
-        ("accepted probability of losing the vehicle", f"{flight.mission.max_loss:g}"),
+        ("P(home) with the gate", home_probability_text(seen.p_home, seen.p_home_stated)),
+        ("P(home and delivered)", f"{min(seen.p_success, seen.p_home_limit):.3f}"),
+        ("accepted loss of the vehicle", f"{flight.mission.max_loss:g}"),
         ("return budget (gate)", "no go" if seen.turn_back else "go"),
     ):
         table.add_row(label, value)
@@ -111,6 +112,8 @@ def _print_estimate(result: "FlightEstimate") -> None:
     console = plain_console()
     console.print(table)
     console.print(seen.reason, highlight=False)
+    if words := result.evidence.missing_support_text(flight.mission.max_loss):
+        console.print(f"warning: {words}", highlight=False)
 
 
 def _terrain_rows(result: "FlightEstimate") -> list[tuple[str, str]]:
@@ -123,5 +126,5 @@ def _terrain_rows(result: "FlightEstimate") -> list[tuple[str, str]]:
     return [
         ("maximum height above the depot", f"{top_m:.0f} m"),
         ("minimum height above ground", f"{clearance_m:.0f} m"),
-        ("line of sight from depot to delivery point", seen),
+        ("line of sight to the customer", seen),
     ]

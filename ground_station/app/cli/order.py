@@ -1,20 +1,23 @@
 """`ground-station order`: add, list, cancel and settle orders."""
 
+import json
 from collections import Counter
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from companion.core.base.errors import LeewayError
+from companion.core.base.import_report import ImportReport
 from companion.core.base.safe_text import safe_text
 from ground_station.app.options.desk_options import (
     StrictImport,
     desk_options,
     print_import_reports,
     read_day_and_warn,
-    written_import_reports,
 )
 from ground_station.app.options.program_options import command_class_with_options
 from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
@@ -72,6 +75,28 @@ def add(
         raise LeewayError(f"order {order_id!r}: {error}") from error
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, [order], by)
+
+
+@contextmanager
+def written_import_reports(path: Path | None) -> Iterator[list[ImportReport]]:
+    """Write the import reports of this list as JSON at the end, with the reasons of a refusal."""
+    from ground_station.adapters.files.atomic_file import write_file_atomically
+    from ground_station.core.schema.day import DayFilesError, FileProblem
+
+    reports: list[ImportReport] = []
+    refused: list[FileProblem] = []
+    try:
+        yield reports
+    except DayFilesError as error:
+        refused = error.problems
+        raise
+    except LeewayError as error:
+        refused = [FileProblem("", None, None, line) for line in str(error).splitlines()]
+        raise
+    finally:
+        if path is not None:
+            document = {"files": [*map(asdict, reports)], "refused": [*map(asdict, refused)]}
+            write_file_atomically(path, json.dumps(document, indent=1, allow_nan=False).encode())
 
 
 @app.command(name="import", cls=SIGNED_OPTIONS)

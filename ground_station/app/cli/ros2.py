@@ -1,6 +1,7 @@
 """`ground-station ros2`: publishes the vehicles' states to ROS 2."""
 
 from contextlib import closing
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,7 @@ from ground_station.app.options.program_options import command_class_with_option
 
 if TYPE_CHECKING:
     from companion.fleet.messages import State
+    from ground_station.adapters.ros2_session import RosSession
 
 STALE_AFTER_S = 10.0
 DIAGNOSTICS_INTERVAL_S = 1.0
@@ -49,51 +51,71 @@ def ros2(
     """
     from ground_station.adapters.ros2_session import RosSession
     from ground_station.core.fleet.fleet_link import StateReceived
-    from ground_station.core.fleet.ros2_messages import (
-        diagnostics_message,
-        topic_name_of,
-        vehicle_messages,
-    )
 
     options = desk_options()
     fleet = options.require_fleet_name()
-    newest: dict[str, tuple[State, float]] = {}
-    vehicle_by_topic: dict[str, str] = {}
-    skipped: set[str] = set()
     diagnostics_due_s = request_due_s = monotonic_s()
     with (
         closing(options.open_fleet_network(fleet)) as network,
         closing(RosSession(ros, domain, is_humble=humble)) as session,
         record_stop_signals() as received_signals,
     ):
+        bridge = _RosBridge(session, max_loss)
         typer.echo(f"fleet {fleet} is published in the clear at {ros}; Ctrl-C stops")
         while not received_signals:
             for found in network.receive(0.2):
-                if not isinstance(found, StateReceived):
-                    continue
-                state = found.state
-                owner = vehicle_by_topic.setdefault(topic_name_of(state.vehicle), state.vehicle)
-                if owner != state.vehicle:
-                    if state.vehicle not in skipped:
-                        skipped.add(state.vehicle)
-                        echo_with_time_of_day(
-                            f"{state.vehicle}: not published, ROS 2 name {topic_name_of(owner)} is"
-                            f" that of {owner}; expected names that differ in letters or digits"
-                        )
-                    continue
-                if state.vehicle not in newest:
-                    echo_with_time_of_day(f"{state.vehicle}: first state")
-                newest[state.vehicle] = state, monotonic_s()
-                for message in vehicle_messages(state, epoch_us()):
-                    session.publish(message, epoch_us())
+                if isinstance(found, StateReceived):
+                    bridge.publish_state(found.state)
             now_s = monotonic_s()
             if now_s >= request_due_s:
                 network.request_states(1.0)
                 request_due_s = now_s + REQUEST_INTERVAL_S
             if now_s >= diagnostics_due_s:
-                states = {
-                    vehicle: (state, now_s - heard_s > STALE_AFTER_S)
-                    for vehicle, (state, heard_s) in newest.items()
-                }
-                session.publish(diagnostics_message(states, epoch_us(), max_loss), epoch_us())
+                bridge.publish_diagnostics(now_s)
                 diagnostics_due_s = now_s + DIAGNOSTICS_INTERVAL_S
+
+
+@dataclass(slots=True)
+class _RosBridge:
+    """Publishes each state, and the diagnostics of all vehicles."""
+
+    session: "RosSession"
+    max_loss: float
+    _newest: "dict[str, tuple[State, float]]" = field(default_factory=dict)
+    """State and time of its arrival, by vehicle."""
+    _vehicle_by_topic: dict[str, str] = field(default_factory=dict)
+    _skipped: set[str] = field(default_factory=set)
+
+    def publish_state(self, state: "State") -> None:
+        """Publish wind and values. Of vehicles with one name in ROS 2 only the first is published;
+        the others are logged once.
+        """
+        from ground_station.core.fleet.ros2_messages import topic_name_of, vehicle_messages
+
+        vehicle, topic = state.vehicle, topic_name_of(state.vehicle)
+        first = self._vehicle_by_topic.setdefault(topic, vehicle)
+        if first != vehicle:
+            if vehicle not in self._skipped:
+                self._skipped.add(vehicle)
+                echo_with_time_of_day(
+                    f"{vehicle}: not published, its ROS 2 name {topic} is that of {first};"
+                    " expected names that differ in letters or digits"
+                )
+            return
+        if vehicle not in self._newest:
+            echo_with_time_of_day(f"{vehicle}: first state")
+        self._newest[vehicle] = state, monotonic_s()
+        now_us = epoch_us()
+        for message in vehicle_messages(state, now_us):
+            self.session.publish(message, now_us)
+
+    def publish_diagnostics(self, now_s: float) -> None:
+        """Publish one status for each vehicle."""
+        from ground_station.core.fleet.ros2_messages import diagnostics_message
+
+        states = {
+            vehicle: (state, now_s - received_s > STALE_AFTER_S)
+            for vehicle, (state, received_s) in self._newest.items()
+        }
+        now_us = epoch_us()
+        self.session.publish(diagnostics_message(states, now_us, self.max_loss), now_us)

@@ -50,27 +50,30 @@ def restore(
 ) -> None:
     """Replace the store by a backup, and place a launch hold on every drone.
 
-    Stop the desks first. The backup lacks later flights: check the fleet, settle delivered orders,
-    then `ground-station release --all`.
+    Stop the desks first. Flights after the backup are found by the events of the vehicles: start a
+    desk, settle what it lists, then `ground-station release --all`.
 
     ground-station store restore monday.db --replace before.db
     """
     from ground_station.adapters.store.copies import back_up_store as copy_out
     from ground_station.adapters.store.copies import restore as copy_in
     from ground_station.adapters.store.restored import (
-        contains_store,
+        read_history,
         upgrade_and_hold_restored_store,
     )
 
     desk = desk_options()
     operator, url = desk.current_operator(), desk.store_url
-    if contains_store(url):
+    replaced = read_history(url)
+    if replaced is not None:
         if replace is None:
             raise LeewayError("the store exists: add --replace FILE, a new file for its backup")
         copy_out(url, replace)
     copy_in(url, file)
-    upgrade_and_hold_restored_store(url, epoch_us(), str(file), operator.name)
-    typer.echo("restored and held: check each drone and parcel, then ground-station release --all")
+    upgrade_and_hold_restored_store(url, epoch_us(), str(file), operator.name, replaced)
+    typer.echo(
+        "restored and held: start a desk, settle what it lists, then ground-station release --all"
+    )
 
 
 @app.command(cls=command_class_with_options("store", "store_file", "user", "identity"))

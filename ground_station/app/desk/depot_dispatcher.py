@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from companion.fleet.messages import State
+from ground_station.adapters.store.launch_store import count_refused_launches
 from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.store.tables import CONFIRM_KEY
 from ground_station.app.desk.dispatcher import CycleResult
@@ -94,7 +95,7 @@ class DepotDispatcher:
     def on_vehicle_ready(self, assignment: AssignmentRow) -> None:
         """Launch the assignment in its slot; withdraw it after too many refusals."""
         id_, vehicle, params = assignment.id, assignment.vehicle, self.params
-        if self.store.count_refused_launches(id_) >= MAX_REFUSED_LAUNCHES:
+        if count_refused_launches(self.store.database, id_) >= MAX_REFUSED_LAUNCHES:
             if self.store.withdraw_assignment(id_, params.issuer):
                 text = f"launch refused {MAX_REFUSED_LAUNCHES} times: {id_} withdrawn"
                 self.log(f"{vehicle}: {text}: inspect {vehicle}")
@@ -131,6 +132,11 @@ class DepotDispatcher:
                 f"{assignment.vehicle}: ready: `ground-station order launch {order}` confirms the"
                 " launch"
             )
+
+    @property
+    def earliest_launch_s(self) -> float:
+        """End of the launch gap."""
+        return self._pacing.earliest_launch_s
 
     def _store_confirmation_requests(self) -> None:
         """Store the requests for the map."""

@@ -6,17 +6,23 @@ from dataclasses import dataclass, field
 import msgspec
 
 from companion.core.base.desk_heartbeat import HEARTBEAT_INTERVAL_S, DeskHeartbeat
-from companion.core.mission.event_text import PhaseEvent
+from companion.core.base.errors import LeewayError
 from companion.core.pilot.transitions import Phase
-from companion.fleet.messages import FINAL_STATUSES, CommandStatus, EventKind, Launch, State
+from companion.fleet.messages import CommandStatus, State
 from companion.fleet.trust import MemberTrust
+from ground_station.adapters.store.launch_store import (
+    has_reported_flight,
+    launches_that_may_start,
+)
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.dispatcher import CycleResult, Dispatcher
 from ground_station.app.desk.exchange import FleetExchange
+from ground_station.app.desk.restore_evidence import RestoreEvidence
 from ground_station.app.desk.site.site_monitor import SiteMonitor
 from ground_station.app.desk.site.wind_publisher import WindPublisher
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, VehicleStatus
+from ground_station.core.fleet.launch_evidence import is_launch_over, window_of
 from ground_station.core.schema.orders import (
     IN_FORCE,
     AssignmentRow,
@@ -34,16 +40,18 @@ class Desk:
     """Desk of one dispatcher over a fleet. `wind`: monitor of the site; None: the wind is not
     monitored, and vehicles receive no wind reports. `authority`: None in a fleet without a roster.
 
-    `last_progress_s`: time of the last progress of the day.
+    `members`: drones of the day. `last_progress_s`: time of the last progress.
     """
 
     exchange: FleetExchange
     dispatcher: Dispatcher
     wind: SiteMonitor | None = None
     authority: CommandAuthority | None = None
+    members: frozenset[str] = frozenset()
     wind_publisher: WindPublisher | None = field(init=False, default=None)
     last_progress_s: float = field(init=False)
-    _flown_assignments: set[str] = field(default_factory=set)
+    _epoch: str = field(init=False)
+    _evidence: RestoreEvidence = field(init=False)
     _last_cycle_s: float | None = None
     _next_cycle_s: float = 0.0
     _next_heartbeat_s: float = 0.0
@@ -53,6 +61,11 @@ class Desk:
     def __post_init__(self) -> None:
         self.last_progress_s = self._start_s = self.exchange.clock.monotonic_s()
         self.exchange.on_state = self._on_state
+        self.exchange.earliest_launch_s = lambda: self.dispatcher.earliest_launch_s
+        self._epoch = self.store.epoch()
+        self._evidence = RestoreEvidence(
+            self.store, self.members, self.exchange.log, self.exchange.clock.epoch_us
+        )
         if self.wind is not None:
             self.exchange.on_station = self.wind.on_station_report
             self.wind_publisher = WindPublisher(self.wind.wind, self.exchange.fleet)
@@ -78,6 +91,7 @@ class Desk:
     def start_dispatching(self) -> None:
         """Request the state of the fleet and start dispatching."""
         self.last_progress_s = self.exchange.clock.monotonic_s()
+        self._evidence.start()
         self.dispatcher.prepare_first_cycle()
         self.exchange.request_initial_states()
 
@@ -138,6 +152,10 @@ class Desk:
         if self.authority is not None:
             self.authority.exchange_roster_with_store()
             self.authority.refuse_unauthorised_launches()
+        if self.store.epoch() != self._epoch:  # what this desk knows is of another store
+            raise LeewayError("the store was restored while this desk ran: start the desk again")
+        if self._evidence.update(exchange):
+            has_new_messages = exchange.changed = True
         if self.wind is not None and self.wind.update_and_report_hold_change(
             exchange.status
         ):  # holds precede launches
@@ -173,17 +191,8 @@ class Desk:
             return
         self.last_progress_s = now_s  # the delivery is in progress
         ready = state.phase == Phase.READY.value and state.assignment == row.id and not state.armed
-        if (
-            row.state is AssignmentState.IN_FLIGHT
-            and ready
-            and self._has_companion_restarted(row, state)
-        ):
-            if self._has_flown(row):
-                self._log_inspection_request(row, "was flown: not launched again")
-            else:
-                self.store.revert_launch_to_uploaded(
-                    row.id, "its companion restarted before take-off"
-                )
+        if ready and self._end_launch_without_take_off(row, state):
+            self.exchange.changed = True
         elif (
             row.state is AssignmentState.UPLOADED
             and state.assignment == row.id
@@ -207,28 +216,30 @@ class Desk:
             self.exchange.log(f"{row.vehicle}: {row.id} took off before the launch hold")
             self.exchange.changed = True
 
-    def _has_companion_restarted(self, row: AssignmentRow, state: State) -> bool:
-        """Whether the companion that received the last launch differs from the current one."""
-        launches = [
-            command
-            for command in self.store.commands_of_assignment(row.id)
-            if isinstance(command.command, Launch) and command.response in FINAL_STATUSES
-        ]
-        if not launches:
+    def _end_launch_without_take_off(self, row: AssignmentRow, state: State) -> bool:
+        """End launches of which a ready vehicle's state shows that they started no flight; whether
+        there was one.
+        """
+        database = self.store.database
+        launches = launches_that_may_start(database, row.id)
+        windows = [window_of(launch) for launch in launches]
+        if not all(
+            window is not None and is_launch_over(state, row.id, window) for window in windows
+        ):
             return False
-        last_launch = launches[-1]  # INTERRUPTED: the answering companion did not execute it
-        return (
-            last_launch.instance_id != state.instance_id
-            or last_launch.response is CommandStatus.INTERRUPTED
-        )
-
-    def _has_flown(self, row: AssignmentRow) -> bool:
-        """Whether its vehicle has reported leaving a flight phase."""
-        if row.id not in self._flown_assignments:
-            phases = (e for e in self.store.events(EventKind.PHASE) if e.assignment == row.id)
-            if any(PhaseEvent.parse(event.text).before in FLIGHT_PHASE_NAMES for event in phases):
-                self._flown_assignments.add(row.id)
-        return row.id in self._flown_assignments
+        reason, expired = "its validity has passed: not started", CommandStatus.EXPIRED
+        is_changed = False
+        for launch in launches:
+            if launch.instance_id is None:
+                is_changed |= self.store.record_and_apply_response(
+                    launch.id, expired, reason, state.instance_id
+                )
+        if row.state is not AssignmentState.IN_FLIGHT:
+            return is_changed
+        if has_reported_flight(database, row):
+            self._log_inspection_request(row, "was flown: not launched again")
+            return is_changed
+        return self.store.revert_launch_to_uploaded(row.id, "its launch ended before take-off")
 
     def _has_vehicle_dropped_assignment(
         self, vehicle_status: VehicleStatus, row: AssignmentRow

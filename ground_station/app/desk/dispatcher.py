@@ -45,6 +45,13 @@ class Dispatcher(Protocol):
         ...
 
     @property
+    def earliest_launch_s(self) -> float:
+        """Return the end of the launch gap on the desk's monotonic clock: no launch is sent before
+        it.
+        """
+        ...
+
+    @property
     def is_done(self) -> bool:
         """Whether this dispatcher has no work left."""
         ...

@@ -7,23 +7,28 @@ before it is sent. Data in memory (vehicles alive, commands in transit) is recei
 restart, so the process may be killed at any moment.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import groupby
 
+import msgspec
+
 from companion.core.base.rate_limit import RateLimit
 from companion.fleet.messages import (
     FINAL_STATUSES,
     Command,
     Launch,
+    LaunchWindow,
     Recall,
     Result,
     State,
 )
 from ground_station.adapters.clock import WallClock
 from ground_station.adapters.store.database import StoreError
+from ground_station.adapters.store.launch_store import stamp_and_mark_launch_sent
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.fleet.fleet_link import (
     Clock,
@@ -38,6 +43,7 @@ from ground_station.core.fleet.fleet_link import (
     StationWindReceived,
 )
 from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, FleetStatus
+from ground_station.core.fleet.launch_evidence import launch_window_on_vehicle_clock
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.schema.orders import CommandRow
 
@@ -67,7 +73,7 @@ RETRY_DELAY_S = 1.0
 @dataclass(slots=True)
 class FleetExchange:
     """Exchange of one desk. `on_state` receives each state, `on_station` each report of a wind
-    station; `changed`: new messages have arrived.
+    station; `changed`: new messages have arrived. `earliest_launch_s`: end of the launch gap.
 
     `store_error`: error of the unreachable store; None: it is reachable.
     """
@@ -81,6 +87,7 @@ class FleetExchange:
     on_station: Callable[[StationWind], None] = lambda wind: None
     changed: bool = True
     store_error: str | None = None
+    earliest_launch_s: Callable[[], float] = lambda: -math.inf
     _commands_in_transit: set[str] = field(default_factory=set)
     _next_attempt_s: dict[str, float] = field(default_factory=dict)
     _events_requested_s: dict[str, float] = field(default_factory=dict)
@@ -315,16 +322,29 @@ class FleetExchange:
             row.command, Recall
         ) and not vehicle_status.is_uniquely_online_and_reporting(now_s):
             return None
-        if isinstance(row.command, Launch) and not self.store.mark_launch_sent(row):
-            return None
-        return Command(
-            id=row.id,
-            vehicle=row.vehicle,
-            instance_id=state.instance_id,
-            as_of_s=state.uptime_s,
-            by=row.issuer,
-            action=row.command,
-        )
+        window = None
+        if isinstance(row.command, Launch):
+            window = launch_window_on_vehicle_clock(vehicle_status, self.earliest_launch_s(), now_s)
+            window = window and stamp_and_mark_launch_sent(self.store.database, row, window)
+            if window is None:
+                return None
+        return _command_of_row(row, state, window)
+
+
+def _command_of_row(row: CommandRow, state: State, window: LaunchWindow | None) -> Command:
+    """Return the command, based on this state; a launch on the state of its validity."""
+    action, instance_id, as_of_s = row.command, state.instance_id, state.uptime_s
+    if isinstance(action, Launch) and window is not None:
+        action = msgspec.structs.replace(action, window=window)
+        instance_id, as_of_s = window.instance_id, window.not_before_s
+    return Command(
+        id=row.id,
+        vehicle=row.vehicle,
+        instance_id=instance_id,
+        as_of_s=as_of_s,
+        by=row.issuer,
+        action=action,
+    )
 
 
 def _decision_trigger_fields(state: State) -> tuple[object, ...]:

@@ -68,7 +68,8 @@ def open_depot_desk(
     dispatcher.neighbour_keys = fleet.neighbour_keys
     monitor = _open_site_monitor(data, store, wind, watch, clock, log)
     exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
-    return Desk(exchange, dispatcher, monitor)
+    drones = frozenset(drone.id for drone in data.day.drones)
+    return Desk(exchange, dispatcher, monitor, members=drones)
 
 
 def open_truck_desk(
@@ -109,7 +110,8 @@ def open_truck_desk(
     dispatcher.neighbour_keys = fleet.neighbour_keys
     monitor = _open_site_monitor(data, store, wind, watch, day_clock, log, day.sorties)
     exchange = FleetExchange(store, fleet, log, FleetStatus(data.airframes), clock)
-    return Desk(exchange, dispatcher, monitor)
+    members = frozenset(drone.id for drone in data.day.drones)
+    return Desk(exchange, dispatcher, monitor, members=members)
 
 
 def _open_forecast_monitor(

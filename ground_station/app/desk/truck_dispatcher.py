@@ -4,6 +4,7 @@ Each cycle takes a snapshot of the day, applies `DispatchRules`, and executes th
 transactions. Plan, promises and the truck's orders are in the store; no state here must survive.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -91,6 +92,11 @@ class TruckDispatcher:
 
     def on_vehicle_ready(self, assignment: AssignmentRow) -> None:
         """Do nothing: `run_decision_cycle` launches by the plan."""
+
+    @property
+    def earliest_launch_s(self) -> float:
+        """No gap: the plan separates launches."""
+        return -math.inf
 
     def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
         """Run one cycle: execute all actions that are due."""

@@ -93,7 +93,7 @@ def _vehicle_facts(
 def _launches(rows: DisplayRows, drones: Mapping[str, DroneShown]) -> list[LaunchFacts]:
     """Return launches that the desk has asked to confirm and that still wait."""
     return [
-        LaunchFacts(row.order_id, row.vehicle, drones[row.vehicle].p_home)
+        LaunchFacts(row.order_id, row.vehicle, drones[row.vehicle].risk)
         for row in rows.assignments
         if row.id in rows.launch_requests
         and row.state is AssignmentState.UPLOADED

@@ -52,8 +52,9 @@ class DroneShown(_PicturePart, frozen=True, kw_only=True):
     spare_min: float | None = None
     """The same as minutes of hover."""
     p_home: float | None = None
+    """By the model; `risk` is the stated value."""
     risk: str = ""
-    """Risk of not returning, as text; `risk_now`: if it turned back now."""
+    """Risk of not returning, as text, at least the limit of evidence; `risk_now`: returning now."""
     risk_now: str = ""
     p_success: float | None = None
     energy_left_wh: float | None = None

@@ -1,9 +1,8 @@
 """Arguments and options that several commands share: the day, the store, the network."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -242,28 +241,6 @@ def print_import_reports(reports: "Sequence[ImportReport]", *, strict: bool) -> 
     refused = [text for report in reports for text in report.strict_refusals()] if strict else []
     if refused:
         raise LeewayError("\n".join(f"--strict: {text}" for text in refused))
-
-
-@contextmanager
-def written_import_reports(path: Path | None) -> Iterator[list[ImportReport]]:
-    """Write the import reports of this list as JSON at the end, with the reasons of a refusal."""
-    from ground_station.adapters.files.atomic_file import write_file_atomically
-    from ground_station.core.schema.day import DayFilesError, FileProblem
-
-    reports: list[ImportReport] = []
-    refused: list[FileProblem] = []
-    try:
-        yield reports
-    except DayFilesError as error:
-        refused = error.problems
-        raise
-    except LeewayError as error:
-        refused = [FileProblem("", None, None, line) for line in str(error).splitlines()]
-        raise
-    finally:
-        if path is not None:
-            document = {"files": [*map(asdict, reports)], "refused": [*map(asdict, refused)]}
-            write_file_atomically(path, json.dumps(document, indent=1, allow_nan=False).encode())
 
 
 def echo_with_time_of_day(message: str) -> None:

@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
@@ -20,7 +21,7 @@ from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 FIGURE_LABELS = {
     "margin_wh_mean": "mean energy above the reserve, Wh",
     "margin_wh_min": "least energy above the reserve, Wh",
-    "p_home_decided_min": "least P(home) of a decision",
+    "p_home_decided_min": "least P(home) of a decision, by the model",
     "fleet_evidence_nats": "evidence against the energy models, nats",
     "launch_late_s_median": "median launch delay, s",
     "wh_planned": "planned energy, Wh",
@@ -163,6 +164,8 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
             value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
         elif isinstance(value, list):
             value = ", ".join(value) or "none"
+        elif name == "p_home_decided_min" and value is not None:
+            value = home_probability_text(value, 1.0)
         elif isinstance(value, float):
             value = f"{value:.4g}"
         label = FIGURE_LABELS.get(name, name.replace("_", " "))

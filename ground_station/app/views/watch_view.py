@@ -14,6 +14,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from companion.core.base.probability import home_probability_text
 from ground_station.app.views.day_content import (
     MAX_NEXT_SORTIES,
     DayShown,
@@ -166,14 +167,15 @@ class _VehicleLine:
                 silence_text,
                 "",
             )
+        limit = state.p_home_limit or 1.0
         return (
             seen.vehicle,
             self._phase_text(state.phase, state.stop),
             order,
             home,
             _format_number(state.margin_wh, ".1f"),
-            _format_number(state.p_home, ".4f"),
-            _format_number(state.p_success, ".3f"),
+            "-" if state.p_home is None else home_probability_text(state.p_home, limit),
+            _format_number(state.p_success and min(state.p_success, limit), ".3f"),
             silence_text,
             state.text,
         )

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from ground_station.core.fleet.risk_words import format_loss, format_risk
+from ground_station.core.fleet.risk_words import format_loss
 
 HYSTERESIS_FRAC = 0.2
 FRONT, STORE, DESK, ROSTER, CERTIFICATES = "wind", "store", "desk", "roster", "certificates"
@@ -80,7 +80,7 @@ class LaunchFacts:
 
     order: str
     vehicle: str
-    p_home: float | None = None
+    risk: str = ""
     launch_by_us: int | None = None
 
 
@@ -209,7 +209,7 @@ def _seen(vehicle: VehicleFacts) -> str:
 
 
 def _launch_item(launch: LaunchFacts, limits: AttentionLimits) -> AttentionItem:
-    risk = "" if launch.p_home is None else f" Risk {format_risk(launch.p_home)}"
+    risk = f" Risk {launch.risk}" if launch.risk else ""
     if risk and limits.max_loss is not None:
         risk += f" (limit {format_loss(limits.max_loss)})"
     times_us = {} if launch.launch_by_us is None else {"by": launch.launch_by_us}

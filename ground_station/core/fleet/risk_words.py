@@ -3,6 +3,9 @@
 import math
 import re
 
+import msgspec
+
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.event_text import DecisionEvent
 
 MIN_STATED_LOSS = 1e-5
@@ -38,8 +41,14 @@ def format_loss(loss: float) -> str:
     return f"1 in {round(count / step) * step:,.0f}"
 
 
-def format_risk(p_home: float) -> str:
-    """Return the risk of not returning."""
+def format_risk(
+    p_home: float | None, p_home_limit: float | msgspec.UnsetType = msgspec.UNSET
+) -> str:
+    """Return the risk of not returning, at least that of the limit of evidence; empty: unknown."""
+    if p_home is None:
+        return ""
+    if p_home_limit and p_home_limit < p_home:
+        return home_probability_text(p_home, p_home_limit).removeprefix("risk ")
     return format_loss(1.0 - p_home)
 
 

@@ -131,9 +131,24 @@ class CommandRow:
     created_us: int
 
 
-def assignment_id(order: str, attempt: int) -> str:
-    """Return one id for each attempt at an order: two desks that try at once use the same."""
-    return f"{order}.{attempt}"
+ROOT_CHARS, EPOCH_CHARS = 4, 7
+"""An epoch is drawn when a store is created and when a copy is restored. Its first characters are
+those of all epochs of that store, so that assignments of a lost epoch are recognised.
+"""
+
+
+def assignment_id(order: str, epoch: str, attempt: int) -> str:
+    """Return one id for each attempt at an order: two desks that try at once use the same.
+
+    `epoch`: of the store; empty in a store of an earlier version.
+    """
+    return ".".join(part for part in (order, epoch, str(attempt)) if part)
+
+
+def is_assignment_of_epochs_root(assignment: str, order: str, epoch: str) -> bool:
+    """Return whether an assignment of this order was issued by the store, or a lost epoch of it."""
+    root = epoch[:ROOT_CHARS]
+    return bool(root) and assignment.startswith(f"{order}.{root}")
 
 
 def final_assignment_state(outcome: str, delivered: bool, is_home: bool) -> AssignmentState:

@@ -1,20 +1,20 @@
 """Faults of flight authority: lost acknowledgements, disarming, takeovers, two computers."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from companion.core.mission.alerts import Alert
 from sim_bridge.app.faults.computers import (
-    SecondCompanion,
+    SECOND_REFUSED_NOTE,
     connect_payload_computer,
     copy_run_dir_to_sibling,
     expect_payload_heartbeats,
+    run_second_companion_while_first_stalls,
     send_onboard_computer_heartbeat,
 )
 from sim_bridge.app.faults.fault import AIRBORNE_PHASES, AIRBORNE_PHASES_BEFORE_LANDING, FaultGroup
 from sim_bridge.app.faults.verdict import (
-    EXIT_USAGE_ERROR,
     check_alert_sent,
     check_delivered,
     check_disarmed_at_end,
@@ -228,52 +228,6 @@ def suspend_computer_during_takeover(stage: FaultContext) -> Iterator[None]:
     yield from stage.wait(takeover_before_end_s)
     threading.Event().wait(SUSPENSION_WALL_S)  # simulated time is faster
     stage.resume_companion()
-
-
-STALL_FOR_SECOND_S = 15.0
-"""Time for a second companion to find the vehicle, read its mission and continue the flight."""
-
-
-def run_second_companion_while_first_stalls(
-    run_dir_for_second: Callable[[Path], Path],
-    *,
-    second_resumes_flight: bool = False,
-    second_is_refused: bool = False,
-) -> FaultProcedure:
-    """Return a procedure: the companion is stopped, a second one starts, then the first resumes."""
-
-    def procedure(stage: FaultContext) -> Iterator[None]:
-        yield from stage.wait_for_phase_and_record_fault_start()
-        stage.stall_companion()
-        second = SecondCompanion(stage, run_dir_for_second(stage.craft.run_dir))
-        if second_is_refused:
-            stage.expect_effect(
-                "the second companion is refused",
-                lambda: second.process.exit_code == EXIT_USAGE_ERROR,
-            )
-        else:
-            stage.expect_effect("the second companion replies", lambda: second.has_replied)
-        if second_resumes_flight:
-            stage.expect_effect("the second claims control", lambda: second.has_claimed_control)
-        second.start_and_wait_for_connection()
-        resume_at_s = stage.t_s + STALL_FOR_SECOND_S
-        while stage.t_s < resume_at_s:
-            if second.process.is_running:
-                second.exchange_messages_once()
-            yield
-        if second.process.exit_code == EXIT_USAGE_ERROR:
-            stage.notes.append(SECOND_REFUSED_NOTE)
-        if second_resumes_flight and second.has_claimed_control:
-            stage.record_take_over(0.0)
-        stage.resume_companion()
-        while second.process.is_running:
-            yield
-            second.exchange_messages_once()
-
-    return procedure
-
-
-SECOND_REFUSED_NOTE = "refused"
 
 
 def _same_run_dir(run_dir: Path) -> Path:

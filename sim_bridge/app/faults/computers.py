@@ -1,13 +1,15 @@
 """Other onboard computers in the vehicle's MAVLink system: a payload and a second companion."""
 
 import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from sim_bridge.adapters.endpoint import EndpointSet, bundle_frames
 from sim_bridge.adapters.lockstep import Lockstep
+from sim_bridge.app.faults.verdict import EXIT_USAGE_ERROR
 from sim_bridge.app.flight.companion_process import CompanionProcess
-from sim_bridge.app.flight.stage import FaultContext
+from sim_bridge.app.flight.stage import FaultContext, FaultProcedure
 from sim_bridge.app.world.station import Station
 from sim_bridge.autopilot.kinds import LinkKind
 from sim_bridge.autopilot.mavlink.codec import Decoder, Encoder, Message
@@ -125,3 +127,47 @@ def copy_run_dir_to_sibling(run_dir: Path) -> Path:
     copy = run_dir.with_name(f"{run_dir.name}-second")
     shutil.copytree(run_dir, copy, ignore=shutil.ignore_patterns("lock", "companion.out"))
     return copy
+
+
+SECOND_REFUSED_NOTE = "refused"
+STALL_FOR_SECOND_S = 15.0
+"""Time for a second companion to find the vehicle, read its mission and continue the flight."""
+
+
+def run_second_companion_while_first_stalls(
+    run_dir_for_second: Callable[[Path], Path],
+    *,
+    second_resumes_flight: bool = False,
+    second_is_refused: bool = False,
+) -> FaultProcedure:
+    """Return a procedure: the companion is stopped, a second one starts, then the first resumes."""
+
+    def procedure(stage: FaultContext) -> Iterator[None]:
+        yield from stage.wait_for_phase_and_record_fault_start()
+        stage.stall_companion()
+        second = SecondCompanion(stage, run_dir_for_second(stage.craft.run_dir))
+        if second_is_refused:
+            stage.expect_effect(
+                "the second companion is refused",
+                lambda: second.process.exit_code == EXIT_USAGE_ERROR,
+            )
+        else:
+            stage.expect_effect("the second companion replies", lambda: second.has_replied)
+        if second_resumes_flight:
+            stage.expect_effect("the second claims control", lambda: second.has_claimed_control)
+        second.start_and_wait_for_connection()
+        resume_at_s = stage.t_s + STALL_FOR_SECOND_S
+        while stage.t_s < resume_at_s:
+            if second.process.is_running:
+                second.exchange_messages_once()
+            yield
+        if second.process.exit_code == EXIT_USAGE_ERROR:
+            stage.notes.append(SECOND_REFUSED_NOTE)
+        if second_resumes_flight and second.has_claimed_control:
+            stage.record_take_over(0.0)
+        stage.resume_companion()
+        while second.process.is_running:
+            yield
+            second.exchange_messages_once()
+
+    return procedure

@@ -37,6 +37,7 @@ class FlightResult:
     wind_rmse_mps: float | None
     wind_nees: float | None
     p_home_min: float | None
+    p_home_stated_min: float | None
     clairvoyant: str
     clairvoyant_margin_wh: float
     decisions: list[dict[str, Any]]

@@ -5,13 +5,15 @@ The truth is unknown. Figures that need it (wind error, clairvoyant result) are 
 
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+from companion.core.mission.actions import Decision
 from sim_bridge.app.flight.judge import WIND_SETTLING_S, wind_rmse_and_nees
 
-DECISION_KEYS = ("t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason")
+DECISION_KEYS = tuple(each.name for each in fields(Decision))
 
 
 def flight_row_from_companion_result(
@@ -73,6 +75,9 @@ def decisions_and_least_p_home(companion_result: dict[str, Any]) -> dict[str, An
     decisions = companion_result.get("decisions", [])
     return {
         "p_home_min": min((a["p_home"] for a in assessments), default=None),
+        "p_home_stated_min": min(
+            (a.get("p_home_stated", a["p_home"]) for a in assessments), default=None
+        ),
         "decisions": [{key: d.get(key) for key in DECISION_KEYS} for d in decisions],
     }
 

@@ -203,7 +203,15 @@ def _draw_energy_margins(axis, track: FlightTrack, result) -> None:
             margins,
             color=OUT,
             lw=1.8,
-            label="predicted margin",
+            label="margin to the next decision, best site",
+        )
+        home = next((s["landing"] for row in rows for s in row.get("sites", ())), "")
+        now = [(row, s) for row in rows for s in row.get("sites", ()) if s["landing"] == home]
+        axis.plot(
+            _times_since_takeoff_s(track, [row for row, _ in now]),
+            [site["margin_now_wh"] for _, site in now],
+            color=BACK,
+            label=f"margin now, {home}: below 0 it diverts",
         )
     axis.axhline(0.0, color=WARN, lw=1)
     axis.set_ylabel("Wh")
@@ -231,7 +239,7 @@ def _draw_loss_probabilities(axis, track: FlightTrack, result, max_loss: float) 
     axis.axhline(max_loss, color=WARN, lw=1, ls="--", label=f"allowed: {max_loss:g}")
     axis.set_yscale("log")
     axis.set_ylim(MIN_LOSS / 1.5, 1.6)
-    axis.set_ylabel("chance of loss")
+    axis.set_ylabel("chance of loss (model)")
     _add_legend_if_labelled(axis)
 
 

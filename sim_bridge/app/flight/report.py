@@ -24,7 +24,7 @@ COLUMNS: tuple[tuple[str, JustifyMethod, int], ...] = (
     ("height\nm", "right", 6),
     ("wind m/s\nfrom deg", "right", 13),
     ("margin\nWh", "right", 6),
-    ("P\nhome", "right", 5),
+    ("P\nhome", "right", 6),
 )
 """Columns of the live view: name, justification, minimum width."""
 ROUTINE_DECISIONS = {"planned", "read_back", "authorised", "onward", "looked_again", "finished"}
@@ -134,8 +134,15 @@ def _live_view_cells(vehicle: VehicleStatus) -> list[str]:
         f"{vehicle.up_m:.0f}",
         _format_wind(named_values, ""),
         f"{named_values['LW_MARGIN']:+.1f}" if "LW_MARGIN" in named_values else "-",
-        f"{named_values['LW_PHOME']:.3f}" if "LW_PHOME" in named_values else "-",
+        _p_home_cell(named_values.get("LW_PHOME"), named_values.get("LW_PSTATED")),
     ]
+
+
+def _p_home_cell(p_home: float | None, p_home_stated: float | None) -> str:
+    """Return P(home) as stated to people in a narrow column; * where the evidence limits it."""
+    if p_home is None or p_home_stated is None:
+        return "-"
+    return f"{math.floor(1e3 * p_home_stated) / 1e3:.3f}{'*' if p_home_stated < p_home else ''}"
 
 
 def _format_wind(named_values: Mapping[str, float], unit: str) -> str:
@@ -204,12 +211,12 @@ def results_table(result: dict[str, Any], *, gate_enabled: bool) -> RenderableTy
             _format_number(row["flight_time_s"], 0),
             _format_number(row["wind_rmse_mps"], 2),
             _format_number(row["wind_nees"], 2),
-            _format_number(row["p_home_min"], 3),
+            _p_home_cell(row["p_home_min"], row["p_home_stated_min"]),
             _format_clairvoyant(row),
         )
         messages = ", ".join(_notable_decision_names_with_counts(row["decisions"])) or "nothing"
         decision_lines.append(Text(f"{number} decided: {messages}"))
-    return Group(table, "", *decision_lines)
+    return Group(table, "* limit of evidence; flights.json has the model's", *decision_lines)
 
 
 def grounding_findings_or_kill_messages(row: dict[str, Any]) -> list[str]:

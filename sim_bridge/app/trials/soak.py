@@ -17,7 +17,8 @@ import numpy as np
 import psutil
 
 from companion.core.base.errors import LeewayError
-from companion.fleet.messages import Assign, Command, CommandAction, Launch, State
+from companion.fleet.command_log import MAX_LAUNCH_VALIDITY_S
+from companion.fleet.messages import Assign, Command, CommandAction, Launch, LaunchWindow, State
 from ground_station.adapters.zenoh_fleet import ZenohFleet
 from ground_station.core.fleet.fleet_link import CommandResponse, StateReceived
 from sim_bridge.adapters.endpoint import EndpointSet, find_free_tcp_port
@@ -141,11 +142,24 @@ class SoakDesk:
         ):
             return
         deed, result_status = self._pending_command[1], event.result.status.value
-        if result_status == "done":
-            launch = Launch(assignment=deed.assignment) if isinstance(deed, Assign) else None
-            self._pending_command = launch and (f"launch-{launch.assignment}", launch)
+        if result_status == "expired" or (result_status == "done" and isinstance(deed, Assign)):
+            self._pending_command = self._launch_within_window(deed)
+        elif result_status == "done":
+            self._pending_command = None
         elif result_status == "refused":
             raise LeewayError(f"soak: command {event.command_id} refused: {event.result.reason}")
+
+    def _launch_within_window(self, deed: CommandAction) -> tuple[str, Launch]:
+        assert self.state is not None
+        assert isinstance(deed, Assign | Launch)
+        uptime_s = self.state.uptime_s
+        window = LaunchWindow(
+            instance_id=self.state.instance_id,
+            not_before_s=uptime_s,
+            expires_s=uptime_s + MAX_LAUNCH_VALIDITY_S,
+        )
+        id_ = f"launch-{deed.assignment}-{uptime_s:.1f}"
+        return id_, Launch(assignment=deed.assignment, window=window)
 
     def is_standby_without_command(self) -> bool:
         """Return True if no command is pending and the vehicle reports standby."""

@@ -68,6 +68,9 @@ def table1(
     wind_log: Annotated[
         Path | None, typer.Option(help="Recording in place of the drawn wind.")
     ] = None,
+    readings: Annotated[
+        bool, typer.Option(help="Fly readings of the published BER in place of the planners.")
+    ] = False,
 ) -> None:
     """Table 1: SER, RER, GER and BER on random graphs, 4 and 8 wind classes. Default seed: 13."""
     from dataclasses import replace
@@ -76,7 +79,11 @@ def table1(
     from sim_bridge.research.tables import table1 as experiment
 
     params = experiment.GUSTY_PARAMS if gusty else experiment.Table1Params()
-    params = replace(params, rounds=rounds, graphs=graphs, seed=seed_option_or(13))
+    if readings and wind_log is not None:
+        raise LeewayError("--readings: expected without --wind-log")
+    params = replace(
+        params, rounds=rounds, graphs=graphs, readings=readings, seed=seed_option_or(13)
+    )
     work, kind = experiment.build_jobs(params, wind_log), list[experiment.CellShares]
     run_experiment(
         Experiment("Table 1", work, experiment.fly_all_cells_on_scenario, kind),

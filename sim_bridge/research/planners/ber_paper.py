@@ -7,9 +7,10 @@ lambda Unc and D the least cost under it:
   threshold     b >= c(e) + D_loaded(u, target) + kappa D_empty(target, depot)
   Score(e)      -(c(e) + D_loaded(u, target))              or, by the metric flag, of L_SE
 
-The best-scored edge that passes both is flown. If none passes, the vehicle returns and stops at the
-depot (ABRT). After delivery it flies the cheapest route home, as it does from decision T_max on.
-The paper names these functions without defining them. This reading fits its outcomes.
+The best-scored edge that passes both is flown; without the threshold, that passes ReturnOK. If none
+passes, the vehicle returns and stops at the depot (ABRT). After delivery it flies the cheapest
+route home, as it does from decision T_max on.
+The paper names these functions without defining them. Readings: `table1 --readings`.
 """
 
 import copy
@@ -36,10 +37,12 @@ class BerPaperParams:
     """Parameters of the published BER. `curve_factor` is the paper's kappa.
 
     `metric_flag` 0 ranks by energy (feasibility first), 1 by the synthetic length L_SE.
+    `has_threshold`: an edge must also leave enough energy for the delivery and the way home.
     """
 
     curve_factor: float = 1.15
     metric_flag: int = 0
+    has_threshold: bool = True
 
 
 class BerPaper:
@@ -99,7 +102,8 @@ class BerPaper:
         kappa = self._params.curve_factor
         deliver = out_edge_costs(model, loaded, to_target.cost_wh, viewpoints.origin, column)
         retreat = out_edge_costs(model, loaded, kappa * turn.cost_wh, viewpoints.origin, column)
-        need = np.maximum(deliver + kappa * home_wh[column][:, None], retreat)
+        through = deliver + kappa * home_wh[column][:, None]
+        need = np.maximum(through, retreat) if self._params.has_threshold else retreat
         need[need >= INFEASIBLE_WH] = np.inf
         score = (
             self._synthetic_length_scores(viewpoints, duration, column)
@@ -113,9 +117,10 @@ class BerPaper:
     ) -> NDArray:
         """Score by `L_SE = L_geo + lambda L_wind` along the remaining route to the target."""
         model, graph = self._model, self._model.finder.graph
-        first = np.unique(column, return_index=True)[1]
+        _, first, column = np.unique(column, return_index=True, return_inverse=True)
         length = graph.edge_synthetic_length_m(
             viewpoints.wind_en_mps[first], model.cost.risk_weight
         )
+        length = np.broadcast_to(length, (len(length), len(first)))  # one column at lambda = 0
         routes = model.finder.find_routes_to_goal(graph.target, length)
         return out_edge_costs(model, length, routes.cost_wh, viewpoints.origin, column)

@@ -5,7 +5,7 @@ chains, and on a recording with the clairvoyant. The same code prints this proje
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from sim_bridge.research.campaign.workbench import (
 )
 from sim_bridge.research.planners.ber import Ber
 from sim_bridge.research.planners.ber_log import BerLog, LogPolicy, solve_log_policy
+from sim_bridge.research.planners.ber_paper import BerPaper, BerPaperParams
 from sim_bridge.research.planners.bounded_loss_policy import PolicySearch
 from sim_bridge.research.planners.edge_transitions import build_edge_transition_model
 from sim_bridge.research.planners.markov_chain import build_prior_wind
@@ -52,6 +53,17 @@ BUDGETS_WH = (100.0, 50.0)
 CLASSES = (4, 8)
 BASELINES = ("ser", "rer", "ger", "ber-paper")
 LONGEST_MISSION_S = 300.0  # missions start at least this long before a recording ends
+READINGS = {
+    f"kappa {kappa:g}, lambda {risk_weight:g}, {checks}": (
+        BerPaperParams(kappa, has_threshold=checks == "both checks"),
+        risk_weight,
+    )
+    for checks in ("both checks", "ReturnOK only")
+    for kappa in (1.0, 1.05, 1.15, 1.3)
+    for risk_weight in (0.0, 0.5, 1.0)
+}
+"""Readings of the published BER within the paper's text (IV-B): kappa, lambda, and the checks."""
+
 TABLE_SEED = 13  # not used in choosing the settings; seeds 1 and 12 were
 
 # arXiv 2604.13441, Table 1: (classes, B) -> planner -> SUC, DEL, FAIL, ABRT.
@@ -101,6 +113,8 @@ class Table1Params:
     risk_weight: float = 1.0
     max_losses: tuple[float | str, ...] = (0.015, 0.005, "paper")
     paper_share: float = 1.0
+    readings: bool = False
+    """Fly `READINGS` with 8 wind classes in place of the planners."""
     generator: GeneratorParams = GeneratorParams()  # noqa: RUF009 - frozen
     tuning: TuningParams = TuningParams(fewest_missions=5_000, most_missions=5_000)  # noqa: RUF009
 
@@ -140,9 +154,21 @@ class Table1Job:
 
 def fly_all_cells_on_scenario(job: Table1Job) -> list[CellShares]:
     """Fly every cell of the table on one scenario."""
+    if job.params.readings:
+        return list(_fly_readings(job))
     return list(
         _fly_cells_in_chain_wind(job) if job.wind is None else _fly_cells_in_recorded_wind(job)
     )
+
+
+def _fly_readings(job: Table1Job) -> Iterator[CellShares]:
+    """Fly the readings of the published BER on one scenario."""
+    for label, (reading, risk_weight) in READINGS.items():
+        varied = replace(job, params=replace(job.params, risk_weight=risk_weight))
+        for budget, classes, bench in _build_workbenches(varied):
+            if classes == max(CLASSES):
+                planner = BerPaper(bench.build_replanning_model(True), reading)
+                yield (classes, budget, label), bench.outcome_percentages(planner)
 
 
 def _build_workbenches(job: Table1Job) -> Iterator[tuple[float, int, Workbench]]:
@@ -224,7 +250,13 @@ def build_table1_report(
     """Return the table of all scenarios."""
     title = "Table 1" + (", gusty set" if gusty else "")
     title += f", recording {wind_log.stem}" if wind_log else ""
-    stem = "table1" + ("_gusty" if gusty else "") + (f"_{wind_log.stem}" if wind_log else "")
+    title += ", readings of the published BER" if params.readings else ""
+    stem = (
+        "table1"
+        + ("_readings" if params.readings else "")
+        + ("_gusty" if gusty else "")
+        + (f"_{wind_log.stem}" if wind_log else "")
+    )
     note = NOTE.format(graphs=params.graphs, share=params.paper_share)
     return Report({stem: table1_sheet(title, outcome_percentages_by_cell(found), note, params)})
 
@@ -242,7 +274,7 @@ def table1_sheet(title: str, cells: dict[Cell, Shares], note: str, params: Table
         "planner": "{0[2]}",
         **outcome_columns(shares_by_graph, params.targets * params.missions),
         "paper SUC / DEL / FAIL / ABRT": lambda cell: paper_row(
-            PAPER[cell[:2]].get("ber" if "paper's" in cell[2] else cell[2])
+            PAPER[cell[:2]].get("ber" if "paper's" in cell[2] or "kappa" in cell[2] else cell[2])
         ),
     }
     return Sheet.from_objects(title, cells, columns, note)

@@ -6,6 +6,7 @@ import signal
 import struct
 import subprocess
 import sys
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import msgspec
@@ -40,10 +41,11 @@ from companion.app.flight.recorder import Recorder
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import LocalFrame
 from companion.core.mission.actions import Decision, Finished, SaveCheckpoint, WindReport
+from companion.core.mission.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.mission.events import Attitude, AutopilotDetected, AutopilotKind
-from companion.core.pilot.checkpoint import Checkpoint, checkpoint_to_dict
 from companion.core.pilot.ground.autopilot_settings import SettingChange
 from companion.core.pilot.telemetry_state import TelemetryState
+from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.routing.route_planner import Plan, RallySite
 
 ROOT = Path(__file__).parents[3]
@@ -111,14 +113,16 @@ def test_a_torn_changed_or_foreign_checkpoint_is_known_for_one(tmp_path, changed
 
 # --- decision log and result ---------------------------------------------------------------------
 
-DECISION = Decision(12.5, "go", "gate open", 0.99, 0.995, 0.9, 14.0)
+DECISION = Decision(
+    12.5, "go", "gate open", 0.99, 0.9, 0.995, 0.9, 14.0, 0.97, 0.99, 0.99, 0.9,
+    (SiteMargin("depot", 0.995, 20.0, 14.0),),
+)  # fmt: skip
 
 
 def test_the_decision_log_opens_with_the_librarys_own_reader_and_fits_its_schemas(tmp_path):
     path = tmp_path / "decisions.mcap"
     log = DecisionLog(path, lambda: 1_800_000_000_000_000)
-    row = {"t_s": 1.5, "kind": "go", "reason": "open", "p_home": None, "p_home_now": None,
-           "p_success": None, "margin_wh": 3.0}  # fmt: skip
+    row = asdict(Decision(1.5, "go", "open", margin_wh=3.0)) | {"sites": []}
     log.write("decision", row)
     energy = {"t_s": 2.0, "left_wh": 80.0, "std_wh": 2.0, "source": "current", "used_wh": 9.0}
     log.write("energy", energy)
@@ -187,9 +191,9 @@ def test_a_run_that_goes_on_after_a_kill_keeps_the_rows_of_the_one_before(tmp_pa
     assert (result["outcome"], result["delivered"]) == ("SUC", True)
     told = {"name": "LOW_ACT", "before": 0.0, "set": 3.0, "restored": True}
     assert result["settings"] == [told]
-    assert {"t_s", "kind", "p_home", "p_home_now", "p_success", "margin_wh", "reason"} == set(
-        result["decisions"][0]
-    )
+    (site,) = result["decisions"][0]["sites"]
+    assert (site["landing"], site["margin_now_wh"]) == ("depot", 20.0)
+    assert {each.name for each in fields(Decision)} == set(result["decisions"][0])
     assert next_free_path(tmp_path / "decisions.mcap").name == "decisions-3.mcap"
 
 
@@ -426,3 +430,12 @@ def test_the_kept_state_is_strict():
     table = msgspec.to_builtins(KEPT) | {"surprise": 1}
     with pytest.raises(msgspec.ValidationError, match="surprise"):
         msgspec.convert(table, Checkpoint)
+
+
+@pytest.mark.parametrize(("function", "is_guarded"), [("print_line_if_possible", True),
+                                                      ("_print_nonempty_line", False)])  # fmt: skip
+def test_a_full_disk_behind_the_output_changes_no_exit_code(function, is_guarded):
+    code = f"from companion.app.cli import flying; flying.{function}('settings NOT restored')"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=full, check=False)
+    assert (done.returncode == 0) is is_guarded

@@ -125,7 +125,7 @@ def test_words_of_ours_and_of_other_languages_stay_as_they_are(words: str):
 
 def state_of(text: str) -> bytes:
     table = {
-        "v": 1, "vehicle": "d1", "life": "l1", "uptime_s": 1.0, "epoch_us": 0, "airframe": "m100",
+        "v": 2, "vehicle": "d1", "life": "l1", "uptime_s": 1.0, "epoch_us": 0, "airframe": "m100",
         "max_payload_kg": 1.0, "phase": "standby", "log": "l1", "last_seq": 0, "text": text[:500],
     }  # fmt: skip
     return msgspec.json.encode(table)

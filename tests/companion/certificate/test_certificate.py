@@ -90,14 +90,6 @@ def test_the_worst_moment_of_a_flight_counts_and_not_its_whole():
     assert found.max_measured_to_predicted_ratio == pytest.approx(1.25)
 
 
-def test_what_is_missing_for_a_smaller_loss_is_said():
-    found = certificate()
-    assert found.missing_support_text(0.1) == ""
-    assert "99 would, and 299 without a loss with 95 % confidence" in found.missing_support_text(
-        0.01
-    )
-
-
 def test_two_days_or_a_log_of_another_vehicle_certify_nothing():
     with pytest.raises(LeewayError, match="flights on 2 days, at least 3 expected"):
         certificate([flight(1), flight(2)])

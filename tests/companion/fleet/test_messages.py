@@ -26,6 +26,7 @@ from companion.fleet.messages import (
     EventKind,
     FleetEvent,
     Launch,
+    LaunchWindow,
     Recall,
     Refused,
     Result,
@@ -40,6 +41,7 @@ from companion.fleet.topics import (
     vehicle_and_instance_from_key,
     vehicle_from_key,
 )
+from tests.fleet.wire import valid_from
 
 LIFE = "a1b2"
 
@@ -47,6 +49,7 @@ LIFE = "a1b2"
 def a_command(
     deed: CommandAction, id_: str = "c1", life: str = LIFE, as_of_s: float = 100.0
 ) -> Command:
+    deed = valid_from(deed, life, as_of_s)
     return Command(id=id_, vehicle="d1", instance_id=life, as_of_s=as_of_s, by="desk", action=deed)
 
 
@@ -82,7 +85,7 @@ def test_every_message_comes_back_as_it_went():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"v": 2}, "version 2, expected 1"),
+        ({"v": 1}, "version 1, expected 2"),
         ({"v": "1"}, "int"),
         ({"colour": "red"}, "colour"),
         ({"p_home": 1.5}, "p_home"),
@@ -180,7 +183,7 @@ def test_the_wind_of_a_drone_takes_less_than_200_bytes_a_second():
 def test_a_message_of_another_version_is_refused_whatever_else_it_holds():
     refused = decode_message(Command, b'{"v": 7, "new_field": [1, 2], "id": "c"}')
     assert isinstance(refused, Refused)
-    assert "version 7, expected 1" in refused.reason
+    assert "version 7, expected 2" in refused.reason
 
 
 @pytest.mark.parametrize("message_type", [State, FleetEvent, Command, Result])
@@ -289,15 +292,38 @@ def test_a_recall_that_was_cut_off_is_carried_out_after_all():
 
 def test_a_command_from_long_ago_or_for_an_earlier_life_is_stale_but_a_recall_never_is():
     book = CommandLog()
-    for deed in (Launch(assignment="a1"), ReturnControl()):
+    for deed, outdated in (
+        (Launch(assignment="a1"), CommandStatus.EXPIRED),
+        (ReturnControl(), CommandStatus.STALE),
+    ):
         old = book.reply_without_execution_or_none(
             a_command(deed, as_of_s=100.0), LIFE, 100.1 + MAX_STATE_AGE_S
         )
         other = book.reply_without_execution_or_none(a_command(deed, life="before"), LIFE, 101.0)
-        assert [v.status for v in (old, other) if v] == [CommandStatus.STALE] * 2
+        assert [v.status for v in (old, other) if v] == [outdated] * 2
     assert (
         book.reply_without_execution_or_none(a_command(Recall(), life="before"), LIFE, 1e6) is None
     )
+
+
+@pytest.mark.parametrize(
+    ("window", "status"),
+    [
+        (None, CommandStatus.REFUSED),
+        ((95.0, 101.1), None),
+        ((95.0, 100.9), CommandStatus.EXPIRED),
+        ((101.1, 110.0), CommandStatus.LATER),
+        ((95.0, 111.0), CommandStatus.REFUSED),
+    ],
+)
+def test_safety_rule_7_a_launch_starts_within_its_validity_on_the_vehicles_clock(window, status):
+    launch = Launch(assignment="a1")
+    if window is not None:
+        valid = LaunchWindow(instance_id=LIFE, not_before_s=window[0], expires_s=window[1])
+        launch = Launch(assignment="a1", window=valid)
+    command = msgspec.structs.replace(a_command(launch), action=launch)
+    reply = CommandLog().reply_without_execution_or_none(command, LIFE, 101.0)
+    assert (reply and reply.status) == status
 
 
 def test_an_assignment_that_is_over_is_not_launched_again():

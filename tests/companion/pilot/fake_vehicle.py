@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from companion.adapters.files.params import read_airframe, read_wind_process
+from companion.core.certificate.evidence import RiskEvidence
 from companion.core.mission import events as ev
 from companion.core.mission.actions import (
     Action,
@@ -37,13 +38,13 @@ from companion.core.mission.actions import (
     UploadMission,
     VerifyMission,
 )
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode, VehicleLandedState
 from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.mission_items import ItemKind, MissionItem, mission_differences
 from companion.core.mission.preflight_checks import ParameterRequirement
 from companion.core.monitor.flight_evidence import FlightEvidence
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.estimators.flight_gate import AcceptedLimits
 from companion.core.pilot.flight_state import CurrentItem
@@ -52,6 +53,7 @@ from companion.core.pilot.mission_progress import MissionProgressMonitor
 from companion.core.pilot.pilot import Pilot
 from companion.core.pilot.transitions import COMMANDING_PHASES, Phase
 from companion.core.return_budget.budget import Assessment, RemainingMission
+from companion.core.return_budget.outcomes import SiteMargin
 from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.air import Air
 from companion.core.vehicle.energy_ledger import EnergyBelief
@@ -101,6 +103,7 @@ class ScriptedJudge:
     restored: bool = False
     envelope_exit_texts: tuple[str, ...] = ()
     air: Air | None = None
+    evidence: RiskEvidence = field(default_factory=lambda: RiskEvidence(WIND_PROCESS))
 
     def fix_air_properties(self, air: Air) -> None:
         self.air = air
@@ -140,6 +143,11 @@ class ScriptedJudge:
         return Assessment(
             self.t_s, p_home, 0.999, 0.9, 20.0, closed, self.best_landing, None, 80.0, 60.0,
             CLOSED if closed else "open",
+            sites=tuple(
+                SiteMargin(way.landing, self.depot_p_home if way.landing == "depot" else 0.999,
+                           20.0, None)
+                for way in ahead.current_return_routes
+            ),
         )  # fmt: skip
 
     def ground_speed_to_command_mps(self, here: Any, to: Any) -> float:

@@ -17,8 +17,8 @@ from companion.core.mission.actions import (
     SetParameters,
     VerifyMission,
 )
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode, VehicleLandedState
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.transitions import Phase
 from tests.companion.pilot.fake_vehicle import World, start, world

@@ -31,13 +31,13 @@ from companion.core.mission.actions import (
     UploadMission,
     VerifyMission,
 )
+from companion.core.mission.checkpoint import Checkpoint, checkpoint_from_dict, checkpoint_to_dict
 from companion.core.mission.events import Mode
 from companion.core.mission.find_plan import FindPlan, PlanFound
 from companion.core.mission.flight_file import NeighbourFleet
 from companion.core.mission.jump_watch import LegMonitor
 from companion.core.mission.mission_items import ItemKind, MissionItem
 from companion.core.mission.preflight_checks import ParameterRequirement
-from companion.core.pilot.checkpoint import Checkpoint, checkpoint_from_dict, checkpoint_to_dict
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.return_course import PositionLossMonitor
 from companion.core.pilot.transitions import Phase

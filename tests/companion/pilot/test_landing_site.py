@@ -21,12 +21,12 @@ from companion.core.mission.actions import (
     SetHome,
     SetMode,
 )
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode
 from companion.core.mission.flight_file import Flight
 from companion.core.mission.flight_plan import FlightPlan, build_site_map, depot_frame, make_plan
 from companion.core.mission.mission_items import ItemKind, Part, ReturnByDefaultMission
 from companion.core.pilot import home_watch
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.flight_state import PromisedStop
 from companion.core.pilot.transitions import Phase
@@ -571,7 +571,7 @@ REFUSALS: list[tuple[str, Phase, str, Callable[[World], None], ResponseStatus, s
     (
         "the gate, on the way out", Phase.OUTBOUND, "stop-3",
         lambda w: w.judge.p_home_by.update({"stop-3": 0.95}),  # type: ignore[attr-defined]
-        ResponseStatus.DENIED, "P(home) 0.950 at stop-3",
+        ResponseStatus.DENIED, "P(home) at stop-3: 0.9500",
     ),
     (
         "the gate, on the way home", Phase.RETURN, "stop-3",
@@ -655,7 +655,7 @@ def test_a_stop_that_no_longer_keeps_the_promise_is_left_for_a_rally_point_that_
     w.run(lambda w: w.pilot.current_home_stop_name == "stop-3")
     w.judge.p_home_by["stop-3"] = 0.9  # type: ignore[attr-defined]
     w.run(lambda w: w.pilot.current_home_stop_name == "quay", 5.0)
-    assert "stop-3: P(home) 0.900 below 0.990; quay 0.999" in w.said
+    assert "stop-3: P(home) 0.900 below 0.990; quay 0.9990" in w.said
     assert w.sent(JumpTo)[-1].index == flown_of(w).overhead_and_ground_items_of_site("quay")[0]
 
 

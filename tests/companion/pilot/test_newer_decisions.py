@@ -20,10 +20,10 @@ from companion.core.mission.actions import (
     UploadMission,
 )
 from companion.core.mission.alerts import Severity
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode
 from companion.core.mission.mission_items import MissionItem
 from companion.core.pilot.authority import OrderedMode
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import PilotOptions
 from companion.core.pilot.telemetry.position_watch import PositionWatch
 from companion.core.pilot.transitions import Phase

@@ -6,7 +6,8 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from companion.core.pilot import checkpoint, parts
+from companion.core.mission import checkpoint
+from companion.core.pilot import parts
 from companion.core.pilot.control.last_resort import LastResort
 from companion.core.pilot.flight_state import FlightState
 from companion.core.pilot.home_watch import HomeMonitor

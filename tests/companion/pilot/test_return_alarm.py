@@ -9,8 +9,8 @@ import pytest
 from companion.core.mission import events as ev
 from companion.core.mission.actions import AlertReport, JumpTo, PublishValues, SaveCheckpoint
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import Mode
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.transitions import Phase
 from companion.core.return_budget.budget import Assessment, RemainingMission
 from companion.core.return_budget.remaining_mission import ReturnRoute

@@ -605,3 +605,20 @@ def test_legs_before_the_last_have_their_power_too() -> None:
     # 9 Wh have to remain after the first leg, of which the others use 5.
     assert additional_need_wh(energy_wh, np.array([[9.0], [0.0], [1.0]])) == pytest.approx([4.0])
     assert additional_need_wh(energy_wh, np.array([[5.0], [2.0], [0.0]])) == pytest.approx([0.0])
+
+
+@pytest.mark.parametrize("left_wh", [18.0, 33.0, 60.0])
+@pytest.mark.parametrize("promised", [0.97, 0.99, 0.9999])
+def test_a_sites_margin_is_the_root_of_its_probability_and_has_its_sign(left_wh, promised):
+    from scipy.optimize import brentq
+
+    needs = np.random.default_rng(3).gamma(20.0, 1.2, 256)
+    budget = Budget(left_wh, 1.5, 0.04, 1.05)
+
+    def excess(level_wh: float) -> float:
+        spread = np.hypot(1.5, 0.04 * 1.05 * needs)
+        return float(norm.cdf((level_wh - 1.05 * needs) / spread).mean()) - promised
+
+    margin_wh = budget.approximate_margin_wh(needs, promised)
+    assert margin_wh == pytest.approx(left_wh - brentq(excess, 0.0, 200.0), abs=0.2)
+    assert (margin_wh < 0.0) == (excess(left_wh) < 0.0)

@@ -13,13 +13,14 @@ from typer.testing import CliRunner
 
 from companion.adapters.files.disk import ImmediateRecordWriter
 from companion.core.base.errors import LeewayError
-from companion.fleet.command_log import CommandReply
+from companion.fleet.command_log import MAX_LAUNCH_VALIDITY_S, CommandReply
 from companion.fleet.identity import read_and_verify_identity
 from companion.fleet.member import FleetMember
 from companion.fleet.messages import (
     Command,
     CommandStatus,
     Launch,
+    LaunchWindow,
     Recall,
     SetLimits,
     encode_message,
@@ -28,6 +29,7 @@ from companion.fleet.network import MemberRequest, RequestKind
 from companion.fleet.signed_link import SignedLink
 from companion.fleet.trust import MemberTrust
 from ground_station.adapters.pki.pki_folder import PkiFolder
+from ground_station.adapters.store import database
 from ground_station.app.cli.main import app
 from ground_station.app.desk.command_authority import CommandAuthority
 from ground_station.app.desk.depot_dispatcher import DepotParams
@@ -55,8 +57,11 @@ def said() -> list[str]:
 
 
 @pytest.fixture
-def bench(site: SecureSite, tmp_path: Path, said: list[str]) -> Iterator[Bench]:
+def bench(
+    site: SecureSite, tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Bench]:
     """A desk with an identity; d1 is ready with o1 and waits for a person's confirmation."""
+    monkeypatch.setattr(database, "_begin_epoch_if_missing", lambda db: None)  # ids without epoch
     with opened(f"sqlite:///{tmp_path}/desk.db") as store:
         store.add_orders_unless_conflict([an_order("o1")])
         assert aboard(store) == "o1.1"
@@ -172,9 +177,12 @@ def test_a_launch_that_waits_for_the_vehicles_disk_ends_with_its_authors_authori
         return SignedLink(net, own, life, net.clock_s)  # type: ignore[arg-type]
 
     member = FleetMember.restore_and_open_link("d1", tmp_path / "d1", open_link, disk=disk)
+    window = LaunchWindow(
+        instance_id=member.instance_id, not_before_s=0.0, expires_s=MAX_LAUNCH_VALIDITY_S
+    )
     launch = Command(
         id="c1", vehicle="d1", instance_id=member.instance_id, as_of_s=0.0, by="anna",
-        action=Launch(assignment="o1.1"),
+        action=Launch(assignment="o1.1", window=window),
     )  # fmt: skip
     sealed = trust_of(site, "anna").sign_in_envelope("command", encode_message(launch))
     net.waiting = [MemberRequest(RequestKind.COMMAND, answers.extend, sealed)]

@@ -52,4 +52,4 @@ def test_over_known_ground_the_estimate_says_how_near_and_how_high():
     figures = dict(re.findall(r"│ (.+?) +│ +(.+?) │", out))
     assert figures["maximum height above the depot"] == "98 m"  # 69.7 hill, 20 clearance, 8 margin
     assert figures["minimum height above ground"] == "28 m"
-    assert figures["line of sight from depot to delivery point"] == "no"  # two hills obstruct it
+    assert figures["line of sight to the customer"] == "no"  # two hills obstruct it

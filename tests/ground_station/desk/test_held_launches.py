@@ -10,6 +10,7 @@ from companion.fleet.messages import CommandStatus
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store.hold_store import HoldStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.desk import exchange
 from ground_station.app.desk.depot_dispatcher import DepotParams
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.exchange import RETRY_DELAY_S
@@ -86,7 +87,7 @@ def test_safety_rule_1_a_hold_between_the_transaction_and_the_sending_stops_the_
 ):
     holding_behind_the_outbox(monkeypatch, bench)
     if not guarded:
-        monkeypatch.setattr(Store, "mark_launch_sent", lambda self, row: True)
+        monkeypatch.setattr(exchange, "stamp_and_mark_launch_sent", lambda db, row, window: window)
     bench.turn()
     assert bench.store.holds_in_force()
     assert bench.wire.launches() == ([] if guarded else ["o1.1:launch1"])
@@ -99,7 +100,7 @@ def test_safety_rule_1_a_launch_without_an_answer_is_not_repeated_under_a_hold(
     bench.turn()
     assert bench.wire.launches() == ["o1.1:launch1"]
     if not guarded:
-        monkeypatch.setattr(Store, "mark_launch_sent", lambda self, row: True)
+        monkeypatch.setattr(exchange, "stamp_and_mark_launch_sent", lambda db, row, window: window)
     bench.holds.place_holds(["d1"], "gusts", "anna")
     bench.no_answer()
     bench.turn()

@@ -246,7 +246,7 @@ def test_a_drone_that_the_driver_takes_in_before_it_answers_its_withdrawal_is_us
 
 @pytest.mark.sample
 def test_the_canary_a_desk_that_waits_for_its_answer_never_ends(day, monkeypatch):
-    monkeypatch.setattr("ground_station.adapters.store.order_steps._complete_withdrawal", ignores)
+    monkeypatch.setattr("ground_station.adapters.store.day_steps._complete_withdrawal", ignores)
     told = day(6)
     told.world.drones["d1"].mood = "cut off"
     with pytest.raises(AssertionError):

@@ -60,7 +60,7 @@ def test_a_drone_that_is_expected_to_be_silent_is_no_item():
 def test_the_worst_is_first_and_each_cause_is_one_item():
     facts = FleetFacts(
         vehicles=[flying("d2", spare_wh=5.0), flying("d1", contact_age_s=24.0)],
-        launches=[LaunchFacts("T-1", "d6", 1.0 - 1 / 2400)],
+        launches=[LaunchFacts("T-1", "d6", "1 in 2,400")],
         stuck=[("T-2", "drop not proven"), ("T-2", "drop not proven")],
         idle_reasons={"d7": "34 m from the depot's pad"},
         desk_silence_s=20.0,

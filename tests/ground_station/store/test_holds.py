@@ -5,12 +5,16 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from companion.fleet.messages import CommandStatus, Launch
+from companion.fleet.messages import CommandStatus, Launch, LaunchWindow
 from ground_station.adapters.store import hold_steps, hold_store
 from ground_station.adapters.store.hold_store import HoldStore
+from ground_station.adapters.store.launch_store import (
+    count_refused_launches,
+    stamp_and_mark_launch_sent,
+)
 from ground_station.adapters.store.order_store import Store
 from ground_station.core.schema.holds import ALL_DRONES
-from ground_station.core.schema.orders import AssignmentState
+from ground_station.core.schema.orders import AssignmentState, CommandRow
 from tests.ground_station.store.test_order_store import FLIGHT, an_order, opened
 
 
@@ -24,6 +28,14 @@ def aboard(store: Store, order: str = "o1", vehicle: str = "d1") -> str:
     assert id_ is not None
     assert store.record_and_apply_response(f"{id_}:assign", CommandStatus.DONE, "", "life")
     return id_
+
+
+WINDOW = LaunchWindow(instance_id="a", not_before_s=0.0, expires_s=15.0)
+
+
+def left_desk(store: Store, launch: CommandRow) -> bool:
+    """Return whether the desk may send this launch, and mark it as sent."""
+    return stamp_and_mark_launch_sent(store.database, launch, WINDOW) is not None
 
 
 @pytest.mark.parametrize("scope", ["d1", ALL_DRONES])
@@ -60,11 +72,11 @@ def test_a_hold_makes_a_launch_void_that_has_not_left_the_desk_and_names_one_tha
         assert store.launch(waiting, "desk")
         assert store.launch(gone, "desk")
         (left,) = (row for row in store.outbox() if row.vehicle == "d2")
-        assert store.mark_launch_sent(left)
+        assert left_desk(store, left)
         assert holds_of(store).place_holds([ALL_DRONES], "gusts", "anna") == [gone]
         assert [row.id for row in store.outbox()] == [left.id]
-        assert not store.mark_launch_sent(left)  # it is not resent either
-        assert store.count_refused_launches(waiting) == 0
+        assert not left_desk(store, left)  # it is not resent either
+        assert count_refused_launches(store.database, waiting) == 0
         assert store.record_and_apply_response(
             left.id, CommandStatus.DONE, "", "life"
         )  # it had taken off
@@ -78,7 +90,7 @@ def held_behind_its_launch(store: Store) -> tuple[str, str]:
     id_ = aboard(store)
     assert store.launch(id_, "desk")
     (row,) = store.outbox()
-    assert store.mark_launch_sent(row)
+    assert left_desk(store, row)
     assert holds_of(store).place_holds(["d1"], "gusts", "anna") == [id_]
     return id_, row.id
 
@@ -92,13 +104,13 @@ def test_safety_rule_1_a_release_sends_no_launch_again_that_a_hold_came_behind(s
         id_, first = held_behind_its_launch(store)
         holds_of(store).clear_holds(["d1"], "anna")
         assert store.outbox() == []
-        assert store.count_refused_launches(id_) == 0
+        assert count_refused_launches(store.database, id_) == 0
         assert not store.launch(id_, "desk", requires_confirmation=True)
         assert store.record_launch_confirmation("o1", "ben") == id_
         assert store.launch(id_, "desk", requires_confirmation=True)
         (again,) = store.outbox()
         assert again.id != first
-        assert store.mark_launch_sent(again)
+        assert left_desk(store, again)
 
 
 def test_canary_without_the_end_at_the_release_the_launch_would_go_out_again(store, monkeypatch):
@@ -106,7 +118,7 @@ def test_canary_without_the_end_at_the_release_the_launch_would_go_out_again(sto
     held_behind_its_launch(store)
     holds_of(store).clear_holds(["d1"], "anna")
     (row,) = store.outbox()
-    assert store.mark_launch_sent(row)
+    assert left_desk(store, row)
 
 
 def test_a_release_of_another_hold_ends_no_launch(store_url: str):
@@ -152,7 +164,7 @@ def test_a_launch_that_is_still_asked_about_is_answered_by_its_vehicle_only(stor
         store.add_orders_unless_conflict([an_order("o1")])
         id_ = aboard(store)
         assert store.launch(id_, "desk")
-        assert store.mark_launch_sent(store.outbox()[0])
+        assert left_desk(store, store.outbox()[0])
         assert not store.record_unanswered_launch_as_executed(id_, "life")
         assert state_of(store) is AssignmentState.UPLOADED
 
@@ -179,7 +191,7 @@ def test_no_race_of_two_desks_launches_a_vehicle_that_was_held_before(store_url:
                     ready.wait()
                     mine.launch(id_, "desk")
                     rows = (row for row in mine.outbox() if isinstance(row.command, Launch))
-                    left.extend(row.id for row in rows if mine.mark_launch_sent(row))
+                    left.extend(row.id for row in rows if left_desk(mine, row))
 
         with ThreadPoolExecutor() as pool:
             _ = [done.result() for done in [pool.submit(hold), pool.submit(launch)]]

@@ -9,12 +9,13 @@ from companion.fleet.messages import CommandStatus
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.store import order_steps
 from ground_station.adapters.store.hold_store import HoldStore
+from ground_station.adapters.store.launch_store import newest_launch_command_number
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.cli.main import app
 from ground_station.app.desk.depot_dispatcher import DepotDispatcher
 from ground_station.core.dispatch.depot_assignment import DepotAssigner
 from tests.ground_station.desk_parts import HandClock, a_state
-from tests.ground_station.store.test_holds import aboard
+from tests.ground_station.store.test_holds import aboard, left_desk
 from tests.ground_station.store.test_order_store import an_order, opened
 
 DAY = read_day(Path(__file__).parents[3] / "params" / "days" / "harbour.toml")
@@ -50,11 +51,11 @@ def test_safety_rule_7_two_desks_keep_one_gap_between_launches(store_url: str):
     with opened(store_url) as store:
         ids = ready(store, 4)
         assert sorted(
-            both_desks_launch(store_url, ids[:2], store.newest_launch_command_number())
+            both_desks_launch(store_url, ids[:2], newest_launch_command_number(store.database))
         ) == [False, True]
         assert launched(store) == 1
         assert store.launch(
-            ids[2], "desk", newest_known_launch=store.newest_launch_command_number()
+            ids[2], "desk", newest_known_launch=newest_launch_command_number(store.database)
         )
 
 
@@ -107,6 +108,7 @@ def test_safety_rule_7_a_desk_waits_a_whole_gap_after_a_launch_of_another_one(st
     first, second = store.assignments(in_force=True)
     ours.on_vehicle_ready(first)
     assert launched(store) == 1
+    assert left_desk(store, store.outbox()[0])
     theirs.on_vehicle_ready(second)
     clocks[1].t_s = 9_030.0  # ordered, not yet airborne
     theirs.on_vehicle_ready(second)

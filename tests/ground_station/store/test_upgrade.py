@@ -128,7 +128,11 @@ def test_a_copy_that_is_put_back_is_the_store_as_it_was_and_nobody_is_launched_b
     assert before.exists()
     with opened(store_url) as store:
         assert states(store)["o3"] is OrderState.OPEN
-        assert [(hold.scope, hold.by) for hold in store.holds_in_force()] == [(ALL_DRONES, "anna")]
+        holds = store.holds_in_force()
+        assert [(hold.scope, hold.by) for hold in holds] == [
+            (ALL_DRONES, "anna"),
+            (ALL_DRONES, "store restore"),
+        ]
         assert store.assign_order("o3", "d3", FLIGHT, None, "desk") is None
     assert ground_station("store", "check", "--store", store_url)[0] == 0
 

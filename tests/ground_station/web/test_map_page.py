@@ -59,6 +59,10 @@ def test_list_board_and_bar_say_what_the_store_says(site, page):
         assert look in words[state], id_
     delivered = sum(state == "delivered" for state in states.values())
     assert page.locator(".figure.wide dd").inner_text() == f"{delivered} of {len(states)}"
+    site.fleet_link.more["d1"] = {"p_home": 0.99999, "p_home_limit": 0.9}
+    site.step(2)
+    page.locator('#list [data-key="d1"] .name').click()
+    shown(page, "at most 1 in 10 (limit of evidence)")
 
 
 def test_an_item_is_gone_within_two_seconds_of_its_cause(site, page):

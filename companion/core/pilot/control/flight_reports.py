@@ -19,6 +19,7 @@ from companion.core.pilot.home_watch import HomeMonitor
 from companion.core.pilot.return_decision import BudgetMonitor
 from companion.core.pilot.transitions import FLIGHT_PHASES, Phase
 from companion.core.return_budget.budget import Assessment
+from companion.core.return_budget.outcomes import SiteMargin
 
 REPORT_INTERVAL_S = 1.0
 WIND_REPORT_INTERVAL_S = 0.5
@@ -88,23 +89,38 @@ class FlightReports:
             values |= {
                 "LW_MARGIN": seen.margin_wh,
                 "LW_PHOME": seen.p_home,
+                "LW_PSTATED": seen.p_home_stated,
                 "LW_PHNOW": seen.p_home_now,
                 "LW_PSUCC": seen.p_success,
             }
+            if (home := _home_site(context, seen)) is not None:
+                values["LW_MHOME"] = home.margin_now_wh
             context.queue_actions(_assessment_report(seen))
         if self.return_alarm.last_moment_in_s is not None:
             values["LW_TLEFT"] = self.return_alarm.last_moment_in_s
         context.queue_actions(PublishValues(values))
 
 
+def _home_site(context: FlightContext, assessment: Assessment) -> SiteMargin | None:
+    """Return depot or promised stop, where the return route ends, if a route leads there."""
+    flown = context.flight_plan
+    return flown and assessment.site_by_name(flown.plan.return_route_end_name)
+
+
 def _assessment_report(assessment: Assessment) -> AssessmentReport:
     return AssessmentReport(
         assessment.t_s,
         assessment.p_home,
+        assessment.p_home_stated,
         assessment.p_home_now,
         assessment.p_success,
         assessment.margin_wh,
         assessment.energy_left_wh,
         assessment.energy_need_wh,
         assessment.p_home_unattended,
+        assessment.required_p_home,
+        assessment.p_home_next,
+        assessment.p_home_onward,
+        assessment.p_success_onward,
+        assessment.sites,
     )

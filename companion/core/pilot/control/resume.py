@@ -17,6 +17,7 @@ from companion.core.mission.actions import (
     VerifyMission,
 )
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     ClockJumpedForward,
@@ -36,7 +37,6 @@ from companion.core.mission.events import (
 )
 from companion.core.mission.flight_plan import FlightPlan, build_mission, build_site_map
 from companion.core.pilot.authority import ControlAuthority, OrderedMode
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import CurrentPlan, FlightContext
 from companion.core.pilot.estimates import EstimatesSnapshot
 from companion.core.pilot.flight_state import CurrentItem, FlightState, ReturnState

@@ -11,14 +11,16 @@ import math
 from dataclasses import dataclass
 
 from companion.core.base.geo import Ned, course_rad, horizontal_distance_m, point_above
+from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert
 from companion.core.mission.events import AutopilotKind, Mode, Position
 from companion.core.mission.flight_plan import FlightPlan
 from companion.core.pilot.context import FlightContext, LatestAssessment
+from companion.core.pilot.diversion import has_clear_line_to_rally
 from companion.core.pilot.flight_state import PromisedStop
 from companion.core.pilot.home_watch import HomeMonitor
 from companion.core.pilot.landing import promised_landing_sites
-from companion.core.pilot.return_decision import BudgetMonitor, has_clear_line_to_rally
+from companion.core.pilot.return_decision import BudgetMonitor
 from companion.core.pilot.transitions import RELEASED_PHASES, Phase
 from companion.core.return_budget.budget import Assessment
 from companion.core.return_budget.remaining_mission import RemainingMission, ReturnRoute
@@ -104,7 +106,8 @@ class ReturnAlarm:
         self.last_moment_in_s = left_s
         if left_s <= ALARM_LEAD_S:
             advice = "land here" if _is_out_of_reach(now) else f"return to {_site_text(here, best)}"
-            given = {"p_home": f"{now.p_home_now:.3f}", "left_s": left_s, "advice": advice}
+            p_home = home_probability_text(now.p_home_now, now.p_home_limit)
+            given = {"p_home": p_home, "left_s": left_s, "advice": advice}
             context.report_alert(Alert.RETURN_DUE, is_alarm=True, **given)
 
     def _evaluate_rtl(

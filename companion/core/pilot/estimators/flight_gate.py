@@ -62,6 +62,7 @@ class FlightGate:
     _route_energy: RouteEnergy
     _own_outlook: WindOutlook
     _fleet_outlook: FleetWindOutlook
+    _p_home_limit: float
     _gate: Gate | None = None
     accepted_loss: float | None = None
     """Accepted loss of later decisions; `None`: that of the limits."""
@@ -170,7 +171,7 @@ class FlightGate:
             or abs(self._gate.params.reserve_wh - reserve_wh)
             > RESERVE_STEP_FRAC * max(reserve_wh, 1.0)
         ):
-            params = GateParams(max_loss=inputs.limits.max_loss, reserve_wh=reserve_wh)
+            params = GateParams(inputs.limits.max_loss, reserve_wh, p_home_limit=self._p_home_limit)
             self._gate = Gate(self._route_energy, params)
         return self._gate
 

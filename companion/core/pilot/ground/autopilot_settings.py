@@ -6,6 +6,7 @@ from typing import Any
 
 from companion.core.mission.actions import LogNote, RequestParameters, SetParameters
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.events import (
     AutopilotKind,
     AutopilotParameters,
@@ -23,7 +24,6 @@ from companion.core.mission.preflight_checks import (
     settings_to_correct,
     unmet_requirement_issues,
 )
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import FlightContext
 from companion.core.pilot.transitions import Phase, Trigger
 

@@ -140,6 +140,9 @@ class FlightPlanning:
             report, _ = review_obstacles("obstacles", frame, self._obstacles, conditions)
             context.queue_actions(*map(LogNote, report.lines()))
         _limit_loss_by_hourly_rate(context, plan.time_s)
+        estimates = context.estimates
+        if words := estimates.evidence.missing_support_text(estimates.limits.max_loss):
+            context.queue_actions(LogNote(f"WARNING: {words}", in_run=True))
         return ""
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from companion.core.mission.actions import Arm, JumpTo, ResponseStatus
 from companion.core.mission.alerts import Alert
+from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
     AutopilotKind,
@@ -20,7 +21,6 @@ from companion.core.mission.events import (
 )
 from companion.core.mission.preflight_checks import PreflightIssue
 from companion.core.pilot.authority import DisarmMonitor, OrderedMode
-from companion.core.pilot.checkpoint import Checkpoint
 from companion.core.pilot.context import EXTERNAL_DISARM_TEXT, FlightContext
 from companion.core.pilot.flight_state import FlightState, OnboardListState
 from companion.core.pilot.ground.autopilot_settings import AutopilotSettings

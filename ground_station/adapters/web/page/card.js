@@ -63,7 +63,7 @@ function riskPart(drone, { max_loss: limit, risk_limit: limitWords }, silent) {
   if (!drone.risk) return html("div", { class: "promise" }, html("h3", {}, "Risk of not coming home"), html("p", { class: "muted" }, UNKNOWN, limitWords ? ` (limit ${limitWords})` : ""));
   return html("div", { class: "promise" }, html("h3", {}, "Risk of not coming home"),
     html("p", { class: "big risk" }, drone.risk, html("small", {}, limitWords ? `limit ${limitWords}` : "limit not reported yet")),
-    limit && riskScale(1 - drone.p_home, limit, `risk ${drone.risk}, limit ${limitWords}`), limit && html("p", { class: "muted ends" }, html("span", {}, "more"), html("span", {}, "less risk")),
+    limit && riskScale(1 - drone.p_home, limit, `risk ${drone.risk}, limit ${limitWords}; dot: by the model`), limit && html("p", { class: "muted ends" }, html("span", {}, "more"), html("span", {}, "dot: by the model"), html("span", {}, "less risk")),
     drone.risk_now && html("p", { class: "muted" }, silent ? "as reported then" : `If it turned back now: ${drone.risk_now} (limit ${limitWords || UNKNOWN})`));
 }
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from msgspec import UNSET, UnsetType
+
 from companion.core.base.geo import ne_offset_m
 from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import EventKind, FleetEvent, State
@@ -139,6 +141,7 @@ class PastFlight:
             wind_to_e_mps=wind.get("to_e_mps"),
             text=str((record.latest_row_at("said", t_s) or {}).get("text", "")),
             p_home=assessed.get("p_home"),
+            p_home_limit=_p_home_limit_or_unset(assessed),
             p_home_now=assessed.get("p_home_now"),
             p_success=assessed.get("p_success"),
             margin_wh=assessed.get("margin_wh"),
@@ -189,6 +192,12 @@ class PastFlight:
 
 def _decision_text(row: Row) -> str:
     return DecisionEvent(str(row.get("kind")), str(row.get("reason"))).text
+
+
+def _p_home_limit_or_unset(assessed: Row) -> float | UnsetType:
+    """Return the limit of evidence where it limited P(home)."""
+    p_home, stated = assessed.get("p_home"), assessed.get("p_home_stated")
+    return UNSET if p_home is None or stated is None or stated >= p_home else stated
 
 
 def _latest_modification_s(paths: tuple[Path, ...]) -> float:

@@ -261,7 +261,7 @@ class _BenchRun:
 
     def _compare_flown_and_stored_orders(self, flown_assignments: list[str]) -> dict[str, int]:
         """Compare flown orders with the stores' records; order names are unique over all desks."""
-        orders = Counter(assignment.rpartition(".")[0] for assignment in flown_assignments)
+        orders = Counter(id_.rsplit(".", 2)[0] for id_ in flown_assignments)  # order, epoch, number
         rows: list[OrderRow] = []
         for url in self.urls:
             with _open_store(url) as store:

@@ -2,6 +2,7 @@
 reports its state to the benchmark in JSON lines.
 """
 
+import math
 import os
 import sys
 import threading
@@ -70,6 +71,11 @@ class ImmediateDispatcher:
         for order, vehicle in zip(open_orders, free, strict=False):
             self.store.assign_order(order, vehicle, FLIGHT, None, "bench")
         return CycleResult.CHANGED if open_orders and free else CycleResult.IDLE
+
+    @property
+    def earliest_launch_s(self) -> float:
+        """Launch without a gap."""
+        return -math.inf
 
     @property
     def is_done(self) -> bool:

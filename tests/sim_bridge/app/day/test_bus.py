@@ -11,10 +11,10 @@ from companion.fleet.messages import (
     Refused,
     Result,
     State,
-    decode_and_match_received_track,
     encode_message,
 )
 from companion.fleet.network import RequestKind
+from companion.fleet.signed_link import decode_and_match_received_track
 from ground_station.core.fleet.fleet_link import (
     CommandResponse,
     LivelinessChanged,

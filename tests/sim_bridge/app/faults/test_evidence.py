@@ -17,7 +17,7 @@ import pytest
 from sim_bridge.app.day.desk import LOG_FILE
 from sim_bridge.app.day.truck import DayTruck
 from sim_bridge.app.fault_suite.catalogue import CATALOGUE
-from sim_bridge.app.faults import authority
+from sim_bridge.app.faults import computers
 from sim_bridge.app.faults.day.fleet_day import FAULTED_DRONE
 from sim_bridge.app.faults.fault import FLEET_GROUP, FaultCase
 from sim_bridge.app.faults.runner import write_changed_flight_file
@@ -118,7 +118,7 @@ FLOWN = [(case, kind) for case in CATALOGUE for kind in case.autopilots]
 def test_a_row_whose_injection_does_nothing_is_not_held(case, autopilot, tmp_path, monkeypatch):
     second = MagicMock(has_replied=False)
     second.process.is_running = False
-    monkeypatch.setattr(authority, "SecondCompanion", lambda *given: second)
+    monkeypatch.setattr(computers, "SecondCompanion", lambda *given: second)
     if case.group == FLEET_GROUP:
         stage = FaultContext(case.phases[0], np.random.default_rng(1), lambda: True, None)
         stage.remaining_steps = case.procedure(stage, unchangeable_day(tmp_path))

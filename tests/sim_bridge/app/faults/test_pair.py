@@ -91,7 +91,11 @@ def second_delay_s(seed: int) -> float:
         )
         for _ in range(2)
     )
-    craft = SimpleNamespace(operator=None, true_flight_phase=FlightPhase.DROP)
+    craft = SimpleNamespace(
+        operator=None,
+        true_flight_phase=FlightPhase.DROP,
+        vehicle=SimpleNamespace(is_airborne=True),
+    )
     stage = FaultContext(
         FlightPhase.DROP,
         np.random.default_rng(seed),
@@ -103,3 +107,13 @@ def second_delay_s(seed: int) -> float:
         stage.continue_procedure(0.1 * step)
     assert pair.had_two_faults(stage)
     return round(stage.second.start_s - stage.start_s, 1)
+
+
+def test_home_is_not_required_where_nobody_can_undo_another_mission():
+    names = {case.name for case in CATALOGUE}
+    assert {*pair.MISSION_CHANGING_CASES, *pair.ABSENT_COMPANION_CASES} <= names
+    upload, silence = find_case("foreign-upload"), find_case("silence-for-good")
+    for first, second in ((upload, silence), (silence, upload)):
+        assert check_returned_home not in pair.combine_cases(first, second).rules
+    short = find_case("silence-1-s")
+    assert check_returned_home in pair.combine_cases(upload, short).rules

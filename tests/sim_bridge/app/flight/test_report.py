@@ -13,7 +13,13 @@ from sim_bridge.app.flight.report import (
 )
 
 LONG = "diverting to rally-2: wind 12.9 m/s from 283 leaves 3.1 Wh less than home asks for"
-NAMED = {"LW_WINDN": -12.6, "LW_WINDE": 2.9, "LW_MARGIN": -123.4, "LW_PHOME": 0.9987}
+NAMED = {
+    "LW_WINDN": -12.6,
+    "LW_WINDE": 2.9,
+    "LW_MARGIN": -123.4,
+    "LW_PHOME": 0.9987,
+    "LW_PSTATED": 0.8734,
+}
 
 
 def live_lines(*vehicles: VehicleStatus) -> list[str]:
@@ -37,7 +43,7 @@ def test_the_live_view_cuts_nothing_at_80_columns_but_what_a_vehicle_said():
     lines = live_lines(*(craft("12 ardupilot", phase.value) for phase in Phase))
     rows, said = lines[3 : 3 + len(Phase)], lines[3 + len(Phase) :]
     for phase, row in zip(Phase, rows, strict=True):
-        figures = ["12345", "1234", "12.9", "from", "347", "-123.4", "0.999"]
+        figures = ["12345", "1234", "12.9", "from", "347", "-123.4", "0.873*"]
         assert row.split() == ["12", "ardupilot", *phase.value.split(), *figures]
     for words in said:
         assert words.startswith("12 ardupilot reports: diverting to rally-2: wind 12.9 m/s")
