@@ -23,7 +23,7 @@ def new_epochs() -> None:
 def ids_without_epoch(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """New stores are as an earlier version created them: `o1.1` is the first flight of `o1`."""
     if "new_epochs" not in request.fixturenames:
-        monkeypatch.setattr(database, "_begin_epoch_if_missing", lambda db: None)
+        monkeypatch.setattr(database, "_begin_epoch_if_missing", lambda *_: None)
 
 
 @pytest.fixture(scope="session")

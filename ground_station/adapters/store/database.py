@@ -69,6 +69,7 @@ class Database:
         lock_timeout_ms: int = LOCK_TIMEOUT_MS,
         outage: Outage | None = None,
         any_schema: bool = False,
+        first_epoch: str = "",
     ) -> None:
         """`url`: sqlite:///FILE or postgresql://USER@HOST/NAME. Raises StoreError.
 
@@ -76,7 +77,7 @@ class Database:
         acknowledged data. Without `create`, a missing store is an error and is not created.
         `lock_timeout_ms`: time-out for another desk's transaction. With `outage`, an unreachable
         store is an error at once, until its next retry. `any_schema`: accept any schema, for an
-        upgrade.
+        upgrade. `first_epoch`: epoch of a new store; empty: drawn.
         """
         self.shown_url, self.outage = url, None
         try:
@@ -90,25 +91,25 @@ class Database:
                 f"store {url!r}: expected sqlite:///FILE or postgresql://... ({error})"
             ) from error
         try:
-            self._create_if_missing_and_check_schema(create, any_schema)
+            self._create_if_missing_and_check_schema(create, any_schema, first_epoch)
         except StoreError:
             self.close()
             raise
         self.outage = outage
 
     def _create_if_missing_and_check_schema(
-        self, create_if_missing: bool, any_schema: bool
+        self, create_if_missing: bool, any_schema: bool, first_epoch: str
     ) -> None:
         path = sqlite_file_path(self._engine.url)
         if create_if_missing:
-            self._create_store_if_missing()
+            self._create_store_if_missing(first_epoch)
         elif path is not None and not path.exists():
             require_current_schema(None, self.shown_url)
         if not any_schema:
             with self.read() as db:
                 require_current_schema(store_schema_version(db), self.shown_url)
 
-    def _create_store_if_missing(self) -> None:
+    def _create_store_if_missing(self, first_epoch: str) -> None:
         """Create file and tables if there is no store."""
         _create_sqlite_file(self._engine.url, self.shown_url)
         with self.write() as db:
@@ -116,7 +117,7 @@ class Database:
                 db.execute(sa.select(sa.func.pg_advisory_xact_lock(SCHEMA_LOCK)))
             if store_schema_version(db) is None:
                 _create_tables(db)
-            _begin_epoch_if_missing(db)
+            _begin_epoch_if_missing(db, first_epoch)
 
     def close(self) -> None:
         """Close all connections."""
@@ -226,10 +227,10 @@ def require_current_schema(schema_version: int | None, shown_store_url: str) -> 
     )
 
 
-def _begin_epoch_if_missing(db: sa.Connection) -> None:
+def _begin_epoch_if_missing(db: sa.Connection, first_epoch: str) -> None:
     """Begin an epoch: the store is new, or of a version without them."""
     if about_steps.about_value(db, tables.EPOCHS_KEY, list[str]) is None:
-        about_steps.replace_about_value(db, tables.EPOCHS_KEY, [draw_epoch([])])
+        about_steps.replace_about_value(db, tables.EPOCHS_KEY, [first_epoch or draw_epoch([])])
 
 
 def draw_epoch(earlier: list[str]) -> str:

@@ -35,6 +35,9 @@ IDLE_TIMEOUT_S = 300.0
 """At a depot the day also ends after this time without progress while no assignment is active:
 the default of `dispatch --idle`."""
 
+STORE_EPOCH = "simday0"
+"""Epoch of a simulated day's store: the same seed gives the same ids."""
+
 MIN_GROUND_TIME_S = 60.0
 """Minimum ground time per flight from the depot: pack change, boot and checks. An overestimated
 day would schedule faults after its end."""
@@ -62,7 +65,9 @@ class DeskDatabase:
         lock_timeout_ms: int = LOCK_TIMEOUT_MS,
     ) -> "DeskDatabase":
         """Open or create the database. Raises StoreError if it is unreachable."""
-        database = Database(url, outage=outage, lock_timeout_ms=lock_timeout_ms)
+        database = Database(
+            url, outage=outage, lock_timeout_ms=lock_timeout_ms, first_epoch=STORE_EPOCH
+        )
         return cls(database, Store(database, clock.epoch_us), DayStore(database, clock.epoch_us))
 
     def read_final_record(

@@ -61,7 +61,7 @@ def bench(
     site: SecureSite, tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Bench]:
     """A desk with an identity; d1 is ready with o1 and waits for a person's confirmation."""
-    monkeypatch.setattr(database, "_begin_epoch_if_missing", lambda db: None)  # ids without epoch
+    monkeypatch.setattr(database, "_begin_epoch_if_missing", lambda *_: None)  # ids without epoch
     with opened(f"sqlite:///{tmp_path}/desk.db") as store:
         store.add_orders_unless_conflict([an_order("o1")])
         assert aboard(store) == "o1.1"
