@@ -8,7 +8,7 @@ PIP_INSTALL += --no-compile
 # Some containers forbid Python to keep what it compiles: each command would compile all again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help fly test quick samples test-all night trials lint golden bench map-assets wheel-check bundle install-check image-check newcomer-check docs docs-reference install clean
+.PHONY: help fly test quick samples test-all night trials lint golden bench map-assets map-shots wheel-check bundle install-check image-check newcomer-check docs docs-reference install clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -80,6 +80,9 @@ bench: $(VENV)/.test  ## speed and size of a flight; more: sim-bridge research b
 
 map-assets: $(VENV)/.sim  ## fetch what draws base maps and the world's outline (npm registry)
 	@$(BIN)/ground-station map --fetch-assets
+
+map-shots: $(VENV)/.test  ## the documents' picture of the map: docs/img/map.png (Chromium)
+	@$(BIN)/python -m tests.ground_station.web.map_shots docs/img
 
 wheel-check:  ## build the wheel and run it outside the checkout, on every Python that is here
 	@deploy/check-wheel

@@ -70,13 +70,21 @@ class DeskMonitor:
         self._is_silent = bool(alarm)
         return alarm or f"{self.desk} is received again"
 
-    def alarm_text(self, now_s: float) -> str:
-        """Return the alarm for people; empty: a desk runs."""
+    def age_s(self, now_s: float) -> float | None:
+        """Return the age of the newest heartbeat; None: none received yet."""
+        return None if self.received_s is None else now_s - self.received_s
+
+    def silence_s(self, now_s: float) -> float | None:
+        """Return for how long a desk is silent; None: it is not silent."""
         if self._start_s is None:
             self._start_s = now_s
         age_s = now_s - (self._start_s if self.received_s is None else self.received_s)
-        if age_s > SILENT_AFTER_S:
-            return f"no heartbeat of {self.desk} for {age_s:.0f} s"
+        return age_s if age_s > SILENT_AFTER_S else None
+
+    def alarm_text(self, now_s: float) -> str:
+        """Return the alarm for people; empty: a desk runs."""
+        if (silence_s := self.silence_s(now_s)) is not None:
+            return f"no heartbeat of {self.desk} for {silence_s:.0f} s"
         if abs(self.delay_s) > MAX_DELAY_S:
             return f"heartbeat of {self.desk} is {self.delay_s:.0f} s late, or a clock is wrong"
         return ""

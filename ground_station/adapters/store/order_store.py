@@ -157,9 +157,15 @@ class Store:
         ]
 
     def change_order_state(
-        self, order_id: str, allowed_states: tuple[OrderState, ...], new_state: OrderState, by: str
+        self,
+        order_id: str,
+        allowed_states: tuple[OrderState, ...],
+        new_state: OrderState,
+        by: str,
+        reason: str = "",
     ) -> bool:
         """Apply an operator's change (cancel, reopen); False if not in `allowed_states`."""
+        change = f"{new_state.value}: {reason}" if reason else new_state.value
         with self._database.write() as db:
             done = db.execute(
                 sa.update(t.orders)
@@ -167,10 +173,14 @@ class Store:
                     t.orders.c.id == order_id,
                     t.orders.c.state.in_([state.value for state in allowed_states]),
                 )
-                .values(state=new_state.value, why=f"by {by}", attempts=0)
+                .values(
+                    state=new_state.value,
+                    why=f"{reason}, by {by}" if reason else f"by {by}",
+                    attempts=0,
+                )
             )
             if done.rowcount == 1:
-                audit.add_entry(db, self._epoch_us(), by, "order", order_id, new_state.value)
+                audit.add_entry(db, self._epoch_us(), by, "order", order_id, change)
         return done.rowcount == 1
 
     def holds_in_force(self) -> list[Hold]:

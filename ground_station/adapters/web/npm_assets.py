@@ -109,7 +109,15 @@ OUTLINE = (
 )
 """Packages that draw the world's outline."""
 
-ALL_PACKAGES = (*PACKAGES, *OUTLINE)
+AXE = NpmPackage(
+    "axe-core",
+    "4.11.0",
+    "ilYanEU8vxxBexpJd8cWM4ElSQq4QctCLKih0TSfjIfCQTeyH/6zVrmIJfLPrKTKJRbiG+cfnZbQIjAlJmF1jQ==",
+    {"package/axe.min.js": "axe.min.js", "package/LICENSE": "axe-core.LICENSE.txt"},
+)
+"""Checks the page's accessibility in tests."""
+
+ALL_PACKAGES = (*PACKAGES, *OUTLINE, AXE)
 
 
 def packages_with_missing_files(

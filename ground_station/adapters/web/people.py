@@ -19,7 +19,9 @@ from ground_station.core.people.person import DeskOperator
 from ground_station.core.people.web_tokens import TokenRegistry
 
 COMMANDS_PATH = "/deeds"
-MAX_BODY_BYTES = 2048
+MAX_BODY_BYTES = 1 << 20
+"""A file of orders, in base64."""
+
 MAX_TOKEN_LENGTH = 256
 JSON = "application/json"
 BEARER = "bearer "

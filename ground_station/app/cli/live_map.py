@@ -136,7 +136,7 @@ def show_map(
         assert name is not None
         map_access = None
         if tokens is not None:
-            operator_commands = _operator_commands(name, options)
+            operator_commands = _operator_commands(name, options, data)
             map_access = _create_map_access(tokens, operator_commands, reading_needs_token)
         order_store = resources.enter_context(closing(options.open_store(tolerate_outage=True)))
         network = resources.enter_context(closing(options.open_fleet_network(name)))
@@ -251,7 +251,9 @@ def _create_map_access(
     )
 
 
-def _operator_commands(fleet: str, options: DeskOptions) -> "OperatorCommands":
+def _operator_commands(
+    fleet: str, options: DeskOptions, data: "DayData | None"
+) -> "OperatorCommands":
     """Return the commands of map users; with an identity the audit records its member."""
     from ground_station.app.map.map_commands import OperatorCommands
 
@@ -264,6 +266,7 @@ def _operator_commands(fleet: str, options: DeskOptions) -> "OperatorCommands":
         open_store=options.open_store,
         open_reachable_store=partial(open_store_with_short_timeout, options.store_url),
         open_fleet=partial(options.open_fleet_network, fleet),
+        data=data,
     )
 
 

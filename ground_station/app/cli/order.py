@@ -187,13 +187,12 @@ def cancel(
     order_id: OrderId,
 ) -> None:
     """Cancel an order that is not assigned to a vehicle."""
-    from ground_station.app.desk.operator_commands import order_state_error
+    from ground_station.app.desk.operator_commands import cancel_order
 
-    before = (OrderState.OPEN, OrderState.STUCK)
     with desk_options().operator_and_store() as (by, store):
-        if not store.change_order_state(order_id, before, OrderState.CANCELLED, by):
-            raise order_state_error(store, order_id, before)
-    typer.echo(f"{order_id}: {OrderState.CANCELLED.value}")
+        result = cancel_order(store, order_id, by)
+    for text in result.messages:
+        typer.echo(text)
 
 
 @app.command(cls=SIGNED_OPTIONS)
@@ -256,12 +255,10 @@ def settle(
 
 def add_orders_and_print_count(store: "Store", orders: "list[Order]", by: str) -> None:
     """Add orders to the store and print how many are new."""
-    import_result = store.add_orders_unless_conflict(orders, by)
-    if import_result.conflicts:
-        text = ", ".join(import_result.conflicts)
-        raise LeewayError(f"orders {text}: already stored with other content; nothing imported")
-    known = f", {len(import_result.known)} imported before" if import_result.known else ""
-    typer.echo(f"{len(import_result.added)} orders imported{known}")
+    from ground_station.app.desk.operator_commands import add_orders
+
+    for text in add_orders(store, orders, by).messages:
+        typer.echo(text)
 
 
 def depot_assigner(data: "DayData") -> "DepotAssigner":

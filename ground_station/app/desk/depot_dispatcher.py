@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from companion.fleet.messages import State
 from ground_station.adapters.store.launch_store import count_refused_launches
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.tables import CONFIRM_KEY
 from ground_station.app.desk.dispatcher import CycleResult
 from ground_station.app.desk.idle_reasons import IdleReasons
 from ground_station.app.desk.launch_pacing import LaunchPacing
@@ -104,9 +105,9 @@ class DepotDispatcher:
         if params.requires_confirmation and assignment.confirmed_by is None:
             self._log_confirmation_request_once(assignment)
             return
-        self._confirmation_requested.discard(
-            id_
-        )  # a hold voids the confirmation: it is requested again
+        if id_ in self._confirmation_requested:  # a hold voids it: it is requested again
+            self._confirmation_requested.discard(id_)
+            self._store_confirmation_requests()
         if not self._pacing.can_order_next_launch():
             return
         after = self._pacing.newest_launch
@@ -125,6 +126,7 @@ class DepotDispatcher:
         """Log once for each launch which command confirms it."""
         if assignment.id not in self._confirmation_requested:
             self._confirmation_requested.add(assignment.id)
+            self._store_confirmation_requests()
             order = assignment.order_id
             self.log(
                 f"{assignment.vehicle}: ready: `ground-station order launch {order}` confirms the"
@@ -135,6 +137,11 @@ class DepotDispatcher:
     def earliest_launch_s(self) -> float:
         """End of the launch gap."""
         return self._pacing.earliest_launch_s
+
+    def _store_confirmation_requests(self) -> None:
+        """Store the requests for the map."""
+        requests = sorted(self._confirmation_requested)
+        self.store.database.replace_about_value(CONFIRM_KEY, requests)
 
     def run_decision_cycle(self, status: FleetStatus, *, has_new_messages: bool) -> CycleResult:
         """Assign open orders to free drones. `has_new_messages`: since the last cycle."""

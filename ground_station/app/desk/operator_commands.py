@@ -20,6 +20,7 @@ from ground_station.core.schema.holds import (
     raise_if_invalid_vehicle_name,
 )
 from ground_station.core.schema.order_states import OrderState, ParcelOutcome
+from ground_station.core.schema.orders import Order
 
 LogMessage = Callable[[str], None]
 EpochUs = Callable[[], int]
@@ -100,6 +101,24 @@ def close_order_as_operator(
     if result_text is None:
         raise order_state_error(store, order_id, SETTLED_FROM)
     return CommandReport([result_text])
+
+
+def add_orders(store: Store, orders: list[Order], by: str) -> CommandReport:
+    """Add orders, or none. LeewayError if one is stored with other content."""
+    result = store.add_orders_unless_conflict(orders, by)
+    if result.conflicts:
+        text = ", ".join(result.conflicts)
+        raise LeewayError(f"orders {text}: already stored with other content; nothing imported")
+    known = f", {len(result.known)} imported before" if result.known else ""
+    return CommandReport([f"{len(result.added)} orders imported{known}"])
+
+
+def cancel_order(store: Store, order_id: str, by: str, reason: str = "") -> CommandReport:
+    """Cancel an order that no vehicle has. LeewayError if its state does not permit it."""
+    before, after = (OrderState.OPEN, OrderState.STUCK), OrderState.CANCELLED
+    if not store.change_order_state(order_id, before, after, by, reason):
+        raise order_state_error(store, order_id, before)
+    return CommandReport([f"{order_id}: {after.value}"])
 
 
 def order_state_error(

@@ -1,5 +1,8 @@
 """The truck, its plan and the orders, for the map."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from companion.fleet.messages import State
 from ground_station.app.map.drone_view import point_of_location
 from ground_station.app.map.picture import (
@@ -12,26 +15,35 @@ from ground_station.app.map.picture import (
     TruckShown,
 )
 from ground_station.app.views.day_content import DayShown, DisplayRows
-from ground_station.app.views.operator_alerts import vehicle_alarm_texts
 from ground_station.core.fleet.fleet_status import VehicleStatus
+from ground_station.core.fleet.risk_words import format_reason
 from ground_station.core.fleet.truck_state import EN_ROUTE
-from ground_station.core.schema.orders import IN_FORCE, OrderState
+from ground_station.core.schema.orders import IN_FORCE, Order, OrderState
+from ground_station.core.schema.sortie_rows import SortieRow
 
 
 def orders_shown(rows: DisplayRows) -> dict[str, OrderShown]:
     """Return all orders, each with the vehicle that delivers it."""
-    by = {row.order_id: row.vehicle for row in rows.assignments if row.state in IN_FORCE}
+    by = {row.order_id: row for row in rows.assignments if row.state in IN_FORCE}
     return {
         row.order.id: OrderShown(
             position=(row.order.lat_deg, row.order.lon_deg),
             state=row.state.value,
             mass_kg=row.order.mass_kg,
-            vehicle=by.get(row.order.id),
-            reason=row.reason,
+            vehicle=None if row.order.id not in by else by[row.order.id].vehicle,
+            confirmed_by=None if row.order.id not in by else by[row.order.id].confirmed_by,
+            reason=format_reason(row.reason),
             note=row.order.note,
+            **_contact_fields(row.order),
         )
         for row in rows.orders
     }
+
+
+def _contact_fields(order: Order) -> dict[str, Any]:
+    """Return the customer's data that an order has."""
+    names = ("customer", "address", "phone", "priority")
+    return {name: value for name in names if (value := getattr(order, name, None))}
 
 
 def plan_shown(rows: DisplayRows) -> PlanShown | None:
@@ -39,7 +51,7 @@ def plan_shown(rows: DisplayRows) -> PlanShown | None:
     day = rows.day
     if day is None:
         return None
-    waiting = {row.order.id for row in rows.orders if row.state is OrderState.OPEN}
+    visits = {visit.stop: visit for visit in day.visits}
     return PlanShown(
         title=f"plan {day.plan.revision}",
         stops={
@@ -47,22 +59,78 @@ def plan_shown(rows: DisplayRows) -> PlanShown | None:
                 position=at,
                 arrive_us=plan_time_to_epoch_us(day, stop.arrive_s),
                 depart_us=plan_time_to_epoch_us(day, stop.depart_s),
+                arrived_us=None if stop.id not in visits else visits[stop.id].arrived_us,
+                departed_us=None if stop.id not in visits else visits[stop.id].departed_us,
+                serves=list(stop.serves),
             )
             for stop in day.plan.stops
             if (at := point_of_location(stop.location)) is not None
         },
         route=[stop.id for stop in day.plan.stops],
-        next=[
-            SortieShown(
-                order=sortie.order,
-                vehicle=sortie.vehicle,
-                launch=sortie.launch,
-                home=sortie.home,
-                launch_us=plan_time_to_epoch_us(day, sortie.launch_s),
-            )
-            for sortie in day.next_unassigned_sorties(waiting)
-        ],
+        sorties=sorties_shown(day, {row.order.id: row.state for row in rows.orders}),
+        end_us=plan_time_to_epoch_us(day, day.plan.makespan_s),
+        late_s=_truck_lateness_s(day),
     )
+
+
+def sorties_shown(day: DayShown, order_states: Mapping[str, OrderState]) -> list[SortieShown]:
+    """Return flown sorties at their times, then those of the plan whose order is open."""
+    flown = [_flown_sortie_shown(day, row) for row in day.sorties if row.launched_us is not None]
+    launched = {(one.order, one.vehicle) for one in flown}
+    return flown + [
+        SortieShown(
+            order=one.order,
+            vehicle=one.vehicle,
+            launch=one.launch,
+            home=one.home,
+            launch_us=plan_time_to_epoch_us(day, one.launch_s),
+            land_us=plan_time_to_epoch_us(day, one.land_s),
+            state="planned",
+        )
+        for one in day.plan.sorties
+        if (one.order, one.vehicle) not in launched
+        and order_states.get(one.order) in (OrderState.OPEN, OrderState.ASSIGNED)
+    ]
+
+
+def _flown_sortie_shown(day: DayShown, row: SortieRow) -> SortieShown:
+    assert row.launched_us is not None
+    plan = row.sortie
+    is_over = row.is_finished or row.landed_us is not None
+    expected_us = row.launched_us + round(1e6 * (plan.land_s - plan.launch_s))
+    state = "lost" if row.is_drone_lost_off_site_or_overdue else "landed" if is_over else "flying"
+    return SortieShown(
+        order=plan.order,
+        vehicle=row.vehicle,
+        launch=plan.launch,
+        home=row.promised_stop,
+        launch_us=row.launched_us,
+        land_us=row.landed_us or (min(expected_us, day.now_us) if is_over else expected_us),
+        state=state,
+    )
+
+
+def _truck_lateness_s(day: DayShown) -> int | None:
+    """Return how late the truck is by its last arrival, or by a departure or arrival that is due;
+    in steps of a minute. None: no visit yet.
+    """
+    if not day.visits:
+        return None
+    last = max(day.visits, key=lambda visit: visit.arrived_us)
+    names = [stop.id for stop in day.plan.stops]
+    if last.stop not in names:
+        return None
+    index = names.index(last.stop)
+    stop = day.plan.stops[index]
+    planned_us = plan_time_to_epoch_us(day, stop.arrive_s)
+    due_us = plan_time_to_epoch_us(day, stop.depart_s)
+    if last.departed_us is not None:
+        rest = day.plan.stops[index + 1 :]
+        due_us = plan_time_to_epoch_us(day, rest[0].arrive_s) if rest else None
+    late_us = 0 if planned_us is None else last.arrived_us - planned_us
+    if due_us is not None:
+        late_us = max(late_us, day.now_us - due_us)
+    return 60 * round(late_us / 60e6)
 
 
 def plan_time_to_epoch_us(day: DayShown, plan_s: float) -> int | None:
@@ -70,12 +138,13 @@ def plan_time_to_epoch_us(day: DayShown, plan_s: float) -> int | None:
     return None if day.start_us is None else day.start_us + round(1e6 * plan_s)
 
 
-def truck_shown(vehicle_status: VehicleStatus, day: DayShown | None, t_s: float) -> TruckShown:
+def truck_shown(
+    vehicle_status: VehicleStatus, day: DayShown | None, received_us: int | None
+) -> TruckShown:
     """Return the truck, with the sorties that keep it at its stop."""
     state = vehicle_status.state
-    alarms = list(vehicle_alarm_texts(vehicle_status, day, t_s))
     if state is None:
-        return TruckShown(phase="no contact", alarms=alarms)
+        return TruckShown(phase="not reported yet")
     current_stop = state.stop if state.phase != EN_ROUTE else None
     at = _truck_position(state, day, current_stop)
     return TruckShown(
@@ -87,7 +156,7 @@ def truck_shown(vehicle_status: VehicleStatus, day: DayShown | None, t_s: float)
         binding_sorties=[]
         if day is None or current_stop is None
         else day.binding_sortie_texts(current_stop),
-        alarms=alarms,
+        received_us=received_us,
     )
 
 

@@ -21,7 +21,7 @@ from ground_station.core.fleet.fleet_link import (
     StateReceived,
     StationWindReceived,
 )
-from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.fleet_status import FLIGHT_PHASE_NAMES, FleetStatus
 from ground_station.core.fleet.station_message import StationWind
 from ground_station.core.fleet.uploaded_route import MissionRoute, route_from_state
 from ground_station.core.site_wind.site_wind import SiteWind
@@ -59,6 +59,8 @@ class VehicleTrack:
         default_factory=lambda: deque(maxlen=MAX_SAMPLES)
     )
     route: MissionRoute | None = None
+    airborne_since_us: int | None = None
+    """Start of the current flight, if it was observed."""
 
     def update_course_from_position(self, position_deg: LatLon) -> None:
         """Update the position."""
@@ -139,6 +141,10 @@ class FleetListener:
         if state.lat_deg is not None and state.lon_deg is not None:
             track.update_course_from_position((state.lat_deg, state.lon_deg))
         track.route = route_from_state(state)
+        if state.phase not in FLIGHT_PHASE_NAMES:
+            track.airborne_since_us = None
+        elif track.airborne_since_us is None:
+            track.airborne_since_us = now_us
         if self.wind is not None:
             self.wind.update_from_state(state, now_s)
         if state.p_home is not None or state.margin_wh is not None:

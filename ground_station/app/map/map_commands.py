@@ -3,17 +3,25 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from companion.core.base.errors import LeewayError
 from ground_station.adapters.clock import epoch_us
+from ground_station.adapters.files.order_files import read_orders
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk import operator_commands
 from ground_station.app.desk.operator_commands import CommandReport
+from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.fleet_link import FleetLink
 from ground_station.core.people.map_command_messages import (
+    AddOrder,
+    CancelOrder,
     ConfirmLaunch,
     HoldDrone,
+    ImportOrders,
     RecallDrone,
     ReleaseDrone,
     SettleOrder,
@@ -21,7 +29,11 @@ from ground_station.core.people.map_command_messages import (
 )
 from ground_station.core.people.person import DeskOperator
 from ground_station.core.people.web_tokens import command_refusal_reason
+from ground_station.core.schema.day import Depot
+from ground_station.core.schema.day_data import DayData
+from ground_station.core.schema.order_parsing import parse_order_or_problems
 from ground_station.core.schema.order_states import ParcelOutcome
+from ground_station.core.schema.orders import Order, Service
 
 RECALL_TIMEOUT_S = 10.0
 """Response timeout of a recall, equal to the terminal's."""
@@ -39,6 +51,8 @@ class OperatorCommands:
     open_store: Callable[[], Store]
     open_reachable_store: Callable[[], Store]
     open_fleet: Callable[[], FleetLink]
+    data: DayData | None = None
+    """The day, for the check of new orders."""
 
     def execute_command(self, operator: DeskOperator, command: WebCommand) -> dict[str, Any]:
         """Execute a command; return its result and the items to check. Raises LeewayError."""
@@ -46,11 +60,13 @@ class OperatorCommands:
         if refusal:
             raise LeewayError(refusal)
         issuer = self.audit_identity(operator).name
-        report = (
-            self._recall(command, issuer)
-            if isinstance(command, RecallDrone)
-            else self._execute_store_command(command, issuer)
-        )
+        match command:
+            case RecallDrone():
+                report = self._recall(command, issuer)
+            case AddOrder() | ImportOrders():
+                report = self._add_orders(command, issuer)
+            case _:
+                report = self._execute_store_command(command, issuer)
         return {"words": report.messages, "look": report.checks}
 
     def _recall(self, command: RecallDrone, issuer: str) -> CommandReport:
@@ -67,8 +83,65 @@ class OperatorCommands:
             )
         return CommandReport(messages, checks)
 
+    def _add_orders(self, command: AddOrder | ImportOrders, issuer: str) -> CommandReport:
+        """Check orders against the day, and add them unless `check`."""
+        if isinstance(command, AddOrder):
+            orders = [self._order_of_cells(command.cells)]
+        else:
+            orders = self._orders_of_file(command)
+        verdicts = [verdict for order in orders if (verdict := self._verdict(order))]
+        if command.check:
+            count = [] if isinstance(command, AddOrder) else [f"{len(orders)} orders can be added"]
+            return CommandReport([*count, *verdicts])
+        with closing(self.open_store()) as store:
+            added = operator_commands.add_orders(store, orders, issuer)
+        return CommandReport([*added.messages, *verdicts])
+
+    def _order_of_cells(self, cells: dict[str, str]) -> Order:
+        depot, elevation = (None, None) if self.data is None else (self._depot, self.data.elevation)
+        found = parse_order_or_problems("order", 1, cells, depot, elevation)
+        if isinstance(found, Order):
+            return found
+        raise LeewayError("; ".join(f"{one.column or 'order'}: {one.text}" for one in found))
+
+    def _orders_of_file(self, command: ImportOrders) -> list[Order]:
+        with TemporaryDirectory(prefix="leeway-orders-") as folder:
+            path = Path(folder) / command.file
+            path.write_bytes(command.content)
+            columns = None if self.data is None else self.data.day.columns
+            try:
+                return read_orders(path, self._depot, columns)[0]
+            except LeewayError as error:
+                raise LeewayError(str(error).replace(f"{folder}/", "")) from error
+
+    @property
+    def _depot(self) -> Depot | None:
+        return None if self.data is None else self.data.day.depot
+
+    def _verdict(self, order: Order) -> str:
+        """Return whether a drone can deliver an order from the depot; empty: not known."""
+        if self.data is None or order.service is Service.TRUCK:
+            return ""
+        assigner = DepotAssigner(self.data.day, self.data.airframes, self.data.elevation)
+        infeasible = assigner.infeasibility_for_all_drones(order)
+        if infeasible is not None:
+            text = f"{order.id}: cannot be flown from the depot: {infeasible.reason}."
+            return f"{text} Possible with {infeasible.remedy}."
+        checks = [(assigner.check_delivery(order, d.id), d.id) for d in self.data.day.drones]
+        best = max(
+            ((one, name) for one, name in checks if isinstance(one, Feasible)),
+            key=lambda found: found[0].spare_wh,
+        )
+        spare_wh, minutes = best[0].spare_wh, best[0].time_s / 60.0
+        return (
+            f"{order.id}: can be flown from the depot, by {best[1]} in {minutes:.0f} min with"
+            f" {spare_wh:.0f} Wh to spare."
+        )
+
     def _execute_store_command(
-        self, command: HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder, issuer: str
+        self,
+        command: HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | CancelOrder,
+        issuer: str,
     ) -> CommandReport:
         with closing(self.open_store()) as store:
             match command:
@@ -83,6 +156,10 @@ class OperatorCommands:
                 case ConfirmLaunch():
                     return operator_commands.record_launch_confirmation(
                         store, command.order, issuer
+                    )
+                case CancelOrder():
+                    return operator_commands.cancel_order(
+                        store, command.order, issuer, command.reason
                     )
                 case SettleOrder():
                     settled = ParcelOutcome(command.settled)

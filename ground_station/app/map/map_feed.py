@@ -16,7 +16,8 @@ from ground_station.adapters.store.order_store import Store
 from ground_station.adapters.web.live_stream import LiveStream
 from ground_station.app.map.fleet_receiver import FleetListener, ReturnMarginSample
 from ground_station.app.map.flight_decisions import FlightDecisions
-from ground_station.app.map.map_view import MapSnapshot, MapView, StoreSnapshot
+from ground_station.app.map.map_snapshot import MapSnapshot, StoreSnapshot
+from ground_station.app.map.map_view import MapView
 from ground_station.app.map.picture import Point, WindShown
 from ground_station.app.map.wind_shown import wind_field_shown
 from ground_station.app.views.day_content import read_display_rows
@@ -57,6 +58,8 @@ class MapPublisher:
         self._certificates = certificates
         self._wind_field: WindShown | None = None
         self._fronts: tuple[str, ...] = ()
+        self._station_faults: tuple[str, ...] = ()
+        self._attention_since_us: dict[str, int] = {}
         self._next_wind_s = 0.0
         self._next_picture_s, self._next_store_read_s, self._last_picture_s = 0.0, 0.0, 0.0
 
@@ -108,8 +111,10 @@ class MapPublisher:
 
     def build_picture(self, now_s: float) -> dict[str, Any]:
         """Return the picture at this time of the monotonic clock, as JSON types."""
-        listener = self._listener
-        expiring = expiring_certificates_text(self._certificates(), self._clock.epoch_us())
+        listener, epoch_us = self._listener, self._clock.epoch_us()
+        desks = listener.status.desks
+        age_s = desks.age_s(now_s)
+        expiring = expiring_certificates_text(self._certificates(), epoch_us)
         self._update_wind_if_due(now_s)
         snapshot = MapSnapshot(
             now_s,
@@ -120,11 +125,20 @@ class MapPublisher:
             self._store_error,
             expiring,
             roster_alarm=listener.status.roster_alarm,
-            desk_alarm=listener.status.desks.alarm_text(now_s),
+            desk_alarm=desks.alarm_text(now_s),
             wind_field=self._wind_field,
             front_texts=self._fronts,
+            station_texts=self._station_faults,
+            desk_silence_s=desks.silence_s(now_s),
+            desk_received_us=None if age_s is None else 1_000_000 * round(epoch_us / 1e6 - age_s),
+            attention_since_us=self._attention_since_us,
+            epoch_us=epoch_us,
         )
-        return self._view.build_picture(snapshot)
+        picture = self._view.build_picture(snapshot)
+        self._attention_since_us = {
+            item["key"]: item["since_us"] for item in picture.get("attention", ())
+        }
+        return picture
 
     def _update_wind_if_due(self, now_s: float) -> None:
         """Update the wind at long intervals: each change causes a picture to be sent."""
@@ -138,8 +152,8 @@ class MapPublisher:
             if self._listener.stations is None
             else self._listener.stations.station_registry.reason_by_unused_station(now_s)
         )
-        stations = (f"station {name}: {reason}" for name, reason in sorted(faults.items()))
-        self._fronts = (*recent_front_texts(wind, self._listener.status, now_s), *stations)
+        self._station_faults = tuple(f"{name}: {why}" for name, why in sorted(faults.items()))
+        self._fronts = recent_front_texts(wind, self._listener.status, now_s)
 
     # --- what the page asks for ----------------------------------------------------------------
 

@@ -1,89 +1,31 @@
 """The map's picture of one moment, present or past."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from typing import Any
 
 from companion.core.base.import_report import report_lines
 from companion.fleet.messages import State
-from ground_station.app.map.day_pictured import orders_shown, plan_shown, truck_shown
+from ground_station.app.map.attention_facts import fleet_facts
+from ground_station.app.map.day_pictured import truck_shown
 from ground_station.app.map.drone_view import DroneSnapshot, drone_shown
 from ground_station.app.map.fleet_receiver import VehicleTrack
-from ground_station.app.map.flight_decisions import FlightDecisions
+from ground_station.app.map.map_snapshot import MapSnapshot, StoreSnapshot
 from ground_station.app.map.picture import (
-    AlertShown,
+    AttentionShown,
     DroneShown,
     MapPicture,
     Point,
     SiteShown,
-    TruckShown,
     WindShown,
     to_json_types,
 )
 from ground_station.app.map.reach_ring import ReachableAreas
 from ground_station.app.map.site_shown import forecast_shown, site_shown
 from ground_station.app.views.day_content import DisplayRows
-from ground_station.app.views.operator_alerts import (
-    CERTIFICATES_SUBJECT,
-    DESK_SUBJECT,
-    stuck_order_texts,
-)
-from ground_station.core.fleet.fleet_status import FleetStatus
+from ground_station.core.fleet.attention import AttentionLimits, attention_items
+from ground_station.core.fleet.risk_words import format_loss
 from ground_station.core.fleet.truck_state import TRUCK
-from ground_station.core.schema.day import Forecast
 from ground_station.core.schema.day_data import DayData
-from ground_station.core.schema.orders import IN_FORCE, AssignmentRow, Order
-
-
-@dataclass(frozen=True, slots=True)
-class StoreSnapshot:
-    """Store content at one moment, and the values derived from it."""
-
-    rows: DisplayRows = field(default_factory=DisplayRows)
-    wind: Forecast | None = None
-    tables: dict[str, Any] = field(default_factory=dict)
-    orders: dict[str, Order] = field(default_factory=dict)
-    assignments: dict[str, AssignmentRow] = field(default_factory=dict)
-
-    @classmethod
-    def from_rows(cls, rows: DisplayRows, wind: Forecast | None) -> "StoreSnapshot":
-        """Build the parts of the picture that depend on the store only, once per reading."""
-        orders = {k: to_json_types(v) for k, v in orders_shown(rows).items()}
-        tables: dict[str, Any] = {"orders": orders}
-        plan = plan_shown(rows)
-        if plan is not None:
-            tables["plan"] = to_json_types(plan)
-        return cls(
-            rows=rows,
-            wind=wind,
-            tables=tables,
-            orders={row.order.id: row.order for row in rows.orders},
-            assignments={row.vehicle: row for row in rows.assignments if row.state in IN_FORCE},
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class MapSnapshot:
-    """All data of one moment. `t_s`: on the clock of the statuses' receive times.
-
-    `store_error`: error of the unreachable store; empty: reachable. `expiring_certificates`:
-    certificates that expire soon. `roster_alarm`: a refused fork or rollback. `desk_alarm`: a
-    silent desk. `notes`: further notes. `wind_field`: accepted wind of the site, None: unknown.
-    `front_texts`: approaching fronts, as text.
-    """
-
-    t_s: float
-    status: FleetStatus
-    tracks: Mapping[str, VehicleTrack]
-    decisions: FlightDecisions
-    store: StoreSnapshot
-    store_error: str = ""
-    expiring_certificates: str = ""
-    roster_alarm: str = ""
-    desk_alarm: str = ""
-    notes: tuple[str, ...] = ()
-    wind_field: WindShown | None = None
-    front_texts: tuple[str, ...] = ()
 
 
 class MapView:
@@ -104,6 +46,12 @@ class MapView:
         self._site = SiteShown() if data is None else site_shown(data)
         self._site_table = to_json_types(self._site)
         self._area_model = None if data is None else ReachableAreas(data)
+        self._limits = AttentionLimits()
+        if data is not None:
+            day = data.day
+            self._limits = AttentionLimits(
+                day.low_spare_wh, day.contact_timeout_s, day.mission.max_loss
+            )
 
     def build_picture(self, snapshot: MapSnapshot) -> dict[str, Any]:
         """Return the picture as JSON types."""
@@ -113,10 +61,12 @@ class MapView:
         }
         day, truck = snapshot.store.rows.day, None
         if day is not None or TRUCK in snapshot.status.vehicles:
-            truck = truck_shown(snapshot.status.status_of(TRUCK), day, snapshot.t_s)
+            track = snapshot.tracks.get(TRUCK)
+            received_us = None if track is None else track.received_us
+            truck = truck_shown(snapshot.status.status_of(TRUCK), day, received_us)
         shown = MapPicture(
             fleet=self._fleet,
-            alerts=list(self._day_and_vehicle_alerts(snapshot, truck, drones)),
+            alerts=self._attention_shown(snapshot, drones),
             notes=[
                 *self._notes,
                 *snapshot.notes,
@@ -125,8 +75,12 @@ class MapView:
             drones=drones,
             truck=truck,
             winds=list(self._displayed_winds(snapshot)),
-            desk_alarm=snapshot.desk_alarm,
-            max_loss=None if self._data is None else self._data.day.mission.max_loss,
+            desk_received_us=snapshot.desk_received_us,
+            max_loss=self._limits.max_loss,
+            risk_limit="" if self._limits.max_loss is None else format_loss(self._limits.max_loss),
+            low_spare_wh=self._limits.low_spare_wh,
+            contact_timeout_s=self._limits.contact_timeout_s,
+            holds=[hold.scope for hold in snapshot.store.rows.hold_list],
             basemap=self._basemap,
             outline=self._outline,
         )
@@ -172,6 +126,8 @@ class MapView:
             diverted_to=snapshot.decisions.diversion_site_in_force(vehicle_status.state),
             depot=self._site.depot,
             rally_points=self._site.rally,
+            figures=None if self._area_model is None else self._area_model.drone_figures(name),
+            epoch_us=snapshot.epoch_us,
         )
 
     def _displayed_winds(self, snapshot: MapSnapshot) -> Iterator[WindShown]:
@@ -182,27 +138,24 @@ class MapView:
         if snapshot.wind_field is not None:
             yield snapshot.wind_field
 
-    def _day_and_vehicle_alerts(
-        self, snapshot: MapSnapshot, truck: TruckShown | None, drones: dict[str, DroneShown]
-    ) -> Iterator[AlertShown]:
-        if snapshot.store_error:
-            yield AlertShown(subject="store", text=f"away, rows are old: {snapshot.store_error}")
-        if snapshot.desk_alarm:
-            yield AlertShown(subject=DESK_SUBJECT, text=snapshot.desk_alarm)
-        if snapshot.roster_alarm:
-            yield AlertShown(subject="roster", text=snapshot.roster_alarm)
-        if snapshot.expiring_certificates:
-            yield AlertShown(subject=CERTIFICATES_SUBJECT, text=snapshot.expiring_certificates)
-        yield from (AlertShown(subject="wind", text=words) for words in snapshot.front_texts)
-        if not snapshot.status.vehicles:
-            yield AlertShown(subject=self._fleet, text="no vehicle connected")
-        members = {TRUCK: truck} | drones if truck is not None else drones
-        for name, shown in members.items():
-            yield from (AlertShown(subject=name, text=words) for words in shown.alarms)
-        for name, reason in snapshot.store.rows.idle_reasons.items():
-            yield AlertShown(subject=name, text=f"no order: {reason}")
-        for order, words in stuck_order_texts(snapshot.store.rows.orders):
-            yield AlertShown(subject=order, text=words)
+    def _attention_shown(
+        self, snapshot: MapSnapshot, drones: dict[str, DroneShown]
+    ) -> list[AttentionShown]:
+        since_us = snapshot.attention_since_us
+        facts = fleet_facts(snapshot, drones, self._site)
+        return [
+            AttentionShown(
+                key=item.key,
+                level=item.level.label,
+                subject=item.subject,
+                title=item.title,
+                text=item.text,
+                actions=list(item.actions),
+                times_us=dict(item.times_us),
+                since_us=None if since_us is None else since_us.get(item.key, snapshot.epoch_us),
+            )
+            for item in attention_items(facts, self._limits, since_us or {})
+        ]
 
 
 def _hold_and_confirmation_notes(rows: DisplayRows) -> Iterator[str]:

@@ -48,18 +48,32 @@ class DroneShown(_PicturePart, frozen=True, kw_only=True):
     delivered: bool = False
     armed: bool = False
     margin_wh: float | None = None
+    """Spare energy at landing: above the reserve."""
+    spare_min: float | None = None
+    """The same as minutes of hover."""
     p_home: float | None = None
-    p_home_limit: float | None = None
-    p_home_now: float | None = None
+    """By the model; `risk` is the stated value."""
+    risk: str = ""
+    """Risk of not returning, as text, at least the limit of evidence; `risk_now`: returning now."""
+    risk_now: str = ""
     p_success: float | None = None
     energy_left_wh: float | None = None
+    energy_needed_wh: float | None = None
+    """Energy needed to land on the reserve, with the reserve."""
+    full_wh: float | None = None
+    """Usable energy of the full pack."""
+    reserve_wh: float | None = None
+    launch_us: int | None = None
+    """Launch of the current flight, planned or flown; `drop_us`, `land_us`: expected times."""
+    drop_us: int | None = None
+    land_us: int | None = None
     wind_to_ne_mps: Point | None = None
     last_message: str = msgspec.field(default="", name="says")
     decision_text: str = msgspec.field(default="", name="why")
-    """Latest decision on this flight, as the gate's text."""
+    """Latest decision on this flight: the quantity that decided, in words."""
     decision_us: int | None = msgspec.field(default=None, name="why_us")
     route: RouteShown = msgspec.field(default=RouteShown(), name="way")
-    alarms: list[str] = []
+    diverted_to: str | None = None
 
 
 class DriveShown(_PicturePart, frozen=True, kw_only=True):
@@ -85,7 +99,7 @@ class TruckShown(_PicturePart, frozen=True, kw_only=True):
     """Planned departure from the current stop."""
     binding_sorties: list[str] = msgspec.field(default_factory=list, name="waits_for")
     """Sorties that keep the truck at its stop, as the store's text."""
-    alarms: list[str] = []
+    received_us: int | None = msgspec.field(default=None, name="heard_us")
 
 
 class OrderShown(_PicturePart, frozen=True, kw_only=True):
@@ -97,6 +111,12 @@ class OrderShown(_PicturePart, frozen=True, kw_only=True):
     vehicle: str | None = None
     reason: str = msgspec.field(default="", name="why")
     note: str = ""
+    confirmed_by: str | None = None
+    """The operator who has confirmed its launch."""
+    customer: str | None = None
+    address: str | None = None
+    phone: str | None = None
+    priority: bool = False
 
 
 class StopShown(_PicturePart, frozen=True, kw_only=True):
@@ -105,25 +125,33 @@ class StopShown(_PicturePart, frozen=True, kw_only=True):
     position: Point = msgspec.field(name="at")
     arrive_us: int | None = None
     depart_us: int | None = None
+    arrived_us: int | None = None
+    departed_us: int | None = None
+    serves: list[str] = []
+    """Orders that the driver delivers from here."""
 
 
 class SortieShown(_PicturePart, frozen=True, kw_only=True):
-    """An upcoming sortie."""
+    """A sortie of the plan; `state`: planned, flying, landed or lost. Flown times where known."""
 
     order: str
     vehicle: str
     launch: str
     home: str
     launch_us: int | None = None
+    land_us: int | None = None
+    state: str
 
 
 class PlanShown(_PicturePart, frozen=True, kw_only=True):
-    """The plan in force. `route`: the truck's stops in order."""
+    """The plan in force. `route`: the truck's stops in order. `late_s`: the truck's lateness."""
 
     title: str
     stops: dict[str, StopShown] = {}
     route: list[str] = []
-    next: list[SortieShown] = []
+    sorties: list[SortieShown] = []
+    end_us: int | None = None
+    late_s: int | None = None
 
 
 class WindShown(_PicturePart, frozen=True, kw_only=True):
@@ -150,11 +178,17 @@ class SiteShown(_PicturePart, frozen=True, kw_only=True):
     rally: dict[str, Point] = {}
 
 
-class AlertShown(_PicturePart, frozen=True, kw_only=True):
-    """Item for the operator's attention. `subject`: a member, an order, `store`, `certificates`."""
+class AttentionShown(_PicturePart, frozen=True, kw_only=True):
+    """Item of the attention list (`ground_station.core.fleet.attention`)."""
 
+    key: str
+    level: str
     subject: str = msgspec.field(name="who")
-    text: str = msgspec.field(name="words")
+    title: str
+    text: str = msgspec.field(default="", name="words")
+    actions: list[str] = msgspec.field(default_factory=list, name="acts")
+    times_us: dict[str, int] = msgspec.field(default_factory=dict, name="times")
+    since_us: int | None = None
 
 
 class MapPicture(_PicturePart, frozen=True, kw_only=True):
@@ -162,9 +196,9 @@ class MapPicture(_PicturePart, frozen=True, kw_only=True):
 
     fleet: str
     site: SiteShown = SiteShown()
-    alerts: list[AlertShown] = msgspec.field(default_factory=list, name="attention")
-    desk_alarm: str = ""
-    """A silent desk; empty: one runs."""
+    alerts: list[AttentionShown] = msgspec.field(default_factory=list, name="attention")
+    desk_received_us: int | None = msgspec.field(default=None, name="desk_heard_us")
+    """Last heartbeat of a desk."""
     notes: list[str] = []
     """Holds, and launches that an operator has confirmed."""
     drones: dict[str, DroneShown] = {}
@@ -173,6 +207,11 @@ class MapPicture(_PicturePart, frozen=True, kw_only=True):
     plan: PlanShown | None = None
     winds: list[WindShown] = []
     max_loss: float | None = None
+    risk_limit: str = ""
+    low_spare_wh: float = 10.0
+    contact_timeout_s: float = 15.0
+    holds: list[str] = []
+    """Held vehicles; `*`: all."""
     basemap: bool = False
     outline: bool = False
     """Without a base map: coasts and borders are available."""

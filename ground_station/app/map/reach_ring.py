@@ -9,6 +9,7 @@ from companion.core.base.arrays import Floats
 from companion.core.base.geo import offset_position_deg
 from companion.core.routing.leg_energy import Leg, LegKind
 from companion.fleet.messages import State
+from ground_station.app.map.drone_view import DroneFigures
 from ground_station.app.map.picture import Point
 from ground_station.core.feasibility.reach import (
     DayFeasibility,
@@ -31,9 +32,28 @@ class ReachableAreas:
 
     data: DayData
     _models: DayFeasibility = field(init=False)
+    _figures: dict[str, DroneFigures] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._models = DayFeasibility(self.data.day, self.data.airframes)
+
+    def drone_figures(self, name: str) -> DroneFigures | None:
+        """Return the figures of a drone of the day."""
+        drone = self.data.day.find_drone(name)
+        if drone is None:
+            return None
+        if name not in self._figures:
+            model = self._models.of_drone(drone)
+            full_wh, mission = model.full_pack_usable_wh(0.0), model.mission
+            self._figures[name] = DroneFigures(
+                full_wh=full_wh,
+                reserve_wh=mission.reserve_frac * full_wh,
+                hover_power_w=model.energy.hover_power_w(0.0),
+                cruise_airspeed_mps=model.energy.cruise_airspeed_mps,
+                cruise_height_m=mission.cruise_height_m,
+                descent_mps=model.airframe.speeds.landing_mps,
+            )
+        return self._figures[name]
 
     def reachable_boundary_points(self, state: State, payload_kg: float) -> list[Point] | None:
         """Return points in all directions where it can land on its reserve at the accepted loss.

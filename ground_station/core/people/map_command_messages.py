@@ -48,4 +48,29 @@ class SettleOrder(_WebCommand, frozen=True, kw_only=True, tag="settle"):
     reason: Reason
 
 
-WebCommand = RecallDrone | HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder
+class AddOrder(_WebCommand, frozen=True, kw_only=True, tag="add"):
+    """Add an order from its cells, as a row of an order file. `check`: only report whether a drone
+    can deliver it.
+    """
+
+    cells: dict[Name, Annotated[str, Meta(max_length=500)]]
+    check: bool = False
+
+
+class ImportOrders(_WebCommand, frozen=True, kw_only=True, tag="import"):
+    """Add all orders of a file, or none. `check`: only report what would be added."""
+
+    file: Annotated[str, Meta(pattern=r"^[^/\\]{1,80}\.(csv|txt|tsv|xlsx|geojson)\Z")]
+    content: bytes
+    check: bool = False
+
+
+class CancelOrder(_WebCommand, frozen=True, kw_only=True, tag="cancel"):
+    """Cancel an order that no vehicle has."""
+
+    order: Name
+    reason: Reason
+
+
+OrderCommand = AddOrder | ImportOrders | CancelOrder
+WebCommand = RecallDrone | HoldDrone | ReleaseDrone | ConfirmLaunch | SettleOrder | OrderCommand

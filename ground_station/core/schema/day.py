@@ -227,6 +227,10 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Whether the desk detects fronts in the wind reports. False over steep ground, where the wind
     behind a hill resembles a front. `watch` knows no day and always detects fronts.
     """
+    low_spare_wh: float = 10.0
+    """Spare energy at landing below which the map asks for attention."""
+    contact_timeout_s: float = 15.0
+    """Time without a state after which the map reports no contact with a drone."""
     rally: list[Location] = []
     """Positions where a drone may land if it cannot return home."""
 
@@ -235,6 +239,8 @@ class Day(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         check_neighbour_fleets("neighbours", self.neighbours)
         if self.fleet in self.neighbours:
             raise LeewayError(f"neighbours: {self.fleet} is this day's own fleet")
+        check_range("low_spare_wh", self.low_spare_wh, 0.0, 1000.0)
+        check_range("contact_timeout_s", self.contact_timeout_s, 2.0, 600.0)
         if self.wind_limit_mps is not None:
             check_range("wind_limit_mps", self.wind_limit_mps, 1.0, 40.0)
         names = [drone.id for drone in self.drones]

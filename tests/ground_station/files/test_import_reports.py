@@ -10,7 +10,8 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.files.day_files import read_day
 from ground_station.app.cli.main import app
 from ground_station.app.map.flight_decisions import FlightDecisions
-from ground_station.app.map.map_view import MapSnapshot, MapView, StoreSnapshot
+from ground_station.app.map.map_snapshot import MapSnapshot, StoreSnapshot
+from ground_station.app.map.map_view import MapView
 from ground_station.app.planning.region_days import divide_days_among_trucks
 from ground_station.app.planning.region_days import write_region_day_and_orders as write_region
 from ground_station.core.fleet.fleet_status import FleetStatus

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from companion.core.base.desk_heartbeat import DeskHeartbeat
 from companion.fleet.messages import Command, State
 from ground_station.adapters.files.day_files import read_day
 from ground_station.adapters.files.day_wind import create_site_wind
@@ -24,7 +25,12 @@ from ground_station.app.map.fleet_receiver import FleetListener
 from ground_station.app.map.map_feed import MapPublisher
 from ground_station.app.map.map_view import MapView
 from ground_station.core.fleet.certificate_ends import CertificateExpiry
-from ground_station.core.fleet.fleet_link import FleetInput, LivelinessChanged, StateReceived
+from ground_station.core.fleet.fleet_link import (
+    DeskHeartbeatReceived,
+    FleetInput,
+    LivelinessChanged,
+    StateReceived,
+)
 from ground_station.core.fleet.fleet_status import FleetStatus
 from tests.ground_station.hand_made_day import PLAN, by_truck
 from tests.ground_station.truck_world import World
@@ -38,7 +44,7 @@ class MapEars:
     def __init__(self, world: World) -> None:
         self.world, self.known = world, set[str]()
         self.more: dict[str, dict[str, Any]] = {}
-        self.deaf = False
+        self.deaf, self.heartbeats = False, True
         self.sent: list[Command] = []
         self.events_asked: list[str] = []
 
@@ -51,7 +57,16 @@ class MapEars:
             LivelinessChanged(name, name, name in there) for name in there ^ self.known
         ]
         self.known = there
+        if self.heartbeats:
+            found.append(DeskHeartbeatReceived(self.heartbeat()))
         return found + [StateReceived(self.state(name)) for name in sorted(there)]
+
+    def heartbeat(self) -> DeskHeartbeat:
+        """Return the heartbeat of the world's desk."""
+        clock = self.world.clock
+        return DeskHeartbeat(
+            desk="desk", instance_id="1", uptime_s=clock.t_s, epoch_us=clock.epoch_us()
+        )
 
     def state(self, name: str) -> State:
         """Return the member's current state."""

@@ -56,29 +56,30 @@ def test_the_page_outlives_the_desk_and_a_recall_from_it_is_reported_done(tmp_pa
         until(desk.answers)
         page = held.enter_context(browsing(program, viewport={"width": 1280, "height": 800}))
         page.goto(desk.address)
-        row = page.locator('#drones tr[data-key="d1"]')
-        row.locator("td", has_text="outbound").wait_for()
+        row = page.locator('#list [data-key="d1"]')
+        row.locator(".name", has_text="Flying out").wait_for()
 
         dispatching.kill()
         dispatching.wait()
+        page.locator("#attention .warning", has_text="Desk not responding").wait_for(timeout=20_000)
         drone.phase = "return"
         desk.desk()  # it is also the network's router
-        row.locator("td", has_text="return").wait_for()
-        page.locator("#attention.calm").wait_for()
-        assert page.locator("#link").inner_text() == "live"
+        row.locator(".name", has_text="Flying back").wait_for()
+        page.locator("#attention .calm").wait_for()
+        assert page.locator("#link b").inner_text() == "Live"
 
         page.locator("#sign-in").click()
         page.locator("#token").fill(token)
         page.keyboard.press("Enter")
         page.locator("#person", has_text="anna, dispatcher").wait_for()
-        row.click()
-        recall = page.locator('#deed-buttons [data-key="recall d1"]')
+        row.locator("button").click()
+        recall = page.locator("#card .deed", has_text="ecall d1")
         recall.click()
         page.wait_for_timeout(400)
         recall.click()
-        page.locator("#deed-answer", has_text="done").wait_for()
-        page.locator("#notes", has_text="d1 is held by anna: recalled").wait_for()
-        row.locator("td", has_text="standby").wait_for()
+        page.locator("#result", has_text="done").wait_for()
+        row.locator(".name", has_text="Standing by").wait_for()
+        page.locator("#card .deed", has_text="Release d1").wait_for()
     (deed,) = [command for command in drone.done if isinstance(command.action, Recall)]
     assert deed.by == "anna"
     assert ("anna", "hold") in audit(desk.url)

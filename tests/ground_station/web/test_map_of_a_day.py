@@ -45,14 +45,13 @@ BACK_S = 5.0
 READ = """() => {
   const groups = (selector) => Object.fromEntries([...document.querySelectorAll(selector)]
     .map((one) => [one.dataset.key, [one.getAttribute('transform'), one.getAttribute('class')]]));
-  const rows = (selector) => [...document.querySelectorAll(`${selector} tbody tr`)]
-    .map((row) => [...row.children].map((cell) => cell.innerText));
+  const text = (row, part) => row.querySelector(part).innerText;
   return {
     drones: groups('#map .drone'), orders: groups('#map .order'),
-    drone_rows: rows('#drones'), order_rows: rows('#orders'),
+    drone_rows: Object.fromEntries([...document.querySelectorAll('#list li')]
+      .map((row) => [row.dataset.key, [text(row, '.name'), text(row, '.spare')]])),
     attention: document.querySelector('#attention').innerText,
-    truck: document.querySelector('#truck').innerText,
-
+    labels: [...document.querySelectorAll('#map .label.tag')].map((one) => one.textContent),
   };
 }"""
 
@@ -146,7 +145,7 @@ class Watched:
 
     def _find_violations(self, world: Any, t_s: float, shown: dict[str, Any]) -> Iterator[str]:
         place = self._places(shown)
-        rows = {row[0].removeprefix("! "): row for row in shown["drone_rows"]}
+        rows = shown["drone_rows"]
         for drone in world.drones:
             if not drone.is_airborne or drone.time_since_takeoff_s(t_s) < OLD_S:
                 continue
@@ -160,31 +159,34 @@ class Watched:
             self._note("place")
             if drone.name == "d1" and self._is_at(self.cut_at_s, SILENT_S, t_s):
                 yield from self._wrong_of_silent(drone.name, shown, rows)
-            if to_s == t_s and rows[drone.name][1] in ("ready", "standby"):
-                yield f"{drone.name} flies and is said to be {rows[drone.name][1]}"
+            if to_s == t_s and rows[drone.name][0].endswith(("Ready", "Standing by")):
+                yield f"{drone.name} flies and is said to be {rows[drone.name][0]}"
         yield from self._wrong_orders(world, shown)
 
     def _wrong_of_silent(
         self, name: str, shown: dict[str, Any], rows: dict[str, list[str]]
     ) -> Iterator[str]:
         self._note("silent")
-        if f"! {name}: not on the network" not in shown["attention"]:
+        if f"No contact with {name} for " not in shown["attention"]:
             yield f"nothing says that {name} is gone: {shown['attention']}"
         if "silent" not in shown["drones"][name][1].split():
             yield f"{name} is drawn as if it were heard"
-        if not rows[name][0].startswith("! "):
-            yield f"the table does not mark {name}"
+        if "No contact" not in rows[name][0] or not rows[name][1].endswith(" old"):
+            yield f"the list shows {rows[name]} of {name}"
+        if not any(one.startswith(name) and one.endswith(" ago") for one in shown["labels"]):
+            yield f"the label of {name} has no age: {shown['labels']}"
 
     def _wrong_orders(self, world: Any, shown: dict[str, Any]) -> Iterator[str]:
         """Report orders shown as delivered whose parcel is not with the customer."""
         gone = {
-            up.order for d in world.drones for up in d.all_power_cycles if up.released_s is not None
+            up.order
+            for d in world.drones
+            for up in d.all_power_cycles
+            if up.record.released_s is not None
         }
-        for order, state, *_ in shown["order_rows"]:
-            if state == "delivered" and order not in gone:
+        for order, (_, look) in shown["orders"].items():
+            if look.split()[1] == "delivered" and order not in gone:
                 yield f"{order} is shown as delivered, and is aboard"
-            if shown["orders"][order][1].split()[1] != state:
-                yield f"{order} is drawn as {shown['orders'][order][1]}, the table says {state}"
         self._note("orders")
 
     def _heard_within(self, name: str, t_s: float) -> tuple[float, float]:
@@ -220,7 +222,7 @@ class Watched:
     ) -> float:
         """Least distance from the true positions in this time range."""
         north, east, _ = self.built.frame.to_ned(*map(math.radians, lat_lon_deg), 0.0)
-        rows = [row for row in drone.power_cycle.rows if from_s <= row[0] <= to_s]
+        rows = [row for row in drone.power_cycle.record.rows if from_s <= row[0] <= to_s]
         return min(math.dist((north, east), row[1:3]) for row in rows)
 
     def _note(self, what: str) -> None:
@@ -261,7 +263,7 @@ def test_what_is_shown_is_what_is_so_through_a_cut_a_dead_companion_and_a_dead_d
     assert watched.checked["silent"] >= 1
     assert watched.decode_bytes is not None
     states: Callable[[], Any] = lambda: {  # noqa: E731
-        order: state for order, state, *_ in watched.page.evaluate(READ)["order_rows"]
+        order: look.split()[1] for order, (_, look) in watched.page.evaluate(READ)["orders"].items()
     }
     for _ in range(100):
         if set(states().values()) == {"delivered"}:

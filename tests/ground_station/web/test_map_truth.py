@@ -9,6 +9,8 @@ import pytest
 from companion.core.base.geo import ne_offset_m
 from companion.fleet.messages import EventKind
 from companion.fleet.polyline import encode_polyline
+from ground_station.core.dispatch.depot_assignment import DepotAssigner
+from ground_station.core.feasibility.reach import Feasible
 from ground_station.core.fleet.certificate_ends import DAY_US, CertificateExpiry
 from ground_station.core.schema.orders import OrderState
 from tests.ground_station.hand_made_day import PLAN
@@ -109,9 +111,9 @@ def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site
     site.until_flying("d1")
     drone = site.world.drones["d1"]
     assert drone.flight is not None
-    figures = {"margin_wh": 12.5, "p_home": 0.9987, "p_home_now": 0.9999, "p_success": 0.95,
+    figures = {"margin_wh": 12.5, "p_home": 0.9987, "p_success": 0.95,
                "energy_left_wh": 61.0, "ground_speed_mps": 9.5, "text": "going"}  # fmt: skip
-    site.fleet_link.more["d1"] = figures
+    site.fleet_link.more["d1"] = figures | {"lat_deg": 55.47, "lon_deg": 8.45}
     drone.tell(
         EventKind.DECISION, "go: 12.5 Wh above the reserve", assignment=drone.flight.assignment
     )
@@ -119,7 +121,15 @@ def test_a_drone_is_shown_with_its_figures_its_way_and_the_gates_last_words(site
     shown = site.picture["drones"]["d1"]
     said = {name: shown["says" if name == "text" else name] for name in figures}
     assert said == figures
-    assert shown["why"] == "go: 12.5 Wh above the reserve"
+    assert shown["why"] == "Cleared to fly: 12.5 Wh above the reserve"
+    assert shown["risk"] == "1 in 770"  # 1 / 0.0013
+    assert shown["energy_needed_wh"] == pytest.approx(61.0 - 12.5)
+    order = next(o for o in HARBOUR.orders if o.id == drone.flight.order)
+    checked = DepotAssigner(HARBOUR.day, HARBOUR.airframes).check_delivery(order, "d1")
+    assert isinstance(checked, Feasible)
+    left_s = (shown["land_us"] - site.world.clock.epoch_us()) / 1e6
+    assert left_s == pytest.approx(checked.time_s, rel=0.25), "by the planner's leg times"
+    assert shown["drop_us"] < shown["land_us"]
     order = next(o for o in HARBOUR.orders if o.id == drone.flight.order)
     row = next(r for r in site.day.sorties() if r.vehicle == "d1")
     pad, home = row.pads[row.sortie.launch], row.pads[row.promised_stop]
@@ -178,34 +188,55 @@ def test_the_words_of_an_earlier_flight_are_not_those_of_this_one(site):
     assert "why" not in site.picture["drones"]["d1"]
 
 
-def attention(site: MapSite) -> list[str]:
-    """Return the list without the desk, which sends no heartbeat here."""
-    found = site.picture.get("attention", [])
-    return [f"{one['who']}: {one['words']}" for one in found if one["who"] != "desk"]
+def attention(site: MapSite) -> list[tuple[str, str]]:
+    return [(one["level"], one["title"]) for one in site.picture.get("attention", [])]
 
 
-def test_what_wants_a_persons_eye_is_listed_with_who_and_why(site):
+def test_each_cause_is_one_item_that_is_gone_with_it(site):
     site.until_flying("d1")
     assert attention(site) == []
     site.fleet_link.more["d1"] = {"margin_wh": -3.25}
     site.step()
-    assert attention(site) == ["d1: 3.2 Wh short of its promise"]
+    assert attention(site) == [("warning", "d1 is 3.2 Wh short of coming home")]
+    since_us = site.picture["attention"][0]["since_us"]
+    site.step(3)
+    assert site.picture["attention"][0]["since_us"] == since_us
+    for wh, is_listed in ((9.0, True), (11.0, True), (12.5, False), (11.0, False)):
+        site.fleet_link.more["d1"] = {"margin_wh": wh}
+        site.step()
+        assert bool(attention(site)) == is_listed, wh
     site.fleet_link.deaf = True
-    site.step(8)
-    assert "d1: silent for 8 s" in attention(site)
+    site.step(16)
+    (item,) = [one for one in site.picture["attention"] if one["who"] == "d1"]
+    assert (item["level"], item["title"]) == ("warning", "No contact with d1 for 16 s")
     site.fleet_link.deaf = False
+    site.step()
+    assert attention(site) == []
     with closing(sqlite3.connect(site.url.removeprefix("sqlite:///"))) as db:
         db.execute("UPDATE orders SET state = 'stuck', why = 'three attempts' WHERE id = 'H-108'")
         db.commit()
     site.step(2)
-    assert attention(site) == ["d1: 3.2 Wh short of its promise", "H-108: is stuck: three attempts"]
+    assert attention(site) == [("your_turn", "H-108 is stuck")]
+
+
+def test_a_silent_desk_is_a_warning_until_it_is_received_again(site):
+    site.fleet_link.heartbeats = True
+    site.step(10)
+    assert attention(site) == []
+    site.fleet_link.heartbeats = False
+    site.step(10)
+    assert attention(site) == [("warning", "Desk not responding for 10 s")]
+    site.fleet_link.heartbeats = True
+    site.step(2)
+    assert attention(site) == []
 
 
 def test_a_certificate_that_ends_within_a_month_wants_a_persons_eye(site):
     now_us = site.world.clock.epoch_us()
     site.ends = CertificateExpiry(now_us + 90 * DAY_US, (("d1", now_us + 12 * DAY_US),))
     site.step()
-    assert attention(site) == ["certificates: d1 ends in 12 days (ground-station pki renew)"]
+    assert attention(site) == [("caution", "Certificates end soon")]
+    assert site.picture["attention"][0]["words"].startswith("d1 ends in 12 days")
     site.ends = CertificateExpiry(now_us + 90 * DAY_US, (("d1", now_us + 90 * DAY_US),))
     site.step()
     assert attention(site) == []
@@ -217,7 +248,7 @@ def test_a_store_that_is_away_is_said_and_drones_are_still_shown(site):
         db.execute("ALTER TABLE orders RENAME TO elsewhere")
         site.fleet_link.more["d1"] = {"lat_deg": 55.5, "lon_deg": 8.5}
         site.step(2, desk=False)
-        assert attention(site)[0].startswith("store: away, rows are old: ")
+        assert attention(site)[0] == ("warning", "The desk's data is not reachable")
         assert site.picture["drones"]["d1"]["at"] == [55.5, 8.5]
         assert site.picture["orders"]
         db.execute("ALTER TABLE elsewhere RENAME TO orders")

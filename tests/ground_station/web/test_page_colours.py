@@ -11,9 +11,11 @@ from ground_station.adapters import web
 
 STYLE = (Path(web.__file__).parent / "page" / "style.css").read_text()
 SCHEMES = ("light", "dark")
-WORDS = [("ink", "ground"), ("ink", "panel"), ("faint", "ground"), ("faint", "panel"),
-         ("alarm", "panel"), ("alarm", "ground"), ("alarm", "alarm-ground")]  # fmt: skip
-SHAPES = ("drone", "truck", "order", "done", "divert", "alarm")
+WORDS = [(ink, ground) for ink in ("ink", "ink2", "ink3") for ground in ("bg", "surface", "raised")]
+WORDS += [("blue", "surface"), ("blue", "blue-weak"), ("on-blue", "blue"), ("red", "red-weak"),
+          ("red", "surface"), ("amber", "amber-weak"), ("teal", "surface"), ("zone", "land"),
+          ("violet", "surface"), ("ink2", "red-weak"), ("ink2", "blue-weak")]  # fmt: skip
+SHAPES = ("spare", "truck", "teal", "zone", "red-fill", "edge")
 """Drawn on the ground."""
 
 TEXT, GRAPHIC = 4.5, 3.0
@@ -44,7 +46,7 @@ XYZ = np.array(
 
 def colours(style: str) -> dict[str, dict[str, str]]:
     """By scheme and name."""
-    found = re.findall(r"--([a-z-]+): light-dark\((#[0-9a-f]{6}), (#[0-9a-f]{6})\);", style)
+    found = re.findall(r"--([a-z0-9-]+): light-dark\((#[0-9a-f]{6}), (#[0-9a-f]{6})\);", style)
     return {scheme: {row[0]: row[k + 1] for row in found} for k, scheme in enumerate(SCHEMES)}
 
 
@@ -91,7 +93,7 @@ def test_words_and_shapes_stand_out_from_what_they_lie_on(scheme: str):
     for word, ground in WORDS:
         assert contrast(found[word], found[ground]) >= TEXT, (word, ground)
     for shape in SHAPES:
-        assert contrast(found[shape], found["ground"]) >= GRAPHIC, shape
+        assert contrast(found[shape], found["land"]) >= GRAPHIC, shape
 
 
 @pytest.mark.parametrize("seen_as", SEEN_AS)

@@ -1,5 +1,6 @@
 """Orders from the map: permissions, effects, and audit entries."""
 
+import base64
 import json
 import stat
 from collections.abc import Iterator
@@ -31,7 +32,7 @@ from ground_station.core.people.audit_chain import find_chain_faults
 from ground_station.core.people.web_tokens import USER_ROLES, TokenRegistry
 from ground_station.core.schema.order_states import OrderState
 from tests.ground_station.web.browser import browsing, needs_chromium
-from tests.ground_station.web.map_site import MapEars, MapSite
+from tests.ground_station.web.map_site import HARBOUR, MapEars, MapSite
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -108,7 +109,7 @@ def desk(site: MapSite, tmp_path: Path) -> Iterator[Desk]:
     def open_store() -> Store:
         return Store(Database(site.url, create=False), epoch_us)
 
-    deeds = OperatorCommands(lambda person: person, open_store, open_store, open_fleet)
+    deeds = OperatorCommands(lambda person: person, open_store, open_store, open_fleet, HARBOUR)
     server = serve(site, MapAccess(TokenFileMonitor(file).current_tokens, deeds.execute_command))
     return Desk(site, file, tokens, lines, server)
 
@@ -298,7 +299,8 @@ def test_in_the_page_an_order_takes_two_clicks_and_a_revoked_token_is_said(desk:
         page.goto(desk.address)
         page.wait_for_selector("#link.live")
         page.keyboard.press("j")
-        assert not page.locator("#deeds").is_visible()
+        page.locator("#card h2", has_text="d1").wait_for()
+        assert page.locator(".deed, .all").count() == 0
         page.locator("#sign-in").click()
         page.locator("#token").fill("wrong")
         page.keyboard.press("Enter")
@@ -306,20 +308,96 @@ def test_in_the_page_an_order_takes_two_clicks_and_a_revoked_token_is_said(desk:
         page.locator("#token").fill(desk.tokens["anna"])
         page.locator("#use-token").click()
         page.locator("#person", has_text="anna, dispatcher").wait_for()
-        page.locator("#reason").fill("jam of j and k")
-        hold = page.locator('#deed-buttons [data-key="hold d1"]')
+        page.keyboard.press("j")
+        page.locator("#card footer", has_text="Hold").locator("[data-do=ask]").click()
+        page.get_by_label("Other", exact=True).check()
+        page.get_by_label("Other reason").fill("jam of j and k")
+        hold = page.locator("#card .deed", has_text="old d1")
+        desk.site.step()
+        page.wait_for_selector("#link.live")
         hold.click()
-        assert hold.inner_text() == "hold d1? click again"
+        page.locator("#card .deed.armed", has_text="Again to hold d1").wait_for()
         assert desk.site.store.holds_in_force() == []
         page.wait_for_timeout(400)
+        desk.site.step()  # commands need recent data
         hold.click()
-        page.locator("#deed-answer", has_text="d1 is held by anna: jam of j and k").wait_for()
+        page.locator("#result", has_text="d1 is held by anna: jam of j and k").wait_for()
         assert [one.scope for one in desk.site.store.holds_in_force()] == ["d1"]
-        assert page.locator("#detail h2").inner_text() == "d1", "typing is no key of the map"
+        assert page.locator("#card h2").inner_text().startswith("d1"), "typing is no key of the map"
         write_owner_only_tokens_atomically(
             desk.file, read_owner_only_tokens(desk.file).without_holder("anna")
         )
         page.locator("#person", has_text="the token of anna is no longer valid").wait_for()
-        assert not page.locator("#deeds").is_visible()
+        assert page.locator(".deed").count() == 0
         desk.site.step(5)  # the day paused for long: a busy machine counts it as lost
         page.wait_for_selector("#link.live")
+
+
+CSV = "\ufeffid;lat_deg;lon_deg;mass_kg\r\nN-1;55,4702;8,4510;0,4\r\nN-2;55,4703;8,4490;0,3\r\n"
+
+
+def test_orders_are_checked_added_imported_and_cancelled_with_a_reason(desk: Desk):
+    cells = {"id": "N-9", "lat_deg": "55.4710", "lon_deg": "8.4520", "mass_kg": "0.4"}
+    checked = desk.post({"do": "add", "cells": cells, "check": True})
+    assert "N-9: can be flown from the depot" in checked.json()["words"][0]
+    assert "N-9" not in {row.order.id for row in desk.site.store.orders()}
+    far = desk.post({"do": "add", "cells": cells | {"lat_deg": "55.90"}, "check": True})
+    assert "cannot be flown" in str(far.json()) or far.status_code == 409
+    assert desk.post({"do": "add", "cells": cells}).status_code == 200
+    content = base64.b64encode(CSV.encode("utf-8")).decode()
+    file = {"do": "import", "file": "orders.csv", "content": content}
+    assert desk.post(file | {"check": True}).json()["words"][0] == "2 orders can be added"
+    assert desk.post(file).json()["words"][0] == "2 orders imported"
+    orders = {row.order.id: row.order for row in desk.site.store.orders()}
+    assert (orders["N-1"].lat_deg, orders["N-2"].mass_kg) == (55.4702, 0.3)
+    assert orders["N-9"].alt_amsl_m == pytest.approx(12.0, abs=2.0), "the day's terrain"
+    wrong = base64.b64encode(CSV.replace("0,3", "heavy").encode()).decode()
+    refused = desk.post(file | {"content": wrong})
+    assert refused.status_code == 409
+    assert "orders.csv, row 3, column mass_kg: 'heavy'" in refused.json()["trouble"]
+    assert desk.post({"do": "cancel", "order": "N-9", "reason": ""}).status_code == 400
+    assert desk.post({"do": "cancel", "order": "N-9", "reason": "Wrong address"}).status_code == 200
+    row = next(row for row in desk.site.store.orders() if row.order.id == "N-9")
+    assert (row.state, row.reason) == (OrderState.CANCELLED, "Wrong address, by anna")
+
+
+def test_in_the_page_an_order_is_checked_before_it_is_saved_then_cancelled(
+    desk: Desk, tmp_path: Path
+):
+    program = needs_chromium()
+    desk.site.step(3)
+    file = tmp_path / "new.csv"
+    file.write_bytes(CSV.encode("utf-8"))
+    with browsing(program, viewport={"width": 1440, "height": 900}) as page:
+        page.add_init_script(f"sessionStorage.setItem('leeway token', '{desk.tokens['anna']}')")
+        page.goto(desk.address)
+        page.wait_for_selector("#link.live")
+        page.locator("#person", has_text="anna").wait_for()
+        page.keyboard.press("n")
+        page.locator("#card [name=mass_kg]").fill("0,4")
+        save = page.locator("[data-do=save-order]")
+        assert save.is_disabled()
+        box = page.locator("#place").bounding_box()
+        page.mouse.click(box["x"] + box["width"] * 0.4, box["y"] + box["height"] * 0.45)
+        page.locator("#card .verdict", has_text="can be flown from the depot").wait_for()
+        page.locator("#card [name=id]").fill("N-7")
+        page.locator("#card .verdict", has_text="N-7").wait_for()
+        save.click()
+        page.locator("#result", has_text="1 orders imported").wait_for()
+        desk.site.step(2, desk=False)
+        page.locator("#card h2", has_text="N-7").wait_for()
+        page.locator("#card", has_text="Cancel order").locator("footer .danger").click()
+        page.get_by_label("Wrong address").check()
+        cancel = page.locator("#card .deed", has_text="ancel N-7")
+        cancel.click()
+        page.wait_for_timeout(400)
+        cancel.click()
+        page.locator("#result", has_text="N-7: cancelled").wait_for()
+        page.keyboard.press("2")
+        page.locator("#board [data-with=import]").click()
+        page.locator("#file").set_input_files(file)
+        page.locator("#card .verdict", has_text="2 orders can be added").wait_for()
+        page.locator("[data-do=save-file]").click()
+        page.locator("#result", has_text="2 orders imported").wait_for()
+    row = next(row for row in desk.site.store.orders() if row.order.id == "N-7")
+    assert row.reason == "Wrong address, by anna"

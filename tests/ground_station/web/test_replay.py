@@ -182,7 +182,7 @@ def test_a_flights_record_is_on_the_desks_clock_by_the_decisions_that_both_have(
         assert drone["armed"]
         assert list(drone["wind_to_ne_mps"]) == [-2.0, 3.0]
     assert drone["phase"] == "outbound"
-    assert drone["why"].startswith("divert: to ")
+    assert drone["why"].startswith("Diverts to ")
     assert past.record_fault_texts == ()
     (mark,) = past.time_line_data()["marks"]
     assert mark["words"].startswith("d1: divert: to ")
@@ -293,7 +293,7 @@ def test_a_record_that_is_missing_is_a_note_and_the_desks_words_stand_in(flown):
     then = replay(site).picture_at(began_us + 40_000_000)
     assert any("no records of flights" in words for words in then["notes"])
     assert "at" not in then["drones"]["d1"]
-    assert then["drones"]["d1"]["why"].startswith("divert: to ")
+    assert then["drones"]["d1"]["why"].startswith("Diverts to ")
 
 
 class served:
@@ -343,6 +343,7 @@ def test_the_page_goes_to_any_time_by_bar_and_keys_and_plays(flown):
     ):
         page.goto(address)
         page.wait_for_selector("#link.past")
+        page.locator("#map .order").first.wait_for(state="attached")
         page.keyboard.press("m")  # to the diversion
         at = "Number(document.querySelector('#time').value)"
         assert page.evaluate(at) == pytest.approx(began_us + 30e6, abs=2e6)
@@ -350,9 +351,9 @@ def test_the_page_goes_to_any_time_by_bar_and_keys_and_plays(flown):
         page.keyboard.press(",")
         assert page.evaluate(at) == pytest.approx(began_us + 20e6, abs=2e6)
         page.keyboard.press("j")
-        page.locator("#detail dd", has_text="go: 12 Wh above").wait_for()
+        page.locator("#card .decision", has_text="Cleared to fly: 12 Wh above").wait_for()
         page.keyboard.press(".")
-        page.locator("#detail dd", has_text="divert: to").wait_for()
+        page.locator("#card .decision", has_text="Diverts to").wait_for()
         page.evaluate("document.activeElement.blur()")
         for key in (",", ",", "<", " "):
             page.keyboard.press(key)
@@ -363,7 +364,7 @@ def test_the_page_goes_to_any_time_by_bar_and_keys_and_plays(flown):
             assert bar.endswith(header), "both are the time of what is shown"
             page.wait_for_timeout(70.0)
         page.keyboard.press(" ")
-        assert page.locator("#play").inner_text() == "play"
+        assert page.locator("#play").inner_text() == "Play"
         page.locator("#time").focus()
         page.keyboard.press("Home")
         page.locator("#map .drone").first.wait_for(state="detached")

@@ -146,8 +146,8 @@ def test_in_a_browser_it_is_seen_over_tls_by_who_signs_in_and_under_this_key_onl
     pin = f"--ignore-certificate-errors-spki-list={key_pin(files[0])}"
     with running(program, pin) as browser, browsing(browser) as page:
         page.goto(server.address)
-        page.locator("#link", has_text="sign in to see the fleet").wait_for()
-        assert page.locator("#drones tbody tr").count() == 0
+        page.locator("#link", has_text="Sign in to see the fleet").wait_for()
+        assert page.locator("#list .row").count() == 0
         assert page.evaluate("isSecureContext && location.protocol") == "https:"
         page.locator("#sign-in").click()
         page.locator("#token").fill(token)
@@ -156,7 +156,7 @@ def test_in_a_browser_it_is_seen_over_tls_by_who_signs_in_and_under_this_key_onl
         page.locator('#map .drone[data-key="d1"]').wait_for(state="attached")
         site.fleet_link.more["d1"] = {"phase": "return"}
         site.step(2)
-        page.locator("#drones td", has_text="return").wait_for()
+        page.locator("#list .name", has_text="Flying back").wait_for()
     with running(program) as browser:
         stranger = browser.new_context().new_page()
         with pytest.raises(Exception, match="ERR_CERT_AUTHORITY_INVALID"):

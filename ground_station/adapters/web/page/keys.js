@@ -2,23 +2,15 @@
 
 const STEP_PX = 80;
 
-export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme, close, help, past }) {
-  const deeds = {
-    j: () => nextDrone(1),
-    k: () => nextDrone(-1),
-    a: nextAlarm,
-    f: fit,
-    c: centre,
-    r: reach,
-    t: theme,
-    "?": help,
+export function bindKeys(deeds, { view, past }) {
+  const all = {
+    ...deeds,
     " ": () => past()?.toggle(),
     ",": () => past()?.step(-1),
     ".": () => past()?.step(1),
     "<": () => past()?.faster(-1),
     ">": () => past()?.faster(1),
     m: () => past()?.nextMark(),
-    Escape: close,
     "+": () => view.zoomBy(0.5),
     "=": () => view.zoomBy(0.5),
     "-": () => view.zoomBy(-0.5),
@@ -28,11 +20,11 @@ export function bindKeys({ view, nextDrone, nextAlarm, fit, centre, reach, theme
     ArrowDown: () => view.pan(0, STEP_PX),
   };
   document.addEventListener("keydown", (event) => {
-    const deed = deeds[event.key];
+    const deed = all[event.key];
     if (!deed || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.closest?.("input:not([type=range])")) return;
-    if (event.key.startsWith("Arrow") && document.activeElement?.closest("#lists, #attention, #past")) return;
-    if (event.key === " " && document.activeElement?.closest("button, select")) return;
+    if (event.key !== "Escape" && event.target.closest?.("input:not([type=range], [type=radio], [type=file])")) return;
+    if (event.key.startsWith("Arrow") && document.activeElement?.closest("#list, #attention, #past, #day, #card, #board")) return;
+    if ([" ", "Enter"].includes(event.key) && document.activeElement?.closest("button, select, a, summary, input")) return;
     event.preventDefault();
     deed();
   });

@@ -7,7 +7,7 @@ const SCRIPTS = ["topojson-client", "d3-array", "d3-geo"]; // in this order: eac
 const NEAREST_ZOOM = 8; // at higher zoom its lines are kilometres off
 const PATH_PX = 512 * 2 ** 6; // width of the world in path coordinates
 
-export async function openOutline(view) {
+export async function openOutline(view, otherwise) {
   const found = await fetch(ADDRESS);
   if (!found.ok) throw new Error(`${ADDRESS}: ${found.status}`);
   for (const name of SCRIPTS) await script(`/assets/${name}.js`);
@@ -16,7 +16,7 @@ export async function openOutline(view) {
   const follow = () => {
     const seen = view.zoom <= NEAREST_ZOOM;
     set(drawing, { display: seen ? "inline" : "none" });
-    say($("#attribution"), seen ? "outline: Natural Earth" : "");
+    say($("#attribution"), seen ? "Outline: Natural Earth" : otherwise);
     if (!seen) return;
     const [x, y] = [view.width / 2 - view.x * view.scale, view.height / 2 - view.y * view.scale];
     set(drawing, { transform: `translate(${x.toFixed(1)},${y.toFixed(1)}) scale(${view.scale / PATH_PX})` });

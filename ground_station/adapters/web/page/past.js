@@ -16,7 +16,9 @@ export class Past {
     set(this.bar, { min: span.from_us, max: span.to_us, step: 1e6, value: span.from_us });
     this.bar.addEventListener("input", () => this.go(Number(this.bar.value)));
     $("#play").addEventListener("click", () => this.toggle());
-    $("#speed").append(...SPEEDS.map((times) => html("option", { value: times }, `${times} x`)));
+    for (const [id, by] of [["#back", -1], ["#forward", 1]]) $(id).addEventListener("click", () => this.step(by));
+    $("#next-mark").addEventListener("click", () => this.nextMark());
+    $("#speed").append(...SPEEDS.map((times) => html("option", { value: times }, `${times}\u00d7`)));
     $("#speed").value = this.speed;
     $("#speed").addEventListener("change", () => { this.speed = Number($("#speed").value); });
     this.#marks();
@@ -38,7 +40,7 @@ export class Past {
   toggle() {
     this.playing = !this.playing && this.tUs < this.span.to_us;
     this.lastMs = performance.now();
-    say($("#play"), this.playing ? "pause" : "play");
+    say($("#play"), this.playing ? "Pause" : "Play");
   }
 
   faster(by) {

@@ -1,33 +1,37 @@
-// Sign-in and commands. Each command needs two clicks: the first asks for confirmation.
+// The person at the page, and commands. Each command takes two steps, and names what it moves.
 
-import { $, html, keyed, say, set } from "./dom.js";
+import { $, html, say, set } from "./dom.js";
 import { ask, post, token } from "./server.js";
 
 const ASK_MS = 3000;
 const ARMED_MS = 5000;
 const APART_MS = 300; // a double click counts as one click
+const RESULT_MS = 30_000;
 
-export const me = { mayOrder: false, mayRead: true, isThere: false };
+export const me = { mayOrder: false, mayRead: true, isThere: false, trouble: "" };
+export const live = { now: true, past: false, desk: true }; // without data commands are off; the past has none
+const armed = { deed: null, ms: -Infinity };
+let [redraw, resultTimer] = [() => {}, 0];
+
+// Without a desk a confirmed launch would wait; a recall goes to the drone itself.
+const canSend = (deed) => live.now && (live.desk || deed.do !== "confirm");
+export const mayCommand = () => me.mayOrder && !live.past;
 
 // Calls `changed()` when the user or the access rights have changed.
-export async function startPeople(changed) {
-  $("#sign-in").addEventListener("click", () => $("#who").showModal());
-  $("#sign-out").addEventListener("click", () => signIn(null, changed));
-  $("#use-token").addEventListener("click", () => signIn($("#token").value.trim(), changed));
-  $("#token").addEventListener("keydown", (event) => event.key === "Enter" && signIn($("#token").value.trim(), changed));
+export async function startPeople(changed, draw) {
+  redraw = draw;
   setInterval(() => look(changed), ASK_MS);
   await look(changed);
   changed();
 }
 
-async function signIn(value, changed) {
+export async function signIn(value, changed) {
   token.set(value);
-  $("#token").value = "";
-  say($("#who-trouble"), "");
-  me.name = undefined;
+  Object.assign(me, { name: undefined, trouble: "" });
   await look(changed);
-  if (me.name) $("#who").close();
-  else if (value) say($("#who-trouble"), "no valid token");
+  if (!me.name && value) me.trouble = "no valid token";
+  redraw();
+  return Boolean(me.name);
 }
 
 async function look(changed) {
@@ -35,88 +39,71 @@ async function look(changed) {
   if (!answer?.ok) return; // no connection: the stream reports it
   const told = await answer.json();
   const before = JSON.stringify(me);
-  const revoked = me.name && !told.name && token.get();
-  if (revoked) say($("#person"), `the token of ${me.name} is no longer valid: sign in again`);
-  else say($("#person"), told.name ? `${told.name}, ${told.role}` : revokedWords());
-  Object.assign(me, {
-    name: told.name,
-    mayOrder: told.may_order,
-    mayRead: Boolean(told.name) || !told.token_to_read,
-    isThere: told.people,
-  });
-  set($("#person"), { class: revoked || (!told.name && revokedWords()) ? "lost" : "" });
-  $("#sign-in").hidden = !me.isThere || Boolean(me.name);
-  $("#sign-out").hidden = !me.name;
+  if (me.name && !told.name && token.get()) me.trouble = `the token of ${me.name} is no longer valid: sign in again`;
+  if (told.name) me.trouble = "";
+  Object.assign(me, { name: told.name, role: told.role, mayOrder: told.may_order, mayRead: Boolean(told.name) || !told.token_to_read, isThere: told.people });
   if (before !== JSON.stringify(me)) changed();
 }
 
-// The message remains until a user signs in.
-const revokedWords = () => (token.get() ? $("#person").textContent : "");
-
-const ALL = [
-  ["recall all", { do: "recall" }],
-  ["hold all", { do: "hold" }],
-  ["release all", { do: "release" }],
-];
-
-// Commands available for the selection.
-export function drawDeeds(picture, selected) {
-  const panel = $("#deeds");
-  panel.hidden = !me.mayOrder;
-  if (panel.hidden) return;
-  const deeds = [...deedsOf(picture, selected), ...ALL];
-  keyed($("#deed-buttons"), deeds.map(([words, deed]) => [words, deed]), button, () => {});
+// A command of the map: `deed` as POSTed; null for a viewer and in a replay. With `needsReason` the reason
+// is read from the form around the button.
+export function command(words, deed, kind = "", needsReason = false) {
+  if (!mayCommand()) return null;
+  const key = JSON.stringify(deed);
+  const isArmed = armed.deed === key && performance.now() - armed.ms < ARMED_MS;
+  return html("button", { type: "button", class: `deed ${kind}${isArmed ? " armed" : ""}`, "data-do": "command", "data-with": key, "data-words": words, "data-reason": needsReason, disabled: !canSend(deed) },
+    isArmed ? `Again to ${words.charAt(0).toLowerCase()}${words.slice(1)}` : words);
 }
 
-function deedsOf(picture, selected) {
-  const order = picture.orders?.[selected];
-  if (picture.drones?.[selected])
-    return ["recall", "hold", "release"].map((what) => [`${what} ${selected}`, { do: what, vehicle: selected }]);
-  if (!order) return [];
-  const confirm = order.state === "assigned" ? [[`launch ${selected}`, { do: "confirm", order: selected }]] : [];
-  const ends = ["assigned", "stuck"].includes(order.state) ? ["delivered", "lost", "back"] : [];
-  return [...confirm, ...ends.map((settled) => [`settle ${selected}: ${settled}`, { do: "settle", order: selected, settled }])];
+export async function commandClicked(element) {
+  const [key, words] = [element.dataset.with, element.dataset.words];
+  const nowMs = performance.now();
+  const deed = JSON.parse(key);
+  if (!canSend(deed) || !mayCommand()) return;
+  if (armed.deed === key && nowMs - armed.ms < APART_MS) return;
+  if (element.hasAttribute("data-reason")) {
+    deed.reason = reasonOf(element.closest("form"));
+    if (!deed.reason) return tell(`${words}: give a reason first`, "lost");
+  }
+  if (armed.deed !== key || nowMs - armed.ms >= ARMED_MS) {
+    Object.assign(armed, { deed: key, ms: nowMs });
+    setTimeout(redraw, ARMED_MS + 20);
+    return redraw();
+  }
+  armed.deed = null;
+  await send(words, deed);
 }
 
-function button(words, deed) {
-  const made = html("button", { type: "button" }, words);
-  let armedMs = -Infinity;
-  const disarm = () => {
-    armedMs = -Infinity;
-    set(made, { class: "" });
-    say(made, words);
-  };
-  made.addEventListener("click", () => {
-    const nowMs = performance.now();
-    if (nowMs - armedMs < APART_MS) return;
-    if (nowMs - armedMs < ARMED_MS) {
-      disarm();
-      order(words, deed);
-      return;
-    }
-    armedMs = nowMs;
-    set(made, { class: "armed" });
-    say(made, `${words}? click again`);
-    setTimeout(() => performance.now() - armedMs >= ARMED_MS && disarm(), ARMED_MS + 50);
-  });
-  return made;
+function reasonOf(form) {
+  const chosen = form.querySelector("input[type=radio]:checked")?.value ?? "";
+  return chosen === "Other" ? form.querySelector("[name=other]").value.trim() : chosen;
 }
 
-async function order(words, deed) {
-  const reason = $("#reason").value.trim();
-  const needs = ["hold", "settle"].includes(deed.do);
-  if (needs && !reason) return told(words, ["enter a reason first"], "lost");
-  told(words, ["..."], "");
-  const answer = await post("/deeds", needs ? { ...deed, reason } : deed);
-  if (answer === null) return told(words, ["NO CONNECTION: result unknown"], "lost");
-  if (answer.status === 401) return told(words, ["refused: the token is no longer valid"], "lost");
-  const found = await answer.json().catch(() => ({ trouble: `error ${answer.status}` }));
-  if (!answer.ok) return told(words, [`refused: ${found.trouble}`], "lost");
-  if (needs) $("#reason").value = "";
-  told(words, [...found.look, ...found.words], found.look.length ? "lost" : "");
+// Posts a command and shows the result; returns it, or null.
+export async function send(words, deed) {
+  tell(`${words}: sent, no reply yet`, "");
+  const answer = await post("/deeds", deed);
+  const found = await answer?.json().catch(() => ({ trouble: `error ${answer.status}` }));
+  if (!answer) tell(`${words}: no connection, result unknown`, "lost");
+  else if (answer.status === 401) tell(`${words}: refused: the token is no longer valid`, "lost");
+  else if (!answer.ok) tell(`${words}: refused: ${found.trouble}`, "lost");
+  else tell(`${words}: ${[...found.look, ...found.words].join("; ") || "done"}`, found.look.length ? "lost" : "");
+  redraw();
+  return answer?.ok ? found : null;
 }
 
-function told(words, answers, kind) {
-  set($("#deed-answer"), { class: kind });
-  say($("#deed-answer"), `${words}: ${answers.join("; ") || "done"}`);
+export function tell(words, kind) {
+  set($("#result"), { class: kind });
+  say($("#result"), words);
+  $("#result").hidden = !words;
+  clearTimeout(resultTimer);
+  if (words) resultTimer = setTimeout(() => tell("", ""), RESULT_MS);
 }
+
+// The choice of a reason.
+export function reasons(words, choices) {
+  return [html("h3", {}, words), html("div", { class: "choices" }, choices.map((one, k) =>
+    html("label", {}, html("input", { type: "radio", name: "why", value: one, checked: k === 0 }), one))),
+  html("input", { type: "text", name: "other", maxlength: 200, autocomplete: "off", "aria-label": "Other reason", placeholder: "Other reason" })];
+}
+

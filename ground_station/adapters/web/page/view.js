@@ -4,6 +4,7 @@ const TILE = 512;
 const MOST_ZOOM = 20;
 const FAR_PX = 20000; // SVG coordinates are single precision: 0.002 px there
 const MOST_STRETCH = 1; // zoom levels by which a drawing is scaled before it is redrawn
+const CLICK_PX = 6; // a pointer that moves further drags
 const REST_MS = 120; // delay after the last zoom step until everything is redrawn
 const EARTH_M = 40075016.7; // equator length of EPSG:3857
 
@@ -13,7 +14,7 @@ export function unit([lat, lon]) {
 }
 
 // Elements are drawn relative to an anchor, and panning moves the drawing as one element. While zooming,
-// the drawing is also scaled; it is redrawn when the zoom has ended.
+// the drawing is also scaled; it is redrawn when the motion has ended.
 export class View {
   constructor(element, moved) {
     this.element = element;
@@ -21,7 +22,7 @@ export class View {
     [this.x, this.y, this.zoom] = [0.5, 0.5, 1];
     this.width = this.height = 1;
     this.drawn = { x: 0.5, y: 0.5, zoom: null, number: 0 };
-    this.zoomedMs = -REST_MS;
+    this.movedMs = -REST_MS;
     new ResizeObserver(() => this.resize()).observe(element);
     this.resize();
     this.#followPointers();
@@ -29,6 +30,7 @@ export class View {
 
   resize() {
     [this.width, this.height] = [this.element.clientWidth || 1, this.element.clientHeight || 1];
+    this.drawn.zoom = null; // labels and ground depend on the size
     this.moved();
   }
 
@@ -58,9 +60,9 @@ export class View {
   }
 
   #outgrown() {
-    const { zoom } = this.drawn;
-    if (zoom === this.zoom) return false;
-    const rests = performance.now() - this.zoomedMs >= REST_MS;
+    const { x, y, zoom } = this.drawn;
+    if (zoom === this.zoom && x === this.x && y === this.y) return false;
+    const rests = performance.now() - this.movedMs >= REST_MS;
     return zoom === null || rests || Math.abs(this.zoom - zoom) > MOST_STRETCH;
   }
 
@@ -87,7 +89,7 @@ export class View {
   pan(right, down) {
     this.x += right / this.scale;
     this.y += down / this.scale;
-    this.moved();
+    this.#touch();
   }
 
   zoomBy(steps, [px, py] = [this.width / 2, this.height / 2]) {
@@ -96,25 +98,39 @@ export class View {
     const moved = 1 / before - 1 / this.scale;
     this.x += (px - this.width / 2) * moved;
     this.y += (py - this.height / 2) * moved;
-    this.zoomedMs = performance.now();
+    this.#touch();
+  }
+
+  #touch() {
+    this.movedMs = performance.now();
     clearTimeout(this.rest);
     this.rest = setTimeout(this.moved, REST_MS + 1);
     this.moved();
   }
 
-  centre(point) {
-    [this.x, this.y] = unit(point);
-    this.moved();
+  // Converts a pixel of the viewport to a position.
+  position([px, py]) {
+    const [x, y] = [this.x + (px - this.width / 2) / this.scale, this.y + (py - this.height / 2) / this.scale];
+    return [(Math.atan(Math.sinh(Math.PI * (1 - 2 * y))) * 180) / Math.PI, (x - 0.5) * 360];
   }
 
-  fit(points) {
+  centre(point) {
+    [this.x, this.y] = unit(point);
+    this.#touch();
+  }
+
+  // Shows all points; `pad`: pixels that are covered at left, right, top and bottom.
+  fit(points, pad = [60, 60, 50, 50]) {
     if (!points.length) return;
     const units = points.map(unit);
     const [xs, ys] = [units.map((u) => u[0]), units.map((u) => u[1])];
     const [left, right, top, low] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    const room = Math.min((0.8 * this.width) / (right - left || 1e-9), (0.8 * this.height) / (low - top || 1e-9));
-    [this.x, this.y] = [(left + right) / 2, (top + low) / 2];
+    const [wide, high] = [Math.max(60, this.width - pad[0] - pad[1]), Math.max(60, this.height - pad[2] - pad[3])];
+    const room = Math.min(wide / (right - left || 1e-9), high / (low - top || 1e-9));
     this.zoom = Math.min(17, Math.max(0, Math.log2(room / TILE)));
+    this.x = (left + right) / 2 + (pad[1] - pad[0]) / 2 / this.scale;
+    this.y = (top + low) / 2 + (pad[3] - pad[2]) / 2 / this.scale;
+    this.drawn.zoom = null;
     this.moved();
   }
 
@@ -128,7 +144,12 @@ export class View {
       const [a, b] = [...held.values()];
       return Math.hypot(a[0] - b[0], a[1] - b[1]) || 1;
     };
-    this.element.addEventListener("pointerdown", (event) => held.set(event.pointerId, [event.clientX, event.clientY]));
+    let pressed = null;
+    this.element.addEventListener("pointerdown", (event) => {
+      if (event.target.closest("button, a, input")) return;
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+      pressed = held.size === 1 ? [event.clientX, event.clientY] : null;
+    });
     this.element.addEventListener("pointermove", (event) => {
       const before = held.get(event.pointerId);
       if (!before) return;
@@ -137,6 +158,11 @@ export class View {
       if (wide) this.zoomBy(Math.log2(spread() / wide));
       else if (held.size === 1) this.pan(before[0] - event.clientX, before[1] - event.clientY);
     });
+    this.element.addEventListener("pointerup", (event) => {
+      const far = pressed ? Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) : Infinity;
+      if (held.has(event.pointerId) && far < CLICK_PX) this.clicked?.(place(event), event.pointerType !== "mouse");
+      pressed = null;
+    });
     for (const end of ["pointerup", "pointercancel", "pointerleave"])
       this.element.addEventListener(end, (event) => held.delete(event.pointerId));
     this.element.addEventListener("wheel", (event) => {
@@ -144,4 +170,10 @@ export class View {
       this.zoomBy(-event.deltaY / 300, place(event));
     }, { passive: false });
   }
+}
+
+// The greatest 1, 2 or 5 times a power of ten that is not above `metres`.
+export function niceLength(metres) {
+  const power = 10 ** Math.floor(Math.log10(metres));
+  return power * [5, 2, 1].find((times) => times * power <= metres);
 }

@@ -15,7 +15,8 @@ from ground_station.adapters.store.past_store import PastEvent, PastStore
 from ground_station.app.map.fleet_receiver import ReturnMarginSample, VehicleTrack
 from ground_station.app.map.flight_decisions import FlightDecisions
 from ground_station.app.map.map_feed import thinned_margin_history_json
-from ground_station.app.map.map_view import MapSnapshot, MapView, StoreSnapshot
+from ground_station.app.map.map_snapshot import MapSnapshot, StoreSnapshot
+from ground_station.app.map.map_view import MapView
 from ground_station.app.map.picture import Point
 from ground_station.app.map.replay.past_flight import FlightRecordFiles, PastFlight
 from ground_station.app.views.day_content import DayShown, DisplayRows
@@ -132,7 +133,13 @@ class ReplayDataSource:
         for one in self._decisions_until(t_us):
             decisions.record_decision(ReceivedDecision(one.received_us, one.event))
         return MapSnapshot(
-            t_us / 1e6, status, tracks, decisions, store_snapshot, notes=self.record_fault_texts
+            t_us / 1e6,
+            status,
+            tracks,
+            decisions,
+            store_snapshot,
+            notes=self.record_fault_texts,
+            epoch_us=t_us,
         )
 
     def _decisions_until(self, t_us: int) -> list[PastEvent]:

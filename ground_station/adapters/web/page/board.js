@@ -1,0 +1,101 @@
+// The orders as a table by state, and the driver's list, which prints and exports the same rows.
+
+import { button, html, keyed, morph, set } from "./dom.js";
+import { arrivalOf, carrierOf } from "./card.js";
+import { mayAdd } from "./forms.js";
+import { byName, clock, ORDER_WORDS, orderKind } from "./words.js";
+
+const GROUPS = ["stuck", "air", "van", "open", "delivered", "cancelled"];
+const COLUMNS = ["Order", "Customer", "Address", "Arrives", "By", "Weight", "Note"];
+const DRIVER_COLUMNS = ["Stop", "Arrive", "Leave", "Do", "Order", "Drone", "kg", "Customer", "Address", "Phone", "Note"];
+const find = { text: "", chip: "all" };
+
+export const setSearch = (text) => { find.text = text.toLowerCase(); };
+export const setChip = (chip) => { find.chip = chip; };
+
+export function drawBoard(board, picture, { nowUs, selected }) {
+  const { orders = {}, drones = {} } = picture;
+  const rows = Object.entries(orders).map(([id, order]) => ({ id, order, kind: orderKind(order, drones), arrives: arrivalOf(id, order, picture), by: carrierOf(id, order, picture) }));
+  const count = (kind) => rows.filter((row) => row.kind === kind).length;
+  const chip = (key, words, n) => button([words, html("b", {}, String(n))], "chip", key, { class: "chip", "aria-pressed": String(find.chip === key) });
+  const has = (row) => [row.id, row.order.customer, row.order.address, row.order.note, row.by].some((words) => words?.toLowerCase().includes(find.text));
+  const shown = rows.filter((row) => (find.chip === "all" || row.kind === find.chip) && (!find.text || has(row)));
+  morph(board, [html("div", { class: "board-head", "data-key": "head" },
+    html("label", { class: "find" }, html("input", { type: "search", id: "search", placeholder: "Order, name, street", "aria-label": "Search orders" })),
+    chip("all", "All", rows.length), GROUPS.filter((kind) => count(kind)).map((kind) => chip(kind, ORDER_WORDS[kind], count(kind))),
+    html("div", { class: "right" }, mayAdd() && [button("Add order", "select", "new", { class: "primary" }, "plus"), button("Import\u2026", "select", "import")], button("Driver's list", "view", "driver"))),
+  html("div", { class: "table", "data-key": "table", tabindex: 0, role: "region", "aria-label": "Table of orders" }, html("table", { "data-own": true }))]);
+  const table = board.querySelector("table");
+  if (!table.tHead) table.append(html("thead", {}, html("tr", {}, COLUMNS.map((words) => html("th", { scope: "col" }, words)))));
+  const groups = GROUPS.map((kind) => [kind, shown.filter((row) => row.kind === kind).sort((a, b) => (a.arrives ?? Infinity) - (b.arrives ?? Infinity) || byName(a.id, b.id))]).filter(([, list]) => list.length);
+  keyedBodies(table, groups, nowUs, selected);
+}
+
+function keyedBodies(table, groups, nowUs, selected) {
+  const bodies = new Map([...table.tBodies].map((body) => [body.dataset.kind, body]));
+  for (const [kind, list] of groups) {
+    const body = bodies.get(kind) ?? html("tbody", { "data-kind": kind });
+    bodies.delete(kind);
+    table.append(body);
+    const entries = [[`group ${kind}`, { kind, n: list.length }], ...list.map((row) => [row.id, row])];
+    keyed(body, entries, () => html("tr"), (tr, row, key) => {
+      if (row.n) return morph(tr, [html("th", { colspan: COLUMNS.length, scope: "rowgroup" }, ORDER_WORDS[row.kind], html("span", {}, String(row.n)))]), set(tr, { class: "group" });
+      set(tr, { class: `${row.kind}${key === selected ? " chosen" : ""}` });
+      if (tr.drawn && tr.drawn.order === row.order && tr.drawn.arrives === row.arrives && tr.drawn.by === row.by && tr.drawn.kind === row.kind) return undefined;
+      tr.drawn = row;
+      const { order } = row;
+      return morph(tr, [
+        html("td", {}, html("span", { class: `mark ${row.kind}` }), button(key, "select", key, { class: "plain" })),
+        html("td", {}, order.customer && html("b", {}, order.customer), order.priority && html("span", { class: "chip prio" }, "Priority")),
+        html("td", {}, order.address ?? ""),
+        html("td", { class: "num" }, ["delivered", "cancelled", "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : "not planned yet"),
+        html("td", {}, row.by ?? ""), html("td", { class: "num" }, `${order.mass_kg.toFixed(2)} kg`), html("td", { class: "note" }, order.why || order.note || "")]);
+    });
+  }
+  for (const body of bodies.values()) body.remove();
+}
+
+// --- the driver's list ----------------------------------------------------------------------------
+
+// What the driver does at each stop, in order: serve customers, put out drones, wait for drones.
+export function driverRows({ plan, orders = {} }) {
+  const time = (us) => (us ? clock(us) : "not started");
+  const row = (id, stop, does, order, drone = "") => {
+    const { mass_kg: kg, customer = "", address = "", phone = "", note = "" } = orders[order] ?? {};
+    return [id, time(stop.arrived_us ?? stop.arrive_us), time(stop.departed_us ?? stop.depart_us), does, order, drone, kg === undefined ? "" : kg.toFixed(2), customer, address, phone, note];
+  };
+  return (plan?.route ?? []).flatMap((id) => {
+    const stop = plan.stops[id];
+    if (!stop) return [];
+    const open = (plan.sorties ?? []).filter((one) => !["landed", "lost"].includes(one.state)).sort((a, b) => (a.launch_us ?? 0) - (b.launch_us ?? 0));
+    const served = (stop.serves ?? []).filter((order) => !["delivered", "cancelled"].includes(orders[order]?.state));
+    return [...served.map((order) => row(id, stop, "deliver", order)),
+      ...open.filter((one) => one.launch === id && one.state === "planned").map((one) => row(id, stop, "load", one.order, one.vehicle)),
+      ...open.filter((one) => one.home === id).map((one) => row(id, stop, "wait for", one.order, one.vehicle))];
+  });
+}
+
+export function driverCsv(picture) {
+  const cell = (value) => (/[",\n;]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
+  return [DRIVER_COLUMNS, ...driverRows(picture)].map((cells) => cells.map((value) => cell(String(value))).join(",")).join("\r\n");
+}
+
+export function drawDriverList(board, picture, nowUs) {
+  const rows = driverRows(picture);
+  morph(board, [
+    html("div", { class: "board-head", "data-key": "driver-head" }, html("h2", {}, "Driver's list"), html("div", { class: "right" }, button("Print", "print", "", { class: "primary" }), button("CSV", "csv"), button("Orders", "view", "orders"))),
+    html("div", { class: "table driver", "data-key": "driver", tabindex: 0, role: "region", "aria-label": "Driver's list" },
+      html("p", { class: "print-head" }, `${picture.fleet ?? ""}, ${picture.plan?.title ?? "no plan with a truck"}. Printed ${clock(nowUs)}.`),
+      rows.length ? html("table", {}, html("thead", {}, html("tr", {}, DRIVER_COLUMNS.map((words) => html("th", { scope: "col" }, words)))), html("tbody", {}, rows.map((cells, k) => html("tr", {}, cells.map((value, column) => html("td", {}, column < 3 && k && rows[k - 1][0] === cells[0] ? "" : value))))))
+        : html("p", { class: "calm" }, "No stop has work for the driver."))]);
+}
+
+export function saveFile(name, words) {
+  const address = URL.createObjectURL(new Blob(["\ufeff", words], { type: "text/csv" }));
+  const anchor = html("a", { href: address, download: name });
+  document.body.append(anchor);
+  anchor.click();
+  anchor.remove();
+  setTimeout(() => URL.revokeObjectURL(address), 10_000);
+}
+
