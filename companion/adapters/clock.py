@@ -1,6 +1,7 @@
 """The companion's sources of time: the autopilot's clock and the computer's clocks."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -25,6 +26,12 @@ def process_cpu_time_s() -> float:
 def unix_time_us() -> int:
     """Return microseconds since 1970, for file stamps and signatures."""
     return time.time_ns() // 1000
+
+
+def unix_clock_from(clock_s: Callable[[], float]) -> Callable[[], int]:
+    """Return a clock of microseconds since 1970 that begins now and advances with `clock_s`."""
+    begin_us, begin_s = unix_time_us(), clock_s()
+    return lambda: begin_us + round(1e6 * (clock_s() - begin_s))
 
 
 def local_time_text() -> str:

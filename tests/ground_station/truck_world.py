@@ -63,6 +63,7 @@ class Member:
     on: bool = True
     book: CommandLog = field(default_factory=CommandLog)
     events: list[FleetEvent] = field(default_factory=list)
+    clock_off_us: int = 0
 
     def tell(self, kind: EventKind, text: str, **more: object) -> None:
         self.events.append(
@@ -70,7 +71,7 @@ class Member:
                 vehicle=self.name,
                 log=self.name,
                 seq=len(self.events) + 1,
-                epoch_us=self.clock.epoch_us(),
+                epoch_us=self.clock.epoch_us() + self.clock_off_us,
                 kind=kind,
                 text=text,
                 **more,

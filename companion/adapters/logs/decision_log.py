@@ -160,7 +160,7 @@ class DecisionLog:
     """One MCAP file; a restarted run in the same folder writes a new file."""
 
     def __init__(self, path: Path, unix_clock_us: Callable[[], int] = unix_time_us) -> None:
-        """`unix_clock_us`: microseconds since 1970, read once, with the first message."""
+        """`unix_clock_us`: microseconds since 1970, of messages without a time of their own."""
         self._file = path.open("wb")
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE, use_statistics=True
@@ -180,34 +180,38 @@ class DecisionLog:
         schema_id = self._writer.register_schema(title, "jsonschema", json.dumps(schema).encode())
         self._channels[name] = self._writer.register_channel(f"/{name}", "json", schema_id)
 
-    def write(self, topic_name: str, row: dict[str, Any]) -> None:
-        """Append one row, and its Foxglove message."""
-        stamp_ns = self._stamp_ns(row["t_s"])
-        self._add_message(topic_name, row, stamp_ns)
-        topic, message = foxglove_row(topic_name, row, stamp_ns)
+    def write(self, topic_name: str, row: dict[str, Any], unix_us: int | None = None) -> None:
+        """Append one row, and its Foxglove message. `unix_us`: time of the row; None: now."""
+        stamps_ns = self._stamps_ns(row["t_s"], unix_us)
+        self._add_message(topic_name, row, stamps_ns)
+        topic, message = foxglove_row(topic_name, row, stamps_ns[0])
         if topic:
-            self._add_message(topic, message, stamp_ns)
+            self._add_message(topic, message, stamps_ns)
         self._file.flush()
 
-    def write_route_geojson(self, t_s: float, document: dict[str, Any]) -> None:
+    def write_route_geojson(
+        self, t_s: float, document: dict[str, Any], unix_us: int | None = None
+    ) -> None:
         """Append a GeoJSON document for Foxglove's map."""
         text = json.dumps(document, allow_nan=False)
-        self._add_message(ROUTE, {"geojson": text}, self._stamp_ns(t_s))
+        self._add_message(ROUTE, {"geojson": text}, self._stamps_ns(t_s, unix_us))
         self._file.flush()
 
-    def _stamp_ns(self, t_s: float) -> int:
-        t_ns = round(float(t_s) * 1e9)
+    def _stamps_ns(self, t_s: float, unix_us: int | None) -> tuple[int, int]:
+        """Return UTC by the autopilot's clock since the first message, and by the companion's."""
+        t_ns, unix_ns = round(float(t_s) * 1e9), 1000 * (unix_us or self._wall_clock_us())
         if self._utc_at_zero_ns is None:
-            self._utc_at_zero_ns = self._wall_clock_us() * 1000 - t_ns
+            self._utc_at_zero_ns = unix_ns - t_ns
             self._write_metadata(self._utc_at_zero_ns)
-        return max(0, self._utc_at_zero_ns + t_ns)
+        return max(0, self._utc_at_zero_ns + t_ns), max(0, unix_ns)
 
     def _write_metadata(self, utc_at_zero_ns: int) -> None:
         self._writer.add_metadata(
             METADATA,
             {
                 "format": FORMAT,
-                "log_time": "UTC, by the companion computer's clock at the first message",
+                "log_time": "UTC, by the companion computer's clock at the first message;"
+                " publish_time: at each message",
                 "t_s": "seconds on the autopilot's clock",
                 UTC_AT_ZERO: str(utc_at_zero_ns),
                 "wind": "where the air moves to, north and east",
@@ -215,13 +219,13 @@ class DecisionLog:
             },
         )
 
-    def _add_message(self, topic: str, row: dict[str, Any], stamp_ns: int) -> None:
+    def _add_message(self, topic: str, row: dict[str, Any], stamps_ns: tuple[int, int]) -> None:
         self._sequence += 1
         self._writer.add_message(
             self._channels[topic],
-            log_time=stamp_ns,
+            log_time=stamps_ns[0],
             data=json.dumps(row, allow_nan=False).encode(),
-            publish_time=stamp_ns,
+            publish_time=stamps_ns[1],
             sequence=self._sequence,
         )
 

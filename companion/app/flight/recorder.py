@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from companion.adapters.clock import unix_time_us
 from companion.adapters.files.atomic_file import write_text_atomically
 from companion.adapters.files.checkpoint_file import CHECKPOINT_NAME as CHECKPOINT
 from companion.adapters.files.checkpoint_file import checkpoint_write_job
@@ -77,9 +78,12 @@ class Recorder:
         keep_checkpoints: bool = True,
         synchronous: bool = False,
         on_action: Callable[[Action], None] | None = None,
+        unix_clock_us: Callable[[], int] = unix_time_us,
     ) -> None:
-        """`synchronous`: for simulation. `on_action` displays an action off the flight thread."""
-        self._on_action = on_action
+        """`synchronous`: for simulation. `on_action` displays an action off the flight thread.
+        `unix_clock_us`: clock that joins the record with the desk's events.
+        """
+        self._on_action, self._unix_clock_us = on_action, unix_clock_us
         self.run_dir = run_dir
         self._checkpoints_enabled = keep_checkpoints
         self._lists = defaultdict[str, list[dict[str, Any]]](list)
@@ -144,7 +148,7 @@ class Recorder:
         if flown is None or autopilot_kind is None or flown is self._plan:
             return
         self._plan = flown
-        mission = build_mission_export(flown, self.run_dir.name)
+        mission, now_us = build_mission_export(flown, self.run_dir.name), self._unix_clock_us()
         self._disk.submit_write_job(
             MISSION,
             lambda: self._write_mission(mission, autopilot_kind),
@@ -153,7 +157,7 @@ class Recorder:
         self._disk.submit_write_job(
             DECISIONS,
             lambda: self._files.open_files[DECISIONS].write_route_geojson(
-                t_s, mission_geojson(mission)
+                t_s, mission_geojson(mission), now_us
             ),
         )
 
@@ -221,8 +225,9 @@ class Recorder:
         )
 
     def _submit_decision_log_row(self, topic: str, row: dict[str, Any]) -> None:
+        now_us = self._unix_clock_us()
         self._disk.submit_write_job(
-            DECISIONS, lambda: self._files.open_files[DECISIONS].write(topic, row)
+            DECISIONS, lambda: self._files.open_files[DECISIONS].write(topic, row, now_us)
         )
 
     def write_result_and_wait(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from companion.adapters.autopilots.codec import mavlink
 from companion.adapters.autopilots.link import Link, open_link
 from companion.adapters.autopilots.operator_port import OperatorTrust
-from companion.adapters.clock import wall_s
+from companion.adapters.clock import unix_clock_from, wall_s
 from companion.adapters.files.folder_lock import FolderLock
 from companion.app.flight.loaded_flight import LoadedFlight, RunOptions
 from companion.app.flight.loop import Loop
@@ -100,6 +100,7 @@ class Run:
             keep_checkpoints=not options.pilot.check_only,
             synchronous=options.record_synchronously,
             on_action=on_action,
+            unix_clock_us=port.member.epoch_us if port else unix_clock_from(wall_clock_s),
         )
         codec, stamps = settings.build_codec(datagrams=link.datagrams)
         if options.system_id is not None:

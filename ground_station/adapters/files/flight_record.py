@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 from mcap.exceptions import McapError
-from mcap.records import Channel, McapRecord, Message, Metadata
+from mcap.records import Channel, McapRecord, Message
 from mcap.stream_reader import StreamReader
 
 from ground_station.core.fleet.uploaded_route import MissionRoute
@@ -41,8 +41,8 @@ DECODE_ERRORS = (
 ROUTE_TOPIC = "foxglove_route"
 """Rows of this topic contain the route and only the log time of their message."""
 
-METADATA_NAME, UTC_AT_ZERO_KEY = "leeway", "utc_at_t_s_0_ns"
-"""Metadata record with the wall clock time at the autopilot's time zero."""
+UNIX_S = "unix_s"
+"""Key that a row gets: time of its message by the companion's clock, as in its events."""
 
 Row = dict[str, Any]
 
@@ -70,76 +70,57 @@ class _Mission(msgspec.Struct):
 
 @dataclass(slots=True)
 class FlightRecord:
-    """Rows of one flight by topic, in order of time. `read_error`: why they end early, None if
-    intact.
-
-    `wall_offset_s`: offset of the wall clock from the autopilot's time; None if the file does not
-    state it.
+    """Rows of one flight by topic, in order of time (`UNIX_S`). `read_error`: why they end early,
+    None if intact.
     """
 
     path: Path
     rows: dict[str, list[Row]] = field(default_factory=lambda: {topic: [] for topic in TOPICS})
     read_error: str | None = None
-    wall_offset_s: float | None = None
 
     @property
     def first_and_last_time_s(self) -> tuple[float, float] | None:
-        """First and last time, by the autopilot's clock; None for an empty record."""
+        """First and last time; None for an empty record."""
         times = [
-            t for rows in self.rows.values() if rows for t in (rows[0]["t_s"], rows[-1]["t_s"])
+            t for rows in self.rows.values() if rows for t in (rows[0][UNIX_S], rows[-1][UNIX_S])
         ]
         return (min(times), max(times)) if times else None
 
-    def latest_row_at(self, topic: str, t_s: float) -> Row | None:
+    def latest_row_at(self, topic: str, unix_s: float) -> Row | None:
         """Return the latest row of a topic at a time."""
         rows = self.rows[topic]
-        found = bisect_right(rows, t_s, key=_row_time_s)
+        found = bisect_right(rows, unix_s, key=_row_unix_s)
         return rows[found - 1] if found else None
 
-    def rows_up_to(self, topic: str, t_s: float) -> list[Row]:
+    def rows_up_to(self, topic: str, unix_s: float) -> list[Row]:
         """Return the rows of a topic up to a time."""
         rows = self.rows[topic]
-        return rows[: bisect_right(rows, t_s, key=_row_time_s)]
+        return rows[: bisect_right(rows, unix_s, key=_row_unix_s)]
 
 
 def read_flight_record(path: Path) -> FlightRecord:
     """Read as much of a record as possible. `read_error` reports a missing or damaged file."""
     record = FlightRecord(path)
-    routes: list[tuple[float, MissionRoute]] = []
     try:
         for found in _iterate_decoded_messages(path):
-            _add_message_or_wall_offset(record, routes, found)
+            _add_message(record, *found)
     except OSError as error:
         record.read_error = error.strerror or str(error)
     except DECODE_ERRORS as error:
         record.read_error = f"truncated or damaged ({type(error).__name__})"
-    offset_s = record.wall_offset_s or 0.0
-    record.rows[ROUTE_TOPIC] = [
-        {"t_s": stamp_s - offset_s, "route": route} for stamp_s, route in routes
-    ]
     for rows in record.rows.values():
-        rows.sort(key=_row_time_s)
+        rows.sort(key=_row_unix_s)
     return record
 
 
-def _add_message_or_wall_offset(
-    record: FlightRecord,
-    routes: list[tuple[float, MissionRoute]],
-    message: tuple[str, float, Row],
-) -> None:
-    """Add one message, or the wall clock offset, to the record."""
-    topic, stamp_s, row = message
-    if topic == METADATA_NAME:
-        record.wall_offset_s = stamp_s
-        return
+def _add_message(record: FlightRecord, topic: str, unix_s: float, row: Row) -> None:
     if topic == ROUTE_TOPIC:
-        routes.append((stamp_s, _decode_route(row)))
-        return
-    needed = ("t_s", *TOPICS[topic])
+        row = {"route": _decode_route(row)}
+    needed = TOPICS[topic]
     if not all(isinstance(row.get(name), int | float) for name in needed):
         record.read_error = record.read_error or f"a row of {topic} without {', '.join(needed)}"
         return
-    record.rows[topic].append(row)
+    record.rows[topic].append(row | {UNIX_S: unix_s})
 
 
 def _decode_route(row: Row) -> MissionRoute:
@@ -165,22 +146,20 @@ def _lat_lon_from_geojson_position(lon_lat_deg: list[float]) -> tuple[float, flo
 
 
 def _iterate_decoded_messages(path: Path) -> Iterator[tuple[str, float, Row]]:
-    """Yield (topic, stamp, row) of each message; for the metadata the stamp of time zero."""
+    """Yield (topic, time by the companion's clock, row) of each message."""
     topics: dict[int, str] = {}
     with path.open("rb") as file:
         for record in _mcap_records(StreamReader(file)):
             if isinstance(record, Channel):
                 topics[record.id] = record.topic.removeprefix("/")
-            elif isinstance(record, Metadata) and record.name == METADATA_NAME:
-                yield METADATA_NAME, int(record.metadata[UTC_AT_ZERO_KEY]) / 1e9, {}
             elif isinstance(record, Message) and topics.get(record.channel_id) in TOPICS:
                 row = msgspec.json.decode(record.data, type=dict[str, Any])
-                yield topics[record.channel_id], record.log_time / 1e9, row
+                yield topics[record.channel_id], record.publish_time / 1e9, row
 
 
 def _mcap_records(reader: StreamReader) -> Iterator[McapRecord]:
     return reader.records
 
 
-def _row_time_s(row: Row) -> float:
-    return row["t_s"]
+def _row_unix_s(row: Row) -> float:
+    return row[UNIX_S]

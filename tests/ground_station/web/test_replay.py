@@ -28,6 +28,12 @@ pytestmark = [pytest.mark.sample, pytest.mark.timeout(180)]
 TOOK_OFF_S = 1000.0
 """When the recorded flight began, by the autopilot's clock."""
 
+AUTOPILOT_RATE = 0.5
+"""Of the autopilot's clock: a simulator on a machine under load."""
+
+COMPANION_OFF_US = -7_000_000_000
+"""Of the companion's clock against the desk's."""
+
 
 def replay(site: MapSite, folder: Path | None = None) -> ReplayDataSource:
     records = () if folder is None else find_replay_files(str(folder)).records
@@ -117,16 +123,17 @@ def lat_lon(line: list) -> list:
     return [(lat, lon) for lon, lat, _ in line]
 
 
-def write_record(path: Path, decisions: dict[float, str]) -> None:
+def write_record(path: Path, decisions: dict[float, str], began_us: int) -> None:
     """Write 50 s of flight north at 10 m/s, with decisions and a falling margin."""
     path.parent.mkdir(parents=True)
-    log = DecisionLog(path)
+    now_us = [began_us]
+    log = DecisionLog(path, lambda: now_us[0])
     log.write("phase", {"t_s": TOOK_OFF_S, "before": "arm", "now": "outbound", "why": "go"})
     state = {"mode": "", "mode_name": "", "failsafe": False, "ready_state": True}
     log.write("heard_state", {"t_s": TOOK_OFF_S, "armed": True, **state})
     log.write_route_geojson(TOOK_OFF_S, mission(ROUND_IT, HOME))
     for k in range(50):
-        t_s = TOOK_OFF_S + k
+        t_s, now_us[0] = TOOK_OFF_S + AUTOPILOT_RATE * k, began_us + 1_000_000 * k
         log.write("heard_position", {
             "t_s": t_s, "lat_deg": 55.47 + k * 10.0 / 111_320.0, "lon_deg": 8.45,
             "alt_amsl_m": 50.0, "height_rel_m": 40.0,
@@ -155,29 +162,37 @@ def write_record(path: Path, decisions: dict[float, str]) -> None:
 @pytest.fixture
 def flown(site: MapSite, tmp_path: Path) -> tuple[MapSite, Path, int]:
     """A day in which d1 flies, its record, and the desk's time at which the record begins."""
-    site.until_flying("d1")
     drone = site.world.drones["d1"]
+    drone.clock_off_us = COMPANION_OFF_US
+    site.until_flying("d1")
     assert drone.flight is not None
     assignment = drone.flight.assignment
     began_us = site.world.clock.epoch_us()
     row = next(r for r in site.day.sorties() if r.vehicle == "d1")
-    told = {10.0: "go: 12 Wh above", 30.0: f"divert: to {row.promised_stop}: the wind has turned"}
+    again = "go: 12 Wh above"
+    told = {10.0: again, 30.0: f"divert: to {row.promised_stop}: the wind has turned", 44.0: again}
     for k in range(45):
         if k in told:
             drone.tell(EventKind.DECISION, told[k], assignment=assignment)
         site.step()
     folder = tmp_path / "run"
-    write_record(folder / "d1" / f"assignment-{assignment}" / "decisions.mcap", told)
+    write_record(
+        folder / "d1" / f"assignment-{assignment}" / "decisions.mcap",
+        told,
+        began_us + COMPANION_OFF_US,
+    )
     return site, folder, began_us
 
 
-def test_a_flights_record_is_on_the_desks_clock_by_the_decisions_that_both_have(flown):
+def test_a_flights_record_is_on_the_desks_clock_within_a_second(flown):
     site, folder, began_us = flown
     past = replay(site, folder)
-    for k in (5, 20, 40):
+    for k in range(2, 42):
         drone = past.picture_at(began_us + k * 1_000_000)["drones"]["d1"]
-        assert drone["at"][0] == pytest.approx(55.47 + k * 10.0 / 111_320.0, abs=2 * 10 / 111_320)
-        assert drone["margin_wh"] == pytest.approx(30.0 - k, abs=2.0)
+        assert drone["at"][0] == pytest.approx(
+            55.47 + k * 10.0 / 111_320.0, abs=1.01 * 10 / 111_320
+        )
+        assert drone["margin_wh"] == pytest.approx(30.0 - k, abs=1.01)
         assert math.cos(math.radians(drone["course_deg"])) > 0.999
         assert drone["armed"]
         assert list(drone["wind_to_ne_mps"]) == [-2.0, 3.0]
@@ -186,7 +201,7 @@ def test_a_flights_record_is_on_the_desks_clock_by_the_decisions_that_both_have(
     assert past.record_fault_texts == ()
     (mark,) = past.time_line_data()["marks"]
     assert mark["words"].startswith("d1: divert: to ")
-    assert mark["t_us"] == pytest.approx(began_us + 30e6, abs=2e6)
+    assert mark["t_us"] == pytest.approx(began_us + 30e6, abs=1e6)
     history = past.margin_history_until("d1", began_us + 20_000_000)
     assert history is not None
     assert [one["margin_wh"] for one in history] == [30.0 - k for k in range(len(history))]
@@ -215,14 +230,14 @@ def test_the_route_is_the_one_that_was_aboard_at_that_time(flown):
 
 def test_of_a_flight_without_a_desk_route_and_diversion_are_the_records_own(tmp_path: Path):
     folder = tmp_path / "default-seed1"
-    write_record(folder / "decisions.mcap", {30.0: "divert: to field: the wind has turned"})
+    write_record(folder / "decisions.mcap", {30.0: "divert: to field: the wind has turned"}, 1)
     past = ReplayDataSource(MapView("past"), None, find_replay_files(str(folder)).records)
     began_us = past.time_line_data()["from_us"]
     out = past.picture_at(began_us + 10_000_000)["drones"][folder.name]
     assert out["way"] == {"out": lat_lon(ROUND_IT), "home": lat_lon(HOME)}
     (feed,) = past.flights
     feed.combined_record.rows["phase"].append(
-        {"t_s": TOOK_OFF_S + 31, "before": "outbound", "now": "divert", "why": "wind"}
+        {"unix_s": 31.0, "before": "outbound", "now": "divert", "why": "wind"}
     )
     diverted = past.picture_at(began_us + 40_000_000)["drones"][folder.name]
     assert diverted["way"]["now"] == [diverted["at"], (FIELD[1], FIELD[0])]
@@ -282,7 +297,7 @@ def test_a_record_whose_rows_lack_what_is_shown_is_a_note(flown):
     (record,) = folder.rglob("*.mcap")
     record.write_bytes(record.read_bytes().replace(b'"lat_deg"', b'"lat_dog"'))
     notes = replay(site, folder).picture_at(began_us + 10_000_000)["notes"]
-    assert any("a row of heard_position without t_s, lat_deg, lon_deg" in words for words in notes)
+    assert any("a row of heard_position without lat_deg, lon_deg" in words for words in notes)
 
 
 def test_a_record_that_is_missing_is_a_note_and_the_desks_words_stand_in(flown):

@@ -13,6 +13,7 @@ from companion.core.mission.event_text import DecisionEvent
 from companion.fleet.messages import EventKind, FleetEvent, State
 from ground_station.adapters.files.flight_record import (
     ROUTE_TOPIC,
+    UNIX_S,
     FlightRecord,
     Row,
     read_flight_record,
@@ -55,7 +56,7 @@ class PastFlight:
         first, *more = (read_flight_record(path) for path in self._paths)
         for other in more:
             for topic, rows in other.rows.items():
-                first.rows[topic] = sorted(first.rows[topic] + rows, key=lambda row: row["t_s"])
+                first.rows[topic] = sorted(first.rows[topic] + rows, key=lambda row: row[UNIX_S])
             first.read_error = first.read_error or other.read_error
         return first
 
@@ -75,22 +76,18 @@ class PastFlight:
         )
 
     @cached_property
-    def autopilot_to_desk_offset_us(self) -> int:
-        """Offset from the autopilot's time to the desk's: from decisions that both have recorded,
-        else from the record's own stamps, else from the modification time of its file.
+    def _companion_to_desk_offset_us(self) -> int:
+        """Offset from the companion's clock, which stamps rows and events, to the desk's: that of
+        the event with the smallest transmission delay; 0 without events.
         """
-        received_us_by_text = {one.event.text: one.received_us for one in reversed(self._events)}
-        offsets_us = [
-            received_us_by_text[decision_text] - round(1e6 * row["t_s"])
-            for row in self.combined_record.rows["decision"]
-            if (decision_text := _decision_text(row)) in received_us_by_text
-        ]
-        if offsets_us:
-            return min(offsets_us)  # the smallest transmission delay
-        if self.combined_record.wall_offset_s is not None:
-            return round(1e6 * self.combined_record.wall_offset_s)
-        _, last_s = self.combined_record.first_and_last_time_s or (0.0, 0.0)
-        return round(1e6 * (_latest_modification_s(self._paths) - last_s))
+        own = (one for one in self._events if one.event.vehicle == self.vehicle)
+        return min((one.received_us - one.event.epoch_us for one in own), default=0)
+
+    def _companion_unix_s(self, t_us: int) -> float:
+        return 1e-6 * (t_us - self._companion_to_desk_offset_us)
+
+    def _desk_us(self, unix_s: float) -> int:
+        return self._companion_to_desk_offset_us + round(1e6 * unix_s)
 
     @property
     def record_time_span_us(self) -> tuple[int, int] | None:
@@ -98,9 +95,7 @@ class PastFlight:
         span = self.combined_record.first_and_last_time_s
         if span is None:
             return None
-        return self.autopilot_to_desk_offset_us + round(
-            1e6 * span[0]
-        ), self.autopilot_to_desk_offset_us + round(1e6 * span[1])
+        return self._desk_us(span[0]), self._desk_us(span[1])
 
     def covers_time(self, t_us: int) -> bool:
         """Whether its record covers this time."""
@@ -109,7 +104,7 @@ class PastFlight:
 
     def state_at(self, t_us: int, order: str | None) -> State | None:
         """Return the state as the vehicle would report it; None: before the first record."""
-        t_s, record = (t_us - self.autopilot_to_desk_offset_us) / 1e6, self.combined_record
+        t_s, record = self._companion_unix_s(t_us), self.combined_record
         position_row = record.latest_row_at("heard_position", t_s)
         assessed = record.latest_row_at("assessment", t_s) or {}
         wind, phase = record.latest_row_at("wind", t_s) or {}, record.latest_row_at("phase", t_s)
@@ -149,18 +144,18 @@ class PastFlight:
 
     def track_at(self, t_us: int) -> VehicleTrack:
         """Return its course, margins and probabilities until this time, and route."""
-        t_s = (t_us - self.autopilot_to_desk_offset_us) / 1e6
+        t_s = self._companion_unix_s(t_us)
         found = VehicleTrack(received_us=t_us)
         for row in self.combined_record.rows_up_to("heard_position", t_s)[::-1]:
             position = row["lat_deg"], row["lon_deg"]
             found.course_origin = found.course_origin or position
-            if t_s - row["t_s"] > COURSE_WINDOW_S:
+            if t_s - row[UNIX_S] > COURSE_WINDOW_S:
                 break
             if (course_deg := _course_deg(position, found.course_origin)) is not None:
                 found.course_deg = course_deg
                 break
         for row in self.combined_record.rows_up_to("assessment", t_s):
-            at_us = self.autopilot_to_desk_offset_us + round(1e6 * row["t_s"])
+            at_us = self._desk_us(row[UNIX_S])
             found.margin_samples.append(
                 ReturnMarginSample(at_us, row.get("margin_wh"), row.get("p_home"))
             )
@@ -175,7 +170,7 @@ class PastFlight:
         ]
 
     def _decision_event(self, n: int, row: Row) -> PastEvent:
-        at_us = self.autopilot_to_desk_offset_us + round(1e6 * row["t_s"])
+        at_us = self._desk_us(row[UNIX_S])
         event = FleetEvent(
             vehicle=self.vehicle,
             log="record",
@@ -198,13 +193,6 @@ def _p_home_limit_or_unset(assessed: Row) -> float | UnsetType:
     """Return the limit of evidence where it limited P(home)."""
     p_home, stated = assessed.get("p_home"), assessed.get("p_home_stated")
     return UNSET if p_home is None or stated is None or stated >= p_home else stated
-
-
-def _latest_modification_s(paths: tuple[Path, ...]) -> float:
-    try:
-        return max(path.stat().st_mtime for path in paths)
-    except OSError:
-        return 0.0
 
 
 def _speed_mps(position_row: Row) -> float | None:
