@@ -14,6 +14,7 @@ from ground_station.app.cli import (
     benchmark,
     cluster,
     dispatch,
+    doctor,
     estimate,
     ground,
     hold,
@@ -109,6 +110,7 @@ app.add_typer(estimate.app)
 app.add_typer(ground.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
+app.add_typer(doctor.app)
 app.add_typer(pki.app, name="pki")
 app.add_typer(router.app)
 app.add_typer(hold.app)
