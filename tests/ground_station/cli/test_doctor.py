@@ -57,7 +57,7 @@ def test_items_of_the_attention_list_are_findings_and_calm_vehicles_are_ok():
     item = {"key": "idle d2", "who": "d2", "title": "d2 gets no orders", "words": "34 m away."}
     launch = {"key": "launch A-7", "who": "d1", "title": "d1 waits for your launch"}
     picture = {
-        "drones": {**dict.fromkeys(("d1", "d2", "d4"), {"heard_us": 1}), "d3": {}},
+        "drones": {"d3": {}, **{name: {"heard_us": 1} for name in ("d1", "d2", "d4")}},
         "desk_heard_us": 1,
         "attention": [item, launch],
     }
