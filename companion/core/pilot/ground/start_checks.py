@@ -249,6 +249,15 @@ class StartAuthorisation:
         is_overdue = context.time_in_phase_s > WAIT_TIMEOUT_S
         return "; ".join(f.words for f in waiting) if is_overdue else ""
 
+    def expected_start_text(self, context: FlightContext) -> str:
+        """Return which start the companion waits for, or why it would refuse one; else `""`."""
+        if self.is_pending or context.options.authorise or self._authorised:
+            return ""
+        blocking, _ = self._blocking_and_waiting_issues(context)
+        if blocking:
+            return f"a start will be refused: {'; '.join(issue.words for issue in blocking)}"
+        return "waiting for a start: MAV_CMD_MISSION_START to this component, or the desk's launch"
+
     def _blocking_and_waiting_issues(
         self, context: FlightContext
     ) -> tuple[list[PreflightIssue], list[PreflightIssue]]:
