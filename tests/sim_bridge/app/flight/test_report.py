@@ -64,7 +64,7 @@ def test_columns_and_lines_stay_where_they_are_while_the_figures_change():
 def row(**changes: Any) -> dict[str, Any]:
     ended = {"kind": "finished", "reason": "ABRT: 1 m from depot"}
     base = {"vehicle": "m100-2", "flight_time_s": 80.0, "decisions": [ended], "reason": None}
-    return base | {"outcome": "ABRT"} | changes
+    return base | {"outcome": "ABRT", "judged_by": "truth"} | changes
 
 
 def test_a_flight_tells_why_it_ended():
