@@ -69,7 +69,6 @@ class Run:
     check_only: bool = False
     wall_clock_s: Callable[[], float] = wall_s
     unanswered_since_s: float | None = None
-    """Start of waiting for requested telemetry, while the autopilot's clock may stand still."""
 
     @classmethod
     def begin(
@@ -165,11 +164,8 @@ class Run:
 
     def _end_check_if_unanswered(self) -> int | None:
         """Report an autopilot that grants no request of the companion; a check ends then."""
-        if self.pilot.phase is not Phase.CONFIGURE:
-            self.unanswered_since_s = None
-            return None
         now_s = self.wall_clock_s()
-        if self.unanswered_since_s is None:
+        if self.pilot.phase is not Phase.CONFIGURE or self.unanswered_since_s is None:
             self.unanswered_since_s = now_s
         if now_s - self.unanswered_since_s < UNANSWERED_LIMIT_S:
             return None

@@ -67,10 +67,8 @@ def entry_point_names(group: str) -> frozenset[str]:
 def load_plugin_file(group: str, name: str, own_names: tuple[str, ...] = ()) -> Path:
     """Load a plug-in that is the path of a file; raise LeewayError if it is none."""
     plugin = load_plugin(group, name, own_names)
-    if not isinstance(plugin.target, str | Path):
-        raise LeewayError(f"{plugin.label}: {plugin.target!r}: expected the path of a file")
-    if not Path(plugin.target).is_file():
-        raise LeewayError(f"{plugin.label}: {plugin.target}: no such file")
+    if not isinstance(plugin.target, str | Path) or not Path(plugin.target).is_file():
+        raise LeewayError(f"{plugin.label}: {plugin.target}: expected the path of an existing file")
     return Path(plugin.target)
 
 

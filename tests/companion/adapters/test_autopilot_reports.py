@@ -12,11 +12,8 @@ from companion.adapters.logs.ulog_faults import fault_starts
 from companion.analysis.replay.autopilot_faults import autopilot_faults
 from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.core.mission.events import EstimatorHealth, Mode, VehicleState
-from companion.core.mission.preflight_checks import (
-    RouteProperties,
-    settings_to_correct,
-    unmet_requirement_issues,
-)
+from companion.core.mission.preflight_checks import RouteProperties, unmet_requirement_issues
+from companion.core.mission.preflight_checks import settings_to_correct as to_set
 
 ROUTE = RouteProperties(
     *(20.0, 40.0, 300.0, 100.0, 17.0, 30.0, 3.0, 2.0, 0.7, 19.8, 21.0, 6, 5700.0), False
@@ -86,12 +83,12 @@ def test_each_finding_names_its_parameters_with_their_values_and_those_to_set(pr
 
 
 def test_px4_forwarding_is_reported_by_instance_and_not_set_for_one_flight():
-    values = {"MAV_0_CONFIG": 101.0, "MAV_0_FORWARD": 1.0, "MAV_1_CONFIG": 102.0}
-    values |= {"MAV_1_FORWARD": 0.0, "MAV_2_CONFIG": 0.0, "MAV_2_FORWARD": 0.0}
+    values = {"MAV_0_CONFIG": 101.0, "MAV_0_FORWARD": 1.0, "MAV_1_CONFIG": 102.0,
+              "MAV_1_FORWARD": 0.0, "MAV_2_CONFIG": 0.0, "MAV_2_FORWARD": 0.0}  # fmt: skip
     requirements = Px4().parameter_requirements(ROUTE)
     (issue,) = (i for i in unmet_requirement_issues(requirements, values) if "forward" in i.words)
     assert issue.words.endswith("companion: MAV_1_FORWARD is 0, set 1, reboot")
-    assert "MAV_1_FORWARD" not in settings_to_correct(requirements, values)
+    assert "MAV_1_FORWARD" not in to_set(requirements, values)
 
 
 def test_failsafes_and_estimator_faults_of_a_recording_are_listed_while_armed():

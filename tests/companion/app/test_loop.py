@@ -148,13 +148,12 @@ def beats(station: Station, wall: list[float], seconds: int) -> list[str]:
 def test_a_check_of_an_autopilot_that_answers_no_request_ends_with_the_reason(tmp_path):
     made, wall = Station(tmp_path), [0.0]
     made.wall_clock_s = lambda: wall[0]
-    lock = FolderLock.acquire(tmp_path)
+    lock, code = FolderLock.acquire(tmp_path), None
     run = Run(made.loop, made.recorder, made.pilot, lock, True, lambda: wall[0])
-    code = None
-    while code is None and wall[0] < 60.0:
+    for wall[0] in range(60):
         made.put(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
-        code = run.run_cycle_and_get_exit_code()
-        wall[0] += 1.0
+        if (code := run.run_cycle_and_get_exit_code()) is not None:
+            break
     assert code == GROUNDED
     assert 30.0 <= wall[0] <= 45.0  # from the identification on
     run.write_result_and_close(code)

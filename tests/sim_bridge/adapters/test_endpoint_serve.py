@@ -77,8 +77,7 @@ def test_a_served_vehicles_signing_clock_is_the_time_of_day() -> None:
         host.add_vehicle(served, onboard_urls=["udpin::0"])
         served.autopilot.radio.enable_signing(bytes(32), 0)
         host.run_cycle()
-        signing = served.autopilot.radio.signing
-        assert signing is not None
+        assert (signing := served.autopilot.radio.signing) is not None
         assert abs(signing.timestamp_10us / 1e5 + 1_420_070_400 - time.time()) < WAIT_S  # 2015
 
 
