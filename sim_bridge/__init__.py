@@ -9,6 +9,8 @@ TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from companion.core.routing.planner_interface import (
+        NO_EDGE,
+        STOP_AT_DEPOT,
         BatchPlanner,
         MissionPlanner,
         PlannerObservation,
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from sim_bridge.truth.wind_field import MeanWind
 
 __all__ = [
+    "NO_EDGE",
+    "STOP_AT_DEPOT",
     "BatchPlanner",
     "FlightResult",
     "MeanWind",
@@ -39,8 +43,10 @@ __getattr__, __dir__ = lazy_exports(
         "FlightResult": ".app.flight.api",
         "MeanWind": ".truth.wind_field",
         "MissionPlanner": _INTERFACE,
+        "NO_EDGE": _INTERFACE,
         "PlannerObservation": _INTERFACE,
         "PlanningTask": ".research.planners.planner_plugin",
+        "STOP_AT_DEPOT": _INTERFACE,
         "campaign": ".research.api",
         "fly": ".app.flight.api",
         "score_wind": ".research.api",

@@ -17,7 +17,7 @@ def test_where_no_ground_station_reaches_the_companion_it_takes_off_only_if_told
     assert ("take_off" in flown.kinds) is flies
     assert not flown.craft.operator.accepted
     log = (flown.run_dir / "companion.log").read_text()
-    assert "MAV_n_FORWARD = 1" in log
+    assert "MAV_0_FORWARD is 0, set 1, reboot" in log
     assert ("no ground station or desk reaches this companion" in log) is not flies
 
 

@@ -290,15 +290,18 @@ class Px4:
             ),
             ParameterRequirement(
                 tuple(name for pair in MAVLINK_INSTANCES for name in pair),
-                "messages forwarded between ground station and companion: MAV_n_FORWARD = 1 on"
-                " both links, then reboot",
-                lambda v: (
-                    not any(v.get(config) and v.get(on) == 0.0 for config, on in MAVLINK_INSTANCES)
-                ),
-                lambda _: {},
+                "messages forwarded between ground station and companion",
+                lambda v: not _forwarding_to_enable(v),
+                _forwarding_to_enable,
                 False,
+                needs_reboot=True,
             ),
         )
+
+
+def _forwarding_to_enable(values: ParameterValues) -> dict[str, float]:
+    """Return MAV_n_FORWARD = 1 for each instance in use that forwards nothing."""
+    return {on: 1.0 for used, on in MAVLINK_INSTANCES if values.get(used) and values.get(on) == 0.0}
 
 
 def _require_at_least(

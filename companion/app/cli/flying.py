@@ -182,8 +182,8 @@ def check_vehicle_and_return_exit_code(options: RunOptions) -> int:
         typer.echo(f"MISSING  {reason_no_check_ran(pilot)}\nNOT READY")
         return code
     if pilot.phase is not Phase.GROUNDED:
-        silent = code == NO_LINK
-        typer.echo(no_autopilot_message(options.link) if silent else "the check was interrupted")
+        texts = {NO_LINK: no_autopilot_message(options.link), GROUNDED: "NOT CHECKED"}
+        typer.echo(texts.get(code, "the check was interrupted"))
         return code
     lines, ready = check_report_lines_and_is_ready(pilot)
     typer.echo("\n".join(lines))

@@ -219,7 +219,10 @@ class Recorder:
         self._disk.submit_write_job(record, job, replace_queued_job=True)
 
     def record_exception(self, t_s: float, error: BaseException) -> None:
-        """Write the exception that ended the loop, with its traceback."""
+        """Show the exception that ended the loop, and write it with its traceback."""
+        if (on_action := self._on_action) is not None:
+            shown = LogNote(f"internal error: {error}", in_run=True, in_check=True)
+            self._disk.submit_write_job(SCREEN_RECORD, lambda: on_action(shown))
         self.submit_text_log_line(
             t_s, f"internal error: {error!r}\n{''.join(traceback.format_exception(error))}"
         )

@@ -47,6 +47,9 @@ def fly_mission(
     return run_until_exit_and_return_code(flown), flown.pilot
 
 
+UNANSWERED_LIMIT_S = 30.0
+"""Duration of waiting for requested telemetry until it is reported; a slow link takes seconds."""
+
 UNCHECKABLE_PHASES = (Phase.RECOGNISE, *RELEASED_PHASES)
 """Phases that a check cannot leave: the vehicle flies, or another controller commands it."""
 
@@ -64,6 +67,8 @@ class Run:
     pilot: Pilot
     lock: FolderLock
     check_only: bool = False
+    wall_clock_s: Callable[[], float] = wall_s
+    unanswered_since_s: float | None = None
 
     @classmethod
     def begin(
@@ -142,7 +147,7 @@ class Run:
                 recorder.submit_text_log_line(pilot.context.telemetry.t_s, text)
         if recorded_monitor is not None:
             recorded_monitor.replace_damaged_record(recorder.submit_monitor_write)
-        return cls(loop, recorder, pilot, lock, options.pilot.check_only)
+        return cls(loop, recorder, pilot, lock, options.pilot.check_only, wall_clock_s)
 
     def run_cycle_and_get_exit_code(self) -> int | None:
         """Run one loop step; return the exit code once the mission ends or the link is lost."""
@@ -156,7 +161,19 @@ class Run:
             return NO_LINK
         if self.check_only and self.pilot.phase in UNCHECKABLE_PHASES:
             return GROUNDED
-        return None
+        return self._end_check_if_unanswered()
+
+    def _end_check_if_unanswered(self) -> int | None:
+        """Report an autopilot that grants no request of the companion; a check ends then."""
+        now_s = self.wall_clock_s()
+        if self.pilot.phase is not Phase.CONFIGURE or self.unanswered_since_s is None:
+            self.unanswered_since_s = now_s
+        if now_s - self.unanswered_since_s < UNANSWERED_LIMIT_S:
+            return None
+        self.unanswered_since_s = now_s
+        messages = "what is requested; if it requires signed commands: --signing-key FILE"
+        self.loop.report_alert(Alert.TELEMETRY_MISSING, messages=messages)
+        return GROUNDED if self.check_only else None
 
     def write_result_and_close(self, exit_code: int) -> None:
         """Send pending messages, write the result, close all files and the link."""

@@ -5,6 +5,7 @@ A plug-in is loaded only where a person names it. `companion run` loads none.
 
 import hashlib
 import sys
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module, metadata
@@ -67,7 +68,7 @@ def load_plugin_file(group: str, name: str, own_names: tuple[str, ...] = ()) -> 
     """Load a plug-in that is the path of a file; raise LeewayError if it is none."""
     plugin = load_plugin(group, name, own_names)
     if not isinstance(plugin.target, str | Path) or not Path(plugin.target).is_file():
-        raise LeewayError(f"{plugin.label}: {plugin.target!r}: expected the path of a file")
+        raise LeewayError(f"{plugin.label}: {plugin.target}: expected the path of an existing file")
     return Path(plugin.target)
 
 
@@ -118,7 +119,9 @@ class PluginGuard:
         try:
             return function(*arguments)
         except Exception as error:  # the code of others may raise anything
-            raise self.error(f"{name} raised {_one_line(error)}") from error
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            where = "" if place.filename == __file__ else f" ({place.filename}:{place.lineno})"
+            raise self.error(f"{name} raised {_one_line(error)}{where}") from error
 
     def error(self, text: str) -> LeewayError:
         """Return the error with this text."""

@@ -106,7 +106,8 @@ class ParameterRequirement:
     """A requirement on the autopilot's parameters.
 
     `names` are all parameters that it reads. `is_met` evaluates their values (`None`: unknown),
-    `required_values` returns the values for `--configure`. `required`: no takeoff without it.
+    `required_values` returns the values to set. `required`: no takeoff without it. `needs_reboot`:
+    without effect until a reboot, so `--configure` does not set it.
     """
 
     names: tuple[str, ...]
@@ -114,6 +115,7 @@ class ParameterRequirement:
     is_met: Callable[[ParameterValues], bool | None]
     required_values: Callable[[ParameterValues], dict[str, float]]
     required: bool
+    needs_reboot: bool = False
 
 
 def evaluate_parameter(
@@ -215,15 +217,17 @@ def unmet_requirement_issues(
 
 
 def _correction_text(requirement: ParameterRequirement, parameter_values: ParameterValues) -> str:
-    """Format current and required values: `COM_LOW_BAT_ACT is 0, set 3`."""
+    """Format the values to set, or those read: `COM_LOW_BAT_ACT is 0, set 3`."""
     required_value = requirement.required_values(parameter_values)
     reported = {n: v for n in requirement.names if (v := parameter_values.get(n)) is not None}
-    return ", ".join(
-        f"{name} is {value:g}"
-        + (f", set {required_value[name]:g}" if name in required_value else "")
+    corrections = [
+        f"{name} is {value:g}, set {required_value[name]:g}"
         for name, value in reported.items()
-        if required_value.get(name) != value
-    )
+        if required_value.get(name, value) != value
+    ]
+    if requirement.needs_reboot:
+        corrections.append("reboot")
+    return ", ".join(corrections or [f"{name} is {value:g}" for name, value in reported.items()])
 
 
 def settings_to_correct(
@@ -232,7 +236,7 @@ def settings_to_correct(
     """Return the values to set so that every requirement with known parameters is met."""
     required_value: dict[str, float] = {}
     for requirement in requirements:
-        if requirement.is_met(parameter_values) is False:
+        if not requirement.needs_reboot and requirement.is_met(parameter_values) is False:
             required_value |= requirement.required_values(parameter_values)
     return {
         name: value

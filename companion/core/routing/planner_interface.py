@@ -8,8 +8,11 @@ from typing import Protocol
 
 from companion.core.base.arrays import Bools, Floats, Ints
 
-STOP_AT_DEPOT = -1  # end at the depot without delivery: ABRT
-NO_EDGE = -2  # the vertex has no usable out-edge: the mission is lost
+STOP_AT_DEPOT = -1
+"""End at the depot without delivery: ABRT."""
+
+NO_EDGE = -2
+"""The vertex has no usable out-edge: the mission is lost."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,8 +96,12 @@ def read_airframe(name: str, folder: Path) -> Airframe:
     path = folder / name if name.endswith(".toml") else params_dir() / "airframes" / f"{name}.toml"
     if not path.is_file() and name.endswith(".toml") and Path(name).is_file():
         path = Path(name)
-    if not path.is_file() and name in entry_point_names(AIRFRAMES):
+    names = entry_point_names(AIRFRAMES)
+    if not path.is_file() and name in names:
         path = load_plugin_file(AIRFRAMES, name)
+    if not path.is_file() and not name.endswith(".toml"):
+        own = {one.stem for one in path.parent.glob("*.toml")}
+        raise LeewayError(unknown_name_message(name, "airframe", own | names))
     return airframe_from_dict(read_toml(path), str(path))
 
 

@@ -86,10 +86,9 @@ def fly_vehicles_and_evaluate(options: FlyOptions, *scripts: Script) -> dict[str
         for craft in crafts:
             craft.companion.terminate_or_kill()
             if options.estimator is not None and craft.companion.exit_code == CRASHED_EXIT_CODE:
-                raise LeewayError(
-                    f"wind estimator {options.estimator}: the companion ended with an error, see"
-                    f" {craft.run_dir / 'companion.log'}"
-                )
+                _, _, reason = craft.companion.read_output().rpartition("internal error: ")
+                log = craft.run_dir / "companion.log"
+                raise LeewayError(f"{reason.partition(chr(10))[0]}; the companion's log: {log}")
     rows = [_save_truth_and_evaluate_flight(options, craft, airframe) for craft in crafts]
     result = {"flights": rows}
     (run_dir / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))

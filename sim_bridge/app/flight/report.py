@@ -240,7 +240,10 @@ def end_reason_and_settings_messages(row: dict[str, Any]) -> list[str]:
     reason_by_kind = {d["kind"]: d["reason"] for d in row["decisions"]}
     reason = reason_by_kind.get("grounded") or reason_by_kind.get("finished") or row.get("reason")
     ended = "no take-off" if row["flight_time_s"] == 0.0 else "ended"
-    messages = [f"{number} {ended}: {reason}"] if reason else []
+    by_truth = row["judged_by"] == "truth" and row["flight_time_s"] != 0.0
+    differs = by_truth and reason and not reason.startswith(f"{row['outcome']}: ")
+    note = " (the companion's estimate; the table is by truth)" if differs else ""
+    messages = [f"{number} {ended}: {reason}{note}"] if reason else []
     settings = row.get("settings", [])
     restored = ", ".join(_format_setting(s) for s in settings if s["restored"])
     left = ", ".join(_format_setting(s) for s in settings if not s["restored"])

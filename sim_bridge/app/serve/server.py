@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from sim_bridge.adapters.endpoint import EndpointSet, bundle_frames
 from sim_bridge.adapters.realtime import Pacer
+from sim_bridge.adapters.wall_clock import mavlink_signing_time_10us
 from sim_bridge.app.world.vehicle_host import PHYSICS_STEP_S, VehicleHost
 from sim_bridge.autopilot.kinds import AutopilotKind, LinkKind
 from sim_bridge.autopilot.mavlink.codec import Signer
@@ -103,6 +104,8 @@ class Host:
         self._steps += self._steps_per_cycle
         for index, vehicle_host in enumerate(self._vehicles):
             vehicle_host.advance(self._steps_per_cycle)
+            if (signing := vehicle_host.autopilot.radio.signing) is not None:
+                signing.advance_clock_to(mavlink_signing_time_10us())  # as satellite time does
             for link, frames in vehicle_host.take_sent_frames_by_link().items():
                 for datagram in bundle_frames(frames):
                     self._endpoints.send(self._endpoint_by_link[index, link], datagram)

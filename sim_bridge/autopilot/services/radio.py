@@ -70,6 +70,7 @@ class Radio:
         self._outbox: list[tuple[int, bytes]] = []
         self._own_commands: list[_OwnCommand] = []
         self._text_id = 0
+        self.signing: Signing | None = None
 
     def add_link(
         self, link_id: int, kind: LinkKind, *, stream: bool, signing: Signer | None
@@ -88,7 +89,7 @@ class Radio:
 
     def enable_signing(self, secret_key: bytes, timestamp_10us: int) -> None:
         """Sign on every link with this key."""
-        signing = Signing(secret_key, timestamp_10us)
+        self.signing = signing = Signing(secret_key, timestamp_10us)
         for link_id, link in self.links.items():
             link.encoder.signing = link.decoder.signing = signing.link_signer(link_id)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from companion.adapters.files.params import read_airframe
 from companion.adapters.logs.flight_table import FlightTableRow, read_flight_table
 from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.analysis.measured_energy.flight_measurements import (
@@ -14,6 +13,7 @@ from companion.analysis.measured_energy.flight_measurements import (
     measure_recorded_flight,
 )
 from companion.analysis.replay.recorded_flight import first_position
+from companion.app.api import read_airframe
 from companion.core.base.errors import LeewayError
 from companion.core.base.geo import ne_offset_m
 from companion.core.vehicle.airframe import Airframe

@@ -49,7 +49,7 @@ class Experiment(Generic[Case, Result]):
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Tables by file stem, a JSON document, and pictures by file name."""
+    """Tables by file stem, a JSON document (default: the tables), and pictures by file name."""
 
     sheets: Mapping[str, "Sheet"]
     document: object | None = None
@@ -125,8 +125,9 @@ class ExperimentRun:
         for name, draw in report.pictures.items():
             draw(self._out / name)
             output_paths.append(self._out / name)
-        if self._json is not None and report.document is not None:
-            write_json_result(self._json, report.document, indent=1)
+        if self._json is not None:
+            tables = {stem: sheet.to_records() for stem, sheet in report.sheets.items()}
+            write_json_result(self._json, report.document or tables, indent=1)
             output_paths.append(self._json)
         typer.echo("wrote " + ", ".join(str(path) for path in output_paths), err=True)
         for case_store in self._journals:

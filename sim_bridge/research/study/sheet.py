@@ -76,6 +76,11 @@ class Sheet:
             )
         return [page, table]
 
+    def to_records(self) -> list[dict[str, float | str | None]]:
+        """Return the rows of the CSV file for a JSON document; an unknown number is null."""
+        head, *rows = zip(*self._csv_columns(), strict=True)
+        return [dict(zip(head, map(_number_or_text, row), strict=True)) for row in rows]
+
     def _csv_columns(self) -> Iterator[list[str]]:
         """Yield columns of one value a cell, heading first; an unknown number is empty."""
         for head, cells in zip(self.head, zip(*self.rows, strict=True), strict=True):
@@ -86,6 +91,13 @@ class Sheet:
             for part in several:
                 values = [each.values[part] if isinstance(each, Figures) else "" for each in cells]
                 yield _csv_column(part.format(head), values)
+
+
+def _number_or_text(cell: str) -> float | str | None:
+    try:
+        return float(cell) if cell else None
+    except ValueError:
+        return cell
 
 
 def _csv_column(head: str, cells: Sequence[str]) -> list[str]:
@@ -107,9 +119,12 @@ def _markdown_row(cells: Sequence[str]) -> str:
 
 
 def mean_and_std(values: ArrayLike, digits: int = 1) -> Figures:
-    """Return mean and sample standard deviation in the paper's form."""
+    """Return mean and sample standard deviation, unknown of one value, in the paper's form."""
     values = np.asarray(values, dtype=float)
-    spread = values.std(ddof=1) if len(values) > 1 else 0.0
+    if len(values) < 2:
+        mean = format(float(values.mean()), f".{digits}f")
+        return Figures(mean, {"{} mean": mean, "{} std": ""})
+    spread = values.std(ddof=1)
     return plus_minus(float(values.mean()), float(spread), f".{digits}f", "std")
 
 

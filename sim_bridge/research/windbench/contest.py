@@ -249,7 +249,7 @@ def leader_board(standings: list[EstimatorScore], window_count: int, day_count: 
     folders = sorted({name for one in standings for name in one.folders})
     ranked = sorted(standings, key=lambda one: one.score_mps)
     columns: dict[str, Column] = {
-        "": lambda one: str(1 + ranked.index(one)),
+        "rank": lambda one: str(1 + ranked.index(one)),
         "estimator": "{0.estimator}",
         "score, m/s": "{0.score_mps:.2f}",
         "95 % by days": lambda one: low_to_high((one.low_mps, one.high_mps), ".2f"),

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.files.params import read_airframe
 from companion.adapters.logs.flight_table import TABLE_NAME
 from companion.adapters.logs.open_log import read_log_of_any_format
 from companion.analysis.calibration.records import Blocks
@@ -17,6 +16,7 @@ from companion.analysis.replay.recorded_flight import (
     resample_flight_on_time_grid,
 )
 from companion.analysis.replay.replayed_wind import wind_observations_from_samples
+from companion.app.api import read_airframe
 from companion.core.base.arrays import Bools, Floats
 from companion.core.base.errors import LeewayError
 from companion.core.vehicle.air import standard_air

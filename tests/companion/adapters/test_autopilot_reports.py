@@ -1,5 +1,7 @@
 """What autopilots report about themselves: mode names, arming checks, faults in recordings."""
 
+import re
+
 import numpy as np
 import pytest
 from pymavlink.mavutil import mode_mapping_acm
@@ -11,6 +13,7 @@ from companion.analysis.replay.autopilot_faults import autopilot_faults
 from companion.analysis.replay.recorded_flight import RecordedFlight
 from companion.core.mission.events import EstimatorHealth, Mode, VehicleState
 from companion.core.mission.preflight_checks import RouteProperties, unmet_requirement_issues
+from companion.core.mission.preflight_checks import settings_to_correct as to_set
 
 ROUTE = RouteProperties(
     *(20.0, 40.0, 300.0, 100.0, 17.0, 30.0, 3.0, 2.0, 0.7, 19.8, 21.0, 6, 5700.0), False
@@ -63,6 +66,29 @@ def test_a_power_check_that_is_off_on_px4_is_reported():
         values = {"CBRK_SUPPLY_CHK": value}
         issues = unmet_requirement_issues(Px4().parameter_requirements(ROUTE), values)
         assert len([i for i in issues if i.name == "CBRK_SUPPLY_CHK"]) == expected
+
+
+@pytest.mark.parametrize("profile", [ArduPilot(), Px4()])
+def test_each_finding_names_its_parameters_with_their_values_and_those_to_set(profile):
+    for requirement in profile.parameter_requirements(ROUTE):
+        tried = (dict.fromkeys(requirement.names, x) for x in (0.0, 1.0, 2.0, 4.0, 1e5, 894281.0))
+        unmet = [values for values in tried if requirement.is_met(values) is False]
+        for values in unmet:
+            (issue,) = unmet_requirement_issues([requirement], values)
+            corrections = issue.words.removeprefix(f"{requirement.description}: ").split(", ")
+            names = re.findall(r"(\w+) is \S+, set \S+", ", ".join(corrections))
+            assert names, issue.words
+            assert set(names) <= set(requirement.names)
+            assert len(corrections) - 2 * len(names) == requirement.needs_reboot
+
+
+def test_px4_forwarding_is_reported_by_instance_and_not_set_for_one_flight():
+    values = {"MAV_0_CONFIG": 101.0, "MAV_0_FORWARD": 1.0, "MAV_1_CONFIG": 102.0,
+              "MAV_1_FORWARD": 0.0, "MAV_2_CONFIG": 0.0, "MAV_2_FORWARD": 0.0}  # fmt: skip
+    requirements = Px4().parameter_requirements(ROUTE)
+    (issue,) = (i for i in unmet_requirement_issues(requirements, values) if "forward" in i.words)
+    assert issue.words.endswith("companion: MAV_1_FORWARD is 0, set 1, reboot")
+    assert "MAV_1_FORWARD" not in to_set(requirements, values)
 
 
 def test_failsafes_and_estimator_faults_of_a_recording_are_listed_while_armed():

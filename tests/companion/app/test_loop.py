@@ -25,7 +25,7 @@ from companion.app.flight import run as run_module
 from companion.app.flight.loaded_flight import autopilot_parameter_requirements
 from companion.app.flight.loop import Loop
 from companion.app.flight.recorder import Recorder
-from companion.app.flight.run import INTERNAL_ERROR
+from companion.app.flight.run import GROUNDED, INTERNAL_ERROR, Run
 from companion.app.flight.send_queue import SendQueue
 from companion.app.flight.signing_monitor import SigningMonitor
 from companion.core.mission.actions import (
@@ -143,6 +143,21 @@ def beats(station: Station, wall: list[float], seconds: int) -> list[str]:
         said += [m.text for m in station.turn() if m.get_type() == "STATUSTEXT"]
         wall[0] += 1.0
     return said
+
+
+def test_a_check_of_an_autopilot_that_answers_no_request_ends_with_the_reason(tmp_path):
+    made, wall = Station(tmp_path), [0.0]
+    made.wall_clock_s = lambda: wall[0]
+    lock, code = FolderLock.acquire(tmp_path), None
+    run = Run(made.loop, made.recorder, made.pilot, lock, True, lambda: wall[0])
+    for wall[0] in range(60):
+        made.put(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
+        if (code := run.run_cycle_and_get_exit_code()) is not None:
+            break
+    assert code == GROUNDED
+    assert 30.0 <= wall[0] <= 45.0  # from the identification on
+    run.write_result_and_close(code)
+    assert "--signing-key" in "".join(getattr(message, "text", "") for message in made.turn())
 
 
 def test_signed_frames_that_our_clock_refuses_are_told_within_five_seconds_with_both_times(

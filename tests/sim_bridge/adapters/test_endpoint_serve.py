@@ -71,6 +71,16 @@ def test_a_vehicle_answers_on_udp_and_on_tcp_and_carries_messages_between_them(
             assert companion.hear("PING", component=190).seq == 7
 
 
+def test_a_served_vehicles_signing_clock_is_the_time_of_day() -> None:
+    with Host(SPEEDUP) as host:
+        served = on_the_ground(AutopilotKind.PX4)
+        host.add_vehicle(served, onboard_urls=["udpin::0"])
+        served.autopilot.radio.enable_signing(bytes(32), 0)
+        host.run_cycle()
+        assert (signing := served.autopilot.radio.signing) is not None
+        assert abs(signing.timestamp_10us / 1e5 + 1_420_070_400 - time.time()) < WAIT_S  # 2015
+
+
 def test_several_vehicles_share_a_host_each_on_its_own_link() -> None:
     with Host(SPEEDUP) as host:
         urls = [

@@ -106,6 +106,8 @@ class GroundSequence:
                 context.queue_actions(VerifyMission(context.flight_plan.mission.items))
             case Phase.READY:
                 context.report_alert(Alert.READY)
+                if text := self._authorisation.expected_start_text(context):
+                    context.queue_actions(LogNote(text, in_run=True))
             case Phase.ARM:
                 self._authorisation.record_start()
                 context.request_checkpoint()

@@ -12,7 +12,6 @@ from companion.core.mission.alerts import Alert
 from companion.core.mission.checkpoint import Checkpoint
 from companion.core.mission.command_life_cycle import CommandKind
 from companion.core.mission.events import (
-    AutopilotKind,
     Event,
     GnssTime,
     Mode,
@@ -29,9 +28,6 @@ from companion.core.pilot.transitions import GROUND_PHASES, Phase, Trigger
 
 OPERATOR_MAX_AGE_S = 10.0
 """A ground station's heartbeat comes at 1 Hz: ten in a row are not lost on a working link."""
-
-FORWARDING_HINT = ": set MAV_n_FORWARD = 1 for its link and the companion's, reboot"
-"""PX4 boards forward on the first link only; the simulators of PX4 forward on all."""
 
 MAX_FLIGHT_TIME_FACTOR = 2.0
 """Ratio of the maximum flight time to the planned one, because no wind is known yet."""
@@ -132,8 +128,7 @@ class PreflightChecks:
             return ""
         if context.seconds_since(self._operator_message_s) <= OPERATOR_MAX_AGE_S:
             return ""
-        hint = FORWARDING_HINT if context.telemetry.autopilot_kind is AutopilotKind.PX4 else ""
-        return f"no ground station or desk reaches this companion{hint} (--no-operator)"
+        return "no ground station or desk reaches this companion: connect one, or --no-operator"
 
     def _flight_window_findings(self, context: FlightContext) -> list[PreflightIssue]:
         """Return a finding if the flight would exceed its hours: other zones apply then."""
@@ -253,6 +248,15 @@ class StartAuthorisation:
         self._report_new_wait_reason(context, waiting[0].words)
         is_overdue = context.time_in_phase_s > WAIT_TIMEOUT_S
         return "; ".join(f.words for f in waiting) if is_overdue else ""
+
+    def expected_start_text(self, context: FlightContext) -> str:
+        """Return which start the companion waits for, or why it would refuse one; else `""`."""
+        if self.is_pending or context.options.authorise or self._authorised:
+            return ""
+        blocking, _ = self._blocking_and_waiting_issues(context)
+        if blocking:
+            return f"a start will be refused: {'; '.join(issue.words for issue in blocking)}"
+        return "waiting for a start: MAV_CMD_MISSION_START to this component, or the desk's launch"
 
     def _blocking_and_waiting_issues(
         self, context: FlightContext

@@ -64,11 +64,13 @@ def test_columns_and_lines_stay_where_they_are_while_the_figures_change():
 def row(**changes: Any) -> dict[str, Any]:
     ended = {"kind": "finished", "reason": "ABRT: 1 m from depot"}
     base = {"vehicle": "m100-2", "flight_time_s": 80.0, "decisions": [ended], "reason": None}
-    return base | changes
+    return base | {"outcome": "ABRT", "judged_by": "truth"} | changes
 
 
 def test_a_flight_tells_why_it_ended():
     assert end_reason_and_settings_messages(row()) == ["2 ended: ABRT: 1 m from depot"]
+    (text,) = end_reason_and_settings_messages(row(outcome="SUC"))
+    assert text.endswith("ABRT: 1 m from depot (the companion's estimate; the table is by truth)")
 
 
 def test_a_vehicle_that_stayed_on_the_ground_tells_what_kept_it_there():

@@ -12,7 +12,7 @@ from companion.core.base.errors import LeewayError
 from ground_station.adapters.workers.journal import ProgressLog, work_digest
 from ground_station.adapters.workers.side_by_side import WorkerOptions
 from sim_bridge.research.study.run import Experiment, ExperimentRun, Report
-from sim_bridge.research.study.sheet import Sheet
+from sim_bridge.research.study.sheet import Sheet, mean_and_std
 
 
 def square(n: int) -> int:
@@ -82,6 +82,13 @@ def test_a_report_is_printed_and_written_and_the_journal_removed(
     assert json.loads((tmp_path / "out.json").read_text()) == {"squares": [0, 1, 4]}
     assert (tmp_path / "p.png").read_bytes() == b"PNG"
     assert not list(tmp_path.glob("*.partial"))
+
+
+def test_the_json_file_of_a_report_without_a_document_is_its_tables(tmp_path: Path) -> None:
+    sheet = Sheet("T", ["a", "b %", "c"], [["x", mean_and_std([2.0]), "-"]])
+    ExperimentRun(tmp_path, json=tmp_path / "out.json").print_and_write_report(Report({"t": sheet}))
+    row = {"a": "x", "b % mean": 2.0, "b % std": None, "c": None}
+    assert json.loads((tmp_path / "out.json").read_text()) == {"t": [row]}
 
 
 def test_a_json_file_without_a_folder_is_refused_first(tmp_path: Path) -> None:
