@@ -162,10 +162,10 @@ def can_return(
     outlook.update_from_estimate(belief)
     full_wh = max(energy_left_wh, reserve_wh, 1e-9)
     energy = EnergyBelief(0.0, energy_left_wh, energy_std_wh, full_wh, "stated")
-    limit = RiskEvidence(process).p_home_limit
-    gate = Gate(RouteEnergy(frame), GateParams(max_loss, reserve_wh, p_home_limit=limit))
+    gate = Gate(RouteEnergy(frame), GateParams(max_loss, reserve_wh))
     remaining = RemainingMission((ReturnRoute("home", tuple(legs)),), ())
-    return gate.assess(remaining, belief, outlook, energy)
+    models = remaining, belief, outlook, energy
+    return gate.with_evidence_limit(gate.assess(*models), RiskEvidence(process).doubt, *models)
 
 
 def _finite(name: str, values: Sequence[float], count: int) -> Floats:

@@ -106,7 +106,7 @@ def evaluate_logs_and_write_certificate(options: CertifyOptions) -> None:
     is_supported = certificate.supported_loss_probability <= options.max_loss
     console.print(f"certificate: {certificate.summary_text}")
     evidence = RiskEvidence(read_wind_process(options.wind_process), certificate)
-    console.print(f"limit of evidence: {evidence.summary_text}")
+    console.print(f"evidence: {evidence.summary_text}")
     console.print(
         f"{percent_text(options.max_loss)} needs {needed[0]} days, and with"
         f" {percent_text(COVERAGE)} confidence {needed[1]} without a loss:"

@@ -1,25 +1,41 @@
 """Limit of evidence: the P(home) that recorded wind and certified days support.
 
-P(home) of the gate holds if wind and draw change as their models describe. Recordings without a
-contradiction bound the probability that a flight meets what they do not describe: after n
-independent trials, none of them a loss, it is at most 1 - 0.05^(1/n) with 95 % probability (Clopper
-and Pearson, Biometrika 26, 1934; nearly 3 / n, Hanley and Lippman-Hand, JAMA 249, 1983). Every such
-event counts as a loss of the vehicle.
+P(home) of the gate holds at the fitted parameters of wind and draw. Both have a spread that few
+observations determine. With n independent ones and a vague prior, the posterior of a variance is
+scaled inverse chi-square with n degrees of freedom (Gelman and others, Bayesian Data Analysis,
+2013, 2.6): with 95 % probability it is at most n / chi2_0.05(n) times the fitted one. The limit of
+evidence of a decision is its P(home) with both variances at these bounds, the lower credible bound
+over their posterior.
 
-Trials of the wind: the recorded time behind the process, in blocks of one return. Trials of the
-draw: the certificate's days, because flights of one day are not exchangeable. Both combine to one
-figure by `joint_loss_upper_limit`. Without a certificate the figure is that of the wind alone.
+Observations of the wind: the recorded time behind the process, in blocks of one return. Of the
+draw: the certificate's days, because flights of one day are not exchangeable; an airframe without a
+certificate counts as one with the fewest days.
 """
 
+import math
 from dataclasses import dataclass
 
-from companion.core.certificate.certificate import Certificate, percent_text
-from companion.core.certificate.support import COVERAGE, joint_loss_upper_limit
+import numpy as np
+
+from companion.core.base.probability import chi_square_upper_quantile
+from companion.core.certificate.certificate import MIN_DAYS, Certificate, percent_text
+from companion.core.certificate.support import COVERAGE
+from companion.core.return_budget.budget import RESOLVED_LOSS, ModelDoubt
 from companion.core.wind.process import WindProcessParams
 
 RETURN_S = 300.0
-"""Duration of one trial of the wind: a return, and the horizon up to which changes of the wind have
-Student's tails. Changes over successive blocks of this length are nearly uncorrelated."""
+"""Duration of one observation of the wind: a return, and the horizon up to which changes of the
+wind have Student's tails. Changes over successive blocks of this length are nearly uncorrelated."""
+
+MAX_VARIANCE_FACTOR = 1e4
+
+
+def variance_upper_factor(observations: float) -> float:
+    """Return the upper credible bound of a variance over its estimate."""
+    if observations < 1.0:
+        return MAX_VARIANCE_FACTOR
+    (quantile,) = chi_square_upper_quantile(observations, np.array([COVERAGE]))
+    return min(observations / float(quantile), MAX_VARIANCE_FACTOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +46,11 @@ class RiskEvidence:
     certificate: Certificate | None = None
 
     @property
-    def loss_limit(self) -> float:
-        """Loss that the evidence cannot exclude, with 95 % probability."""
-        wind = (self.wind_process.recorded_s or 0.0) / RETURN_S
-        days = () if self.certificate is None else (float(len(self.certificate.days)),)
-        return joint_loss_upper_limit((wind, *days))
-
-    @property
-    def p_home_limit(self) -> float:
-        """Largest P(home) that is stated to people."""
-        return 1.0 - self.loss_limit
+    def doubt(self) -> ModelDoubt:
+        """Bounds of the models' spread."""
+        returns = (self.wind_process.recorded_s or 0.0) / RETURN_S
+        days = MIN_DAYS if self.certificate is None else len(self.certificate.days)
+        return ModelDoubt(variance_upper_factor(returns), math.sqrt(variance_upper_factor(days)))
 
     @property
     def sources_text(self) -> str:
@@ -58,17 +69,19 @@ class RiskEvidence:
 
     @property
     def summary_text(self) -> str:
-        """The limit and the evidence behind it, as text."""
+        """The evidence and the bounds that it gives, as text."""
+        doubt = self.doubt
         return (
-            f"risk of a flight at most {percent_text(self.loss_limit)}"
-            f" (with {percent_text(COVERAGE)} probability) by {self.sources_text}"
+            f"{self.sources_text}: with {percent_text(COVERAGE)} probability the wind varies at"
+            f" most {math.sqrt(doubt.wind_variance_factor):.1f} times as much as modelled and the"
+            f" draw {doubt.model_std_factor:.1f} times"
         )
 
     def missing_support_text(self, max_loss: float) -> str:
-        """Return that this accepted loss is below the limit, as text; "" if it is not."""
-        if max_loss >= self.loss_limit:
+        """Return that this accepted loss is below what can be supported, as text; "": it is not."""
+        if max_loss >= RESOLVED_LOSS:
             return ""
         return (
-            f"accepted loss of {percent_text(max_loss)} is below the limit of evidence,"
-            f" {percent_text(self.loss_limit)} by {self.sources_text}: it rests on the models"
+            f"accepted loss of {percent_text(max_loss)} is below {percent_text(RESOLVED_LOSS)}, the"
+            f" smallest that is stated, by {self.sources_text}: it rests on the models"
         )

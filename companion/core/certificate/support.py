@@ -7,7 +7,6 @@ exceeds the largest of them all with probability at most 1 / (n + 1).
 """
 
 import math
-from collections.abc import Sequence
 
 from companion.core.base.errors import LeewayError
 
@@ -23,35 +22,6 @@ def loss_upper_confidence_limit(loss_free_day_count: int, confidence: float = CO
     """Return the upper confidence limit of the loss for the given days: n of n days without loss
     (Clopper and Pearson, Biometrika 26, 1934)."""
     return 1.0 - (1.0 - confidence) ** (1.0 / loss_free_day_count)
-
-
-def joint_loss_upper_limit(
-    loss_free_trials: Sequence[float], confidence: float = COVERAGE
-) -> float:
-    """Return the upper credible limit of the loss by any of several independent causes, each with
-    its trials without loss; one cause: `loss_upper_confidence_limit`.
-
-    With n trials without loss the posterior of a cause's survival probability q is Beta(n, 1) (its
-    quantile is Clopper and Pearson's limit), so -log q is exponential with rate n. The sum over the
-    causes is hypoexponential (Ross, Introduction to Probability Models, 5.2.4).
-    """
-    rates = sorted(loss_free_trials)
-    if rates[0] <= 0.0:
-        return 1.0
-    # The closed form requires different rates; the shift changes the limit by less than 1e-4.
-    rates = [rate * (1.0 + 1e-4 * k) for k, rate in enumerate(rates)]
-
-    def exceedance(log_survival: float) -> float:
-        return sum(
-            math.exp(-a * log_survival) * math.prod(b / (b - a) for b in rates if b != a)
-            for a in rates
-        )
-
-    low, high = 0.0, sum(math.log(len(rates) / (1.0 - confidence)) / rate for rate in rates)
-    while high - low > 1e-9:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if exceedance(middle) > 1.0 - confidence else (low, middle)
-    return -math.expm1(-high)
 
 
 def days_needed_for_loss(max_loss: float) -> int:

@@ -110,8 +110,7 @@ def estimate_flight(
     outlook.update_from_estimate(wind_estimate)
     reserve_wh = flight.mission.reserve_frac * energy.usable_full_wh
     evidence = RiskEvidence(wind_process)
-    params = GateParams(flight.mission.max_loss, reserve_wh, p_home_limit=evidence.p_home_limit)
-    gate = Gate(route_energy, params)
+    gate = Gate(route_energy, GateParams(flight.mission.max_loss, reserve_wh))
     remaining_flight = remaining_outbound(
         planned.plan,
         planned.plan.depot_ned_m,
@@ -121,7 +120,8 @@ def estimate_flight(
         DROP_TOTAL_S,
         flight.mission.wind_settle_s + SETTLE_MARGIN_S,
     )
-    assessment = gate.assess(remaining_flight, wind_estimate, outlook, energy)
+    models = remaining_flight, wind_estimate, outlook, energy
+    assessment = gate.with_evidence_limit(gate.assess(*models), evidence.doubt, *models)
     return FlightEstimate(flight, planned, energy, reserve_wh, assessment, evidence)
 
 

@@ -83,9 +83,7 @@ class FlightEstimates:
             flight.vehicle, airframe, route_energy, self._tally, monitor_corrections, certificate
         )
         self.evidence = RiskEvidence(wind_process, certificate)
-        self.gate = FlightGate(
-            route_energy, self._outlook, self._shared, self.evidence.p_home_limit
-        )
+        self.gate = FlightGate(route_energy, self._outlook, self._shared, self.evidence.doubt)
         self._watch = EnvelopeMonitor(certificate)
         # Uses the file's own process, because the monitor tests that process.
         self._nominal_outlook = WindOutlook(wind_process) if is_wind_suspect else self._outlook

@@ -11,7 +11,7 @@ their detection does not matter. So a tail of 1 % is a smooth function.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.core.return_budget.leg_costs import LegTable
@@ -23,17 +23,22 @@ from companion.core.routing.leg_energy import RouteEnergy
 from companion.core.vehicle.energy_ledger import EnergyBelief
 from companion.core.vehicle.power_bias import ModelError
 from companion.core.wind.estimator import WindBelief
-from companion.core.wind.forecast import WindForecaster
+from companion.core.wind.forecast import ScaledForecaster, WindForecaster
 
 __all__ = [
     "Assessment",
     "Gate",
     "GateDecision",
     "GateParams",
+    "ModelDoubt",
     "RemainingMission",
     "ReturnRoute",
     "Stage",
 ]
+
+SAMPLES = 256
+RESOLVED_LOSS = 1.0 / SAMPLES
+"""Smallest loss that is stated to people: the gate draws no rarer wind."""
 
 _ACCEPTED_LOSS_FACTORS = (3.0, 2.5, 2.0, 1.5, 1.0)
 """Accepted loss of one decision in multiples of `max_loss`, in the order tried at departure."""
@@ -63,14 +68,22 @@ class GateParams:
     `min_success`: the gate turns back, at departure and in flight, if P(success) is lower: without
     a delivery there is no reason to fly, however safe. Default: less than one delivery in twenty
     flights; the 128 policy samples have a standard error of 0.02 there, so that it is not 0.
-    `p_home_limit`: limit of evidence of stated probabilities (`RiskEvidence`); decides nothing.
     """
 
     max_loss: float
     reserve_wh: float
     min_success: float = 0.05
-    samples: int = 256
-    p_home_limit: float = 1.0
+    samples: int = SAMPLES
+
+
+@dataclass(frozen=True, slots=True)
+class ModelDoubt:
+    """Upper credible bounds of the variance of changes of the wind and of the standard deviation of
+    the energy model, in multiples of the modelled ones (`RiskEvidence`).
+    """
+
+    wind_variance_factor: float = 1.0
+    model_std_factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +207,32 @@ class Gate:
             evaluation, remaining, wind_estimate, energy, accepted, decision
         )
 
+    def with_evidence_limit(
+        self,
+        assessment: Assessment,
+        doubt: ModelDoubt,
+        remaining: RemainingMission,
+        wind_estimate: WindBelief,
+        wind_outlook: WindForecaster,
+        energy: EnergyBelief,
+        model_error: ModelError | None = None,
+    ) -> Assessment:
+        """Return the assessment with its limit of evidence: P(home) of the same decision with the
+        models' spread at its upper bound, and at most 1 - `RESOLVED_LOSS`. It decides nothing.
+        """
+        error = model_error or self._nominal_model_error()
+        chances = self._evaluate_outcomes(
+            remaining,
+            wind_estimate,
+            ScaledForecaster(wind_outlook, doubt.wind_variance_factor),
+            energy,
+            ModelError(error.scale, doubt.model_std_factor * error.std_frac),
+        ).chances
+        p_home = chances.p_now
+        if not assessment.turn_back:
+            p_home, _ = chances.p_home_and_success_if_continuing(assessment.required_p_home)
+        return replace(assessment, p_home_limit=min(p_home, 1.0 - RESOLVED_LOSS))
+
     def decide_for_each_accepted_loss(
         self,
         remaining: RemainingMission,
@@ -248,8 +287,7 @@ class Gate:
         energy: EnergyBelief,
         model_error: ModelError | None,
     ) -> _Evaluation:
-        if model_error is None:
-            model_error = ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
+        model_error = model_error or self._nominal_model_error()
         left_wh = energy.mean_wh - self.params.reserve_wh
         budget = Budget(left_wh, energy.std_wh, model_error.std_frac, model_error.scale)
         power_need = energy.pack and PowerNeed(
@@ -262,6 +300,9 @@ class Gate:
             self._route_energy, remaining, wind_estimate, wind_outlook, self._sampler, power_need
         )
         return _Evaluation(table, budget, OutcomeProbabilities(table, budget, self._sampler))
+
+    def _nominal_model_error(self) -> ModelError:
+        return ModelError(1.0, self._route_energy.airframe.power_rotor.model_std_frac)
 
     def _make_decision(
         self, chances: OutcomeProbabilities, accepted_loss: float, *, check_value: bool = True
@@ -362,7 +403,6 @@ class Gate:
             energy_left_wh=energy.mean_wh,
             energy_need_wh=budget.scale * float(need.mean()),
             reason=decision.reason,
-            p_home_limit=self.params.p_home_limit,
             required_p_home=1.0 - accepted_loss,
             p_home_next=chances.p_onward if remaining.stages else chances.p_now,
             p_home_onward=decision.p_home_onward,

@@ -6,7 +6,7 @@ which it weights according to the process.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -81,6 +81,21 @@ class WindForecaster(Protocol):
     ) -> WindForecast:
         """Return the wind at each horizon (>= 0), at the positions (n, 2) expected then."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledForecaster:
+    """Another forecaster with the variance of changes of the wind multiplied by a factor."""
+
+    forecaster: WindForecaster
+    variance_factor: float
+
+    def forecast_on_route(
+        self, belief: WindBelief, horizon_s: Floats, position_ne_m: Floats
+    ) -> WindForecast:
+        """Return that forecast with the larger variance."""
+        found = self.forecaster.forecast_on_route(belief, horizon_s, position_ne_m)
+        return replace(found, change_cov_m2ps2=self.variance_factor * found.change_cov_m2ps2)
 
 
 class WindOutlook:

@@ -135,7 +135,7 @@ def test_a_flight_reads_the_certificate_and_the_check_states_it(flights, airfram
     assert pilot.certificate is not None
     said = "\n".join(check_report_lines_and_is_ready(pilot)[0])
     assert f"ok       certificate: {pilot.certificate.summary_text}" in said
-    assert "accepted loss of 1 % is below the limit of evidence" in said
+    assert "WARNING  accepted" not in said
     assert "(coast, 22 returns) and 8 certified flights on 4 days" in said
 
 

@@ -8,6 +8,7 @@ from companion.core.return_budget.budget import (
     Assessment,
     Gate,
     GateParams,
+    ModelDoubt,
     RemainingMission,
     is_more_cautious,
 )
@@ -62,7 +63,7 @@ class FlightGate:
     _route_energy: RouteEnergy
     _own_outlook: WindOutlook
     _fleet_outlook: FleetWindOutlook
-    _p_home_limit: float
+    _doubt: ModelDoubt
     _gate: Gate | None = None
     accepted_loss: float | None = None
     """Accepted loss of later decisions; `None`: that of the limits."""
@@ -88,7 +89,9 @@ class FlightGate:
         )
         if self._route_energy.speed_rule == "fastest":
             self._update_fastest_allowed_airspeed(gate, remaining, outlook, assessment, inputs)
-        return assessment
+        return gate.with_evidence_limit(
+            assessment, self._doubt, remaining, inputs.wind, outlook, *estimates
+        )
 
     def assess_departure_and_fix_loss(
         self, remaining: RemainingMission, inputs: GateInputs
@@ -96,14 +99,16 @@ class FlightGate:
         """Evaluate the gate for the whole mission; fixes the loss that later decisions accept."""
         gate = self._gate_for_current_reserve(inputs)
         estimates = (inputs.energy, inputs.model_error)
-        _, self.accepted_loss, assessment = self._evaluate_in_fleet_wind(
+        outlook, self.accepted_loss, assessment = self._evaluate_in_fleet_wind(
             remaining,
             inputs.wind.t_s,
             lambda forecaster: gate.accepted_loss_and_assessment(
                 remaining, inputs.wind, forecaster, *estimates
             ),
         )
-        return assessment
+        return gate.with_evidence_limit(
+            assessment, self._doubt, remaining, inputs.wind, outlook, *estimates
+        )
 
     def _evaluate_in_fleet_wind(
         self, remaining: RemainingMission, t_s: float, evaluate: Evaluation
@@ -171,7 +176,7 @@ class FlightGate:
             or abs(self._gate.params.reserve_wh - reserve_wh)
             > RESERVE_STEP_FRAC * max(reserve_wh, 1.0)
         ):
-            params = GateParams(inputs.limits.max_loss, reserve_wh, p_home_limit=self._p_home_limit)
+            params = GateParams(inputs.limits.max_loss, reserve_wh)
             self._gate = Gate(self._route_energy, params)
         return self._gate
 
