@@ -1,4 +1,4 @@
-"""`ground-station order`: add, list, cancel and settle orders."""
+"""`ground-station order`: add, change, list, show, cancel and settle orders."""
 
 import json
 from collections import Counter
@@ -12,7 +12,6 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.import_report import ImportReport
-from companion.core.base.safe_text import safe_text
 from ground_station.app.options.desk_options import (
     StrictImport,
     desk_options,
@@ -20,7 +19,7 @@ from ground_station.app.options.desk_options import (
     read_day_and_warn,
 )
 from ground_station.app.options.program_options import command_class_with_options
-from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Priority, Service
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
@@ -34,10 +33,28 @@ SIGNED_OPTIONS = command_class_with_options("store", "store_file", "user", "iden
 app = typer.Typer(
     no_args_is_help=True,
     help=(
-        "Add, list, cancel and settle orders.\n\n"
+        "Add, change, list, cancel and settle orders.\n\n"
         "ground-station order import harbour --store sqlite:///desk.db"
     ),
 )
+
+
+Customer = Annotated[str | None, typer.Option(help="Customer's name.")]
+Phone = Annotated[str | None, typer.Option(help="Customer's telephone number.")]
+Address = Annotated[str | None, typer.Option(help="Street address, for people.")]
+Window = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FROM-TO",
+        help="Delivery window, local time: 14:00-15:30, or 2026-05-01 14:00-15:30; ISO times:"
+        " FROM/TO.",
+    ),
+]
+PriorityOption = Annotated[Priority | None, typer.Option(help="Urgent orders go first.")]
+ServiceTime = Annotated[
+    float | None, typer.Option(help="Driver's time at the customer, s. Default: the day's.")
+]
+Note = Annotated[str | None, typer.Option(help="Free text note.")]
 
 
 @app.command(cls=SIGNED_OPTIONS)
@@ -50,31 +67,39 @@ def add(
     service: Annotated[
         Service, typer.Option(help="Vehicle type that may deliver it.")
     ] = Service.ANY,
-    note: Annotated[str, typer.Option(help="Free text note.")] = "",
+    customer: Customer = None,
+    phone: Phone = None,
+    address: Address = None,
+    window: Window = None,
+    priority: PriorityOption = None,
+    service_time: ServiceTime = None,
+    note: Note = None,
 ) -> None:
     """Add one order to the store, for `dispatch` (not `plan`). Adding it again changes nothing.
 
     ground-station order add H-109 --lat 55.468 --lon 8.441 --alt 12 --mass 0.4
     """
-    import msgspec
+    from ground_station.adapters.clock import local_date
+    from ground_station.core.schema.order_parsing import order_from_cells
 
-    from ground_station.core.schema.orders import Order
-
-    table = {
-        "id": order_id,
-        "lat_deg": lat,
-        "lon_deg": lon,
-        "alt_amsl_m": alt,
-        "mass_kg": mass,
-        "service": service.value,
-        "note": safe_text(note),
-    }
-    try:
-        order = msgspec.convert(table, Order)
-    except msgspec.ValidationError as error:
-        raise LeewayError(f"order {order_id!r}: {error}") from error
+    place = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": alt, "mass_kg": mass}
+    cells = {"id": order_id, "service": service.value, **{k: repr(v) for k, v in place.items()}}
+    cells |= _typed_cells(
+        customer=customer,
+        phone=phone,
+        address=address,
+        window=window,
+        priority=priority and priority.value,
+        service_s=None if service_time is None else repr(service_time),
+        note=note,
+    )
+    order = order_from_cells(cells, None, None, local_date())
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, [order], by)
+
+
+def _typed_cells(**cells: str | None) -> dict[str, str]:
+    return {name: cell for name, cell in cells.items() if cell is not None}
 
 
 @contextmanager
@@ -168,29 +193,130 @@ def list_(
     state: Annotated[OrderState | None, typer.Option(help="Only orders in this state.")] = None,
 ) -> None:
     """List the orders with their states."""
+    from ground_station.adapters.clock import epoch_us
+    from ground_station.adapters.store.order_history import delivery_proofs
+    from ground_station.app.views.order_view import shown_state
     from ground_station.app.views.terminal import plain_console, plain_table
+    from ground_station.core.schema.order_window import format_window
 
+    now_us = epoch_us()
     with closing(desk_options().open_store()) as order_store:
-        rows = order_store.orders() if state is None else order_store.orders(state)
-    table = plain_table("order", "kg", "service", "state", "flights", "reason")
-    for row in rows:
+        proofs = delivery_proofs(order_store.database)
+        states = [(row, shown_state(row, proofs.get(row.order.id))) for row in order_store.orders()]
+    rows = [(row, shown) for row, shown in states if state in (None, shown)]
+    table = plain_table("order", "kg", "service", "window", "state", "flights", "reason")
+    for row, shown in rows:
         order = row.order
-        cells = (order.id, f"{order.mass_kg:g}", order.service.value, row.state.value)
+        window = " ".join(
+            filter(None, ("urgent" * order.is_urgent, format_window(order.window, now_us)))
+        )
+        cells = (order.id, f"{order.mass_kg:g}", order.service.value, window, shown.value)
         table.add_row(*cells, str(row.attempts), row.reason)
     plain_console().print(table)
-    counts = Counter(row.state.value for row in rows)
+    counts = Counter(shown.value for _, shown in rows)
     typer.echo(", ".join(f"{n} {name}" for name, n in counts.items()) or "no orders")
 
 
 @app.command(cls=SIGNED_OPTIONS)
 def cancel(
     order_id: OrderId,
+    reason: Annotated[str, typer.Option(help="Recorded in the history.")],
 ) -> None:
-    """Cancel an order that is not assigned to a vehicle."""
+    """Cancel an order that is not assigned to a vehicle.
+
+    ground-station order cancel H-101 --reason "customer asked"
+    """
     from ground_station.app.desk.operator_commands import cancel_order
 
     with desk_options().operator_and_store() as (by, store):
-        result = cancel_order(store, order_id, by)
+        result = cancel_order(store, order_id, by, reason)
+    for text in result.messages:
+        typer.echo(text)
+
+
+@app.command(cls=SIGNED_OPTIONS)
+def change(
+    order_id: OrderId,
+    window: Window = None,
+    priority: PriorityOption = None,
+    customer: Customer = None,
+    phone: Phone = None,
+    address: Address = None,
+    note: Note = None,
+    mass: Annotated[float | None, typer.Option(help="Mass of the parcel, kg.")] = None,
+    at: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Destination, degrees.")] = None,
+    alt: Annotated[
+        float | None, typer.Option(help="Ground elevation at --at, m AMSL. Default: the --day's.")
+    ] = None,
+    service_time: ServiceTime = None,
+    day: Annotated[str | None, typer.Option(help="The day: supplies the ground height.")] = None,
+) -> None:
+    """Change or reschedule an order; an empty text removes a field.
+
+    Open: all. Assigned, on the ground: a new destination or mass withdraws the assignment. In the
+    air: only contact, note and priority. Delivered or cancelled: nothing.
+
+    ground-station order change H-101 --window 16:00-17:00 --phone "+45 12 34 56 78"
+    """
+    from ground_station.adapters.clock import epoch_us
+    from ground_station.app.desk.operator_commands import change_order
+    from ground_station.core.schema.coordinate_text import split_lat_lon
+
+    cells = _typed_cells(
+        window=window,
+        priority=priority and priority.value,
+        customer=customer,
+        phone=phone,
+        address=address,
+        note=note,
+        mass_kg=None if mass is None else repr(mass),
+        alt_amsl_m=None if alt is None else repr(alt),
+        service_s=None if service_time is None else repr(service_time),
+    )
+    if at is not None:
+        cells["lat_deg"], cells["lon_deg"] = split_lat_lon(at, str)
+    if not cells:
+        raise LeewayError("order change: expected an option with the new value")
+    data = None if day is None else read_day_and_warn(day)
+    with desk_options().operator_and_store() as (by, store):
+        result = change_order(store, epoch_us, order_id, cells, by, data)
+    for text in result.messages:
+        typer.echo(text)
+
+
+@app.command(cls=command_class_with_options("store", "store_file"))
+def show(
+    order_id: OrderId,
+    json_out: Annotated[bool, typer.Option("--json", help="Print JSON (order/1).")] = False,
+) -> None:
+    """Show an order: its fields, its history and its proof of delivery.
+
+    ground-station order show H-101
+    """
+    from ground_station.app.views.order_view import order_record, order_view
+    from ground_station.app.views.terminal import plain_console
+
+    with closing(desk_options().open_store()) as order_store:
+        if json_out:
+            typer.echo(json.dumps(order_record(order_store, order_id), indent=1))
+        else:
+            plain_console().print(order_view(order_store, order_id))
+
+
+@app.command(cls=SIGNED_OPTIONS)
+def proof(
+    order_id: OrderId,
+    photo: Annotated[Path, typer.Option(help="Photo of the delivery: its path is recorded.")],
+) -> None:
+    """Add a photo to the proof of a delivered order.
+
+    ground-station order proof H-101 --photo H-101.jpg
+    """
+    from ground_station.adapters.clock import epoch_us
+    from ground_station.app.desk.operator_commands import add_photo
+
+    with desk_options().operator_and_store() as (by, store):
+        result = add_photo(store, epoch_us, order_id, photo, by)
     for text in result.messages:
         typer.echo(text)
 

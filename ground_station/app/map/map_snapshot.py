@@ -1,6 +1,6 @@
 """Data of one moment, from which the map's picture is built."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,9 +25,14 @@ class StoreSnapshot:
     assignments: dict[str, AssignmentRow] = field(default_factory=dict)
 
     @classmethod
-    def from_rows(cls, rows: DisplayRows, wind: Forecast | None) -> "StoreSnapshot":
-        """Build the parts of the picture that depend on the store only, once per reading."""
-        orders = {k: to_json_types(v) for k, v in orders_shown(rows).items()}
+    def from_rows(
+        cls, rows: DisplayRows, wind: Forecast | None, released: Collection[str] = ()
+    ) -> "StoreSnapshot":
+        """Build the parts of the picture that depend on the store only, once per reading.
+
+        `released`: assignments whose parcel is confirmed as released.
+        """
+        orders = {k: to_json_types(v) for k, v in orders_shown(rows, released).items()}
         tables: dict[str, Any] = {"orders": orders}
         plan = plan_shown(rows)
         if plan is not None:

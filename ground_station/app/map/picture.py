@@ -116,6 +116,10 @@ class OrderShown(_PicturePart, frozen=True, kw_only=True):
     customer: str | None = None
     address: str | None = None
     phone: str | None = None
+    earliest_us: int | None = None
+    """Delivery window."""
+    latest_us: int | None = None
+    service_s: float | None = None
     priority: bool = False
 
 

@@ -5,6 +5,7 @@ from collections import Counter
 from statistics import fmean, median
 from typing import Any
 
+import msgspec
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -13,7 +14,9 @@ from companion.core.base.probability import home_probability_text
 from companion.core.mission.alerts import Alert, is_text_of_any_alert
 from companion.fleet.messages import EventKind, FleetEvent
 from ground_station.adapters.store.day_store import DayStore
+from ground_station.adapters.store.order_history import delivery_proofs
 from ground_station.adapters.store.order_store import Store
+from ground_station.app.views.order_view import proof_text
 from ground_station.app.views.terminal import plain_table
 from ground_station.core.schema.orders import OVERRIDE_OUTCOME, OrderState
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
@@ -53,6 +56,10 @@ def day_report_of(store: Store, day: DayStore | None = None) -> dict[str, Any]:
         "monitors": sorted(_monitor_alert_texts(events)),
         "held": [hold.text for hold in store.holds_in_force()],
         "by_vehicle": _flight_statistics_by_vehicle(outcomes),
+        "proofs": [
+            {"order": order, **msgspec.to_builtins(proof)}
+            for order, proof in delivery_proofs(store.database).items()
+        ],
         "left": [
             {"order": row.order.id, "state": row.state.value, "why": row.reason}
             for row in orders
@@ -158,7 +165,7 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
     """Return the figures as tables."""
     table = plain_table("what", "figure", title="the day")
     for name, value in report.items():
-        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "left"):
+        if name in ("format", "deliveries_by_vehicle", "by_vehicle", "proofs", "left"):
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{n} {key}" for key, n in sorted(value.items())) or "none"
@@ -170,7 +177,15 @@ def report_tables(report: dict[str, Any]) -> RenderableType:
             value = f"{value:.4g}"
         label = FIGURE_LABELS.get(name, name.replace("_", " "))
         table.add_row(label, "-" if value is None else str(value))
-    return Group(table, _vehicles_table(report["by_vehicle"]), *_undelivered_lines(report["left"]))
+    proofs = plain_table("order", "proof of delivery")
+    for row in report["proofs"]:
+        proofs.add_row(row["order"], proof_text(row))
+    return Group(
+        table,
+        _vehicles_table(report["by_vehicle"]),
+        *([proofs] if report["proofs"] else []),
+        *_undelivered_lines(report["left"]),
+    )
 
 
 def _vehicles_table(by_vehicle: dict[str, dict[str, Any]]) -> Table:

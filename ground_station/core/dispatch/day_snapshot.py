@@ -48,7 +48,8 @@ class DroneStatus:
 class DaySnapshot:
     """Snapshot of the day; `now_s` counts from the start of the day.
 
-    `open_orders`: orders without an assignment. `truck_assignments`: the driver's own deliveries.
+    `open_orders`: orders without an assignment; `changed_orders`: changed since the plan, which
+    must not be delivered by it. `truck_assignments`: the driver's own deliveries.
     `replanning`: a new plan is being computed. `last_replan_s`: time of the end of the last
     re-planning, `last_replan_key`: its `plan_inputs_comparison_key`. `pad_wait_s`: by assignment,
     how long a drone on its pad has not been ready. `wind_deviation_sigmas`: distance of the
@@ -66,6 +67,7 @@ class DaySnapshot:
     open_orders: frozenset[str]
     sorties: tuple[SortieRow, ...]
     truck_assignments: tuple[AssignmentRow, ...]
+    changed_orders: frozenset[str] = frozenset()
     stop_times: Mapping[str, StopTimes] = field(default_factory=dict)
     replanning: bool = False
     plan_created_s: float = 0.0
@@ -77,6 +79,11 @@ class DaySnapshot:
     drones_on_hold: frozenset[str] = frozenset()
     closed_assignments: Mapping[str, str] = field(default_factory=dict)
     plan_closing_text: str = ""
+
+    @property
+    def planned_orders(self) -> frozenset[str]:
+        """Open orders that the plan may deliver."""
+        return self.open_orders - self.changed_orders
 
     def drone_status(self, vehicle: str) -> DroneStatus:
         """Return the status of a drone; the default status if no state was received."""
@@ -132,7 +139,7 @@ class DaySnapshot:
         """Return the planned sorties that are not assigned yet, in order of launch."""
         assigned = [row.sortie for row in self.sorties]
         remaining = [
-            s for s in self.plan.sorties if s.order in self.open_orders and s not in assigned
+            s for s in self.plan.sorties if s.order in self.planned_orders and s not in assigned
         ]
         return sorted(remaining, key=lambda s: s.launch_s)
 

@@ -89,10 +89,10 @@ class DepotAssigner:
         self._feasibility_by_kind: dict[_DroneKind, SortieFeasibility] = {
             _kind_of(r.drone): r for r in self._feasibility.values()
         }
-        self._order_ned: dict[str, Ned] = {}
-        self._sortie_needs: dict[tuple[str, str, int], SortieNeed] = {}
+        self._order_ned: dict[Order, Ned] = {}
+        self._sortie_needs: dict[tuple[str, Order, int], SortieNeed] = {}
         self.layers = DepotLayers(day.mission, MAX_HEIGHT_AGL_M)
-        self._feasible_when_full: dict[tuple[_DroneKind, str], bool] = {}
+        self._feasible_when_full: dict[tuple[_DroneKind, Order], bool] = {}
 
     def set_wind_and_clear_caches(self, wind: Forecast) -> None:
         """Compute all needs in this wind from now on."""
@@ -187,7 +187,7 @@ class DepotAssigner:
 
     def _is_feasible_when_full(self, order: Order, feasibility: SortieFeasibility) -> bool:
         """Return True if a drone of this kind can deliver the order with a full pack."""
-        key = (_kind_of(feasibility.drone), order.id)
+        key = (_kind_of(feasibility.drone), order)
         if key not in self._feasible_when_full:
             mass_kg = order.mass_kg
             is_feasible = feasibility.can_lift(mass_kg) and feasibility.is_within_energy_budget(
@@ -200,7 +200,7 @@ class DepotAssigner:
         self, order: Order, feasibility: SortieFeasibility, layer: int = 0
     ) -> SortieNeed:
         """Return the need of a delivery from the depot and back for the airframe of this drone."""
-        key = (feasibility.drone.airframe, order.id, layer)
+        key = (feasibility.drone.airframe, order, layer)
         if key not in self._sortie_needs:
             depot, customer_ned = (0.0, 0.0, 0.0), self.order_ground_ned(order)
             up_m = self.layers.mission_in_layer(layer).cruise_height_m
@@ -211,9 +211,9 @@ class DepotAssigner:
 
     def order_ground_ned(self, order: Order) -> Ned:
         """Return the ground position of an order, NED about the depot."""
-        if order.id not in self._order_ned:
-            self._order_ned[order.id] = location_to_ground_ned_m(self._frame, order_location(order))
-        return self._order_ned[order.id]
+        if order not in self._order_ned:
+            self._order_ned[order] = location_to_ground_ned_m(self._frame, order_location(order))
+        return self._order_ned[order]
 
     def check_delivery(
         self, order: Order, vehicle: str, charge_frac: float | None = None

@@ -281,7 +281,7 @@ class DispatchRules:
     ) -> list[DispatchAction]:
         """Return the planned work of this stop that is not assigned yet."""
         actions: list[DispatchAction] = [
-            ServeOrder(order) for order in current_stop.serves if order in day.open_orders
+            ServeOrder(order) for order in current_stop.serves if order in day.planned_orders
         ]
         handled_drones: set[str] = set()
         for sortie in day.unassigned_sorties_by_launch_time():
@@ -308,7 +308,9 @@ class DispatchRules:
         ]
         if any(row.state in IN_FORCE for row in day.truck_assignments):
             blockers.append("the driver is delivering an order")
-        blockers += [f"{o} is still to be delivered" for o in here.serves if o in day.open_orders]
+        blockers += [
+            f"{o} is still to be delivered" for o in here.serves if o in day.planned_orders
+        ]
         blockers += [
             f"{s.vehicle} is still to launch with"
             f" {s.order}{' (held)' * (s.vehicle in day.drones_on_hold)}"

@@ -33,7 +33,7 @@ from ground_station.core.feasibility.reach import (
     SortieGeometry,
 )
 from ground_station.core.feasibility.sortie_model import WindSortieModel
-from ground_station.core.schema.day import Drone
+from ground_station.core.schema.day import Drone, Truck
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.orders import Order, Service, order_location
 from ground_station.core.truck_drones.problem import (
@@ -191,7 +191,7 @@ def build_day_problem(
     ]
     problem = TruckAndDrones(
         travel_s=_truck_travel_matrix_s(data, orders, ned_m, start_name),
-        deliver_s=np.where(_flags_by_node(orders, [True] * len(orders)), truck.deliver_s, 0.0),
+        deliver_s=np.array([0.0, *(_deliver_s(order, truck) for order in orders), 0.0]),
         kinds=kinds  # a fleet without drones has one kind of none
         or (DroneKind(0, 1.0, 1.0, np.zeros(len(positions_ned_m), dtype=np.bool_)),),
         leg_tables=tuple(
@@ -288,6 +288,10 @@ def layer_range_by_position(
     most_m = np.minimum(MAX_HEIGHT_AGL_M + ground_up_m, max_height_m)
     layers = np.floor((most_m - cruise_height_m) / LAYER_GAP_M) + 1
     return np.maximum(lowest, 0).astype(np.int64), np.maximum(layers, 0).astype(np.int64)
+
+
+def _deliver_s(order: Order, truck: Truck) -> float:
+    return truck.deliver_s if order.service_s is None else order.service_s
 
 
 def _flags_by_node(orders: list[Order], flag_by_order: list[bool]) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.desk.desk import Desk
 from ground_station.app.desk.open_desk import open_truck_desk
+from ground_station.app.desk.operator_commands import change_order
 from ground_station.app.desk.replanner import NoPlan, Replanner, create_inline_planner
 from ground_station.app.desk.truck_dispatcher import TruckDispatcher
 from ground_station.core.dispatch.dispatch_rules import DispatchParams
@@ -513,6 +514,23 @@ def test_where_nobody_is_at_home_a_person_decides_and_a_reopened_order_is_brough
     assert told.store.change_order_state("H-108", (OrderState.STUCK,), OrderState.OPEN, "anna")
     told.run()
     assert told.states()["H-108"] is OrderState.DELIVERED
+
+
+@pytest.mark.parametrize("order", ["H-101", "H-108"])  # on its pad, and later by the driver
+def test_an_order_with_a_new_place_is_withdrawn_and_planned_again(day, order):
+    told = day(14)
+    while not any(row.put_on_pad for row in told.dispatcher.day.sorties()):
+        told.world.step()
+        told.desk.run_cycle(0.0)
+    place = {"lat_deg": "55.4721", "lon_deg": "8.4512", "alt_amsl_m": "12"}
+    change_order(told.store, told.world.clock.epoch_us, order, place, "anna")
+    told.run()
+    assert f"replanning: {order} was changed" in told.said
+    flown = [row.id for row in told.store.assignments() if row.order_id == order]
+    assert [row.partition(".")[0] for row in flown] == [order] * (2 if order == "H-101" else 1)
+    assert flown[0] not in told.world.flown
+    assert set(told.states().values()) == {OrderState.DELIVERED}
+    assert told.world.wrong == []
 
 
 def test_a_plan_of_another_day_is_refused_in_words(day):

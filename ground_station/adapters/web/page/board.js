@@ -3,10 +3,10 @@
 import { button, html, keyed, morph, set } from "./dom.js";
 import { arrivalOf, carrierOf } from "./card.js";
 import { mayAdd } from "./forms.js";
-import { byName, clock, ORDER_WORDS, orderKind } from "./words.js";
+import { byName, clock, ORDER_WORDS, orderKind, windowWords } from "./words.js";
 
 const GROUPS = ["stuck", "air", "van", "open", "delivered", "cancelled"];
-const COLUMNS = ["Order", "Customer", "Address", "Arrives", "By", "Weight", "Note"];
+const COLUMNS = ["Order", "Customer", "Address", "Window", "Arrives", "By", "Weight", "Note"];
 const DRIVER_COLUMNS = ["Stop", "Arrive", "Leave", "Do", "Order", "Drone", "kg", "Customer", "Address", "Phone", "Note"];
 const find = { text: "", chip: "all" };
 
@@ -48,6 +48,7 @@ function keyedBodies(table, groups, nowUs, selected) {
         html("td", {}, html("span", { class: `mark ${row.kind}` }), button(key, "select", key, { class: "plain" })),
         html("td", {}, order.customer && html("b", {}, order.customer), order.priority && html("span", { class: "chip prio" }, "Priority")),
         html("td", {}, order.address ?? ""),
+        html("td", { class: "num" }, windowWords(order, nowUs)),
         html("td", { class: "num" }, ["delivered", "cancelled", "stuck"].includes(row.kind) ? "" : row.arrives ? html("b", {}, clock(row.arrives)) : "not planned yet"),
         html("td", {}, row.by ?? ""), html("td", { class: "num" }, `${order.mass_kg.toFixed(2)} kg`), html("td", { class: "note" }, order.why || order.note || "")]);
     });
