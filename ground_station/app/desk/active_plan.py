@@ -175,7 +175,9 @@ class ActivePlan:
         self.log(f"replanning: {reason.text}")
         self._request = _Request(snapshot, reason, wind, self.data.orders)
         data = replace(
-            data_with_returned_orders_by_truck(self.data, snapshot), forecast=followed_forecast
+            data_with_returned_orders_by_truck(self.data, snapshot),
+            forecast=followed_forecast,
+            start_us=snapshot.start_us,
         )
         self.replanner.start_planning(data, self._state_fixed_by_promises(snapshot))
 

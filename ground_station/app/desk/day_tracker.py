@@ -136,6 +136,11 @@ class DayTracker:
             sorties=rows.sorties,
             truck_assignments=rows.truck_assignments,
             changed_orders=self.active.changed_order_ids,
+            opens_s={
+                order.id: (order.earliest_us - start_us) / 1e6
+                for order in self.active.data.orders
+                if order.earliest_us is not None
+            },
             stop_times=rows.stop_times,
             replanning=self.active.is_replanning,
             plan_created_s=max(0.0, (rows.plan_stored_us - start_us) / 1e6),

@@ -11,9 +11,11 @@ from dataclasses import dataclass, field, replace
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
+from ground_station.adapters.store.tables import LATE_KEY
 from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.app.desk.day_tracker import DayTracker
 from ground_station.app.desk.dispatcher import CycleResult
+from ground_station.app.desk.idle_reasons import ReasonLog
 from ground_station.app.desk.site.forecast_watch import ForecastMonitor
 from ground_station.core.dispatch.day_snapshot import DaySnapshot
 from ground_station.core.dispatch.dispatch_actions import (
@@ -44,6 +46,7 @@ from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.schema.day_plan import PlannedSortie
+from ground_station.core.schema.order_window import late_text
 from ground_station.core.schema.orders import AssignmentRow
 from ground_station.core.site_wind.site_wind import SiteWind
 
@@ -69,11 +72,13 @@ class TruckDispatcher:
     neighbour_keys: NeighbourKeys = no_neighbour_keys
     departure_blockers: list[str] = field(default_factory=list)
     _tracker: DayTracker = field(init=False)
+    _late_orders: ReasonLog = field(init=False)
     _cached_version: int | None = None
     _airspace: Airspace | None = None
     _feasibility: DayFeasibility | None = None
 
     def __post_init__(self) -> None:
+        self._late_orders = ReasonLog(self.store, LATE_KEY, self.log)
         self._tracker = DayTracker(
             self.store, self.day, self.active, self.clock, self.wind, self.forecast
         )
@@ -107,6 +112,7 @@ class TruckDispatcher:
         snapshot = tracker.update_snapshot(status)
         truck = snapshot.truck
         self._store_energy_of_finished_sorties(snapshot)
+        self._late_orders.publish(self._late_texts(snapshot))
         if truck is None:
             return CycleResult.IDLE
         self.active.request_or_adopt_plan(
@@ -131,6 +137,19 @@ class TruckDispatcher:
         )
         is_active = bool(actions) or snapshot.replanning or truck_is_waiting
         return CycleResult.ACTIVE if is_active else CycleResult.IDLE
+
+    def _late_texts(self, snapshot: DaySnapshot) -> dict[str, str]:
+        """Return by open order how late it is for its window, by the plan and the truck's delay."""
+        times_s, delay_s = self.active.plan.delivery_times_s(), max(0.0, snapshot.truck_delay_s())
+        late: dict[str, str] = {}
+        for order in self.active.data.orders:
+            if order.latest_us is None or order.id not in snapshot.open_orders & times_s.keys():
+                continue
+            planned_s, how = times_s[order.id]
+            at_us = snapshot.start_us + round(1e6 * max(planned_s + delay_s, snapshot.now_s))
+            if text := late_text(order.window, at_us, how):
+                late[order.id] = text
+        return late
 
     def _discard_values_of_earlier_plan(self) -> None:
         """Discard values that were computed for an earlier plan."""

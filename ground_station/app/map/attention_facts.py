@@ -30,6 +30,7 @@ def fleet_facts(
         launches=_launches(rows, drones),
         stuck=[(order, _stuck_reason(text)) for order, text in stuck_order_texts(rows.orders)],
         idle_reasons={name: format_reason(why) for name, why in rows.idle_reasons.items()},
+        late=rows.late_orders,
         held={hold.scope for hold in rows.hold_list},
         desk_silence_s=snapshot.desk_silence_s,
         desk_alarm=snapshot.desk_alarm,

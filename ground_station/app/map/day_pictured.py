@@ -89,6 +89,7 @@ def sorties_shown(day: DayShown, order_states: Mapping[str, OrderState]) -> list
             home=one.home,
             launch_us=plan_time_to_epoch_us(day, one.launch_s),
             land_us=plan_time_to_epoch_us(day, one.land_s),
+            drop_us=plan_time_to_epoch_us(day, one.drop_s),
             state="planned",
         )
         for one in day.plan.sorties
@@ -109,6 +110,7 @@ def _flown_sortie_shown(day: DayShown, row: SortieRow) -> SortieShown:
         launch=plan.launch,
         home=row.promised_stop,
         launch_us=row.launched_us,
+        drop_us=row.launched_us + round(1e6 * (plan.drop_s - plan.launch_s)),
         land_us=row.landed_us or (min(expected_us, day.now_us) if is_over else expected_us),
         state=state,
     )

@@ -144,6 +144,7 @@ class SortieShown(_PicturePart, frozen=True, kw_only=True):
     home: str
     launch_us: int | None = None
     land_us: int | None = None
+    drop_us: int | None = None
     state: str
 
 

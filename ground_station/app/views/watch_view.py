@@ -60,6 +60,7 @@ def watch_view(
         if (state := status.status_of(row.vehicle).state)
         and (state.assignment, state.delivered) == (row.id, True)
     }
+    alarm_lines += [f"{order}: {reason}" for order, reason in rows.late_orders.items()]
     counts = Counter(
         (OrderState.DELIVERED if row.order.id in released else row.state).value for row in orders
     )

@@ -1,5 +1,6 @@
 """Snapshot of a day with a truck: rows of the store and status of the fleet."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -49,14 +50,15 @@ class DaySnapshot:
     """Snapshot of the day; `now_s` counts from the start of the day.
 
     `open_orders`: orders without an assignment; `changed_orders`: changed since the plan, which
-    must not be delivered by it. `truck_assignments`: the driver's own deliveries.
-    `replanning`: a new plan is being computed. `last_replan_s`: time of the end of the last
-    re-planning, `last_replan_key`: its `plan_inputs_comparison_key`. `pad_wait_s`: by assignment,
-    how long a drone on its pad has not been ready. `wind_deviation_sigmas`: distance of the
-    measured wind from the planned one, in the forecast's standard deviations. `desk_start_s`: start
-    of this desk. `drones_on_hold`: drones under a hold. `closed_assignments`: assignments on the
-    ground whose launch the forecast has closed for the rest of the day, with the reason.
-    `plan_closing_text`: the part of the plan that the forecast closes; empty: none.
+    must not be delivered by it; `opens_s`: start of delivery windows, by order.
+    `truck_assignments`: the driver's own deliveries. `replanning`: a new plan is being computed.
+    `last_replan_s`: time of the end of the last re-planning, `last_replan_key`: its
+    `plan_inputs_comparison_key`. `pad_wait_s`: by assignment, how long a drone on its pad has not
+    been ready. `wind_deviation_sigmas`: distance of the measured wind from the planned one, in the
+    forecast's standard deviations. `desk_start_s`: start of this desk. `drones_on_hold`: drones
+    under a hold. `closed_assignments`: assignments on the ground whose launch the forecast has
+    closed for the rest of the day, with the reason. `plan_closing_text`: the part of the plan that
+    the forecast closes; empty: none.
     """
 
     now_s: float
@@ -68,6 +70,7 @@ class DaySnapshot:
     sorties: tuple[SortieRow, ...]
     truck_assignments: tuple[AssignmentRow, ...]
     changed_orders: frozenset[str] = frozenset()
+    opens_s: Mapping[str, float] = field(default_factory=dict)
     stop_times: Mapping[str, StopTimes] = field(default_factory=dict)
     replanning: bool = False
     plan_created_s: float = 0.0
@@ -79,6 +82,10 @@ class DaySnapshot:
     drones_on_hold: frozenset[str] = frozenset()
     closed_assignments: Mapping[str, str] = field(default_factory=dict)
     plan_closing_text: str = ""
+
+    def is_before_window(self, order: str, after_s: float = 0.0) -> bool:
+        """Return whether a delivery in `after_s` would be before the order's window."""
+        return self.now_s + after_s < self.opens_s.get(order, -math.inf)
 
     @property
     def planned_orders(self) -> frozenset[str]:

@@ -267,6 +267,7 @@ class DispatchRules:
             or drone.doubtful
             or row.sortie.launch != current_stop.id
             or row.vehicle in day.drones_on_hold
+            or day.is_before_window(row.sortie.order, row.sortie.drop_s - row.sortie.launch_s)
         ):
             return False
         if row.sortie.home == current_stop.id:
@@ -281,7 +282,9 @@ class DispatchRules:
     ) -> list[DispatchAction]:
         """Return the planned work of this stop that is not assigned yet."""
         actions: list[DispatchAction] = [
-            ServeOrder(order) for order in current_stop.serves if order in day.planned_orders
+            ServeOrder(order)
+            for order in current_stop.serves
+            if order in day.planned_orders and not day.is_before_window(order)
         ]
         handled_drones: set[str] = set()
         for sortie in day.unassigned_sorties_by_launch_time():

@@ -5,6 +5,7 @@ the depot at the end of the day.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -76,6 +77,14 @@ class DayProblem:
     routes: ObstacleRoutes
     problem: TruckAndDrones
     cruise_height_m: float
+    windows_s: Mapping[str, tuple[float, float]]
+    """Delivery windows by order, from the truck's arrival at the start."""
+
+    def window_s(self, node: int) -> tuple[float, float]:
+        """Return the delivery window of a node; infinite without one."""
+        is_order = 0 < node <= len(self.orders)
+        id_ = self.orders[node - 1].id if is_order else ""
+        return self.windows_s.get(id_, (-math.inf, math.inf))
 
     def ground_ned_m(self, node: int) -> Ned:
         """Return the ground point of a node."""
@@ -151,10 +160,11 @@ def build_day_problem(
     available_from_s_by_drone: dict[str, float],
     first_stop_hold_s: float,
     pad_offset_m: float,
+    t0_s: float = 0.0,
 ) -> DayProblem:
     """Build the problem for these orders. `start_name`: the start's name in the road matrix.
 
-    Times are relative to the truck's arrival at the start.
+    Times are relative to the truck's arrival at the start, at `t0_s` of the day.
     """
     frame = depot_frame(data.day.depot.location)
     positions_ned_m = [
@@ -223,7 +233,26 @@ def build_day_problem(
         ),
     )
     cruise_m = mission.cruise_height_m
-    return DayProblem(frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m)
+    windows_s = _windows_s(data, orders, t0_s)
+    return DayProblem(
+        frame, obstacles, tuple(orders), ned_m, classes, routes, problem, cruise_m, windows_s
+    )
+
+
+def _windows_s(data: DayData, orders: list[Order], t0_s: float) -> dict[str, tuple[float, float]]:
+    """Return the windows of the orders that have one; none if the time of the plan is unknown."""
+    if data.start_us is None:
+        return {}
+
+    def at_s(epoch_us: int | None, unlimited_s: float) -> float:
+        return unlimited_s if epoch_us is None else (epoch_us - start_us) / 1e6 - t0_s
+
+    start_us = data.start_us
+    return {
+        order.id: (at_s(order.earliest_us, -math.inf), at_s(order.latest_us, math.inf))
+        for order in orders
+        if order.window != (None, None)
+    }
 
 
 def _infeasible_leg_tables(node_count: int) -> LegTables:

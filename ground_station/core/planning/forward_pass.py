@@ -27,6 +27,8 @@ BACKTRACKS_PER_SORTIE = 20
 """Limit of backtracks: in total, plus per sortie. After it a drone that would land before the truck
 is recovered at its launch stop."""
 EPSILON_S = 1e-6
+URGENT_WEIGHT = 10.0
+"""[est] Weight of an urgent order's lateness."""
 
 
 @dataclass(slots=True)
@@ -37,6 +39,15 @@ class ForwardSchedule:
     slots: list[LaunchSlot] = field(default_factory=list[LaunchSlot])
     pads: dict[int, StopPads] = field(default_factory=dict[int, StopPads])
     lost: list[int] = field(default_factory=list[int])
+    served_s: dict[int, float] = field(default_factory=dict[int, float])
+    """Time at which the driver begins each delivery, by node."""
+
+    @property
+    def delivered_s(self) -> dict[int, float]:
+        """Time of each delivery, by node."""
+        nodes = {stop.node for stop in self.stops}
+        served_s = {node: at_s for node, at_s in self.served_s.items() if node in nodes}
+        return served_s | {slot.request.customer: slot.drop_s for slot in self.slots}
 
     @property
     def makespan_s(self) -> float:
@@ -79,6 +90,29 @@ class ForwardPass:
         return _Pass(self, plan_request).build_schedule()
 
 
+def lateness_s(nodes: DayProblem, schedule: ForwardSchedule) -> dict[int, float]:
+    """Return by node how long after its window an order is delivered; only orders with a window."""
+    if not nodes.windows_s:
+        return {}
+    return {
+        node: max(0.0, at_s - nodes.window_s(node)[1])
+        for node, at_s in schedule.delivered_s.items()
+    }
+
+
+def schedule_rank(nodes: DayProblem, schedule: ForwardSchedule) -> tuple[int, float, float]:
+    """Sort key: number of lost orders, lateness after windows (of urgent orders tenfold), and the
+    makespan plus the delivery time of each urgent order.
+    """
+    urgent = {node for node, order in enumerate(nodes.orders, 1) if order.is_urgent}
+    late_s = sum(
+        late_s * (URGENT_WEIGHT if node in urgent else 1.0)
+        for node, late_s in lateness_s(nodes, schedule).items()
+    )
+    urgent_s = sum(at_s for node, at_s in schedule.delivered_s.items() if node in urgent)
+    return len(schedule.lost), round(late_s), schedule.makespan_s + urgent_s
+
+
 def shorten_by_recovery_at_next_stop(
     forward_pass: ForwardPass, plan_request: ForwardPassRequest, schedule: ForwardSchedule
 ) -> ForwardSchedule:
@@ -97,10 +131,11 @@ def shorten_by_recovery_at_next_stop(
             )
             other = replace(plan_request, requests=requests)
             candidate = forward_pass.build_schedule(other)
-            if (
-                len(candidate.lost) <= len(schedule.lost)
-                and candidate.makespan_s < schedule.makespan_s - 1.0
-            ):
+            before, after = (
+                schedule_rank(forward_pass.nodes, schedule),
+                schedule_rank(forward_pass.nodes, candidate),
+            )
+            if after[:2] <= before[:2] and after[2] < before[2] - 1.0:
                 plan_request, schedule = other, candidate
     return schedule
 
@@ -271,6 +306,7 @@ class _Pass:
     ) -> list[SortieRequest]:
         """Process all events at this stop; return the launches to move to the next stop."""
         deliver_s = float(self._problem.deliver_s[node])
+        opens_s = self._road.nodes.window_s(node)[0]
         waiting, moved_requests = list(requests), list[SortieRequest]()
         while True:
             launched, until_s = self._launch_first_possible_or_retry_times_s(
@@ -283,11 +319,13 @@ class _Pass:
             landed = [slot for slot in home if slot.landed_s <= self._now_s + EPSILON_S]
             if landed:
                 self._recover_drone_and_advance_clock(min(landed, key=lambda slot: slot.landed_s))
-            elif deliver_s > 0.0:
+            elif deliver_s > 0.0 and self._now_s >= opens_s - EPSILON_S:
+                self._day.served_s[node] = self._now_s
                 self._now_s += deliver_s
                 deliver_s = 0.0
-            elif home or waiting:
+            elif home or waiting or deliver_s > 0.0:
                 times_s = [slot.landed_s for slot in home] + until_s
+                times_s += [opens_s] if deliver_s > 0.0 else []
                 if not times_s:
                     self._day.lost += [request.customer for request in waiting]
                     return moved_requests
@@ -344,6 +382,10 @@ class _Pass:
                 request, launched_s, drones, self._day.pads, in_air, layer
             )
             if isinstance(found, LaunchSlot):
+                early_s = self._road.nodes.window_s(request.customer)[0] - found.drop_s
+                if early_s > EPSILON_S:  # wait here: the drop is not before the window
+                    until_s.append(self._now_s + early_s)
+                    continue
                 self._now_s = put_out_s
                 del self._available_from_s[request.kind][found.drone]
                 self._airborne.append(found)

@@ -1,5 +1,6 @@
 """Delivery windows: local times as people write them, epoch microseconds inside."""
 
+import math
 import re
 from datetime import UTC, date, datetime
 
@@ -68,6 +69,16 @@ def format_window(window: Window, now_us: int | None = None) -> str:
     )
     is_today = now_us is not None and _local(now_us).date() == day
     return f"{'' if is_today else f'{day} '}{start}-{end}"
+
+
+def late_text(window: Window, arrives_us: int, how: str) -> str | None:
+    """Return how late a delivery is for its window, as text; None: it is in time."""
+    latest_us = window[1]
+    if latest_us is None or arrives_us <= latest_us:
+        return None
+    minutes = math.ceil((arrives_us - latest_us) / 60e6)
+    at = f"{_local(arrives_us):%H:%M}"
+    return f"arrives {minutes} min after its window, {at} {how}; move its window"
 
 
 DATED = "%Y-%m-%d %H:%M"

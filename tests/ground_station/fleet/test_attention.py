@@ -52,6 +52,16 @@ def test_no_contact_begins_after_its_limit_and_hides_outdated_energy(age_s, coun
     assert items[0].key == ("contact d1" if count else "spare d1")
 
 
+def test_a_late_order_is_an_item_with_its_actions():
+    text = "arrives 13 min after its window, 14:43 by d2; move its window"
+    (item,) = attention_items(FleetFacts(late={"T-135": text}), LIMITS)
+    assert (item.level, item.title) == (Level.CAUTION, "T-135 arrives 13 min after its window")
+    assert (item.text, item.actions[:2]) == (
+        "14:43 by d2; move its window.",
+        ("call", "edit T-135"),
+    )
+
+
 def test_a_drone_that_is_expected_to_be_silent_is_no_item():
     silent = flying(contact_age_s=None, is_expected=False, is_online=False)
     assert titles(FleetFacts(vehicles=[silent])) == []

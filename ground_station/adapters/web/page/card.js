@@ -120,7 +120,7 @@ export function arrivalOf(id, order, { drones = {}, plan }) {
   const drone = drones[order.vehicle];
   if (order.state === "assigned" && drone?.order === id && drone.drop_us) return drone.drop_us;
   const sortie = plan?.sorties?.find((one) => one.order === id && one.state !== "lost");
-  if (sortie?.launch_us && sortie.land_us) return Math.round((sortie.launch_us + sortie.land_us) / 2);
+  if (sortie?.drop_us) return sortie.drop_us;
   return Object.values(plan?.stops ?? {}).find((stop) => stop.serves?.includes(id))?.arrive_us;
 }
 
