@@ -287,9 +287,7 @@ class FleetPort:
     def publish_state_if_due(
         self, phase: str, telemetry: TelemetryState, pilot: Pilot | None = None
     ) -> None:
-        """Publish the state once a second and on each phase change. Subscribe to neighbours near
-        the latest position.
-        """
+        """Publish the state once a second and on each phase change; subscribe near the position."""
         now_s, position = self.member.clock_s(), telemetry.position
         if position is not None:
             self._position_deg = position.lat_deg, position.lon_deg

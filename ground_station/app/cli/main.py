@@ -18,7 +18,9 @@ from ground_station.app.cli import (
     ground,
     hold,
     live_map,
+    manifest,
     order,
+    order_changes,
     pki,
     plan,
     ros2,
@@ -107,8 +109,10 @@ def program_options(
 
 app.add_typer(estimate.app)
 app.add_typer(ground.app)
+order_changes.add_commands(order.app)
 app.add_typer(order.app, name="order")
 app.add_typer(dispatch.app)
+app.add_typer(manifest.app)
 app.add_typer(pki.app, name="pki")
 app.add_typer(router.app)
 app.add_typer(hold.app)

@@ -1,7 +1,6 @@
 """`ground-station order`: add, change, list, show, cancel and settle orders."""
 
 import json
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict
@@ -12,6 +11,18 @@ import typer
 
 from companion.core.base.errors import LeewayError
 from companion.core.base.import_report import ImportReport
+from ground_station.app.cli.order_changes import (
+    SIGNED_OPTIONS,
+    Address,
+    Customer,
+    Note,
+    OrderId,
+    Phone,
+    PriorityOption,
+    ServiceTime,
+    Window,
+    typed_cells,
+)
 from ground_station.app.options.desk_options import (
     StrictImport,
     desk_options,
@@ -19,16 +30,13 @@ from ground_station.app.options.desk_options import (
     read_day_and_warn,
 )
 from ground_station.app.options.program_options import command_class_with_options
-from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Priority, Service
+from ground_station.core.schema.order_states import OrderState, ParcelOutcome, Service
 
 if TYPE_CHECKING:
     from ground_station.adapters.store.order_store import Store
     from ground_station.core.dispatch.depot_assignment import DepotAssigner
     from ground_station.core.schema.day_data import DayData
     from ground_station.core.schema.orders import Order
-
-OrderId = Annotated[str, typer.Argument(help="Id of the order, for example H-101.")]
-SIGNED_OPTIONS = command_class_with_options("store", "store_file", "user", "identity")
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -37,24 +45,6 @@ app = typer.Typer(
         "ground-station order import harbour --store sqlite:///desk.db"
     ),
 )
-
-
-Customer = Annotated[str | None, typer.Option(help="Customer's name.")]
-Phone = Annotated[str | None, typer.Option(help="Customer's telephone number.")]
-Address = Annotated[str | None, typer.Option(help="Street address, for people.")]
-Window = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FROM-TO",
-        help="Delivery window, local time: 14:00-15:30, or 2026-05-01 14:00-15:30; ISO times:"
-        " FROM/TO.",
-    ),
-]
-PriorityOption = Annotated[Priority | None, typer.Option(help="Urgent orders go first.")]
-ServiceTime = Annotated[
-    float | None, typer.Option(help="Driver's time at the customer, s. Default: the day's.")
-]
-Note = Annotated[str | None, typer.Option(help="Free text note.")]
 
 
 @app.command(cls=SIGNED_OPTIONS)
@@ -84,7 +74,7 @@ def add(
 
     place = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": alt, "mass_kg": mass}
     cells = {"id": order_id, "service": service.value, **{k: repr(v) for k, v in place.items()}}
-    cells |= _typed_cells(
+    cells |= typed_cells(
         customer=customer,
         phone=phone,
         address=address,
@@ -96,10 +86,6 @@ def add(
     order = order_from_cells(cells, None, None, local_date())
     with desk_options().operator_and_store(create=True) as (by, order_store):
         add_orders_and_print_count(order_store, [order], by)
-
-
-def _typed_cells(**cells: str | None) -> dict[str, str]:
-    return {name: cell for name, cell in cells.items() if cell is not None}
 
 
 @contextmanager
@@ -193,27 +179,12 @@ def list_(
     state: Annotated[OrderState | None, typer.Option(help="Only orders in this state.")] = None,
 ) -> None:
     """List the orders with their states."""
-    from ground_station.adapters.clock import epoch_us
-    from ground_station.adapters.store.order_history import delivery_proofs
-    from ground_station.app.views.order_view import shown_state
-    from ground_station.app.views.terminal import plain_console, plain_table
-    from ground_station.core.schema.order_window import format_window
+    from ground_station.app.views.order_view import order_list
+    from ground_station.app.views.terminal import plain_console
 
-    now_us = epoch_us()
     with closing(desk_options().open_store()) as order_store:
-        proofs = delivery_proofs(order_store.database)
-        states = [(row, shown_state(row, proofs.get(row.order.id))) for row in order_store.orders()]
-    rows = [(row, shown) for row, shown in states if state in (None, shown)]
-    table = plain_table("order", "kg", "service", "window", "state", "flights", "reason")
-    for row, shown in rows:
-        order = row.order
-        window = " ".join(
-            filter(None, ("urgent" * order.is_urgent, format_window(order.window, now_us)))
-        )
-        cells = (order.id, f"{order.mass_kg:g}", order.service.value, window, shown.value)
-        table.add_row(*cells, str(row.attempts), row.reason)
+        table, counts = order_list(order_store, state)
     plain_console().print(table)
-    counts = Counter(shown.value for _, shown in rows)
     typer.echo(", ".join(f"{n} {name}" for name, n in counts.items()) or "no orders")
 
 
@@ -230,93 +201,6 @@ def cancel(
 
     with desk_options().operator_and_store() as (by, store):
         result = cancel_order(store, order_id, by, reason)
-    for text in result.messages:
-        typer.echo(text)
-
-
-@app.command(cls=SIGNED_OPTIONS)
-def change(
-    order_id: OrderId,
-    window: Window = None,
-    priority: PriorityOption = None,
-    customer: Customer = None,
-    phone: Phone = None,
-    address: Address = None,
-    note: Note = None,
-    mass: Annotated[float | None, typer.Option(help="Mass of the parcel, kg.")] = None,
-    at: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Destination, degrees.")] = None,
-    alt: Annotated[
-        float | None, typer.Option(help="Ground elevation at --at, m AMSL. Default: the --day's.")
-    ] = None,
-    service_time: ServiceTime = None,
-    day: Annotated[str | None, typer.Option(help="The day: supplies the ground height.")] = None,
-) -> None:
-    """Change or reschedule an order; an empty text removes a field.
-
-    Open: all. Assigned, on the ground: a new destination or mass withdraws the assignment. In the
-    air: only contact, note and priority. Delivered or cancelled: nothing.
-
-    ground-station order change H-101 --window 16:00-17:00 --phone "+45 12 34 56 78"
-    """
-    from ground_station.adapters.clock import epoch_us
-    from ground_station.app.desk.operator_commands import change_order
-    from ground_station.core.schema.coordinate_text import split_lat_lon
-
-    cells = _typed_cells(
-        window=window,
-        priority=priority and priority.value,
-        customer=customer,
-        phone=phone,
-        address=address,
-        note=note,
-        mass_kg=None if mass is None else repr(mass),
-        alt_amsl_m=None if alt is None else repr(alt),
-        service_s=None if service_time is None else repr(service_time),
-    )
-    if at is not None:
-        cells["lat_deg"], cells["lon_deg"] = split_lat_lon(at, str)
-    if not cells:
-        raise LeewayError("order change: expected an option with the new value")
-    data = None if day is None else read_day_and_warn(day)
-    with desk_options().operator_and_store() as (by, store):
-        result = change_order(store, epoch_us, order_id, cells, by, data)
-    for text in result.messages:
-        typer.echo(text)
-
-
-@app.command(cls=command_class_with_options("store", "store_file"))
-def show(
-    order_id: OrderId,
-    json_out: Annotated[bool, typer.Option("--json", help="Print JSON (order/1).")] = False,
-) -> None:
-    """Show an order: its fields, its history and its proof of delivery.
-
-    ground-station order show H-101
-    """
-    from ground_station.app.views.order_view import order_record, order_view
-    from ground_station.app.views.terminal import plain_console
-
-    with closing(desk_options().open_store()) as order_store:
-        if json_out:
-            typer.echo(json.dumps(order_record(order_store, order_id), indent=1))
-        else:
-            plain_console().print(order_view(order_store, order_id))
-
-
-@app.command(cls=SIGNED_OPTIONS)
-def proof(
-    order_id: OrderId,
-    photo: Annotated[Path, typer.Option(help="Photo of the delivery: its path is recorded.")],
-) -> None:
-    """Add a photo to the proof of a delivered order.
-
-    ground-station order proof H-101 --photo H-101.jpg
-    """
-    from ground_station.adapters.clock import epoch_us
-    from ground_station.app.desk.operator_commands import add_photo
-
-    with desk_options().operator_and_store() as (by, store):
-        result = add_photo(store, epoch_us, order_id, photo, by)
     for text in result.messages:
         typer.echo(text)
 

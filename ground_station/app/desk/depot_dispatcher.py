@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from companion.fleet.messages import State
 from ground_station.adapters.store.launch_store import count_refused_launches
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.tables import CONFIRM_KEY, LATE_KEY
+from ground_station.adapters.store.tables import CONFIRM_KEY
 from ground_station.app.desk.dispatcher import CycleResult
 from ground_station.app.desk.idle_reasons import IdleReasons, ReasonLog
 from ground_station.app.desk.launch_pacing import LaunchPacing
@@ -91,7 +91,7 @@ class DepotDispatcher:
         self._idle_reasons = IdleReasons(
             self.store, self.data, self.assigner, self.log, self.clock.epoch_us
         )
-        self._late_orders = ReasonLog(self.store, LATE_KEY, self.log)
+        self._late_orders = ReasonLog.of_late_orders(self.store, self.log)
 
     def prepare_first_cycle(self) -> None:
         """Keep the gap between a launch just before a restart and the next one."""

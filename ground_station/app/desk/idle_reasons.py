@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.tables import IDLE_KEY
+from ground_station.adapters.store.tables import IDLE_KEY, LATE_KEY
 from ground_station.core.dispatch.depot_assignment import LOADING_S, DepotAssigner
 from ground_station.core.dispatch.dispatch_rules import off_pad_text
 from ground_station.core.feasibility.reach import Infeasible
@@ -30,6 +30,11 @@ class ReasonLog:
     label: str = ""
     _stored: dict[str, str] | None = None
     _logged: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_late_orders(cls, store: Store, log: Callable[[str], None]) -> "ReasonLog":
+        """Return the log of orders that cannot keep their window."""
+        return cls(store, LATE_KEY, log)
 
     def publish(self, reasons: dict[str, str]) -> None:
         """Log new reasons, and store them if they have changed."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from companion.fleet.messages import State
 from ground_station.adapters.store.day_store import DayStore
 from ground_station.adapters.store.order_store import Store
-from ground_station.adapters.store.tables import LATE_KEY
 from ground_station.app.desk.active_plan import ActivePlan
 from ground_station.app.desk.day_tracker import DayTracker
 from ground_station.app.desk.dispatcher import CycleResult
@@ -46,7 +45,6 @@ from ground_station.core.fleet.fleet_link import Clock
 from ground_station.core.fleet.fleet_status import FleetStatus
 from ground_station.core.planning.airspace import Airspace
 from ground_station.core.schema.day_plan import PlannedSortie
-from ground_station.core.schema.order_window import late_text
 from ground_station.core.schema.orders import AssignmentRow
 from ground_station.core.site_wind.site_wind import SiteWind
 
@@ -78,7 +76,7 @@ class TruckDispatcher:
     _feasibility: DayFeasibility | None = None
 
     def __post_init__(self) -> None:
-        self._late_orders = ReasonLog(self.store, LATE_KEY, self.log)
+        self._late_orders = ReasonLog.of_late_orders(self.store, self.log)
         self._tracker = DayTracker(
             self.store, self.day, self.active, self.clock, self.wind, self.forecast
         )
@@ -112,7 +110,7 @@ class TruckDispatcher:
         snapshot = tracker.update_snapshot(status)
         truck = snapshot.truck
         self._store_energy_of_finished_sorties(snapshot)
-        self._late_orders.publish(self._late_texts(snapshot))
+        self._late_orders.publish(snapshot.late_texts(self.active.data.orders))
         if truck is None:
             return CycleResult.IDLE
         self.active.request_or_adopt_plan(
@@ -137,19 +135,6 @@ class TruckDispatcher:
         )
         is_active = bool(actions) or snapshot.replanning or truck_is_waiting
         return CycleResult.ACTIVE if is_active else CycleResult.IDLE
-
-    def _late_texts(self, snapshot: DaySnapshot) -> dict[str, str]:
-        """Return by open order how late it is for its window, by the plan and the truck's delay."""
-        times_s, delay_s = self.active.plan.delivery_times_s(), max(0.0, snapshot.truck_delay_s())
-        late: dict[str, str] = {}
-        for order in self.active.data.orders:
-            if order.latest_us is None or order.id not in snapshot.open_orders & times_s.keys():
-                continue
-            planned_s, how = times_s[order.id]
-            at_us = snapshot.start_us + round(1e6 * max(planned_s + delay_s, snapshot.now_s))
-            if text := late_text(order.window, at_us, how):
-                late[order.id] = text
-        return late
 
     def _discard_values_of_earlier_plan(self) -> None:
         """Discard values that were computed for an earlier plan."""

@@ -148,6 +148,17 @@ class SortieShown(_PicturePart, frozen=True, kw_only=True):
     state: str
 
 
+class ManifestRow(_PicturePart, frozen=True, kw_only=True):
+    """A row of the manifest (`ground_station.app.map.manifest`)."""
+
+    stop: str
+    arrive_us: int | None = None
+    leave_us: int | None = None
+    does: str = ""
+    order: str = ""
+    drone: str | None = None
+
+
 class PlanShown(_PicturePart, frozen=True, kw_only=True):
     """The plan in force. `route`: the truck's stops in order. `late_s`: the truck's lateness."""
 

@@ -1,12 +1,15 @@
 """One order: its fields, its history and its proof of delivery."""
 
+from collections import Counter
 from typing import Any
 
 import msgspec
 from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from companion.core.base.errors import LeewayError
+from ground_station.adapters.clock import epoch_us
 from ground_station.adapters.store.order_history import delivery_proofs, read_order_history
 from ground_station.adapters.store.order_store import Store
 from ground_station.app.views.terminal import plain_table
@@ -39,6 +42,21 @@ def shown_state(row: OrderRow, proof: DeliveryProof | None) -> OrderState:
     """Return the state for people: delivered from the confirmed release, not from the landing."""
     is_released = proof is not None and row.state is OrderState.ASSIGNED
     return OrderState.DELIVERED if is_released else row.state
+
+
+def order_list(store: Store, state: OrderState | None) -> tuple[Table, Counter[str]]:
+    """Return the orders, or those in this state, as a table, and their number by state."""
+    proofs, counts, now_us = delivery_proofs(store.database), Counter[str](), epoch_us()
+    table = plain_table("order", "kg", "service", "window", "state", "flights", "reason")
+    for row in store.orders():
+        order, shown = row.order, shown_state(row, proofs.get(row.order.id))
+        if state in (None, shown):
+            counts[shown.value] += 1
+            priority = "urgent" if order.is_urgent else ""
+            window = f"{priority} {format_window(order.window, now_us)}".strip()
+            cells = (order.id, f"{order.mass_kg:g}", order.service.value, window, shown.value)
+            table.add_row(*cells, str(row.attempts), row.reason)
+    return table, counts
 
 
 def order_view(store: Store, order_id: str) -> RenderableType:

@@ -1,11 +1,12 @@
 """Snapshot of a day with a truck: rows of the store and status of the fleet."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop
-from ground_station.core.schema.orders import AssignmentRow, AssignmentState
+from ground_station.core.schema.order_window import late_text
+from ground_station.core.schema.orders import AssignmentRow, AssignmentState, Order
 from ground_station.core.schema.sortie_rows import SortieRow, StopTimes
 
 CLOSED_PREFIX = "closed by the forecast"
@@ -87,8 +88,31 @@ class DaySnapshot:
         """Return whether a delivery in `after_s` would be before the order's window."""
         return self.now_s + after_s < self.opens_s.get(order, -math.inf)
 
+    def is_due(self, order: str) -> bool:
+        """Return whether the driver may deliver an order now."""
+        return order in self.due_orders and not self.is_before_window(order)
+
+    def must_wait(self, row: SortieRow) -> bool:
+        """Return whether a launch waits for a hold, or for the order's window."""
+        out_s = row.sortie.drop_s - row.sortie.launch_s
+        is_early = self.is_before_window(row.sortie.order, out_s)
+        return row.vehicle in self.drones_on_hold or is_early
+
+    def late_texts(self, orders: Iterable[Order]) -> dict[str, str]:
+        """Return by open order how late it is for its window, by the plan and the truck's delay."""
+        times_s, delay_s = self.plan.delivery_times_s(), max(0.0, self.truck_delay_s())
+        late: dict[str, str] = {}
+        for order in orders:
+            if order.latest_us is None or order.id not in self.open_orders & times_s.keys():
+                continue
+            planned_s, how = times_s[order.id]
+            at_s = max(planned_s + delay_s, self.now_s)
+            if text := late_text(order.window, self.start_us + round(1e6 * at_s), how):
+                late[order.id] = text
+        return late
+
     @property
-    def planned_orders(self) -> frozenset[str]:
+    def due_orders(self) -> frozenset[str]:
         """Open orders that the plan may deliver."""
         return self.open_orders - self.changed_orders
 
@@ -146,7 +170,7 @@ class DaySnapshot:
         """Return the planned sorties that are not assigned yet, in order of launch."""
         assigned = [row.sortie for row in self.sorties]
         remaining = [
-            s for s in self.plan.sorties if s.order in self.planned_orders and s not in assigned
+            s for s in self.plan.sorties if s.order in self.due_orders and s not in assigned
         ]
         return sorted(remaining, key=lambda s: s.launch_s)
 

@@ -138,15 +138,12 @@ class DepotAssigner:
         distance_m_by_order = {
             order.id: math.hypot(*self.order_ground_ned(order)[:2]) for order in waiting
         }
-        waiting.sort(
-            key=lambda o: (
-                rank.get(o.id, last),
-                not o.is_urgent,
-                self._end_of_window_if_kept(o, now_us),
-                distance_m_by_order[o.id],
-                o.id,
-            )
-        )
+
+        def precedence(o: Order) -> tuple[object, ...]:
+            end_us = self._end_of_window_if_kept(o, now_us)
+            return rank.get(o.id, last), not o.is_urgent, end_us, distance_m_by_order[o.id], o.id
+
+        waiting.sort(key=precedence)
         return self._assign_orders_in_given_order(
             waiting, refused, list(free_drones), _occupied_layers(assignments)
         )

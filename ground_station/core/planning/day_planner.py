@@ -24,17 +24,19 @@ from ground_station.core.planning.forecast_check import (
 from ground_station.core.planning.forward_pass import (
     ForwardPass,
     ForwardSchedule,
-    schedule_rank,
-    shorten_by_recovery_at_next_stop,
 )
 from ground_station.core.planning.forward_pass_request import ForwardPassRequest
 from ground_station.core.planning.launch_slots import LaunchSlot, SlotFinder
+from ground_station.core.planning.plan_polish import (
+    improve_for_windows,
+    schedule_rank,
+    shorten_by_recovery_at_next_stop,
+)
 from ground_station.core.planning.unplanned import (
     heaviest_orders_over_capacity,
     unplanned_order_without_slot,
     unreachable_drone_only_orders,
 )
-from ground_station.core.planning.window_search import improve_for_windows
 from ground_station.core.schema.day_data import DEPOT, DayData
 from ground_station.core.schema.day_plan import DayPlan, PlannedSortie, PlannedStop, UnplannedOrder
 from ground_station.core.schema.day_state import DayState
@@ -143,8 +145,8 @@ class _DayPlanner:
             self._best_schedule_of_plan(nodes, forward_pass, *plan)
             for plan in self._candidate_plans(nodes)
         ]
-        plan_request, schedule = min(found, key=lambda one: schedule_rank(nodes, one[1]))
-        plan_request, schedule = improve_for_windows(forward_pass, plan_request, schedule)
+        best = min(found, key=lambda one: schedule_rank(nodes, one[1]))
+        plan_request, schedule = improve_for_windows(forward_pass, *best)
         if self._params.policy == "dynamic":
             return schedule
         return shorten_by_recovery_at_next_stop(forward_pass, plan_request, schedule)
@@ -376,11 +378,9 @@ class _DayPlanner:
         request = slot.request
         priced = price_slot_in_forecast(nodes, slot, self._data, self._t0_s)
         assert isinstance(priced, PricedSortie)  # other slots are held
-        order = nodes.orders[request.customer - 1]
-        is_timed = order.is_urgent or order.window != (None, None)
         above_pad_m = round(slot.volume.high_m + slot.from_pad_ned_m[2], 2)
         return PlannedSortie(
-            order=order.id,
+            order=nodes.orders[request.customer - 1].id,
             vehicle=slot.drone,
             launch=ids[request.launch],
             home=ids[request.rendezvous],
@@ -392,7 +392,7 @@ class _DayPlanner:
             required_wh=priced.required_wh,
             usable_wh=priced.usable_wh,
             alternative_stops=self._assign_alternative_landing_stops(nodes, schedule, slot, ids),
-            out_s=slot.drop_s - slot.launched_s if is_timed else UNSET,
+            out_s=slot.drop_s - slot.launched_s if nodes.is_timed(request.customer) else UNSET,
         )
 
 

@@ -86,6 +86,11 @@ class DayProblem:
         id_ = self.orders[node - 1].id if is_order else ""
         return self.windows_s.get(id_, (-math.inf, math.inf))
 
+    def is_timed(self, customer: int) -> bool:
+        """Return whether an order has a window or priority."""
+        order = self.orders[customer - 1]
+        return order.is_urgent or order.window != (None, None)
+
     def ground_ned_m(self, node: int) -> Ned:
         """Return the ground point of a node."""
         north, east, down = self.ned_m[node].tolist()

@@ -7,7 +7,6 @@ drone bound for a later stop moves to the next stop: the truck cannot wait for t
 """
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 from ground_station.core.deconfliction.pads import StopPads
 from ground_station.core.deconfliction.separation import LATE_MARGIN_S, OperationalVolume
@@ -27,8 +26,6 @@ BACKTRACKS_PER_SORTIE = 20
 """Limit of backtracks: in total, plus per sortie. After it a drone that would land before the truck
 is recovered at its launch stop."""
 EPSILON_S = 1e-6
-URGENT_WEIGHT = 10.0
-"""[est] Weight of an urgent order's lateness."""
 
 
 @dataclass(slots=True)
@@ -53,11 +50,6 @@ class ForwardSchedule:
     def makespan_s(self) -> float:
         """Time from the start to the last departure."""
         return self.stops[-1].depart_s if self.stops else 0.0
-
-
-MAX_POLISH_PASSES = 50
-POLISH_ORDERS = 2_000
-"""Limits of polishing passes; fewer with more orders, since each pass takes longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,56 +80,6 @@ class ForwardPass:
     def build_schedule(self, plan_request: ForwardPassRequest) -> ForwardSchedule:
         """Return the schedule; the truck is at each rendezvous `lead_s` before its drones."""
         return _Pass(self, plan_request).build_schedule()
-
-
-def lateness_s(nodes: DayProblem, schedule: ForwardSchedule) -> dict[int, float]:
-    """Return by node how long after its window an order is delivered; only orders with a window."""
-    if not nodes.windows_s:
-        return {}
-    return {
-        node: max(0.0, at_s - nodes.window_s(node)[1])
-        for node, at_s in schedule.delivered_s.items()
-    }
-
-
-def schedule_rank(nodes: DayProblem, schedule: ForwardSchedule) -> tuple[int, float, float]:
-    """Sort key: number of lost orders, lateness after windows (of urgent orders tenfold), and the
-    makespan plus the delivery time of each urgent order.
-    """
-    urgent = {node for node, order in enumerate(nodes.orders, 1) if order.is_urgent}
-    late_s = sum(
-        late_s * (URGENT_WEIGHT if node in urgent else 1.0)
-        for node, late_s in lateness_s(nodes, schedule).items()
-    )
-    urgent_s = sum(at_s for node, at_s in schedule.delivered_s.items() if node in urgent)
-    return len(schedule.lost), round(late_s), schedule.makespan_s + urgent_s
-
-
-def shorten_by_recovery_at_next_stop(
-    forward_pass: ForwardPass, plan_request: ForwardPassRequest, schedule: ForwardSchedule
-) -> ForwardSchedule:
-    """Recover the last launches of a stop at the next one if that shortens the makespan."""
-    left = min(MAX_POLISH_PASSES, POLISH_ORDERS // max(1, len(plan_request.requests)))
-    for here, next_stop in pairwise(plan_request.route):
-        loops = [s for s in schedule.slots if s.request.launch == s.request.rendezvous == here]
-        for slot in sorted(loops, key=lambda slot: -slot.launched_s):
-            if left == 0:
-                return schedule
-            left -= 1
-            customer = slot.request.customer
-            requests = tuple(
-                replace(w, rendezvous=next_stop) if w.customer == customer else w
-                for w in plan_request.requests
-            )
-            other = replace(plan_request, requests=requests)
-            candidate = forward_pass.build_schedule(other)
-            before, after = (
-                schedule_rank(forward_pass.nodes, schedule),
-                schedule_rank(forward_pass.nodes, candidate),
-            )
-            if after[:2] <= before[:2] and after[2] < before[2] - 1.0:
-                plan_request, schedule = other, candidate
-    return schedule
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,8 +266,7 @@ class _Pass:
                 self._now_s += deliver_s
                 deliver_s = 0.0
             elif home or waiting or deliver_s > 0.0:
-                times_s = [slot.landed_s for slot in home] + until_s
-                times_s += [opens_s] if deliver_s > 0.0 else []
+                times_s = [slot.landed_s for slot in home] + until_s + [opens_s] * (deliver_s > 0.0)
                 if not times_s:
                     self._day.lost += [request.customer for request in waiting]
                     return moved_requests

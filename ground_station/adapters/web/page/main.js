@@ -87,7 +87,7 @@ function drawLists(now) {
   when("list", [picture.drones, picture.orders, selected, second, state.isLost, state.scrolled], () => drawList(picture, now));
   $("#board").hidden = !["orders", "driver"].includes(shownView);
   if (shownView === "orders") when("board", [picture.orders, picture.drones, picture.plan, selected, state.searched, me.mayOrder, second], () => drawBoard($("#board"), picture, now));
-  if (shownView === "driver") when("driver", [picture.orders, picture.plan, second], () => drawDriverList($("#board"), picture, now.nowUs));
+  if (shownView === "driver") when("driver", [picture.orders, picture.manifest, second], () => drawDriverList($("#board"), picture, now.nowUs));
   when("day", [picture.plan, picture.orders, Math.floor(second / DAY_S), selected, sizes.day, shownView], () => drawDay($("#day"), picture, now, sizes.day));
 }
 
@@ -339,7 +339,7 @@ const DEEDS = {
   "save-change": async () => { const id = state.asking?.subject; if (id && await saveChange(id)) { state.asking = null; askForSelected(); redraw(); } },
   "save-file": async () => { if (await saveFile()) select(null); },
   print: () => print(),
-  csv: () => saveCsv("driver.csv", driverCsv(state.picture)),
+  csv: () => saveCsv("driver.csv", driverCsv(state.picture, nowUs())),
 };
 
 document.addEventListener("click", (event) => {
