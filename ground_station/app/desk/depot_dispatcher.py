@@ -34,7 +34,7 @@ from ground_station.core.site_wind.site_wind import SiteWind
 WIND_CHECK_INTERVAL_S = 30.0
 """Interval of wind checks: each change of the planning wind recomputes all order costs."""
 
-WINDOW_CHECK_INTERVAL_S = 5.0
+WINDOW_CHECK_INTERVAL_S = 1.0
 
 MAX_REFUSED_LAUNCHES = 3
 """Refused launches after which an assignment is withdrawn for inspection by the operator."""

@@ -49,13 +49,13 @@ def wide_of_name(page, site: MapSite) -> int:
     """Columns of the screen in which `TOWN` is written, once it is; Web Mercator by hand, with
     the equator in the middle, as after zooming out to the whole world.
     """
-    box = page.locator("#place").bounding_box()
     east = (0.25 - (0.5 + HARBOUR.day.depot.lon_deg / 360.0)) * WORLD_PX
-    x, y = box["x"] + box["width"] / 2 + east, box["y"] + box["height"] / 2
-    clip = {"x": x - 60, "y": y - 6, "width": 120, "height": 12}
     width = 0
     for _ in range(100):  # names fade in
         site.step()  # without data the page turns grey
+        box = page.locator("#place").bounding_box()  # the timeline below it grows with the fleet
+        x, y = box["x"] + box["width"] / 2 + east, box["y"] + box["height"] / 2
+        clip = {"x": x - 60, "y": y - 6, "width": 120, "height": 12}
         seen = 255 * imread(io.BytesIO(page.screenshot(clip=clip)))[..., :3]
         columns = (seen.sum(axis=2) < 300).any(axis=0).nonzero()[0]
         width = int(np.ptp(columns)) if columns.size else 0
